@@ -1,0 +1,1 @@
+"""Planning and control: quadratic costs, LQR, iLQR and MPC."""

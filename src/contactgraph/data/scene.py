@@ -1,0 +1,93 @@
+"""What never changes in a run: who takes part, who is actuated, and where the goal is."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from contactgraph.data.errors import InvalidInputError
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What never changes in a recorded run.
+
+    Raises `InvalidInputError` where a field has the wrong shape, a value that is not finite,
+    or names that are not unique.
+    """
+
+    node_name: tuple[str, ...]
+    """[N] unique names, e.g. ``("gripper", "object-0")``."""
+    node_type: tuple[str, ...]
+    """[N] kinds of node, e.g. ``("gripper", "object")``."""
+    actuated: np.ndarray
+    """[N] bool: whether the control acts on the node itself."""
+    dt: float
+    """Time between two steps, s."""
+    dimension: int = 2
+    """D, degrees of freedom a node."""
+    anchor: np.ndarray | None = None
+    """[N, D] hinge position, m; NaN where a node has none. None: nobody has one."""
+    goal: np.ndarray | None = None
+    """[D] goal position, m. None: the run has no goal."""
+    mass: np.ndarray | None = None
+    """[N] true mass, kg, where it is known. Serves evaluation only; training never reads it."""
+    radius: np.ndarray | None = None
+    """[N] radius, m, where it is known. Serves drawing only; training never reads it."""
+    candidate_edges: np.ndarray | None = None
+    """[E, 2] int: pairs of nodes that could touch. None: every pair."""
+    metadata: dict[str, str | int | float | bool] = field(default_factory=dict)
+    """Free-form: task, seed, simulator version, substeps, …"""
+
+    def __post_init__(self) -> None:
+        count, dimension = len(self.node_name), self.dimension
+        _set(self, "actuated", np.asarray(self.actuated, dtype=bool))
+        if len(set(self.node_name)) != count:
+            raise InvalidInputError(f"node_name must be unique, found {list(self.node_name)}")
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
+        shapes = {
+            "actuated": (count,),
+            "anchor": (count, dimension),
+            "goal": (dimension,),
+            "mass": (count,),
+            "radius": (count,),
+        }
+        if len(self.node_type) != count:
+            raise InvalidInputError(
+                f"node_type must have one entry a node ({count}), found {len(self.node_type)}"
+            )
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if name != "actuated":
+                value = np.asarray(value, dtype=np.float64)
+                _set(self, name, value)
+            if value.shape != shape:
+                raise InvalidInputError(f"{name} must have shape {shape}, found {value.shape}")
+        for name in ("goal", "mass", "radius"):
+            value = getattr(self, name)
+            if value is not None and not np.all(np.isfinite(value)):
+                raise InvalidInputError(f"{name} must be finite, found {value.tolist()}")
+        if self.candidate_edges is not None:
+            _set(self, "candidate_edges", _checked_edges(self.candidate_edges, count))
+
+    @property
+    def node_count(self) -> int:
+        """N, the number of nodes."""
+        return len(self.node_name)
+
+
+def _checked_edges(edges: np.ndarray, count: int) -> np.ndarray:
+    edges = np.asarray(edges, dtype=np.int64)
+    if edges.ndim != 2 or edges.shape[1] != 2:
+        raise InvalidInputError(f"candidate_edges must have shape (E, 2), found {edges.shape}")
+    if edges.size and (edges.min() < 0 or edges.max() >= count):
+        raise InvalidInputError(f"candidate_edges must name nodes 0 to {count - 1}")
+    if np.any(edges[:, 0] == edges[:, 1]):
+        raise InvalidInputError("candidate_edges must join two different nodes")
+    return edges
+
+
+def _set(instance: object, name: str, value: object) -> None:
+    object.__setattr__(instance, name, value)

@@ -1,0 +1,77 @@
+"""One recorded run."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One recorded run of ``T`` steps with ``N`` nodes of ``D`` degrees of freedom.
+
+    Step ``t`` leads from state ``t`` to state ``t + 1`` under ``control[t]``.
+    Raises `InvalidInputError` where a shape is wrong or a number is not finite.
+    """
+
+    scene: Scene
+    position: np.ndarray
+    """[T+1, N, D] m."""
+    velocity: np.ndarray
+    """[T+1, N, D] m/s."""
+    control: np.ndarray
+    """[T, U] N; U may be 0."""
+    contact: np.ndarray | None = None
+    """[T+1, N, N] bool, symmetric: whether two nodes touch at a step. None: not recorded."""
+
+    def __post_init__(self) -> None:
+        scene = self.scene
+        for name in ("position", "velocity", "control"):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, value)
+        if self.position.ndim != 3 or self.position.shape[0] < 2:
+            raise InvalidInputError(
+                f"position must have shape (T+1, N, D) with T >= 1, found {self.position.shape}"
+            )
+        steps = self.position.shape[0] - 1
+        state_shape = (steps + 1, scene.node_count, scene.dimension)
+        for name in ("position", "velocity"):
+            value = getattr(self, name)
+            if value.shape != state_shape:
+                raise InvalidInputError(
+                    f"{name} must have shape (T+1, N, D) = {state_shape}, found {value.shape}"
+                )
+        if self.control.ndim != 2 or self.control.shape[0] != steps:
+            raise InvalidInputError(
+                f"control must have shape (T, U) with T = {steps}, found {self.control.shape}"
+            )
+        for name in ("position", "velocity", "control"):
+            value = getattr(self, name)
+            if not np.all(np.isfinite(value)):
+                where = [int(i) for i in np.argwhere(~np.isfinite(value))[0]]
+                raise InvalidInputError(f"{name} must be finite, found {value[tuple(where)]} at {where}")
+        if self.contact is not None:
+            self._check_contact(steps)
+
+    def _check_contact(self, steps: int) -> None:
+        contact = np.asarray(self.contact, dtype=bool)
+        object.__setattr__(self, "contact", contact)
+        shape = (steps + 1, self.scene.node_count, self.scene.node_count)
+        if contact.shape != shape:
+            raise InvalidInputError(
+                f"contact must have shape (T+1, N, N) = {shape}, found {contact.shape}"
+            )
+        if not np.array_equal(contact, contact.swapaxes(1, 2)):
+            raise InvalidInputError("contact must be symmetric in its two node axes")
+
+    @property
+    def steps(self) -> int:
+        """T, the number of steps."""
+        return self.position.shape[0] - 1
+
+    @property
+    def control_size(self) -> int:
+        """U, the size of the control."""
+        return self.control.shape[1]

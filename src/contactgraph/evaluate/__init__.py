@@ -1,0 +1,1 @@
+"""Running episodes, and the metrics over what was recorded."""

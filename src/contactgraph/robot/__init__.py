@@ -1,0 +1,1 @@
+"""The path to a real arm: the robot contract, its safety limits and its driver."""

@@ -1,0 +1,1 @@
+"""Simulated tasks and the scripted experts that record them."""

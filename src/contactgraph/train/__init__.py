@@ -1,0 +1,1 @@
+"""Training: loss terms, the loop, and checkpoints that survive anything."""
