@@ -1,1 +1,11 @@
 """Simulated tasks and the scripted experts that record them."""
+
+from contactgraph.tasks.contract import ChainCost as ChainCost
+from contactgraph.tasks.contract import Observation as Observation
+from contactgraph.tasks.contract import Policy as Policy
+from contactgraph.tasks.contract import Task as Task
+from contactgraph.tasks.excitation import ExplorationPolicy as ExplorationPolicy
+from contactgraph.tasks.excitation import RestPolicy as RestPolicy
+from contactgraph.tasks.expert import PickupExpert as PickupExpert
+from contactgraph.tasks.pickup import PickupTask as PickupTask
+from contactgraph.tasks.pickup import pickup_success as pickup_success

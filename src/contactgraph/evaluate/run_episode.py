@@ -1,0 +1,82 @@
+"""Running a policy in a task, and recording what happened."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import cast
+
+import gymnasium
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.tasks.contract import Observation, Policy, Task
+
+StepCallback = Callable[[int, Observation, np.ndarray], None]
+"""Called after every step with its index, the observation before it and the control ``[U]`` N."""
+
+
+def run_episode(
+    task: Task, policy: Policy, seed: int, on_step: StepCallback | None = None
+) -> Trajectory:
+    """Runs one episode and records it: ``T`` controls as applied, ``T + 1`` states and contacts.
+
+    ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
+    it. The scene's metadata gains the policy's class name.
+    """
+    if seed < 0:
+        raise InvalidInputError(f"seed must be at least 0, found {seed}")
+    box = cast(gymnasium.spaces.Box, task.action_space)
+    observation, _ = task.reset(seed=seed)
+    # A stream of its own: a noise drawn from the scene's numbers would depend on the layout.
+    policy.reset(task.scene, int(np.random.SeedSequence(seed).generate_state(1)[0]))
+    observations = [observation]
+    controls: list[np.ndarray] = []
+    done = False
+    while not done:
+        control = np.clip(policy(observation), box.low, box.high).astype(box.dtype)
+        following, _, terminated, truncated, _ = task.step(control)
+        if on_step is not None:
+            on_step(len(controls), observation, control)
+        observation, done = following, terminated or truncated
+        observations.append(observation)
+        controls.append(control)
+    metadata = {**task.scene.metadata, "policy": type(policy).__name__}
+    return Trajectory(
+        scene=replace(task.scene, metadata=metadata),
+        position=np.stack([each["position"] for each in observations]),
+        velocity=np.stack([each["velocity"] for each in observations]),
+        control=np.stack(controls),
+        contact=np.stack([each["contact"] for each in observations]).astype(bool),
+    )
+
+
+def collect(
+    task_factory: Callable[[], Task],
+    policies: Sequence[Policy],
+    episodes: int,
+    seed: int,
+    on_episode: Callable[[Trajectory], None] | None = None,
+) -> list[Trajectory]:
+    """Records ``episodes`` runs; run ``i`` is by ``policies[i % len(policies)]``.
+
+    A mix is a longer list: ``[expert] * 8 + [ExplorationPolicy(), RestPolicy()]`` explores in
+    every tenth run and rests in every tenth. Each run has a seed of its own, spawned from
+    ``seed``, so that run ``i`` is the same however many are recorded; its scene's metadata names
+    it, and `run_episode` with it gives that run again.
+
+    ``on_episode`` is called with every run as it is done. Raises `InvalidInputError` where a
+    count or the seed is out of range.
+    """
+    if episodes < 1:
+        raise InvalidInputError(f"episodes must be at least 1, found {episodes}")
+    if seed < 0:
+        raise InvalidInputError(f"seed must be at least 0, found {seed}")
+    if not policies:
+        raise InvalidInputError("policies must name at least one policy, found none")
+    task = task_factory()
+    runs = []
+    for index, child in enumerate(np.random.SeedSequence(seed).spawn(episodes)):
+        episode_seed = int(child.generate_state(1)[0])
+        runs.append(run_episode(task, policies[index % len(policies)], episode_seed))
+        if on_episode is not None:
+            on_episode(runs[-1])
+    return runs

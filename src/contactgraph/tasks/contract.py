@@ -1,0 +1,106 @@
+"""What every task and every controller offers, whoever wrote it."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene
+
+Observation = dict[str, np.ndarray]
+"""One step of a task.
+
+=============  ==========  ========  ====================================================
+key            shape       unit
+=============  ==========  ========  ====================================================
+``position``   ``[N, D]``  m
+``velocity``   ``[N, D]``  m/s
+``contact``    ``[N, N]``  0 or 1    int8, symmetric, zero diagonal: whether two nodes touch
+``goal``       ``[D]``     m
+=============  ==========  ========  ====================================================
+"""
+
+
+class Task(Protocol):
+    """A Gymnasium environment in which a control moves nodes that may touch.
+
+    A task is a `gymnasium.Env` whose observation is an `Observation`, whose action is the control
+    ``[U]`` N in a bounded `gymnasium.spaces.Box`, and which has the members below. A control
+    outside the box acts as the nearest one inside. The same seed gives the same episode to the
+    last bit. `check_task` tests all of this on any task.
+    """
+
+    observation_space: gymnasium.spaces.Space[Any]
+    action_space: gymnasium.spaces.Space[Any]
+    max_steps: int
+    """T, the steps after which an episode is truncated."""
+
+    @property
+    def scene(self) -> Scene:
+        """The current episode's scene, known from `reset` on."""
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts an episode; returns the first observation and what else there is to know."""
+
+    def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Moves on by ``scene.dt``: observation, reward, terminated, truncated, info."""
+
+    def success(self) -> bool:
+        """Whether the episode has ended as the task demands."""
+
+    def cost_terms(self) -> "ChainCost":
+        """The task as a cost, in plain numbers."""
+
+
+class Policy(Protocol):
+    """A controller of a task."""
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode in ``scene``; all randomness comes from ``seed``."""
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[U]`` N for the coming step; the task clips it to its bounds."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChainCost:
+    r"""A quadratic cost that ties nodes together, one after the other, and the last to the goal.
+
+    With :math:`s_n` the state (position, velocity) of node :math:`n` and :math:`s_g` the goal at
+    rest, a step costs
+
+    .. math:: \sum_{(n, m)\,\text{along chain}} \|s_n - s_m\|^2_{pick}
+        + \|s_{last} - s_g\|^2_{goal} + w_u \|u\|^2.
+
+    Raises `InvalidInputError` where shapes do not fit or a weight is negative.
+    """
+
+    chain: tuple[int, ...]
+    """Node indices, e.g. gripper, first object, second object."""
+    pick_weights: np.ndarray
+    """[2D] on the difference of neighbours: D for position (1/m^2), then D for velocity."""
+    goal_weights: np.ndarray
+    """[2D] on the difference of the last node and the goal at rest."""
+    control_weight: float
+    """On the squared control, 1/N^2."""
+
+    def __post_init__(self) -> None:
+        if not self.chain or len(set(self.chain)) != len(self.chain) or min(self.chain) < 0:
+            raise InvalidInputError(f"chain must be different node indices, found {self.chain}")
+        for name in ("pick_weights", "goal_weights"):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, value)
+            if value.ndim != 1 or value.size % 2 or not np.all(value >= 0.0):
+                raise InvalidInputError(
+                    f"{name} must be 2D weights of at least 0, found {value.tolist()}"
+                )
+        if self.pick_weights.shape != self.goal_weights.shape:
+            raise InvalidInputError(
+                f"pick_weights and goal_weights must be equally long, found "
+                f"{self.pick_weights.size} and {self.goal_weights.size}"
+            )
+        if not self.control_weight > 0.0:
+            raise InvalidInputError(f"control_weight must be positive, found {self.control_weight}")
