@@ -1,4 +1,4 @@
-"""The one exception for a mistake of the user's: bad files, bad arguments, parts that do not fit."""
+"""The one exception for a mistake of the user's: bad files, bad arguments, unfit parts."""
 
 
 class InvalidInputError(ValueError):

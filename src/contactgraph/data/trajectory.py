@@ -51,7 +51,9 @@ class Trajectory:
             value = getattr(self, name)
             if not np.all(np.isfinite(value)):
                 where = [int(i) for i in np.argwhere(~np.isfinite(value))[0]]
-                raise InvalidInputError(f"{name} must be finite, found {value[tuple(where)]} at {where}")
+                raise InvalidInputError(
+                    f"{name} must be finite, found {value[tuple(where)]} at {where}"
+                )
         if self.contact is not None:
             self._check_contact(steps)
 

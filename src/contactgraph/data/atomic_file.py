@@ -1,0 +1,42 @@
+"""Files that are replaced as a whole: whoever looks sees the old one or the new one."""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from contactgraph.data.errors import InvalidInputError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A path to write to, in the same folder, which replaces ``path`` when the block ends.
+
+    After a failure, or Ctrl-C, ``path`` is as it was and the temporary file is gone; only a
+    killed process leaves one (``.NAME.*.tmp``). Raises `InvalidInputError` where the folder does
+    not exist or cannot be written to.
+    """
+    if not path.parent.is_dir():
+        raise InvalidInputError(f"{path}: folder {path.parent} does not exist")
+    if path.is_dir():
+        raise InvalidInputError(f"{path}: must be a file, found a folder")
+    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}.tmp")
+    try:
+        yield temporary
+        _flush_to_disk(temporary)
+        temporary.replace(path)
+        _flush_to_disk(path.parent)
+    except OSError as error:
+        reason = " ".join(str(error).split())
+        raise InvalidInputError(f"{path}: cannot be written ({reason})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _flush_to_disk(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

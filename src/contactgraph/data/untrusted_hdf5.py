@@ -1,0 +1,169 @@
+"""Reading an HDF5 file that may be damaged, foreign or hostile.
+
+Whatever h5py raises becomes one `InvalidInputError` that names the place. Nothing outside the
+file is followed, nothing is executed, and no array is read that the file cannot really hold.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import prod
+
+import h5py
+import numpy as np
+
+from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.layout import Field
+
+_DEFLATE_LIMIT = 1100
+"""No byte that deflate stores stands for more than this many."""
+_UNPACKED_LIMIT = 2**30
+"""Bytes that an array may take once unpacked, if it takes less in the file."""
+_STRING_LIMIT = 2**20
+"""Bytes of one text."""
+_BUILT_IN_FILTERS = frozenset({1, 2, 3, 4, 5, 6, 32000})
+"""deflate, shuffle, fletcher32, szip, nbit, scaleoffset, lzf: others load a plug-in library."""
+
+
+@contextmanager
+def reading(where: str) -> Iterator[None]:
+    """Turn any failure inside into an `InvalidInputError` that starts with ``where``."""
+    try:
+        yield
+    except InvalidInputError:
+        raise
+    except Exception as error:  # h5py raises nearly every built-in type on damaged files
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InvalidInputError(
+            f"{where}: cannot be read, the file is damaged ({reason})"
+        ) from error
+
+
+@dataclass(frozen=True)
+class UntrustedGroup:
+    """A group of an HDF5 file, with ``where`` to name it in errors."""
+
+    where: str
+    group: h5py.Group
+
+    def names(self) -> list[str]:
+        """Names of what is in the group."""
+        with reading(self.where):
+            return list(self.group)
+
+    def names_by_number(self) -> list[str]:
+        """Names of what is in the group, all of which must be numbers, in their order."""
+        names = self.names()
+        for name in names:
+            if not (name.isascii() and name.isdigit()):
+                raise InvalidInputError(
+                    f"{self.where}: must hold groups named 000000, 000001, …, found {name!r}"
+                )
+        return sorted(names, key=int)
+
+    def child(self, name: str) -> "UntrustedGroup":
+        """The group ``name`` inside this one."""
+        where = self._at(name)
+        with reading(where):
+            found = self._open(name)
+            if not isinstance(found, h5py.Group):
+                raise InvalidInputError(f"{where}: must be a group, found an array")
+            return UntrustedGroup(where, found)
+
+    def shape(self, name: str, field: Field) -> tuple[int, ...]:
+        """Shape of the array ``name``, whose rank, type, unit and size are checked first."""
+        with reading(self._at(name)):
+            return tuple(self._array(name, field).shape)
+
+    def array(self, name: str, field: Field) -> np.ndarray:
+        """The array ``name`` as ``field`` says it must be."""
+        with reading(self._at(name)):
+            return self._array(name, field)[...]
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """The one-dimensional array of UTF-8 strings ``name``."""
+        where = self._at(name)
+        with reading(where):
+            found = self._dataset(name)
+            if h5py.check_string_dtype(found.dtype) is None or found.ndim != 1:
+                raise InvalidInputError(
+                    f"{where}: must be UTF-8 strings in shape (N,), "
+                    f"found {found.dtype} in shape {found.shape}"
+                )
+            return tuple(str(text) for text in found.asstr("utf-8")[...])
+
+    def attribute(self, name: str) -> str | int | float | bool:
+        """The scalar attribute ``name``."""
+        where = f"{self.where}: attribute {name!r}"
+        with reading(where):
+            return _scalar(where, self.group.attrs, name)
+
+    def attributes(self) -> dict[str, str | int | float | bool]:
+        """All attributes, each a scalar."""
+        with reading(self.where):
+            names = list(self.group.attrs)
+        return {name: self.attribute(name) for name in names}
+
+    def _at(self, name: str) -> str:
+        return f"{self.where}/{name}" if self.group.name != "/" else f"{self.where}: {name}"
+
+    def _open(self, name: str) -> h5py.Group | h5py.Dataset:
+        where = self._at(name)
+        if name not in self.names():
+            raise InvalidInputError(f"{where}: is missing")
+        if not isinstance(self.group.get(name, getlink=True), h5py.HardLink):
+            raise InvalidInputError(f"{where}: must be stored here, found a link to elsewhere")
+        return self.group[name]
+
+    def _dataset(self, name: str) -> h5py.Dataset:
+        where = self._at(name)
+        found = self._open(name)
+        if not isinstance(found, h5py.Dataset):
+            raise InvalidInputError(f"{where}: must be an array, found {type(found).__name__}")
+        if found.external or found.is_virtual:
+            raise InvalidInputError(f"{where}: must be stored here, found data in another file")
+        plan = found.id.get_create_plist()
+        filters = {plan.get_filter(i)[0] for i in range(plan.get_nfilters())}
+        if filters - _BUILT_IN_FILTERS:
+            raise InvalidInputError(f"{where}: must be compressed by gzip, lzf or not at all")
+        stored = found.id.get_storage_size()
+        needed = max(prod(found.shape or (1,)), prod(found.chunks or (1,))) * found.dtype.itemsize
+        if found.size and needed > stored:
+            limit = min(_UNPACKED_LIMIT, _DEFLATE_LIMIT * stored) if filters else stored
+            if needed > limit:
+                raise InvalidInputError(
+                    f"{where}: declares shape {found.shape} ({needed} bytes), "
+                    f"but the file holds {stored} bytes of it"
+                )
+        return found
+
+    def _array(self, name: str, field: Field) -> h5py.Dataset:
+        where = self._at(name)
+        found = self._dataset(name)
+        if found.dtype.kind not in field.kinds or found.ndim != len(field.shape):
+            raise InvalidInputError(
+                f"{where}: must have shape {field.meaning}, "
+                f"found {found.dtype} in shape {found.shape}"
+            )
+        unit = _scalar(where, found.attrs, "unit") if "unit" in found.attrs else field.unit
+        if unit != field.unit:
+            raise InvalidInputError(f"{where}: unit must be {field.unit}, found {unit}")
+        return found
+
+
+def _scalar(where: str, attributes: h5py.AttributeManager, name: str) -> str | int | float | bool:
+    if name not in attributes:
+        raise InvalidInputError(f"{where}: is missing")
+    stored = attributes.get_id(name)
+    if stored.shape != () or stored.dtype.itemsize > _STRING_LIMIT:
+        raise InvalidInputError(f"{where}: must be one string, int, float or bool")
+    value = attributes[name]
+    if isinstance(value, bytes):
+        return value.decode("utf-8")
+    if isinstance(value, (np.bool_, np.integer, np.floating)):
+        value = value.item()
+    if not isinstance(value, (str, bool, int, float)):
+        raise InvalidInputError(
+            f"{where}: must be one string, int, float or bool, found {type(value).__name__}"
+        )
+    return value
