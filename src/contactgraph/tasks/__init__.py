@@ -1,5 +1,6 @@
 """Simulated tasks and the scripted experts that record them."""
 
+from contactgraph.tasks.check_task import check_task as check_task
 from contactgraph.tasks.contract import ChainCost as ChainCost
 from contactgraph.tasks.contract import Observation as Observation
 from contactgraph.tasks.contract import Policy as Policy

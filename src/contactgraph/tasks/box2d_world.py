@@ -7,10 +7,16 @@ taken back to it and go on together, with momentum over mass as their common vel
 pair is therefore held at exactly the sum of its radii, and the centre of mass moves as it must.
 """
 
-import Box2D
+import warnings
+
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
+
+with warnings.catch_warnings():
+    # Its wrapper warns of a deprecation when imported; where warnings are errors, it crashes.
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import Box2D
 
 SIMULATOR = f"box2d {Box2D.__version__}"
 

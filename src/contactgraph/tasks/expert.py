@@ -12,19 +12,23 @@ STIFFNESS = 5.0
 FREE_DAMPING = 0.5 * np.sqrt(STIFFNESS)
 """On the way to the target, N s/m."""
 GOAL_DAMPING = 4.0 * np.sqrt(STIFFNESS)
-"""On the way to the goal, N s/m."""
+"""On the way to the goal, and across the way to the target, N s/m."""
 
 
 class PickupExpert:
     """Picks up the target without stopping: a PD controller with the paper's gains.
 
     It is lightly damped on the way to the target, meets it at speed, and makes for the goal from
-    the moment of touch on. ``noise`` N is the standard deviation of the force that is added on
-    each axis, correlated over ``correlation_steps`` steps: without it every force would be a
-    function of the state, and a mass could not be told from a drag.
+    the moment of touch on. Motion *across* the way to the target is damped as strongly as later
+    on: with the light damping alone one run in ten swings past a target of 0.04 m under noise,
+    and turns round.
+
+    ``noise`` N is the standard deviation of the force that is added on each axis, correlated over
+    ``correlation_steps`` steps: without it every force would be a function of the state, and a
+    mass could not be told from a drag.
     """
 
-    def __init__(self, noise: float = 0.5, correlation_steps: float = 3.0) -> None:
+    def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
         self._noise = CorrelatedNoise(noise, correlation_steps)
         self._goal = np.zeros(2)
 
@@ -44,5 +48,8 @@ class PickupExpert:
         if observation["contact"][GRIPPER, TARGET]:
             force = STIFFNESS * (self._goal - position[TARGET]) - GOAL_DAMPING * velocity
         else:
-            force = STIFFNESS * (position[TARGET] - position[GRIPPER]) - FREE_DAMPING * velocity
+            way = position[TARGET] - position[GRIPPER]
+            along = way * (way @ velocity) / (way @ way)
+            across = velocity - along
+            force = STIFFNESS * way - FREE_DAMPING * along - GOAL_DAMPING * across
         return force + self._noise()

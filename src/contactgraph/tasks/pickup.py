@@ -24,7 +24,7 @@ GOAL_RADIUS = 0.1
 """The target must end within this distance of the goal, m."""
 
 
-class PickupTask(gymnasium.Env[Observation, np.ndarray]):
+class PickupTask(gymnasium.Env[dict[str, Any], np.ndarray]):
     """The paper's first Box2D task; a `contactgraph.tasks.Task`.
 
     Nodes are the gripper (0), the target (1) and ``distractors`` further objects: circles that
@@ -48,10 +48,9 @@ class PickupTask(gymnasium.Env[Observation, np.ndarray]):
         self._substeps = substeps
         self._count = 2 + distractors
         self.action_space = gymnasium.spaces.Box(-MAX_FORCE, MAX_FORCE, (2,), np.float64)
-        self.observation_space: gymnasium.spaces.Space[Observation] = _observation_space(
-            self._count
-        )
+        self.observation_space = _observation_space(self._count)
         self._steps = 0
+        self._goal = np.zeros(2)
         self._scene: Scene | None = None
         self._world: CircleWorld | None = None
 
@@ -71,7 +70,7 @@ class PickupTask(gymnasium.Env[Observation, np.ndarray]):
         layout_seed = int(self.np_random.integers(2**31)) if seed is None else seed
         layout = sample_layout(np.random.default_rng(layout_seed), self._distractors)
         mass, radius = np.full(self._count, MASS), np.full(self._count, RADIUS)
-        self._world = CircleWorld(layout.position, mass, radius, DT, self._substeps)
+        world = CircleWorld(layout.position, mass, radius, DT, self._substeps)
         names = tuple(f"distractor-{index}" for index in range(self._distractors))
         self._scene = Scene(
             node_name=("gripper", "target", *names),
@@ -89,8 +88,8 @@ class PickupTask(gymnasium.Env[Observation, np.ndarray]):
                 "substeps": self._substeps,
             },
         )
-        self._steps = 0
-        return self._observation(), {}
+        self._steps, self._goal, self._world = 0, layout.goal, world
+        return self._observation(world), {}
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves on by 0.05 s under the force ``action`` ``[2]`` N, clipped to its bounds."""
@@ -102,15 +101,15 @@ class PickupTask(gymnasium.Env[Observation, np.ndarray]):
             raise InvalidInputError(f"action must be finite, found {np.asarray(action).tolist()}")
         self._world.step(force)
         self._steps += 1
-        observation = self._observation()
-        reward = -_goal_distance(observation["position"], self.scene)
+        observation = self._observation(self._world)
+        reward = -_distance_to_goal(observation["position"], self._goal)
         return observation, reward, False, self._steps == MAX_STEPS, {"success": self.success()}
 
     def success(self) -> bool:
         """Whether the episode is over with the target within 0.1 m of the goal."""
         if self._world is None or self._steps < MAX_STEPS:
             return False
-        return _goal_distance(self._world.position, self.scene) <= GOAL_RADIUS
+        return _distance_to_goal(self._world.position, self._goal) <= GOAL_RADIUS
 
     def cost_terms(self) -> ChainCost:
         """The paper's weights: gripper to target, target to goal."""
@@ -121,26 +120,32 @@ class PickupTask(gymnasium.Env[Observation, np.ndarray]):
             control_weight=0.01,
         )
 
-    def _observation(self) -> Observation:
-        assert self._world is not None and self.scene.goal is not None
+    def _observation(self, world: CircleWorld) -> Observation:
         return {
-            "position": self._world.position,
-            "velocity": self._world.velocity,
-            "contact": self._world.contact.astype(np.int8),
-            "goal": self.scene.goal.copy(),
+            "position": world.position,
+            "velocity": world.velocity,
+            "contact": world.contact.astype(np.int8),
+            "goal": self._goal.copy(),
         }
 
 
 def pickup_success(trajectory: Trajectory) -> bool:
-    """Whether a recorded pickup ends, in time, with its target within 0.1 m of the goal."""
-    in_time = trajectory.steps <= MAX_STEPS
-    return in_time and _goal_distance(trajectory.position[-1], trajectory.scene) <= GOAL_RADIUS
+    """Whether a recorded pickup ends, in time, with its target within 0.1 m of the goal.
+
+    Raises `InvalidInputError` where the scene has no goal or no target.
+    """
+    goal = trajectory.scene.goal
+    if goal is None or trajectory.scene.node_count <= TARGET:
+        raise InvalidInputError(
+            f"a pickup needs a goal and a target as node {TARGET}, found goal {goal} and nodes "
+            f"{list(trajectory.scene.node_name)}"
+        )
+    distance = _distance_to_goal(trajectory.position[-1], goal)
+    return trajectory.steps <= MAX_STEPS and distance <= GOAL_RADIUS
 
 
-def _goal_distance(position: np.ndarray, scene: Scene) -> float:
-    if scene.goal is None:
-        raise InvalidInputError("a pickup's scene must have a goal, found None")
-    return float(np.linalg.norm(position[TARGET] - scene.goal))
+def _distance_to_goal(position: np.ndarray, goal: np.ndarray) -> float:
+    return float(np.linalg.norm(position[TARGET] - goal))
 
 
 def _observation_space(count: int) -> gymnasium.spaces.Dict:

@@ -12,7 +12,7 @@ CLEARANCE = 0.06
 """The least gap between the surfaces of two bodies, m."""
 REACH = 0.3
 """The least distance from gripper to target and from target to goal, m: way to gain speed on."""
-CORRIDOR = 0.25
+CORRIDOR = 0.35
 """The least distance of a distractor's centre from the ways, m."""
 OVERSHOOT = 0.3
 """By how much a way is longer than the straight line, m: nobody stops dead."""
