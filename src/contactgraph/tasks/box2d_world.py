@@ -20,6 +20,8 @@ with warnings.catch_warnings():
 
 SIMULATOR = f"box2d {Box2D.__version__}"
 
+_ROUNDING = 1e-6
+"""By how much Box2D's single precision may take two bodies as touching too early, m."""
 _VELOCITY_ITERATIONS = 20
 _POSITION_ITERATIONS = 5
 
@@ -107,7 +109,7 @@ class CircleWorld:
         for first, second in sorted(pairs, key=lambda pair: -self._time_since_touch(*pair)):
             if second in self._group[first]:
                 self._hold(first, second)
-            elif self._overlap(first, second) >= 0.0:  # an earlier touch may have moved it away
+            elif self._overlap(first, second) >= -_ROUNDING:  # else an earlier one parted them
                 self._collide(first, second)
                 self._hold(first, second)
 
