@@ -30,7 +30,6 @@ class PickupExpert:
 
     def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
         self._noise = CorrelatedNoise(noise, correlation_steps)
-        self._goal = np.zeros(2)
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where ``scene`` is no pickup."""
@@ -39,14 +38,13 @@ class PickupExpert:
                 "a pickup expert needs a goal, an actuated node 0 and a target as node 1, found "
                 f"nodes {list(scene.node_name)}"
             )
-        self._goal = scene.goal
         self._noise.reset(scene.dimension, seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[2]`` N."""
         position, velocity = observation["position"], observation["velocity"][GRIPPER]
         if observation["contact"][GRIPPER, TARGET]:
-            force = STIFFNESS * (self._goal - position[TARGET]) - GOAL_DAMPING * velocity
+            force = STIFFNESS * (observation["goal"] - position[TARGET]) - GOAL_DAMPING * velocity
         else:
             way = position[TARGET] - position[GRIPPER]
             along = way * (way @ velocity) / (way @ way)
