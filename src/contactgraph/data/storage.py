@@ -1,5 +1,6 @@
 """Dataset files: HDF5 in the layout of docs/file-format.md."""
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -111,9 +112,9 @@ def _opened(path: Path) -> Iterator[UntrustedGroup]:
         raise InvalidInputError(f"{path}: does not exist")
     if not path.is_file():
         raise InvalidInputError(f"{path}: must be a file, found a folder or device")
+    if not os.access(path, os.R_OK):
+        raise InvalidInputError(f"{path}: may not be read by this user")
     with reading(str(path)):
-        with path.open("rb"):  # a file that may not be read says so better than HDF5 does
-            pass
         if not h5py.is_hdf5(path):
             raise InvalidInputError(
                 f"{path}: must be a dataset in HDF5 (docs/file-format.md), found something else "

@@ -1,0 +1,258 @@
+"""Whatever is wrong with a file becomes one line that names file, run and field."""
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+
+from contactgraph.data import (
+    InvalidInputError,
+    Scene,
+    Trajectory,
+    describe_file,
+    read_trajectories,
+    write_trajectories,
+)
+
+STEPS, NODES = 4, 3
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A valid file of two runs with every field."""
+    path = tmp_path_factory.mktemp("good") / "good.h5"
+    rng = np.random.default_rng(0)
+    scene = Scene(
+        node_name=("gripper", "käse", "盒子"),
+        node_type=("gripper", "object", "object"),
+        actuated=np.array([True, False, False]),
+        dt=0.05,
+        anchor=np.full((NODES, 2), np.nan),
+        goal=np.zeros(2),
+        mass=np.ones(NODES),
+        radius=np.ones(NODES),
+        candidate_edges=np.array([[0, 1], [0, 2]]),
+        metadata={"seed": 3},
+    )
+    state = rng.normal(size=(2, STEPS + 1, NODES, 2))
+    contact = np.zeros((STEPS + 1, NODES, NODES), dtype=bool)
+    run = Trajectory(scene, state[0], state[1], rng.normal(size=(STEPS, 2)), contact)
+    write_trajectories(path, [run, run], {"task": "push"})
+    return path
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(InvalidInputError) as caught:
+        read_trajectories(path)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    return message
+
+
+def assert_same_or_refused(path: Path, original: Path) -> None:
+    """Checksums cover all of the file, so a change is either found or without effect."""
+    for read in (describe_file, read_trajectories):
+        try:
+            found = read(path)
+        except InvalidInputError as error:
+            assert "\n" not in str(error)
+            continue
+        if read is read_trajectories:
+            for ours, theirs in zip(found, read_trajectories(original), strict=True):
+                np.testing.assert_array_equal(ours.position, theirs.position)
+                np.testing.assert_array_equal(ours.contact, theirs.contact)
+                assert ours.scene.node_name == theirs.scene.node_name
+
+
+def test_truncated_anywhere(good: Path, tmp_path: Path) -> None:
+    content = good.read_bytes()
+    for length in np.linspace(0, len(content) - 1, 150).astype(int):
+        path = tmp_path / "short.h5"
+        path.write_bytes(content[:length])
+        refusal(path)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    changes=st.lists(
+        st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=16
+    )
+)
+@example(changes=[(0.0, 0)])
+def test_flipped_bytes(
+    changes: list[tuple[float, int]], good: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    content = bytearray(good.read_bytes())
+    for place, value in changes:
+        content[int(place * len(content))] = value
+    path = tmp_path_factory.getbasetemp() / "flipped.h5"
+    path.write_bytes(content)
+    assert_same_or_refused(path, good)
+
+
+@settings(max_examples=100, deadline=None)
+@given(content=st.binary(max_size=200))
+def test_bytes_that_are_no_hdf5(content: bytes, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.getbasetemp() / "noise.h5"
+    path.write_bytes(b"\x89HDF\r\n\x1a\n" + content)
+    refusal(path)
+    path.write_bytes(content)
+    assert "must be a dataset in HDF5" in refusal(path)
+
+
+def test_files_of_another_kind(tmp_path: Path) -> None:
+    assert "does not exist" in refusal(tmp_path / "none.h5")
+    assert "found a folder" in refusal(tmp_path)
+    (tmp_path / "text.h5").write_text("position, velocity\n1, 2\n")
+    assert "must be a dataset in HDF5" in refusal(tmp_path / "text.h5")
+    (tmp_path / "empty.h5").touch()
+    assert "must be a dataset in HDF5" in refusal(tmp_path / "empty.h5")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["images"] = np.zeros(3)
+    assert "attribute 'format' must be 'contactgraph-dataset'" in refusal(tmp_path / "other.h5")
+
+
+def put(name: str, value: object) -> Callable[[h5py.File], None]:
+    """Replace an array of the second run, keeping its name."""
+
+    def change(file: h5py.File) -> None:
+        group = file["trajectories/000001"]
+        if name in group:
+            del group[name]
+        group[name] = value
+
+    return change
+
+
+def attribute(place: str, name: str, value: object) -> Callable[[h5py.File], None]:
+    return lambda file: file[place].attrs.__setitem__(name, value)
+
+
+def remove(name: str) -> Callable[[h5py.File], None]:
+    return lambda file: file.__delitem__(name)
+
+
+def with_nan(name: str) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        file[f"trajectories/000001/{name}"][1, 1] = np.nan
+
+    return change
+
+
+RUN = "trajectories/000001"
+STATE = np.zeros((STEPS + 1, NODES, 2))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (with_nan("position"), f"{RUN}: position must be finite, found nan at [1, 1, 0]"),
+        (with_nan("velocity"), f"{RUN}: velocity must be finite"),
+        (with_nan("control"), f"{RUN}: control must be finite"),
+        (put("position", np.zeros((5, 3))), f"{RUN}/position: must have shape (T+1, N, D)"),
+        (put("position", STATE[:1]), f"{RUN}: position must have shape (T+1, N, D) with T >= 1"),
+        (put("velocity", STATE[1:]), f"{RUN}: velocity must have shape (T+1, N, D) = (5, 3, 2)"),
+        (put("control", np.zeros((9, 2))), f"{RUN}: control must have shape (T, U) with T = 4"),
+        (put("control", np.zeros((4, 3))), "run 1: control size U is 3, but 2 in run 0"),
+        (put("position", STATE.astype("S3")), f"{RUN}/position: must have shape (T+1, N, D) of"),
+        (put("mass", [1.0]), f"{RUN}: mass must have shape (3,)"),
+        (put("mass", [1.0, np.inf, 1.0]), f"{RUN}: mass must be finite"),
+        (put("contact", np.full((5, 3, 3), 2)), f"{RUN}/contact: must hold only 0 and 1"),
+        (put("contact", np.tri(3)[None].repeat(5, 0) > 0), f"{RUN}: contact must be symmetric"),
+        (put("actuated", [1.0, 0.0, 0.0]), f"{RUN}/actuated: must have shape (N,) of bools"),
+        (put("candidate_edges", [[0, 3]]), f"{RUN}: candidate_edges must name nodes 0 to 2"),
+        (put("candidate_edges", [[1, 1]]), f"{RUN}: candidate_edges must join two different"),
+        (put("node_name", np.array([b"a", b"b", b"a"])), f"{RUN}: node_name must be unique"),
+        (put("node_name", ["a", "b", "c"]), f"{RUN}/node_name: must be UTF-8 texts of fixed"),
+        (put("node_name", np.array([b"\xff", b"b", b"c"])), f"{RUN}/node_name: cannot be read"),
+        (put("node_type", np.array([b"a"])), f"{RUN}: node_type must have one entry a node (3)"),
+        (put("node_type", [1, 2, 3]), f"{RUN}/node_type: must be UTF-8 texts"),
+        (remove(f"{RUN}/velocity"), f"{RUN}/velocity: is missing"),
+        (remove("trajectories"), "trajectories: is missing"),
+        (lambda file: file.create_group("trajectories/last"), "groups named 000000"),
+        (lambda file: file["trajectories"].create_dataset("7", data=1), "7: must be a group"),
+        (lambda file: file["trajectories"].clear(), "a dataset needs at least one run"),
+        (attribute(RUN, "dt", -0.05), f"{RUN}: dt must be a positive number of seconds"),
+        (attribute(RUN, "dt", np.nan), f"{RUN}: dt must be a positive number of seconds"),
+        (attribute(RUN, "dt", np.bytes_("1")), f"{RUN}: dt must be a number of seconds"),
+        (attribute(RUN, "dt", [0.05]), f"{RUN}: attribute 'dt': must be one int, float"),
+        (attribute(RUN, "dt", 0.1), "run 1: dt in s is 0.1, but 0.05 in run 0"),
+        (attribute("/", "format_version", 2), "'format_version' must be 1, found 2"),
+        (attribute("/", "format_version", True), "'format_version' must be 1, found True"),
+        (attribute("/", "format", np.bytes_("other")), "'format' must be 'contactgraph-dataset'"),
+        (attribute("metadata", "list", [1, 2]), "metadata: attribute 'list': must be one int"),
+        (
+            attribute(f"{RUN}/position", "unit", np.bytes_("mm")),
+            f"{RUN}/position: unit must be m, found mm",
+        ),
+    ],
+)
+def test_wrong_content(
+    change: Callable[[h5py.File], None], message: str, good: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "wrong.h5"
+    shutil.copy(good, path)
+    with h5py.File(path, "r+") as file:
+        change(file)
+    assert message in refusal(path)
+
+
+def test_an_hour_of_zeros_declared_but_not_stored(good: Path, tmp_path: Path) -> None:
+    path = tmp_path / "huge.h5"
+    for options in ({"chunks": (1000, 3, 2)}, {"chunks": (1000, 3, 2), "compression": "gzip"}, {}):
+        shutil.copy(good, path)
+        with h5py.File(path, "r+") as file:
+            del file[f"{RUN}/position"]
+            file[RUN].create_dataset("position", shape=(10**9, 3, 2), dtype="f8", **options)
+        assert f"{RUN}/position: declares shape (1000000000, 3, 2)" in refusal(path)
+
+
+def test_nothing_outside_the_file_is_followed(good: Path, tmp_path: Path) -> None:
+    elsewhere, path = tmp_path / "elsewhere.h5", tmp_path / "linked.h5"
+    shutil.copy(good, elsewhere)
+    (tmp_path / "raw.bin").write_bytes(STATE.tobytes())
+    virtual = h5py.VirtualLayout(STATE.shape, "f8")
+    virtual[...] = h5py.VirtualSource(elsewhere, f"{RUN}/position", STATE.shape)
+    raw = [(str(tmp_path / "raw.bin"), 0, STATE.nbytes)]
+    outside = {
+        "found a link": [
+            put("position", h5py.ExternalLink(str(elsewhere), f"{RUN}/position")),
+            put("position", h5py.SoftLink("/trajectories/000000/position")),
+            put("node_name", h5py.ExternalLink(str(elsewhere), f"{RUN}/node_name")),
+        ],
+        "found data in another file": [
+            lambda file: file[RUN].create_virtual_dataset("position", virtual),
+            lambda file: file[RUN].create_dataset("position", STATE.shape, "f8", external=raw),
+        ],
+    }
+    for message, changes in outside.items():
+        for change in changes:
+            shutil.copy(good, path)
+            with h5py.File(path, "r+") as file:
+                if message != "found a link":
+                    del file[f"{RUN}/position"]
+                change(file)
+            assert re.search(
+                f"{RUN}/(position|node_name): must be stored here, {message}", refusal(path)
+            )
+
+
+def test_integers_booleans_and_unknown_arrays_are_read(good: Path, tmp_path: Path) -> None:
+    path = tmp_path / "other-types.h5"
+    shutil.copy(good, path)
+    with h5py.File(path, "r+") as file:
+        put("position", STATE.astype(np.int16))(file)
+        put("velocity", STATE.astype(np.float32))(file)
+        put("actuated", np.array([True, False, False]))(file)
+        put("camera", np.zeros(7))(file)
+        del file["metadata"]
+    run = read_trajectories(path).trajectories[1]
+    assert run.position.dtype == run.velocity.dtype == np.float64
+    assert run.scene.actuated.tolist() == [True, False, False]

@@ -1,0 +1,249 @@
+"""Round trips, and what a reader sees while and after a file is written."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import hypothesis.extra.numpy as hnp
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    Scene,
+    Trajectory,
+    describe_file,
+    read_trajectories,
+    write_trajectories,
+)
+
+text = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=8)
+metadata = st.dictionaries(
+    text.filter(bool),
+    st.one_of(text, st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False), st.booleans()),
+    max_size=4,
+)
+
+
+@st.composite
+def datasets(draw: st.DrawFn) -> Dataset:
+    dimension, control_size = draw(st.integers(1, 3)), draw(st.integers(0, 3))
+    dt = draw(st.floats(1e-4, 1.0))
+
+    def numbers(*shape: int) -> np.ndarray:
+        return draw(hnp.arrays(np.float64, shape, elements=st.floats(-1e300, 1e300)))
+
+    def run() -> Trajectory:
+        nodes, steps = draw(st.integers(1, 4)), draw(st.integers(1, 4))
+        optional = {
+            name: numbers(*shape) if draw(st.booleans()) else None
+            for name, shape in {
+                "anchor": (nodes, dimension),
+                "goal": (dimension,),
+                "mass": (nodes,),
+                "radius": (nodes,),
+            }.items()
+        }
+        if optional["anchor"] is not None:
+            optional["anchor"][0] = np.nan
+        edges = st.tuples(st.integers(0, nodes - 1), st.integers(0, nodes - 1))
+        pairs = (
+            draw(st.lists(edges.filter(lambda e: e[0] != e[1]), max_size=4)) if nodes > 1 else []
+        )
+        contact = draw(hnp.arrays(bool, (steps + 1, nodes, nodes)))
+        scene = Scene(
+            node_name=tuple(draw(st.lists(text, min_size=nodes, max_size=nodes, unique=True))),
+            node_type=tuple(draw(st.lists(text, min_size=nodes, max_size=nodes))),
+            actuated=draw(hnp.arrays(bool, nodes)),
+            dt=dt,
+            dimension=dimension,
+            candidate_edges=np.array(pairs).reshape(-1, 2) if draw(st.booleans()) else None,
+            metadata=draw(metadata),
+            **optional,
+        )
+        return Trajectory(
+            scene,
+            numbers(steps + 1, nodes, dimension),
+            numbers(steps + 1, nodes, dimension),
+            numbers(steps, control_size),
+            contact | contact.swapaxes(1, 2) if draw(st.booleans()) else None,
+        )
+
+    return Dataset(tuple(run() for _ in range(draw(st.integers(1, 3)))), draw(metadata))
+
+
+def assert_same(found: Dataset, expected: Dataset) -> None:
+    assert found.metadata == expected.metadata
+    assert {k: type(v) for k, v in found.metadata.items()} == {
+        k: type(v) for k, v in expected.metadata.items()
+    }
+    assert len(found) == len(expected)
+    for ours, theirs in zip(found, expected, strict=True):
+        for name in ("position", "velocity", "control", "contact"):
+            assert_same_array(getattr(ours, name), getattr(theirs, name))
+        for name in ("actuated", "anchor", "goal", "mass", "radius", "candidate_edges"):
+            assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
+        for name in ("node_name", "node_type", "dt", "dimension", "metadata"):
+            assert getattr(ours.scene, name) == getattr(theirs.scene, name)
+
+
+def assert_same_array(found: np.ndarray | None, expected: np.ndarray | None) -> None:
+    assert (found is None) == (expected is None)
+    if found is not None:
+        assert found.dtype == expected.dtype
+        np.testing.assert_array_equal(found, expected)
+
+
+def one_run(value: float = 0.0, steps: int = 5, nodes: int = 2, **scene: object) -> Trajectory:
+    names = tuple(f"node-{i}" for i in range(nodes))
+    return Trajectory(
+        Scene(names, ("object",) * nodes, np.arange(nodes) == 0, 0.05, **scene),
+        np.full((steps + 1, nodes, 2), value),
+        np.zeros((steps + 1, nodes, 2)),
+        np.zeros((steps, 2)),
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(dataset=datasets(), compress=st.booleans())
+def test_what_is_written_is_read(
+    dataset: Dataset, compress: bool, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "round-trip.h5"
+    write_trajectories(path, dataset.trajectories, dataset.metadata, compress=compress)
+    assert_same(read_trajectories(path), dataset)
+
+
+def test_the_same_runs_make_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("first.h5", "second.h5"):
+        write_trajectories(tmp_path / name, [one_run(1.0)], {"seed": 0})
+    assert (tmp_path / "first.h5").read_bytes() == (tmp_path / "second.h5").read_bytes()
+
+
+def test_compression_saves_space(tmp_path: Path) -> None:
+    runs = [one_run(steps=500, nodes=5)]
+    write_trajectories(tmp_path / "plain.h5", runs)
+    write_trajectories(tmp_path / "small.h5", runs, compress=True)
+    assert (tmp_path / "small.h5").stat().st_size < (tmp_path / "plain.h5").stat().st_size / 4
+
+
+def test_long_metadata_and_many_chunks(tmp_path: Path) -> None:
+    path, story = tmp_path / "long.h5", "long " * 100_000
+    write_trajectories(path, [one_run(2.0, steps=400_000, nodes=3)], {"story": story})
+    found = read_trajectories(path)
+    assert found.metadata["story"] == story
+    assert found.trajectories[0].position.shape == (400_001, 3, 2)
+
+
+def test_describe_file(tmp_path: Path) -> None:
+    path = tmp_path / "two.h5"
+    runs = [one_run(steps=3, nodes=2), one_run(steps=4, nodes=3)]
+    write_trajectories(path, runs, {"task": "push"})
+    summary = describe_file(path)
+    assert summary.format_version == 1
+    assert summary.run_name == ("000000", "000001")
+    assert summary.steps == (3, 4)
+    assert summary.node_name == tuple(run.scene.node_name for run in runs)
+    assert (summary.dt, summary.dimension, summary.control_size) == ((0.05,) * 2, (2, 2), (2, 2))
+    assert summary.has_contact == (False, False)
+    assert summary.metadata == {"task": "push"}
+    assert summary.size == path.stat().st_size
+
+
+def test_runs_written_by_hand_keep_the_order_of_their_numbers(tmp_path: Path) -> None:
+    write_trajectories(tmp_path / "a.h5", [one_run(float(i)) for i in range(11)])
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        for number in range(11):
+            file.move(f"trajectories/{number:06d}", f"trajectories/{number}")
+    values = [run.position[0, 0, 0] for run in read_trajectories(tmp_path / "a.h5")]
+    assert values == list(range(11))
+
+
+def test_the_examples_of_the_documentation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = Path(__file__).parents[2] / "docs" / "file-format.md"
+    examples = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    for example, runs in zip(examples, (1, 3), strict=True):
+        exec(compile(example, str(page), "exec"), {})
+        dataset = read_trajectories("mine.h5")
+        assert len(dataset) == runs
+        assert dataset.trajectories[0].scene.node_name == ("gripper", "box")
+    assert dataset.metadata == {"lab": "Zürich"}
+
+
+@pytest.mark.parametrize(
+    ("metadata", "message"),
+    [
+        ({"list": [1]}, "metadata 'list': must be a string, int of 64 bits, float or bool"),
+        ({"big": 2**63}, "metadata 'big': must be a string, int of 64 bits"),
+        ({"nul": "a\0b"}, "metadata 'nul': must be Unicode without NUL"),
+        ({"half": "\ud800"}, "metadata 'half': must be Unicode without NUL"),
+        ({"": 1}, "metadata '': the name must be a string that is not empty"),
+    ],
+)
+def test_metadata_that_cannot_be_stored(tmp_path: Path, metadata: dict, message: str) -> None:
+    path = tmp_path / "data.h5"
+    write_trajectories(path, [one_run(1.0)])
+    with pytest.raises(InvalidInputError, match=re.escape(message)):
+        write_trajectories(path, [one_run(2.0)], metadata)
+    assert read_trajectories(path).trajectories[0].position[0, 0, 0] == 1.0
+    assert [file.name for file in tmp_path.iterdir()] == ["data.h5"], (
+        "a failed write leaves nothing behind"
+    )
+
+
+def test_a_name_that_cannot_be_stored(tmp_path: Path) -> None:
+    run = one_run(metadata={"x": "\0"})
+    with pytest.raises(InvalidInputError, match=r"trajectories/000001: metadata 'x'"):
+        write_trajectories(tmp_path / "data.h5", [one_run(), run])
+
+
+def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match=r"folder .* does not exist"):
+        write_trajectories(tmp_path / "none" / "data.h5", [one_run()])
+    with pytest.raises(InvalidInputError, match="must be a file, found a folder"):
+        write_trajectories(tmp_path, [one_run()])
+
+
+WRITER = """
+import sys
+import numpy as np
+from contactgraph.data import Scene, Trajectory, write_trajectories
+
+scene = Scene(("a", "b"), ("object", "object"), np.array([True, False]), 0.05)
+print("ready", flush=True)
+for value in range(1, 1_000_000):
+    state = np.full((201, 2, 2), float(value))
+    run = Trajectory(scene, state, state, np.full((200, 2), float(value)))
+    write_trajectories(sys.argv[1], [run] * 4, {"value": value})
+"""
+
+
+def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path: Path) -> None:
+    path = tmp_path / "data.h5"
+    pauses = np.random.default_rng(0).uniform(0.0, 0.05, size=20)
+    litter = 0
+    for pause in pauses:
+        write_trajectories(path, [one_run()], {"value": 0})
+        writer = subprocess.Popen([sys.executable, "-c", WRITER, path], stdout=subprocess.PIPE)
+        assert writer.stdout is not None
+        writer.stdout.readline()
+        time.sleep(pause)
+        writer.send_signal(signal.SIGKILL)
+        writer.wait()
+        writer.stdout.close()
+        dataset = read_trajectories(path)
+        for run in dataset:
+            assert np.all(run.position == dataset.metadata["value"])
+        for left in tmp_path.glob(".data.h5.*.tmp"):
+            litter += 1
+            left.unlink()
+    assert [file.name for file in tmp_path.iterdir()] == ["data.h5"]
+    assert litter > 0, "no writer was hit in the middle of a write: the test shows nothing"
