@@ -47,8 +47,8 @@ def correct(
     measured = jnp.isfinite(contact_measurement)
     contact = jnp.clip(jnp.where(measured, contact_measurement, 0.5), 0.0, 1.0)
     likelihood_active = contact * (1.0 - sensor.miss) + (1.0 - contact) * sensor.miss
-    likelihood_inactive = (
-        contact * sensor.false_alarm + (1.0 - contact) * (1.0 - sensor.false_alarm)
+    likelihood_inactive = contact * sensor.false_alarm + (1.0 - contact) * (
+        1.0 - sensor.false_alarm
     )
     prior = jnp.clip(belief.type_probability, _SMALLEST, 1.0)
     inactive = prior[..., :1] * jnp.maximum(likelihood_inactive, _SMALLEST)[..., None]

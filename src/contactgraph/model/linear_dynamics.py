@@ -1,4 +1,4 @@
-"""One locally linear step, kept in the blocks the model has: one node and degree of freedom each."""
+"""One locally linear step, kept in blocks: one for each node and degree of freedom."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -1,0 +1,142 @@
+"""The whole model: inference of the edges, and local dynamics given the edges."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from contactgraph.data.graph import pair_indices
+from contactgraph.model.belief import ContactBelief
+from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
+from contactgraph.model.geometry import Geometry, geometry
+from contactgraph.model.inference import AllEdges, MemorylessEdges, RecurrentEdges
+from contactgraph.model.linear_dynamics import LinearDynamics
+from contactgraph.model.local_dynamics import (
+    FreeLinearDynamics,
+    LocalInput,
+    SpringMassDamperDynamics,
+)
+from contactgraph.model.prior import DistancePrior
+from contactgraph.model.reach import Everywhere, Reach
+from contactgraph.model.sampling import ArgmaxSample, GumbelSample
+from contactgraph.model.spring_mass_damper import SpringMassDamper
+from contactgraph.model.state import ModelState, Nodes
+
+
+class Percept(eqx.Module):
+    """One step's graph as the model sees it, before anything is inferred."""
+
+    geometry: Geometry
+    node_features: Float[Array, "N F"]
+    edge_features: Float[Array, "2 E G"]
+    weight: Float[Array, " E"]
+    """Reach of every edge in [0, 1]; 0 for edges that are no candidates."""
+    embedding: Float[Array, "E G"]
+
+
+class ContactDynamics(eqx.Module):
+    """Predicts which edges are active and how the nodes move, one step at a time.
+
+    Every function here takes one scene at one step; `jax.vmap` makes batches.
+    """
+
+    inference: RecurrentEdges | MemorylessEdges | AllEdges
+    local_dynamics: SpringMassDamperDynamics | FreeLinearDynamics
+    features: InvariantFeatures | AbsoluteFeatures
+    prior: DistancePrior
+    reach: Reach | Everywhere
+    sample: ArgmaxSample | GumbelSample
+    dt: float = eqx.field(static=True)
+    """s"""
+    dimension: int = eqx.field(static=True)
+    control_size: int = eqx.field(static=True)
+
+    def perceive(
+        self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
+    ) -> Percept:
+        """What does not depend on the belief: geometry, features and edge embeddings."""
+        pairs = jnp.asarray(pair_indices(position.shape[0]))
+        seen = geometry(position, velocity, pairs, self.dt, self.features.touch_distance)
+        node_features = self.features.node(position, velocity, nodes)
+        edge_features = self.features.edge(seen)
+        exists = nodes.candidate & nodes.mask[seen.first] & nodes.mask[seen.second]
+        weight = jnp.where(exists, self.reach(seen), 0.0)
+        ends = jnp.stack([seen.first, seen.second])
+        embedding = self.inference.embed(node_features, edge_features, weight, ends)
+        return Percept(seen, node_features, edge_features, weight, embedding)
+
+    def prior_belief(self, percept: Percept) -> ContactBelief:
+        """What distance alone says, the active part spread evenly over the active types."""
+        active = self.prior(percept.geometry) * percept.weight
+        types = self.inference.edge_types - 1
+        spread = jnp.repeat(active[:, None] / types, types, axis=-1)
+        return ContactBelief(jnp.concatenate([1.0 - active[:, None], spread], axis=-1))
+
+    def initial_belief(
+        self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
+    ) -> ContactBelief:
+        """The belief before anything was seen: the distance prior."""
+        return self.prior_belief(self.perceive(position, velocity, nodes))
+
+    def predict_belief(self, belief: ContactBelief, percept: Percept) -> ContactBelief:
+        """The belief about the coming step. An edge out of reach is inactive, surely."""
+        free = self.inference.predict(belief, percept.embedding)
+        active = free.type_probability[:, 1:] * percept.weight[:, None]
+        inactive = 1.0 - jnp.sum(active, axis=-1, keepdims=True)
+        return ContactBelief(jnp.concatenate([inactive, active], axis=-1))
+
+    def local_input(
+        self,
+        percept: Percept,
+        belief: ContactBelief,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        key: PRNGKeyArray | None = None,
+    ) -> LocalInput:
+        """Cut the inactive edges from the graph."""
+        edge_active = self.sample(belief.type_probability, key)
+        return LocalInput(
+            position=position,
+            velocity=velocity,
+            node_features=percept.node_features,
+            edge_features=percept.edge_features,
+            weight=edge_active[:, 1:] * percept.weight[:, None],
+            geometry=percept.geometry,
+        )
+
+    def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
+        """The linear dynamics of the coming step, and the belief they rest on.
+
+        Neither depends on the control.
+        """
+        percept = self.perceive(state.position, state.velocity, nodes)
+        belief = self.predict_belief(state.belief, percept)
+        local = self.local_input(percept, belief, state.position, state.velocity)
+        return self.local_dynamics(local, self.dt, self.control_size), belief
+
+    def step(self, state: ModelState, control: Float[Array, " U"], nodes: Nodes) -> ModelState:
+        """The next state under a control [N]."""
+        linear, belief = self.linear_step(state, nodes)
+        position, velocity = linear(state.position, state.velocity, control)
+        return ModelState(position, velocity, belief)
+
+    def rollout(self, state: ModelState, controls: Float[Array, "H U"], nodes: Nodes) -> ModelState:
+        """All states that follow, ``[H, …]``; belief h is about the step that led to state h."""
+
+        def advance(state: ModelState, control: Array) -> tuple[ModelState, ModelState]:
+            state = self.step(state, control, nodes)
+            return state, state
+
+        return jax.lax.scan(advance, state, controls)[1]
+
+    def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
+        """The spring-mass-damper parameters of the coming step, each [N, D].
+
+        Raises `TypeError` where the local dynamics have no such parameters.
+        """
+        if not isinstance(self.local_dynamics, SpringMassDamperDynamics):
+            raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
+        percept = self.perceive(state.position, state.velocity, nodes)
+        belief = self.predict_belief(state.belief, percept)
+        local = self.local_input(percept, belief, state.position, state.velocity)
+        return self.local_dynamics.parameters(local)

@@ -1,0 +1,119 @@
+"""Rounds of messages along weighted edges."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+
+class _Round(eqx.Module):
+    """One round: a message each way along every edge, then an update of every node.
+
+    The message network's first layer is kept in factors (receiver, sender, edge), so that the
+    nodes' part is computed once a node and not once an edge.
+    """
+
+    receiver: eqx.nn.Linear
+    sender: eqx.nn.Linear
+    edge: eqx.nn.Linear
+    message: eqx.nn.Linear
+    update: eqx.nn.MLP
+
+    def __init__(self, node_size: int, edge_size: int, width: int, key: PRNGKeyArray):
+        keys = jax.random.split(key, 5)
+        self.receiver = eqx.nn.Linear(node_size, width, key=keys[0])
+        self.sender = eqx.nn.Linear(node_size, width, use_bias=False, key=keys[1])
+        self.edge = eqx.nn.Linear(edge_size, width, use_bias=False, key=keys[2])
+        self.message = eqx.nn.Linear(width, width, key=keys[3])
+        self.update = eqx.nn.MLP(node_size + width, width, width, 1, key=keys[4])
+
+    def __call__(
+        self,
+        node: Float[Array, "N F"],
+        edge: Float[Array, "2 E G"],
+        weight: Float[Array, " E"],
+        ends: Int[Array, "2 E"],
+    ) -> tuple[Float[Array, "N W"], Float[Array, "2 E W"]]:
+        received, sent = jax.vmap(self.receiver)(node), jax.vmap(self.sender)(node)
+        hidden = jax.nn.relu(received[ends] + sent[ends[::-1]] + _along_edges(self.edge, edge))
+        message = jax.nn.relu(_along_edges(self.message, hidden)) * weight[:, None]
+        # A one-hot product, not a scatter: faster on CPU for scenes of this size.
+        arrives = (jnp.arange(node.shape[0])[:, None] == ends.reshape(-1)).astype(node.dtype)
+        total = arrives @ message.reshape(-1, message.shape[-1])
+        return jax.vmap(self.update)(jnp.concatenate([node, total], axis=-1)), message
+
+
+def _along_edges(layer: eqx.nn.Linear, values: Float[Array, "2 E F"]) -> Float[Array, "2 E W"]:
+    return jax.vmap(jax.vmap(layer))(values)
+
+
+class MessagePassing(eqx.Module):
+    """`rounds` rounds of messages; messages are weighted, so an edge of weight 0 does not exist.
+
+    Returns node embeddings ``[N, width]`` and the last round's messages ``[2, E, width]``, to the
+    first and to the second node of every edge."""
+
+    steps: list[_Round]
+    node_size: int = eqx.field(static=True)
+    edge_size: int = eqx.field(static=True)
+    width: int = eqx.field(static=True)
+    rounds: int = eqx.field(static=True)
+
+    def __init__(
+        self, node_size: int, edge_size: int, width: int = 32, rounds: int = 2, *, key: PRNGKeyArray
+    ):
+        sizes = [node_size] + [width] * (rounds - 1)
+        keys = jax.random.split(key, rounds)
+        self.steps = [
+            _Round(size, edge_size, width, key) for size, key in zip(sizes, keys, strict=True)
+        ]
+        self.node_size = node_size
+        self.edge_size = edge_size
+        self.width = width
+        self.rounds = rounds
+
+    def __call__(
+        self,
+        node: Float[Array, "N F"],
+        edge: Float[Array, "2 E G"],
+        weight: Float[Array, " E"],
+        ends: Int[Array, "2 E"],
+    ) -> tuple[Float[Array, "N W"], Float[Array, "2 E W"]]:
+        """Pass messages over the graph; edge e joins the nodes ``ends[0, e]`` and ``ends[1, e]``."""
+        embedding, message = self.steps[0](node, edge, weight, ends)
+        for step in self.steps[1:]:
+            update, message = step(embedding, edge, weight, ends)
+            embedding = embedding + update
+        return embedding, message
+
+
+class TypedMessagePassing(eqx.Module):
+    """Message passing with networks of its own for every active edge type.
+
+    Returns node embeddings summed over the types, ``[N, width]``, and every type's last messages,
+    ``[K-1, 2, E, width]``.
+    """
+
+    types: list[MessagePassing]
+
+    def __init__(self, types: list[MessagePassing]):
+        self.types = list(types)
+
+    @property
+    def width(self) -> int:
+        """Size of an embedding."""
+        return self.types[0].width
+
+    def __call__(
+        self,
+        node: Float[Array, "N F"],
+        edge: Float[Array, "2 E G"],
+        weight: Float[Array, "E active"],
+        ends: Int[Array, "2 E"],
+    ) -> tuple[Float[Array, "N W"], Float[Array, "active 2 E W"]]:
+        """Pass messages along the edges, weighted by how active each type is."""
+        results = [
+            passing(node, edge, weight[:, index], ends) for index, passing in enumerate(self.types)
+        ]
+        embedding = jnp.sum(jnp.stack([node for node, _ in results]), axis=0)
+        return embedding, jnp.stack([message for _, message in results])

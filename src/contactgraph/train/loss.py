@@ -1,0 +1,132 @@
+"""What training minimises: the terms by name."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from contactgraph.model.belief import ContactBelief
+from contactgraph.model.contact_dynamics import ContactDynamics, Percept
+from contactgraph.model.state import ModelState, Nodes
+from contactgraph.train.batch import Window
+
+_SMALLEST = 1e-6
+_ROLLOUT_POSITION = 0.5
+"""Weight of a rollout's position errors: they add up over its steps, velocity errors do not."""
+
+
+class LossTerms(eqx.Module):
+    """The parts of the loss, or their weights."""
+
+    prediction: Float[Array, ""] | float = 1.0
+    """Mean norm of the one-step error of a node's state, in units of velocity, m/s."""
+    squared: Float[Array, ""] | float = 1.0
+    """Mean square of the same, (m/s)^2: what rules is the rare large error, a missed impact."""
+    rollout: Float[Array, ""] | float = 0.3
+    """Mean norm of the error when a whole window is predicted from its first state, m/s."""
+    prior: Float[Array, ""] | float = 0.01
+    """Mean KL divergence of the belief from the distance prior, nat an edge."""
+
+    def total(self, weights: "LossTerms") -> Float[Array, ""]:
+        """The weighted sum."""
+        return jnp.asarray(
+            self.prediction * weights.prediction
+            + self.squared * weights.squared
+            + self.rollout * weights.rollout
+            + self.prior * weights.prior
+        )
+
+
+def window_loss(
+    model: ContactDynamics, windows: Window, key: PRNGKeyArray, with_rollout: bool
+) -> LossTerms:
+    """Loss terms over a batch of windows (every leaf of `windows` has a leading axis B).
+
+    One-step prediction from every recorded state and KL to the prior: paper, eq. (3). Position
+    errors are divided by dt, so that both halves of a state weigh alike. The rollout term costs a
+    pass through time; without it the term is 0.
+    """
+    keys = jax.random.split(key, windows.control.shape[0])
+    error, nodes, divergence, edges = jax.vmap(lambda w, k: _teacher_forced(model, w, k))(
+        windows, keys
+    )
+    rollout = jnp.zeros(())
+    if with_rollout:
+        rollout = _mean(jax.vmap(lambda w: _rolled_out(model, w))(windows), nodes)
+    return LossTerms(
+        prediction=_mean(jnp.sqrt(error + _SMALLEST), nodes),
+        squared=_mean(error, nodes),
+        rollout=rollout,
+        prior=_mean(divergence, edges),
+    )
+
+
+def _mean(values: Array, mask: Array) -> Array:
+    return jnp.sum(jnp.where(mask, values, 0.0)) / jnp.maximum(jnp.sum(mask), 1)
+
+
+def _teacher_forced(
+    model: ContactDynamics, window: Window, key: PRNGKeyArray
+) -> tuple[Array, Array, Array, Array]:
+    """Squared error [L, N] and who counts, KL divergence [L, E] and which edges count."""
+    position, velocity = window.position, window.velocity
+    percept = jax.vmap(lambda x, v: model.perceive(x, v, window.nodes))(
+        position[:-1], velocity[:-1]
+    )
+    prior = jax.vmap(model.prior_belief)(percept)
+    belief = _beliefs(model, jax.tree.map(lambda leaf: leaf[0], prior), percept)
+
+    def predict(
+        percept: Percept, belief: ContactBelief, x: Array, v: Array, u: Array, key: PRNGKeyArray
+    ) -> tuple[Array, Array]:
+        local = model.local_input(percept, belief, x, v, key)
+        return model.local_dynamics(local, model.dt, model.control_size)(x, v, u)
+
+    keys = jax.random.split(key, window.control.shape[0])
+    next_position, next_velocity = jax.vmap(predict)(
+        percept, belief, position[:-1], velocity[:-1], window.control, keys
+    )
+    error = jnp.sum(((next_position - position[1:]) / model.dt) ** 2, axis=-1)
+    error = error + jnp.sum((next_velocity - velocity[1:]) ** 2, axis=-1)
+    p = jnp.clip(belief.type_probability, _SMALLEST, 1.0)
+    q = jnp.clip(prior.type_probability, _SMALLEST, 1.0)
+    divergence = jnp.sum(p * (jnp.log(p) - jnp.log(q)), axis=-1)
+    counts = jnp.broadcast_to(window.nodes.mask, error.shape)
+    return error, counts, divergence, percept.weight > 0
+
+
+def _beliefs(model: ContactDynamics, initial: ContactBelief, percept: Percept) -> ContactBelief:
+    def advance(belief: ContactBelief, percept: Percept) -> tuple[ContactBelief, ContactBelief]:
+        belief = model.predict_belief(belief, percept)
+        return belief, belief
+
+    return jax.lax.scan(advance, initial, percept)[1]
+
+
+def predict_window(model: ContactDynamics, window: Window) -> ModelState:
+    """All states of a window, ``[L, …]``, predicted from its first state and its controls."""
+    position, velocity = window.position[0], window.velocity[0]
+    belief = model.initial_belief(position, velocity, window.nodes)
+    return model.rollout(ModelState(position, velocity, belief), window.control, window.nodes)
+
+
+def _rolled_out(model: ContactDynamics, window: Window) -> Float[Array, "L N"]:
+    states = predict_window(model, window)
+    position_error = _ROLLOUT_POSITION * (states.position - window.position[1:]) / model.dt
+    velocity_error = states.velocity - window.velocity[1:]
+    return jnp.sqrt(jnp.sum(position_error**2 + velocity_error**2, axis=-1) + _SMALLEST)
+
+
+def rollout_rmse(model: ContactDynamics, windows: Window) -> Float[Array, ""]:
+    """Root mean square position error [m] over a batch of windows, each from its first state."""
+
+    def squared(window: Window) -> Float[Array, "L N"]:
+        states = predict_window(model, window)
+        return jnp.sum((states.position - window.position[1:]) ** 2, axis=-1)
+
+    error = jax.vmap(squared)(windows)
+    return jnp.sqrt(_mean(error, _node_axis(windows.nodes, error)))
+
+
+def _node_axis(nodes: Nodes, like: Float[Array, "B L N"]) -> Array:
+    return jnp.broadcast_to(nodes.mask[:, None, :], like.shape)
