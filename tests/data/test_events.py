@@ -1,0 +1,157 @@
+"""Impacts are found in the motion, and windows around them are drawn as often as asked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    Scene,
+    Trajectory,
+    event_steps,
+    pad_runs,
+    strip_contacts,
+    window_weights,
+)
+
+DT = 0.05
+
+
+def pickup(seed: int, steps: int = 200) -> tuple[Trajectory, int]:
+    """A PD-driven disc that runs into another, sticks to it and carries it to a goal.
+
+    Returns the run and the step within which they meet.
+    """
+    rng = np.random.default_rng(seed)
+    position, goal = np.array([[-0.8, 0.0], [0.3, 0.0], [0.0, 0.9]]), rng.uniform(-1, 1, 2)
+    position = position + rng.uniform(-0.2, 0.2, position.shape)
+    velocity, noise, impact = np.zeros((3, 2)), np.zeros(2), -1
+    states, controls = [(position, velocity)], []
+    for step in range(steps):
+        noise = 0.8 * noise + 0.3 * rng.normal(size=2)
+        target, damping = (position[1], 1.0) if impact < 0 else (goal, 4.0)
+        force = 5.0 * (target - position[0]) - damping * velocity[0] + noise
+        velocity = velocity.copy()
+        velocity[0] += force * DT / (1.0 if impact < 0 else 2.0)
+        if impact >= 0:
+            velocity[1] = velocity[0]
+        position = position + velocity * DT
+        if impact < 0 and np.linalg.norm(position[0] - position[1]) < 0.08:
+            impact = step
+            velocity[:2] = velocity[:2].mean(axis=0)
+        states.append((position, velocity))
+        controls.append(force)
+    scene = Scene(("gripper", "box", "bystander"), ("g", "o", "o"), [True, False, False], DT)
+    contact = np.zeros((steps + 1, 3, 3), dtype=bool)
+    contact[impact + 1 :, [0, 1], [1, 0]] = True
+    states = np.array(states)
+    return Trajectory(scene, states[:, 0], states[:, 1], np.array(controls), contact), impact
+
+
+RUNS, IMPACTS = zip(*(pickup(seed) for seed in range(20)), strict=True)
+DATASET = Dataset(RUNS)
+
+
+def test_all_impacts_are_found_with_few_false_ones() -> None:
+    assert min(IMPACTS) >= 0, "every run has an impact"
+    found = event_steps(pad_runs(DATASET))
+    assert found[np.arange(20), IMPACTS].all()
+    assert found.sum() <= 20 + 15, "20 impacts in 4000 steps"
+
+
+def test_impacts_are_found_in_noisy_velocities() -> None:
+    rng = np.random.default_rng(0)
+    noisy = (
+        replace(run, velocity=run.velocity + 0.01 * rng.normal(size=run.velocity.shape))
+        for run in RUNS
+    )
+    found = event_steps(pad_runs(Dataset(tuple(noisy))))
+    assert found[np.arange(20), IMPACTS].sum() >= 19
+    assert found.sum() <= 20 + 10
+
+
+def test_an_actuated_body_that_hits_a_wall_unseen() -> None:
+    rng = np.random.default_rng(0)
+    force = 5.0 * np.sin(np.linspace(0, 9, 100))[:, None] + rng.normal(size=(100, 1))
+    velocity = np.cumsum(np.vstack([[[3.0]], force * DT]), axis=0)
+    velocity[61:] -= velocity[61] + 1.0
+    position = np.cumsum(velocity, axis=0) * DT
+    scene = Scene(("finger",), ("g",), [True], DT, dimension=1)
+    run = Trajectory(scene, position[:, None], velocity[:, None], force)
+    np.testing.assert_array_equal(np.flatnonzero(event_steps(pad_runs(Dataset((run,))))), [60])
+
+
+def test_a_force_that_jumps_is_no_event_where_the_control_explains_it() -> None:
+    force = np.where(np.arange(100) == 50, 30.0, np.sin(np.arange(100)))[:, None]
+    velocity = np.cumsum(np.vstack([[[0.0]], force * DT]), axis=0)
+    scene = Scene(("finger",), ("g",), [True], DT, dimension=1)
+    run = Trajectory(scene, velocity[:, None], velocity[:, None], force)
+    assert not event_steps(pad_runs(Dataset((run,)))).any()
+
+
+def test_contacts_and_padding_decide_nothing() -> None:
+    found = event_steps(pad_runs(DATASET))
+    np.testing.assert_array_equal(event_steps(pad_runs(strip_contacts(DATASET))), found)
+    np.testing.assert_array_equal(event_steps(pad_runs(DATASET, 9)), found)
+    short = Dataset((*RUNS, still(steps=3), still(steps=260)))
+    wide = event_steps(pad_runs(short))
+    np.testing.assert_array_equal(wide[:20, :200], found)
+    assert not wide[:20, 200:].any()
+
+
+def still(steps: int = 6, nodes: int = 2, control_size: int = 2) -> Trajectory:
+    scene = Scene(tuple(f"n{i}" for i in range(nodes)), ("o",) * nodes, np.arange(nodes) == 0, DT)
+    state = np.zeros((steps + 1, nodes, 2))
+    return Trajectory(scene, state, state, np.zeros((steps, control_size)))
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        still(),
+        still(control_size=0),
+        still(nodes=1),
+        still(nodes=0),
+        still(steps=1),
+        replace(still(steps=1), velocity=np.arange(8.0).reshape(2, 2, 2)),
+    ],
+)
+def test_data_without_events(run: Trajectory) -> None:
+    padded = pad_runs(Dataset((run,)))
+    assert not event_steps(padded).any()
+    windows = window_weights(padded, run.steps)
+    assert windows.probability.tolist() == [1.0]
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.25, 0.6, 1.0])
+def test_the_asked_fraction_of_windows_holds_an_event(fraction: float) -> None:
+    padded = pad_runs(Dataset((*RUNS, still(steps=5), still(steps=30))))
+    windows = window_weights(padded, 12, fraction)
+    assert windows.probability.sum() == pytest.approx(1.0)
+    assert windows.probability[windows.has_event].sum() == pytest.approx(fraction)
+    assert len(windows.run) == 20 * 189 + 19, "every window of real steps, once"
+    assert len(set(zip(windows.run.tolist(), windows.start.tolist(), strict=True))) == 20 * 189 + 19
+    lengths = padded.step_mask.sum(axis=1)
+    assert np.all(windows.start + 12 <= lengths[windows.run])
+    found = event_steps(padded)
+    for run, start, has_event in zip(windows.run, windows.start, windows.has_event, strict=True):
+        assert found[run, start : start + 12].any() == has_event
+
+
+def test_uniform_where_every_window_holds_an_event() -> None:
+    windows = window_weights(pad_runs(DATASET), 200)
+    np.testing.assert_allclose(windows.probability, 1 / 20)
+
+
+@pytest.mark.parametrize("length", [0, -1, 201])
+def test_a_window_that_fits_no_run(length: int) -> None:
+    with pytest.raises(InvalidInputError, match="window_length must be 1 to 200"):
+        window_weights(pad_runs(DATASET), length)
+
+
+@pytest.mark.parametrize("fraction", [-0.1, 1.1, float("nan")])
+def test_a_fraction_that_is_none(fraction: float) -> None:
+    with pytest.raises(InvalidInputError, match="event_fraction must be 0 to 1"):
+        window_weights(pad_runs(DATASET), 12, fraction)

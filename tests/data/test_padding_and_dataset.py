@@ -1,0 +1,146 @@
+"""Padding adds nothing; splits are by run; runs of one file agree."""
+
+import numpy as np
+import pytest
+
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    Scene,
+    Trajectory,
+    pad_runs,
+    pair_indices,
+    split_by_run,
+    strip_contacts,
+)
+
+
+def random_run(seed: int, steps: int, nodes: int, **changes: object) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    settings = {"dt": 0.05, "dimension": 2, "control_size": 2, "edges": None} | changes
+    scene = Scene(
+        tuple(f"n{i}" for i in range(nodes)),
+        ("object",) * nodes,
+        rng.random(nodes) < 0.5,
+        settings["dt"],
+        dimension=settings["dimension"],
+        candidate_edges=settings["edges"],
+    )
+    shape = (steps + 1, nodes, settings["dimension"])
+    contact = rng.random((steps + 1, nodes, nodes)) < 0.3
+    return Trajectory(
+        scene,
+        rng.normal(size=shape),
+        rng.normal(size=shape),
+        rng.normal(size=(steps, settings["control_size"])),
+        contact | contact.swapaxes(1, 2),
+    )
+
+
+RAGGED = Dataset((random_run(0, 5, 3), random_run(1, 2, 1), random_run(2, 7, 4)), {"task": "x"})
+
+
+def test_pairs_of_few_nodes_are_a_prefix_of_those_of_many() -> None:
+    assert pair_indices(3).tolist() == [[0, 1], [0, 2], [1, 2]]
+    for nodes in range(6):
+        pairs = pair_indices(nodes)
+        assert pairs.shape == (nodes * (nodes - 1) // 2, 2)
+        np.testing.assert_array_equal(pair_indices(9)[: len(pairs)], pairs)
+
+
+@pytest.mark.parametrize("capacity", [None, 6])
+def test_padding_holds_the_runs_and_nothing_else(capacity: int | None) -> None:
+    padded = pad_runs(RAGGED, capacity)
+    nodes = capacity or 4
+    assert padded.position.shape == (3, 8, nodes, 2)
+    assert padded.candidate.shape == (3, nodes * (nodes - 1) // 2)
+    assert padded.dt == RAGGED.dt
+    total = {"position": 0.0, "velocity": 0.0, "control": 0.0}
+    for index, run in enumerate(RAGGED):
+        count, steps = run.scene.node_count, run.steps
+        real = padded.position[index, : steps + 1, :count]
+        np.testing.assert_array_equal(real, run.position)
+        np.testing.assert_array_equal(padded.velocity[index, : steps + 1, :count], run.velocity)
+        np.testing.assert_array_equal(padded.control[index, :steps], run.control)
+        np.testing.assert_array_equal(np.flatnonzero(padded.node_mask[index]), range(count))
+        np.testing.assert_array_equal(np.flatnonzero(padded.step_mask[index]), range(steps))
+        np.testing.assert_array_equal(padded.actuated[index, :count], run.scene.actuated)
+        assert padded.actuated[index].sum() == run.scene.actuated.sum()
+        for edge, (first, second) in enumerate(pair_indices(nodes)):
+            exists = first < count and second < count
+            assert padded.candidate[index, edge] == exists
+            expected = run.contact[:, first, second] if exists else np.zeros(steps + 1, bool)
+            np.testing.assert_array_equal(padded.contact[index, : steps + 1, edge], expected)
+            assert not padded.contact[index, steps + 1 :, edge].any()
+        for name in total:
+            total[name] += np.abs(getattr(run, name)).sum()
+    for name, expected in total.items():
+        assert np.abs(getattr(padded, name)).sum() == pytest.approx(expected), "padding is zero"
+
+
+def test_candidate_edges_count_in_either_direction() -> None:
+    run = random_run(0, 2, 3, edges=np.array([[2, 0], [0, 2]]))
+    padded = pad_runs(Dataset((run,)), 4)
+    assert padded.candidate.tolist() == [[False, True, False, False, False, False]]
+    empty = pad_runs(Dataset((random_run(0, 2, 3, edges=np.zeros((0, 2), int)),)))
+    assert not empty.candidate.any()
+
+
+def test_contacts_that_one_run_lacks_are_left_out() -> None:
+    unlabelled = strip_contacts(RAGGED)
+    assert all(run.contact is None for run in unlabelled)
+    assert unlabelled.metadata == RAGGED.metadata
+    mixed = Dataset((RAGGED.trajectories[0], unlabelled.trajectories[1]))
+    assert pad_runs(mixed).contact is None
+    np.testing.assert_array_equal(pad_runs(unlabelled).position, pad_runs(RAGGED).position)
+
+
+def test_a_capacity_that_is_too_small() -> None:
+    with pytest.raises(InvalidInputError, match="node_capacity must be at least 4"):
+        pad_runs(RAGGED, 3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dimension": 3}, "run 1: dimension D is 3, but 2 in run 0; all runs must agree"),
+        ({"control_size": 0}, "run 1: control size U is 0, but 2 in run 0"),
+        ({"dt": 0.1}, "run 1: dt in s is 0.1, but 0.05 in run 0"),
+    ],
+)
+def test_runs_must_agree(changes: dict, message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        Dataset((random_run(0, 3, 2), random_run(1, 3, 2, **changes)))
+
+
+def test_a_dataset_needs_a_run() -> None:
+    with pytest.raises(InvalidInputError, match="needs at least one run"):
+        Dataset(())
+
+
+def test_split_by_run() -> None:
+    dataset = Dataset(tuple(random_run(i, 1, 1) for i in range(10)), {"task": "x"})
+    train, held_out = split_by_run(dataset, 0.2, seed=1)
+    assert (len(train), len(held_out)) == (8, 2)
+    assert train.metadata == held_out.metadata == dataset.metadata
+    place = {id(run): i for i, run in enumerate(dataset)}
+    parts = [[place[id(run)] for run in part] for part in (train, held_out)]
+    assert sorted(parts[0] + parts[1]) == list(range(10))
+    assert parts == [sorted(part) for part in parts]
+    again = split_by_run(dataset, 0.2, seed=1)[1]
+    assert [place[id(run)] for run in again] == parts[1]
+    others = {tuple(place[id(run)] for run in split_by_run(dataset, 0.2, s)[1]) for s in range(9)}
+    assert len(others) > 3, "the seed decides"
+
+
+@pytest.mark.parametrize(("fraction", "held_out"), [(0.01, 1), (0.99, 2)])
+def test_neither_side_of_a_split_is_empty(fraction: float, held_out: int) -> None:
+    assert len(split_by_run(RAGGED, fraction, seed=0)[1]) == held_out
+
+
+def test_splits_that_cannot_be_made() -> None:
+    with pytest.raises(InvalidInputError, match="needs at least 2 runs, found 1"):
+        split_by_run(Dataset(RAGGED.trajectories[:1]), 0.5, seed=0)
+    for fraction in (0.0, 1.0, -1.0, float("nan")):
+        with pytest.raises(InvalidInputError, match="must lie between 0 and 1"):
+            split_by_run(RAGGED, fraction, seed=0)
