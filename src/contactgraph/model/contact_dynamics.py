@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_indices
 from contactgraph.model.belief import ContactBelief
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
@@ -37,7 +38,8 @@ class Percept(eqx.Module):
 class ContactDynamics(eqx.Module):
     """Predicts which edges are active and how the nodes move, one step at a time.
 
-    Every function here takes one scene at one step; `jax.vmap` makes batches.
+    Every function here takes one scene at one step; `jax.vmap` makes batches. Raises
+    `InvalidInputError` where the number of edge types and of networks for them disagree.
     """
 
     inference: RecurrentEdges | MemorylessEdges | AllEdges
@@ -50,6 +52,17 @@ class ContactDynamics(eqx.Module):
     """s"""
     dimension: int = eqx.field(static=True)
     control_size: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        if not self.dt > 0:
+            raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
+        active_types = self.inference.edge_types - 1
+        networks = len(self.local_dynamics.message_passing.types)
+        if active_types < 1 or networks != active_types:
+            raise InvalidInputError(
+                f"local_dynamics must have one message network for each of the {active_types} "
+                f"active edge types (edge_types less the inactive one), found {networks}"
+            )
 
     def perceive(
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes

@@ -23,7 +23,8 @@ class InvariantFeatures(eqx.Module):
     speed: float = eqx.field(static=True)
 
     def __init__(self, length: float = 0.1, speed: float = 1.0):
-        self.touch_distance = jnp.asarray(length)
+        # A product, so that its type is not weak: else the first update of training recompiles.
+        self.touch_distance = length * jnp.ones(())
         self.length = length
         self.speed = speed
 

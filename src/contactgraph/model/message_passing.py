@@ -79,7 +79,7 @@ class MessagePassing(eqx.Module):
         weight: Float[Array, " E"],
         ends: Int[Array, "2 E"],
     ) -> tuple[Float[Array, "N W"], Float[Array, "2 E W"]]:
-        """Pass messages over the graph; edge e joins the nodes ``ends[0, e]`` and ``ends[1, e]``."""
+        """Pass messages; edge e joins the nodes ``ends[0, e]`` and ``ends[1, e]``."""
         embedding, message = self.steps[0](node, edge, weight, ends)
         for step in self.steps[1:]:
             update, message = step(embedding, edge, weight, ends)

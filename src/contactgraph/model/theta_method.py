@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.linear_dynamics import LinearDynamics
 from contactgraph.model.spring_mass_damper import SpringMassDamper
 
@@ -24,9 +25,9 @@ class ThetaMethod(eqx.Module):
     def __init__(self, initial: float = 0.55, learned: bool = True):
         """Start at theta `initial`; keep it fixed, or learn it within (1/2, 1)."""
         if learned and not 0.5 < initial < 1.0:
-            raise ValueError(f"a learned theta must start within (0.5, 1), found {initial}")
+            raise InvalidInputError(f"a learned theta must start within (0.5, 1), found {initial}")
         if not 0.0 <= initial <= 1.0:
-            raise ValueError(f"theta must lie in [0, 1], found {initial}")
+            raise InvalidInputError(f"theta must lie in [0, 1], found {initial}")
         self.initial = initial
         self.learned = learned
         fraction = 2.0 * initial - 1.0 if learned else 0.5

@@ -1,0 +1,79 @@
+"""Scenes and models that the model tests share."""
+
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from contactgraph.data.graph import pair_indices
+from contactgraph.model import (
+    ContactDynamics,
+    ModelState,
+    Nodes,
+    full_ab,
+    gim_non_temp,
+    gim_temp,
+    no_gim,
+    paper_literal,
+)
+
+DT = 0.05
+PRESETS = {
+    "gim_temp": gim_temp,
+    "gim_non_temp": gim_non_temp,
+    "no_gim": no_gim,
+    "full_ab": full_ab,
+    "paper_literal": paper_literal,
+}
+
+
+@cache
+def preset(name: str, dimension: int = 2, seed: int = 0, width: int = 16) -> ContactDynamics:
+    """A model with random weights; drawn by numpy, which compiles nothing."""
+
+    def construct() -> ContactDynamics:
+        return PRESETS[name](dimension, 2, DT, width=width, key=jax.random.PRNGKey(0))
+
+    rng = np.random.default_rng(seed)
+
+    def draw(leaf: object) -> object:
+        if not isinstance(leaf, jax.ShapeDtypeStruct):
+            return leaf
+        if leaf.ndim == 0:  # The touch distance, and the raw theta.
+            return jnp.asarray(np.full((), 0.1, leaf.dtype))
+        bound = 1.5 / np.sqrt(leaf.shape[-1])
+        return jnp.asarray(rng.uniform(-bound, bound, leaf.shape).astype(leaf.dtype))
+
+    return jax.tree.map(draw, eqx.filter_eval_shape(construct))
+
+
+def nodes_of(count: int, capacity: int | None = None) -> Nodes:
+    """The first of `count` nodes is actuated; every pair that exists is a candidate."""
+    mask = np.arange(capacity or count) < count
+    pairs = pair_indices(len(mask))
+    return Nodes(
+        actuated=jnp.asarray(np.arange(len(mask)) == 0),
+        mask=jnp.asarray(mask),
+        candidate=jnp.asarray(mask[pairs].all(axis=1)),
+    )
+
+
+def crowd(model: ContactDynamics, nodes: Nodes, seed: int = 0, size: float = 0.15) -> ModelState:
+    """Nodes close enough that most edges matter, with the prior as belief."""
+    position_key, velocity_key = jax.random.split(jax.random.PRNGKey(seed))
+    shape = (len(nodes.mask), model.dimension)
+    position = jax.random.uniform(position_key, shape, minval=-size, maxval=size)
+    velocity = jax.random.normal(velocity_key, shape)
+    exists = nodes.mask[:, None]
+    return state_at(
+        model, jnp.where(exists, position, 0.0), jnp.where(exists, velocity, 0.0), nodes
+    )
+
+
+_initial_belief = eqx.filter_jit(ContactDynamics.initial_belief)
+
+
+def state_at(model: ContactDynamics, position, velocity, nodes: Nodes) -> ModelState:
+    return ModelState(position, velocity, _initial_belief(model, position, velocity, nodes))
