@@ -69,6 +69,8 @@ def assert_same_or_refused(path: Path, original: Path) -> None:
                 np.testing.assert_array_equal(ours.position, theirs.position)
                 np.testing.assert_array_equal(ours.contact, theirs.contact)
                 assert ours.scene.node_name == theirs.scene.node_name
+                assert ours.scene.node_type == theirs.scene.node_type
+                assert ours.scene.metadata == theirs.scene.metadata
 
 
 def test_truncated_anywhere(good: Path, tmp_path: Path) -> None:
@@ -77,6 +79,25 @@ def test_truncated_anywhere(good: Path, tmp_path: Path) -> None:
         path = tmp_path / "short.h5"
         path.write_bytes(content[:length])
         refusal(path)
+
+
+def test_everything_written_is_under_a_checksum(good: Path) -> None:
+    """Structure has one from the v110 format on; arrays must ask for it; heaps have none."""
+    arrays: list[str] = []
+
+    def check(name: str, found: h5py.Group | h5py.Dataset) -> None:
+        if isinstance(found, h5py.Dataset):
+            arrays.append(name)
+            assert found.fletcher32, name
+            assert found.dtype.kind != "O", name
+        for attribute in found.attrs:
+            assert found.attrs.get_id(attribute).dtype.kind != "O", f"{name} {attribute}"
+
+    with h5py.File(good) as file:
+        assert good.read_bytes()[8] == 3, "superblock version"
+        check("/", file)
+        file.visititems(check)
+    assert len(arrays) == 2 * 12
 
 
 @settings(max_examples=300, deadline=None)

@@ -101,6 +101,16 @@ def test_contacts_and_padding_decide_nothing() -> None:
     assert not wide[:20, 200:].any()
 
 
+def test_the_end_of_a_short_run_is_no_impact() -> None:
+    """Padding is zero: a body that speeds up to the end must not be compared with a stop."""
+    steady = np.linspace(0.0, 2.0, 51)[:, None, None] * np.ones((51, 2, 2))
+    hasty = steady[:49].copy()
+    hasty[-3:] += np.array([0.1, 0.4, 1.0])[:, None, None]
+    scene = Scene(("a", "b"), ("o", "o"), [False, False], DT)
+    runs = (Trajectory(scene, each, each, np.zeros((len(each) - 1, 2))) for each in (steady, hasty))
+    assert not event_steps(pad_runs(Dataset(tuple(runs)))).any()
+
+
 def still(steps: int = 6, nodes: int = 2, control_size: int = 2) -> Trajectory:
     scene = Scene(tuple(f"n{i}" for i in range(nodes)), ("o",) * nodes, np.arange(nodes) == 0, DT)
     state = np.zeros((steps + 1, nodes, 2))

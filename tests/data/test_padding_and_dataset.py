@@ -79,9 +79,9 @@ def test_padding_holds_the_runs_and_nothing_else(capacity: int | None) -> None:
 
 
 def test_candidate_edges_count_in_either_direction() -> None:
-    run = random_run(0, 2, 3, edges=np.array([[2, 0], [0, 2]]))
-    padded = pad_runs(Dataset((run,)), 4)
-    assert padded.candidate.tolist() == [[False, True, False, False, False, False]]
+    for edges in ([[2, 0]], [[0, 2]], [[2, 0], [0, 2]]):
+        padded = pad_runs(Dataset((random_run(0, 2, 3, edges=np.array(edges)),)), 4)
+        assert padded.candidate.tolist() == [[False, True, False, False, False, False]]
     empty = pad_runs(Dataset((random_run(0, 2, 3, edges=np.zeros((0, 2), int)),)))
     assert not empty.candidate.any()
 

@@ -127,6 +127,12 @@ def test_the_same_runs_make_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "first.h5").read_bytes() == (tmp_path / "second.h5").read_bytes()
 
 
+def test_bools_are_bytes_that_every_language_reads(tmp_path: Path) -> None:
+    write_trajectories(tmp_path / "data.h5", [one_run()])
+    with h5py.File(tmp_path / "data.h5") as file:
+        assert file["trajectories/000000/actuated"].dtype == np.uint8
+
+
 def test_compression_saves_space(tmp_path: Path) -> None:
     runs = [one_run(steps=500, nodes=5)]
     write_trajectories(tmp_path / "plain.h5", runs)

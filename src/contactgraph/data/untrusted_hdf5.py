@@ -3,7 +3,7 @@
 Whatever h5py raises becomes one `InvalidInputError` that names the place. Nothing outside the
 file is followed, nothing is executed, and no array is read that the file cannot really hold.
 Texts of variable length are refused: libhdf5 hangs, takes gigabytes or crashes on damage to the
-heap they live in (about 1 in 300 files with random bytes flipped; without them 0 of 12,000).
+heap they live in (about 1 in 300 files with random bytes flipped; without them none of 20,000).
 """
 
 from collections.abc import Iterator

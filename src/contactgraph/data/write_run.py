@@ -17,7 +17,8 @@ def write_run(where: str, group: h5py.Group, run: Trajectory, compress: bool) ->
     group.attrs["dt"] = float(run.scene.dt)
     write_metadata(where, group, run.scene.metadata)
     for name in NAMES:
-        group[name] = fixed_texts(f"{where}/{name}", getattr(run.scene, name))
+        texts = fixed_texts(f"{where}/{name}", getattr(run.scene, name))
+        _write_array(group, name, texts, compress)
     for name, field in ARRAYS.items():
         value = getattr(run if hasattr(run, name) else run.scene, name)
         if value is None:
