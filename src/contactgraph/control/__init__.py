@@ -1,1 +1,16 @@
-"""Planning and control: quadratic costs, LQR, iLQR and MPC."""
+"""Plans and controls through contact, with any model that offers a linear step."""
+
+from contactgraph.control.control_step import ControlLimits as ControlLimits
+from contactgraph.control.cost import QuadraticCost as QuadraticCost
+from contactgraph.control.cost import chain_cost as chain_cost
+from contactgraph.control.ilqr import ILQR as ILQR
+from contactgraph.control.lqr import LQRPolicy as LQRPolicy
+from contactgraph.control.lqr import LQRProblem as LQRProblem
+from contactgraph.control.lqr import QuadraticValue as QuadraticValue
+from contactgraph.control.lqr import solve_lqr as solve_lqr
+from contactgraph.control.mpc import MPC as MPC
+from contactgraph.control.plan import Plan as Plan
+from contactgraph.control.plan import PlanStatus as PlanStatus
+from contactgraph.control.plan import shift_plan as shift_plan
+from contactgraph.control.step_model import StepModel as StepModel
+from contactgraph.control.tick import MPCState as MPCState

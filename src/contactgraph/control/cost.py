@@ -1,0 +1,117 @@
+"""What a plan should cost: quadratic in state and control."""
+
+import itertools
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from contactgraph.data.errors import InvalidInputError
+
+
+class QuadraticCost(eqx.Module):
+    """``sum_{t=0..H} (x_t - goal)^T Q_t (x_t - goal) + sum_{t=0..H-1} u_t^T R_t u_t``.
+
+    The paper's convention: no factor 1/2. ``x`` is `stack_state`'s vector, ``n = 2ND``. ``Q``
+    must be symmetric and positive semi-definite, ``R`` symmetric and positive definite. Every
+    leaf is an array, so another goal or weight does not recompile what was compiled with this one.
+    """
+
+    Q: Float[Array, "n n"] | Float[Array, "H+1 n n"]
+    """State weight, the same for all steps or one a step; 1/m^2 and s^2/m^2."""
+    R: Float[Array, "U U"] | Float[Array, "H U U"]
+    """Control weight, 1/N^2."""
+    goal: Float[Array, " n"] | Float[Array, "H+1 n"]
+    """Where the state should be, m and m/s."""
+    terminal_weight: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.ones(()))
+    """Factor on the last step's ``Q``."""
+    involved: Int[Array, " M"] | None = None
+    """Nodes whose rows of ``Q`` are not all zero. None: all of them.
+
+    The dynamics are block diagonal, one block a node, so the gain on a node without cost is
+    exactly zero: naming the ``M`` nodes that have one makes the backward pass cost what ``M``
+    nodes cost and changes no answer. Rows of other nodes are ignored.
+    """
+
+    @property
+    def control_size(self) -> int:
+        """U, the size of the control."""
+        return self.R.shape[-1]
+
+    def __call__(self, states: Float[Array, "H+1 n"], controls: Float[Array, "H U"]) -> Array:
+        """The cost of a plan."""
+        Q, R, goal = self.over(controls.shape[0])
+        error = states - goal
+        state_cost = jnp.sum(error * jnp.einsum("tij,tj->ti", Q, error))
+        return state_cost + jnp.sum(controls * jnp.einsum("tij,tj->ti", R, controls))
+
+    def over(self, horizon: int) -> tuple[Array, Array, Array]:
+        """``Q [H+1,n,n]``, ``R [H,U,U]`` and ``goal [H+1,n]``, one a step."""
+        size = self.goal.shape[-1]
+        Q = jnp.broadcast_to(self.Q, (horizon + 1, size, size))
+        R = jnp.broadcast_to(self.R, (horizon, *self.R.shape[-2:]))
+        goal = jnp.broadcast_to(self.goal, (horizon + 1, size))
+        return Q.at[-1].multiply(self.terminal_weight), R, goal
+
+
+def chain_cost(
+    chain: Sequence[int],
+    pick_weights: Sequence[float] | np.ndarray,
+    goal_weights: Sequence[float] | np.ndarray,
+    control_weight: float,
+    goal: Sequence[float] | np.ndarray,
+    node_count: int,
+    control_size: int | None = None,
+) -> QuadraticCost:
+    """Each node of the chain to the next, and the last one to the goal (the paper's task costs).
+
+    ``sum over neighbours (x_a - x_b)^T diag(pick_weights) (x_a - x_b)
+    + (x_last - x_goal)^T diag(goal_weights) (x_last - x_goal) + control_weight |u|^2``,
+    at every step, with ``x_goal`` at rest in ``goal``.
+
+    **Arguments:** ``chain``: nodes, gripper first. ``pick_weights``, ``goal_weights``: [2D],
+    D on positions, then D on velocities. ``goal``: [D] m. ``node_count``: N, the capacity.
+    ``control_size``: U; D where it is not given.
+
+    Raises `InvalidInputError` where a weight is negative or a shape or node does not fit.
+    """
+    place = np.asarray(goal, dtype=np.float64)
+    dimension = place.shape[0] if place.ndim == 1 else 0
+    if dimension == 0 or not np.all(np.isfinite(place)):
+        raise InvalidInputError(f"goal must be D finite numbers [m], found {goal}")
+    if len(chain) == 0 or len(set(chain)) != len(chain):
+        raise InvalidInputError(f"chain must name different nodes, at least one, found {chain}")
+    if min(chain) < 0 or max(chain) >= node_count:
+        raise InvalidInputError(f"chain must name nodes 0 to {node_count - 1}, found {chain}")
+    if not control_weight > 0:
+        raise InvalidInputError(f"control_weight must be positive, found {control_weight}")
+    pick = _checked_weights("pick_weights", pick_weights, 2 * dimension)
+    last = _checked_weights("goal_weights", goal_weights, 2 * dimension)
+
+    size = 2 * dimension
+    Q = np.zeros((node_count, size, node_count, size))
+    for first, second in itertools.pairwise(chain):
+        Q[first, :, first] += np.diag(pick)
+        Q[second, :, second] += np.diag(pick)
+        Q[first, :, second] -= np.diag(pick)
+        Q[second, :, first] -= np.diag(pick)
+    Q[chain[-1], :, chain[-1]] += np.diag(last)
+    target = np.zeros((node_count, size))
+    target[list(chain), :dimension] = place
+    return QuadraticCost(
+        Q=jnp.asarray(Q.reshape(node_count * size, node_count * size)),
+        R=jnp.asarray(control_weight * np.eye(control_size or dimension)),
+        goal=jnp.asarray(target.reshape(-1)),
+        involved=jnp.asarray(np.asarray(chain, dtype=np.int32)),
+    )
+
+
+def _checked_weights(name: str, weights: Sequence[float] | np.ndarray, size: int) -> np.ndarray:
+    checked = np.asarray(weights, dtype=np.float64)
+    if checked.shape != (size,):
+        raise InvalidInputError(f"{name} must have shape ({size},), found {checked.shape}")
+    if not (np.all(np.isfinite(checked)) and np.all(checked >= 0)):
+        raise InvalidInputError(f"{name} must be finite and not negative, found {weights}")
+    return checked

@@ -1,0 +1,226 @@
+"""Iterative LQR on a model that hands over its own linearisation."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from contactgraph.control.control_step import ControlLimits
+from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.lqr import Improvement, LQRPolicy, LQRProblem, improve_policy
+from contactgraph.control.plan import Plan, PlanStatus
+from contactgraph.control.rollout import Rollout, block_index, block_product, roll_out
+from contactgraph.control.step_model import StepModel
+from contactgraph.model import ModelState, Nodes, stack_state
+
+_RUNNING = -1
+_ARMIJO = 1e-4
+_FIRST_DAMPING = 0.1
+_DAMPING_FACTOR = 10.0
+_LAST_DAMPING = 1e6
+
+
+class ILQR(eqx.Module):
+    """Plans ``horizon`` steps with a model whose step is linear given the state.
+
+    One iteration rolls the model out once under a trial policy. That rollout is the true cost of
+    the trial and the linearisation for the next one, so no other pass through the model is made.
+    A trial is accepted only if it lowers the cost: the plan's cost never rises, and the first
+    guess, where it is finite, is an upper bound. Otherwise a smaller step is tried, and after the
+    smallest the damping grows (see `improve_policy`).
+
+    With contacts that switch hard the model's A and B belong to the states rolled out, not to
+    those planned; that is why nothing but a rollout decides.
+    """
+
+    horizon: int = eqx.field(static=True)
+    """H, steps."""
+    iterations: int = eqx.field(static=True, default=10)
+    """Most rollouts of the model in one solve, rejected ones included: it bounds the time."""
+    limits: ControlLimits | None = None
+    """Bounds on every control, N. None: unbounded."""
+    tolerance: float = eqx.field(static=True, default=1e-4)
+    """Converged when the expected decrease is below this part of the cost, …"""
+    absolute_tolerance: float = eqx.field(static=True, default=1e-6)
+    """… plus this, in the cost's own unit."""
+    step_sizes: tuple[float, ...] = eqx.field(static=True, default=(1.0, 0.5, 0.2))
+    """Parts of the full step, tried in this order."""
+
+    def zero_policy(self, size: int, cost: QuadraticCost) -> LQRPolicy:
+        """The guess that applies no force; ``size`` is n = 2ND."""
+        U, dtype = cost.control_size, cost.R.dtype
+        return LQRPolicy(jnp.zeros((self.horizon, U, size), dtype), self._nothing(U, dtype))
+
+    def solve(
+        self,
+        model: StepModel,
+        state: ModelState,
+        nodes: Nodes,
+        cost: QuadraticCost,
+        guess: LQRPolicy | None = None,
+    ) -> Plan:
+        """The best plan from a state, starting from a guessed policy (None: no force).
+
+        Not compiled by itself: call it inside `jax.jit`, or use `MPC`. The status is CONVERGED,
+        ITERATION_LIMIT, NO_DESCENT or NOT_FINITE; with NOT_FINITE neither the guess nor zero
+        control could be rolled out, and the controls are zero (or the nearest within limits).
+        """
+        dimension = state.position.shape[-1]
+        involved = cost.involved
+        if involved is None:
+            involved = jnp.arange(state.position.shape[0])
+        index = block_index(involved, dimension)
+        guess = self.zero_policy(2 * state.position.size, cost) if guess is None else guess
+        part = _part_of(cost, index, self.horizon)
+        trial = LQRPolicy(guess.K[:, :, index], guess.k)
+
+        shape = jax.eval_shape(
+            lambda: roll_out(model, state, nodes, trial, self.limits, involved),
+        )
+        zero = jnp.zeros((), part.R.dtype)
+        search = _Search(
+            reference=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape),
+            cost=zero + jnp.inf,
+            improvement=Improvement(trial, trial.k, zero),
+            trial=trial,
+            damping=zero,
+            attempt=jnp.zeros((), jnp.int32),
+            iteration=jnp.zeros((), jnp.int32),
+            status=jnp.full((), _RUNNING, jnp.int32),
+        )
+
+        def advance(search: _Search) -> _Search:
+            rollout = roll_out(model, state, nodes, search.trial, self.limits, involved)
+            return self._judge(search, rollout, part)
+
+        def running(search: _Search) -> Bool[Array, ""]:
+            return (search.status == _RUNNING) & (search.iteration < self.iterations)
+
+        search = jax.lax.while_loop(running, advance, search)
+        return self._plan(search, index, 2 * state.position.size)
+
+    def _judge(self, search: "_Search", rollout: Rollout, part: QuadraticCost) -> "_Search":
+        """Accept or reject what the trial led to, and choose the next trial."""
+        total = jnp.where(rollout.finite(), part(rollout.x, rollout.controls), jnp.inf)
+        sizes = jnp.asarray(self.step_sizes, total.dtype)
+        promised = _ARMIJO * sizes[search.attempt] * search.improvement.expected_decrease
+        accepted = total < search.cost - jnp.where(jnp.isfinite(search.cost), promised, 0.0)
+        reference = jax.tree.map(
+            lambda new, old: jnp.where(accepted, new, old), rollout, search.reference
+        )
+        lowest = jnp.where(accepted, total, search.cost)
+
+        attempt = jnp.where(accepted, 0, search.attempt + 1)
+        exhausted = attempt == len(self.step_sizes)
+        attempt = jnp.where(exhausted, 0, attempt)
+        damping = _adapted(search.damping, accepted, exhausted)
+
+        improvement = self._improve(reference, part, damping)
+        enough = self.tolerance * jnp.abs(lowest) + self.absolute_tolerance
+        # A damped step promises little because it is damped: only the full one may say "done".
+        converged = (damping == 0) & (improvement.expected_decrease <= enough)
+        nothing_rolls = ~jnp.isfinite(lowest)
+        status = jnp.where(damping > _LAST_DAMPING, PlanStatus.NO_DESCENT, _RUNNING)
+        status = jnp.where(converged, PlanStatus.CONVERGED, status)
+        status = jnp.where(
+            nothing_rolls,
+            jnp.where(search.iteration > 0, PlanStatus.NOT_FINITE, _RUNNING),
+            status,
+        )
+        trial = _trial_policy(reference, improvement, sizes[attempt])
+        # If the guess could not be rolled out, zero control is the second and last.
+        trial = jax.tree.map(lambda value: jnp.where(nothing_rolls, 0.0, value), trial)
+        return _Search(
+            reference=reference,
+            cost=lowest,
+            improvement=improvement,
+            trial=trial,
+            damping=jnp.where(nothing_rolls, 0.0, damping),
+            attempt=jnp.where(nothing_rolls, 0, attempt),
+            iteration=search.iteration + 1,
+            status=status.astype(jnp.int32),
+        )
+
+    def _improve(
+        self, reference: Rollout, part: QuadraticCost, damping: Float[Array, ""]
+    ) -> Improvement:
+        Q, R, goal = part.over(self.horizon)
+        dynamics = reference.dynamics
+        size = goal.shape[-1]
+        problem = LQRProblem(
+            A=dynamics.A,
+            B=dynamics.B.reshape(self.horizon, size, -1),
+            offset=dynamics.offset.reshape(self.horizon, size),
+            Q=Q,
+            R=R,
+            q=-jnp.einsum("tij,tj->ti", Q, goal),
+            r=jnp.zeros(R.shape[:-1], R.dtype),
+        )
+        return improve_policy(
+            problem, reference.x[:-1], reference.controls, damping, self.limits, block_product
+        )
+
+    def _plan(self, search: "_Search", index: Int[Array, " m"], size: int) -> Plan:
+        reference = search.reference
+        found = jnp.isfinite(search.cost)
+        gains = search.improvement.policy.K
+        gains = jnp.where(found & jnp.all(jnp.isfinite(gains)), gains, 0.0)
+        U, dtype = gains.shape[1], gains.dtype
+        controls = jnp.where(found, reference.controls, self._nothing(U, dtype))
+        k = controls - jnp.sum(gains * reference.x[:-1, None, :], axis=-1)
+        full = jnp.zeros((self.horizon, U, size), dtype).at[:, :, index].set(gains)
+        out_of_time = search.status == _RUNNING
+        return Plan(
+            states=stack_state(reference.position, reference.velocity),
+            controls=controls,
+            policy=LQRPolicy(full, k),
+            beliefs=reference.beliefs,
+            cost=search.cost,
+            status=jnp.where(out_of_time, PlanStatus.ITERATION_LIMIT, search.status),
+            iterations=search.iteration,
+        )
+
+    def _nothing(self, control_size: int, dtype: jnp.dtype) -> Float[Array, "H U"]:
+        """No force, or the nearest that the limits allow."""
+        zero = jnp.zeros((self.horizon, control_size), dtype)
+        return zero if self.limits is None else self.limits(zero).astype(dtype)
+
+
+class _Search(eqx.Module):
+    """Where the search stands: the best rollout so far and what to try next."""
+
+    reference: Rollout
+    cost: Float[Array, ""]
+    """Of the reference; infinite as long as there is none."""
+    improvement: Improvement
+    """Around the reference, at the present damping."""
+    trial: LQRPolicy
+    damping: Float[Array, ""]
+    attempt: Int[Array, ""]
+    """Which of the step sizes the trial takes."""
+    iteration: Int[Array, ""]
+    status: Int[Array, ""]
+
+
+def _part_of(cost: QuadraticCost, index: Int[Array, " m"], horizon: int) -> QuadraticCost:
+    """The cost on the involved nodes, in `block_state`'s order, one matrix a step."""
+    Q, R, goal = cost.over(horizon)
+    return QuadraticCost(Q[:, index[:, None], index[None, :]], R, goal[:, index])
+
+
+def _adapted(
+    damping: Float[Array, ""], accepted: Bool[Array, ""], exhausted: Bool[Array, ""]
+) -> Float[Array, ""]:
+    """Less damping after a success, down to none; more when no step size has helped."""
+    lower = jnp.where(damping > _FIRST_DAMPING, damping / _DAMPING_FACTOR, 0.0)
+    higher = jnp.maximum(damping * _DAMPING_FACTOR, _FIRST_DAMPING)
+    return jnp.where(accepted, lower, jnp.where(exhausted, higher, damping))
+
+
+def _trial_policy(
+    reference: Rollout, improvement: Improvement, step_size: Float[Array, ""]
+) -> LQRPolicy:
+    """Part of the step, with full feedback on how the states come out different."""
+    K = improvement.policy.K
+    k = reference.controls + step_size * improvement.step
+    return LQRPolicy(K, k - jnp.sum(K * reference.x[:-1, None, :], axis=-1))

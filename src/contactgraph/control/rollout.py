@@ -1,0 +1,93 @@
+"""Predicting a policy's future: states, controls and, for free, the linearisation along them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from contactgraph.control.control_step import ControlLimits
+from contactgraph.control.lqr import LQRPolicy
+from contactgraph.control.step_model import StepModel
+from contactgraph.model import ContactBelief, LinearDynamics, ModelState, Nodes
+
+
+class Rollout(eqx.Module):
+    """``H`` predicted steps. The dynamics and ``x`` are those of the ``M`` nodes with a cost."""
+
+    position: Float[Array, "H+1 N D"]
+    velocity: Float[Array, "H+1 N D"]
+    beliefs: ContactBelief
+    """[H, E, K]"""
+    x: Float[Array, "H+1 m"]
+    """`block_state` of the M nodes, ``m = 2MD``."""
+    controls: Float[Array, "H U"]
+    dynamics: LinearDynamics
+    """[H, M, D, …]"""
+
+    def finite(self) -> Array:
+        """Whether every predicted number is."""
+        motion = jnp.all(jnp.isfinite(self.position)) & jnp.all(jnp.isfinite(self.velocity))
+        return motion & jnp.all(jnp.isfinite(self.controls))
+
+
+def block_state(
+    position: Float[Array, "N D"], velocity: Float[Array, "N D"], involved: Int[Array, " M"]
+) -> Float[Array, " m"]:
+    """[position, velocity] of each degree of freedom of the M nodes, one after the other.
+
+    The order in which the dynamics are block diagonal; `block_index` leads back to `stack_state`.
+    """
+    return jnp.stack([position[involved], velocity[involved]], axis=-1).reshape(-1)
+
+
+def block_index(involved: Int[Array, " M"], dimension: int) -> Int[Array, " m"]:
+    """Where the entries of `block_state` are in `stack_state`'s vector of all nodes."""
+    dof = jnp.arange(dimension)[None, :, None]
+    part = jnp.arange(2)[None, None, :]
+    return ((involved[:, None, None] * 2 + part) * dimension + dof).reshape(-1)
+
+
+def block_product(A: Float[Array, "M D 2 2"], X: Float[Array, "m c"]) -> Float[Array, "m c"]:
+    """``A^T X`` for block diagonal A: 2 m c products, where the dense form takes m^2 c."""
+    blocks = A.reshape(-1, 2, 2)
+    rows = X.reshape(blocks.shape[0], 2, -1)
+    first = blocks[:, 0, :, None] * rows[:, 0, None, :]
+    second = blocks[:, 1, :, None] * rows[:, 1, None, :]
+    return (first + second).reshape(X.shape)
+
+
+def roll_out(
+    model: StepModel,
+    start: ModelState,
+    nodes: Nodes,
+    policy: LQRPolicy,
+    limits: ControlLimits | None,
+    involved: Int[Array, " M"],
+) -> Rollout:
+    """Follow a policy on ``block_state`` for H steps through the model, in one scan."""
+
+    def advance(state: ModelState, stage: LQRPolicy) -> tuple[ModelState, Rollout]:
+        linear, belief = model.linear_step(state, nodes)
+        x = block_state(state.position, state.velocity, involved)
+        # A sum rather than a product with K: it fuses with what is around it.
+        u = jnp.sum(stage.K * x, axis=-1) + stage.k
+        u = u if limits is None else limits(u)
+        position, velocity = linear(state.position, state.velocity, u)
+        after = _like(ModelState(position, velocity, belief), state)
+        part = jax.tree.map(lambda block: block[involved].astype(x.dtype), linear)
+        return after, Rollout(after.position, after.velocity, after.belief, x, u, part)
+
+    last, steps = jax.lax.scan(advance, start, policy)
+    return Rollout(
+        position=jnp.concatenate([start.position[None], steps.position]),
+        velocity=jnp.concatenate([start.velocity[None], steps.velocity]),
+        beliefs=steps.beliefs,
+        x=jnp.concatenate([steps.x, block_state(last.position, last.velocity, involved)[None]]),
+        controls=steps.controls,
+        dynamics=steps.dynamics,
+    )
+
+
+def _like(state: ModelState, other: ModelState) -> ModelState:
+    """In the other's number types: a model of float32 may meet states of float64."""
+    return jax.tree.map(lambda value, old: value.astype(old.dtype), state, other)

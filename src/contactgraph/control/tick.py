@@ -1,0 +1,118 @@
+"""One tick of model predictive control, as a pure function: what `MPC` compiles."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.ilqr import ILQR
+from contactgraph.control.plan import Plan, PlanStatus, shift_plan
+from contactgraph.control.step_model import StepModel
+from contactgraph.model import (
+    ContactBelief,
+    ContactSensor,
+    ModelState,
+    Nodes,
+    correct,
+    stack_state,
+)
+
+
+class MPCState(eqx.Module):
+    """What is carried from tick to tick. `dataclasses.replace` it to change cost or nodes."""
+
+    nodes: Nodes
+    cost: QuadraticCost
+    belief: ContactBelief
+    """About the step that leads to the next observation, not yet corrected by its contacts."""
+    plan: Plan
+    """The running plan, as of the last observation."""
+    unplanned: Int[Array, ""]
+    """Ticks since a plan was made."""
+    fresh: Bool[Array, ""]
+    """True until the first tick: the plan starts at the coming observation, not before it."""
+
+
+class Controller(eqx.Module):
+    """The parts that a tick needs."""
+
+    model: StepModel
+    ilqr: ILQR
+    sensor: ContactSensor
+    replan_every: int = eqx.field(static=True)
+    """Ticks from plan to plan; in between the running plan's feedback acts."""
+
+    def tick(
+        self,
+        state: MPCState,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        contact: Float[Array, " E"],
+    ) -> tuple[Plan, MPCState]:
+        """Correct the belief, then plan, or follow the running plan where that is called for."""
+        mask = state.nodes.mask[:, None]
+        # What padding holds must not matter, not even where it is NaN.
+        position = jnp.where(mask, position, 0.0)
+        velocity = jnp.where(mask, velocity, 0.0)
+        usable = jnp.all(jnp.isfinite(position)) & jnp.all(jnp.isfinite(velocity))
+        running = self.running_plan(state)
+        belief = correct(state.belief, contact, self.sensor)
+        now = ModelState(position, velocity, belief)
+        due = state.unplanned >= self.replan_every
+
+        def keep() -> Plan:
+            return running.with_status(PlanStatus.BAD_OBSERVATION)
+
+        def follow() -> Plan:
+            return self._followed(running, now, state)
+
+        def replan() -> Plan:
+            plan = self.ilqr.solve(self.model, now, state.nodes, state.cost, running.policy)
+            kept = running.with_status(PlanStatus.NOT_FINITE)
+            failed = plan.status == PlanStatus.NOT_FINITE
+            return jax.tree.map(lambda new, old: jnp.where(failed, old, new), plan, kept)
+
+        if self.replan_every == 1:
+            plan = jax.lax.cond(usable, replan, keep)
+        else:
+            branch = jnp.where(usable, jnp.where(due, 2, 1), 0)
+            plan = jax.lax.switch(branch, [keep, follow, replan])
+        planned = plan.status <= PlanStatus.NO_DESCENT
+        after = MPCState(
+            nodes=state.nodes,
+            cost=state.cost,
+            belief=jax.tree.map(lambda value: value[0], plan.beliefs),
+            plan=plan,
+            unplanned=jnp.where(planned, 1, state.unplanned + 1),
+            fresh=jnp.zeros((), bool),
+        )
+        return plan, after
+
+    def running_plan(self, state: MPCState) -> Plan:
+        """The last plan, from the present on."""
+        shifted = shift_plan(state.plan)
+        plan = jax.tree.map(lambda old, new: jnp.where(state.fresh, old, new), state.plan, shifted)
+        if self.ilqr.limits is None:
+            return plan
+        # Limits that exclude zero, or were tightened since, bind the old plan too.
+        return eqx.tree_at(lambda p: p.controls, plan, self.ilqr.limits(plan.controls))
+
+    def _followed(self, running: Plan, now: ModelState, state: MPCState) -> Plan:
+        """The running plan with its feedback on what was observed, and the belief it implies."""
+        x = stack_state(now.position, now.velocity)
+        control = running.policy.K[0] @ x + running.policy.k[0]
+        control = jnp.where(jnp.isfinite(control), control, running.controls[0])
+        control = control if self.ilqr.limits is None else self.ilqr.limits(control)
+        _, belief = self.model.linear_step(now, state.nodes)
+        beliefs = jax.tree.map(
+            lambda old, new: old.at[0].set(jnp.where(jnp.isfinite(new), new, old[0])),
+            running.beliefs,
+            belief,
+        )
+        followed = running.with_status(PlanStatus.FOLLOWED)
+        return eqx.tree_at(
+            lambda plan: (plan.states, plan.controls, plan.beliefs),
+            followed,
+            (running.states.at[0].set(x), running.controls.at[0].set(control), beliefs),
+        )
