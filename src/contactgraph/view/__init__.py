@@ -1,1 +1,10 @@
-"""Pictures of what was learned: the report page."""
+"""Pictures of what was learned: the report page, an animation of a run, a still for a README."""
+
+from contactgraph.view.animation import write_animation as write_animation
+from contactgraph.view.report import write_report as write_report
+from contactgraph.view.report_data import LossCurve as LossCurve
+from contactgraph.view.report_data import NStepError as NStepError
+from contactgraph.view.report_data import Number as Number
+from contactgraph.view.report_data import ReportData as ReportData
+from contactgraph.view.scene_run import SceneRun as SceneRun
+from contactgraph.view.still import write_still as write_still

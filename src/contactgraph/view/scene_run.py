@@ -1,0 +1,174 @@
+"""One run of a scene, with what the model believed and learned along the way."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Trajectory
+
+_DEFAULT_RADIUS = 0.04
+
+
+@dataclass(frozen=True, eq=False)
+class SceneRun:
+    """One run of ``T`` steps with ``N`` nodes, ``D`` degrees of freedom, ``E`` edges, to be drawn.
+
+    Pictures show the first two degrees of freedom. Numbers that are not finite are drawn as gaps.
+    Raises `InvalidInputError` where a shape does not fit.
+    """
+
+    name: str
+    """What a reader picks the run by, e.g. ``"3 distractors"``."""
+    dt: float
+    """Time between two steps, s."""
+    node_name: tuple[str, ...]
+    """[N]"""
+    node_type: tuple[str, ...]
+    """[N]"""
+    actuated: np.ndarray
+    """[N] bool: which nodes the control acts on; the force is drawn there."""
+    radius: np.ndarray
+    """[N] m"""
+    position: np.ndarray
+    """[T+1, N, D] m, D >= 2."""
+    velocity: np.ndarray
+    """[T+1, N, D] m/s."""
+    control: np.ndarray
+    """[T, U] N; drawn as an arrow where U >= 2."""
+    edges: np.ndarray
+    """[E, 2] int: the two nodes of each edge."""
+    belief: np.ndarray
+    """[T, E] probability that the edge is active in step ``t``, which leads from state t to t+1."""
+    goal: np.ndarray | None = None
+    """[D] m"""
+    goal_radius: float = 0.1
+    """m: how close to the goal is close enough."""
+    contact: np.ndarray | None = None
+    """[T+1, E] bool: true contact at each state. None: not known."""
+    inverse_mass: np.ndarray | None = None
+    """[T, N] 1/kg, learned; mean over degrees of freedom."""
+    stiffness: np.ndarray | None = None
+    """[T, N] N/m, learned; mean over degrees of freedom."""
+    damping: np.ndarray | None = None
+    """[T, N] N s/m, learned; mean over degrees of freedom."""
+    plan: np.ndarray | None = None
+    """[T, H+1, N, D] m: where the plan made at step t puts every node; NaN where there is none."""
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "position", "velocity", "control", "belief"):
+            self._set(name, np.asarray(getattr(self, name), dtype=np.float64))
+        self._set("actuated", np.asarray(self.actuated, dtype=bool))
+        self._set("edges", np.asarray(self.edges, dtype=np.int64).reshape(-1, 2))
+        for name in ("goal", "inverse_mass", "stiffness", "damping", "plan"):
+            if getattr(self, name) is not None:
+                self._set(name, np.asarray(getattr(self, name), dtype=np.float64))
+        if self.contact is not None:
+            self._set("contact", np.asarray(self.contact, dtype=bool))
+        self._check()
+
+    def _set(self, name: str, value: np.ndarray) -> None:
+        object.__setattr__(self, name, value)
+
+    def _check(self) -> None:
+        shape = self.position.shape
+        if len(shape) != 3 or shape[0] < 2 or shape[1] < 1 or shape[2] < 2:
+            raise InvalidInputError(
+                f"run {self.name!r}: position must have shape (T+1, N, D) with T >= 1, N >= 1 and "
+                f"D >= 2, found {shape}"
+            )
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise InvalidInputError(
+                f"run {self.name!r}: dt must be a positive number of seconds, found {self.dt}"
+            )
+        steps, nodes, dimension = self.steps, self.node_count, self.position.shape[2]
+        shapes = {
+            "actuated": (nodes,),
+            "radius": (nodes,),
+            "velocity": (steps + 1, nodes, dimension),
+            "control": (steps, *self.control.shape[1:2]),
+            "belief": (steps, self.edge_count),
+            "goal": (dimension,),
+            "contact": (steps + 1, self.edge_count),
+            "inverse_mass": (steps, nodes),
+            "stiffness": (steps, nodes),
+            "damping": (steps, nodes),
+        }
+        if self.plan is not None:
+            shapes["plan"] = (steps, *self.plan.shape[1:2], nodes, dimension)
+        for name, valid in shapes.items():
+            value = getattr(self, name)
+            if value is not None and value.shape != valid:
+                raise InvalidInputError(
+                    f"run {self.name!r}: {name} must have shape {valid}, found {value.shape}"
+                )
+        for name in ("node_name", "node_type"):
+            if len(getattr(self, name)) != nodes:
+                raise InvalidInputError(
+                    f"run {self.name!r}: {name} must have one entry a node ({nodes}), "
+                    f"found {len(getattr(self, name))}"
+                )
+        if self.edges.size and (self.edges.min() < 0 or self.edges.max() >= nodes):
+            raise InvalidInputError(f"run {self.name!r}: edges must name nodes 0 to {nodes - 1}")
+
+    @property
+    def steps(self) -> int:
+        """T, the number of steps."""
+        return self.position.shape[0] - 1
+
+    @property
+    def node_count(self) -> int:
+        """N, the number of nodes."""
+        return self.position.shape[1]
+
+    @property
+    def edge_count(self) -> int:
+        """E, the number of edges."""
+        return self.edges.shape[0]
+
+    def edge_name(self, edge: int) -> str:
+        """The two nodes an edge joins, in words."""
+        first, second = self.edges[edge]
+        return f"{self.node_name[first]} and {self.node_name[second]}"
+
+    @classmethod
+    def from_trajectory(
+        cls,
+        name: str,
+        trajectory: Trajectory,
+        edges: np.ndarray,
+        belief: np.ndarray,
+        *,
+        goal_radius: float = 0.1,
+        inverse_mass: np.ndarray | None = None,
+        stiffness: np.ndarray | None = None,
+        damping: np.ndarray | None = None,
+        plan: np.ndarray | None = None,
+    ) -> "SceneRun":
+        """A recorded run beside what a model made of it; see the fields for shapes and units.
+
+        Where the scene has no radius, circles of 0.04 m are drawn.
+        """
+        scene = trajectory.scene
+        edges = np.asarray(edges, dtype=np.int64).reshape(-1, 2)
+        contact = trajectory.contact
+        radius = scene.radius
+        return cls(
+            name=name,
+            dt=scene.dt,
+            node_name=scene.node_name,
+            node_type=scene.node_type,
+            actuated=scene.actuated,
+            radius=np.full(scene.node_count, _DEFAULT_RADIUS) if radius is None else radius,
+            position=trajectory.position,
+            velocity=trajectory.velocity,
+            control=trajectory.control,
+            edges=edges,
+            belief=belief,
+            goal=scene.goal,
+            goal_radius=goal_radius,
+            contact=None if contact is None else contact[:, edges[:, 0], edges[:, 1]],
+            inverse_mass=inverse_mass,
+            stiffness=stiffness,
+            damping=damping,
+            plan=plan,
+        )

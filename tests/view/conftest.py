@@ -1,0 +1,13 @@
+import pytest
+from synthetic_pickup import pickup, report
+
+
+@pytest.fixture(scope="session")
+def run():
+    """A pickup past three bystanders."""
+    return pickup("3 distractors", 3, steps=60, horizon=5, seed=3)
+
+
+@pytest.fixture(scope="session")
+def data(run):
+    return report((run, pickup("no distractors", 0, steps=60, horizon=5)))
