@@ -25,13 +25,11 @@ _SIDE_INCHES, _HEAD_INCHES, _DOTS_PER_INCH = 4.8, 0.4, 100
 def write_animation(path: str | Path, run: SceneRun) -> None:
     """Write ``run`` in real time to a ``.gif`` or ``.mp4`` file, whole or not at all.
 
-    Raises `InvalidInputError` for another ending, and for ``.mp4`` where there is no ffmpeg.
+    Raises `InvalidInputError` as `check_animation` does.
     """
     path = Path(path)
-    ending = path.suffix.lower()
-    if ending not in (".gif", ".mp4"):
-        raise InvalidInputError(f"video: {path} must end in .gif or .mp4, found {ending!r}")
-    program = _ffmpeg(path) if ending == ".mp4" else ""
+    check_animation(path)
+    program = _ffmpeg(path) if path.suffix.lower() == ".mp4" else ""
     states = frame_states(run)
     seconds = run.dt * states.step
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -44,6 +42,15 @@ def write_animation(path: str | Path, run: SceneRun) -> None:
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def check_animation(path: Path) -> None:
+    """Raise `InvalidInputError` for an ending not known, or ``.mp4`` where there is no ffmpeg."""
+    ending = path.suffix.lower()
+    if ending not in (".gif", ".mp4"):
+        raise InvalidInputError(f"video: {path} must end in .gif or .mp4, found {ending!r}")
+    if ending == ".mp4":
+        _ffmpeg(path)
 
 
 def frame_states(run: SceneRun) -> range:

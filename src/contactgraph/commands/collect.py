@@ -1,0 +1,62 @@
+"""``contactgraph collect``: record runs of a task."""
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True)
+class Collect:
+    """Record runs of a task by its scripted expert, and write them to a dataset file."""
+
+    task: Positional[str]
+    """The task: pickup."""
+    out: Path
+    """The file to write (HDF5)."""
+    episodes: int = 40
+    """How many runs."""
+    seed: int = 0
+    """The same seed records the same runs."""
+    distractors: int = 0
+    """Objects that stand by, 0 to 20."""
+    objects: int | None = None
+    """Objects to handle, where the task has a choice."""
+    exploration: float = 0.0
+    """Share of runs with random forces in place of the expert."""
+    resting: float = 0.0
+    """Share of runs without any force."""
+
+    def run(self) -> None:
+        """Record and write."""
+        from contactgraph.commands.names import EXPERTS, looked_up, task_factory
+        from contactgraph.commands.output import check_writable, progress, say
+        from contactgraph.data import InvalidInputError, write_trajectories
+        from contactgraph.evaluate import collect
+        from contactgraph.tasks import ExplorationPolicy, RestPolicy
+
+        factory = task_factory(self.task, self.distractors, self.objects)
+        if self.episodes < 1:
+            raise InvalidInputError(f"--episodes must be at least 1, found {self.episodes}")
+        shares = {"--exploration": self.exploration, "--resting": self.resting}
+        for name, share in shares.items():
+            if not 0.0 <= share <= 1.0:
+                raise InvalidInputError(f"{name} must be 0 to 1, found {share}")
+        if self.exploration + self.resting > 1.0:
+            raise InvalidInputError("--exploration and --resting together must not exceed 1")
+        check_writable(self.out)
+        explores = round(self.exploration * self.episodes)
+        rests = round(self.resting * self.episodes)
+        expert = looked_up("task", self.task, EXPERTS)
+        policies = [expert() for _ in range(self.episodes - explores - rests)]
+        policies += [ExplorationPolicy() for _ in range(explores)]
+        policies += [RestPolicy() for _ in range(rests)]
+        with progress("collecting", self.episodes) as steps:
+            done = itertools.count(1)
+            runs = collect(
+                factory, policies, self.episodes, self.seed, lambda _: steps.advance(next(done))
+            )
+        metadata = {"task": self.task, "seed": self.seed, "distractors": self.distractors}
+        write_trajectories(self.out, runs, metadata)
+        say(f"{self.out}: {len(runs)} runs of {self.task}, seed {self.seed}")

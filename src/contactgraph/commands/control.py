@@ -1,0 +1,94 @@
+"""``contactgraph control``: a model in closed loop with a task."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True)
+class Control:
+    """Control a task through contact by iLQR-MPC with a learned model, episode after episode."""
+
+    run_name: Positional[str]
+    """A run folder, a model file, or a model that ships with the package (pickup)."""
+    task: Positional[str]
+    """The task: pickup."""
+    episodes: int = 100
+    """How many episodes."""
+    seed: int = 0
+    """The same seed gives the same episodes."""
+    distractors: int = 0
+    """Objects that stand by, 0 to 20."""
+    objects: int | None = None
+    """Objects to handle, where the task has a choice."""
+    horizon: int = 20
+    """Steps to plan ahead."""
+    replan_every: int = 1
+    """Steps between plans; feedback acts in between."""
+    deadline_ms: float | None = None
+    """A plan that takes longer, in ms, is not used; the last one is."""
+    json: Path | None = None
+    """Write the measurements to this file."""
+    video: Path | None = None
+    """Write the first episode as an animation to this file (.gif, or .mp4 with ffmpeg)."""
+    save: Path | None = None
+    """Write the episodes to this dataset file (HDF5)."""
+
+    def run(self) -> None:
+        """Run the episodes and say how they went."""
+        from contactgraph.commands.names import model_path, task_factory
+        from contactgraph.commands.output import check_writable, progress, say, write_json
+        from contactgraph.data import Dataset, InvalidInputError, Trajectory, write_trajectories
+        from contactgraph.evaluate import EpisodeRecord, control_task, evaluate_open_loop
+        from contactgraph.model.storage import load_model
+        from contactgraph.reproduce.scenes import scene_run
+        from contactgraph.view.animation import check_animation, write_animation
+
+        for path in (self.json, self.video, self.save):
+            check_writable(path)
+        if self.video is not None:
+            check_animation(self.video)
+        if self.episodes < 1:
+            raise InvalidInputError(f"--episodes must be at least 1, found {self.episodes}")
+        factory = task_factory(self.task, self.distractors, self.objects)
+        model = load_model(model_path(self.run_name)).model
+        done: list[tuple[Trajectory, EpisodeRecord]] = []
+
+        with progress("controlling", self.episodes) as steps:
+
+            def on_episode(run: Trajectory, record: EpisodeRecord) -> None:
+                done.append((run, record) if not done else (run, done[0][1]))
+                steps.advance(len(done))
+
+            metrics, runs = control_task(
+                model,
+                factory,
+                self.episodes,
+                self.seed,
+                horizon=self.horizon,
+                replan_every=self.replan_every,
+                deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
+                on_episode=on_episode,
+            )
+        dataset = Dataset(tuple(runs), {"task": self.task, "seed": self.seed})
+        values = {"run": self.run_name, "task": self.task, "distractors": self.distractors}
+        values |= evaluate_open_loop(model, dataset).to_json() | metrics.to_json()
+        if self.save is not None:
+            write_trajectories(self.save, runs, dataset.metadata)
+        if self.video is not None:
+            name = f"{self.task}, {self.distractors} distractors"
+            write_animation(self.video, scene_run(model, name, done[0][0], done[0][1].plan))
+        write_json(self.json, values)
+        low, high = metrics.success_interval
+        say(
+            f"success                    {100 * metrics.success_rate:.0f} % of "
+            f"{metrics.episodes} episodes (95 %: {100 * low:.0f} to {100 * high:.0f})"
+        )
+        say(f"speed at contact, median   {metrics.contact_speed_m_s or float('nan'):.2f} m/s")
+        say(f"touched a bystander        {metrics.touched_bystanders} episodes")
+        say(
+            f"control tick               {metrics.plan_ms_p50:.2f} ms median, "
+            f"{metrics.plan_ms_p99:.2f} ms 99 %"
+        )
+        say(f"planned against executed   {100 * values['n_step_rmse_m']:.3f} cm")

@@ -1,0 +1,60 @@
+"""``contactgraph evaluate``: how well a model predicts recorded runs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Predict recorded runs half a second ahead from every state, and measure the errors."""
+
+    run_name: Positional[str]
+    """A run folder, a model file, or a model that ships with the package (pickup)."""
+    data: Positional[Path]
+    """A dataset file (HDF5)."""
+    json: Path | None = None
+    """Write the measurements to this file."""
+
+    def run(self) -> None:
+        """Evaluate and say."""
+        from contactgraph.commands.names import model_path
+        from contactgraph.commands.output import check_writable, say, write_json
+        from contactgraph.data import read_trajectories
+        from contactgraph.evaluate import evaluate_open_loop
+        from contactgraph.model.storage import load_model
+
+        check_writable(self.json)
+        model = load_model(model_path(self.run_name)).model
+        dataset = read_trajectories(self.data)
+        metrics = evaluate_open_loop(model, dataset).to_json()
+        values = {"run": self.run_name, "data": str(self.data), **metrics}
+        write_json(self.json, values)
+        for line in _lines(values):
+            say(line)
+
+
+def _lines(values: dict) -> list[str]:
+    def centimetres(name: str) -> str:
+        value = values.get(name)
+        return "unknown" if value is None else f"{100 * value:.3f} cm"
+
+    def share(name: str) -> str:
+        value = values.get(name)
+        return "unknown" if value is None else f"{value:.4f}"
+
+    switch = values.get("switch_time_error_s")
+    return [
+        f"error over {values['n_steps']} steps      {centimetres('n_step_rmse_m')}",
+        f"  bodies that move         {centimetres('n_step_rmse_moving_m')}",
+        f"  contact changes          {centimetres('n_step_rmse_contact_m')}",
+        f"  contact does not change  {centimetres('n_step_rmse_free_m')}",
+        f"floor: frozen contact      {centimetres('frozen_contact_rmse_m')}",
+        f"floor: constant velocity   {centimetres('constant_velocity_rmse_m')}",
+        f"edges: precision {share('edge_precision')}, recall {share('edge_recall')}, "
+        f"F1 {share('edge_f1')}",
+        f"edges without measured contacts: F1 {share('edge_f1_unmeasured')}",
+        "contact begins             "
+        + ("unknown" if switch is None else f"{1000 * switch:.1f} ms off, mean"),
+    ]

@@ -1,0 +1,74 @@
+"""The names a user types, and what they stand for. Strings are looked up here and nowhere else."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from contactgraph.data import InvalidInputError
+from contactgraph.model import full_ab, gim_non_temp, gim_temp, no_gim
+from contactgraph.tasks import PickupTask
+from contactgraph.tasks.contract import Policy, Task
+from contactgraph.tasks.expert import PickupExpert
+
+Value = TypeVar("Value")
+
+MODELS = {
+    "gim-temp": gim_temp,
+    "gim-non-temp": gim_non_temp,
+    "no-gim": no_gim,
+    "full-ab": full_ab,
+}
+EXPERTS: dict[str, Callable[[], Policy]] = {"pickup": PickupExpert}
+_SHIPPED = Path(__file__).resolve().parent.parent / "pretrained"
+
+
+def looked_up(what: str, name: str, table: dict[str, Value]) -> Value:
+    """The table's entry; where there is none, an error that lists those there are."""
+    if name not in table:
+        raise InvalidInputError(f"{what} must be one of {', '.join(table)}; found {name!r}")
+    return table[name]
+
+
+def task_factory(name: str, distractors: int, objects: int | None) -> Callable[[], Task]:
+    """Makes a task's environment. Raises `InvalidInputError` for names and counts that no task has.
+
+    `objects` None is the task's own number.
+    """
+
+    def pickup() -> Task:
+        if objects not in (None, 1):
+            raise InvalidInputError(f"--objects: pickup has 1 object, found {objects}")
+        return PickupTask(distractors=distractors)
+
+    factory = looked_up("task", name, {"pickup": pickup})
+    factory()  # a wrong count is refused before anything is begun
+    return factory
+
+
+def model_path(run: str) -> Path:
+    """The model file of a run folder, a model file itself, or a model that ships with the package.
+
+    Raises `InvalidInputError` where there is none.
+    """
+    path = Path(run)
+    if path.is_file():
+        return path
+    if path.is_dir():
+        inside = path / "model.safetensors"
+        if inside.is_file():
+            return inside
+        raise InvalidInputError(
+            f"{run}: has no model.safetensors; it must be a folder that train has made"
+        )
+    shipped = _SHIPPED / f"{run}.safetensors"
+    if run in shipped_models():
+        return shipped
+    raise InvalidInputError(
+        f"{run}: no such run folder or model file; models that ship are "
+        f"{', '.join(shipped_models())}"
+    )
+
+
+def shipped_models() -> list[str]:
+    """Names of the models that come with the package."""
+    return sorted(path.stem for path in _SHIPPED.glob("*.safetensors"))

@@ -1,0 +1,95 @@
+"""What commands print and write: lines for people, JSON for programs, progress for the patient."""
+
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from contactgraph.data import InvalidInputError, replacing
+
+
+def say(text: str) -> None:
+    """One plain line on standard output."""
+    print(text, flush=True)
+
+
+def check_writable(path: Path | None) -> None:
+    """Refuse, before any work is done, a file that could not be written in the end."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise InvalidInputError(f"{path}: must be a file, found a folder")
+    if not path.absolute().parent.is_dir():
+        raise InvalidInputError(f"{path}: folder {path.parent} does not exist")
+
+
+def write_json(path: Path | None, values: Mapping[str, Any]) -> None:
+    """Write a JSON object to a file, whole or not at all; nothing where no file is named.
+
+    What is not finite is null: JSON has no word for it.
+    """
+    if path is None:
+        return
+    text = json.dumps(_finite(values), indent=2, allow_nan=False) + "\n"
+    with replacing(path) as temporary:
+        temporary.write_text(text)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+class Steps:
+    """Progress over a known number of steps."""
+
+    def advance(self, done: int, note: str = "") -> None:
+        """So many steps are done; `note` says how it stands."""
+
+
+class _Bar(Steps):
+    def __init__(self, progress: Progress, task: Any) -> None:
+        self._progress, self._task = progress, task
+
+    def advance(self, done: int, note: str = "") -> None:
+        self._progress.update(self._task, completed=done, note=note)
+
+
+class _Lines(Steps):
+    def __init__(self, title: str, total: int) -> None:
+        self._title, self._total, self._said = title, total, 0.0
+
+    def advance(self, done: int, note: str = "") -> None:
+        share = done / self._total
+        if share >= self._said + 0.1 or done == self._total:
+            self._said = share
+            print(f"{self._title}: {done} of {self._total} {note}".rstrip(), file=sys.stderr)
+
+
+@contextmanager
+def progress(title: str, total: int) -> Iterator[Steps]:
+    """A bar with an estimate on a terminal, a plain line every tenth elsewhere; on stderr."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _Lines(title, total)
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    with Progress(*columns, console=console) as bar:
+        yield _Bar(bar, bar.add_task(title, total=total, note=""))

@@ -1,0 +1,8 @@
+"""stub"""
+
+from dataclasses import dataclass
+
+
+@dataclass
+class Report:
+    def run(self): ...

@@ -1,0 +1,133 @@
+"""``contactgraph train``: fit a model to recorded runs."""
+
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True)
+class Train:
+    """Fit a model to the runs of a dataset file. Contact labels in it are not read."""
+
+    data: Positional[Path]
+    """The dataset file (HDF5)."""
+    out: Path
+    """The folder of the run; new, or with --resume the one to go on with."""
+    model: str = "gim-temp"
+    """gim-temp, gim-non-temp, no-gim or full-ab."""
+    seed: int = 0
+    """One seed makes one result."""
+    resume: bool = False
+    """Go on from the last checkpoint of the run, with the settings it was begun with."""
+    contact_distance: float = 0.1
+    """About where bodies touch, centre to centre, in m (the paper's d_th)."""
+    held_out: float = 0.15
+    """Share of the runs kept from training, to choose the best model by."""
+    steps: int = 2000
+    """Optimiser steps."""
+    batch_size: int = 32
+    """Windows a step."""
+    window_length: int = 8
+    """Steps of a window."""
+    learning_rate: float = 3e-3
+    """Highest learning rate."""
+    event_fraction: float = 0.6
+    """Share of windows that hold an impact."""
+    bystanders: int = 1
+    """Resting bodies put into every window."""
+
+    def run(self) -> None:
+        """Train, saving checkpoints on the way."""
+        import jax
+
+        from contactgraph.commands.names import MODELS, looked_up
+        from contactgraph.commands.output import progress, say
+        from contactgraph.commands.provenance import provenance, sha256
+        from contactgraph.data import InvalidInputError, read_trajectories, split_by_run
+        from contactgraph.model.storage import save_model
+        from contactgraph.train import FitProgress, FitStatus, Recipe, RunFolder, fit, initial_state
+
+        folder = RunFolder(self.out)
+        told = self._settled(folder.config()) if self.resume else self
+        if told.seed < 0:
+            raise InvalidInputError(f"--seed must be at least 0, found {told.seed}")
+        if not told.contact_distance > 0:
+            raise InvalidInputError(
+                f"--contact-distance must be positive metres, found {told.contact_distance}"
+            )
+        build = looked_up("--model", told.model, MODELS)
+        recipe = Recipe(**{name: getattr(told, name) for name in _RECIPE})
+        dataset = read_trajectories(self.data)
+        checksum = sha256(self.data)
+        train, held_out = split_by_run(dataset, told.held_out, told.seed)
+        model = build(
+            dataset.dimension,
+            dataset.control_size,
+            dataset.dt,
+            told.contact_distance,
+            key=jax.random.key(told.seed),
+        )
+        state = initial_state(model, recipe, told.seed)
+        if self.resume:
+            if folder.config().get("data_sha256") != checksum:
+                raise InvalidInputError(f"{self.data}: not the data that {self.out} was begun with")
+            state = folder.latest(state)
+        else:
+            config = {**asdict(told), "data": str(self.data), "out": str(self.out)}
+            folder.create({**config, "data_sha256": checksum, **provenance()})
+        summary = {
+            "command": f"contactgraph train {self.data.name} --model {told.model} --seed {told.seed}",
+            "seed": told.seed,
+            "runs": len(train),
+            "held_out_runs": len(held_out),
+            "data": dataset.metadata,
+            "data_sha256": checksum,
+            **provenance(),
+        }
+
+        with progress("training", recipe.steps) as steps:
+
+            def on_check(check: FitProgress) -> None:
+                folder.save(check)
+                best = float(check.state.best_error)
+                save_model(
+                    folder.model_path,
+                    check.state.best_model,
+                    {**summary, "step": check.step, "held_out_rmse_m": best},
+                )
+                steps.advance(check.step, f"held-out error {100 * best:.3f} cm")
+
+            result = fit(state, train, held_out, recipe, on_check)
+        if result.status is FitStatus.not_finite:
+            raise InvalidInputError(f"{self.out}: {result.status.value}")
+        say(
+            f"{folder.model_path}: held-out error {100 * result.held_out_rmse_m:.3f} cm over "
+            f"{recipe.window_length} steps; {result.status.value}"
+        )
+
+    def _settled(self, config: dict) -> "Train":
+        """The settings the run was begun with."""
+        from contactgraph.data import InvalidInputError
+
+        told = {}
+        for setting in fields(self):
+            if setting.name in ("data", "out", "resume"):
+                continue
+            if type(config.get(setting.name)) is not type(setting.default):
+                raise InvalidInputError(
+                    f"{self.out / 'config.json'}: {setting.name} must be like "
+                    f"{setting.default!r}, found {config.get(setting.name)!r}"
+                )
+            told[setting.name] = config[setting.name]
+        return Train(data=self.data, out=self.out, **told)
+
+
+_RECIPE = (
+    "steps",
+    "batch_size",
+    "window_length",
+    "learning_rate",
+    "event_fraction",
+    "bystanders",
+)

@@ -1,0 +1,207 @@
+"""The training loop: many steps in one compiled call, a look at held-out runs in between."""
+
+import dataclasses
+import enum
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from contactgraph.data.dataset import Dataset
+from contactgraph.data.padding import pad_runs
+from contactgraph.data.windows import window_weights
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.train.batch import Window, WindowSource, window_source
+from contactgraph.train.bystanders import add_bystander, bodies_rest
+from contactgraph.train.loss import LossTerms, rollout_rmse, window_loss
+from contactgraph.train.recipe import Recipe
+
+_HELD_OUT_WINDOWS = 256
+
+
+class FitStatus(enum.Enum):
+    """How training ended; the value is what a user reads."""
+
+    finished = "all steps done"
+    stopped_early = "the held-out error no longer fell"
+    not_finite = "the loss became infinite or not a number; a lower learning rate may help"
+
+
+class FitState(eqx.Module):
+    """All that training carries from step to step: saved and restored, it goes on bit for bit."""
+
+    model: ContactDynamics
+    optimiser: optax.OptState
+    key: PRNGKeyArray
+    step: Int[Array, ""]
+    best_model: ContactDynamics
+    best_error: Float[Array, ""]
+    """m; held-out position error over a window of `best_model`."""
+    checks_without_gain: Int[Array, ""]
+
+
+@dataclass(frozen=True)
+class FitProgress:
+    """One check: where training stands."""
+
+    step: int
+    steps: int
+    terms: dict[str, float]
+    """Loss terms by name, means since the last check."""
+    held_out_rmse_m: float
+    """Position error over windows of held-out runs, predicted from their first states."""
+    seconds: float
+    """Since this call of `fit` began, compilation included."""
+    state: FitState
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """What training made: the model that did best on the held-out runs."""
+
+    model: ContactDynamics
+    held_out_rmse_m: float
+    status: FitStatus
+    state: FitState
+
+
+def initial_state(model: ContactDynamics, recipe: Recipe, seed: int) -> FitState:
+    """The state before the first step. One seed makes one result."""
+    return FitState(
+        model=model,
+        optimiser=_optimiser(recipe).init(eqx.filter(model, eqx.is_inexact_array)),
+        key=jax.random.key_data(jax.random.key(seed)),
+        step=jnp.asarray(0),
+        best_model=model,
+        best_error=jnp.asarray(jnp.inf),
+        checks_without_gain=jnp.asarray(0),
+    )
+
+
+def fit(
+    state: FitState,
+    train: Dataset,
+    held_out: Dataset,
+    recipe: Recipe,
+    on_check: Callable[[FitProgress], None] = lambda progress: None,
+) -> FitResult:
+    """Train from `state` to the recipe's last step, or until the held-out error stops falling.
+
+    Contact labels in the data are not read. `on_check` sees every check and may save its state;
+    an exception it raises (Ctrl-C, say) ends the training there. Raises `InvalidInputError` where
+    runs are shorter than a window.
+    """
+    source, checked = training_windows(train, recipe), held_out_windows(held_out, recipe)
+    bystanders = recipe.bystanders if bodies_rest(pad_runs(train)) else 0
+    began = time.monotonic()
+    status = FitStatus.finished
+    while int(state.step) < recipe.steps:
+        if int(state.checks_without_gain) >= recipe.patience:
+            status = FitStatus.stopped_early
+            break
+        count = min(recipe.check_every, recipe.steps - int(state.step))
+        with_rollout = int(state.step) >= recipe.rollout_from * recipe.steps
+        state, arrays = _advance(state, source, checked, recipe, count, bystanders, with_rollout)
+        terms = {name: float(value) for name, value in arrays.items()}
+        if not all(np.isfinite(value) for value in terms.values()):
+            status = FitStatus.not_finite
+            break
+        on_check(
+            FitProgress(
+                step=int(state.step),
+                steps=recipe.steps,
+                terms={name: terms[name] for name in terms if name != "held_out"},
+                held_out_rmse_m=terms["held_out"],
+                seconds=time.monotonic() - began,
+                state=state,
+            )
+        )
+    return FitResult(state.best_model, float(state.best_error), status, state)
+
+
+def training_windows(train: Dataset, recipe: Recipe) -> WindowSource:
+    """The runs to train on, and how often each window is drawn."""
+    runs = pad_runs(train)
+    windows = window_weights(runs, recipe.window_length, recipe.event_fraction)
+    return window_source(runs, windows)
+
+
+def held_out_windows(held_out: Dataset, recipe: Recipe) -> Window:
+    """A fixed set of windows of held-out runs, balanced over events as the training's are."""
+    source = training_windows(held_out, recipe)
+    return source.draw(_HELD_OUT_WINDOWS, jax.random.key(0))
+
+
+def _optimiser(recipe: Recipe) -> optax.GradientTransformation:
+    rate = optax.warmup_cosine_decay_schedule(
+        init_value=0.0,
+        peak_value=recipe.learning_rate,
+        warmup_steps=min(100, recipe.steps),
+        decay_steps=max(recipe.steps, min(100, recipe.steps) + 1),
+        end_value=0.01 * recipe.learning_rate,
+    )
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
+
+
+@eqx.filter_jit
+def _advance(
+    state: FitState,
+    source: WindowSource,
+    checked: Window,
+    recipe: Recipe,
+    count: int,
+    bystanders: int,
+    with_rollout: bool,
+) -> tuple[FitState, dict[str, Array]]:
+    """`count` optimiser steps in one scan, then the held-out error."""
+    optimiser = _optimiser(recipe)
+    nearest = state.model.prior.threshold
+    params, static = eqx.partition(state.model, eqx.is_inexact_array)
+
+    def loss(params: ContactDynamics, key: PRNGKeyArray) -> tuple[Array, LossTerms]:
+        draw_key, place_key, sample_key = jax.random.split(key, 3)
+        windows = source.draw(recipe.batch_size, draw_key)
+        for bystander_key in jax.random.split(place_key, bystanders):
+            windows = add_bystander(windows, nearest, 3.0 * nearest, bystander_key)
+        terms = window_loss(eqx.combine(params, static), windows, sample_key, with_rollout)
+        return terms.total(recipe.weights), terms
+
+    Carry = tuple[ContactDynamics, optax.OptState, PRNGKeyArray]
+
+    def step(carry: Carry, _: None) -> tuple[Carry, LossTerms]:
+        params, optimiser_state, key = carry
+        key, step_key = jax.random.split(key)
+        (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, step_key)
+        updates, optimiser_state = optimiser.update(gradient, optimiser_state, params)
+        return (optax.apply_updates(params, updates), optimiser_state, key), terms
+
+    carry = (params, state.optimiser, jax.random.wrap_key_data(state.key))
+    (params, optimiser_state, key), terms = jax.lax.scan(step, carry, length=count)
+    model = eqx.combine(params, static)
+    error = rollout_rmse(model, checked)
+    better = error < state.best_error
+    best = jax.tree.map(
+        lambda new, old: jnp.where(better, new, old) if eqx.is_array(new) else new,
+        model,
+        state.best_model,
+    )
+    means = jax.tree.map(jnp.mean, terms)
+    state = FitState(
+        model=model,
+        optimiser=optimiser_state,
+        key=jax.random.key_data(key),
+        step=state.step + count,
+        best_model=best,
+        best_error=jnp.where(better, error, state.best_error),
+        checks_without_gain=jnp.where(better, 0, state.checks_without_gain + 1),
+    )
+    return state, {**{name: getattr(means, name) for name in _TERM_NAMES}, "held_out": error}
+
+
+_TERM_NAMES = tuple(field.name for field in dataclasses.fields(LossTerms))

@@ -1,0 +1,39 @@
+"""How to train, in numbers."""
+
+from dataclasses import dataclass, field
+
+from contactgraph.data.errors import InvalidInputError
+from contactgraph.train.loss import LossTerms
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How to train; every number that shapes the result."""
+
+    steps: int = 2000
+    """Optimiser steps."""
+    batch_size: int = 32
+    """Windows a step."""
+    window_length: int = 8
+    """Steps of a window."""
+    learning_rate: float = 3e-3
+    """Highest rate of Adam; it rises over the first 100 steps and falls along a cosine."""
+    event_fraction: float = 0.6
+    """Share of windows that hold an impact."""
+    rollout_from: float = 0.5
+    """Part of the steps after which the rollout term joins the loss."""
+    bystanders: int = 1
+    """Resting bodies added to every window; none where the data never show a body at rest."""
+    patience: int = 12
+    """Checks of the held-out error without improvement after which training stops."""
+    check_every: int = 125
+    """Optimiser steps between checks."""
+    weights: LossTerms = field(default_factory=LossTerms)
+    """Weights of the terms of the loss."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch_size", "window_length", "patience", "check_every"):
+            if getattr(self, name) < 1:
+                raise InvalidInputError(f"{name} must be at least 1, found {getattr(self, name)}")
+        if not self.learning_rate > 0:
+            raise InvalidInputError(f"learning_rate must be positive, found {self.learning_rate}")

@@ -1,0 +1,96 @@
+"""The folder of one training run: what it was told, how it went, where it stands."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from contactgraph.data.atomic_file import replacing
+from contactgraph.data.errors import InvalidInputError
+from contactgraph.train.checkpoint import load_checkpoint, save_checkpoint
+from contactgraph.train.fit import FitProgress, FitState
+
+_CHECKPOINTS_KEPT = 2
+
+
+class RunFolder:
+    """``config.json``, ``metrics.jsonl``, ``checkpoint-*.safetensors`` and ``model.safetensors``.
+
+    Every file is replaced as a whole, so a run killed at any moment can go on from its last
+    checkpoint. Raises `InvalidInputError` where the folder cannot be used as asked.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def model_path(self) -> Path:
+        """The best model so far; there from the first checkpoint on."""
+        return self.path / "model.safetensors"
+
+    def create(self, config: dict[str, Any]) -> None:
+        """Begin a run. Refuses a folder that holds one already, or anything else."""
+        if (self.path / "config.json").exists():
+            raise InvalidInputError(
+                f"{self.path}: holds a run already; use --resume, or another folder"
+            )
+        if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+            raise InvalidInputError(f"{self.path}: must be a new or empty folder for the run")
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InvalidInputError(f"{self.path}: cannot be made ({error.strerror})") from error
+        self._write("config.json", json.dumps(config, indent=2) + "\n")
+
+    def config(self) -> dict[str, Any]:
+        """What the run was told."""
+        path = self.path / "config.json"
+        if not path.is_file():
+            raise InvalidInputError(f"{self.path}: not a run folder (it has no config.json)")
+        try:
+            config = json.loads(path.read_text())
+        except (OSError, ValueError) as error:
+            raise InvalidInputError(f"{path}: not readable as JSON ({error})") from error
+        if not isinstance(config, dict):
+            raise InvalidInputError(f"{path}: must hold a JSON object")
+        return config
+
+    def save(self, progress: FitProgress) -> None:
+        """Save a checkpoint and the measurements up to it; older checkpoints are dropped."""
+        rows = [row for row in self.metrics() if row["step"] < progress.step]
+        rows.append(
+            {
+                "step": progress.step,
+                **progress.terms,
+                "held_out_rmse_m": progress.held_out_rmse_m,
+                "seconds": round(progress.seconds, 3),
+            }
+        )
+        save_checkpoint(self.path / f"checkpoint-{progress.step:08d}.safetensors", progress.state)
+        self._write("metrics.jsonl", "".join(json.dumps(row) + "\n" for row in rows))
+        for old in self.checkpoints()[:-_CHECKPOINTS_KEPT]:
+            old.unlink(missing_ok=True)
+
+    def metrics(self) -> list[dict[str, float]]:
+        """One row a check: step, loss terms, held-out error [m], seconds."""
+        path = self.path / "metrics.jsonl"
+        if not path.is_file():
+            return []
+        try:
+            return [json.loads(line) for line in path.read_text().splitlines()]
+        except ValueError as error:
+            raise InvalidInputError(f"{path}: not readable as JSON lines ({error})") from error
+
+    def checkpoints(self) -> list[Path]:
+        """All checkpoints, oldest first."""
+        return sorted(self.path.glob("checkpoint-*.safetensors"))
+
+    def latest(self, like: FitState) -> FitState:
+        """The last checkpoint's state. Raises `InvalidInputError` where there is none."""
+        found = self.checkpoints()
+        if not found:
+            raise InvalidInputError(f"{self.path}: has no checkpoint to resume from")
+        return load_checkpoint(found[-1], like)
+
+    def _write(self, name: str, text: str) -> None:
+        with replacing(self.path / name) as temporary:
+            temporary.write_text(text)
