@@ -148,7 +148,7 @@ def improve_policy(
             both = -solve_small(S, jnp.concatenate([now.G, slope[:, None]], axis=1))
             K, target = both[:, :-1], both[:, -1]
         else:
-            target, free = bounded_minimum(S, slope, limits, u)
+            target, free = bounded_minimum(S, slope, limits)
             K = -solve_small(free_part(S, free), jnp.where(free[:, None], now.G, 0.0))
         policy = LQRPolicy(K, target - K @ x)
         step = target - u

@@ -1,0 +1,189 @@
+"""The Riccati pass against oracles that share no code with it."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from control_models import blocks
+
+from contactgraph.control import ControlLimits, LQRProblem, solve_lqr
+from contactgraph.control.control_step import bounded_minimum, solve_small
+from contactgraph.control.lqr import improve_policy
+from contactgraph.control.rollout import block_index, block_product
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+def random_problem(seed: int, horizon: int = 15, n: int = 6, U: int = 2) -> LQRProblem:
+    rng = np.random.default_rng(seed)
+    root_Q, root_R = rng.normal(size=(horizon + 1, n, n)), rng.normal(size=(horizon, U, U))
+    return LQRProblem(
+        A=jnp.asarray(np.eye(n) + 0.2 * rng.normal(size=(horizon, n, n))),
+        B=jnp.asarray(rng.normal(size=(horizon, n, U))),
+        offset=jnp.asarray(rng.normal(size=(horizon, n))),
+        Q=jnp.asarray(root_Q @ root_Q.swapaxes(1, 2)),
+        R=jnp.asarray(root_R @ root_R.swapaxes(1, 2) + 0.1 * np.eye(U)),
+        q=jnp.asarray(rng.normal(size=(horizon + 1, n))),
+        r=jnp.asarray(rng.normal(size=(horizon, U))),
+    )
+
+
+def total_cost(problem: LQRProblem, states, controls):
+    p = problem
+    state = jnp.einsum("ti,tij,tj->", states, p.Q, states) + 2 * jnp.sum(p.q * states)
+    control = jnp.einsum("ti,tij,tj->", controls, p.R, controls) + 2 * jnp.sum(p.r * controls)
+    return state + control
+
+
+def follow(problem: LQRProblem, start, controls):
+    states, problem = [np.asarray(start)], jax.tree.map(np.asarray, problem)
+    for t, u in enumerate(controls):
+        states.append(problem.A[t] @ states[-1] + problem.B[t] @ np.asarray(u) + problem.offset[t])
+    return jnp.asarray(np.stack(states))
+
+
+def kkt_solution(problem: LQRProblem, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States and controls from one dense linear system of the optimality conditions."""
+    horizon, n, U = problem.B.shape
+    xs, us = (horizon + 1) * n, horizon * U
+    problem = jax.tree.map(np.asarray, problem)
+    hessian, slope = np.zeros((xs + us, xs + us)), np.zeros(xs + us)
+    equality, right = np.zeros((xs, xs + us)), np.zeros(xs)
+    equality[:n, :n], right[:n] = np.eye(n), start
+    for t in range(horizon + 1):
+        x = slice(t * n, t * n + n)
+        hessian[x, x], slope[x] = 2 * problem.Q[t], 2 * problem.q[t]
+        if t == horizon:
+            break
+        u, after = slice(xs + t * U, xs + t * U + U), slice((t + 1) * n, (t + 2) * n)
+        hessian[u, u], slope[u] = 2 * problem.R[t], 2 * problem.r[t]
+        equality[after, after] = np.eye(n)
+        equality[after, x], equality[after, u] = -problem.A[t], -problem.B[t]
+        right[after] = problem.offset[t]
+    matrix = np.block([[hessian, equality.T], [equality, np.zeros((xs, xs))]])
+    answer = np.linalg.solve(matrix, np.concatenate([-slope, right]))
+    return answer[:xs].reshape(-1, n), answer[xs : xs + us].reshape(-1, U)
+
+
+@pytest.mark.parametrize(("seed", "n", "U"), [(0, 6, 2), (1, 4, 1), (2, 8, 3), (3, 5, 7)])
+def test_equals_the_dense_kkt_solution(seed, n, U):
+    problem = random_problem(seed, n=n, U=U)
+    start = np.random.default_rng(seed).normal(size=n)
+    policy, value = jax.tree.map(np.asarray, solve_lqr(problem))
+    states, controls = kkt_solution(problem, start)
+    problem, x = jax.tree.map(np.asarray, problem), start
+    for t in range(problem.B.shape[0]):
+        u = policy.K[t] @ x + policy.k[t]
+        np.testing.assert_allclose(x, states[t], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(u, controls[t], rtol=1e-9, atol=1e-9)
+        x = problem.A[t] @ x + problem.B[t] @ u + problem.offset[t]
+    cost = total_cost(problem, jnp.asarray(states), jnp.asarray(controls))
+    first = jax.tree.map(lambda leaf: leaf[0], value)
+    np.testing.assert_allclose(first(jnp.asarray(start)), cost, rtol=1e-9)
+
+
+def test_value_slope_and_gain_against_finite_differences():
+    problem = random_problem(5)
+    policy, value = solve_lqr(problem)
+    first = jax.tree.map(lambda leaf: np.asarray(leaf[0]), value)
+    x = np.random.default_rng(5).normal(size=6)
+    for i, step in enumerate(1e-5 * np.eye(6)):
+        slope = (first(x + step) - first(x - step)) / 2e-5
+        np.testing.assert_allclose(slope, 2 * (first.P @ x + first.p)[i], rtol=1e-6)
+        # The gain is how the optimal first control, solved afresh, moves with the state.
+        gain = (
+            kkt_solution(problem, x + step)[1][0] - kkt_solution(problem, x - step)[1][0]
+        ) / 2e-5
+        np.testing.assert_allclose(gain, policy.K[0][:, i], rtol=1e-5, atol=1e-8)
+
+
+def test_expected_decrease_is_what_the_step_gains_on_linear_dynamics():
+    problem = random_problem(6)
+    rng = np.random.default_rng(6)
+    start, controls = jnp.asarray(rng.normal(size=6)), jnp.asarray(rng.normal(size=(15, 2)))
+    states = follow(problem, start, controls)
+    better = improve_policy(problem, states[:-1], controls, jnp.zeros(()), None)
+    best = total_cost(problem, *map(jnp.asarray, kkt_solution(problem, start)))
+    gained = total_cost(problem, states, controls) - best
+    np.testing.assert_allclose(better.expected_decrease, gained, rtol=1e-9)
+    softer = improve_policy(problem, states[:-1], controls, jnp.asarray(10.0), None)
+    assert 0 < softer.expected_decrease < better.expected_decrease
+    assert jnp.sum(softer.step**2) < jnp.sum(better.step**2)
+
+
+def test_no_step_is_left_at_the_optimum():
+    problem = random_problem(7)
+    states, controls = map(jnp.asarray, kkt_solution(problem, np.ones(6)))
+    for damping in (0.0, 3.0):
+        again = improve_policy(problem, states[:-1], controls, jnp.asarray(damping), None)
+        np.testing.assert_allclose(again.step, 0.0, atol=1e-9)
+        np.testing.assert_allclose(again.expected_decrease, 0.0, atol=1e-12)
+
+
+def test_block_diagonal_form_equals_the_dense_one():
+    rng = np.random.default_rng(8)
+    horizon, N, D, U = 10, 5, 2, 2
+    shape = (horizon, N, D)
+    linear = blocks(
+        *(jnp.asarray(rng.normal(size=shape)) for _ in range(2)),
+        jnp.asarray(rng.normal(size=(*shape, U))),
+        jnp.asarray(rng.normal(size=shape)),
+    )
+    A, B, offset = linear.stacked()
+    dense = random_problem(8, horizon, 2 * N * D, U)
+    dense = LQRProblem(A, B, offset, dense.Q, dense.R, dense.q, dense.r)
+    index = block_index(jnp.arange(N), D)
+    assert sorted(np.asarray(index).tolist()) == list(range(2 * N * D))
+    block = LQRProblem(
+        linear.A,
+        B[:, index],
+        offset[:, index],
+        dense.Q[:, index[:, None], index],
+        dense.R,
+        dense.q[:, index],
+        dense.r,
+    )
+    expected, value = solve_lqr(dense)
+    found, block_value = solve_lqr(block, block_product)
+    np.testing.assert_allclose(found.K, expected.K[:, :, index], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.k, expected.k, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(block_value.constant, value.constant, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", range(1, 9))
+def test_small_solve(size):
+    rng = np.random.default_rng(size)
+    root = rng.normal(size=(size, size))
+    matrix, right = root @ root.T + 0.1 * np.eye(size), rng.normal(size=(size, 4))
+    found = solve_small(jnp.asarray(matrix), jnp.asarray(right))
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("U", [1, 2, 3, 5])
+def test_bounded_minimum_is_the_best_of_all_corners_edges_and_the_inside(U):
+    rng = np.random.default_rng(U)
+    limits = ControlLimits(-jnp.ones(U), jnp.full(U, 0.5))
+    solve = jax.jit(lambda S, slope: bounded_minimum(S, slope, limits))
+    for _ in range(300 if U < 5 else 10):
+        root = rng.normal(size=(U, U))
+        S, slope = root @ root.T + (0.05 if U < 5 else 1.0) * np.eye(U), 2 * rng.normal(size=U)
+        found, free = solve(S, slope)
+        best, at = np.inf, None
+        for held in itertools.product([-1.0, 0.5, None], repeat=U):
+            inside = [i for i in range(U) if held[i] is None]
+            u = np.array([0.0 if bound is None else bound for bound in held])
+            if inside:
+                part = np.ix_(inside, inside)
+                u[inside] = np.linalg.solve(S[part], -(slope + S @ u)[inside])
+            value = u @ S @ u + 2 * slope @ u
+            if np.all(u >= -1) and np.all(u <= 0.5) and value < best:
+                best, at = value, u
+        np.testing.assert_allclose(found, at, atol=1e-9 if U < 5 else 1e-3)
+        np.testing.assert_array_equal(free, (at > -1) & (at < 0.5))
