@@ -1,4 +1,19 @@
 """Running episodes, and the metrics over what was recorded."""
 
+from contactgraph.evaluate.closed_loop import ClosedLoopMetrics as ClosedLoopMetrics
+from contactgraph.evaluate.closed_loop import closed_loop_metrics as closed_loop_metrics
+from contactgraph.evaluate.control_policy import EpisodeRecord as EpisodeRecord
+from contactgraph.evaluate.control_policy import MPCPolicy as MPCPolicy
+from contactgraph.evaluate.control_task import control_task as control_task
+from contactgraph.evaluate.inspect_run import RunInsight as RunInsight
+from contactgraph.evaluate.inspect_run import inspect_run as inspect_run
+from contactgraph.evaluate.open_loop import OpenLoopMetrics as OpenLoopMetrics
+from contactgraph.evaluate.open_loop import evaluate_open_loop as evaluate_open_loop
+from contactgraph.evaluate.open_loop_detail import OpenLoopDetail as OpenLoopDetail
 from contactgraph.evaluate.run_episode import collect as collect
+from contactgraph.evaluate.run_episode import episode_seeds as episode_seeds
 from contactgraph.evaluate.run_episode import run_episode as run_episode
+from contactgraph.evaluate.scene_nodes import scene_nodes as scene_nodes
+from contactgraph.evaluate.statistics import MedianInterval as MedianInterval
+from contactgraph.evaluate.statistics import median_interval as median_interval
+from contactgraph.evaluate.statistics import wilson_interval as wilson_interval

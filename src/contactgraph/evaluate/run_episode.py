@@ -66,17 +66,25 @@ def collect(
     ``on_episode`` is called with every run as it is done. Raises `InvalidInputError` where a
     count or the seed is out of range.
     """
-    if episodes < 1:
-        raise InvalidInputError(f"episodes must be at least 1, found {episodes}")
-    if seed < 0:
-        raise InvalidInputError(f"seed must be at least 0, found {seed}")
     if not policies:
         raise InvalidInputError("policies must name at least one policy, found none")
     task = task_factory()
     runs = []
-    for index, child in enumerate(np.random.SeedSequence(seed).spawn(episodes)):
-        episode_seed = int(child.generate_state(1)[0])
+    for index, episode_seed in enumerate(episode_seeds(episodes, seed)):
         runs.append(run_episode(task, policies[index % len(policies)], episode_seed))
         if on_episode is not None:
             on_episode(runs[-1])
     return runs
+
+
+def episode_seeds(episodes: int, seed: int) -> list[int]:
+    """A seed for every episode; seed ``i`` is the same however many there are.
+
+    Raises `InvalidInputError` where a count or the seed is out of range.
+    """
+    if episodes < 1:
+        raise InvalidInputError(f"episodes must be at least 1, found {episodes}")
+    if seed < 0:
+        raise InvalidInputError(f"seed must be at least 0, found {seed}")
+    children = np.random.SeedSequence(seed).spawn(episodes)
+    return [int(child.generate_state(1)[0]) for child in children]

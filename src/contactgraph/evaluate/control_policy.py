@@ -1,0 +1,102 @@
+"""The model predictive controller as a policy that runs in a task."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactgraph.control import MPC, MPCState, Plan, chain_cost
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.evaluate.scene_nodes import scene_nodes
+from contactgraph.tasks.contract import ChainCost, Observation
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeRecord:
+    """What the controller thought in one episode of ``T`` steps; edges in `pair_indices`' order."""
+
+    plan_ms: np.ndarray
+    """[T] ms: time of each control tick (correct, plan, hand over)."""
+    status: np.ndarray
+    """[T] int: `PlanStatus` of each plan."""
+    belief: np.ndarray
+    """[T, E] probability that each edge is active in the step that was about to be made."""
+    plan: np.ndarray
+    """[T, H+1, N, D] m: where the plan made at each step puts every node."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Tick:
+    plan_ms: float
+    plan: Plan
+
+
+class MPCPolicy:
+    """A `contactgraph.tasks.Policy`: plans along the task's chain of nodes to the scene's goal.
+
+    Scenes are padded to a capacity of nodes, so that another number of objects recompiles
+    nothing; a scene above it raises the capacity, and compiles once more. Compiling is done
+    before an episode's first tick and is not part of its time.
+    """
+
+    def __init__(
+        self, mpc: MPC, terms: ChainCost, control_size: int, node_capacity: int = 0
+    ) -> None:
+        """``control_size``: U, of the task's action. ``node_capacity``: 0 for the first scene's."""
+        self._mpc = mpc
+        self._terms = terms
+        self._control_size = control_size
+        self._capacity = node_capacity
+        self._scene: Scene | None = None
+        self._state: MPCState | None = None
+        self._ticks: list[_Tick] = []
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode in ``scene``; nothing here is random.
+
+        Raises `InvalidInputError` where the scene has no goal.
+        """
+        if scene.goal is None:
+            raise InvalidInputError("the scene has no goal; a plan needs one")
+        self._capacity = max(self._capacity, scene.node_count)
+        self._scene, self._state, self._ticks = scene, None, []
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[U]`` N for the coming step."""
+        if self._state is None:
+            self._state = self._begin(observation)
+        begin = time.perf_counter()
+        plan, self._state = self._mpc.step(observation, observation["contact"], self._state)
+        control = np.asarray(plan.controls[0], dtype=np.float64)  # waits for the plan
+        self._ticks.append(_Tick(1e3 * (time.perf_counter() - begin), plan))
+        return control
+
+    def record(self) -> EpisodeRecord:
+        """What was thought since `reset`. Raises `InvalidInputError` before the first tick."""
+        if self._scene is None or not self._ticks:
+            raise InvalidInputError("nothing to record: the policy has made no step since reset")
+        count, dimension = self._scene.node_count, self._scene.dimension
+        edges = count * (count - 1) // 2
+        states = np.stack([np.asarray(tick.plan.states) for tick in self._ticks])
+        states = states.reshape(*states.shape[:2], self._capacity, 2, dimension)
+        belief = [np.asarray(tick.plan.beliefs.probability)[0] for tick in self._ticks]
+        return EpisodeRecord(
+            plan_ms=np.array([tick.plan_ms for tick in self._ticks]),
+            status=np.array([int(tick.plan.status) for tick in self._ticks]),
+            belief=np.stack(belief)[:, :edges].astype(np.float64),
+            plan=states[:, :, :count, 0].astype(np.float64),
+        )
+
+    def _begin(self, observation: Observation) -> MPCState:
+        if self._scene is None or self._scene.goal is None:
+            raise InvalidInputError("call reset(scene, seed) first")
+        cost = chain_cost(
+            self._terms.chain,
+            self._terms.pick_weights,
+            self._terms.goal_weights,
+            self._terms.control_weight,
+            self._scene.goal,
+            self._capacity,
+            self._control_size,
+        )
+        return self._mpc.reset(observation, scene_nodes(self._scene, self._capacity), cost)

@@ -1,0 +1,70 @@
+"""A model in closed loop with a task, episode after episode."""
+
+from collections.abc import Callable
+from typing import cast
+
+import gymnasium
+import jax.numpy as jnp
+import numpy as np
+
+from contactgraph.control import ILQR, MPC, ControlLimits, StepModel
+from contactgraph.data import Trajectory
+from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
+from contactgraph.evaluate.control_policy import EpisodeRecord, MPCPolicy
+from contactgraph.evaluate.model_fit import check_fit
+from contactgraph.evaluate.run_episode import episode_seeds, run_episode
+from contactgraph.model import ContactSensor
+from contactgraph.tasks.contract import Task
+
+_EXACT = ContactSensor()
+
+
+def control_task(
+    model: StepModel,
+    task_factory: Callable[[], Task],
+    episodes: int,
+    seed: int,
+    *,
+    horizon: int = 20,
+    iterations: int = 10,
+    replan_every: int = 1,
+    deadline: float | None = None,
+    sensor: ContactSensor = _EXACT,
+    node_capacity: int = 0,
+    on_episode: Callable[[Trajectory, EpisodeRecord], None] | None = None,
+) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
+    """Runs ``episodes`` episodes under `MPC` with this model, and measures them.
+
+    The cost is the task's own, the force limits are its action space's. Episode ``i`` has the
+    seed `collect` would give it. ``horizon``, ``iterations`` and ``replan_every`` are `ILQR`'s
+    and `MPC`'s, ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s. ``on_episode`` is
+    called after each episode with what was done and what the controller thought.
+
+    Raises `InvalidInputError` where model and task do not fit, the task has no goal, or a number
+    is out of range.
+    """
+    seeds = episode_seeds(episodes, seed)
+    task = task_factory()
+    # The scene, and with it the cost's chain, is known once an episode has begun.
+    task.reset(seed=seeds[0])
+    box = cast(gymnasium.spaces.Box, task.action_space)
+    control_size = int(np.prod(box.shape))
+    check_fit(model, task.scene.dimension, control_size, task.scene.dt, "the task")
+    terms = task.cost_terms()
+    limits = ControlLimits(jnp.asarray(box.low), jnp.asarray(box.high))
+    ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
+    mpc = MPC(model, ilqr, sensor, replan_every, deadline)
+    policy = MPCPolicy(mpc, terms, control_size, node_capacity)
+
+    runs: list[Trajectory] = []
+    succeeded: list[bool] = []
+    plan_ms: list[np.ndarray] = []
+    for episode_seed in seeds:
+        runs.append(run_episode(task, policy, episode_seed))
+        succeeded.append(task.success())
+        record = policy.record()
+        plan_ms.append(record.plan_ms)
+        if on_episode is not None:
+            on_episode(runs[-1], record)
+    metrics = closed_loop_metrics(runs, succeeded, terms.chain, seed, np.concatenate(plan_ms))
+    return metrics, runs

@@ -1,0 +1,73 @@
+"""How well predicted contacts match the true ones."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class EdgeScores:
+    """Scores over all edges, steps and windows; None where there is nothing to divide by."""
+
+    precision: float | None
+    """Share of predicted contacts that are true."""
+    recall: float | None
+    """Share of true contacts that are predicted."""
+    f1: float | None
+    accuracy: float | None
+    switch_time_error_s: float | None
+    """s; see `switch_time_errors`."""
+    on_time: float | None
+    """Share of touches predicted, from the state just before, for the very step of the touch."""
+
+
+def edge_scores(
+    predicted: np.ndarray,
+    contact: np.ndarray,
+    exists: np.ndarray,
+    touch_on_time: np.ndarray,
+    dt: float,
+) -> EdgeScores:
+    """Scores of ``predicted`` [W, H, E] against ``contact`` [W, H+1, E], both bool.
+
+    Step h of a window leads from its state h to its state h + 1, so its truth is contact in state
+    h + 1. ``exists``: [W, E] bool, False for padding. ``touch_on_time``: a bool for every touch.
+    """
+    true = contact[:, 1:]
+    hits = _count(predicted & true, exists)
+    false_alarms = _count(predicted & ~true, exists)
+    misses = _count(~predicted & true, exists)
+    total = int(exists.sum()) * predicted.shape[1]
+    late = switch_time_errors(predicted, contact, exists) * dt
+    return EdgeScores(
+        precision=_share(hits, hits + false_alarms),
+        recall=_share(hits, hits + misses),
+        f1=_share(2 * hits, 2 * hits + false_alarms + misses),
+        accuracy=_share(total - false_alarms - misses, total),
+        switch_time_error_s=float(late.mean()) if len(late) else None,
+        on_time=_share(int(touch_on_time.sum()), len(touch_on_time)),
+    )
+
+
+def switch_time_errors(
+    predicted: np.ndarray, contact: np.ndarray, exists: np.ndarray
+) -> np.ndarray:
+    """[onsets] steps, at least 0, between the predicted and the true onset of contact.
+
+    One entry for every window and edge that is not in contact in the window's first state and is
+    later: the steps between the first true contact and the first predicted one in that window.
+    Where none is predicted, the error is all that remains of the window from the true onset on.
+    """
+    true = contact[:, 1:]
+    onset = exists & ~contact[:, 0] & true.any(axis=1)
+    actual = true.argmax(axis=1)
+    foreseen = np.where(predicted.any(axis=1), predicted.argmax(axis=1), predicted.shape[1])
+    return np.abs(foreseen - actual)[onset]
+
+
+def _count(found: np.ndarray, exists: np.ndarray) -> int:
+    return int((found.sum(axis=1) * exists).sum())
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None

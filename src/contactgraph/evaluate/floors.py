@@ -1,0 +1,79 @@
+"""Predictions that need no learning: what any model must be better than."""
+
+import numpy as np
+
+from contactgraph.data import Trajectory
+
+
+def constant_velocity(run: Trajectory, steps: int) -> np.ndarray:
+    """[S, H, N, D] m: positions under no forces, for ``H = steps`` from every start of a run."""
+    starts = run.steps - steps + 1
+    elapsed = run.scene.dt * np.arange(1, steps + 1)[:, None, None]
+    return run.position[:starts, None] + elapsed * run.velocity[:starts, None]
+
+
+def frozen_contact(run: Trajectory, steps: int) -> np.ndarray | None:
+    """[S, H, N, D] m: positions with the true masses and the contacts of each window's first state.
+
+    Nodes that are joined by contacts there, directly or through others, stay one group for the
+    whole window. All its members accelerate alike, by the sum of the control on its actuated
+    members over the sum of its masses, and start with their own velocities. Component d of the
+    control is the force on degree of freedom d, as in the model.
+
+    A step of n symplectic substeps moves a body under constant force by
+    ``v dt + theta a dt^2`` with ``theta = (n+1)/2n``; n is ``substeps`` of the scene's metadata,
+    and theta is 1/2, the exact motion, where it is not given.
+
+    None where masses or contacts are unknown, or where a node hangs on a hinge: a group that
+    moves freely is no model of that.
+    """
+    scene = run.scene
+    if run.contact is None or scene.mass is None or not np.all(scene.mass > 0):
+        return None
+    if scene.anchor is not None and np.any(np.isfinite(scene.anchor)):
+        return None
+    starts = run.steps - steps + 1
+    group = joined(run.contact[:starts])
+    pushes = group @ scene.actuated / (group @ scene.mass)
+    acceleration = pushes[:, None, :, None] * _windows(_force(run), steps)[:starts, :, None, :]
+    dt = scene.dt
+    gained = dt * np.cumsum(acceleration, axis=1)
+    # What was gained in earlier steps moves the body for all of this one.
+    before = gained - dt * acceleration
+    moved = np.cumsum(dt * before + _theta(run) * dt**2 * acceleration, axis=1)
+    return constant_velocity(run, steps) + moved
+
+
+def joined(contact: np.ndarray) -> np.ndarray:
+    """[S, N, N] float 0 or 1: who is joined to whom, directly or through others, or is the same.
+
+    ``contact``: [S, N, N] bool, symmetric.
+    """
+    count = contact.shape[-1]
+    reach = (contact | np.eye(count, dtype=bool)).astype(np.float64)
+    length = 1
+    while length < count:
+        reach = np.minimum(reach @ reach, 1.0)
+        length *= 2
+    return reach
+
+
+def _force(run: Trajectory) -> np.ndarray:
+    """[T, D] N: components beyond the control's size are zero."""
+    force = np.zeros((run.steps, run.scene.dimension))
+    used = min(run.control_size, run.scene.dimension)
+    force[:, :used] = run.control[:, :used]
+    return force
+
+
+def _windows(per_step: np.ndarray, steps: int) -> np.ndarray:
+    """[T - H + 1, H, D], a view."""
+    view = np.lib.stride_tricks.sliding_window_view(per_step, steps, axis=0)
+    return np.moveaxis(view, -1, 1)
+
+
+def _theta(run: Trajectory) -> float:
+    substeps = run.scene.metadata.get("substeps")
+    if not isinstance(substeps, int | np.integer) or substeps < 1:
+        return 0.5
+    return float(substeps + 1) / float(2 * substeps)

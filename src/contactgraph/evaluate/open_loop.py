@@ -1,0 +1,160 @@
+"""How well a model predicts recorded runs, from every state of them, without looking again."""
+
+import math
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from contactgraph.control import StepModel
+from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.evaluate.edge_scores import EdgeScores, edge_scores
+from contactgraph.evaluate.model_fit import check_fit
+from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
+from contactgraph.evaluate.run_windows import detail_of_run, joined_details
+from contactgraph.model import ContactSensor
+
+_EXACT = ContactSensor()
+
+
+@dataclass(frozen=True)
+class OpenLoopMetrics:
+    """What `evaluate_open_loop` measures. None: the runs do not hold what it takes to know.
+
+    Errors are over the same windows: from every start of every run, ``n_steps`` ahead. The names
+    are the keys of `to_json`. ``…_unmeasured`` is the same prediction by beliefs that no measured
+    contact has corrected; where contacts were not recorded the two are equal.
+    """
+
+    runs: int
+    windows: int
+    n_steps: int
+    """Steps in a window."""
+    diverged_windows: int
+    """Windows with a prediction that is not finite; one of them makes the errors infinite."""
+
+    n_step_rmse_m: float
+    """Root mean square position error over windows, steps and nodes, m."""
+    n_step_rmse_moving_m: float | None
+    """Only nodes that get more than 1 mm away from where they were at the window's start."""
+    n_step_rmse_free_m: float | None
+    """Only windows in which no contact changes."""
+    n_step_rmse_contact_m: float | None
+    """Only windows in which a contact changes."""
+    n_step_rmse_unmeasured_m: float
+    constant_velocity_rmse_m: float
+    """Of no forces: see `constant_velocity`."""
+    frozen_contact_rmse_m: float | None
+    """Of true masses and the contacts of each window's first state: see `frozen_contact`."""
+
+    edge_precision: float | None
+    edge_recall: float | None
+    edge_f1: float | None
+    edge_accuracy: float | None
+    switch_time_error_s: float | None
+    """Mean time between the predicted and the true onset of contact: see `switch_time_errors`."""
+    edge_on_time: float | None
+    """Share of touches whose edge is active, as predicted one step before, in their very step."""
+    edge_precision_unmeasured: float | None
+    edge_recall_unmeasured: float | None
+    edge_f1_unmeasured: float | None
+    edge_accuracy_unmeasured: float | None
+    switch_time_error_unmeasured_s: float | None
+    edge_on_time_unmeasured: float | None
+
+    detail: OpenLoopDetail = field(repr=False, compare=False)
+    """Every window on its own; not part of `to_json`."""
+
+    def to_json(self) -> dict[str, float | int | None]:
+        """All numbers by name; None for those that are not known or not finite."""
+        numbers = {each.name: getattr(self, each.name) for each in fields(self)}
+        del numbers["detail"]
+        return {
+            name: value if value is None or math.isfinite(value) else None
+            for name, value in numbers.items()
+        }
+
+
+def evaluate_open_loop(
+    model: StepModel,
+    dataset: Dataset,
+    *,
+    horizon_s: float = 0.5,
+    sensor: ContactSensor = _EXACT,
+) -> OpenLoopMetrics:
+    """Predicts ``horizon_s`` [s] ahead from every state of every run that is long enough.
+
+    Up to a window's start the belief is carried along the recorded history: predicted for every
+    step, then corrected by the contacts measured after it (with ``sensor``'s error rates, where
+    contacts are recorded). From there on only the recorded controls are known. An edge counts as
+    predicted in a step where its probability is above 1/2.
+
+    The runs may differ in steps and nodes. Contacts, where any run lacks them, are known of none.
+    Raises `InvalidInputError` where the horizon is shorter than half a step or longer than every
+    run, or where model and data do not fit.
+    """
+    check_fit(model, dataset.dimension, dataset.control_size, dataset.dt, "the data")
+    steps = _steps(dataset, horizon_s)
+    known = all(run.contact is not None for run in dataset)
+    detail = joined_details(
+        [
+            detail_of_run(model, dataset, number, steps, sensor, known)
+            for number, run in enumerate(dataset)
+            if run.steps >= steps
+        ]
+    )
+    free = contact = None
+    if detail.contact_changes is not None:
+        free = detail.rmse(detail.squared_error, ~detail.contact_changes)
+        contact = detail.rmse(detail.squared_error, detail.contact_changes)
+    frozen = None if detail.frozen_contact is None else detail.rmse(detail.frozen_contact)
+    measured = _scores(detail, detail.edge_active, detail.touch_on_time)
+    unmeasured = _scores(detail, detail.edge_active_unmeasured, detail.touch_on_time_unmeasured)
+    finite = np.isfinite(detail.squared_error).all(axis=(1, 2))
+    return OpenLoopMetrics(
+        runs=len(dataset),
+        windows=len(detail.run),
+        n_steps=steps,
+        diverged_windows=int(np.sum(~finite)),
+        n_step_rmse_m=_required(detail.rmse(detail.squared_error)),
+        n_step_rmse_moving_m=detail.rmse(detail.squared_error, detail.moves),
+        n_step_rmse_free_m=free,
+        n_step_rmse_contact_m=contact,
+        n_step_rmse_unmeasured_m=_required(detail.rmse(detail.squared_error_unmeasured)),
+        constant_velocity_rmse_m=_required(detail.rmse(detail.constant_velocity)),
+        frozen_contact_rmse_m=frozen,
+        edge_precision=measured.precision,
+        edge_recall=measured.recall,
+        edge_f1=measured.f1,
+        edge_accuracy=measured.accuracy,
+        switch_time_error_s=measured.switch_time_error_s,
+        edge_on_time=measured.on_time,
+        edge_precision_unmeasured=unmeasured.precision,
+        edge_recall_unmeasured=unmeasured.recall,
+        edge_f1_unmeasured=unmeasured.f1,
+        edge_accuracy_unmeasured=unmeasured.accuracy,
+        switch_time_error_unmeasured_s=unmeasured.switch_time_error_s,
+        edge_on_time_unmeasured=unmeasured.on_time,
+        detail=detail,
+    )
+
+
+def _steps(dataset: Dataset, horizon_s: float) -> int:
+    longest = max(run.steps for run in dataset)
+    steps = round(horizon_s / dataset.dt) if math.isfinite(horizon_s) else 0
+    if not 1 <= steps <= longest:
+        raise InvalidInputError(
+            f"horizon_s must be {dataset.dt:g} to {longest * dataset.dt:g} s, from one step to "
+            f"the longest run, found {horizon_s}"
+        )
+    return steps
+
+
+def _scores(detail: OpenLoopDetail, active: np.ndarray, on_time: np.ndarray) -> EdgeScores:
+    if detail.contact is None:
+        return EdgeScores(None, None, None, None, None, None)
+    return edge_scores(active, detail.contact, detail.edge_exists, on_time, detail.dt)
+
+
+def _required(value: float | None) -> float:
+    """There is at least one window, and each has a node that is compared."""
+    return math.nan if value is None else value

@@ -1,0 +1,134 @@
+"""What a model predicts along a recorded run, and from every state of it on."""
+
+from typing import TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from contactgraph.control import StepModel
+from contactgraph.data import Trajectory, pair_indices
+from contactgraph.evaluate.scene_nodes import scene_nodes
+from contactgraph.model import ContactBelief, ContactSensor, ModelState, Nodes, correct
+
+_Tree = TypeVar("_Tree", ModelState, ContactBelief)
+
+_BATCH = 16
+"""Rollouts made side by side: few enough that their messages stay in the processor's cache."""
+
+
+class Recording(eqx.Module):
+    """A run on the device, padded to capacities of ``T`` steps and ``N`` nodes."""
+
+    position: Float[Array, "T+1 N D"]
+    velocity: Float[Array, "T+1 N D"]
+    control: Float[Array, "T U"]
+    contact: Float[Array, "T+1 E"]
+    """1 touching, 0 not, NaN not measured."""
+    nodes: Nodes
+
+
+class CarriedBelief(eqx.Module):
+    """What is believed along a run, from its past alone."""
+
+    now: ContactBelief
+    """[T+1, E, K] about the step that led to each state, corrected by the contacts measured."""
+    coming: ContactBelief
+    """[T+1, E, K] predicted from each state about the step that follows it."""
+
+
+class RunPrediction(eqx.Module):
+    """Rollouts of ``H`` steps from ``S`` states of a run, with its recorded controls."""
+
+    position: Float[Array, "S H N D"]
+    """m"""
+    edge_active: Bool[Array, "S H E"]
+    """Whether each edge is more likely active than not; entry h is about step h of the window."""
+    coming_active: Bool[Array, "T+1 E"]
+    """The same about the step after each state, as predicted from that state."""
+
+
+def recording(
+    run: Trajectory, steps: int, node_capacity: int, dtype: np.dtype, measured: bool
+) -> Recording:
+    """Pads a run with zeros to ``steps`` and ``node_capacity``.
+
+    Without ``measured``, or where the run has no contacts, none count as measured.
+    """
+    count = run.scene.node_count
+    pairs = pair_indices(count)
+    edges = node_capacity * (node_capacity - 1) // 2
+    position = np.zeros((steps + 1, node_capacity, run.scene.dimension), dtype)
+    velocity = np.zeros_like(position)
+    control = np.zeros((steps, run.control_size), dtype)
+    contact = np.full((steps + 1, edges), np.nan, dtype)
+    position[: run.steps + 1, :count] = run.position
+    velocity[: run.steps + 1, :count] = run.velocity
+    control[: run.steps] = run.control
+    if measured and run.contact is not None:
+        # The edges of fewer nodes come first in the order of any capacity.
+        contact[: run.steps + 1, : len(pairs)] = run.contact[:, pairs[:, 0], pairs[:, 1]]
+    return Recording(
+        jnp.asarray(position),
+        jnp.asarray(velocity),
+        jnp.asarray(control),
+        jnp.asarray(contact),
+        scene_nodes(run.scene, node_capacity),
+    )
+
+
+def number_type(model: StepModel) -> np.dtype:
+    """The floating type of the model's weights; JAX's default where it has none."""
+    for leaf in jax.tree.leaves(eqx.filter(model, eqx.is_inexact_array)):
+        return np.dtype(leaf.dtype)
+    return np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
+
+
+def carry_belief(model: StepModel, run: Recording, sensor: ContactSensor) -> CarriedBelief:
+    """The belief carried along a run: predicted for every step, then corrected by its contacts."""
+
+    def advance(
+        predicted: ContactBelief, step: tuple[Array, Array, Array]
+    ) -> tuple[ContactBelief, CarriedBelief]:
+        position, velocity, contact = step
+        now = correct(predicted, contact, sensor)
+        _, coming = model.linear_step(ModelState(position, velocity, now), run.nodes)
+        coming = _like(coming, predicted)
+        return coming, CarriedBelief(now, coming)
+
+    first = model.initial_belief(run.position[0], run.velocity[0], run.nodes)
+    return jax.lax.scan(advance, first, (run.position, run.velocity, run.contact))[1]
+
+
+@eqx.filter_jit
+def predict_run(
+    model: StepModel, run: Recording, starts: Int[Array, " S"], steps: int, sensor: ContactSensor
+) -> RunPrediction:
+    """Rolls the model out for ``steps`` from each of the states ``starts``."""
+    carried = carry_belief(model, run, sensor)
+
+    def from_state(start: Array) -> tuple[Array, Array]:
+        belief = jax.tree.map(lambda leaf: leaf[start], carried.now)
+        state = ModelState(run.position[start], run.velocity[start], belief)
+        controls = jax.lax.dynamic_slice_in_dim(run.control, start, steps)
+
+        def advance(state: ModelState, control: Array) -> tuple[ModelState, tuple[Array, Array]]:
+            linear, belief = model.linear_step(state, run.nodes)
+            position, velocity = linear(state.position, state.velocity, control)
+            after = _like(ModelState(position, velocity, belief), state)
+            return after, (after.position, after.belief.probability > 0.5)
+
+        return jax.lax.scan(advance, state, controls)[1]
+
+    count = starts.shape[0]
+    # A last batch of another size would compile the rollout a second time.
+    padded = jnp.pad(starts, (0, -count % min(_BATCH, count)), mode="edge")
+    position, active = jax.lax.map(from_state, padded, batch_size=min(_BATCH, count))
+    return RunPrediction(position[:count], active[:count], carried.coming.probability > 0.5)
+
+
+def _like(value: _Tree, other: _Tree) -> _Tree:
+    """In the other's number types: a model of float32 may meet states of float64."""
+    return jax.tree.map(lambda new, old: new.astype(old.dtype), value, other)

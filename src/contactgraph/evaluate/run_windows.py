@@ -1,0 +1,130 @@
+"""One run's windows: predictions beside what was recorded."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from contactgraph.control import StepModel
+from contactgraph.data import Dataset, Trajectory, pair_indices
+from contactgraph.evaluate.floors import constant_velocity, frozen_contact
+from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
+from contactgraph.evaluate.rollouts import RunPrediction, number_type, predict_run, recording
+from contactgraph.model import ContactSensor
+
+_MOVES_M = 1e-3
+
+
+def detail_of_run(
+    model: StepModel,
+    dataset: Dataset,
+    number: int,
+    steps: int,
+    sensor: ContactSensor,
+    contacts_known: bool,
+) -> OpenLoopDetail:
+    """The windows of run ``number``, which must have at least ``steps`` steps.
+
+    Arrays are padded to the dataset's largest run, so that all runs share one compiled function.
+    """
+    run = dataset.trajectories[number]
+    count = run.scene.node_count
+    nodes = _capacity(dataset)
+    starts = run.steps - steps + 1
+    unmeasured = _predicted(model, dataset, run, steps, sensor, False)
+    measured = unmeasured
+    if contacts_known:
+        measured = _predicted(model, dataset, run, steps, sensor, True)
+
+    recorded = _windows(run.position, steps)
+    exists = np.broadcast_to(np.arange(nodes) < count, (starts, nodes))
+    pairs = pair_indices(nodes)
+    travel = np.linalg.norm(recorded - recorded[:, :1], axis=-1).max(axis=1)
+    frozen = frozen_contact(run, steps) if contacts_known else None
+    contact = _contact(run, nodes) if contacts_known else None
+    touches = np.zeros((run.steps, len(pairs)), dtype=bool)
+    if contact is not None:
+        touches = contact[1:] & ~contact[:-1]
+
+    def error(predicted: np.ndarray) -> np.ndarray:
+        squared = np.sum((predicted[:starts, :, :count] - recorded[:, 1:]) ** 2, axis=-1)
+        squared = np.where(np.isfinite(squared), squared, np.inf)
+        return np.pad(squared, ((0, 0), (0, 0), (0, nodes - count)))
+
+    return OpenLoopDetail(
+        dt=dataset.dt,
+        run=np.full(starts, number),
+        start=np.arange(starts),
+        exists=exists,
+        moves=np.pad(travel > _MOVES_M, ((0, 0), (0, nodes - count))),
+        squared_error=error(np.asarray(measured.position, np.float64)),
+        squared_error_unmeasured=error(np.asarray(unmeasured.position, np.float64)),
+        constant_velocity=error(constant_velocity(run, steps)),
+        frozen_contact=None if frozen is None else error(frozen),
+        contact=None if contact is None else _windows(contact, steps),
+        edge_active=np.asarray(measured.edge_active)[:starts],
+        edge_active_unmeasured=np.asarray(unmeasured.edge_active)[:starts],
+        edge_exists=np.logical_and(exists[:, pairs[:, 0]], exists[:, pairs[:, 1]]),
+        touch_on_time=np.asarray(measured.coming_active)[: run.steps][touches],
+        touch_on_time_unmeasured=np.asarray(unmeasured.coming_active)[: run.steps][touches],
+    )
+
+
+def joined_details(parts: Sequence[OpenLoopDetail]) -> OpenLoopDetail:
+    """The windows of several runs, one after the other."""
+
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    known = all(part.contact is not None for part in parts)
+    frozen = all(part.frozen_contact is not None for part in parts)
+    return OpenLoopDetail(
+        dt=parts[0].dt,
+        run=joined("run"),
+        start=joined("start"),
+        exists=joined("exists"),
+        moves=joined("moves"),
+        squared_error=joined("squared_error"),
+        squared_error_unmeasured=joined("squared_error_unmeasured"),
+        constant_velocity=joined("constant_velocity"),
+        frozen_contact=joined("frozen_contact") if frozen else None,
+        contact=joined("contact") if known else None,
+        edge_active=joined("edge_active"),
+        edge_active_unmeasured=joined("edge_active_unmeasured"),
+        edge_exists=joined("edge_exists"),
+        touch_on_time=joined("touch_on_time"),
+        touch_on_time_unmeasured=joined("touch_on_time_unmeasured"),
+    )
+
+
+def _predicted(
+    model: StepModel,
+    dataset: Dataset,
+    run: Trajectory,
+    steps: int,
+    sensor: ContactSensor,
+    measured: bool,
+) -> RunPrediction:
+    longest = max(each.steps for each in dataset)
+    padded = recording(run, longest, _capacity(dataset), number_type(model), measured)
+    return predict_run(model, padded, jnp.arange(longest - steps + 1), steps, sensor)
+
+
+def _capacity(dataset: Dataset) -> int:
+    """Nodes of the largest run; at least two, because nothing is made for a graph without edges."""
+    return max(2, *(run.scene.node_count for run in dataset))
+
+
+def _windows(per_state: np.ndarray, steps: int) -> np.ndarray:
+    """[S, H+1, …], a view of [T+1, …]."""
+    view = np.lib.stride_tricks.sliding_window_view(per_state, steps + 1, axis=0)
+    return np.moveaxis(view, -1, 1)
+
+
+def _contact(run: Trajectory, nodes: int) -> np.ndarray:
+    """[T+1, E] bool, padded to ``nodes``."""
+    pairs = pair_indices(run.scene.node_count)
+    contact = np.zeros((run.steps + 1, nodes * (nodes - 1) // 2), dtype=bool)
+    if run.contact is not None:
+        contact[:, : len(pairs)] = run.contact[:, pairs[:, 0], pairs[:, 1]]
+    return contact

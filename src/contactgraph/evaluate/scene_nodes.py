@@ -1,0 +1,28 @@
+"""A scene's nodes as the model takes them."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene, pair_indices
+from contactgraph.model import Nodes
+
+
+def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
+    """The nodes of a scene, padded to ``node_capacity`` (default: no padding).
+
+    Raises `InvalidInputError` where the scene has more nodes.
+    """
+    count = scene.node_count
+    capacity = count if node_capacity is None else node_capacity
+    if capacity < count:
+        raise InvalidInputError(f"node_capacity must be at least {count}, found {capacity}")
+    exists = np.arange(capacity) < count
+    pairs = pair_indices(capacity)
+    candidate = exists[pairs].all(axis=1)
+    if scene.candidate_edges is not None:
+        listed = np.zeros((capacity, capacity), dtype=bool)
+        listed[scene.candidate_edges[:, 0], scene.candidate_edges[:, 1]] = True
+        candidate &= (listed | listed.T)[pairs[:, 0], pairs[:, 1]]
+    actuated = np.zeros(capacity, dtype=bool)
+    actuated[:count] = scene.actuated
+    return Nodes(jnp.asarray(actuated), jnp.asarray(exists), jnp.asarray(candidate))

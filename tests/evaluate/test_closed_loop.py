@@ -1,0 +1,98 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evaluation_worlds import scene_of
+
+from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.evaluate import closed_loop_metrics, wilson_interval
+from contactgraph.evaluate.closed_loop import approach
+
+JSON_KEYS = {
+    *("episodes", "seed", "success_rate", "success_interval", "contact_speed_m_s"),
+    *("slowest_before_contact_m_s", "slowest_before_contact_min_m_s", "touched_bystanders"),
+    *("plan_ms_p50", "plan_ms_p99"),
+}
+
+
+def episode(speed, touch=None, bystander=None) -> Trajectory:
+    """A gripper with these speeds that touches the target, and a bystander, in these states."""
+    states = len(speed)
+    velocity = np.zeros((states, 3, 2))
+    velocity[:, 0] = np.outer(speed, [0.6, -0.8])
+    velocity[:, 1] = 9.0  # nobody asks for the target's speed
+    contact = np.zeros((states, 3, 3), dtype=bool)
+    for node, since in ((1, touch), (2, bystander)):
+        if since is not None:
+            contact[since:, 0, node] = contact[since:, node, 0] = True
+    return Trajectory(
+        scene_of(3), np.zeros((states, 3, 2)), velocity, np.zeros((states - 1, 2)), contact
+    )
+
+
+def test_speeds_by_hand():
+    #        state    0    1    2    3    4    5    6    7    8    9
+    run = episode([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.6, 0.8, 0.2], touch=9)
+    found = approach(run, (0, 1))
+    assert found.contact_speed == pytest.approx(0.8)  # before contact, not after it
+    assert found.slowest == pytest.approx(0.5)  # not in start-up, not after contact
+    slowing = approach(episode([0, 1, 1, 1, 1, 1, 0.02, 1, 0], touch=8), (0, 1))
+    assert slowing.slowest == pytest.approx(0.02)
+
+
+def test_contact_in_start_up_or_never_or_from_the_start():
+    early = approach(episode([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0], touch=2), (0, 1))
+    assert early.contact_speed == pytest.approx(0.5) and early.slowest is None
+    assert approach(episode([0.0, 1.0], touch=None), (0, 1)) is None
+    assert approach(episode([0.0, 1.0], touch=0), (0, 1)) is None
+    assert approach(episode([0.0, 1.0, 1.0], touch=1), (0,)) is None
+    assert approach(replace(episode([0.0, 1.0], touch=1), contact=None), (0, 1)) is None
+
+
+def test_over_episodes():
+    runs = [
+        episode([1.0] * 8, touch=7),
+        episode([1.0] * 6 + [0.5, 0.9], touch=7, bystander=7),
+        episode([2.0] * 8, touch=7),
+        episode([3.0] * 8),
+    ]
+    found = closed_loop_metrics(runs, [True, False, True, True], (0, 1), 7, np.arange(101.0))
+    assert found.episodes == 4 and found.seed == 7
+    assert found.success_rate == 0.75 and found.success_interval == wilson_interval(3, 4)
+    assert found.contact_speed_m_s == pytest.approx(1.0)  # of 1, 0.5 and 2
+    assert found.slowest_before_contact_m_s == pytest.approx(1.0)
+    assert found.slowest_before_contact_min_m_s == pytest.approx(0.5)
+    assert found.touched_bystanders == 1
+    assert found.plan_ms_p50 == 50.0 and found.plan_ms_p99 == 99.0
+
+
+def test_a_longer_chain_knows_its_own():
+    run = episode([1.0] * 8, touch=6, bystander=7)
+    assert closed_loop_metrics([run], [True], (0, 1), 0).touched_bystanders == 1
+    assert closed_loop_metrics([run], [True], (0, 1, 2), 0).touched_bystanders == 0
+
+
+def test_what_nobody_measured_is_none():
+    run = replace(episode([1.0] * 8, touch=7), contact=None)
+    found = closed_loop_metrics([run], [False], (0, 1), 0)
+    assert found.touched_bystanders is found.contact_speed_m_s is found.plan_ms_p99 is None
+    assert found.slowest_before_contact_m_s is found.slowest_before_contact_min_m_s is None
+    assert found.success_rate == 0.0
+
+
+def test_json_keys():
+    run = episode([1.0] * 8, touch=7)
+    numbers = closed_loop_metrics([run], [True], (0, 1), 3, [1.0]).to_json()
+    assert set(numbers) == JSON_KEYS
+    assert json.loads(json.dumps(numbers)) == numbers
+
+
+def test_arguments():
+    run = episode([1.0, 1.0])
+    with pytest.raises(InvalidInputError, match="one entry an episode, at least one, found 0"):
+        closed_loop_metrics([], [], (0, 1), 0)
+    with pytest.raises(InvalidInputError, match="found 2 for 1 episodes"):
+        closed_loop_metrics([run], [True, True], (0, 1), 0)
+    with pytest.raises(InvalidInputError, match=r"chain must name nodes 0 to 2, found \(0, 3\)"):
+        closed_loop_metrics([run], [True], (0, 3), 0)

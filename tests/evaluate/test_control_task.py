@@ -1,0 +1,139 @@
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from evaluation_worlds import DT, GluedBodies, random_run, scene_of
+
+from contactgraph.control import ILQR, MPC
+from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.evaluate import (
+    MPCPolicy,
+    control_task,
+    episode_seeds,
+    evaluate_open_loop,
+    inspect_run,
+    scene_nodes,
+)
+from contactgraph.model import gim_temp
+from contactgraph.tasks import PickupTask
+from contactgraph.tasks.pickup import pickup_success
+
+SEER = GluedBodies(reach=0.081)
+
+
+class Counted(GluedBodies):
+    """Counts how often it is traced, which is once for everything that compiles it."""
+
+    traces = [0]  # noqa: RUF012
+
+    def linear_step(self, state, nodes):
+        self.traces[0] += 1
+        return GluedBodies(self.theta, self.reach).linear_step(state, nodes)
+
+
+def policy_of(model, capacity=0) -> MPCPolicy:
+    return MPCPolicy(MPC(model, ILQR(5, 2)), PickupTask().cost_terms(), 2, capacity)
+
+
+def test_the_known_world_is_picked_up_in_one_sweep():
+    records = []
+    metrics, runs = control_task(
+        SEER, PickupTask, 2, 0, on_episode=lambda run, record: records.append((run, record))
+    )
+    assert metrics.success_rate == 1.0 and metrics.episodes == 2 and metrics.seed == 0
+    assert all(pickup_success(run) for run in runs)
+    assert metrics.contact_speed_m_s > 0.3 and metrics.slowest_before_contact_min_m_s > 0.1
+    assert metrics.touched_bystanders == 0 and 0 < metrics.plan_ms_p50 <= metrics.plan_ms_p99
+    assert [run.scene.metadata["seed"] for run in runs] == episode_seeds(2, 0)
+    for (run, record), same in zip(records, runs, strict=True):
+        assert run is same and run.scene.metadata["policy"] == "MPCPolicy"
+        assert record.plan_ms.shape == record.status.shape == (200,)
+        assert record.belief.shape == (200, 1) and record.plan.shape == (200, 21, 2, 2)
+        # Every plan begins where things are.
+        assert np.allclose(record.plan[:, 0], run.position[:-1], atol=1e-6)
+        # It looks ahead without forces: a near miss, or a touch a step off, can fool it.
+        held, believed = run.contact[1:, 0, 1], record.belief[:, 0] > 0.5
+        assert held.any() and np.sum(believed != held) <= 3
+
+
+def test_other_numbers_of_objects_do_not_recompile():
+    policy = policy_of(Counted(reach=0.081), capacity=5)
+    traces = []
+    for distractors in (0, 3, 1):
+        task = PickupTask(distractors)
+        observation, _ = task.reset(seed=0)
+        policy.reset(task.scene, 0)
+        for _ in range(2):
+            assert np.linalg.norm(policy(observation)) > 0.1
+        assert policy.record().plan.shape == (2, 6, 2 + distractors, 2)
+        assert policy.record().belief.shape[1] == (2 + distractors) * (1 + distractors) // 2
+        traces.append(Counted.traces[0])
+    assert traces[0] > 0 and traces == [traces[0]] * 3
+
+
+def test_padding_changes_no_control():
+    task = PickupTask(1)
+    runs = []
+    for capacity in (0, 6):
+        observation, _ = task.reset(seed=3)
+        policy = policy_of(SEER, capacity)
+        policy.reset(task.scene, 0)
+        runs.append(policy(observation))
+    assert np.allclose(*runs, atol=1e-5)
+
+
+def test_inspection_sees_what_the_controller_believes():
+    model = gim_temp(2, 2, DT, width=8, key=jax.random.key(0))
+    run = random_run(3, 12, 2, goal=np.ones(2))
+    policy = policy_of(model, 4)
+    policy.reset(run.scene, 0)
+    for position, velocity, contact in zip(
+        run.position[:-1], run.velocity[:-1], run.contact[:-1], strict=True
+    ):
+        policy({"position": position, "velocity": velocity, "contact": contact})
+    insight = inspect_run(model, run, node_capacity=4)
+    assert np.allclose(insight.belief, policy.record().belief, atol=1e-4)
+    assert insight.belief.shape == (12, 3) and insight.edges.tolist() == [[0, 1], [0, 2], [1, 2]]
+    assert insight.parameters.inverse_mass.shape == (12, 3, 2)
+    assert np.all(insight.parameters.stiffness_rate >= 0)
+    blind = inspect_run(model, run, node_capacity=4, measured=False)
+    assert not np.allclose(blind.belief, insight.belief, atol=1e-2)
+    # The first step of every open-loop window is the same prediction.
+    detail = evaluate_open_loop(model, Dataset((run,)), horizon_s=DT).detail
+    assert np.array_equal(detail.edge_active[:, 0], insight.belief > 0.5)
+
+
+def test_scene_nodes_pads_and_knows_candidates():
+    scene = scene_of(3, candidate_edges=[[2, 0], [0, 1]])
+    nodes = scene_nodes(scene, 4)
+    assert nodes.mask.tolist() == [True, True, True, False]
+    assert nodes.actuated.tolist() == [True, False, False, False]
+    assert nodes.candidate.tolist() == [True, True, False, False, False, False]
+    assert scene_nodes(scene_of(3)).candidate.all()
+    with pytest.raises(InvalidInputError, match="node_capacity must be at least 3, found 2"):
+        scene_nodes(scene, 2)
+
+
+def test_what_does_not_fit():
+    class Slow(PickupTask):
+        @property
+        def scene(self):
+            return replace(super().scene, dt=0.1)
+
+    class Aimless(PickupTask):
+        @property
+        def scene(self):
+            return replace(super().scene, goal=None)
+
+    model = gim_temp(2, 2, DT, width=4, key=jax.random.key(0))
+    with pytest.raises(InvalidInputError, match=r"for dt 0.05 s, but the task has 0.1 s"):
+        control_task(model, Slow, 1, 0)
+    with pytest.raises(InvalidInputError, match="the scene has no goal"):
+        control_task(SEER, Aimless, 1, 0)
+    with pytest.raises(InvalidInputError, match="episodes must be at least 1, found 0"):
+        control_task(SEER, PickupTask, 0, 0)
+    with pytest.raises(InvalidInputError, match="no step since reset"):
+        policy_of(SEER).record()
+    with pytest.raises(InvalidInputError, match=r"control size U 2, but the run has 0"):
+        inspect_run(model, replace(random_run(2, 3, 0), control=np.zeros((3, 0))))

@@ -1,0 +1,101 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evaluation_worlds import DT, random_run, scene_of
+
+from contactgraph.data import Trajectory
+from contactgraph.evaluate import collect
+from contactgraph.evaluate.floors import constant_velocity, frozen_contact, joined
+from contactgraph.tasks import PickupExpert, PickupTask
+
+
+def rmse(predicted, run, windows):
+    steps = predicted.shape[1]
+    errors = [
+        run.position[start + 1 : start + steps + 1] - predicted[start]
+        for start in np.flatnonzero(windows)
+    ]
+    return np.sqrt(np.mean(np.sum(np.square(errors), axis=-1)))
+
+
+def test_constant_velocity_by_hand():
+    run = random_run(2, 6, 0)
+    predicted = constant_velocity(run, 3)
+    assert predicted.shape == (4, 3, 2, 2)
+    assert np.allclose(predicted[2, 1], run.position[2] + 2 * DT * run.velocity[2])
+
+
+def test_joined_through_others():
+    contact = np.zeros((1, 6, 6), dtype=bool)
+    for first, second in ((0, 1), (1, 2), (2, 3), (4, 5)):
+        contact[0, first, second] = contact[0, second, first] = True
+    blocks = np.kron(np.eye(2), np.ones((4, 4)))[:6, :6]
+    assert np.array_equal(joined(contact)[0], blocks)
+
+
+@pytest.mark.parametrize("substeps", [1, 4, 10])
+def test_frozen_contact_against_substeps_of_a_loop(substeps):
+    """Masses that differ, a chain of three of which two are pushed, and one that is alone."""
+    mass = np.array([1.0, 2.0, 4.0, 3.0])
+    scene = replace(
+        scene_of(4),
+        mass=mass,
+        actuated=np.array([True, False, True, False]),
+        metadata={"substeps": substeps},
+    )
+    contact = np.zeros((6, 4, 4), dtype=bool)
+    for first, second in ((0, 1), (1, 2)):
+        contact[:, first, second] = contact[:, second, first] = True
+    contact[4:] = False  # a change inside the window, which the floor does not know of
+    rng = np.random.default_rng(1)
+    run = Trajectory(
+        scene, rng.normal(size=(6, 4, 2)), rng.normal(size=(6, 4, 2)), rng.normal(size=(5, 2)),
+        contact,
+    )  # fmt: skip
+    position, velocity = run.position[1].copy(), run.velocity[1].copy()
+    expected = []
+    for control in run.control[1:5]:
+        for _ in range(substeps):
+            velocity[:3] += DT / substeps * 2 * control / mass[:3].sum()
+            position += DT / substeps * velocity
+        expected.append(position.copy())
+    assert np.allclose(frozen_contact(run, 4)[1], expected, atol=1e-12)
+
+
+def test_without_substeps_the_motion_is_the_exact_one():
+    run = Trajectory(
+        replace(scene_of(1), mass=np.ones(1)),
+        np.zeros((3, 1, 2)), np.zeros((3, 1, 2)), np.ones((2, 2)), np.zeros((3, 1, 1)),
+    )  # fmt: skip
+    assert np.allclose(frozen_contact(run, 2)[0, :, 0, 0], [DT**2 / 2, (2 * DT) ** 2 / 2])
+
+
+def test_a_control_of_another_size_than_the_dimension():
+    run = random_run(2, 4, 0)
+    none = replace(run, control=np.zeros((4, 0)), contact=np.zeros((5, 2, 2)))
+    assert np.allclose(frozen_contact(none, 2), constant_velocity(none, 2))
+    more = replace(run, control=np.column_stack([run.control, np.ones(4)]))
+    assert np.array_equal(frozen_contact(more, 2), frozen_contact(run, 2))
+
+
+def test_unknown_masses_contacts_or_hinges_give_none():
+    run = random_run(2, 4, 0)
+    assert frozen_contact(run, 2) is not None
+    assert frozen_contact(replace(run, contact=None), 2) is None
+    assert frozen_contact(replace(run, scene=replace(run.scene, mass=None)), 2) is None
+    hinge = np.array([[np.nan, np.nan], [0.0, 1.0]])
+    assert frozen_contact(replace(run, scene=replace(run.scene, anchor=hinge)), 2) is None
+
+
+def test_on_real_pickups_only_changes_of_contact_are_hard():
+    for run in collect(PickupTask, [PickupExpert()], 2, 0):
+        starts = run.steps - 9
+        change = np.array(
+            [(run.contact[t : t + 11] != run.contact[t]).any() for t in range(starts)]
+        )
+        assert change.any() and not change.all()
+        predicted = frozen_contact(run, 10)
+        assert rmse(predicted, run, ~change) < 1e-4
+        assert rmse(predicted, run, change) > 0.03
+        assert rmse(constant_velocity(run, 10), run, ~change) > 0.01

@@ -1,0 +1,218 @@
+import json
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from evaluation_worlds import DT, Explodes, GluedBodies, random_run, scene_of
+
+from contactgraph.data import Dataset, InvalidInputError, Trajectory, strip_contacts
+from contactgraph.evaluate import collect, evaluate_open_loop
+from contactgraph.model import gim_temp
+from contactgraph.tasks import PickupExpert, PickupTask
+
+JSON_KEYS = {
+    *("n_step_rmse_m", "n_step_rmse_moving_m", "n_step_rmse_free_m", "n_step_rmse_contact_m"),
+    *("constant_velocity_rmse_m", "frozen_contact_rmse_m", "n_steps", "n_step_rmse_unmeasured_m"),
+    *("edge_precision", "edge_recall", "edge_f1", "edge_accuracy", "switch_time_error_s"),
+    *("edge_precision_unmeasured", "edge_recall_unmeasured", "edge_f1_unmeasured"),
+    *("edge_accuracy_unmeasured", "switch_time_error_unmeasured_s"),
+    *("edge_on_time", "edge_on_time_unmeasured", "runs", "windows", "diverged_windows"),
+}
+
+
+@pytest.fixture(scope="module")
+def pickups() -> Dataset:
+    return Dataset(tuple(collect(lambda: PickupTask(1), [PickupExpert()], 2, 0)))
+
+
+@pytest.fixture(scope="module")
+def glued(pickups):
+    return evaluate_open_loop(GluedBodies(), pickups)
+
+
+@pytest.fixture(scope="module")
+def untrained():
+    return gim_temp(2, 2, DT, width=8, key=jax.random.key(0))
+
+
+def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):
+    assert glued.n_step_rmse_m == pytest.approx(glued.frozen_contact_rmse_m, rel=1e-3)
+    assert np.allclose(glued.detail.squared_error, glued.detail.frozen_contact, atol=1e-5)
+    assert glued.n_step_rmse_free_m < 1e-4 and glued.n_step_rmse_contact_m > 0.03
+    assert glued.edge_on_time == 0.0 and glued.edge_precision == 1.0
+    assert glued.runs == 2 and glued.windows == 2 * 191 and glued.n_steps == 10
+
+
+def test_without_measured_contacts_it_never_knows_of_any(glued):
+    assert glued.edge_recall_unmeasured == 0.0 and glued.edge_precision_unmeasured is None
+    assert glued.edge_recall > 0.9
+    assert glued.n_step_rmse_unmeasured_m > 2 * glued.n_step_rmse_m
+
+
+def test_a_missed_onset_costs_what_remains_of_its_window(glued):
+    # An onset in every step of the window, as often as every other: 10 … 1 steps remain.
+    assert glued.switch_time_error_s == pytest.approx(5.5 * DT)
+
+
+def test_who_foresees_the_touch_is_on_time(pickups, glued):
+    seer = evaluate_open_loop(GluedBodies(reach=0.081), pickups)
+    assert seer.edge_on_time == 1.0 and seer.edge_on_time_unmeasured == 1.0
+    assert seer.switch_time_error_s < glued.switch_time_error_s
+    assert seer.edge_recall > glued.edge_recall
+    assert seer.n_step_rmse_contact_m < glued.n_step_rmse_contact_m
+    eager = evaluate_open_loop(GluedBodies(reach=0.3), pickups)
+    assert eager.edge_precision < seer.edge_precision and eager.edge_f1 < seer.edge_f1
+
+
+def test_a_worse_model_has_worse_numbers(pickups, glued):
+    worse = evaluate_open_loop(GluedBodies(theta=1.0), pickups)
+    assert worse.n_step_rmse_free_m > 10 * glued.n_step_rmse_free_m
+    assert worse.frozen_contact_rmse_m == glued.frozen_contact_rmse_m
+
+
+def test_metrics_against_a_loop():
+    """Every window of a run in which nothing holds, in numpy alone."""
+    run = random_run(3, 12, 2)
+    found = evaluate_open_loop(GluedBodies(), Dataset((run,)), horizon_s=3 * DT)
+    errors, moving, free, changed, cells = [], [], [], [], np.zeros((2, 2), int)
+    for start in range(10):
+        joined = run.contact[start] | np.eye(3, dtype=bool)
+        joined = np.linalg.matrix_power(joined.astype(int), 3) > 0
+        window = run.contact[start : start + 4]
+        is_free = (window == window[0]).all()
+        position, velocity = run.position[start].copy(), run.velocity[start].copy()
+        travel = np.zeros(3)
+        squared = []
+        for step in range(3):
+            velocity = np.array([velocity[group].mean(axis=0) for group in joined])
+            push = np.array([group[0] / group.sum() for group in joined])[:, None]
+            acceleration = push * run.control[start + step]
+            # GluedBodies moves with the old velocity in the step of an impact.
+            old = position + 0.55 * DT**2 * acceleration
+            before = run.velocity[start] if step == 0 else velocity
+            position, velocity = old + DT * before, velocity + DT * acceleration
+            truth = run.position[start + step + 1]
+            squared.append(np.sum((position - truth) ** 2, axis=1))
+            travel = np.maximum(travel, np.linalg.norm(truth - run.position[start], axis=1))
+            for first, second in ((0, 1), (0, 2), (1, 2)):
+                active = run.contact[start, first, second]
+                cells[int(active), int(run.contact[start + step + 1, first, second])] += 1
+        errors.append(squared)
+        moving.append(np.array(squared)[:, travel > 1e-3])
+        (free if is_free else changed).append(squared)
+
+    def rms(values):
+        return pytest.approx(np.sqrt(np.mean(np.concatenate([np.ravel(v) for v in values]))), 1e-4)
+
+    assert len(free) and len(changed)
+    assert found.n_step_rmse_m == rms(errors) and found.n_step_rmse_moving_m == rms(moving)
+    assert found.n_step_rmse_free_m == rms(free) and found.n_step_rmse_contact_m == rms(changed)
+    assert found.edge_precision == pytest.approx(cells[1, 1] / cells[1].sum())
+    assert found.edge_recall == pytest.approx(cells[1, 1] / cells[:, 1].sum())
+    assert found.edge_accuracy == pytest.approx(np.trace(cells) / cells.sum())
+    detail = found.detail
+    assert np.allclose(detail.rmse_by_window(detail.squared_error) ** 2, np.mean(errors, (1, 2)))
+    assert np.allclose(detail.rmse_by_step(detail.squared_error) ** 2, np.mean(errors, (0, 2)))
+    assert np.allclose(detail.horizon, [0.05, 0.1, 0.15])
+
+
+def test_bodies_at_rest_dilute_only_the_mean_over_all():
+    position = np.zeros((5, 2, 2))
+    position[:, 0, 0] = 0.1 * np.arange(5)
+    still = Trajectory(scene_of(2), position, np.zeros((5, 2, 2)), np.zeros((4, 2)))
+    found = evaluate_open_loop(GluedBodies(), Dataset((still,)), horizon_s=2 * DT)
+    assert found.n_step_rmse_moving_m == pytest.approx(np.sqrt((0.1**2 + 0.2**2) / 2), rel=1e-5)
+    assert found.n_step_rmse_m == pytest.approx(found.n_step_rmse_moving_m / np.sqrt(2), rel=1e-5)
+    resting = replace(still, position=np.zeros((5, 2, 2)))
+    found = evaluate_open_loop(GluedBodies(), Dataset((resting,)), horizon_s=2 * DT)
+    assert found.n_step_rmse_moving_m is None and found.n_step_rmse_m == 0.0
+
+
+def test_what_is_not_recorded_is_none_and_the_rest_is_the_same(untrained):
+    dataset = Dataset((random_run(3, 8, 0, goal=np.ones(2)), random_run(3, 8, 1)))
+    full = evaluate_open_loop(untrained, dataset, horizon_s=3 * DT)
+    bare = evaluate_open_loop(untrained, strip_contacts(dataset), horizon_s=3 * DT)
+    for name in ("frozen_contact_rmse_m", "n_step_rmse_free_m", "n_step_rmse_contact_m"):
+        assert getattr(full, name) is not None and getattr(bare, name) is None
+    assert all(value is None for name, value in vars(bare).items() if name.startswith("edge_"))
+    assert bare.switch_time_error_s is bare.switch_time_error_unmeasured_s is None
+    assert bare.n_step_rmse_m == bare.n_step_rmse_unmeasured_m == full.n_step_rmse_unmeasured_m
+    assert bare.constant_velocity_rmse_m == full.constant_velocity_rmse_m
+    assert full.n_step_rmse_m != full.n_step_rmse_unmeasured_m
+    one, other = dataset.trajectories
+    partly = Dataset((one, replace(other, contact=None)))
+    assert evaluate_open_loop(untrained, partly, horizon_s=3 * DT).edge_f1 is None
+    weightless = Dataset((one, replace(other, scene=replace(other.scene, mass=None))))
+    found = evaluate_open_loop(untrained, weightless, horizon_s=3 * DT)
+    assert found.frozen_contact_rmse_m is None and found.edge_f1 == full.edge_f1
+
+
+def test_ragged_runs_are_as_each_alone(untrained):
+    runs = (random_run(2, 6, 0), random_run(4, 11, 1), random_run(3, 2, 2))
+    together = evaluate_open_loop(untrained, Dataset(runs), horizon_s=3 * DT).detail
+    assert together.run.tolist() == [0] * 4 + [1] * 9  # run 2 is too short
+    for number in (0, 1):
+        alone = evaluate_open_loop(untrained, Dataset((runs[number],)), horizon_s=3 * DT).detail
+        mine, count = together.run == number, runs[number].scene.node_count
+        edges = count * (count - 1) // 2
+        assert np.array_equal(together.start[mine], alone.start)
+        for name in ("squared_error", "squared_error_unmeasured", "frozen_contact"):
+            found = getattr(together, name)[mine]
+            assert np.allclose(found[..., :count], getattr(alone, name), rtol=1e-4, atol=1e-8)
+            assert not found[..., count:].any()
+        assert np.array_equal(together.exists[mine][:, :count], alone.exists)
+        assert not together.exists[mine][:, count:].any()
+        assert np.array_equal(together.contact[mine][..., :edges], alone.contact)
+        assert np.array_equal(together.edge_active[mine][..., :edges], alone.edge_active)
+        assert np.array_equal(together.contact_changes[mine], alone.contact_changes)
+        assert not together.edge_exists[mine][:, edges:].any()
+
+
+def test_a_single_body_has_no_edges():
+    lonely = evaluate_open_loop(GluedBodies(), Dataset((random_run(1, 5, 0),)), horizon_s=2 * DT)
+    assert lonely.edge_accuracy is None and lonely.n_step_rmse_m > 0
+    assert lonely.n_step_rmse_m == pytest.approx(lonely.frozen_contact_rmse_m, rel=0.1)
+
+
+def test_another_model_of_the_same_kind_has_other_numbers(untrained):
+    dataset = Dataset((random_run(3, 8, 0),))
+    first = evaluate_open_loop(untrained, dataset, horizon_s=3 * DT)
+    params, static = eqx.partition(untrained, eqx.is_inexact_array)
+    changed = eqx.combine(jax.tree.map(lambda leaf: 1.1 * leaf, params), static)
+    second = evaluate_open_loop(changed, dataset, horizon_s=3 * DT)
+    assert first.n_step_rmse_m != second.n_step_rmse_m
+    assert first.constant_velocity_rmse_m == second.constant_velocity_rmse_m
+
+
+def test_a_model_that_explodes_is_reported_and_is_valid_json():
+    found = evaluate_open_loop(Explodes(), Dataset((random_run(2, 6, 0),)), horizon_s=2 * DT)
+    assert found.diverged_windows == found.windows == 5 and found.n_step_rmse_m == np.inf
+    assert found.to_json()["n_step_rmse_m"] is None
+    assert found.to_json()["constant_velocity_rmse_m"] > 0
+    json.dumps(found.to_json(), allow_nan=False)
+
+
+def test_json_keys(glued):
+    assert set(glued.to_json()) == JSON_KEYS
+    assert json.loads(json.dumps(glued.to_json(), allow_nan=False)) == glued.to_json()
+
+
+def test_a_model_for_other_data(untrained):
+    run = random_run(2, 5, 0)
+    bare = replace(run, control=np.zeros((5, 0)))
+    with pytest.raises(InvalidInputError, match="control size U 2, but the data has 0"):
+        evaluate_open_loop(untrained, Dataset((bare,)), horizon_s=2 * DT)
+    slower = replace(run, scene=replace(run.scene, dt=0.1))
+    with pytest.raises(InvalidInputError, match=r"for dt 0.05 s, but the data has 0.1 s"):
+        evaluate_open_loop(untrained, Dataset((slower,)))
+    deeper = replace(untrained, dimension=3)
+    with pytest.raises(InvalidInputError, match="dimension D 3, but the data has 2"):
+        evaluate_open_loop(deeper, Dataset((run,)))
+
+
+@pytest.mark.parametrize("horizon", [0.0, -1.0, 0.3, np.nan, np.inf])
+def test_a_horizon_that_no_run_has(untrained, horizon):
+    with pytest.raises(InvalidInputError, match=r"horizon_s must be 0.05 to 0.25 s"):
+        evaluate_open_loop(untrained, Dataset((random_run(2, 5, 0),)), horizon_s=horizon)
