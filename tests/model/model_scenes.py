@@ -1,5 +1,6 @@
 """Scenes and models that the model tests share."""
 
+from collections.abc import Callable
 from functools import cache
 
 import equinox as eqx
@@ -31,11 +32,16 @@ PRESETS = {
 
 @cache
 def preset(name: str, dimension: int = 2, seed: int = 0, width: int = 16) -> ContactDynamics:
-    """A model with random weights; drawn by numpy, which compiles nothing."""
+    """A preset with random weights."""
 
     def construct() -> ContactDynamics:
         return PRESETS[name](dimension, 2, DT, width=width, key=jax.random.PRNGKey(0))
 
+    return with_random_weights(construct, seed)
+
+
+def with_random_weights(construct: Callable[[], ContactDynamics], seed: int = 0) -> ContactDynamics:
+    """What `construct` makes, its weights drawn by numpy: that compiles nothing."""
     rng = np.random.default_rng(seed)
 
     def draw(leaf: object) -> object:

@@ -1,0 +1,112 @@
+"""Bayes' rule on an edge: by hand, under contradiction, and as an algebra."""
+
+import hypothesis.extra.numpy as hnp
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from jax.test_util import check_grads
+
+from contactgraph.model import ContactBelief, ContactSensor, correct, two_type_belief
+
+SENSOR = ContactSensor(false_alarm=0.02, miss=0.1)
+
+
+def corrected(probability, measurement, sensor=SENSOR) -> np.ndarray:
+    belief = two_type_belief(jnp.atleast_1d(jnp.asarray(probability, jnp.float32)))
+    return np.asarray(correct(belief, jnp.atleast_1d(jnp.asarray(measurement)), sensor).probability)
+
+
+def test_bayes_by_hand() -> None:
+    # Paper, eq. (4): 0.9 active and "no contact" must be believed; the authors' code says 0.5.
+    np.testing.assert_allclose(
+        corrected(0.9, 0.0, ContactSensor(0.01, 0.01)), 0.009 / 0.108, rtol=1e-5
+    )
+    np.testing.assert_allclose(corrected(0.3, 1.0), 0.3 * 0.9 / (0.3 * 0.9 + 0.7 * 0.02), rtol=1e-5)
+    np.testing.assert_allclose(corrected(0.3, 0.0), 0.3 * 0.1 / (0.3 * 0.1 + 0.7 * 0.98), rtol=1e-5)
+    # Half sure of contact: each likelihood is the mean of the two.
+    np.testing.assert_allclose(corrected(0.3, 0.5), 0.3 * 0.5 / (0.3 * 0.5 + 0.7 * 0.5), rtol=1e-5)
+
+
+@pytest.mark.parametrize("measurement", [0.0, 1.0, 0.5])
+@pytest.mark.parametrize("probability", [0.0, 1.0])
+def test_a_sure_belief_survives_contradiction_and_stays_open(probability, measurement) -> None:
+    for sensor in (SENSOR, ContactSensor(0.0, 0.0), ContactSensor(1.0, 1.0)):
+        once = corrected(probability, measurement, sensor)
+        assert np.all((once >= 0) & (once <= 1))
+    # A sensor that is never wrong is believed, but no wrong certainty is for ever.
+    belief = two_type_belief(jnp.array([probability]))
+    for _ in range(14):
+        belief = correct(belief, jnp.array([1.0 - probability]), SENSOR)
+    np.testing.assert_allclose(belief.probability, [1.0 - probability], atol=1e-2)
+
+
+def test_what_was_not_measured_keeps_its_belief_to_the_bit() -> None:
+    probability = np.linspace(0, 1, 11, dtype=np.float32)
+    for nothing in (np.nan, np.inf, -np.inf):
+        found = corrected(probability, np.full(11, nothing))
+        np.testing.assert_array_equal(found, two_type_belief(jnp.asarray(probability)).probability)
+
+
+def test_measurements_out_of_range_count_as_the_nearest_possible() -> None:
+    np.testing.assert_array_equal(corrected(0.3, 7.0), corrected(0.3, 1.0))
+    np.testing.assert_array_equal(corrected(0.3, -1.0), corrected(0.3, 0.0))
+
+
+EDGES = 8
+probabilities = hnp.arrays(np.float32, (EDGES, 3), elements=st.floats(0, 1, width=32))
+measurements = hnp.arrays(
+    np.float32,
+    EDGES,
+    elements=st.one_of(st.sampled_from([0.0, 1.0, np.nan]), st.floats(0, 1, width=32)),
+)
+rates = st.floats(0, 1)
+
+
+@settings(max_examples=200, deadline=None)
+@given(raw=probabilities, measurement=measurements, false_alarm=rates, miss=rates)
+def test_a_corrected_belief_is_a_belief(raw, measurement, false_alarm, miss) -> None:
+    raw = (raw + 1e-3) / (raw + 1e-3).sum(axis=-1, keepdims=True)
+    sensor = ContactSensor(false_alarm, miss)
+    found = np.asarray(
+        correct(ContactBelief(raw), jnp.asarray(measurement), sensor).type_probability
+    )
+    assert np.all((found >= 0) & (found <= 1))
+    np.testing.assert_allclose(found.sum(axis=-1), 1, atol=1e-5)
+    # The sensor tells active from inactive, not the active types from each other.
+    np.testing.assert_allclose(found[:, 1] * raw[:, 2], found[:, 2] * raw[:, 1], atol=1e-5)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    probability=st.floats(0.01, 0.99), false_alarm=st.floats(0.01, 0.4), miss=st.floats(0.01, 0.4)
+)
+def test_contact_raises_and_none_lowers_and_order_does_not_matter(
+    probability, false_alarm, miss
+) -> None:
+    sensor = ContactSensor(false_alarm, miss)
+    up, down = (corrected(probability, value, sensor) for value in (1.0, 0.0))
+    assert down <= probability + 1e-6 and up >= probability - 1e-6
+    np.testing.assert_allclose(corrected(up, 0.0, sensor), corrected(down, 1.0, sensor), atol=1e-4)
+
+
+@pytest.mark.usefixtures("double_precision")
+def test_derivatives_against_finite_differences() -> None:
+    def posterior(probability, measurement):
+        belief = ContactBelief(probability)
+        return correct(belief, measurement, SENSOR).type_probability
+
+    probability = jnp.array([[0.5, 0.3, 0.2], [0.05, 0.9, 0.05], [0.98, 0.01, 0.01]])
+    check_grads(posterior, (probability, jnp.array([0.8, 0.1, 0.4])), order=1, eps=1e-6)
+
+
+@pytest.mark.usefixtures("double_precision")
+def test_an_edge_that_was_not_measured_has_a_finite_gradient() -> None:
+    def total(probability):
+        found = correct(two_type_belief(probability), jnp.array([jnp.nan, 1.0]), SENSOR)
+        return jnp.sum(found.probability)
+
+    slope = jax.grad(total)(jnp.array([0.3, 1.0]))
+    assert slope[0] == 1 and np.all(np.isfinite(slope))

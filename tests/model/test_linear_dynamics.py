@@ -1,0 +1,103 @@
+"""One linear step in blocks and stacked; stacking and its inverse; derivatives of the step."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from contactgraph.model import (
+    LinearDynamics,
+    SpringMassDamper,
+    ThetaMethod,
+    from_physical,
+    stack_state,
+    unstack_state,
+)
+
+
+def random_step(nodes: int, dimension: int, size: int, lead: tuple[int, ...] = ()):
+    keys = jax.random.split(jax.random.PRNGKey(0), 3)
+    shapes = [(2, 2), (2, size), (2,)]
+    return LinearDynamics(
+        *(
+            jax.random.normal(key, (*lead, nodes, dimension, *shape))
+            for key, shape in zip(keys, shapes, strict=True)
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("nodes", "dimension", "size"), [(1, 1, 1), (3, 2, 2), (4, 3, 0), (2, 2, 5)]
+)
+def test_the_stacked_step_is_that_of_the_blocks(nodes, dimension, size) -> None:
+    step = random_step(nodes, dimension, size)
+    rng = np.random.default_rng(1)
+    position, velocity = jnp.asarray(rng.normal(size=(2, nodes, dimension)))
+    control = jnp.asarray(rng.normal(size=size))
+    A, B, offset = step.stacked()
+    assert A.shape == (2 * nodes * dimension,) * 2
+    stacked = A @ stack_state(position, velocity) + B @ control + offset
+    expected = stack_state(*step(position, velocity, control))
+    np.testing.assert_allclose(stacked, expected, atol=1e-5)
+
+
+def test_the_stacked_step_keeps_leading_axes() -> None:
+    step = random_step(3, 2, 2, lead=(5, 4))
+    for whole, one in zip(
+        step.stacked(), jax.tree.map(lambda leaf: leaf[2, 3], step).stacked(), strict=True
+    ):
+        np.testing.assert_array_equal(whole[2, 3], one)
+
+
+def test_stacking_and_back() -> None:
+    position, velocity = jnp.asarray(np.random.default_rng(0).normal(size=(2, 7, 3, 2)))
+    stacked = stack_state(position, velocity)
+    assert stacked.shape == (7, 12)
+    # For each node its positions, then its velocities.
+    np.testing.assert_array_equal(stacked[0, :4], [*position[0, 0], *velocity[0, 0]])
+    for ours, theirs in zip(unstack_state(stacked, 2), (position, velocity), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_step_by_hand() -> None:
+    step = LinearDynamics(
+        A=jnp.array([[[[1.0, 0.1], [-0.2, 0.9]]]]),
+        B=jnp.array([[[[0.0], [0.5]]]]),
+        offset=jnp.array([[[0.01, 0.02]]]),
+    )
+    position, velocity = step(jnp.array([[2.0]]), jnp.array([[3.0]]), jnp.array([4.0]))
+    np.testing.assert_allclose(position, [[2.0 + 0.3 + 0.01]], rtol=1e-6)
+    np.testing.assert_allclose(velocity, [[-0.4 + 2.7 + 2.0 + 0.02]], rtol=1e-6)
+
+
+@pytest.mark.usefixtures("double_precision")
+@pytest.mark.parametrize("learned", [True, False])
+def test_derivatives_of_the_theta_method(learned) -> None:
+    def moved(w, k, c, rest, rest_velocity, shift, raw):
+        parameters = SpringMassDamper(w, k, c, rest, rest_velocity, shift)
+        method = ThetaMethod(0.6, learned=learned)
+        method = jax.tree.map(lambda leaf: leaf + raw, method)
+        return jax.tree.leaves(method(parameters, 0.05, 2))
+
+    keys = jax.random.split(jax.random.PRNGKey(0), 6)
+    values = [5 * jax.random.uniform(key, (2, 2)) for key in keys]
+    values[1] = values[1] * 100
+    check_grads(moved, (*values, jnp.array(0.1)), order=1, eps=1e-6)
+    slope = jax.grad(lambda raw: sum(jnp.sum(x) for x in moved(*values, raw)))(0.1)
+    assert (slope == 0) == (not learned)
+
+
+def test_a_weightless_control_has_finite_physical_parameters() -> None:
+    zero, one = jnp.zeros((1, 2)), jnp.ones((1, 2))
+    parameters = SpringMassDamper(zero, one, one, zero, zero, zero)
+    assert np.all(np.isfinite(parameters.stiffness)) and np.all(np.isfinite(parameters.damping))
+
+
+def test_physical_parameters_come_back() -> None:
+    rng = np.random.default_rng(0)
+    w, k, c, rest = jnp.asarray(rng.uniform(0.1, 5, (4, 3, 2)))
+    parameters = from_physical(w, k, c, rest)
+    np.testing.assert_allclose(parameters.stiffness, k, rtol=1e-5)
+    np.testing.assert_allclose(parameters.damping, c, rtol=1e-5)
+    assert not np.any(parameters.shift) and not np.any(parameters.equilibrium_velocity)
