@@ -5,7 +5,14 @@ from pathlib import Path
 from typing import TypeVar
 
 from contactgraph.data import InvalidInputError
-from contactgraph.model import full_ab, gim_non_temp, gim_temp, no_gim
+from contactgraph.model import (
+    full_ab,
+    gim_non_temp,
+    gim_temp,
+    no_gim,
+    shipped_model,
+    shipped_models,
+)
 from contactgraph.tasks import PickupTask
 from contactgraph.tasks.contract import Policy, Task
 from contactgraph.tasks.expert import PickupExpert
@@ -19,7 +26,6 @@ MODELS = {
     "full-ab": full_ab,
 }
 EXPERTS: dict[str, Callable[[], Policy]] = {"pickup": PickupExpert}
-_SHIPPED = Path(__file__).resolve().parent.parent / "pretrained"
 
 
 def looked_up(what: str, name: str, table: dict[str, Value]) -> Value:
@@ -60,15 +66,9 @@ def model_path(run: str) -> Path:
         raise InvalidInputError(
             f"{run}: has no model.safetensors; it must be a folder that train has made"
         )
-    shipped = _SHIPPED / f"{run}.safetensors"
     if run in shipped_models():
-        return shipped
+        return shipped_model(run)
     raise InvalidInputError(
         f"{run}: no such run folder or model file; models that ship are "
         f"{', '.join(shipped_models())}"
     )
-
-
-def shipped_models() -> list[str]:
-    """Names of the models that come with the package."""
-    return sorted(path.stem for path in _SHIPPED.glob("*.safetensors"))
