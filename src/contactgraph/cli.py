@@ -6,7 +6,6 @@ Exit codes: 0 done; 2 the user's mistake, one line on stderr; 1 a fault of ours;
 import contextlib
 import io
 import os
-import re
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -21,6 +20,7 @@ from contactgraph.commands.info import Info
 from contactgraph.commands.report import Report
 from contactgraph.commands.reproduce import Reproduce
 from contactgraph.commands.train import Train
+from contactgraph.commands.usage import one_line
 from contactgraph.data import InvalidInputError
 
 Command = (
@@ -33,7 +33,7 @@ Command = (
     | Annotated[Info, subcommand("info")]
 )
 
-_BOX = re.compile(r"[╭╮╰╯│─┄┈╌]+")
+_COMMANDS = ("collect", "train", "evaluate", "control", "reproduce", "report", "info")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -43,11 +43,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command; the exit code."""
-    command = _parse(arguments)
-    if isinstance(command, int):
-        return command
-    _keep_compiled_programs()
     try:
+        command = _parse(arguments)
+        if isinstance(command, int):
+            return command
+        _keep_compiled_programs()
         command.run()
     except InvalidInputError as error:
         print(f"contactgraph: {error}", file=sys.stderr)
@@ -57,7 +57,8 @@ def run(arguments: list[str]) -> int:
         return 130
     except BrokenPipeError:
         # Whoever read our output has gone (`| head`): nothing more to say, and nobody to say it to.
-        sys.stdout = None
+        # What is still buffered would fail again when Python exits, so it goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
     return 0
 
@@ -72,18 +73,19 @@ def _parse(arguments: list[str]) -> Command | int:
                 prog="contactgraph",
                 description="Learn which objects touch when, and control through contact.",
                 args=arguments or ["--help"],
-                config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+                config=(
+                    tyro.conf.OmitSubcommandPrefixes,
+                    tyro.conf.OmitArgPrefixes,
+                    tyro.conf.FlagCreatePairsOff,
+                ),
             )
     except SystemExit as exit:
         if exit.code in (0, None):
+            sys.stdout.flush()
             return 0
-        print(f"contactgraph: {_one_line(said.getvalue())}", file=sys.stderr)
+        mistake = one_line(said.getvalue(), arguments[0], _COMMANDS)
+        print(f"contactgraph: {mistake}", file=sys.stderr)
         return 2
-
-
-def _one_line(text: str) -> str:
-    words = _BOX.sub(" ", re.sub(r"\x1b\[[0-9;]*m", "", text)).split()
-    return " ".join(words)
 
 
 def _keep_compiled_programs() -> None:

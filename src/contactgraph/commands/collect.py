@@ -3,17 +3,18 @@
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 
 @dataclass(frozen=True)
 class Collect:
     """Record runs of a task by its scripted expert, and write them to a dataset file."""
 
-    task: Positional[str]
+    task: Positional[Annotated[str, arg(metavar="TASK")]]
     """The task: pickup."""
-    out: Path
+    out: Annotated[Path, arg(metavar="FILE")]
     """The file to write (HDF5)."""
     episodes: int = 40
     """How many runs."""
@@ -21,7 +22,7 @@ class Collect:
     """The same seed records the same runs."""
     distractors: int = 0
     """Objects that stand by, 0 to 20."""
-    objects: int | None = None
+    objects: Annotated[int | None, arg(metavar="INT")] = None
     """Objects to handle, where the task has a choice."""
     exploration: float = 0.0
     """Share of runs with random forces in place of the expert."""
@@ -31,14 +32,15 @@ class Collect:
     def run(self) -> None:
         """Record and write."""
         from contactgraph.commands.names import EXPERTS, looked_up, task_factory
+        from contactgraph.commands.numbers import check_episodes, check_seed
         from contactgraph.commands.output import check_writable, progress, say
-        from contactgraph.data import InvalidInputError, write_trajectories
+        from contactgraph.data import InvalidInputError, Metadata, write_trajectories
         from contactgraph.evaluate import collect
         from contactgraph.tasks import ExplorationPolicy, RestPolicy
 
         factory = task_factory(self.task, self.distractors, self.objects)
-        if self.episodes < 1:
-            raise InvalidInputError(f"--episodes must be at least 1, found {self.episodes}")
+        check_episodes(self.episodes)
+        check_seed(self.seed)
         shares = {"--exploration": self.exploration, "--resting": self.resting}
         for name, share in shares.items():
             if not 0.0 <= share <= 1.0:
@@ -57,6 +59,6 @@ class Collect:
             runs = collect(
                 factory, policies, self.episodes, self.seed, lambda _: steps.advance(next(done))
             )
-        metadata = {"task": self.task, "seed": self.seed, "distractors": self.distractors}
+        metadata: Metadata = {"task": self.task, "seed": self.seed, "distractors": self.distractors}
         write_trajectories(self.out, runs, metadata)
         say(f"{self.out}: {len(runs)} runs of {self.task}, seed {self.seed}")

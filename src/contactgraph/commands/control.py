@@ -1,18 +1,20 @@
 """``contactgraph control``: a model in closed loop with a task."""
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 
 @dataclass(frozen=True)
 class Control:
     """Control a task through contact by iLQR-MPC with a learned model, episode after episode."""
 
-    run_name: Positional[str]
+    run_name: Positional[Annotated[str, arg(metavar="RUN")]]
     """A run folder, a model file, or a model that ships with the package (pickup)."""
-    task: Positional[str]
+    task: Positional[Annotated[str, arg(metavar="TASK")]]
     """The task: pickup."""
     episodes: int = 100
     """How many episodes."""
@@ -20,26 +22,27 @@ class Control:
     """The same seed gives the same episodes."""
     distractors: int = 0
     """Objects that stand by, 0 to 20."""
-    objects: int | None = None
+    objects: Annotated[int | None, arg(metavar="INT")] = None
     """Objects to handle, where the task has a choice."""
     horizon: int = 20
     """Steps to plan ahead."""
     replan_every: int = 1
     """Steps between plans; feedback acts in between."""
-    deadline_ms: float | None = None
+    deadline_ms: Annotated[float | None, arg(metavar="MS")] = None
     """A plan that takes longer, in ms, is not used; the last one is."""
-    json: Path | None = None
+    json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the measurements to this file."""
-    video: Path | None = None
+    video: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the first episode as an animation to this file (.gif, or .mp4 with ffmpeg)."""
-    save: Path | None = None
+    save: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the episodes to this dataset file (HDF5)."""
 
     def run(self) -> None:
         """Run the episodes and say how they went."""
         from contactgraph.commands.names import model_path, task_factory
+        from contactgraph.commands.numbers import check_episodes, check_range, check_seed
         from contactgraph.commands.output import check_writable, progress, say, write_json
-        from contactgraph.data import Dataset, InvalidInputError, Trajectory, write_trajectories
+        from contactgraph.data import Dataset, Trajectory, write_trajectories
         from contactgraph.evaluate import EpisodeRecord, control_task, evaluate_open_loop
         from contactgraph.model.storage import load_model
         from contactgraph.reproduce.scenes import scene_run
@@ -49,17 +52,20 @@ class Control:
             check_writable(path)
         if self.video is not None:
             check_animation(self.video)
-        if self.episodes < 1:
-            raise InvalidInputError(f"--episodes must be at least 1, found {self.episodes}")
+        check_episodes(self.episodes)
+        check_seed(self.seed)
+        check_range("--horizon", self.horizon, 1, 1000)
         factory = task_factory(self.task, self.distractors, self.objects)
         model = load_model(model_path(self.run_name)).model
-        done: list[tuple[Trajectory, EpisodeRecord]] = []
+        first: list[EpisodeRecord] = []
+        done = itertools.count(1)
 
         with progress("controlling", self.episodes) as steps:
 
             def on_episode(run: Trajectory, record: EpisodeRecord) -> None:
-                done.append((run, record) if not done else (run, done[0][1]))
-                steps.advance(len(done))
+                if not first:
+                    first.append(record)
+                steps.advance(next(done))
 
             metrics, runs = control_task(
                 model,
@@ -72,13 +78,19 @@ class Control:
                 on_episode=on_episode,
             )
         dataset = Dataset(tuple(runs), {"task": self.task, "seed": self.seed})
-        values = {"run": self.run_name, "task": self.task, "distractors": self.distractors}
-        values |= evaluate_open_loop(model, dataset).to_json() | metrics.to_json()
+        planned = evaluate_open_loop(model, dataset)
+        values = {
+            "run": self.run_name,
+            "task": self.task,
+            "distractors": self.distractors,
+            **planned.to_json(),
+            **metrics.to_json(),
+        }
         if self.save is not None:
             write_trajectories(self.save, runs, dataset.metadata)
         if self.video is not None:
             name = f"{self.task}, {self.distractors} distractors"
-            write_animation(self.video, scene_run(model, name, done[0][0], done[0][1].plan))
+            write_animation(self.video, scene_run(model, name, runs[0], first[0].plan))
         write_json(self.json, values)
         low, high = metrics.success_interval
         say(
@@ -91,4 +103,4 @@ class Control:
             f"control tick               {metrics.plan_ms_p50:.2f} ms median, "
             f"{metrics.plan_ms_p99:.2f} ms 99 %"
         )
-        say(f"planned against executed   {100 * values['n_step_rmse_m']:.3f} cm")
+        say(f"planned against executed   {100 * planned.n_step_rmse_m:.3f} cm")

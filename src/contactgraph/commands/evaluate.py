@@ -2,19 +2,20 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 
 @dataclass(frozen=True)
 class Evaluate:
     """Predict recorded runs half a second ahead from every state, and measure the errors."""
 
-    run_name: Positional[str]
+    run_name: Positional[Annotated[str, arg(metavar="RUN")]]
     """A run folder, a model file, or a model that ships with the package (pickup)."""
-    data: Positional[Path]
+    data: Positional[Annotated[Path, arg(metavar="DATA")]]
     """A dataset file (HDF5)."""
-    json: Path | None = None
+    json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the measurements to this file."""
 
     def run(self) -> None:

@@ -3,22 +3,22 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 
 @dataclass(frozen=True)
 class Info:
     """Say what is in a dataset file, a model file, a run folder, or a model that ships."""
 
-    file: Positional[str]
+    file: Positional[Annotated[str, arg(metavar="FILE")]]
     """The file or folder, or the name of a model that ships with the package."""
 
     def run(self) -> None:
         """Look and say."""
-        from contactgraph.commands.names import shipped_models
         from contactgraph.data import InvalidInputError
+        from contactgraph.model import shipped_models
 
         path = Path(self.file)
         if path.is_dir():

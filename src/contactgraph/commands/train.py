@@ -1,18 +1,20 @@
 """``contactgraph train``: fit a model to recorded runs."""
 
-from dataclasses import asdict, dataclass, fields
+import math
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 
 @dataclass(frozen=True)
 class Train:
     """Fit a model to the runs of a dataset file. Contact labels in it are not read."""
 
-    data: Positional[Path]
+    data: Positional[Annotated[Path, arg(metavar="DATA")]]
     """The dataset file (HDF5)."""
-    out: Path
+    out: Annotated[Path, arg(metavar="FOLDER")]
     """The folder of the run; new, or with --resume the one to go on with."""
     model: str = "gim-temp"
     """gim-temp, gim-non-temp, no-gim or full-ab."""
@@ -42,17 +44,31 @@ class Train:
         import jax
 
         from contactgraph.commands.names import MODELS, looked_up
+        from contactgraph.commands.numbers import check_seed
         from contactgraph.commands.output import progress, say
         from contactgraph.commands.provenance import provenance, sha256
-        from contactgraph.data import InvalidInputError, read_trajectories, split_by_run
+        from contactgraph.data import (
+            InvalidInputError,
+            pad_runs,
+            read_trajectories,
+            split_by_run,
+            window_weights,
+        )
         from contactgraph.model.storage import save_model
-        from contactgraph.train import FitProgress, FitStatus, Recipe, RunFolder, fit, initial_state
+        from contactgraph.train import (
+            FitProgress,
+            FitState,
+            FitStatus,
+            Recipe,
+            RunFolder,
+            fit,
+            initial_state,
+        )
 
         folder = RunFolder(self.out)
         told = self._settled(folder.config()) if self.resume else self
-        if told.seed < 0:
-            raise InvalidInputError(f"--seed must be at least 0, found {told.seed}")
-        if not told.contact_distance > 0:
+        check_seed(told.seed)
+        if not (told.contact_distance > 0 and math.isfinite(told.contact_distance)):
             raise InvalidInputError(
                 f"--contact-distance must be positive metres, found {told.contact_distance}"
             )
@@ -61,6 +77,8 @@ class Train:
         dataset = read_trajectories(self.data)
         checksum = sha256(self.data)
         train, held_out = split_by_run(dataset, told.held_out, told.seed)
+        for runs in (train, held_out):  # too short for a window: refused before a folder is made
+            window_weights(pad_runs(runs), recipe.window_length, recipe.event_fraction)
         model = build(
             dataset.dimension,
             dataset.control_size,
@@ -69,15 +87,18 @@ class Train:
             key=jax.random.key(told.seed),
         )
         state = initial_state(model, recipe, told.seed)
+        spent = 0.0
         if self.resume:
+            spent = folder.metrics()[-1]["seconds"] if folder.metrics() else 0.0
             if folder.config().get("data_sha256") != checksum:
                 raise InvalidInputError(f"{self.data}: not the data that {self.out} was begun with")
             state = folder.latest(state)
         else:
             config = {**asdict(told), "data": str(self.data), "out": str(self.out)}
-            folder.create({**config, "data_sha256": checksum, **provenance()})
+            folder.create({**config, "data_sha256": checksum, **provenance()}, state)
+        options = f"--model {told.model} --seed {told.seed}"
         summary = {
-            "command": f"contactgraph train {self.data.name} --model {told.model} --seed {told.seed}",
+            "command": f"contactgraph train {self.data.name} {options}",
             "seed": told.seed,
             "runs": len(train),
             "held_out_runs": len(held_out),
@@ -86,16 +107,24 @@ class Train:
             **provenance(),
         }
 
+        def keep_best(state: FitState, seconds: float) -> None:
+            found = {
+                "step": int(state.step),
+                "held_out_rmse_m": float(state.best_error),
+                "training_s": round(seconds, 1),
+            }
+            save_model(folder.model_path, state.best_model, {**summary, **found})
+
         with progress("training", recipe.steps) as steps:
+            if math.isfinite(float(state.best_error)):
+                # A run killed after its checkpoint and before its model has an older one.
+                keep_best(state, spent)
 
             def on_check(check: FitProgress) -> None:
+                check = replace(check, seconds=spent + check.seconds)
                 folder.save(check)
+                keep_best(check.state, check.seconds)
                 best = float(check.state.best_error)
-                save_model(
-                    folder.model_path,
-                    check.state.best_model,
-                    {**summary, "step": check.step, "held_out_rmse_m": best},
-                )
                 steps.advance(check.step, f"held-out error {100 * best:.3f} cm")
 
             result = fit(state, train, held_out, recipe, on_check)

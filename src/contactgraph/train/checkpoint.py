@@ -42,4 +42,8 @@ def load_checkpoint(path: Path, like: FitState) -> FitState:
         raise InvalidInputError(f"{path}: not a whole checkpoint ({reason})") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise InvalidInputError(f"{path}: not a checkpoint of contactgraph training")
+    if header.get("format_version") != str(VERSION):
+        raise InvalidInputError(
+            f"{path}: format_version must be {VERSION}, found {header.get('format_version')!r}"
+        )
     return with_arrays(like, arrays, str(path))

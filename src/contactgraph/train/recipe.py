@@ -1,5 +1,6 @@
 """How to train, in numbers."""
 
+import math
 from dataclasses import dataclass, field
 
 from contactgraph.data.errors import InvalidInputError
@@ -8,7 +9,10 @@ from contactgraph.train.loss import LossTerms
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to train; every number that shapes the result."""
+    """How to train; every number that shapes the result.
+
+    Raises `InvalidInputError` naming the first number that is out of range.
+    """
 
     steps: int = 2000
     """Optimiser steps."""
@@ -32,8 +36,23 @@ class Recipe:
     """Weights of the terms of the loss."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch_size", "window_length", "patience", "check_every"):
-            if getattr(self, name) < 1:
-                raise InvalidInputError(f"{name} must be at least 1, found {getattr(self, name)}")
-        if not self.learning_rate > 0:
-            raise InvalidInputError(f"learning_rate must be positive, found {self.learning_rate}")
+        for name, (lowest, highest) in _BOUNDS.items():
+            value = getattr(self, name)
+            if not lowest <= value <= highest:
+                raise InvalidInputError(f"{name} must be {lowest} to {highest}, found {value}")
+        if not (self.learning_rate > 0 and math.isfinite(self.learning_rate)):
+            raise InvalidInputError(
+                f"learning_rate must be positive and finite, found {self.learning_rate}"
+            )
+
+
+_BOUNDS = {
+    "steps": (1, 10**9),
+    "batch_size": (1, 65536),
+    "window_length": (1, 10**6),
+    "event_fraction": (0, 1),
+    "rollout_from": (0, 1),
+    "bystanders": (0, 100),
+    "patience": (1, 10**9),
+    "check_every": (1, 10**9),
+}

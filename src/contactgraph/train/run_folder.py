@@ -27,8 +27,11 @@ class RunFolder:
         """The best model so far; there from the first checkpoint on."""
         return self.path / "model.safetensors"
 
-    def create(self, config: dict[str, Any]) -> None:
-        """Begin a run. Refuses a folder that holds one already, or anything else."""
+    def create(self, config: dict[str, Any], state: FitState) -> None:
+        """Begin a run: what it was told, and its first state, so that it can go on from there.
+
+        Refuses a folder that holds a run already, or anything else.
+        """
         if (self.path / "config.json").exists():
             raise InvalidInputError(
                 f"{self.path}: holds a run already; use --resume, or another folder"
@@ -40,6 +43,7 @@ class RunFolder:
         except OSError as error:
             raise InvalidInputError(f"{self.path}: cannot be made ({error.strerror})") from error
         self._write("config.json", json.dumps(config, indent=2) + "\n")
+        save_checkpoint(self._checkpoint(int(state.step)), state)
 
     def config(self) -> dict[str, Any]:
         """What the run was told."""
@@ -65,8 +69,10 @@ class RunFolder:
                 "seconds": round(progress.seconds, 3),
             }
         )
-        save_checkpoint(self.path / f"checkpoint-{progress.step:08d}.safetensors", progress.state)
+        # Measurements first: killed in between, the run measures this step once more. The other
+        # way round it would go on after a step that was never written down.
         self._write("metrics.jsonl", "".join(json.dumps(row) + "\n" for row in rows))
+        save_checkpoint(self._checkpoint(progress.step), progress.state)
         for old in self.checkpoints()[:-_CHECKPOINTS_KEPT]:
             old.unlink(missing_ok=True)
 
@@ -76,9 +82,14 @@ class RunFolder:
         if not path.is_file():
             return []
         try:
-            return [json.loads(line) for line in path.read_text().splitlines()]
+            rows = [json.loads(line) for line in path.read_text().splitlines()]
         except ValueError as error:
             raise InvalidInputError(f"{path}: not readable as JSON lines ({error})") from error
+        for number, row in enumerate(rows, start=1):
+            for name in ("step", "held_out_rmse_m", "seconds"):
+                if not isinstance(row, dict) or not isinstance(row.get(name), int | float):
+                    raise InvalidInputError(f"{path}: line {number} must have a number {name!r}")
+        return rows
 
     def checkpoints(self) -> list[Path]:
         """All checkpoints, oldest first."""
@@ -90,6 +101,10 @@ class RunFolder:
         if not found:
             raise InvalidInputError(f"{self.path}: has no checkpoint to resume from")
         return load_checkpoint(found[-1], like)
+
+    def _checkpoint(self, step: int) -> Path:
+        # Ten digits hold the most steps a recipe may have, so names sort as steps do.
+        return self.path / f"checkpoint-{step:010d}.safetensors"
 
     def _write(self, name: str, text: str) -> None:
         with replacing(self.path / name) as temporary:

@@ -1,0 +1,22 @@
+"""Numbers a user types, refused before any work is begun where nothing good can come of them."""
+
+from contactgraph.data import InvalidInputError
+
+_LARGEST_SEED = 2**32 - 1
+"""Random keys are made of 32 bits: a larger seed would be another one in disguise."""
+
+
+def check_range(flag: str, value: int, lowest: int, highest: int) -> None:
+    """Raises `InvalidInputError` where the flag's value is outside ``lowest … highest``."""
+    if not lowest <= value <= highest:
+        raise InvalidInputError(f"{flag} must be {lowest} to {highest}, found {value}")
+
+
+def check_seed(seed: int) -> None:
+    """Raises `InvalidInputError` for a seed that random numbers cannot be made from."""
+    check_range("--seed", seed, 0, _LARGEST_SEED)
+
+
+def check_episodes(episodes: int) -> None:
+    """Raises `InvalidInputError` for no episodes, or more than memory could hold."""
+    check_range("--episodes", episodes, 1, 100_000)
