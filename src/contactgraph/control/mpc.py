@@ -88,29 +88,31 @@ class MPC:
 
         self._tick = jax.jit(tick)
         self._running = jax.jit(lambda weights, state: rebuilt(weights).running_plan(state))
-        self._reader: MeasurementReader | None = None
+        self._first_belief = jax.jit(
+            lambda weights, *inputs: rebuilt(weights).model.initial_belief(*inputs)
+        )
+        self._dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
+        self._readers: dict[tuple[int, int], MeasurementReader] = {}
 
     def reset(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> MPCState:
         """Begin a run: the model's first belief and a first plan. Compiles where need be.
 
         Raises `InvalidInputError` where the observation is not finite or shapes do not fit.
         """
-        dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
         capacity, size = nodes.mask.shape[0], cost.goal.shape[-1]
         if size % (2 * capacity):
             raise InvalidInputError(
                 f"cost.goal must have 2ND entries for the capacity N = {capacity}, found {size}"
             )
-        reader = MeasurementReader(capacity, size // (2 * capacity), dtype)
+        reader = self._reader(capacity, size)
         position, velocity = reader.motion(observation)
         mask = np.asarray(nodes.mask)
         for name, value in (("position", position), ("velocity", velocity)):
             if not np.all(np.isfinite(value[mask])):
                 raise InvalidInputError(f"observation's {name} must be finite to begin with")
-        self._reader = reader
-
-        model = self._controller.model
-        belief = model.initial_belief(jnp.asarray(position), jnp.asarray(velocity), nodes)
+        hidden = ~mask[:, None]
+        position, velocity = np.where(hidden, 0, position), np.where(hidden, 0, velocity)
+        belief = self._first_belief(self._weights, position, velocity, nodes)
         state = _strongly_typed(
             MPCState(
                 nodes=nodes,
@@ -120,7 +122,7 @@ class MPC:
                 unplanned=jnp.asarray(self._controller.replan_every, jnp.int32),
                 fresh=jnp.ones((), bool),
             ),
-            dtype,
+            self._dtype,
         )
         plan, _ = self._tick(self._weights, state, position, velocity, reader.contact(None))
         state = eqx.tree_at(lambda s: s.plan, state, plan)
@@ -135,11 +137,10 @@ class MPC:
         ``contacts``: [n, n], symmetric, 1 touching, 0 not, NaN not measured; None: nothing is.
         Raises `InvalidInputError` where shapes do not fit, and never for a value.
         """
-        if self._reader is None:
-            raise InvalidInputError("MPC.step needs the state that MPC.reset gives; reset first")
         begin = self._clock()
-        position, velocity = self._reader.motion(observation)
-        contact = self._reader.contact(contacts)
+        reader = self._reader(state.nodes.mask.shape[0], state.plan.states.shape[-1])
+        position, velocity = reader.motion(observation)
+        contact = reader.contact(contacts)
         plan, after = self._tick(self._weights, state, position, velocity, contact)
         if self._deadline is not None:
             jax.block_until_ready(plan.controls)
@@ -153,9 +154,8 @@ class MPC:
         For a loop that is faster than the planner. Falls back on ``plan.controls[0]`` where the
         observation is not finite.
         """
-        if self._reader is None:
-            raise InvalidInputError("MPC.control needs MPC.reset first")
-        position, velocity = self._reader.motion(observation)
+        size, dimension = plan.states.shape[-1], np.shape(observation["position"])[-1]
+        position, velocity = self._reader(size // (2 * dimension), size).motion(observation)
         x = np.stack([position, velocity], axis=1).reshape(-1)
         K, k = np.asarray(plan.policy.K[0]), np.asarray(plan.policy.k[0])
         used = np.any(K != 0, axis=0)
@@ -163,6 +163,13 @@ class MPC:
         u = u if np.all(np.isfinite(u)) else np.asarray(plan.controls[0])
         limits = self._controller.ilqr.limits
         return u if limits is None else np.clip(u, limits.lower, limits.upper)
+
+    def _reader(self, capacity: int, size: int) -> MeasurementReader:
+        """For ``N`` nodes with ``size = 2ND``."""
+        key = (capacity, size)
+        if key not in self._readers:
+            self._readers[key] = MeasurementReader(capacity, size // (2 * capacity), self._dtype)
+        return self._readers[key]
 
     def _no_plan(self, size: int, cost: QuadraticCost, belief: ContactBelief) -> Plan:
         horizon, U = self._controller.ilqr.horizon, cost.control_size
