@@ -71,7 +71,7 @@ def test_a_corrected_belief_is_a_belief(raw, measurement, false_alarm, miss) -> 
     raw = (raw + 1e-3) / (raw + 1e-3).sum(axis=-1, keepdims=True)
     sensor = ContactSensor(false_alarm, miss)
     found = np.asarray(
-        correct(ContactBelief(raw), jnp.asarray(measurement), sensor).type_probability
+        correct(ContactBelief(jnp.asarray(raw)), jnp.asarray(measurement), sensor).type_probability
     )
     assert np.all((found >= 0) & (found <= 1))
     np.testing.assert_allclose(found.sum(axis=-1), 1, atol=1e-5)

@@ -32,7 +32,7 @@ class Percept(eqx.Module):
     edge_features: Float[Array, "2 E G"]
     weight: Float[Array, " E"]
     """Reach of every edge in [0, 1]; 0 for edges that are no candidates."""
-    embedding: Float[Array, "E G"]
+    embedding: Float[Array, "E M"]
 
 
 class ContactDynamics(eqx.Module):

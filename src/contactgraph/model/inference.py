@@ -48,11 +48,11 @@ class RecurrentEdges(eqx.Module):
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
         ends: Int[Array, "2 E"],
-    ) -> Float[Array, "E G"]:
+    ) -> Float[Array, "E M"]:
         """Input of the recurrent cell, for every edge of one step's graph."""
         return _edge_embedding(self.message_passing, self.input, node, edge, weight, ends)
 
-    def predict(self, belief: ContactBelief, embedding: Float[Array, "E G"]) -> ContactBelief:
+    def predict(self, belief: ContactBelief, embedding: Float[Array, "E M"]) -> ContactBelief:
         """The belief about the coming step."""
         state = belief.type_probability
         reset_in, update_in, new_in = jnp.split(embedding, 3, axis=-1)
