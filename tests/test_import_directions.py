@@ -21,7 +21,8 @@ ALLOWED = {
     "evaluate": LIBRARY,
     "reproduce": LIBRARY | {"evaluate"},
     "view": LIBRARY | {"evaluate"},
-    "cli": LIBRARY | {"evaluate", "reproduce", "view"},
+    "commands": LIBRARY | {"evaluate", "reproduce", "view"},
+    "cli": LIBRARY | {"evaluate", "reproduce", "view", "commands"},
 }
 """What each package may import besides itself."""
 
