@@ -77,10 +77,11 @@ def initial_state(model: ContactDynamics, recipe: Recipe, seed: int) -> FitState
         model=model,
         optimiser=_optimiser(recipe).init(eqx.filter(model, eqx.is_inexact_array)),
         key=jax.random.key_data(jax.random.key(seed)),
-        step=jnp.asarray(0),
+        # Types are spelled out: a weakly typed first state would compile all of training twice.
+        step=jnp.zeros((), int),
         best_model=model,
-        best_error=jnp.asarray(jnp.inf),
-        checks_without_gain=jnp.asarray(0),
+        best_error=jnp.full((), jnp.inf, float),
+        checks_without_gain=jnp.zeros((), int),
     )
 
 
