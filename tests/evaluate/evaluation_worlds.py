@@ -48,6 +48,17 @@ class GluedBodies(eqx.Module):
         )
 
 
+class Fades(GluedBodies):
+    """Is sure of every edge at first, and a fifth less so with every step."""
+
+    def initial_belief(self, position, velocity, nodes: Nodes) -> ContactBelief:
+        return two_type_belief(jnp.ones(nodes.candidate.shape, position.dtype))
+
+    def linear_step(self, state: ModelState, nodes: Nodes):
+        linear, _ = GluedBodies(self.theta).linear_step(state, nodes)
+        return linear, two_type_belief(0.8 * state.belief.probability)
+
+
 class Explodes(GluedBodies):
     """Answers infinity."""
 

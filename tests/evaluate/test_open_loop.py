@@ -5,7 +5,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
-from evaluation_worlds import DT, Explodes, GluedBodies, random_run, scene_of
+from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run, scene_of
 
 from contactgraph.data import Dataset, InvalidInputError, Trajectory, strip_contacts
 from contactgraph.evaluate import collect, evaluate_open_loop
@@ -18,6 +18,8 @@ JSON_KEYS = {
     *("edge_precision", "edge_recall", "edge_f1", "edge_accuracy", "switch_time_error_s"),
     *("edge_precision_unmeasured", "edge_recall_unmeasured", "edge_f1_unmeasured"),
     *("edge_accuracy_unmeasured", "switch_time_error_unmeasured_s"),
+    *("constant_velocity_rmse_free_m", "constant_velocity_rmse_contact_m"),
+    *("frozen_contact_rmse_free_m", "frozen_contact_rmse_contact_m"),
     *("edge_on_time", "edge_on_time_unmeasured", "runs", "windows", "diverged_windows"),
 }
 
@@ -40,6 +42,9 @@ def untrained():
 def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):
     assert glued.n_step_rmse_m == pytest.approx(glued.frozen_contact_rmse_m, rel=1e-3)
     assert np.allclose(glued.detail.squared_error, glued.detail.frozen_contact, atol=1e-5)
+    assert glued.frozen_contact_rmse_free_m < 1e-4 < 0.01 < glued.constant_velocity_rmse_free_m
+    assert glued.frozen_contact_rmse_contact_m == pytest.approx(glued.n_step_rmse_contact_m, 1e-3)
+    assert glued.constant_velocity_rmse_contact_m > 0.03
     assert glued.n_step_rmse_free_m < 1e-4 and glued.n_step_rmse_contact_m > 0.03
     assert glued.edge_on_time == 0.0 and glued.edge_precision == 1.0
     assert glued.runs == 2 and glued.windows == 2 * 191 and glued.n_steps == 10
@@ -118,6 +123,13 @@ def test_metrics_against_a_loop():
     assert np.allclose(detail.horizon, [0.05, 0.1, 0.15])
 
 
+def test_the_belief_is_carried_once_for_every_step():
+    detail = evaluate_open_loop(Fades(), Dataset((random_run(2, 8, 2),)), horizon_s=3 * DT).detail
+    # Step h of a window that starts from state t is the (t + h + 1)-th; 0.8^3 > 1/2 > 0.8^4.
+    made = detail.start[:, None] + np.arange(3) + 1
+    assert np.array_equal(detail.edge_active_unmeasured[:, :, 0], made <= 3)
+
+
 def test_bodies_at_rest_dilute_only_the_mean_over_all():
     position = np.zeros((5, 2, 2))
     position[:, 0, 0] = 0.1 * np.arange(5)
@@ -153,6 +165,12 @@ def test_ragged_runs_are_as_each_alone(untrained):
     runs = (random_run(2, 6, 0), random_run(4, 11, 1), random_run(3, 2, 2))
     together = evaluate_open_loop(untrained, Dataset(runs), horizon_s=3 * DT).detail
     assert together.run.tolist() == [0] * 4 + [1] * 9  # run 2 is too short
+    real = [together.squared_error[together.run == n][..., : 2 + 2 * n] for n in (0, 1)]
+    assert together.rmse(together.squared_error) == pytest.approx(
+        np.sqrt(np.mean(np.concatenate([errors.ravel() for errors in real])))
+    )
+    first = together.run == 0
+    assert together.rmse(together.squared_error, first) == pytest.approx(np.sqrt(np.mean(real[0])))
     for number in (0, 1):
         alone = evaluate_open_loop(untrained, Dataset((runs[number],)), horizon_s=3 * DT).detail
         mine, count = together.run == number, runs[number].scene.node_count

@@ -45,6 +45,11 @@ class OpenLoopMetrics:
     """Of no forces: see `constant_velocity`."""
     frozen_contact_rmse_m: float | None
     """Of true masses and the contacts of each window's first state: see `frozen_contact`."""
+    constant_velocity_rmse_free_m: float | None
+    constant_velocity_rmse_contact_m: float | None
+    frozen_contact_rmse_free_m: float | None
+    frozen_contact_rmse_contact_m: float | None
+    """The floors over the windows without and with a change of contact, as above."""
 
     edge_precision: float | None
     edge_recall: float | None
@@ -102,11 +107,12 @@ def evaluate_open_loop(
             if run.steps >= steps
         ]
     )
-    free = contact = None
-    if detail.contact_changes is not None:
-        free = detail.rmse(detail.squared_error, ~detail.contact_changes)
-        contact = detail.rmse(detail.squared_error, detail.contact_changes)
-    frozen = None if detail.frozen_contact is None else detail.rmse(detail.frozen_contact)
+    free, contact = _without_and_with_change(detail, detail.squared_error)
+    still_free, still_contact = _without_and_with_change(detail, detail.constant_velocity)
+    frozen = frozen_free = frozen_contact = None
+    if detail.frozen_contact is not None:
+        frozen = detail.rmse(detail.frozen_contact)
+        frozen_free, frozen_contact = _without_and_with_change(detail, detail.frozen_contact)
     measured = _scores(detail, detail.edge_active, detail.touch_on_time)
     unmeasured = _scores(detail, detail.edge_active_unmeasured, detail.touch_on_time_unmeasured)
     finite = np.isfinite(detail.squared_error).all(axis=(1, 2))
@@ -122,6 +128,10 @@ def evaluate_open_loop(
         n_step_rmse_unmeasured_m=_required(detail.rmse(detail.squared_error_unmeasured)),
         constant_velocity_rmse_m=_required(detail.rmse(detail.constant_velocity)),
         frozen_contact_rmse_m=frozen,
+        constant_velocity_rmse_free_m=still_free,
+        constant_velocity_rmse_contact_m=still_contact,
+        frozen_contact_rmse_free_m=frozen_free,
+        frozen_contact_rmse_contact_m=frozen_contact,
         edge_precision=measured.precision,
         edge_recall=measured.recall,
         edge_f1=measured.f1,
@@ -135,6 +145,18 @@ def evaluate_open_loop(
         switch_time_error_unmeasured_s=unmeasured.switch_time_error_s,
         edge_on_time_unmeasured=unmeasured.on_time,
         detail=detail,
+    )
+
+
+def _without_and_with_change(
+    detail: OpenLoopDetail, squared: np.ndarray
+) -> tuple[float | None, float | None]:
+    """RMSE over the windows in which no contact changes, and over those in which one does."""
+    if detail.contact_changes is None:
+        return None, None
+    return (
+        detail.rmse(squared, ~detail.contact_changes),
+        detail.rmse(squared, detail.contact_changes),
     )
 
 
