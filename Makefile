@@ -1,0 +1,89 @@
+# make demo    from nothing to a report: environment, data, training, closed loop, page
+# make test    what CI runs: lint, format, types, tests
+# make bench   training throughput and control tick time, on this machine
+# make clean   remove what was made here (the environment too)
+#
+# make demo PYTHON=python3.12   another interpreter, 3.11 or newer
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PACKAGE := $(VENV)/.installed
+DEVELOPMENT := $(VENV)/.installed-dev
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+DEMO := demo
+DATA := $(DEMO)/pickup.h5
+RUN := $(DEMO)/run
+REPORT := report/index.html
+
+.PHONY: help demo test bench clean
+.DELETE_ON_ERROR:
+
+help:
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed '/^$$/q'
+
+demo: $(REPORT)
+	@echo
+	@echo "The report is at $(abspath $(REPORT)); open it in a browser."
+
+$(REPORT): $(RUN)/model.safetensors
+	@mkdir -p $(@D)
+	@for distractors in 0 3 10; do \
+		test=$(DEMO)/test-$$distractors.h5; \
+		echo "== $$distractors distractors: fresh runs, then closed loop"; \
+		$(BIN)/contactgraph collect pickup --episodes 10 --seed 1000 \
+			--distractors $$distractors --out $$test || exit; \
+		$(BIN)/contactgraph evaluate $(RUN) $$test \
+			--json $(DEMO)/evaluate-$$distractors.json || exit; \
+		$(BIN)/contactgraph control $(RUN) pickup --episodes 20 --seed 2000 \
+			--distractors $$distractors --json $(DEMO)/control-$$distractors.json || exit; \
+	done
+	@echo "== report"
+	@$(BIN)/contactgraph report $(RUN) --out $@
+
+$(RUN)/model.safetensors: $(DATA)
+	@echo "== training"
+	@rm -rf $(RUN)
+	@$(BIN)/contactgraph train $(DATA) --out $(RUN)
+
+$(DATA): | $(PACKAGE)
+	@echo "== recording 40 runs"
+	@mkdir -p $(@D)
+	@$(BIN)/contactgraph collect pickup --episodes 40 --seed 0 --out $@
+
+test: $(DEVELOPMENT)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n 2
+
+bench: $(PACKAGE)
+	$(BIN)/python benchmarks/training_throughput.py
+	$(BIN)/python benchmarks/control_tick.py
+
+clean:
+	rm -rf $(VENV) $(DEMO) report build src/contactgraph.egg-info
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find src tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Installed in place, so only a change of what is required calls for installing again.
+$(DEVELOPMENT): pyproject.toml | $(BIN)/python
+	@echo "== installing, with what development needs"
+	@$(PIP) install -e '.[dev]'
+	@touch $(PACKAGE) $@
+
+$(PACKAGE): pyproject.toml | $(BIN)/python
+	@echo "== installing"
+	@$(PIP) install -e .
+	@touch $@
+
+$(BIN)/python:
+	@command -v $(PYTHON) > /dev/null || { \
+		echo "$(PYTHON) was not found; name one: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+		echo "Python 3.11 or newer is needed, but $(PYTHON) is $$($(PYTHON) -V 2>&1);" \
+			"name another: make PYTHON=python3.12" >&2; exit 1; }
+	@echo "== making $(VENV) with $(PYTHON)"
+	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
+		echo "$(PYTHON) cannot make environments; on Debian or Ubuntu: apt install python3-venv" >&2; \
+		exit 1; }

@@ -1,0 +1,59 @@
+"""Every example runs as a user runs it, and says what it promises to."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+SAYS = {
+    "01_collect_and_train.py": "half a second ahead, among bystanders",
+    "02_own_data.py": "constant velocity",
+    "03_control.py": "success",
+    "04_contact_graph.py": "gripper - target",
+    "05_own_task.py": "Fetch keeps the contract\nsuccess: 100%",
+    "06_compose_a_model.py": "with the true masses, contact frozen",
+}
+WRITES = {
+    "01_collect_and_train.py": "model.safetensors",
+    "02_own_data.py": "balls.h5",
+    "04_contact_graph.py": "contact_graph.png",
+}
+
+
+def test_every_example_is_listed_here_and_numbered_in_order() -> None:
+    names = sorted(path.name for path in EXAMPLES.glob("*.py"))
+    assert names == sorted(SAYS)
+    assert [name[:2] for name in names] == [f"{n:02d}" for n in range(1, len(names) + 1)]
+
+
+@pytest.mark.parametrize("name", sorted(SAYS))
+def test_an_example_runs(name: str, tmp_path: Path) -> None:
+    target, elsewhere = tmp_path / "target", tmp_path / "elsewhere"
+    target.mkdir()
+    elsewhere.mkdir()
+    told = [str(target)] if name in WRITES else []
+    done = subprocess.run(
+        [sys.executable, "-W", "error", str(EXAMPLES / name), *told],
+        cwd=elsewhere,
+        env={**os.environ, "TMPDIR": str(elsewhere), "JAX_PLATFORMS": "cpu"},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert SAYS[name] in done.stdout
+    assert [path.name for path in target.iterdir()] == ([WRITES[name]] if name in WRITES else [])
+    assert list(elsewhere.iterdir()) == [], "an example writes only where it is told to"
+
+
+@pytest.mark.parametrize("name", sorted(SAYS))
+def test_an_example_reads_like_a_page(name: str) -> None:
+    lines = (EXAMPLES / name).read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 75
+    assert lines[0].startswith('"""')
+    assert f"Usage: python examples/{name}" in "\n".join(lines[:6])
