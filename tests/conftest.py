@@ -1,0 +1,52 @@
+"""What all tests share: where compiled programs are kept, and one small trained run."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+# Before anything imports JAX. Compiling takes most of a test's time, so programs are kept from one
+# run to the next, in a folder of the repository; workers and subprocesses share it.
+_CACHE = Path(__file__).resolve().parents[1] / ".cache" / "jax"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+STEPS = 300
+"""Of the shared training; with checks every 125 it ends in the second stage, on a short chunk."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # A worker that dies while it stores a program leaves half of it. JAX warns and compiles anew.
+    config.addinivalue_line(
+        "filterwarnings", "ignore:Error (reading|writing) persistent:UserWarning"
+    )
+
+
+def _done(arguments: list[str]) -> None:
+    from contactgraph.cli import run
+
+    assert run(arguments) == 0
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """20 recorded pickups, to train on."""
+    path = tmp_path_factory.mktemp("recorded") / "data.h5"
+    _done(["collect", "pickup", "--episodes", "20", "--out", str(path)])
+    return path
+
+
+@pytest.fixture(scope="session")
+def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """6 pickups of another seed, to test on."""
+    path = tmp_path_factory.mktemp("fresh") / "data.h5"
+    _done(["collect", "pickup", "--episodes", "6", "--seed", "1", "--out", str(path)])
+    return path
+
+
+@pytest.fixture(scope="session")
+def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder of a short training that has learned its task. Not to be changed."""
+    path = tmp_path_factory.mktemp("trained") / "run"
+    _done(["train", str(recorded), "--out", str(path), "--steps", str(STEPS)])
+    return path

@@ -1,0 +1,56 @@
+"""Windows: how often each is drawn, and that each is the stretch of the run it says it is."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from contactgraph.data import Dataset, Scene, Trajectory, pad_runs, window_weights
+from contactgraph.train.batch import window_source
+
+
+def run(count: int, steps: int, offset: float) -> Trajectory:
+    """Every number tells run and step: position is offset + step."""
+    scene = Scene(tuple("abcd"[:count]), ("x",) * count, np.arange(count) == 0, 0.1)
+    position = np.broadcast_to(
+        offset + np.arange(steps + 1.0)[:, None, None], (steps + 1, count, 2)
+    )
+    velocity = np.zeros((steps + 1, count, 2))
+    if count > 2:
+        velocity[3:, 1] = 1.0  # an event in the step from state 2 to state 3
+    return Trajectory(scene, position, velocity, np.full((steps, 1), offset))
+
+
+@pytest.fixture(scope="module")
+def padded():
+    return pad_runs(Dataset((run(2, 5, 100.0), run(3, 8, 200.0))))
+
+
+def test_windows_are_drawn_as_often_as_told(padded) -> None:
+    windows = window_weights(padded, 3, 0.6)
+    assert windows.has_event.any() and not windows.has_event.all()
+    drawn = window_source(padded, windows).draw(20_000, jax.random.key(0))
+    number = np.asarray(drawn.position[:, 0, 0, 0])
+    expected = np.where(windows.run == 0, 100.0, 200.0) + windows.start
+    assert set(number) == set(expected)
+    found = np.array([(number == each).mean() for each in expected])
+    np.testing.assert_allclose(found, windows.probability, atol=0.012)
+    assert found[windows.has_event].sum() == pytest.approx(0.6, abs=0.012)
+
+
+def test_a_window_is_a_stretch_of_its_run(padded) -> None:
+    windows = window_weights(padded, 3, 0.6)
+    batch = window_source(padded, windows).take(jnp.arange(len(windows.run)))
+    for index, (number, start) in enumerate(zip(windows.run, windows.start, strict=True)):
+        for name, end in (("position", 4), ("velocity", 4), ("control", 3)):
+            expected = getattr(padded, name)[number, start : start + end]
+            np.testing.assert_array_equal(getattr(batch, name)[index], expected, err_msg=name)
+        np.testing.assert_array_equal(batch.nodes.mask[index], padded.node_mask[number])
+        np.testing.assert_array_equal(batch.nodes.actuated[index], padded.actuated[number])
+        np.testing.assert_array_equal(batch.nodes.candidate[index], padded.candidate[number])
+
+
+def test_what_training_sees_has_no_place_for_labels(padded) -> None:
+    assert padded.contact is None
+    source = window_source(padded, window_weights(padded, 3, 0.6))
+    assert {name for name in vars(source) if "contact" in name} == set()

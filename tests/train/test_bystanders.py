@@ -1,0 +1,93 @@
+"""Resting bodies put into windows keep their distance and change nothing recorded."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from contactgraph.data import Dataset, Scene, Trajectory, pad_runs
+from contactgraph.model import Nodes
+from contactgraph.train.batch import Window
+from contactgraph.train.bystanders import add_bystander, bodies_rest
+
+NEAREST, FARTHEST = 0.1, 0.3
+
+
+def windows(position: np.ndarray, mask: list[bool]) -> Window:
+    batch, states, count, _ = position.shape
+    pairs = count * (count - 1) // 2
+    return Window(
+        position=jnp.asarray(position, jnp.float32),
+        velocity=jnp.ones(position.shape),
+        control=jnp.zeros((batch, states - 1, 2)),
+        nodes=Nodes(
+            actuated=jnp.ones((batch, count), bool),
+            mask=jnp.broadcast_to(jnp.asarray(mask), (batch, count)),
+            candidate=jnp.zeros((batch, pairs), bool),
+        ),
+    )
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_it_keeps_its_distance_from_every_body_at_every_step(dimension: int) -> None:
+    rng = np.random.default_rng(0)
+    position = rng.uniform(-0.3, 0.3, size=(200, 5, 3, dimension))
+    # The third node is padding, at the origin: it must neither repel nor attract.
+    before = windows(position, [True, True, False])
+    after = add_bystander(before, NEAREST, FARTHEST, jax.random.key(0))
+    place = np.asarray(after.position[:, :, 3])
+    assert np.all(place == place[:, :1]), "it rests"
+    assert np.all(after.velocity[:, :, 3] == 0.0)
+    distance = np.linalg.norm(np.asarray(after.position[:, :, :2]) - place[:, :, None], axis=-1)
+    found = np.asarray(after.nodes.mask[:, 3])
+    assert found.mean() > 0.5
+    assert np.all(distance[found].min(axis=(1, 2)) >= NEAREST - 1e-6)
+    assert np.all(distance[found].min(axis=(1, 2)) <= FARTHEST + 1e-6)
+    to_padding = np.linalg.norm(place[found, 0], axis=-1)
+    assert to_padding.min() < NEAREST, "padding keeps nobody away"
+    assert not np.any(after.nodes.actuated[:, 3])
+    assert np.all(after.nodes.candidate[:, 3:]), "its edges are candidates"
+
+
+def test_what_was_recorded_is_unchanged() -> None:
+    before = windows(np.random.default_rng(1).normal(size=(4, 3, 2, 2)), [True, True])
+    after = add_bystander(before, NEAREST, FARTHEST, jax.random.key(0))
+    np.testing.assert_array_equal(after.position[:, :, :2], before.position)
+    np.testing.assert_array_equal(after.velocity[:, :, :2], before.velocity)
+    np.testing.assert_array_equal(after.control, before.control)
+    np.testing.assert_array_equal(after.nodes.mask[:, :2], before.nodes.mask)
+    np.testing.assert_array_equal(after.nodes.actuated[:, :2], before.nodes.actuated)
+    np.testing.assert_array_equal(after.nodes.candidate[:, :1], before.nodes.candidate)
+
+
+def test_where_there_is_no_place_it_does_not_exist() -> None:
+    before = windows(np.zeros((8, 3, 2, 2)), [True, True])
+    after = add_bystander(before, 0.1, 0.05, jax.random.key(0))  # every try is too near
+    assert not np.any(after.nodes.mask[:, 2])
+    assert np.all(after.nodes.mask[:, :2])
+    assert np.all(np.isfinite(after.position))
+
+
+def resting(actuated: list[bool], speed: list[float], mask_out: bool = False) -> bool:
+    count = len(actuated)
+    scene = Scene(tuple("abc"[:count]), ("x",) * count, np.array(actuated), 0.1)
+    velocity = np.zeros((4, count, 2))
+    velocity[..., 0] = speed
+    run = Trajectory(scene, np.zeros((4, count, 2)), velocity, np.zeros((3, 1)))
+    runs = (run,)
+    if mask_out:
+        longer = Trajectory(
+            Scene(("a", "b", "c"), ("x",) * 3, np.zeros(3, bool), 0.1),
+            np.zeros((9, 3, 2)),
+            np.ones((9, 3, 2)),
+            np.zeros((8, 1)),
+        )
+        runs = (run, longer)
+    return bodies_rest(pad_runs(Dataset(runs)))
+
+
+def test_whether_bodies_ever_rest() -> None:
+    assert resting([True, False], [1.0, 0.0])
+    assert not resting([True, False], [1.0, 0.5])
+    assert not resting([True, False], [0.0, 0.5]), "an actuated body that waits says nothing"
+    assert not resting([True, False], [0.0, 0.5], mask_out=True), "padding is not a resting body"

@@ -1,0 +1,64 @@
+"""One recipe and one split for all tests of training, so that they compile it once."""
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from contactgraph.data import Dataset, read_trajectories, split_by_run
+from contactgraph.model import gim_temp
+from contactgraph.model.arrays import module_arrays
+from contactgraph.train import FitProgress, FitResult, FitState, Recipe, fit, initial_state
+
+RECIPE = Recipe(steps=300)
+"""What `contactgraph train --steps 300` uses: checks at 125, 250 and 300, the last in stage two."""
+
+
+class Enough(Exception):
+    """Ends a training after a check."""
+
+
+def split(path: Path) -> tuple[Dataset, Dataset]:
+    return split_by_run(read_trajectories(path), 0.15, 0)
+
+
+def first_state(seed: int = 0) -> FitState:
+    model = gim_temp(2, 2, 0.05, 0.1, key=jax.random.key(seed))
+    return initial_state(model, RECIPE, seed)
+
+
+def states_until(steps: int, state: FitState, parts: tuple[Dataset, Dataset]) -> FitState:
+    """The state at the first check at or after so many steps."""
+    found = []
+
+    def on_check(check: FitProgress) -> None:
+        found.append(check.state)
+        if check.step >= steps:
+            raise Enough
+
+    with contextlib.suppress(Enough):
+        fit(state, *parts, RECIPE, on_check)
+    return found[-1]
+
+
+def trained_on(
+    parts: tuple[Dataset, Dataset],
+    state: FitState,
+    on_check: Callable[[FitProgress], None] = lambda check: None,
+) -> FitResult:
+    return fit(state, *parts, RECIPE, on_check)
+
+
+def assert_bit_equal(found: object, expected: object) -> None:
+    ours, theirs = module_arrays(found), module_arrays(expected)
+    assert ours.keys() == theirs.keys()
+    for name, array in ours.items():
+        assert array.dtype == theirs[name].dtype
+        np.testing.assert_array_equal(array, theirs[name], err_msg=name)
+
+
+def bit_equal(first: object, second: object) -> bool:
+    ours, theirs = module_arrays(first), module_arrays(second)
+    return all(np.array_equal(ours[name], theirs[name]) for name in ours)
