@@ -63,7 +63,7 @@ bench: $(PACKAGE)
 
 clean:
 	rm -rf $(VENV) $(DEMO) report build src/contactgraph.egg-info
-	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Installed in place, so only a change of what is required calls for installing again.

@@ -1,0 +1,108 @@
+"""What the documents say is so: code runs, links lead somewhere, commands parse, files exist."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+from contactgraph.cli import _parse
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted(
+    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *ROOT.glob("docs/*.md")]
+)
+TOP = {"src", "tests", "examples", "benchmarks", "docs", "results", ".ci"}
+"""Folders at the root: a path in `code` that begins with one must exist."""
+
+FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+IMAGE = re.compile(r'<img[^>]*\ssrc="([^"]+)"')
+CODE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
+SHELL = {"bash", "sh", "shell", "console", ""}
+
+
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def blocks(page: Path, languages: set[str]) -> list[str]:
+    found = FENCE.findall(page.read_text(encoding="utf-8"))
+    return [content for language, content in found if language in languages]
+
+
+def prose(page: Path) -> str:
+    return FENCE.sub("", page.read_text(encoding="utf-8"))
+
+
+def commands(page: Path) -> Iterator[list[str]]:
+    """Arguments of every `contactgraph` command line in a page's blocks."""
+    for block in blocks(page, SHELL):
+        for line in block.replace("\\\n", " ").splitlines():
+            words = shlex.split(line.removeprefix("$ "), comments=True)
+            # Lines that name alternatives or leave something out are grammar, not commands.
+            if words[:1] == ["contactgraph"] and not re.search(r"[\[\]|…<>]|\.\.\.", line):
+                yield words[1:]
+
+
+def anchors(page: Path) -> set[str]:
+    """Headings as a forge's links name them."""
+    heads = re.findall(r"^#+ +(.+)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
+    plain = (re.sub(r"[^\w\- ]", "", head.lower()) for head in heads)
+    return {head.strip().replace(" ", "-") for head in plain}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The blocks of a page in their order, in one namespace: a later one may use an earlier."""
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("agg")
+    namespace: dict[str, object] = {"__name__": "__main__"}
+    for number, block in enumerate(blocks(page, {"python"}), start=1):
+        exec(compile(block, f"{name(page)}, python block {number}", "exec"), namespace)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_relative_links_lead_somewhere(page: Path) -> None:
+    text = prose(page)
+    for target in LINK.findall(text) + IMAGE.findall(text):
+        if re.match(r"[a-z]+:", target):
+            continue
+        file, _, anchor = target.partition("#")
+        leads_to = (page.parent / file) if file else page
+        assert leads_to.exists(), f"{name(page)} links to {target}"
+        if anchor and leads_to.suffix == ".md":
+            assert anchor in anchors(leads_to), f"{name(page)} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_command_lines_parse(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in commands(page):
+        parsed = _parse(words)
+        said = capsys.readouterr().err
+        assert not isinstance(parsed, int) or words[-1] == "--help", f"{words}: {said}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_make_targets_and_files_exist(page: Path) -> None:
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"^make (\w+)|`make (\w+)", text, re.MULTILINE):
+        assert "".join(target) in targets, f"{name(page)}: make {''.join(target)}"
+    for code in CODE.findall(prose(page)):
+        path = code.split("::")[0].rstrip("/")
+        if path.split("/")[0] in TOP and re.fullmatch(r"[\w./*-]+", path):
+            assert list(ROOT.glob(path)), f"{name(page)} names {code}"
+
+
+def test_the_commands_of_the_documents_are_found() -> None:
+    """Were the pattern to lose sight of them, nothing above would be tested."""
+    found = {words[0] for page in PAGES for words in commands(page)}
+    assert found == {"collect", "train", "evaluate", "control", "reproduce", "report", "info"}
+
+
+@pytest.mark.parametrize("words", [["train"], ["collect", "pickup"], ["control", "--seed", "x"]])
+def test_a_wrong_command_line_does_not_parse(words: list[str]) -> None:
+    assert _parse(words) == 2
