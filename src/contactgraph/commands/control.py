@@ -42,7 +42,7 @@ class Control:
         from contactgraph.commands.names import model_path, task_factory
         from contactgraph.commands.numbers import check_episodes, check_range, check_seed
         from contactgraph.commands.output import check_writable, progress, say, write_json
-        from contactgraph.data import Dataset, Trajectory, write_trajectories
+        from contactgraph.data import Dataset, Metadata, Trajectory, write_trajectories
         from contactgraph.evaluate import EpisodeRecord, control_task, evaluate_open_loop
         from contactgraph.model.storage import load_model
         from contactgraph.reproduce.scenes import scene_run
@@ -77,13 +77,18 @@ class Control:
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
                 on_episode=on_episode,
             )
-        dataset = Dataset(tuple(runs), {"task": self.task, "seed": self.seed})
-        planned = evaluate_open_loop(model, dataset)
+        told: Metadata = {
+            "task": self.task,
+            "seed": self.seed,
+            "distractors": self.distractors,
+        }
+        dataset = Dataset(tuple(runs), told)
+        predicted = evaluate_open_loop(model, dataset)
         values = {
             "run": self.run_name,
             "task": self.task,
             "distractors": self.distractors,
-            **planned.to_json(),
+            **predicted.to_json(),
             **metrics.to_json(),
         }
         if self.save is not None:
@@ -97,10 +102,12 @@ class Control:
             f"success                    {100 * metrics.success_rate:.0f} % of "
             f"{metrics.episodes} episodes (95 %: {100 * low:.0f} to {100 * high:.0f})"
         )
-        say(f"speed at contact, median   {metrics.contact_speed_m_s or float('nan'):.2f} m/s")
+        speed = metrics.contact_speed_m_s
+        say(f"speed at contact, median   {'no contact' if speed is None else f'{speed:.2f} m/s'}")
         say(f"touched a bystander        {metrics.touched_bystanders} episodes")
         say(
             f"control tick               {metrics.plan_ms_p50:.2f} ms median, "
             f"{metrics.plan_ms_p99:.2f} ms 99 %"
         )
-        say(f"planned against executed   {100 * planned.n_step_rmse_m:.3f} cm")
+        error = f"{100 * predicted.n_step_rmse_m:.3f} cm"
+        say(f"predicted, over {predicted.n_steps} steps   {error}")

@@ -30,7 +30,13 @@ class Evaluate:
         model = load_model(model_path(self.run_name)).model
         dataset = read_trajectories(self.data)
         metrics = evaluate_open_loop(model, dataset).to_json()
-        values = {"run": self.run_name, "data": str(self.data), **metrics}
+        values = {
+            "run": self.run_name,
+            "data": str(self.data),
+            "episodes": len(dataset),
+            "seed": dataset.metadata.get("seed"),
+            **metrics,
+        }
         write_json(self.json, values)
         for line in _lines(values):
             say(line)
