@@ -10,10 +10,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 PACKAGE := $(VENV)/.installed
 DEVELOPMENT := $(VENV)/.installed-dev
-PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet --quiet
 DEMO := demo
 DATA := $(DEMO)/pickup.h5
 RUN := $(DEMO)/run
+TRAINED := $(DEMO)/.trained
 REPORT := report/index.html
 
 .PHONY: help demo test bench clean
@@ -26,7 +27,7 @@ demo: $(REPORT)
 	@echo
 	@echo "The report is at $(abspath $(REPORT)); open it in a browser."
 
-$(REPORT): $(RUN)/model.safetensors
+$(REPORT): $(TRAINED)
 	@mkdir -p $(@D)
 	@for distractors in 0 3 10; do \
 		test=$(DEMO)/test-$$distractors.h5; \
@@ -41,10 +42,12 @@ $(REPORT): $(RUN)/model.safetensors
 	@echo "== report"
 	@$(BIN)/contactgraph report $(RUN) --out $@
 
-$(RUN)/model.safetensors: $(DATA)
+# A stamp, because the model's file is there from the first checkpoint on.
+$(TRAINED): $(DATA)
 	@echo "== training"
 	@rm -rf $(RUN)
 	@$(BIN)/contactgraph train $(DATA) --out $(RUN)
+	@touch $@
 
 $(DATA): | $(PACKAGE)
 	@echo "== recording 40 runs"
