@@ -32,6 +32,7 @@ def windows(position: np.ndarray, mask: list[bool]) -> Window:
 def test_it_keeps_its_distance_from_every_body_at_every_step(dimension: int) -> None:
     rng = np.random.default_rng(0)
     position = rng.uniform(-0.3, 0.3, size=(200, 5, 3, dimension))
+    position[:, :, 2] = 0.0
     # The third node is padding, at the origin: it must neither repel nor attract.
     before = windows(position, [True, True, False])
     after = add_bystander(before, NEAREST, FARTHEST, jax.random.key(0))
@@ -61,10 +62,17 @@ def test_what_was_recorded_is_unchanged() -> None:
 
 
 def test_where_there_is_no_place_it_does_not_exist() -> None:
-    before = windows(np.zeros((8, 3, 2, 2)), [True, True])
-    after = add_bystander(before, 0.1, 0.05, jax.random.key(0))  # every try is too near
-    assert not np.any(after.nodes.mask[:, 2])
-    assert np.all(after.nodes.mask[:, :2])
+    """A body sweeps a square so densely that only its rim leaves room."""
+    line = 0.09 * np.arange(40)
+    sweep = np.stack(np.meshgrid(line, line), axis=-1).reshape(1, -1, 1, 2)
+    after = add_bystander(
+        windows(np.repeat(sweep, 64, axis=0), [True]), NEAREST, 0.11, jax.random.key(0)
+    )
+    place, exists = np.asarray(after.position[:, 0, 1]), np.asarray(after.nodes.mask[:, 1])
+    distance = np.linalg.norm(place[:, None] - sweep[0, :, 0], axis=-1).min(axis=1)
+    assert 0 < exists.sum() < 64, "eight tries find the rim now and then"
+    np.testing.assert_array_equal(exists, distance >= NEAREST - 1e-6)
+    assert np.all(after.nodes.mask[:, 0])
     assert np.all(np.isfinite(after.position))
 
 

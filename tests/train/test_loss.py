@@ -102,11 +102,14 @@ def random_windows(padding: int) -> Window:
     velocity = rng.normal(size=(2, 3, 3, 2))
     position[0, :, 1] = position[0, :, 0]
     velocity[0, :, :2] = 0.0
+    control = rng.normal(size=(2, 2, 2))
+    # Nothing moves, so predictions may be exact: where a norm has no gradient.
+    position[1], velocity[1], control[1] = position[1, :1], 0.0, 0.0
     pad = ((0, 0), (0, 0), (0, padding), (0, 0))
     return Window(
         jnp.asarray(np.pad(position, pad), jnp.float32),
         jnp.asarray(np.pad(velocity, pad), jnp.float32),
-        jnp.asarray(rng.normal(size=(2, 2, 2)), jnp.float32),
+        jnp.asarray(control, jnp.float32),
         nodes(2, [True] * 3 + [False] * padding),
     )
 
