@@ -19,7 +19,7 @@ ALLOWED = {
     "tasks": {"data"},
     "robot": {"data"},
     "evaluate": LIBRARY,
-    "reproduce": LIBRARY | {"evaluate"},
+    "reproduce": LIBRARY | {"evaluate", "view"},
     "view": LIBRARY | {"evaluate"},
     "commands": LIBRARY | {"evaluate", "reproduce", "view"},
     "cli": LIBRARY | {"evaluate", "reproduce", "view", "commands"},

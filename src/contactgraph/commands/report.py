@@ -1,8 +1,42 @@
-"""stub"""
+"""``contactgraph report``: one page that shows what a run has learned."""
 
 from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
 
 
-@dataclass
+@dataclass(frozen=True)
 class Report:
-    def run(self): ...
+    """Test a model on fresh scenes, and write a page that shows what it learned and how well."""
+
+    run_name: Positional[str]
+    """A run folder, a model file, or a model that ships with the package (pickup)."""
+    task: str = "pickup"
+    """The task to test it on."""
+    out: Path | None = None
+    """The page to write; report/index.html in the run folder, or here, if not given."""
+    test_runs: int = 20
+    """Recorded runs a test condition."""
+    episodes: int = 20
+    """Closed-loop episodes a test condition."""
+    seed: int = 1000
+    """Seed of the test scenes."""
+
+    def run(self) -> None:
+        """Test, and write the page."""
+        from contactgraph.commands.conditions import Conditions
+        from contactgraph.commands.output import check_writable
+        from contactgraph.commands.study import measured, write_study
+        from contactgraph.data import InvalidInputError
+
+        if self.test_runs < 1:
+            raise InvalidInputError(f"--test-runs must be at least 1, found {self.test_runs}")
+        folder = Path(self.run_name) if Path(self.run_name).is_dir() else Path()
+        page = self.out or folder / "report" / "index.html"
+        if page.parent.exists():
+            check_writable(page)
+        conditions = Conditions(self.task, (0, 3, 10), self.test_runs, self.episodes, self.seed)
+        result = measured(self.run_name, conditions, page.parent / "cells", keep=False)
+        command = f"contactgraph report {self.run_name} --seed {self.seed}"
+        write_study(page, [result], [self.run_name], self.task, [command])
