@@ -26,7 +26,7 @@ def measured(
     """One row: ticks over several episodes, each with another layout and goal."""
     task = PickupTask(distractors=nodes - 2)
     limits = ControlLimits(jnp.asarray(task.action_space.low), jnp.asarray(task.action_space.high))
-    mpc = MPC(model, ILQR(horizon=HORIZON, limits=limits))
+    mpc = MPC(model, ILQR(horizon=HORIZON, iterations=5, limits=limits))
     compile_s, at_reset, in_ticks = 0.0, 0, 0
     milliseconds: list[float] = []
     for number, seed in enumerate(episode_seeds(episodes, seed=0)):

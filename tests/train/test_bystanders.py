@@ -69,7 +69,10 @@ def test_where_there_is_no_place_it_does_not_exist() -> None:
         windows(np.repeat(sweep, 64, axis=0), [True]), NEAREST, 0.11, jax.random.key(0)
     )
     place, exists = np.asarray(after.position[:, 0, 1]), np.asarray(after.nodes.mask[:, 1])
-    distance = np.linalg.norm(place[:, None] - sweep[0, :, 0], axis=-1).min(axis=1)
+    path = sweep[0, :, 0]
+    between = np.linspace(0.0, 1.0, 201)[:, None, None]
+    dense = (path[:-1] + between * (path[1:] - path[:-1])).reshape(-1, 2)
+    distance = np.array([np.linalg.norm(one - dense, axis=-1).min() for one in place])
     assert 0 < exists.sum() < 64, "eight tries find the rim now and then"
     np.testing.assert_array_equal(exists, distance >= NEAREST - 1e-6)
     assert np.all(after.nodes.mask[:, 0])

@@ -1,5 +1,7 @@
 """Predicting a policy's future: states, controls and, for free, the linearisation along them."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -64,20 +66,32 @@ def roll_out(
     limits: ControlLimits | None,
     involved: Int[Array, " M"],
 ) -> Rollout:
-    """Follow a policy on ``block_state`` for H steps through the model, in one scan."""
+    """Follow a policy on ``block_state`` for H steps through the model, in one scan.
 
-    def advance(state: ModelState, stage: LQRPolicy) -> tuple[ModelState, Rollout]:
-        linear, belief = model.linear_step(state, nodes)
+    Whether bodies touch within a step depends on the step's own control. A planner to which the
+    model did not say so would count on a touch that its own braking prevents. So the model is
+    told the push of every control: the control times what it did to positions in the step before.
+    """
+    response = _response_before_new_contacts(model, start, nodes)
+
+    def advance(
+        carry: tuple[ModelState, Float[Array, "N D U"]], stage: LQRPolicy
+    ) -> tuple[tuple[ModelState, Float[Array, "N D U"]], Rollout]:
+        state, response = carry
         x = block_state(state.position, state.velocity, involved)
         # A sum rather than a product with K: it fuses with what is around it.
         u = jnp.sum(stage.K * x, axis=-1) + stage.k
         u = u if limits is None else limits(u)
+        push = jnp.sum(response * u, axis=-1)
+        aware = dataclasses.replace(state, push=push.astype(state.velocity.dtype))
+        linear, belief = model.linear_step(aware, nodes)
         position, velocity = linear(state.position, state.velocity, u)
         after = _like(ModelState(position, velocity, belief), state)
         part = jax.tree.map(lambda block: block[involved].astype(x.dtype), linear)
-        return after, Rollout(after.position, after.velocity, after.belief, x, u, part)
+        carry = after, linear.B[..., 0, :].astype(response.dtype)
+        return carry, Rollout(after.position, after.velocity, after.belief, x, u, part)
 
-    last, steps = jax.lax.scan(advance, start, policy)
+    (last, _), steps = jax.lax.scan(advance, (start, response), policy)
     return Rollout(
         position=jnp.concatenate([start.position[None], steps.position]),
         velocity=jnp.concatenate([start.velocity[None], steps.velocity]),
@@ -86,6 +100,15 @@ def roll_out(
         controls=steps.controls,
         dynamics=steps.dynamics,
     )
+
+
+def _response_before_new_contacts(
+    model: StepModel, start: ModelState, nodes: Nodes
+) -> Float[Array, "N D U"]:
+    """[m/N] How far each node is moved by the control, if only the present contacts hold."""
+    holds = nodes.candidate & (start.belief.probability > 0.5)
+    linear, _ = model.linear_step(start, dataclasses.replace(nodes, candidate=holds))
+    return linear.B[..., 0, :].astype(start.position.dtype)
 
 
 def _like(state: ModelState, other: ModelState) -> ModelState:

@@ -26,7 +26,7 @@ def control_task(
     seed: int,
     *,
     horizon: int = 20,
-    iterations: int = 10,
+    iterations: int = 5,
     replan_every: int = 1,
     deadline: float | None = None,
     sensor: ContactSensor = _EXACT,

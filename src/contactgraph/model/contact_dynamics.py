@@ -65,11 +65,15 @@ class ContactDynamics(eqx.Module):
             )
 
     def perceive(
-        self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
+        self,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        nodes: Nodes,
+        push: Float[Array, "N D"] | None = None,
     ) -> Percept:
         """What does not depend on the belief: geometry, features and edge embeddings."""
         pairs = jnp.asarray(pair_indices(position.shape[0]))
-        seen = geometry(position, velocity, pairs, self.dt, self.features.touch_distance)
+        seen = geometry(position, velocity, pairs, self.dt, self.features.touch_distance, push)
         node_features = self.features.node(position, velocity, nodes)
         edge_features = self.features.edge(seen)
         exists = nodes.candidate & nodes.mask[seen.first] & nodes.mask[seen.second]
@@ -120,9 +124,9 @@ class ContactDynamics(eqx.Module):
     def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
         """The linear dynamics of the coming step, and the belief they rest on.
 
-        Neither depends on the control.
+        Neither depends on the control but through ``state.push``, where that is known.
         """
-        percept = self.perceive(state.position, state.velocity, nodes)
+        percept = self.perceive(state.position, state.velocity, nodes, state.push)
         belief = self.predict_belief(state.belief, percept)
         local = self.local_input(percept, belief, state.position, state.velocity)
         return self.local_dynamics(local, self.dt, self.control_size), belief

@@ -41,24 +41,29 @@ def geometry(
     pairs: Int[Array, "E 2"],
     dt: float,
     touch_distance: Float[Array, ""] | float,
+    push: Float[Array, "N D"] | None = None,
 ) -> Geometry:
     """The geometry of the edges `pairs` at one step of `dt` [s]; finite where nodes coincide.
 
-    Bodies touch `touch_distance` [m] apart, centre to centre.
+    Bodies touch `touch_distance` [m] apart, centre to centre. `push` [m] is how far the
+    step's control alone moves the nodes, where it is known; what is coming depends on it.
     """
     first, second = pairs[:, 0], pairs[:, 1]
     displacement = position[second] - position[first]
     relative_velocity = velocity[second] - velocity[first]
     distance = _norm(displacement)
+    coming = relative_velocity
+    if push is not None:
+        coming = coming + (push[second] - push[first]) / dt
     return Geometry(
         first=first,
         second=second,
         displacement=displacement,
         relative_velocity=relative_velocity,
         distance=distance,
-        coming_distance=_norm(displacement + dt * relative_velocity),
+        coming_distance=_norm(displacement + dt * coming),
         direction=displacement / distance[:, None],
-        share_after_touch=_share_after_touch(displacement, relative_velocity, dt, touch_distance),
+        share_after_touch=_share_after_touch(displacement, coming, dt, touch_distance),
     )
 
 

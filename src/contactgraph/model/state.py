@@ -25,3 +25,6 @@ class ModelState(eqx.Module):
     """m/s"""
     belief: ContactBelief
     """About the step that led here; the next step's belief is predicted from it."""
+    push: Float[Array, "N D"] | None = None
+    """m; how far the coming step's control alone moves each node. Whether bodies touch within the
+    step depends on it. None: not known."""

@@ -31,11 +31,17 @@ def bodies_rest(runs: PaddedRuns) -> bool:
     return bool(np.any((speed < _REST) & exists & ~runs.actuated[:, None, :]))
 
 
-def add_bystander(windows: Window, nearest: float, farthest: float, key: PRNGKeyArray) -> Window:
+def add_bystander(
+    windows: Window,
+    nearest: Float[Array, ""] | float,
+    farthest: Float[Array, ""] | float,
+    key: PRNGKeyArray,
+) -> Window:
     """Every window of a batch with one more node, at rest, not actuated.
 
     It stands `nearest` to `farthest` [m] from some body at some step, and never nearer than
-    `nearest` to any. Where several tries find no such place the node is masked out.
+    `nearest` to any, not even between two states. Where several tries find no such place the
+    node is masked out.
     """
     batch, states, count, dimension = windows.position.shape
     keys = jax.random.split(key, batch)
@@ -60,8 +66,8 @@ def add_bystander(windows: Window, nearest: float, farthest: float, key: PRNGKey
 def _place(
     position: Float[Array, "L N D"],
     mask: Array,
-    nearest: float,
-    farthest: float,
+    nearest: Float[Array, ""] | float,
+    farthest: Float[Array, ""] | float,
     key: PRNGKeyArray,
 ) -> tuple[Float[Array, " D"], Array]:
     """A place for one bystander [m], and whether it keeps its distance."""
@@ -72,6 +78,17 @@ def _place(
     direction = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
     radius = jax.random.uniform(radius_key, (_TRIES, 1), minval=nearest, maxval=farthest)
     places = position[step, node] + radius * direction
-    distance = jnp.linalg.norm(places[:, None, None] - position, axis=-1)
+    distance = _distance_to_paths(places, position)
     clear = jnp.min(jnp.where(mask, distance, jnp.inf), axis=(1, 2)) >= nearest
     return places[jnp.argmax(clear)], jnp.any(clear)
+
+
+def _distance_to_paths(
+    places: Float[Array, "tries D"], position: Float[Array, "L N D"]
+) -> Float[Array, "tries L-1 N"]:
+    """How near every node comes to each place on its straight way from state to state, m."""
+    begin, way = position[:-1], position[1:] - position[:-1]
+    reach = places[:, None, None] - begin
+    length = jnp.maximum(jnp.sum(way**2, axis=-1), _REST**2)
+    part = jnp.clip(jnp.sum(reach * way, axis=-1) / length, 0.0, 1.0)
+    return jnp.linalg.norm(reach - part[..., None] * way, axis=-1)

@@ -23,6 +23,8 @@ from contactgraph.train.loss import LossTerms, rollout_rmse, window_loss
 from contactgraph.train.recipe import Recipe
 
 _HELD_OUT_WINDOWS = 256
+_CLEARANCE = 1.03
+"""Least distance of a bystander, in learned distances of touch."""
 
 
 class FitStatus(enum.Enum):
@@ -162,7 +164,8 @@ def _advance(
 ) -> tuple[FitState, dict[str, Array]]:
     """`count` optimiser steps in one scan, then the held-out error."""
     optimiser = _optimiser(recipe)
-    nearest = state.model.prior.threshold
+    # Just out of touch, as far as the model knows where touch is: so it learns how near is near.
+    nearest = _CLEARANCE * jnp.asarray(state.model.features.touch_distance)
     params, static = eqx.partition(state.model, eqx.is_inexact_array)
 
     def loss(params: ContactDynamics, key: PRNGKeyArray) -> tuple[Array, LossTerms]:
