@@ -8,7 +8,7 @@ from contactgraph.model import ContactBelief, LinearDynamics, ModelState, Nodes
 
 
 class StepModel(Protocol):
-    """A locally linear model whose linearisation does not depend on the control.
+    """A locally linear model, whose linearisation knows the control through `ModelState.push` only.
 
     It must be a pytree (an `equinox.Module` is), so that its weights can be passed to compiled
     functions.
