@@ -30,7 +30,7 @@ def numbers_table(numbers: tuple[Number, ...]) -> str:
     """Every number with what was asked for, the command and the seed that made it."""
     if not numbers:
         return ""
-    heads = ("What", "Value", "95 % interval", "At least", "Aim", "Command", "Seed")
+    heads = ("What", "Value", "95 % interval or range", "At least", "Aim", "Command", "Seed")
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     rows = "".join(_row(number) for number in numbers)
     return f'<table class="numbers"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
@@ -41,7 +41,7 @@ def _row(number: Number) -> str:
     command = f"<code>{escape(number.command)}</code>" if number.command else _MISSING
     cells = (
         ("Value", f"{_with_unit(number.value, number.unit)}{_mark(number.reached)}", "figure"),
-        ("95 % interval", escape(_interval(number)) or _MISSING, "figure"),
+        ("95 % interval or range", escape(_interval(number)) or _MISSING, "figure"),
         (limit.capitalize(), _asked(number.at_least, number, limit), "figure"),
         ("Aim", _asked(number.aim, number, ""), "figure"),
         ("Command", command, "command"),

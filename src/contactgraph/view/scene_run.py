@@ -48,9 +48,9 @@ class SceneRun:
     inverse_mass: np.ndarray | None = None
     """[T, N] 1/kg, learned; mean over degrees of freedom."""
     stiffness: np.ndarray | None = None
-    """[T, N] N/m, learned; mean over degrees of freedom."""
+    """[T, N] k/m, 1/s^2, learned; mean over degrees of freedom."""
     damping: np.ndarray | None = None
-    """[T, N] N s/m, learned; mean over degrees of freedom."""
+    """[T, N] c/m, 1/s, learned; mean over degrees of freedom."""
     plan: np.ndarray | None = None
     """[T, H+1, N, D] m: where the plan made at step t puts every node; NaN where there is none."""
 

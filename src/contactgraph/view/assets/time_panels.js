@@ -44,8 +44,8 @@ function parameterPanels(run) {
   const spans = run.contact && run.leading.length ? run.contact[run.leading[0]] : [];
   const kinds = [
     { title: "inverse mass 1/m", unit: "1/kg", height: 110, values: run.inverseMass, least: 1 },
-    { title: "stiffness k", unit: "N/m", height: 52, values: run.stiffness, least: 0 },
-    { title: "damping c", unit: "N s/m", height: 52, values: run.damping, least: 0 },
+    { title: "stiffness k/m", unit: "1/s²", height: 52, values: run.stiffness, least: 0 },
+    { title: "damping c/m", unit: "1/s", height: 52, values: run.damping, least: 0 },
   ];
   return kinds.filter((kind) => kind.values).map((kind) => {
     const lines = run.focus.map((node) => ({
