@@ -45,8 +45,16 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def learned(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder of a training long enough to know near from touching."""
+    path = tmp_path_factory.mktemp("learned") / "run"
+    _done(["train", str(recorded), "--out", str(path), "--steps", "800"])
+    return path
+
+
+@pytest.fixture(scope="session")
 def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run folder of a short training that has learned its task. Not to be changed."""
+    """The run folder of a short training. Not to be changed."""
     path = tmp_path_factory.mktemp("trained") / "run"
     _done(["train", str(recorded), "--out", str(path), "--steps", str(STEPS)])
     return path

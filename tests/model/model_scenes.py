@@ -30,10 +30,13 @@ PRESETS = {
 }
 
 
-@cache
 def preset(name: str, dimension: int = 2, seed: int = 0, width: int = 16) -> ContactDynamics:
-    """A preset with random weights."""
+    """A preset with random weights, of the number type that is on."""
+    return _preset(name, dimension, seed, width, jnp.zeros(()).dtype)
 
+
+@cache
+def _preset(name: str, dimension: int, seed: int, width: int, _: np.dtype) -> ContactDynamics:
     def construct() -> ContactDynamics:
         return PRESETS[name](dimension, 2, DT, width=width, key=jax.random.PRNGKey(0))
 

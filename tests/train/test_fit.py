@@ -153,8 +153,8 @@ def test_a_file_of_ones_own_trains(tmp_path: Path) -> None:
     assert not bit_equal(result.state.model, state.model)
 
 
-def test_what_a_short_training_learns(trained: Path, fresh: Path) -> None:
-    model = load_model(trained / "model.safetensors").model
+def test_what_a_short_training_learns(learned: Path, fresh: Path) -> None:
+    model = load_model(learned / "model.safetensors").model
     metrics = evaluate_open_loop(model, read_trajectories(fresh))
     assert metrics.n_step_rmse_m < 0.005
     assert metrics.frozen_contact_rmse_m is not None
