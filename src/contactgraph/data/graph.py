@@ -1,6 +1,8 @@
-"""The graph's layout: which nodes an edge joins."""
+"""The graph's layout: which nodes an edge joins, and which edges there could be."""
 
 import numpy as np
+
+from contactgraph.data.scene import Scene
 
 
 def pair_indices(node_count: int) -> np.ndarray:
@@ -12,3 +14,18 @@ def pair_indices(node_count: int) -> np.ndarray:
     """
     second, first = np.tril_indices(node_count, k=-1)
     return np.stack([first, second], axis=1)
+
+
+def candidate_pairs(scene: Scene, node_capacity: int) -> np.ndarray:
+    """[E] bool: which of the pairs of ``node_capacity`` nodes are candidate edges of a scene.
+
+    A pair listed in either direction is one; a pair with padding is none. The capacity must be at
+    least the scene's number of nodes.
+    """
+    pairs = pair_indices(node_capacity)
+    candidate = pairs[:, 1] < scene.node_count  # the larger index of the two
+    if scene.candidate_edges is not None:
+        listed = np.zeros((node_capacity, node_capacity), dtype=bool)
+        listed[scene.candidate_edges[:, 0], scene.candidate_edges[:, 1]] = True
+        candidate &= (listed | listed.T)[pairs[:, 0], pairs[:, 1]]
+    return candidate

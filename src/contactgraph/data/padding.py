@@ -6,8 +6,7 @@ import numpy as np
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.graph import pair_indices
-from contactgraph.data.trajectory import Trajectory
+from contactgraph.data.graph import candidate_pairs, pair_indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,19 +71,9 @@ def pad_runs(dataset: Dataset, node_capacity: int | None = None) -> PaddedRuns:
         padded.step_mask[index, : run.steps] = True
         # A run's own pairs are a prefix of those of the capacity: see `pair_indices`.
         own = pairs[: count * (count - 1) // 2]
-        padded.candidate[index, : len(own)] = _candidate(run, own)
+        padded.candidate[index] = candidate_pairs(run.scene, nodes)
         if padded.contact is not None and run.contact is not None:
             padded.contact[index, : run.steps + 1, : len(own)] = run.contact[
                 :, own[:, 0], own[:, 1]
             ]
     return padded
-
-
-def _candidate(run: Trajectory, pairs: np.ndarray) -> np.ndarray:
-    """[E] bool; an edge listed in either direction is a candidate."""
-    edges = run.scene.candidate_edges
-    if edges is None:
-        return np.ones(len(pairs), dtype=bool)
-    listed = np.zeros((run.scene.node_count, run.scene.node_count), dtype=bool)
-    listed[edges[:, 0], edges[:, 1]] = True
-    return (listed | listed.T)[pairs[:, 0], pairs[:, 1]]

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.data import InvalidInputError, Scene, pair_indices
+from contactgraph.data import InvalidInputError, Scene, candidate_pairs
 from contactgraph.model import Nodes
 
 
@@ -17,12 +17,7 @@ def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
     if capacity < count:
         raise InvalidInputError(f"node_capacity must be at least {count}, found {capacity}")
     exists = np.arange(capacity) < count
-    pairs = pair_indices(capacity)
-    candidate = exists[pairs].all(axis=1)
-    if scene.candidate_edges is not None:
-        listed = np.zeros((capacity, capacity), dtype=bool)
-        listed[scene.candidate_edges[:, 0], scene.candidate_edges[:, 1]] = True
-        candidate &= (listed | listed.T)[pairs[:, 0], pairs[:, 1]]
+    candidate = candidate_pairs(scene, capacity)
     actuated = np.zeros(capacity, dtype=bool)
     actuated[:count] = scene.actuated
     return Nodes(jnp.asarray(actuated), jnp.asarray(exists), jnp.asarray(candidate))
