@@ -66,7 +66,7 @@ def _at_start(state: FitState) -> FitState:
 def main() -> None:
     """Measure and say."""
     told = arguments("Throughput of training.")
-    dataset = Dataset(tuple(collect(PickupTask, [PickupExpert()], 40, seed=0)))
+    dataset = Dataset(tuple(collect([PickupTask], [PickupExpert()], 40, seed=0)))
     base = Recipe(check_every=10 if told.quick else 100)
     batches = (32,) if told.quick else (32, 128)
     rows = [

@@ -20,9 +20,9 @@ from contactgraph.train import FitProgress, Recipe, fit, initial_state
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 
 # Twelve runs to learn from, and three with bystanders that were not there in training.
-recorded = Dataset(tuple(collect(PickupTask, [PickupExpert()], episodes=12, seed=0)))
+recorded = Dataset(tuple(collect([PickupTask], [PickupExpert()], episodes=12, seed=0)))
 crowded = Dataset(
-    tuple(collect(lambda: PickupTask(distractors=3), [PickupExpert()], episodes=3, seed=1))
+    tuple(collect([lambda: PickupTask(distractors=3)], [PickupExpert()], episodes=3, seed=1))
 )
 print(f"recorded {len(recorded)} runs of {recorded.trajectories[0].steps} steps of {recorded.dt} s")
 

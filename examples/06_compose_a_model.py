@@ -52,7 +52,7 @@ model = ContactDynamics(
 )
 
 policies = [PickupExpert(), PickupExpert(), ExplorationPolicy()]
-train, held_out = split_by_run(Dataset(tuple(collect(PickupTask, policies, 12, seed=0))), 0.2, 0)
+train, held_out = split_by_run(Dataset(tuple(collect([PickupTask], policies, 12, seed=0))), 0.2, 0)
 recipe = Recipe(
     steps=600, check_every=600, batch_size=16, learning_rate=5e-3, window_length=4, rollout_from=1.0
 )  # never, as in the first example

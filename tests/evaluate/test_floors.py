@@ -89,7 +89,7 @@ def test_unknown_masses_contacts_or_hinges_give_none():
 
 
 def test_on_real_pickups_only_changes_of_contact_are_hard():
-    for run in collect(PickupTask, [PickupExpert()], 2, 0):
+    for run in collect([PickupTask], [PickupExpert()], 2, 0):
         starts = run.steps - 9
         change = np.array(
             [(run.contact[t : t + 11] != run.contact[t]).any() for t in range(starts)]

@@ -26,7 +26,7 @@ JSON_KEYS = {
 
 @pytest.fixture(scope="module")
 def pickups() -> Dataset:
-    return Dataset(tuple(collect(lambda: PickupTask(1), [PickupExpert()], 2, 0)))
+    return Dataset(tuple(collect([lambda: PickupTask(1)], [PickupExpert()], 2, 0)))
 
 
 @pytest.fixture(scope="module")

@@ -63,25 +63,25 @@ def test_the_metadata_tells_who_did_it_and_does_not_touch_the_task():
 
 
 def test_a_run_does_not_depend_on_how_many_there_are():
-    few = collect(PickupTask, [PickupExpert()], 2, 3)
-    many = collect(PickupTask, [PickupExpert()], 4, 3)
+    few = collect([PickupTask], [PickupExpert()], 2, 3)
+    many = collect([PickupTask], [PickupExpert()], 4, 3)
     assert all(same(one, other) for one, other in zip(few, many, strict=False))
     assert not same(many[0], many[1])
 
 
 def test_the_seed_in_the_metadata_gives_the_run_again():
-    run = collect(PickupTask, [PickupExpert()], 3, 5)[2]
+    run = collect([PickupTask], [PickupExpert()], 3, 5)[2]
     assert same(run, run_episode(PickupTask(), PickupExpert(), run.scene.metadata["seed"]))
 
 
 def test_other_seeds_give_other_runs():
-    assert not same(*(collect(PickupTask, [PickupExpert()], 1, seed)[0] for seed in (0, 1)))
+    assert not same(*(collect([PickupTask], [PickupExpert()], 1, seed)[0] for seed in (0, 1)))
 
 
 def test_policies_take_turns_and_every_run_is_reported():
     done = []
     mix = [PickupExpert(), PickupExpert(), ExplorationPolicy(), RestPolicy()]
-    runs = collect(PickupTask, mix, 6, 0, done.append)
+    runs = collect([PickupTask], mix, 6, 0, done.append)
     assert [run.scene.metadata["policy"] for run in runs] == [
         "PickupExpert",
         "PickupExpert",
@@ -96,10 +96,10 @@ def test_policies_take_turns_and_every_run_is_reported():
 def test_arguments_out_of_range():
     policy = RestPolicy()
     with pytest.raises(InvalidInputError, match="episodes must be at least 1, found 0"):
-        collect(PickupTask, [policy], 0, 0)
+        collect([PickupTask], [policy], 0, 0)
     with pytest.raises(InvalidInputError, match="seed must be at least 0, found -1"):
-        collect(PickupTask, [policy], 1, -1)
+        collect([PickupTask], [policy], 1, -1)
     with pytest.raises(InvalidInputError, match="policies must name at least one policy"):
-        collect(PickupTask, [], 1, 0)
+        collect([PickupTask], [], 1, 0)
     with pytest.raises(InvalidInputError, match="seed must be at least 0, found -2"):
         run_episode(PickupTask(), policy, -2)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.tasks.box2d_world import CircleWorld
+from contactgraph.tasks.box2d import CircleWorld
 
 RADIUS = 0.04
 DT = 0.05

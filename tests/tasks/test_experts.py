@@ -18,7 +18,7 @@ START_UP = 4
 
 @pytest.fixture(scope="module")
 def expert_runs():
-    return collect(lambda: PickupTask(10), [PickupExpert()], 40, 0)
+    return collect([lambda: PickupTask(10)], [PickupExpert()], 40, 0)
 
 
 def first_contact(run):
@@ -49,9 +49,9 @@ def test_the_expert_touches_nothing_but_the_target(expert_runs):
 
 
 def test_the_force_is_not_a_function_of_the_state(expert_runs):
-    still = collect(PickupTask, [PickupExpert(noise=0.0)], 2, 0)
-    again = collect(PickupTask, [PickupExpert(noise=0.0)], 2, 0)
-    noisy = collect(PickupTask, [PickupExpert()], 2, 0)
+    still = collect([PickupTask], [PickupExpert(noise=0.0)], 2, 0)
+    again = collect([PickupTask], [PickupExpert(noise=0.0)], 2, 0)
+    noisy = collect([PickupTask], [PickupExpert()], 2, 0)
     for one, same, other in zip(still, again, noisy, strict=True):
         assert np.array_equal(one.control, same.control)
         difference = (other.control - one.control)[:3]
@@ -74,7 +74,7 @@ def test_the_held_pair_has_one_velocity_and_one_distance(expert_runs):
 
 
 def test_exploration_moves_about_hits_something_and_stays_near():
-    runs = collect(lambda: PickupTask(3), [ExplorationPolicy()], 20, 0)
+    runs = collect([lambda: PickupTask(3)], [ExplorationPolicy()], 20, 0)
     touched = [run.contact.any() for run in runs]
     assert 3 <= sum(touched) <= 19
     for run in runs:
@@ -83,7 +83,7 @@ def test_exploration_moves_about_hits_something_and_stays_near():
 
 
 def test_rest_rests():
-    (run,) = collect(lambda: PickupTask(3), [RestPolicy()], 1, 0)
+    (run,) = collect([lambda: PickupTask(3)], [RestPolicy()], 1, 0)
     assert not run.control.any() and not run.velocity.any() and not run.contact.any()
     assert np.array_equal(run.position[0], run.position[-1])
 

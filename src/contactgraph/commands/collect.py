@@ -13,7 +13,7 @@ class Collect:
     """Record runs of a task by its scripted expert, and write them to a dataset file."""
 
     task: Positional[Annotated[str, arg(metavar="TASK")]]
-    """The task: pickup."""
+    """The task: pickup, multi-pickup or door."""
     out: Annotated[Path, arg(metavar="FILE")]
     """The file to write (HDF5)."""
     episodes: int = 40
@@ -21,9 +21,11 @@ class Collect:
     seed: int = 0
     """The same seed records the same runs."""
     distractors: int = 0
-    """Objects that stand by, 0 to 20."""
+    """Bystanders: objects, 0 to 20, or doors, 0 to 10."""
     objects: Annotated[int | None, arg(metavar="INT")] = None
-    """Objects to handle, where the task has a choice."""
+    """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
+    mixed: bool = False
+    """Runs take turns at 0 to DISTRACTORS bystanders, and at 1 to OBJECTS objects if given."""
     exploration: float = 0.0
     """Share of runs with random forces in place of the expert."""
     resting: float = 0.0
@@ -31,14 +33,17 @@ class Collect:
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.commands.names import EXPERTS, looked_up, task_factory
+        from contactgraph.commands.names import EXPERTS, looked_up, mixed_factories, task_factory
         from contactgraph.commands.numbers import check_episodes, check_seed
         from contactgraph.commands.output import check_writable, progress, say
         from contactgraph.data import InvalidInputError, Metadata, write_trajectories
         from contactgraph.evaluate import collect
         from contactgraph.tasks import ExplorationPolicy, RestPolicy
 
-        factory = task_factory(self.task, self.distractors, self.objects)
+        if self.mixed:
+            factories = mixed_factories(self.task, self.distractors, self.objects)
+        else:
+            factories = [task_factory(self.task, self.distractors, self.objects)]
         check_episodes(self.episodes)
         check_seed(self.seed)
         shares = {"--exploration": self.exploration, "--resting": self.resting}
@@ -57,8 +62,12 @@ class Collect:
         with progress("collecting", self.episodes) as steps:
             done = itertools.count(1)
             runs = collect(
-                factory, policies, self.episodes, self.seed, lambda _: steps.advance(next(done))
+                factories, policies, self.episodes, self.seed, lambda _: steps.advance(next(done))
             )
         metadata: Metadata = {"task": self.task, "seed": self.seed, "distractors": self.distractors}
+        if self.objects is not None:
+            metadata["objects"] = self.objects
+        if self.mixed:
+            metadata["mixed"] = True
         write_trajectories(self.out, runs, metadata)
         say(f"{self.out}: {len(runs)} runs of {self.task}, seed {self.seed}")

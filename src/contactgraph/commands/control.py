@@ -15,15 +15,15 @@ class Control:
     run_name: Positional[Annotated[str, arg(metavar="RUN")]]
     """A run folder, a model file, or a model that ships with the package (pickup)."""
     task: Positional[Annotated[str, arg(metavar="TASK")]]
-    """The task: pickup."""
+    """The task: pickup, multi-pickup or door."""
     episodes: int = 100
     """How many episodes."""
     seed: int = 0
     """The same seed gives the same episodes."""
     distractors: int = 0
-    """Objects that stand by, 0 to 20."""
+    """Bystanders: objects, 0 to 20, or doors, 0 to 10."""
     objects: Annotated[int | None, arg(metavar="INT")] = None
-    """Objects to handle, where the task has a choice."""
+    """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
     horizon: int = 20
     """Steps to plan ahead."""
     replan_every: int = 1

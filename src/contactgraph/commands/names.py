@@ -13,9 +13,8 @@ from contactgraph.model import (
     shipped_model,
     shipped_models,
 )
-from contactgraph.tasks import PickupTask
+from contactgraph.tasks import DoorExpert, DoorTask, MultiPickupTask, PickupExpert, PickupTask
 from contactgraph.tasks.contract import Policy, Task
-from contactgraph.tasks.expert import PickupExpert
 
 Value = TypeVar("Value")
 
@@ -25,7 +24,11 @@ MODELS = {
     "no-gim": no_gim,
     "full-ab": full_ab,
 }
-EXPERTS: dict[str, Callable[[], Policy]] = {"pickup": PickupExpert}
+EXPERTS: dict[str, Callable[[], Policy]] = {
+    "pickup": PickupExpert,
+    "multi-pickup": PickupExpert,
+    "door": DoorExpert,
+}
 
 
 def looked_up(what: str, name: str, table: dict[str, Value]) -> Value:
@@ -46,9 +49,34 @@ def task_factory(name: str, distractors: int, objects: int | None) -> Callable[[
             raise InvalidInputError(f"--objects: pickup has 1 object, found {objects}")
         return PickupTask(distractors=distractors)
 
-    factory = looked_up("task", name, {"pickup": pickup})
+    def multi_pickup() -> Task:
+        if objects is None:
+            return MultiPickupTask(distractors=distractors)
+        return MultiPickupTask(objects, distractors)
+
+    def door() -> Task:
+        if objects is not None:
+            raise InvalidInputError(f"--objects: door has no objects to count, found {objects}")
+        return DoorTask(distractors)
+
+    tasks = {"pickup": pickup, "multi-pickup": multi_pickup, "door": door}
+    factory = looked_up("task", name, tasks)
     factory()  # a wrong count is refused before anything is begun
     return factory
+
+
+def mixed_factories(name: str, distractors: int, objects: int | None) -> list[Callable[[], Task]]:
+    """A task's environments with 0 to ``distractors`` distractors, and 1 to ``objects`` objects.
+
+    `objects` None leaves the objects at the task's own number. Raises as `task_factory`.
+    """
+    task_factory(name, distractors, objects)
+    counts = [None] if objects is None else range(1, objects + 1)
+    return [
+        task_factory(name, bystanders, count)
+        for count in counts
+        for bystanders in range(distractors + 1)
+    ]
 
 
 def model_path(run: str) -> Path:

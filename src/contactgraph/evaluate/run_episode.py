@@ -50,13 +50,16 @@ def run_episode(
 
 
 def collect(
-    task_factory: Callable[[], Task],
+    task_factories: Sequence[Callable[[], Task]],
     policies: Sequence[Policy],
     episodes: int,
     seed: int,
     on_episode: Callable[[Trajectory], None] | None = None,
 ) -> list[Trajectory]:
     """Records ``episodes`` runs; run ``i`` is by ``policies[i % len(policies)]``.
+
+    Its task is by ``task_factories[i % len(task_factories)]``: one of them gives runs alike,
+    several take turns, and runs of different scenes come mixed.
 
     A mix is a longer list: ``[expert] * 8 + [ExplorationPolicy(), RestPolicy()]`` explores in
     every tenth run and rests in every tenth. Each run has a seed of its own, spawned from
@@ -68,10 +71,13 @@ def collect(
     """
     if not policies:
         raise InvalidInputError("policies must name at least one policy, found none")
-    task = task_factory()
+    if not task_factories:
+        raise InvalidInputError("task_factories must name at least one task, found none")
+    tasks = [task_factory() for task_factory in task_factories]
     runs = []
     for index, episode_seed in enumerate(episode_seeds(episodes, seed)):
-        runs.append(run_episode(task, policies[index % len(policies)], episode_seed))
+        task, policy = tasks[index % len(tasks)], policies[index % len(policies)]
+        runs.append(run_episode(task, policy, episode_seed))
         if on_episode is not None:
             on_episode(runs[-1])
     return runs

@@ -1,19 +1,24 @@
-"""Where things lie when a pickup begins."""
+"""Where things lie when a pickup of one or more targets begins."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 HALF_WIDTH = 1.0
-"""Half the side of the square that everything lies in at the start, m."""
+"""Half the side of the square that gripper, targets and goal lie in at the start, m."""
+WIDENING = 0.5
+"""By how much distractors may lie farther out for every target but the first, m: room for them."""
 RADIUS = 0.04
 """Of every body, m."""
 CLEARANCE = 0.06
 """The least gap between the surfaces of two bodies, m."""
 REACH = 0.3
-"""The least distance from gripper to target and from target to goal, m: way to gain speed on."""
+"""The least distance from each stop to the next, m: way to gain speed on."""
 CORRIDOR = 0.35
 """The least distance of a distractor's centre from the ways, m."""
+TARGET_CORRIDOR = 0.2
+"""The least distance of a target's centre from the ways on which it is not yet due, m."""
 OVERSHOOT = 0.3
 """By how much a way is longer than the straight line, m: nobody stops dead."""
 
@@ -24,67 +29,86 @@ _TRIES_PER_DISTRACTOR = 200
 class PickupLayout:
     """Start positions and goal of a pickup."""
 
-    position: np.ndarray
-    """[N, 2] m: gripper, target, distractors."""
-    goal: np.ndarray
-    """[2] m."""
+    stops: np.ndarray
+    """[K + 2, 2] m: gripper, targets in the order they are picked up, goal."""
+    distractors: np.ndarray
+    """[M, 2] m."""
+
+    @property
+    def position(self) -> np.ndarray:
+        """[1 + K + M, 2] m: gripper, targets, distractors."""
+        return np.concatenate([self.stops[:-1], self.distractors])
+
+    @property
+    def goal(self) -> np.ndarray:
+        """[2] m."""
+        return self.stops[-1]
 
 
-def sample_layout(rng: np.random.Generator, distractors: int) -> PickupLayout:
+def extent(targets: int) -> float:
+    """Half the side of the square that everything lies in at the start, m."""
+    return HALF_WIDTH + WIDENING * (targets - 1)
+
+
+def sample_layout(rng: np.random.Generator, targets: int, distractors: int) -> PickupLayout:
     """Samples start positions and a goal, uniformly over those that satisfy the distances above.
 
     A layout without room for every distractor is given up and sampled afresh as a whole, so that
-    crowding does not bias where the gripper, the target and the goal are within a layout.
+    crowding does not bias where the gripper, the targets and the goal are within a layout.
     """
     while True:
-        gripper, target, goal = _uniform(rng, 3)
-        if min(_distance(gripper, target), _distance(target, goal)) < REACH:
+        stops = _uniform(rng, targets + 2, HALF_WIDTH)
+        if not _passable(stops):
             continue
-        others = _place_distractors(rng, gripper, target, goal, distractors)
+        others = _place_distractors(rng, stops, distractors)
         if others is not None:
-            return PickupLayout(np.concatenate([[gripper, target], others]), goal)
+            return PickupLayout(stops, others)
 
 
-def distance_to_ways(point: np.ndarray, layout: PickupLayout) -> float:
-    """Distance of ``point`` ``[2]`` m from the ways gripper to target and target to goal, m.
+def distance_to_ways(point: np.ndarray, stops: np.ndarray) -> float:
+    """Distance of ``point`` ``[2]`` m from the ways from stop to stop ``[S, 2]`` m; m.
 
-    Both ways go on straight for `OVERSHOOT` beyond their ends.
+    All ways go on straight for `OVERSHOOT` beyond their ends.
     """
-    gripper, target = layout.position[:2]
-    return _distance_to_ways(point, gripper, target, layout.goal)
+    return min(_distance_to_way(point, start, end) for start, end in _ways(stops))
+
+
+def _passable(stops: np.ndarray) -> bool:
+    """Whether stops are far enough apart, and targets not yet due are clear of earlier ways."""
+    if min(_distance(start, end) for start, end in _ways(stops)) < REACH:
+        return False
+    return all(
+        _distance_to_way(stops[due], *way) >= TARGET_CORRIDOR
+        for index, way in enumerate(_ways(stops))
+        for due in range(index + 2, len(stops) - 1)
+    )
 
 
 def _place_distractors(
-    rng: np.random.Generator,
-    gripper: np.ndarray,
-    target: np.ndarray,
-    goal: np.ndarray,
-    count: int,
+    rng: np.random.Generator, stops: np.ndarray, count: int
 ) -> np.ndarray | None:
     """[count, 2] m, or None where no room was found."""
     placed: list[np.ndarray] = []
-    for point in _uniform(rng, _TRIES_PER_DISTRACTOR * count):
+    for point in _uniform(rng, _TRIES_PER_DISTRACTOR * count, extent(len(stops) - 2)):
         if len(placed) == count:
             break
         free = all(_distance(point, other) >= 2 * RADIUS + CLEARANCE for other in placed)
-        if free and _distance_to_ways(point, gripper, target, goal) >= CORRIDOR:
+        if free and distance_to_ways(point, stops) >= CORRIDOR:
             placed.append(point)
     return np.reshape(placed, (count, 2)) if len(placed) == count else None
 
 
-def _uniform(rng: np.random.Generator, count: int) -> np.ndarray:
-    inside = HALF_WIDTH - RADIUS
+def _uniform(rng: np.random.Generator, count: int, half_width: float) -> np.ndarray:
+    inside = half_width - RADIUS
     return rng.uniform(-inside, inside, (count, 2))
+
+
+def _ways(stops: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    return list(itertools.pairwise(stops))
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.hypot(*(a - b)))
-
-
-def _distance_to_ways(
-    point: np.ndarray, gripper: np.ndarray, target: np.ndarray, goal: np.ndarray
-) -> float:
-    return min(_distance_to_way(point, gripper, target), _distance_to_way(point, target, goal))
 
 
 def _distance_to_way(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""Circles in the plane that collide purely inelastically and then hold: the one file with Box2D.
+"""Circles in the plane that collide purely inelastically and then hold.
 
 Box2D finds the touches, integrates the motion and carries the joints. What it does not offer is
 a perfectly inelastic impact at the moment of touch, so that is resolved here: within a substep a
@@ -7,23 +7,18 @@ taken back to it and go on together, with momentum over mass as their common vel
 pair is therefore held at exactly the sum of its radii, and the centre of mass moves as it must.
 """
 
-import warnings
-
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-
-with warnings.catch_warnings():
-    # Its wrapper warns of a deprecation when imported; where warnings are errors, it crashes.
-    warnings.simplefilter("ignore", DeprecationWarning)
-    import Box2D
-
-SIMULATOR = f"box2d {Box2D.__version__}"
+from contactgraph.tasks.box2d.engine import (
+    POSITION_ITERATIONS,
+    VELOCITY_ITERATIONS,
+    Box2D,
+    TouchListener,
+)
 
 _ROUNDING = 1e-6
 """By how much Box2D's single precision may take two bodies as touching too early, m."""
-_VELOCITY_ITERATIONS = 20
-_POSITION_ITERATIONS = 5
 
 
 class CircleWorld:
@@ -47,7 +42,7 @@ class CircleWorld:
         self._substep_time = dt / substeps
         self._mass = np.asarray(mass, dtype=np.float64)
         self._radius = np.asarray(radius, dtype=np.float64)
-        self._listener = _TouchListener()  # Box2D does not keep it alive: we must
+        self._listener = TouchListener()  # Box2D does not keep it alive: we must
         self._world = Box2D.b2World(
             gravity=(0.0, 0.0), doSleep=False, contactListener=self._listener
         )
@@ -94,7 +89,7 @@ class CircleWorld:
             if x or y:
                 body.ApplyForceToCenter((x, y), True)
         for _ in range(self._substeps):
-            self._world.Step(self._substep_time, _VELOCITY_ITERATIONS, _POSITION_ITERATIONS)
+            self._world.Step(self._substep_time, VELOCITY_ITERATIONS, POSITION_ITERATIONS)
             # Box2D looks for touches when a step begins. A step of no time looks and does no
             # more, so that a touch in the last substep is not left to the next control step.
             self._world.Step(0.0, 0, 0)
@@ -163,16 +158,3 @@ class CircleWorld:
         mass = self._mass[members]
         velocity = np.array([tuple(self._bodies[index].linearVelocity) for index in members])
         return mass @ velocity / mass.sum()
-
-
-class _TouchListener(Box2D.b2ContactListener):
-    """Notes pairs that begin to touch; the world is locked then, so that is all it may do."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.touched: list[tuple[int, int]] = []
-
-    def BeginContact(self, contact: Box2D.b2Contact) -> None:
-        """Called by Box2D, hence the name."""
-        pair = sorted((contact.fixtureA.body.userData, contact.fixtureB.body.userData))
-        self.touched.append((pair[0], pair[1]))

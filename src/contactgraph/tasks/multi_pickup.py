@@ -1,0 +1,76 @@
+"""Multi-pickup: a gripper picks up targets one after the other and takes them all to a goal."""
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.tasks.box2d import SIMULATOR, CircleWorld
+from contactgraph.tasks.contract import ChainCost
+from contactgraph.tasks.gripper_task import GRIPPER, GripperTask
+from contactgraph.tasks.pickup import (
+    CONTROL_WEIGHT,
+    GOAL_WEIGHTS,
+    MAX_STEPS,
+    PICK_WEIGHTS,
+    at_goal,
+    check_counts,
+    circle_scene,
+    circle_world,
+)
+from contactgraph.tasks.pickup_layout import extent, sample_layout
+
+MAX_OBJECTS = 5
+
+
+class MultiPickupTask(GripperTask):
+    """The paper's second Box2D task; a `contactgraph.tasks.Task`.
+
+    Nodes are the gripper (0), ``objects`` targets (1, 2, ...) in the order in which they are to
+    be picked up, and ``distractors`` further objects: circles that stick to whatever they touch,
+    so that what is held forms a growing group. The control ``[2]`` N is a force on the gripper.
+    The reward is the negative distance from the last target to the goal, m. An episode always
+    runs for 200 steps.
+
+    Raises `InvalidInputError` where ``objects`` is not in 1 to 5 or ``distractors`` in 0 to 20.
+    """
+
+    def __init__(self, objects: int = 2, distractors: int = 0, substeps: int = 10) -> None:
+        if not 1 <= objects <= MAX_OBJECTS:
+            raise InvalidInputError(f"objects must be 1 to {MAX_OBJECTS}, found {objects}")
+        check_counts(distractors, substeps)
+        super().__init__(1 + objects + distractors, MAX_STEPS, extent(objects))
+        self._objects = objects
+        self._distractors = distractors
+        self._substeps = substeps
+
+    def begin(self, seed: int) -> tuple[Scene, CircleWorld]:
+        """Samples the scene of a seed, with everything at rest."""
+        layout = sample_layout(np.random.default_rng(seed), self._objects, self._distractors)
+        names = tuple(f"target-{index}" for index in range(1, self._objects + 1))
+        told: dict[str, str | int | float | bool] = {
+            "task": "multi-pickup",
+            "seed": seed,
+            "objects": self._objects,
+            "distractors": self._distractors,
+            "simulator": SIMULATOR,
+            "substeps": self._substeps,
+        }
+        return circle_scene(layout, names, told), circle_world(layout, self._substeps)
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether every target is joined to the gripper and the last within 0.1 m of the goal."""
+        every = set(range(1, self._objects + 1))
+        return every <= held(contact) and at_goal(position[self._objects], scene)
+
+    def cost_terms(self) -> ChainCost:
+        """The paper's weights: gripper to first target, first to second, ..., last to goal."""
+        chain = tuple(range(GRIPPER, self._objects + 1))
+        return ChainCost(chain, PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
+
+
+def held(contact: np.ndarray) -> set[int]:
+    """The nodes joined to the gripper by ``contact`` ``[N, N]``, directly or through others."""
+    found, new = set[int](), {GRIPPER}
+    while new:
+        found |= new
+        new = {int(node) for node in np.flatnonzero(contact[sorted(new)].any(axis=0))} - found
+    return found - {GRIPPER}
