@@ -82,12 +82,13 @@ class Control:
             "seed": self.seed,
             "distractors": self.distractors,
         }
+        if self.objects is not None:
+            told["objects"] = self.objects
         dataset = Dataset(tuple(runs), told)
         predicted = evaluate_open_loop(model, dataset)
         values = {
             "run": self.run_name,
-            "task": self.task,
-            "distractors": self.distractors,
+            **told,
             **predicted.to_json(),
             **metrics.to_json(),
         }

@@ -11,9 +11,11 @@ from contactgraph.tasks.multi_pickup import held
 STIFFNESS = 5.0
 """Kp, N/m: on the way to a target for every body that moves, to the goal for every one held."""
 FREE_DAMPING = 0.5 * np.sqrt(STIFFNESS)
-"""On the way to a target, N s/m for every body that moves."""
+"""On the way to the first target, N s/m."""
+HOLDING_DAMPING = 1.0 * np.sqrt(STIFFNESS)
+"""On the way to a further target, N s/m for every body that moves."""
 GOAL_DAMPING = 4.0 * np.sqrt(STIFFNESS)
-"""On the way to the goal with one target, and across the way to a target; N s/m."""
+"""On the way to the goal with one target, and across the way to a target, N s/m."""
 
 
 class PickupExpert:
@@ -24,8 +26,8 @@ class PickupExpert:
     a target is damped as strongly as on the way to the goal: with the light damping alone one run
     in ten swings past a target of 0.04 m under noise, and turns round.
 
-    Gains grow with what is held, so that five targets are picked up in the same time each as the
-    first. ``noise`` N is the standard deviation of the force that is added on each axis,
+    Gains grow with what is held, as far as the control's bounds allow, so that five targets and
+    the way to the goal fit into one episode. ``noise`` N is the standard deviation of the force that is added on each axis,
     correlated over ``correlation_steps`` steps: without it every force would be a function of the
     state, and a mass could not be told from a drag.
     """
@@ -54,7 +56,8 @@ class PickupExpert:
             way = position[due[0]] - position[GRIPPER]
             along = way * (way @ velocity) / (way @ way)
             across = velocity - along
-            force = STIFFNESS * way - FREE_DAMPING * along - GOAL_DAMPING * across
+            damping = HOLDING_DAMPING if carried else FREE_DAMPING
+            force = STIFFNESS * way - damping * along - GOAL_DAMPING * across
             force = (1 + len(carried)) * force
         else:
             # The damping is 4 sqrt(Kp) for any Kp: with five held it nears the critical one.
