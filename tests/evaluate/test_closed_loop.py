@@ -12,7 +12,11 @@ from contactgraph.evaluate.closed_loop import approach
 JSON_KEYS = {
     *("episodes", "seed", "success_rate", "success_interval", "contact_speed_m_s"),
     *("slowest_before_contact_m_s", "slowest_before_contact_min_m_s", "touched_bystanders"),
-    *("plan_ms_p50", "plan_ms_p99"),
+    *("plan_ms_p50", "plan_ms_p99", "planned_windows"),
+    *("n_step_rmse_planned_m", "n_step_rmse_planned_moving_m"),
+    *("constant_velocity_planned_rmse_m", "frozen_contact_planned_rmse_m"),
+    *("edge_precision_planned", "edge_recall_planned", "edge_f1_planned"),
+    "edge_accuracy_planned",
 }
 
 

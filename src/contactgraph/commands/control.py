@@ -30,6 +30,14 @@ class Control:
     """Steps between plans; feedback acts in between."""
     deadline_ms: Annotated[float | None, arg(metavar="MS")] = None
     """A plan that takes longer, in ms, is not used; the last one is."""
+    false_alarms: Annotated[float, arg(metavar="RATE")] = 0.0
+    """Share of free edges that a lying sensor reports as touching, at every step."""
+    misses: Annotated[float, arg(metavar="RATE")] = 0.0
+    """Share of touching edges that it reports as free."""
+    delay: Annotated[int, arg(metavar="STEPS")] = 0
+    """Steps by which the sensor is late."""
+    unmeasured: bool = False
+    """Keep all measured contacts from the controller."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the measurements to this file."""
     video: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -40,9 +48,20 @@ class Control:
     def run(self) -> None:
         """Run the episodes and say how they went."""
         from contactgraph.commands.names import model_path, task_factory
-        from contactgraph.commands.numbers import check_episodes, check_range, check_seed
+        from contactgraph.commands.numbers import (
+            check_episodes,
+            check_range,
+            check_seed,
+            sensor_faults,
+        )
         from contactgraph.commands.output import check_writable, progress, say, write_json
-        from contactgraph.data import Dataset, Metadata, Trajectory, write_trajectories
+        from contactgraph.data import (
+            Dataset,
+            InvalidInputError,
+            Metadata,
+            Trajectory,
+            write_trajectories,
+        )
         from contactgraph.evaluate import EpisodeRecord, control_task, evaluate_open_loop
         from contactgraph.model.storage import load_model
         from contactgraph.reproduce.scenes import scene_run
@@ -55,6 +74,12 @@ class Control:
         check_episodes(self.episodes)
         check_seed(self.seed)
         check_range("--horizon", self.horizon, 1, 1000)
+        faults = sensor_faults(self.false_alarms, self.misses, self.delay, self.seed)
+        if self.unmeasured and not faults.exact:
+            raise InvalidInputError(
+                "--unmeasured: no contact is measured, so --false-alarms, --misses and --delay "
+                "must be left out"
+            )
         factory = task_factory(self.task, self.distractors, self.objects)
         model = load_model(model_path(self.run_name)).model
         first: list[EpisodeRecord] = []
@@ -75,6 +100,8 @@ class Control:
                 horizon=self.horizon,
                 replan_every=self.replan_every,
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
+                faults=faults,
+                measured=not self.unmeasured,
                 on_episode=on_episode,
             )
         told: Metadata = {
@@ -85,10 +112,15 @@ class Control:
         if self.objects is not None:
             told["objects"] = self.objects
         dataset = Dataset(tuple(runs), told)
-        predicted = evaluate_open_loop(model, dataset)
+        predicted = evaluate_open_loop(model, dataset, faults=faults)
         values = {
             "run": self.run_name,
             **told,
+            "replan_every": self.replan_every,
+            "false_alarms": self.false_alarms,
+            "misses": self.misses,
+            "delay": self.delay,
+            "unmeasured": self.unmeasured,
             **predicted.to_json(),
             **metrics.to_json(),
         }
@@ -112,3 +144,6 @@ class Control:
         )
         error = f"{100 * predicted.n_step_rmse_m:.3f} cm"
         say(f"predicted, over {predicted.n_steps} steps   {error}")
+        planned = metrics.planned.planned.rmse
+        if planned is not None:
+            say(f"planned, over {predicted.n_steps} steps     {100 * planned:.3f} cm")

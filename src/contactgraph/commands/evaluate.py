@@ -18,28 +18,46 @@ class Evaluate:
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the measurements to this file."""
 
+    false_alarms: Annotated[float, arg(metavar="RATE")] = 0.0
+    """Share of free edges that a lying sensor reports as touching, at every step."""
+    misses: Annotated[float, arg(metavar="RATE")] = 0.0
+    """Share of touching edges that it reports as free."""
+    delay: Annotated[int, arg(metavar="STEPS")] = 0
+    """Steps by which the sensor is late."""
+
     def run(self) -> None:
         """Evaluate and say."""
         from contactgraph.commands.names import model_path
+        from contactgraph.commands.numbers import sensor_faults
         from contactgraph.commands.output import check_writable, say, write_json
         from contactgraph.data import read_trajectories
         from contactgraph.evaluate import evaluate_open_loop
         from contactgraph.model.storage import load_model
 
         check_writable(self.json)
+        faults = sensor_faults(self.false_alarms, self.misses, self.delay, seed=0)
         model = load_model(model_path(self.run_name)).model
         dataset = read_trajectories(self.data)
-        metrics = evaluate_open_loop(model, dataset).to_json()
+        metrics = evaluate_open_loop(model, dataset, faults=faults).to_json()
         values = {
             "run": self.run_name,
             "data": str(self.data),
             "episodes": len(dataset),
             "seed": dataset.metadata.get("seed"),
+            "false_alarms": self.false_alarms,
+            "misses": self.misses,
+            "delay": self.delay,
             **metrics,
         }
         write_json(self.json, values)
         for line in _lines(values):
             say(line)
+        lacking = sum(run.contact is None for run in dataset)
+        if lacking:
+            say(
+                f"edges were not scored: {lacking} of {len(dataset)} runs in {self.data} have no "
+                "contact field"
+            )
 
 
 def _lines(values: dict) -> list[str]:

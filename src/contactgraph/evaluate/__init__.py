@@ -10,10 +10,13 @@ from contactgraph.evaluate.inspect_run import inspect_run as inspect_run
 from contactgraph.evaluate.open_loop import OpenLoopMetrics as OpenLoopMetrics
 from contactgraph.evaluate.open_loop import evaluate_open_loop as evaluate_open_loop
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail as OpenLoopDetail
+from contactgraph.evaluate.planned_error import PlannedError as PlannedError
+from contactgraph.evaluate.planned_error import planned_error as planned_error
 from contactgraph.evaluate.run_episode import collect as collect
 from contactgraph.evaluate.run_episode import episode_seeds as episode_seeds
 from contactgraph.evaluate.run_episode import run_episode as run_episode
 from contactgraph.evaluate.scene_nodes import scene_nodes as scene_nodes
+from contactgraph.evaluate.sensor_faults import SensorFaults as SensorFaults
 from contactgraph.evaluate.statistics import MedianInterval as MedianInterval
 from contactgraph.evaluate.statistics import median_interval as median_interval
 from contactgraph.evaluate.statistics import wilson_interval as wilson_interval

@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.evaluate.planned_error import PlannedError
 from contactgraph.evaluate.statistics import wilson_interval
 
+_NOTHING_PLANNED = PlannedError()
 _START_UP = 5
 """Steps in which a gripper that starts at rest gains speed."""
 
@@ -38,11 +40,15 @@ class ClosedLoopMetrics:
     plan_ms_p50: float | None
     """Median time of a control tick (correct, plan, hand over), ms."""
     plan_ms_p99: float | None
+    planned: PlannedError = field(default_factory=PlannedError)
+    """Plans against what came of them; its keys stand beside the others in `to_json`."""
 
     def to_json(self) -> dict[str, float | int | list[float] | None]:
         """All numbers by name."""
         numbers = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {**numbers, "success_interval": list(self.success_interval)}
+        del numbers["planned"]
+        interval = list(self.success_interval)
+        return {**numbers, "success_interval": interval, **self.planned.to_json()}
 
 
 @dataclass(frozen=True)
@@ -61,11 +67,13 @@ def closed_loop_metrics(
     chain: Sequence[int],
     seed: int,
     plan_ms: Sequence[float] | np.ndarray = (),
+    planned: PlannedError = _NOTHING_PLANNED,
 ) -> ClosedLoopMetrics:
     """Metrics of executed episodes.
 
     ``succeeded``: the task's own verdict on each. ``chain``: the task's nodes in order, gripper
     first. ``plan_ms``: the times of all control ticks of all episodes, ms; none: not measured.
+    ``planned``: the sum of the episodes' `planned_error`; none: not measured.
     Raises `InvalidInputError` where there is no episode, verdicts do not match the episodes, or
     an episode lacks a node of the chain.
     """
@@ -93,6 +101,7 @@ def closed_loop_metrics(
         touched_bystanders=None if None in touched else sum(bool(each) for each in touched),
         plan_ms_p50=float(np.percentile(times, 50)) if times.size else None,
         plan_ms_p99=float(np.percentile(times, 99)) if times.size else None,
+        planned=planned,
     )
 
 

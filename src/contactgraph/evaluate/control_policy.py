@@ -8,7 +8,10 @@ import numpy as np
 from contactgraph.control import MPC, MPCState, Plan, chain_cost
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.evaluate.scene_nodes import scene_nodes
+from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
 from contactgraph.tasks.contract import ChainCost, Observation
+
+_EXACT = SensorFaults()
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,10 +22,15 @@ class EpisodeRecord:
     """[T] ms: time of each control tick (correct, plan, hand over)."""
     status: np.ndarray
     """[T] int: `PlanStatus` of each plan."""
-    belief: np.ndarray
-    """[T, E] probability that each edge is active in the step that was about to be made."""
     plan: np.ndarray
     """[T, H+1, N, D] m: where the plan made at each step puts every node."""
+    plan_belief: np.ndarray
+    """[T, H, E] probability that each edge is active in each step of that plan."""
+
+    @property
+    def belief(self) -> np.ndarray:
+        """[T, E] the same of the step that was about to be made."""
+        return self.plan_belief[:, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,19 +48,32 @@ class MPCPolicy:
     """
 
     def __init__(
-        self, mpc: MPC, terms: ChainCost, control_size: int, node_capacity: int = 0
+        self,
+        mpc: MPC,
+        terms: ChainCost,
+        control_size: int,
+        node_capacity: int = 0,
+        faults: SensorFaults = _EXACT,
+        measured: bool = True,
     ) -> None:
-        """``control_size``: U, of the task's action. ``node_capacity``: 0 for the first scene's."""
+        """``control_size``: U, of the task's action. ``node_capacity``: 0 for the first scene's.
+
+        ``faults``: how the observed contacts are spoiled before the controller sees them. Without
+        ``measured`` it sees none.
+        """
         self._mpc = mpc
         self._terms = terms
         self._control_size = control_size
         self._capacity = node_capacity
+        self._faults = faults
+        self._measured = measured
+        self._sensor: FaultySensor | None = None
         self._scene: Scene | None = None
         self._state: MPCState | None = None
         self._ticks: list[_Tick] = []
 
     def reset(self, scene: Scene, seed: int) -> None:
-        """Prepares for an episode in ``scene``; nothing here is random.
+        """Prepares for an episode in ``scene``; only the sensor's faults are random.
 
         Raises `InvalidInputError` where the scene has no goal.
         """
@@ -60,13 +81,15 @@ class MPCPolicy:
             raise InvalidInputError("the scene has no goal; a plan needs one")
         self._capacity = max(self._capacity, scene.node_count)
         self._scene, self._state, self._ticks = scene, None, []
+        self._sensor = self._faults.begin(scene, seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[U]`` N for the coming step."""
         if self._state is None:
             self._state = self._begin(observation)
+        contacts = self._contacts(observation)
         begin = time.perf_counter()
-        plan, self._state = self._mpc.step(observation, observation["contact"], self._state)
+        plan, self._state = self._mpc.step(observation, contacts, self._state)
         control = np.asarray(plan.controls[0], dtype=np.float64)  # waits for the plan
         self._ticks.append(_Tick(1e3 * (time.perf_counter() - begin), plan))
         return control
@@ -79,13 +102,18 @@ class MPCPolicy:
         edges = count * (count - 1) // 2
         states = np.stack([np.asarray(tick.plan.states) for tick in self._ticks])
         states = states.reshape(*states.shape[:2], self._capacity, 2, dimension)
-        belief = [np.asarray(tick.plan.beliefs.probability)[0] for tick in self._ticks]
+        belief = [np.asarray(tick.plan.beliefs.probability) for tick in self._ticks]
         return EpisodeRecord(
             plan_ms=np.array([tick.plan_ms for tick in self._ticks]),
             status=np.array([int(tick.plan.status) for tick in self._ticks]),
-            belief=np.stack(belief)[:, :edges].astype(np.float64),
             plan=states[:, :, :count, 0].astype(np.float64),
+            plan_belief=np.stack(belief)[:, :, :edges].astype(np.float64),
         )
+
+    def _contacts(self, observation: Observation) -> np.ndarray | None:
+        if not self._measured or self._sensor is None:
+            return None
+        return self._sensor(observation["contact"])
 
     def _begin(self, observation: Observation) -> MPCState:
         if self._scene is None or self._scene.goal is None:

@@ -12,11 +12,13 @@ from contactgraph.data import Trajectory
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
 from contactgraph.evaluate.control_policy import EpisodeRecord, MPCPolicy
 from contactgraph.evaluate.model_fit import check_fit
+from contactgraph.evaluate.planned_error import PlannedError, planned_error
 from contactgraph.evaluate.run_episode import episode_seeds, run_episode
+from contactgraph.evaluate.sensor_faults import SensorFaults
 from contactgraph.model import ContactSensor
 from contactgraph.tasks.contract import Task
 
-_EXACT = ContactSensor()
+_EXACT = SensorFaults()
 
 
 def control_task(
@@ -29,7 +31,9 @@ def control_task(
     iterations: int = 5,
     replan_every: int = 1,
     deadline: float | None = None,
-    sensor: ContactSensor = _EXACT,
+    sensor: ContactSensor | None = None,
+    faults: SensorFaults = _EXACT,
+    measured: bool = True,
     node_capacity: int = 0,
     on_episode: Callable[[Trajectory, EpisodeRecord], None] | None = None,
 ) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
@@ -39,6 +43,10 @@ def control_task(
     seed `collect` would give it. ``horizon``, ``iterations`` and ``replan_every`` are `ILQR`'s
     and `MPC`'s, ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s. ``on_episode`` is
     called after each episode with what was done and what the controller thought.
+
+    ``faults`` spoils the contacts that the controller observes, and ``measured=False`` keeps all
+    of them from it; the recorded episodes keep the truth. ``sensor`` is what the correction is
+    told of error rates, by default those of ``faults``.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal, or a number
     is out of range.
@@ -53,18 +61,22 @@ def control_task(
     terms = task.cost_terms()
     limits = ControlLimits(jnp.asarray(box.low), jnp.asarray(box.high))
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
-    mpc = MPC(model, ilqr, sensor, replan_every, deadline)
-    policy = MPCPolicy(mpc, terms, control_size, node_capacity)
+    mpc = MPC(model, ilqr, sensor or faults.sensor, replan_every, deadline)
+    policy = MPCPolicy(mpc, terms, control_size, node_capacity, faults, measured)
 
     runs: list[Trajectory] = []
     succeeded: list[bool] = []
     plan_ms: list[np.ndarray] = []
+    planned = PlannedError()
     for episode_seed in seeds:
         runs.append(run_episode(task, policy, episode_seed))
         succeeded.append(task.success())
         record = policy.record()
         plan_ms.append(record.plan_ms)
+        planned += planned_error(runs[-1], record)
         if on_episode is not None:
             on_episode(runs[-1], record)
-    metrics = closed_loop_metrics(runs, succeeded, terms.chain, seed, np.concatenate(plan_ms))
+    metrics = closed_loop_metrics(
+        runs, succeeded, terms.chain, seed, np.concatenate(plan_ms), planned
+    )
     return metrics, runs

@@ -6,6 +6,48 @@ import numpy as np
 
 
 @dataclass(frozen=True)
+class EdgeCounts:
+    """How often prediction and truth agree; counts of several runs add up.
+
+    A score is None where there is nothing to divide by.
+    """
+
+    hits: int = 0
+    false_alarms: int = 0
+    misses: int = 0
+    total: int = 0
+    """All edges in all steps."""
+
+    def __add__(self, other: "EdgeCounts") -> "EdgeCounts":
+        return EdgeCounts(
+            self.hits + other.hits,
+            self.false_alarms + other.false_alarms,
+            self.misses + other.misses,
+            self.total + other.total,
+        )
+
+    @property
+    def precision(self) -> float | None:
+        """Share of predicted contacts that are true."""
+        return _share(self.hits, self.hits + self.false_alarms)
+
+    @property
+    def recall(self) -> float | None:
+        """Share of true contacts that are predicted."""
+        return _share(self.hits, self.hits + self.misses)
+
+    @property
+    def f1(self) -> float | None:
+        """Harmonic mean of the two."""
+        return _share(2 * self.hits, 2 * self.hits + self.false_alarms + self.misses)
+
+    @property
+    def accuracy(self) -> float | None:
+        """Share of edges and steps that are right."""
+        return _share(self.total - self.false_alarms - self.misses, self.total)
+
+
+@dataclass(frozen=True)
 class EdgeScores:
     """Scores over all edges, steps and windows; None where there is nothing to divide by."""
 
@@ -33,19 +75,25 @@ def edge_scores(
     Step h of a window leads from its state h to its state h + 1, so its truth is contact in state
     h + 1. ``exists``: [W, E] bool, False for padding. ``touch_on_time``: a bool for every touch.
     """
-    true = contact[:, 1:]
-    hits = _count(predicted & true, exists)
-    false_alarms = _count(predicted & ~true, exists)
-    misses = _count(~predicted & true, exists)
-    total = int(exists.sum()) * predicted.shape[1]
+    counts = edge_counts(predicted, contact[:, 1:], exists)
     late = switch_time_errors(predicted, contact, exists) * dt
     return EdgeScores(
-        precision=_share(hits, hits + false_alarms),
-        recall=_share(hits, hits + misses),
-        f1=_share(2 * hits, 2 * hits + false_alarms + misses),
-        accuracy=_share(total - false_alarms - misses, total),
+        precision=counts.precision,
+        recall=counts.recall,
+        f1=counts.f1,
+        accuracy=counts.accuracy,
         switch_time_error_s=float(late.mean()) if len(late) else None,
         on_time=_share(int(touch_on_time.sum()), len(touch_on_time)),
+    )
+
+
+def edge_counts(predicted: np.ndarray, true: np.ndarray, exists: np.ndarray) -> EdgeCounts:
+    """Counts of ``predicted`` against ``true``, both [W, H, E] bool, where ``exists`` [W, E]."""
+    return EdgeCounts(
+        hits=_count(predicted & true, exists),
+        false_alarms=_count(predicted & ~true, exists),
+        misses=_count(~predicted & true, exists),
+        total=int(exists.sum()) * predicted.shape[1],
     )
 
 

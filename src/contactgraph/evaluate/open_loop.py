@@ -6,14 +6,15 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from contactgraph.control import StepModel
-from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.data import Dataset, InvalidInputError, Trajectory
 from contactgraph.evaluate.edge_scores import EdgeScores, edge_scores
 from contactgraph.evaluate.model_fit import check_fit
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
 from contactgraph.evaluate.run_windows import detail_of_run, joined_details
+from contactgraph.evaluate.sensor_faults import SensorFaults
 from contactgraph.model import ContactSensor
 
-_EXACT = ContactSensor()
+_EXACT = SensorFaults()
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,8 @@ def evaluate_open_loop(
     dataset: Dataset,
     *,
     horizon_s: float = 0.5,
-    sensor: ContactSensor = _EXACT,
+    sensor: ContactSensor | None = None,
+    faults: SensorFaults = _EXACT,
 ) -> OpenLoopMetrics:
     """Predicts ``horizon_s`` [s] ahead from every state of every run that is long enough.
 
@@ -93,16 +95,32 @@ def evaluate_open_loop(
     contacts are recorded). From there on only the recorded controls are known. An edge counts as
     predicted in a step where its probability is above 1/2.
 
+    ``faults`` spoils the contacts that the belief is corrected by; what is scored stays the
+    recorded truth. ``sensor`` is by default told of the same rates.
+
     The runs may differ in steps and nodes. Contacts, where any run lacks them, are known of none.
     Raises `InvalidInputError` where the horizon is shorter than half a step or longer than every
-    run, or where model and data do not fit.
+    run, where model and data do not fit, or where there are no contacts for faults to spoil.
     """
     check_fit(model, dataset.dimension, dataset.control_size, dataset.dt, "the data")
     steps = _steps(dataset, horizon_s)
     known = all(run.contact is not None for run in dataset)
+    if not (known or faults.exact):
+        lacking = sum(run.contact is None for run in dataset)
+        raise InvalidInputError(
+            f"faults spoil measured contacts, but {lacking} of {len(dataset)} runs have no contact "
+            f"field; it must be in every run"
+        )
     detail = joined_details(
         [
-            detail_of_run(model, dataset, number, steps, sensor, known)
+            detail_of_run(
+                model,
+                dataset,
+                number,
+                steps,
+                sensor or faults.sensor,
+                _reported(run, faults, number) if known else None,
+            )
             for number, run in enumerate(dataset)
             if run.steps >= steps
         ]
@@ -169,6 +187,10 @@ def _steps(dataset: Dataset, horizon_s: float) -> int:
             f"the longest run, found {horizon_s}"
         )
     return steps
+
+
+def _reported(run: Trajectory, faults: SensorFaults, number: int) -> np.ndarray | None:
+    return None if run.contact is None else faults.reported(run.contact, run.scene, number)
 
 
 def _scores(detail: OpenLoopDetail, active: np.ndarray, on_time: np.ndarray) -> EdgeScores:

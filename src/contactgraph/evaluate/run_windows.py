@@ -1,6 +1,7 @@
 """One run's windows: predictions beside what was recorded."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,27 +22,28 @@ def detail_of_run(
     number: int,
     steps: int,
     sensor: ContactSensor,
-    contacts_known: bool,
+    reported: np.ndarray | None,
 ) -> OpenLoopDetail:
     """The windows of run ``number``, which must have at least ``steps`` steps.
 
+    ``reported``: [T+1, N, N] bool, what a contact sensor said; None: contacts are known of no run.
     Arrays are padded to the dataset's largest run, so that all runs share one compiled function.
     """
     run = dataset.trajectories[number]
     count = run.scene.node_count
     nodes = _capacity(dataset)
     starts = run.steps - steps + 1
-    unmeasured = _predicted(model, dataset, run, steps, sensor, False)
+    unmeasured = _predicted(model, dataset, replace(run, contact=None), steps, sensor)
     measured = unmeasured
-    if contacts_known:
-        measured = _predicted(model, dataset, run, steps, sensor, True)
+    if reported is not None:
+        measured = _predicted(model, dataset, replace(run, contact=reported), steps, sensor)
 
     recorded = _windows(run.position, steps)
     exists = np.broadcast_to(np.arange(nodes) < count, (starts, nodes))
     pairs = pair_indices(nodes)
     travel = np.linalg.norm(recorded - recorded[:, :1], axis=-1).max(axis=1)
-    frozen = frozen_contact(run, steps) if contacts_known else None
-    contact = _contact(run, nodes) if contacts_known else None
+    frozen = frozen_contact(run, steps) if reported is not None else None
+    contact = _contact(run, nodes) if reported is not None else None
     touches = np.zeros((run.steps, len(pairs)), dtype=bool)
     if contact is not None:
         touches = contact[1:] & ~contact[:-1]
@@ -103,10 +105,9 @@ def _predicted(
     run: Trajectory,
     steps: int,
     sensor: ContactSensor,
-    measured: bool,
 ) -> RunPrediction:
     longest = max(each.steps for each in dataset)
-    padded = recording(run, longest, _capacity(dataset), number_type(model), measured)
+    padded = recording(run, longest, _capacity(dataset), number_type(model), True)
     return predict_run(model, padded, jnp.arange(longest - steps + 1), steps, sensor)
 
 

@@ -1,0 +1,88 @@
+"""Contact sensors that lie or answer late."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene, candidate_pairs, pair_indices
+from contactgraph.model import ContactSensor
+
+
+@dataclass(frozen=True)
+class SensorFaults:
+    """How a contact sensor fails: every edge of every step on its own, and the same each time.
+
+    First it lies, then it is late: at step t it reports what it read at step t - ``delay_steps``,
+    and no contact at all before it has read anything. Raises `InvalidInputError` for a rate
+    outside [0, 1) or a delay below 0.
+    """
+
+    false_alarm_rate: float = 0.0
+    """Share of candidate edges without contact that are read as touching."""
+    miss_rate: float = 0.0
+    """Share of touching edges that are read as free."""
+    delay_steps: int = 0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("false_alarm_rate", "miss_rate"):
+            rate = getattr(self, name)
+            if not (math.isfinite(rate) and 0.0 <= rate < 1.0):
+                raise InvalidInputError(f"{name} must be at least 0 and below 1, found {rate}")
+        if self.delay_steps < 0:
+            raise InvalidInputError(f"delay_steps must be at least 0, found {self.delay_steps}")
+
+    @property
+    def sensor(self) -> ContactSensor:
+        """What a correction that knows the two rates is told.
+
+        Never a better sensor than the default one, for which even an exact sensor is taken. A
+        delay is no part of it: a late answer is taken for one about now, as it would be by
+        whoever does not know of the delay.
+        """
+        usual = ContactSensor()
+        return ContactSensor(
+            false_alarm=max(self.false_alarm_rate, usual.false_alarm),
+            miss=max(self.miss_rate, usual.miss),
+        )
+
+    @property
+    def exact(self) -> bool:
+        """Whether the sensor has no fault at all."""
+        return not (self.false_alarm_rate or self.miss_rate or self.delay_steps)
+
+    def begin(self, scene: Scene, number: int) -> "FaultySensor":
+        """The sensor at the start of a run. ``number`` is what tells runs' errors apart."""
+        return FaultySensor(self, scene, np.random.default_rng([self.seed, number]))
+
+    def reported(self, contact: np.ndarray, scene: Scene, number: int) -> np.ndarray:
+        """[T+1, N, N] bool: what the sensor would have said of the true ``contact`` of a run."""
+        sensor = self.begin(scene, number)
+        return np.stack([sensor(each) for each in contact])
+
+
+class FaultySensor:
+    """Reads true contacts step after step, and reports them with faults."""
+
+    def __init__(self, faults: SensorFaults, scene: Scene, rng: np.random.Generator) -> None:
+        self._faults = faults
+        self._rng = rng
+        self._pairs = pair_indices(scene.node_count)
+        self._candidate = candidate_pairs(scene, scene.node_count)
+        nothing: np.ndarray = np.zeros((scene.node_count, scene.node_count), dtype=bool)
+        self._waiting = [nothing] * faults.delay_steps
+
+    def __call__(self, contact: np.ndarray) -> np.ndarray:
+        """[N, N] bool, symmetric: the report at a step in which ``contact`` [N, N] holds."""
+        first, second = self._pairs.T
+        true = contact[first, second].astype(bool)
+        # One number an edge whatever the rates are, so that a higher rate adds errors to those
+        # of a lower one.
+        drawn = self._rng.random(len(true))
+        alarm = self._candidate & (drawn < self._faults.false_alarm_rate)
+        read = np.where(true, drawn >= self._faults.miss_rate, alarm)
+        report = np.zeros(contact.shape, dtype=bool)
+        report[first, second] = report[second, first] = read
+        self._waiting.append(report)
+        return self._waiting.pop(0)

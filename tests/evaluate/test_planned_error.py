@@ -1,0 +1,113 @@
+"""Planned against executed, on episodes whose plans are made by hand."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evaluation_worlds import DT, GluedBodies, random_run
+
+from contactgraph.control import PlanStatus
+from contactgraph.data import pair_indices
+from contactgraph.evaluate import EpisodeRecord, PlannedError, control_task, planned_error
+from contactgraph.evaluate.floors import constant_velocity, frozen_contact
+from contactgraph.tasks import PickupTask
+
+HORIZON, STEPS = 12, 10  # 0.5 s are 10 steps
+RUN = random_run(3, 45, 4)
+
+
+def record_of(run, every, offset=0.0):
+    """Plans, made every so many ticks, that put node 1 ``offset`` [m] from where it will be."""
+    ticks = np.arange(run.steps)
+    ahead = np.minimum(ticks[:, None] + np.arange(HORIZON + 1), run.steps)
+    plan = run.position[ahead]
+    plan[:, 1:, 1, 0] += offset
+    first, second = pair_indices(run.scene.node_count).T
+    status = np.where(ticks % every == 0, PlanStatus.ITERATION_LIMIT, PlanStatus.FOLLOWED)
+    # What is kept of a plan while it is followed must not count as one.
+    plan[ticks % every != 0] += 7.0
+    belief = np.where(run.contact[ahead[:, 1:]][:, :, first, second], 0.9, 0.1)
+    return EpisodeRecord(np.ones(run.steps), status, plan, belief)
+
+
+def test_against_a_loop_over_windows():
+    record = record_of(RUN, 12, 0.03)
+    belief = record.plan_belief
+    belief[0, 3, 0] = 1.0 - belief[0, 3, 0]
+    belief[0, STEPS:] = 0.5  # beyond the window
+    found = planned_error(RUN, record)
+    assert found.windows == 3  # begun at 0, 12, 24; the one of 36 ends after the run
+    starts = [0, 12, 24]
+    assert found.planned.rmse == pytest.approx(0.03 / np.sqrt(3))
+    for floor, value in (
+        (constant_velocity, found.constant_velocity),
+        (frozen_contact, found.frozen_contact),
+    ):
+        predicted = floor(RUN, STEPS)
+        errors = [predicted[t] - RUN.position[t + 1 : t + STEPS + 1] for t in starts]
+        assert value.rmse == pytest.approx(np.sqrt(np.mean(np.sum(np.square(errors), axis=-1))))
+    assert found.edges.total == 3 * STEPS * 3
+    assert found.edges.accuracy == pytest.approx(1 - 1 / 90)
+    true = RUN.contact[4, 0, 1]
+    assert (found.edges.misses, found.edges.false_alarms) == (int(true), 1 - int(true))
+
+
+def test_only_bodies_that_move_are_moving():
+    position = RUN.position.copy()
+    position[:, 2] = position[0, 2] + 2e-4 * np.sin(np.arange(46))[:, None]
+    still = replace(RUN, position=position)
+    found = planned_error(still, record_of(still, 15, 0.03))
+    assert found.planned.rmse == pytest.approx(0.03 / np.sqrt(3))
+    assert found.planned_moving.rmse == pytest.approx(0.03 / np.sqrt(2))
+
+
+@pytest.mark.parametrize("every", [1, 5, 9])
+def test_plans_that_are_replaced_too_soon_say_nothing(every):
+    found = planned_error(RUN, record_of(RUN, every))
+    assert found.windows == 0
+    assert set(found.to_json().values()) == {0, None}
+
+
+def test_a_plan_that_was_not_made_for_the_moment_is_none():
+    record = record_of(RUN, 10)
+    assert planned_error(RUN, record).windows == 4
+    record.status[10] = PlanStatus.LATE
+    assert planned_error(RUN, record).windows == 3
+    record.status[25] = PlanStatus.CONVERGED  # replaces the plan of 20
+    assert planned_error(RUN, record).windows == 2
+    short = replace(record, plan=record.plan[:, :10], plan_belief=record.plan_belief[:, :9])
+    assert planned_error(RUN, short).windows == 0
+
+
+def test_episodes_add_up_and_what_one_lacks_is_unknown():
+    other = random_run(5, 30, 9)
+    parts = [
+        planned_error(RUN, record_of(RUN, 10, 0.01)),
+        planned_error(other, record_of(other, 10)),
+    ]
+    both = sum(parts, PlannedError())
+    assert both.windows == 4 + 3 and both.edges.total == STEPS * (4 * 3 + 3 * 10)
+    share = 4 * 1 / (4 * 3 + 3 * 5)  # of nodes that are 1 cm off
+    assert both.planned.rmse == pytest.approx(0.01 * np.sqrt(share))
+    values = both.to_json()
+    assert values["edge_f1_planned"] == values["edge_accuracy_planned"] == 1.0
+    assert json.loads(json.dumps(values, allow_nan=False)) == values
+    bare = replace(RUN, contact=None)
+    unknown = (both + planned_error(bare, record_of(RUN, 10))).to_json()
+    assert {name for name, value in unknown.items() if value is None} == {
+        "frozen_contact_planned_rmse_m",
+        *(f"edge_{score}_planned" for score in ("precision", "recall", "f1", "accuracy")),
+    }
+    record = record_of(RUN, 10)
+    record.plan[0] = np.nan
+    assert planned_error(RUN, record).to_json()["n_step_rmse_planned_m"] is None
+
+
+def test_in_closed_loop_the_known_world_does_as_planned():
+    metrics, _ = control_task(GluedBodies(reach=0.081), PickupTask, 1, 0, replan_every=STEPS)
+    found = metrics.planned
+    assert found.windows == 200 * DT / 0.5 and found.edges.total == 200
+    assert found.planned.rmse < 0.02 < found.constant_velocity.rmse
+    assert metrics.to_json()["n_step_rmse_planned_m"] == found.planned.rmse
+    assert found.edges.accuracy > 0.95
