@@ -23,6 +23,7 @@ ALLOWED = {
     "view": LIBRARY | {"evaluate"},
     "commands": LIBRARY | {"evaluate", "reproduce", "view"},
     "cli": LIBRARY | {"evaluate", "reproduce", "view", "commands"},
+    "worker": {"cli"},
 }
 """What each package may import besides itself."""
 

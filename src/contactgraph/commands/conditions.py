@@ -8,52 +8,51 @@ from typing import Any
 from contactgraph.commands.collect import Collect
 from contactgraph.commands.control import Control
 from contactgraph.commands.evaluate import Evaluate
-from contactgraph.reproduce.figures import ConditionResult
+from contactgraph.reproduce.declared import StudyTask, TestCondition
+from contactgraph.reproduce.report_numbers import ConditionResult
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Fresh recorded runs and closed-loop episodes of one task, with more and more distractors."""
+    """Fresh recorded runs and closed-loop episodes of one task, in harder and harder scenes."""
 
-    task: str
-    distractors: tuple[int, ...]
+    task: StudyTask
     test_runs: int
     """Recorded runs a condition, for the open-loop errors."""
     episodes: int
     """Closed-loop episodes a condition."""
     seed: int
 
-    def measure(self, run_name: str, folder: Path, keep: bool) -> list[ConditionResult]:
-        """Run every condition's commands; `keep` leaves out those whose output is there already."""
+    def measure(self, run_name: str, folder: Path) -> tuple[ConditionResult, ...]:
+        """Run every condition's commands; what they write is left in the folder."""
         folder.mkdir(parents=True, exist_ok=True)
-        return [self._one(run_name, folder, count, keep) for count in self.distractors]
+        return tuple(self._one(run_name, folder, condition) for condition in self.task.conditions)
 
-    def _one(self, run_name: str, folder: Path, distractors: int, keep: bool) -> ConditionResult:
-        data = folder / f"test-{distractors}.h5"
-        if not (keep and data.exists()):
-            Collect(self.task, data, self.test_runs, self.seed, distractors).run()
-        open_loop = folder / f"evaluate-{distractors}.json"
-        if not (keep and open_loop.exists()):
-            Evaluate(run_name, data, open_loop).run()
-        closed_loop = folder / f"control-{distractors}.json"
-        if not (keep and closed_loop.exists()):
-            Control(
-                run_name,
-                self.task,
-                self.episodes,
-                self.seed,
-                distractors,
-                json=closed_loop,
-                save=folder / f"control-{distractors}.h5",
-            ).run()
-        option = f" --distractors {distractors}" if distractors else ""
+    def _one(self, run_name: str, folder: Path, condition: TestCondition) -> ConditionResult:
+        task, distractors, objects = self.task.name, condition.distractors, condition.objects
+        data = folder / f"test-{condition.slug}.h5"
+        Collect(task, data, self.test_runs, self.seed, distractors, objects).run()
+        open_loop = folder / f"evaluate-{condition.slug}.json"
+        Evaluate(run_name, data, open_loop).run()
+        closed_loop = folder / f"control-{condition.slug}.json"
+        Control(
+            run_name,
+            task,
+            self.episodes,
+            self.seed,
+            distractors,
+            objects,
+            json=closed_loop,
+            save=folder / f"control-{condition.slug}.h5",
+        ).run()
+        options = " ".join(("", *condition.options))
         return ConditionResult(
-            distractors=distractors,
+            condition=condition,
             open_loop=_read(open_loop),
             closed_loop=_read(closed_loop),
             open_loop_command=f"contactgraph evaluate {run_name} {data.name}",
-            closed_loop_command=f"contactgraph control {run_name} {self.task} "
-            f"--episodes {self.episodes} --seed {self.seed}{option}",
+            closed_loop_command=f"contactgraph control {run_name} {task} "
+            f"--episodes {self.episodes} --seed {self.seed}{options}",
             seed=self.seed,
         )
 

@@ -36,9 +36,13 @@ def write_json(path: Path | None, values: Mapping[str, Any]) -> None:
     """
     if path is None:
         return
-    text = json.dumps(_finite(values), indent=2, allow_nan=False) + "\n"
+    write_text(path, json.dumps(_finite(values), indent=2, allow_nan=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file, whole or not at all."""
     with replacing(path) as temporary:
-        temporary.write_text(text)
+        temporary.write_text(text, encoding="utf-8")
 
 
 def _finite(value: Any) -> Any:

@@ -13,7 +13,7 @@ class Report:
     run_name: Positional[str]
     """A run folder, a model file, or a model that ships with the package (pickup)."""
     task: str = "pickup"
-    """The task to test it on."""
+    """The task to test it on: pickup, multi-pickup or door."""
     out: Path | None = None
     """The page to write; report/index.html in the run folder, or here, if not given."""
     test_runs: int = 20
@@ -26,9 +26,11 @@ class Report:
     def run(self) -> None:
         """Test, and write the page."""
         from contactgraph.commands.conditions import Conditions
+        from contactgraph.commands.names import looked_up
         from contactgraph.commands.output import check_writable
-        from contactgraph.commands.study import measured, write_study
+        from contactgraph.commands.report_files import measured, write_report_files
         from contactgraph.data import InvalidInputError
+        from contactgraph.reproduce.declared import TASKS
 
         if self.test_runs < 1:
             raise InvalidInputError(f"--test-runs must be at least 1, found {self.test_runs}")
@@ -36,7 +38,8 @@ class Report:
         page = self.out or folder / "report" / "index.html"
         if page.parent.exists():
             check_writable(page)
-        conditions = Conditions(self.task, (0, 3, 10), self.test_runs, self.episodes, self.seed)
-        result = measured(self.run_name, conditions, page.parent / "cells", keep=False)
-        command = f"contactgraph report {self.run_name} --seed {self.seed}"
-        write_study(page, [result], [self.run_name], self.task, [command])
+        task = looked_up("task", self.task, {task.name: task for task in TASKS})
+        conditions = Conditions(task, self.test_runs, self.episodes, self.seed)
+        result = measured(self.run_name, conditions, page.parent / "cells")
+        command = f"contactgraph report {self.run_name} --task {task.name} --seed {self.seed}"
+        write_report_files(page, result, self.run_name, command)

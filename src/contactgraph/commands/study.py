@@ -1,105 +1,158 @@
-"""What report and reproduce share: from commands' outputs to a table and a page."""
+"""A study's cells made, and the files that show what they say."""
 
-from collections.abc import Callable, Sequence
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 
-from contactgraph.commands.conditions import Conditions
-from contactgraph.commands.names import model_path, task_factory
-from contactgraph.commands.output import say, write_json
+from contactgraph.commands.output import progress, say, write_json, write_text
 from contactgraph.commands.provenance import provenance
-from contactgraph.data import Trajectory, replacing
-from contactgraph.evaluate import EpisodeRecord, control_task
-from contactgraph.model.storage import describe_model, load_model
-from contactgraph.reproduce.figures import SeedResult, pickup_figures
-from contactgraph.reproduce.page import pickup_report
-from contactgraph.reproduce.scenes import scene_run
-from contactgraph.reproduce.table import csv_table, markdown_table
-from contactgraph.train import RunFolder
-from contactgraph.view import SceneRun, write_report, write_still
+from contactgraph.reproduce.cell import Cell, in_order
+from contactgraph.reproduce.claim import Claim
+from contactgraph.reproduce.claims import claims
+from contactgraph.reproduce.declared import Amounts, StudyTask
+from contactgraph.reproduce.number_table import csv_numbers, markdown_numbers
+from contactgraph.reproduce.pictures import figure_pictures, scene_pictures
+from contactgraph.reproduce.plan_cells import Measurement, measurements
+from contactgraph.reproduce.record import Records
+from contactgraph.reproduce.results import Results
+from contactgraph.reproduce.runner import Failure, Standing, run_cells
+from contactgraph.reproduce.study_page import StudyPage, study_page
+from contactgraph.reproduce.study_table import csv_rows, markdown_rows, rows
+from contactgraph.reproduce.targets import targets
 
 
-def measured(run_name: str, conditions: Conditions, folder: Path, keep: bool) -> SeedResult:
-    """One model under all test conditions; `keep` leaves out what is in the folder already."""
-    path = model_path(run_name)
-    training = describe_model(path).training
-    done = conditions.measure(run_name, folder, keep)
-    return SeedResult(
-        seed=int(training.get("seed", 0)),
-        conditions={condition.distractors: condition for condition in done},
-        training_s=float(training.get("training_s", "nan")),
-        model_bytes=path.stat().st_size,
-        training_command=str(training.get("command", "")),
-    )
+@dataclass(frozen=True)
+class Study:
+    """Some tasks, so much of everything, in a folder."""
 
+    tasks: Sequence[StudyTask]
+    amounts: Amounts
+    folder: Path
+    command: str
+    """That makes the study."""
 
-def write_study(
-    page: Path,
-    results: Sequence[SeedResult],
-    run_names: Sequence[str],
-    task: str,
-    remake: Sequence[str],
-) -> None:
-    """The page, and beside it the table (Markdown, CSV, JSON) and a still of one scene.
+    @cached_property
+    def wanted(self) -> list[Measurement]:
+        """All that is measured."""
+        return measurements(self.tasks, self.amounts)
 
-    Scenes and training curves are those of the first run.
-    """
-    run_name = run_names[0]
-    metrics = RunFolder(Path(run_name)).metrics() if Path(run_name).is_dir() else []
-    figures = pickup_figures(results)
-    folder = page.parent
-    folder.mkdir(parents=True, exist_ok=True)
-    scenes = _scenes(run_name, task, results[0])
-    versions = provenance()["versions"]
-    write_report(page, pickup_report(results, figures, scenes, metrics, versions, remake))
-    write_still(folder / "pickup.png", scenes[min(1, len(scenes) - 1)])
-    _write(folder / "table.md", markdown_table(figures))
-    _write(folder / "table.csv", csv_table(figures))
-    write_json(
-        folder / "results.json",
-        {
-            "figures": [
-                {
-                    "what": figure.name,
-                    "unit": figure.unit,
-                    "values": list(figure.values),
-                    "at_least": figure.at_least,
-                    "aim": figure.aim,
-                    "reached": figure.reached,
-                    "command": figure.command,
-                }
-                for figure in figures
-            ],
-            "training_seeds": [result.seed for result in results],
-            "remake": list(remake),
-            **provenance(),
-        },
-    )
-    say(markdown_table(figures))
-    say(f"the report: {page}")
+    @cached_property
+    def cells(self) -> list[Cell]:
+        """All that is made for it, in order of need."""
+        return in_order(one.cell for one in self.wanted)
 
+    def measure(self) -> list[Failure]:
+        """Make the cells that are not there yet, one a core at a time; those that failed."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        records = Records(self.folder, version("contactgraph"))
+        # One core a cell: trainings of this size gain nothing from a second one.
+        workers = [[sys.executable, "-m", "contactgraph.worker", core] for core in _cores()]
+        with progress("cells", len(self.cells)) as steps:
 
-def _scenes(run_name: str, task: str, result: SeedResult) -> list[SceneRun]:
-    """The first closed-loop episode of every condition, with its plans."""
-    model = load_model(model_path(run_name)).model
-    scenes = []
-    for distractors, condition in result.conditions.items():
-        records: list[EpisodeRecord] = []
-        _, runs = control_task(
-            model,
-            task_factory(task, distractors, None),
-            episodes=1,
-            seed=condition.seed,
-            on_episode=_into(records),
+            def on_step(standing: Standing) -> None:
+                if standing.failure is not None:
+                    _complain(standing.failure)
+                steps.advance(standing.done, f"{_left(standing.seconds_left)}{standing.last.kind}")
+
+            failures = run_cells(self.cells, records, workers, on_step)
+        for failure in failures:
+            if failure.reason.startswith("not begun"):
+                _complain(failure)
+        return failures
+
+    def write(self, failures: Sequence[Failure]) -> None:
+        """Claims, tables, figures and the page, from what is there."""
+        results = Results.read(self.folder, self.wanted)
+        found = claims(results, self.tasks, self.amounts)
+        asked = targets(results, self.tasks, self.amounts.seeds)
+        table = rows(results, self.tasks, self.amounts)
+        lost = [(failure.cell.command, failure.reason) for failure in failures]
+        origin = self._origin(lost)
+        write_json(self.folder / "claims.json", {"claims": [one.to_json() for one in found]})
+        write_json(self.folder / "results.json", {**origin, "cells": self._readings(results)})
+        write_text(self.folder / "table.md", markdown_rows(table))
+        write_text(self.folder / "table.csv", csv_rows(table))
+        write_text(self.folder / "targets.md", markdown_numbers(asked))
+        write_text(self.folder / "targets.csv", csv_numbers(asked))
+        figures = figure_pictures(self.folder, results, table, self.tasks, self.amounts)
+        scenes, insights = scene_pictures(self.folder, self.tasks, self.wanted)
+        page = StudyPage(
+            title="A contact graph, claim by claim",
+            summary=f"What the paper says, measured anew: {_told(found)} "
+            f"{len(self.amounts.seeds)} training seed(s), {self.amounts.episodes} closed-loop "
+            "episodes a cell, in scenes that no training has seen.",
+            claims=found,
+            targets=asked,
+            table=table,
+            figures=[*figures, *insights],
+            scenes=scenes,
+            failures=lost,
+            commands=[self.command, *(cell.command for cell in self.cells)],
+            versions=provenance()["versions"],
+            date=str(origin["date"]),
         )
-        name = f"{distractors} distractors" if distractors else "no distractors"
-        scenes.append(scene_run(model, name, runs[0], records[0].plan))
-    return scenes
+        write_text(self.folder / "index.html", study_page(page))
+        for claim in found:
+            say(f"{claim.number}. {_WORDS[claim.holds]}: {claim.title}")
+            say(f"   {claim.sentence}")
+        say(markdown_numbers(asked))
+        say(f"the page: {self.folder / 'index.html'}")
+
+    def _origin(self, lost: Sequence[tuple[str, str]]) -> dict:
+        return {
+            "command": self.command,
+            "date": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            **provenance(),
+            "cores": len(_cores()),
+            "training_seeds": list(self.amounts.seeds),
+            "test_runs": self.amounts.test_runs,
+            "episodes": self.amounts.episodes,
+            "success_episodes": self.amounts.success_episodes,
+            "failures": [{"command": command, "reason": reason} for command, reason in lost],
+        }
+
+    def _readings(self, results: Results) -> list[dict]:
+        """Every number of every cell, so that the cells' own folders need not be kept."""
+        return [
+            {
+                "source": where.source.name,
+                "task": where.task,
+                "model": where.model,
+                "scenes": where.condition,
+                "sensor": where.fault or None,
+                "training_runs": where.runs or None,
+                "training_seed": reading.seed,
+                "command": reading.command,
+                "values": reading.values,
+            }
+            for where in dict.fromkeys(one.where for one in self.wanted)
+            for reading in results.readings(where)
+        ]
 
 
-def _into(records: list[EpisodeRecord]) -> Callable[[Trajectory, EpisodeRecord], None]:
-    return lambda run, record: records.append(record)
+_WORDS = {True: "holds", False: "does not hold", None: "not known"}
 
 
-def _write(path: Path, text: str) -> None:
-    with replacing(path) as temporary:
-        temporary.write_text(text)
+def _told(found: Sequence[Claim]) -> str:
+    held = sum(claim.holds is True for claim in found)
+    return f"{held} of {len(found)} claims hold for our models."
+
+
+def _cores() -> list[str]:
+    """Those that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return [str(core) for core in sorted(os.sched_getaffinity(0))]
+    return [str(core) for core in range(os.cpu_count() or 1)]
+
+
+def _left(seconds: float | None) -> str:
+    return "" if seconds is None else f"about {max(1, round(seconds / 60))} min left; "
+
+
+def _complain(failure: Failure) -> None:
+    print(f"failed: {failure.cell.command} ({failure.reason})", file=sys.stderr, flush=True)

@@ -1,0 +1,182 @@
+"""What the paper's study measures: tasks, models, test conditions, and how much of each."""
+
+from dataclasses import dataclass
+
+Options = tuple[str, ...]
+"""Of a command, as a user types them."""
+
+
+@dataclass(frozen=True)
+class TestCondition:
+    """One kind of scene that models are tested in."""
+
+    __test__ = False  # pytest takes every class of such a name for tests
+
+    slug: str
+    """Names files."""
+    name: str
+    in_distribution: bool
+    """Whether models were trained on such scenes."""
+    distractors: int = 0
+    objects: int | None = None
+    """None: the task's own number."""
+    extra: bool = False
+    """Left out of a quick study."""
+
+    @property
+    def options(self) -> Options:
+        """Of ``collect`` and ``control``."""
+        distractors = ("--distractors", str(self.distractors)) if self.distractors else ()
+        objects = () if self.objects is None else ("--objects", str(self.objects))
+        return (*distractors, *objects)
+
+
+@dataclass(frozen=True)
+class StudyTask:
+    """One of the paper's tasks."""
+
+    name: str
+    conditions: tuple[TestCondition, ...]
+    """The one in distribution first, the hardest last."""
+    augmented_options: Options
+    """Of ``collect``, for the augmented data."""
+    augmented_runs: int
+    """As many as the paper has; for the door, which the paper names no number for, as pickup."""
+    with_samples: bool
+    """Whether error is measured against the number of training runs."""
+
+    @property
+    def as_trained(self) -> TestCondition:
+        """Scenes like those of the training data."""
+        return self.conditions[0]
+
+    @property
+    def hardest(self) -> TestCondition:
+        """The scenes furthest from those of the training data."""
+        return self.conditions[-1]
+
+
+@dataclass(frozen=True)
+class StudyModel:
+    """One of the models that are compared."""
+
+    slug: str
+    """Names folders."""
+    name: str
+    """The paper's, where it has one."""
+    options: Options
+    """Of ``train``."""
+    augmented: bool = False
+    """Whether it is trained on the augmented data."""
+
+
+@dataclass(frozen=True)
+class SensorFault:
+    """A contact sensor that is wrong in a known way."""
+
+    slug: str
+    name: str
+    options: Options
+    """Of ``evaluate``."""
+
+
+@dataclass(frozen=True)
+class Amounts:
+    """How much of everything."""
+
+    seeds: tuple[int, ...]
+    """Of training data and training."""
+    test_runs: int
+    """Recorded expert runs a condition."""
+    episodes: int
+    """Closed-loop episodes a condition, planned anew every 10 steps."""
+    success_episodes: int
+    """Of GIM-Temp, planned anew every step."""
+    sample_sizes: tuple[int, ...]
+    """Training runs."""
+    extras: bool
+    """Whether conditions marked as extra are measured."""
+    training_options: Options = ()
+    """Of ``train``, for every model."""
+
+
+TRAINING_RUNS = 40
+TEST_SEED = 1000
+"""Of scenes that no training has seen."""
+HORIZON_S = 0.5
+"""How far ahead errors look, s (the paper's N steps)."""
+GROWTH_STEPS = 200
+"""A whole run, over which predictions may grow."""
+
+GIM_TEMP = StudyModel("gim-temp", "GIM-Temp", ("--model", "gim-temp"))
+GIM_NON_TEMP = StudyModel("gim-non-temp", "GIM-Non-Temp", ("--model", "gim-non-temp"))
+# Bodies put into the windows would be augmented data, which these two are there to do without.
+NO_GIM = StudyModel("no-gim", "No-GIM", ("--model", "no-gim", "--bystanders", "0"))
+NO_GIM_AUG = StudyModel("no-gim-aug", "No-GIM-Aug", NO_GIM.options, augmented=True)
+FULL_AB = StudyModel("full-ab", "Full-AB", ("--model", "full-ab"))
+NO_KL = StudyModel(
+    "gim-temp-no-kl", "GIM-Temp without KL", ("--model", "gim-temp", "--prior-weight", "0")
+)
+LITERAL = StudyModel(
+    "paper-literal", "paper-literal", ("--model", "paper-literal", "--bystanders", "0")
+)
+MODELS = (GIM_TEMP, GIM_NON_TEMP, NO_GIM, NO_GIM_AUG, FULL_AB, NO_KL, LITERAL)
+
+PICKUP = StudyTask(
+    "pickup",
+    (
+        TestCondition("as-trained", "as trained", True),
+        TestCondition("3-distractors", "3 distractors", False, distractors=3, extra=True),
+        TestCondition("10-distractors", "10 distractors", False, distractors=10),
+    ),
+    ("--distractors", "3", "--mixed"),
+    augmented_runs=160,
+    with_samples=True,
+)
+MULTI_PICKUP = StudyTask(
+    "multi-pickup",
+    (
+        TestCondition("as-trained", "as trained, 2 picks", True),
+        TestCondition("5-picks", "5 picks", False, objects=5),
+    ),
+    ("--objects", "3", "--mixed"),
+    augmented_runs=120,
+    with_samples=True,
+)
+DOOR = StudyTask(
+    "door",
+    (
+        TestCondition("as-trained", "as trained", True),
+        TestCondition("10-doors", "10 more doors", False, distractors=10),
+    ),
+    ("--distractors", "3", "--mixed"),
+    augmented_runs=160,
+    with_samples=False,
+)
+TASKS = (PICKUP, MULTI_PICKUP, DOOR)
+
+FAULTS = (
+    *(
+        SensorFault(
+            f"false-alarms-{percent}", f"{percent} % false alarms", ("--false-alarms", rate)
+        )
+        for percent, rate in ((1, "0.01"), (5, "0.05"), (20, "0.2"))
+    ),
+    *(
+        SensorFault(f"misses-{percent}", f"{percent} % misses", ("--misses", rate))
+        for percent, rate in ((1, "0.01"), (5, "0.05"), (20, "0.2"))
+    ),
+    *(
+        SensorFault(
+            f"both-{percent}",
+            f"{percent} % of both",
+            ("--false-alarms", rate, "--misses", rate),
+        )
+        for percent, rate in ((1, "0.01"), (5, "0.05"), (20, "0.2"))
+    ),
+    SensorFault("delay-1", "one step late", ("--delay", "1")),
+    SensorFault("delay-2", "two steps late", ("--delay", "2")),
+)
+
+FULL = Amounts((0, 1, 2), 20, 20, 100, (5, 10, 20, 40, 80, 160), extras=True)
+QUICK = Amounts((0,), 5, 5, 10, (10, 40, 160), extras=False)

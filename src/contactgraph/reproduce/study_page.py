@@ -1,0 +1,140 @@
+"""The study as one page that opens from disk: claims first, then what they rest on."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from string import Template
+
+from contactgraph.reproduce.claim import Claim, ClaimNumber
+from contactgraph.reproduce.study_table import Row
+from contactgraph.reproduce.words import short, with_range
+from contactgraph.view import Number
+from contactgraph.view.markup import numbers_table
+
+_VERDICT = {True: ("holds", "met"), False: ("does not hold", "missed"), None: ("not known", "")}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the page."""
+
+    title: str
+    caption: str
+    image: bytes
+    kind: str
+    """``svg+xml`` or ``png``."""
+
+
+@dataclass(frozen=True)
+class StudyPage:
+    """Everything on the page."""
+
+    title: str
+    summary: str
+    claims: Sequence[Claim]
+    targets: Sequence[Number]
+    table: Sequence[Row]
+    figures: Sequence[Picture]
+    scenes: Sequence[Picture]
+    failures: Sequence[tuple[str, str]]
+    """Commands that failed, and why."""
+    commands: Sequence[str]
+    versions: Mapping[str, str]
+    date: str
+
+
+def study_page(data: StudyPage) -> str:
+    """The page as text; it loads nothing."""
+    return Template(_asset("study.html")).substitute(
+        title=escape(data.title),
+        summary=escape(data.summary),
+        style=_asset("page.css") + _asset("study.css"),
+        claims="".join(_claim(claim) for claim in data.claims),
+        failures=_failures(data.failures),
+        figures="".join(_picture(picture) for picture in data.figures),
+        targets=numbers_table(tuple(data.targets)),
+        table=_table(data.table),
+        scenes="".join(_picture(picture) for picture in data.scenes),
+        commands="\n".join(escape(command) for command in data.commands),
+        versions=", ".join(f"{escape(name)} {escape(v)}" for name, v in data.versions.items()),
+        date=escape(data.date),
+    )
+
+
+def _asset(name: str) -> str:
+    return (files("contactgraph.view") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _claim(claim: Claim) -> str:
+    word, kind = _VERDICT[claim.holds]
+    rows = "".join(_claim_row(number) for number in claim.numbers)
+    return (
+        f'<article class="claim"><p class="verdict {kind}">{word}</p><div>'
+        f"<h3>{claim.number}. {escape(claim.title)}</h3>"
+        f"<blockquote>{escape(claim.quote)}</blockquote>"
+        f"<p>{escape(claim.sentence)}</p>"
+        f'<details><summary>Numbers</summary><p class="caption">It holds if '
+        f"{escape(claim.criterion)}.</p>"
+        '<div class="wide"><table class="plain"><thead><tr><th>Task</th><th>What</th>'
+        "<th>Median (range over seeds)</th><th>Command</th></tr></thead>"
+        f"<tbody>{rows}</tbody></table></div></details></div></article>"
+    )
+
+
+def _claim_row(number: ClaimNumber) -> str:
+    return (
+        f"<tr><td>{escape(number.task)}</td><td>{escape(number.name)}</td>"
+        f'<td class="figure">{escape(with_range(number.figure, number.unit))}</td>'
+        f"<td><code>{escape(number.figure.command)}</code></td></tr>"
+    )
+
+
+def _failures(failures: Sequence[tuple[str, str]]) -> str:
+    if not failures:
+        return ""
+    items = "".join(
+        f"<li><code>{escape(command)}</code> {escape(reason)}</li>" for command, reason in failures
+    )
+    return f"<section><h2>What could not be measured</h2><ul>{items}</ul></section>"
+
+
+def _picture(picture: Picture) -> str:
+    data = base64.b64encode(picture.image).decode("ascii")
+    return (
+        f"<figure><h3>{escape(picture.title)}</h3>"
+        f'<img alt="{escape(picture.title)}" src="data:image/{picture.kind};base64,{data}">'
+        f'<figcaption class="caption">{escape(picture.caption)}</figcaption></figure>'
+    )
+
+
+def _table(table: Sequence[Row]) -> str:
+    heads = (
+        *("Task", "Scenes", "Model", "N-step error, cm", "moving bodies, cm", "open loop, cm"),
+        *("frozen contact, cm", "constant velocity, cm", "edge F1", "edge F1, recorded"),
+        *("success", "success, replanned every step"),
+    )
+    head = "".join(f"<th>{name}</th>" for name in heads)
+    body = "".join(_row(row) for row in table)
+    return f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+
+
+def _row(row: Row) -> str:
+    cells = (
+        with_range(row.planned),
+        with_range(row.planned_moving),
+        with_range(row.recorded),
+        short(row.frozen_contact.median),
+        short(row.constant_velocity.median),
+        with_range(row.edge_f1),
+        with_range(row.edge_f1_recorded),
+        "" if row.success is None else str(row.success),
+        "" if row.success_every_step is None else str(row.success_every_step),
+    )
+    names = "".join(
+        f"<td>{escape(name)}</td>" for name in (row.task, row.condition.name, row.model)
+    )
+    title = escape("\n".join(row.commands))
+    figures = "".join(f'<td class="figure">{escape(cell)}</td>' for cell in cells)
+    return f'<tr title="{title}">{names}{figures}</tr>'

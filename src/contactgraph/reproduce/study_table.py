@@ -1,0 +1,181 @@
+"""The study's main table: every task, test condition and model, in Markdown and CSV."""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from contactgraph.evaluate import wilson_interval
+from contactgraph.reproduce.claims_error import PLANNED_ERROR, RECORDED_ERROR, planned
+from contactgraph.reproduce.claims_graph import recorded
+from contactgraph.reproduce.declared import (
+    GIM_TEMP,
+    MODELS,
+    Amounts,
+    StudyModel,
+    StudyTask,
+    TestCondition,
+)
+from contactgraph.reproduce.plan_cells import Source, Where, conditions_of
+from contactgraph.reproduce.results import Figure, Results
+from contactgraph.reproduce.words import short, with_range
+
+
+@dataclass(frozen=True)
+class Success:
+    """Episodes that reached the goal, of all seeds together."""
+
+    successes: int
+    episodes: int
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 %, Wilson, of the share."""
+        return wilson_interval(self.successes, self.episodes)
+
+    def __str__(self) -> str:
+        """In per cent, with the interval."""
+        low, high = self.interval
+        share = 100.0 * self.successes / self.episodes
+        return f"{share:.0f} % of {self.episodes} ({100 * low:.0f} to {100 * high:.0f})"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One model under one test condition; errors in cm."""
+
+    task: str
+    condition: TestCondition
+    model: str
+    planned: Figure
+    """The paper's metric."""
+    planned_moving: Figure
+    recorded: Figure
+    """Open loop."""
+    recorded_moving: Figure
+    constant_velocity: Figure
+    """Floors on the same windows as ``planned``."""
+    frozen_contact: Figure
+    edge_f1: Figure
+    """Planned against executed."""
+    edge_f1_recorded: Figure
+    success: Success | None
+    """Planned anew every 10 steps."""
+    success_every_step: Success | None
+    """Planned anew every step; of GIM-Temp alone."""
+    plan_ms_p99: Figure
+    """Of the latter."""
+
+    @property
+    def commands(self) -> tuple[str, str]:
+        """Closed loop, open loop; of the first seed."""
+        return self.planned.command, self.recorded.command
+
+
+def rows(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> list[Row]:
+    """In the order in which they are declared."""
+    return [
+        _row(results, task, condition, model)
+        for task in tasks
+        for condition in conditions_of(task, amounts)
+        for model in MODELS
+    ]
+
+
+def _row(results: Results, task: StudyTask, condition: TestCondition, model: StudyModel) -> Row:
+    closed, opened = planned(task, model, condition), recorded(task, model, condition)
+    every_step = Where(Source.every_step, task.name, GIM_TEMP.name, condition.name)
+    every_step = every_step if model is GIM_TEMP else closed
+    return Row(
+        task=task.name,
+        condition=condition,
+        model=model.name,
+        planned=results.error_cm(closed, PLANNED_ERROR),
+        planned_moving=results.error_cm(closed, "n_step_rmse_planned_moving_m"),
+        recorded=results.error_cm(opened, RECORDED_ERROR),
+        recorded_moving=results.error_cm(opened, "n_step_rmse_moving_m"),
+        constant_velocity=results.number(closed, "constant_velocity_planned_rmse_m", 100.0),
+        frozen_contact=results.number(closed, "frozen_contact_planned_rmse_m", 100.0),
+        edge_f1=results.number(closed, "edge_f1_planned"),
+        edge_f1_recorded=results.number(opened, "edge_f1"),
+        success=_success(results, closed),
+        success_every_step=_success(results, every_step) if model is GIM_TEMP else None,
+        plan_ms_p99=results.number(every_step, "plan_ms_p99") if model is GIM_TEMP else Figure(()),
+    )
+
+
+def _success(results: Results, where: Where) -> Success | None:
+    values = [reading.values for reading in results.readings(where)]
+    if not values:
+        return None
+    episodes = sum(int(each["episodes"]) for each in values)
+    reached = sum(round(each["success_rate"] * each["episodes"]) for each in values)
+    return Success(reached, episodes)
+
+
+def markdown_rows(table: Sequence[Row]) -> str:
+    """For people: median (range over seeds)."""
+    lines = [
+        "| task | scenes | model | N-step error, planned against executed, cm "
+        "| of moving bodies, cm | open loop, cm | floor: frozen contact, cm "
+        "| floor: constant velocity, cm | edge F1 planned | edge F1 recorded "
+        "| success, replanned every 10 steps | every step |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in table:
+        cells = [
+            row.task,
+            row.condition.name,
+            row.model,
+            with_range(row.planned),
+            with_range(row.planned_moving),
+            with_range(row.recorded),
+            short(row.frozen_contact.median),
+            short(row.constant_velocity.median),
+            with_range(row.edge_f1),
+            with_range(row.edge_f1_recorded),
+            "" if row.success is None else str(row.success),
+            "" if row.success_every_step is None else str(row.success_every_step),
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def csv_rows(table: Sequence[Row]) -> str:
+    """For programs: median, lowest and highest of every number, and the commands."""
+    figures = {
+        "planned_cm": lambda row: row.planned,
+        "planned_moving_cm": lambda row: row.planned_moving,
+        "recorded_cm": lambda row: row.recorded,
+        "recorded_moving_cm": lambda row: row.recorded_moving,
+        "frozen_contact_cm": lambda row: row.frozen_contact,
+        "constant_velocity_cm": lambda row: row.constant_velocity,
+        "edge_f1_planned": lambda row: row.edge_f1,
+        "edge_f1_recorded": lambda row: row.edge_f1_recorded,
+        "plan_ms_p99_every_step": lambda row: row.plan_ms_p99,
+    }
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    ends = ("median", "low", "high")
+    writer.writerow(
+        [
+            *("task", "scenes", "in_distribution", "model", "seeds"),
+            *(f"{name}_{end}" for name in figures for end in ends),
+            *("successes", "episodes", "successes_every_step", "episodes_every_step"),
+            *("command_closed_loop", "command_open_loop"),
+        ]
+    )
+    for row in table:
+        numbers = [
+            value
+            for figure in (read(row) for read in figures.values())
+            for value in ((figure.median, figure.low, figure.high) if figure.known else [""] * 3)
+        ]
+        counts = [
+            value
+            for one in (row.success, row.success_every_step)
+            for value in (("", "") if one is None else (one.successes, one.episodes))
+        ]
+        begin = [row.task, row.condition.name, row.condition.in_distribution, row.model]
+        writer.writerow([*begin, len(row.planned.values), *numbers, *counts, *row.commands])
+    return text.getvalue()
