@@ -1,5 +1,6 @@
 """``contactgraph evaluate``: how well a model predicts recorded runs."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -17,25 +18,28 @@ class Evaluate:
     """A dataset file (HDF5)."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the measurements to this file."""
-
     false_alarms: Annotated[float, arg(metavar="RATE")] = 0.0
     """Share of free edges that a lying sensor reports as touching, at every step."""
     misses: Annotated[float, arg(metavar="RATE")] = 0.0
     """Share of touching edges that it reports as free."""
     delay: Annotated[int, arg(metavar="STEPS")] = 0
     """Steps by which the sensor is late."""
+    growth_steps: Annotated[int | None, arg(metavar="STEPS")] = None
+    """Roll the model out so many steps from the start of every run too: does it stay bounded?"""
 
     def run(self) -> None:
         """Evaluate and say."""
         from contactgraph.commands.names import model_path
-        from contactgraph.commands.numbers import sensor_faults
+        from contactgraph.commands.numbers import check_range, sensor_faults
         from contactgraph.commands.output import check_writable, say, write_json
         from contactgraph.data import read_trajectories
-        from contactgraph.evaluate import evaluate_open_loop
+        from contactgraph.evaluate import evaluate_open_loop, rollout_growth
         from contactgraph.model.storage import load_model
 
         check_writable(self.json)
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, seed=0)
+        if self.growth_steps is not None:
+            check_range("--growth-steps", self.growth_steps, 1, 100_000)
         model = load_model(model_path(self.run_name)).model
         dataset = read_trajectories(self.data)
         metrics = evaluate_open_loop(model, dataset, faults=faults).to_json()
@@ -49,15 +53,27 @@ class Evaluate:
             "delay": self.delay,
             **metrics,
         }
+        if self.growth_steps is not None:
+            growth = rollout_growth(model, dataset, self.growth_steps)
+            values.update(growth.to_json())
         write_json(self.json, values)
         for line in _lines(values):
             say(line)
+        if self.growth_steps is not None:
+            say(
+                f"over {self.growth_steps} steps the state grows {_times(growth.growth_free)} "
+                f"without control, {_times(growth.growth_driven)} with it"
+            )
         lacking = sum(run.contact is None for run in dataset)
         if lacking:
             say(
                 f"edges were not scored: {lacking} of {len(dataset)} runs in {self.data} have no "
                 "contact field"
             )
+
+
+def _times(growth: float) -> str:
+    return f"{growth:.3g} times" if math.isfinite(growth) else "without bound"
 
 
 def _lines(values: dict) -> list[str]:

@@ -5,6 +5,8 @@ from contactgraph.evaluate.closed_loop import closed_loop_metrics as closed_loop
 from contactgraph.evaluate.control_policy import EpisodeRecord as EpisodeRecord
 from contactgraph.evaluate.control_policy import MPCPolicy as MPCPolicy
 from contactgraph.evaluate.control_task import control_task as control_task
+from contactgraph.evaluate.growth import RolloutGrowth as RolloutGrowth
+from contactgraph.evaluate.growth import rollout_growth as rollout_growth
 from contactgraph.evaluate.inspect_run import RunInsight as RunInsight
 from contactgraph.evaluate.inspect_run import inspect_run as inspect_run
 from contactgraph.evaluate.open_loop import OpenLoopMetrics as OpenLoopMetrics

@@ -46,6 +46,11 @@ class EdgeCounts:
         """Share of edges and steps that are right."""
         return _share(self.total - self.false_alarms - self.misses, self.total)
 
+    @property
+    def false_alarm_rate(self) -> float | None:
+        """Share of edges and steps without contact for which contact is predicted."""
+        return _share(self.false_alarms, self.total - self.hits - self.misses)
+
 
 @dataclass(frozen=True)
 class EdgeScores:
@@ -57,6 +62,8 @@ class EdgeScores:
     """Share of true contacts that are predicted."""
     f1: float | None
     accuracy: float | None
+    false_alarm_rate: float | None
+    """Share of edges and steps without contact for which contact is predicted."""
     switch_time_error_s: float | None
     """s; see `switch_time_errors`."""
     on_time: float | None
@@ -82,6 +89,7 @@ def edge_scores(
         recall=counts.recall,
         f1=counts.f1,
         accuracy=counts.accuracy,
+        false_alarm_rate=counts.false_alarm_rate,
         switch_time_error_s=float(late.mean()) if len(late) else None,
         on_time=_share(int(touch_on_time.sum()), len(touch_on_time)),
     )

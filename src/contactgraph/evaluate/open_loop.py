@@ -56,6 +56,8 @@ class OpenLoopMetrics:
     edge_recall: float | None
     edge_f1: float | None
     edge_accuracy: float | None
+    edge_false_alarm_rate: float | None
+    """Share of edges that are predicted active of those without contact."""
     switch_time_error_s: float | None
     """Mean time between the predicted and the true onset of contact: see `switch_time_errors`."""
     edge_on_time: float | None
@@ -154,6 +156,7 @@ def evaluate_open_loop(
         edge_recall=measured.recall,
         edge_f1=measured.f1,
         edge_accuracy=measured.accuracy,
+        edge_false_alarm_rate=measured.false_alarm_rate,
         switch_time_error_s=measured.switch_time_error_s,
         edge_on_time=measured.on_time,
         edge_precision_unmeasured=unmeasured.precision,
@@ -195,7 +198,7 @@ def _reported(run: Trajectory, faults: SensorFaults, number: int) -> np.ndarray 
 
 def _scores(detail: OpenLoopDetail, active: np.ndarray, on_time: np.ndarray) -> EdgeScores:
     if detail.contact is None:
-        return EdgeScores(None, None, None, None, None, None)
+        return EdgeScores(None, None, None, None, None, None, None)
     return edge_scores(active, detail.contact, detail.edge_exists, on_time, detail.dt)
 
 

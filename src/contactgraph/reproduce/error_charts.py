@@ -25,7 +25,7 @@ from contactgraph.reproduce.study_table import Row
 
 def error_chart(table: Sequence[Row], tasks: Sequence[StudyTask]) -> Chart:
     """N-step error of every model, in and out of distribution; a panel a task, log axis."""
-    made = chart(4.6 * len(tasks) + 0.6, 4.2)
+    made = chart(4.6 * len(tasks) + 1.6, 4.4)
     panels = made.subplots(1, len(tasks), squeeze=False, sharey=True)[0]
     for axes, task in zip(panels, tasks, strict=True):
         conditions = (task.as_trained, task.hardest)
@@ -45,7 +45,9 @@ def error_chart(table: Sequence[Row], tasks: Sequence[StudyTask]) -> Chart:
         quiet(axes, task.name)
     panels[0].set_ylabel("N-step error, planned against executed, cm", color=SOFT, fontsize=9)
     handles, labels = panels[0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
+    made.legend(
+        handles, labels, loc="outside lower center", ncols=3 * len(tasks), fontsize=8, frameon=False
+    )
     return made
 
 

@@ -97,7 +97,11 @@ def _failures(failures: Sequence[tuple[str, str]]) -> str:
     items = "".join(
         f"<li><code>{escape(command)}</code> {escape(reason)}</li>" for command, reason in failures
     )
-    return f"<section><h2>What could not be measured</h2><ul>{items}</ul></section>"
+    return (
+        "<section><h2>What could not be measured</h2><details>"
+        f'<summary>{len(failures)} commands failed</summary><ul class="plain">{items}</ul>'
+        "</details></section>"
+    )
 
 
 def _picture(picture: Picture) -> str:
