@@ -79,13 +79,18 @@ def test_a_control_of_another_size_than_the_dimension():
     assert np.array_equal(frozen_contact(more, 2), frozen_contact(run, 2))
 
 
-def test_unknown_masses_contacts_or_hinges_give_none():
+def test_unknown_masses_contacts_or_hinges_in_space_give_none():
     run = random_run(2, 4, 0)
     assert frozen_contact(run, 2) is not None
     assert frozen_contact(replace(run, contact=None), 2) is None
     assert frozen_contact(replace(run, scene=replace(run.scene, mass=None)), 2) is None
-    hinge = np.array([[np.nan, np.nan], [0.0, 1.0]])
-    assert frozen_contact(replace(run, scene=replace(run.scene, anchor=hinge)), 2) is None
+    deep = replace(run.scene, dimension=3, anchor=np.zeros((2, 3)), metadata={})
+    in_space = Trajectory(
+        deep, np.zeros((5, 2, 3)), np.zeros((5, 2, 3)), np.zeros((4, 2)), run.contact
+    )
+    assert frozen_contact(in_space, 2) is None
+    nowhere = replace(run.scene, anchor=np.full((2, 2), np.nan))
+    assert np.array_equal(frozen_contact(replace(run, scene=nowhere), 2), frozen_contact(run, 2))
 
 
 def test_on_real_pickups_only_changes_of_contact_are_hard():

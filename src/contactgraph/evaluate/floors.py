@@ -3,6 +3,7 @@
 import numpy as np
 
 from contactgraph.data import Trajectory
+from contactgraph.evaluate.hinged_floor import hinged_positions
 
 
 def constant_velocity(run: Trajectory, steps: int) -> np.ndarray:
@@ -24,24 +25,32 @@ def frozen_contact(run: Trajectory, steps: int) -> np.ndarray | None:
     ``v dt + theta a dt^2`` with ``theta = (n+1)/2n``; n is ``substeps`` of the scene's metadata,
     and theta is 1/2, the exact motion, where it is not given.
 
-    None where masses or contacts are unknown, or where a node hangs on a hinge: a group that
-    moves freely is no model of that.
+    A group with a body on a hinge turns about it instead: see `hinged_positions`.
+
+    None where masses or contacts are unknown, or where there are hinges not in the plane.
     """
     scene = run.scene
     if run.contact is None or scene.mass is None or not np.all(scene.mass > 0):
         return None
-    if scene.anchor is not None and np.any(np.isfinite(scene.anchor)):
+    hinged = scene.anchor is not None and bool(np.any(np.isfinite(scene.anchor)))
+    if hinged and scene.dimension != 2:
         return None
     starts = run.steps - steps + 1
     group = joined(run.contact[:starts])
     pushes = group @ scene.actuated / (group @ scene.mass)
-    acceleration = pushes[:, None, :, None] * _windows(_force(run), steps)[:starts, :, None, :]
+    force = _windows(_force(run), steps)
+    acceleration = pushes[:, None, :, None] * force[:, :, None, :]
     dt = scene.dt
     gained = dt * np.cumsum(acceleration, axis=1)
     # What was gained in earlier steps moves the body for all of this one.
     before = gained - dt * acceleration
-    moved = np.cumsum(dt * before + _theta(run) * dt**2 * acceleration, axis=1)
-    return constant_velocity(run, steps) + moved
+    moved = np.cumsum(dt * before + _theta(_substeps(run)) * dt**2 * acceleration, axis=1)
+    straight = constant_velocity(run, steps) + moved
+    if not hinged:
+        return straight
+    position, velocity = run.position[:starts], run.velocity[:starts]
+    turned, turns = hinged_positions(scene, group, position, velocity, force, _substeps(run))
+    return np.where(turns[:, None, :, None], turned, straight)
 
 
 def joined(contact: np.ndarray) -> np.ndarray:
@@ -72,8 +81,12 @@ def _windows(per_step: np.ndarray, steps: int) -> np.ndarray:
     return np.moveaxis(view, -1, 1)
 
 
-def _theta(run: Trajectory) -> float:
+def _substeps(run: Trajectory) -> int | None:
     substeps = run.scene.metadata.get("substeps")
     if not isinstance(substeps, int | np.integer) or substeps < 1:
-        return 0.5
-    return float(substeps + 1) / float(2 * substeps)
+        return None
+    return int(substeps)
+
+
+def _theta(substeps: int | None) -> float:
+    return 0.5 if substeps is None else (substeps + 1) / (2 * substeps)
