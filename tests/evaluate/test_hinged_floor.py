@@ -52,7 +52,7 @@ def test_an_untouched_door_turns_evenly_and_the_gripper_flies_on():
     assert np.array_equal(found[:, 0], frozen_contact(free, 6)[0, :, 0])
 
 
-@pytest.mark.parametrize(("substeps", "tolerance"), [(None, 2e-5), (4, 1e-12)])
+@pytest.mark.parametrize(("substeps", "tolerance"), [(None, 1e-4), (4, 1e-12)])
 def test_held_together_they_turn_as_one(substeps, tolerance):
     """Against a loop: of the simulator's own substeps, or of very fine ones."""
     rng = np.random.default_rng(3)
@@ -67,7 +67,7 @@ def test_held_together_they_turn_as_one(substeps, tolerance):
     moments = arms[:, 0] * speeds[:, 1] - arms[:, 1] * speeds[:, 0]
     rate = (4.0 / 3.0 / 0.25 * moments[1] + moments[0]) / inertia
     angle, expected = 0.0, []
-    fine = substeps or 4000
+    fine = substeps or 20_000
     for force in control:
         for _ in range(fine):
             x, y = 0.8 * np.cos(0.9 + angle), 0.8 * np.sin(0.9 + angle)
