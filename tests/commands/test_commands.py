@@ -68,7 +68,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str], arguments:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ("collect", "TASK --out --episodes --seed --distractors --objects"),
+        ("collect", "TASK --out --episodes --seed --distractors --objects --mixed"),
         ("train", "DATA --out --model --seed --resume gim-temp gim-non-temp no-gim full-ab"),
         ("evaluate", "RUN DATA --json"),
         ("control", "RUN TASK --episodes --seed --distractors --objects --json --video --save"),
@@ -94,13 +94,43 @@ def test_collect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert captured.out == f"{path}: 3 runs of pickup, seed 7\n"
     assert captured.err.splitlines()[-1] == "collecting: 3 of 3"
     dataset = read_trajectories(path)
-    assert dataset.metadata == {"task": "pickup", "seed": 7, "distractors": 2}
+    assert dataset.metadata == {"task": "pickup", "seed": 7, "distractors": 2, "objects": 1}
     assert [run.scene.node_count for run in dataset] == [4, 4, 4]
     assert [bool(np.any(run.control)) for run in dataset] == [True, True, False]
     done("collect", "pickup", *options, "--out", again)
     assert again.read_bytes() == path.read_bytes(), "one seed, one file"
     done("collect", "pickup", "--episodes", 1, "--seed", 8, "--out", path)
     assert len(describe_file(path).steps) == 1, "a new file replaces the old one"
+
+
+def test_collect_mixed_numbers_of_objects_in_one_file(tmp_path: Path) -> None:
+    path, first = tmp_path / "data.h5", tmp_path / "first.h5"
+    counts = ["--distractors", 1, "--objects", 2, "--mixed"]
+    done("collect", "multi-pickup", *counts, "--episodes", 5, "--out", path)
+    done("collect", "multi-pickup", *counts, "--episodes", 2, "--out", first)
+    dataset = read_trajectories(path)
+    assert dataset.metadata == {
+        "task": "multi-pickup",
+        "seed": 0,
+        "distractors": 1,
+        "objects": 2,
+        "mixed": True,
+    }
+    told = [(run.scene.metadata["objects"], run.scene.metadata["distractors"]) for run in dataset]
+    assert told == [(1, 0), (1, 1), (2, 0), (2, 1), (1, 0)]
+    for one, other in zip(read_trajectories(first), dataset, strict=False):
+        assert np.array_equal(one.position, other.position), "the same, however many are recorded"
+
+
+@pytest.mark.parametrize(("task", "nodes"), [("multi-pickup", 3), ("door", 2)])
+def test_collect_other_tasks(tmp_path: Path, task: str, nodes: int) -> None:
+    path = tmp_path / "data.h5"
+    done("collect", task, "--episodes", 2, "--exploration", 0.5, "--out", path)
+    dataset = read_trajectories(path)
+    assert [run.scene.node_count for run in dataset] == [nodes, nodes]
+    policies = [run.scene.metadata["policy"] for run in dataset]
+    assert policies[0].endswith("Expert") and policies[1] == "ExplorationPolicy"
+    assert all((run.scene.anchor is not None) == (task == "door") for run in dataset)
 
 
 def test_train_leaves_a_run_folder(trained: Path, recorded: Path) -> None:

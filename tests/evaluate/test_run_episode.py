@@ -93,8 +93,18 @@ def test_policies_take_turns_and_every_run_is_reported():
     assert len(done) == 6 and all(one is other for one, other in zip(done, runs, strict=True))
 
 
+def test_tasks_take_turns_and_a_run_is_the_one_its_task_gives_alone():
+    factories = [lambda: PickupTask(0), lambda: PickupTask(2)]
+    runs = collect(factories, [RestPolicy()], 3, 0)
+    assert [run.scene.node_count for run in runs] == [2, 4, 2]
+    alone = collect([lambda: PickupTask(2)], [RestPolicy()], 2, 0)
+    assert same(runs[1], alone[1])
+
+
 def test_arguments_out_of_range():
     policy = RestPolicy()
+    with pytest.raises(InvalidInputError, match="task_factories must name at least one task"):
+        collect([], [policy], 1, 0)
     with pytest.raises(InvalidInputError, match="episodes must be at least 1, found 0"):
         collect([PickupTask], [policy], 0, 0)
     with pytest.raises(InvalidInputError, match="seed must be at least 0, found -1"):

@@ -27,9 +27,11 @@ class PickupExpert:
     in ten swings past a target of 0.04 m under noise, and turns round.
 
     Gains grow with what is held, as far as the control's bounds allow, so that five targets and
-    the way to the goal fit into one episode. ``noise`` N is the standard deviation of the force that is added on each axis,
-    correlated over ``correlation_steps`` steps: without it every force would be a function of the
-    state, and a mass could not be told from a drag.
+    the way to the goal fit into one episode.
+
+    ``noise`` N is the standard deviation of the force that is added on each axis, correlated over
+    ``correlation_steps`` steps: without it every force would be a function of the state, and a
+    mass could not be told from a drag.
     """
 
     def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:

@@ -43,9 +43,7 @@ class CircleWorld:
         self._mass = np.asarray(mass, dtype=np.float64)
         self._radius = np.asarray(radius, dtype=np.float64)
         self._listener = TouchListener()  # Box2D does not keep it alive: we must
-        self._world = Box2D.b2World(
-            gravity=(0.0, 0.0), doSleep=False, contactListener=self._listener
-        )
+        self._world = Box2D.b2World(gravity=(0.0, 0.0), contactListener=self._listener)
         # A force acts over the whole step, not over its first substep only.
         self._world.autoClearForces = False
         self._bodies = [
@@ -61,7 +59,12 @@ class CircleWorld:
             shape=Box2D.b2CircleShape(radius=radius), density=1.0, friction=0.0, restitution=0.0
         )
         body = self._world.CreateDynamicBody(
-            position=(float(centre[0]), float(centre[1])), fixedRotation=True, fixtures=fixture
+            position=(float(centre[0]), float(centre[1])),
+            fixedRotation=True,
+            fixtures=fixture,
+            # Below 1 cm/s Box2D would stop it after half a second; the world's own setting for
+            # that has no effect.
+            allowSleep=False,
         )
         # Density times area is not the mass to the last bit.
         body.massData = Box2D.b2MassData(mass=mass, center=(0.0, 0.0), I=0.0)

@@ -68,12 +68,11 @@ class DoorWorld:
         self._door_inertia = door_mass * ((length**2 + thickness**2) / 12.0 + self._middle**2)
         self._hinge = np.asarray(hinge, dtype=np.float64)
         self._listener = TouchListener()  # Box2D does not keep it alive: we must
-        self._world = Box2D.b2World(
-            gravity=(0.0, 0.0), doSleep=False, contactListener=self._listener
-        )
+        self._world = Box2D.b2World(gravity=(0.0, 0.0), contactListener=self._listener)
         self._gripper: Box2D.b2Body | None = self._world.CreateDynamicBody(
             position=(float(gripper[0]), float(gripper[1])),
             fixedRotation=True,
+            allowSleep=False,
             fixtures=Box2D.b2FixtureDef(
                 shape=Box2D.b2CircleShape(radius=gripper_radius), density=1.0
             ),
@@ -95,6 +94,9 @@ class DoorWorld:
         body = self._world.CreateDynamicBody(
             position=(float(hinge[0]), float(hinge[1])),
             angle=angle,
+            # Below 1 cm/s Box2D would stop it after half a second; the world's own setting for
+            # that has no effect.
+            allowSleep=False,
             # Doors of one negative group do not meet one another.
             fixtures=Box2D.b2FixtureDef(shape=bar, density=1.0, groupIndex=-1),
         )

@@ -64,6 +64,15 @@ def test_constant_force_is_the_theta_method(substeps):
         np.testing.assert_allclose(world.position[0], position, atol=FLOAT32)
 
 
+def test_slow_bodies_are_not_put_to_sleep():
+    world = make_world([[0.0, 0.0]])
+    push(world, 0, [0.1, 0.0])
+    speed = world.velocity[0, 0]
+    for _ in range(40):
+        push(world, 0, [0.0, 0.0])
+        assert world.velocity[0, 0] == speed == pytest.approx(0.005)
+
+
 def test_a_force_does_not_outlast_its_step():
     world = make_world([[0.0, 0.0]])
     push(world, 0, [4.0, 0.0])
