@@ -55,6 +55,7 @@ def _run(run: SceneRun) -> dict[str, object]:
         "nodeType": list(run.node_type),
         "actuated": run.actuated.tolist(),
         "radius": [_number(radius) for radius in run.radius],
+        "anchor": _anchors(run),
         "goal": None if run.goal is None else [_number(value) for value in run.goal],
         "goalRadius": _number(run.goal_radius),
         "edges": run.edges.tolist(),
@@ -72,6 +73,14 @@ def _run(run: SceneRun) -> dict[str, object]:
         "involved": involved_nodes(run),
         "grasp": grasp_step(run),
     }
+
+
+def _anchors(run: SceneRun) -> list[list[float] | None] | None:
+    """[N] where each node's hinge is; None for a node without one."""
+    if run.anchor is None:
+        return None
+    nodes = range(run.node_count)
+    return [None if run.bar(n) is None else run.anchor[n, :2].tolist() for n in nodes]
 
 
 def _all(run: SceneRun) -> range:

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Polygon
 
 from contactgraph.view.scene_run import SceneRun
 from contactgraph.view.selection import involved_nodes
@@ -32,6 +32,11 @@ def scene_limits(run: SceneRun) -> tuple[np.ndarray, np.ndarray]:
     if run.goal is not None:
         lows.append(run.goal[None, :2] - run.goal_radius)
         highs.append(run.goal[None, :2] + run.goal_radius)
+    for node in range(run.node_count):
+        bar = run.bar(node)
+        if bar is not None:
+            lows.append(bar.reshape(-1, 2) - run.radius[node])
+            highs.append(bar.reshape(-1, 2) + run.radius[node])
     low, high = np.concatenate(lows), np.concatenate(highs)
     known = np.isfinite(low).all(axis=1)
     if not known.any():
@@ -82,8 +87,24 @@ def _draw_bodies(axes: Axes, run: SceneRun, state: int, involved: list[int]) -> 
         colour, radius = body_colour(node, involved), float(run.radius[node])
         width = 2.0 if run.actuated[node] else 1.1
         # Opaque and pale, so that trails and plans end at the rim.
-        pale = 0.7 + 0.3 * np.array(to_rgb(colour))
-        axes.add_artist(Circle((x, y), radius, fc=tuple(pale), ec=colour, lw=width, zorder=3))
+        pale = tuple(0.7 + 0.3 * np.array(to_rgb(colour)))
+        bar = run.bar(node)
+        if bar is None:
+            axes.add_artist(Circle((x, y), radius, fc=pale, ec=colour, lw=width, zorder=3))
+            continue
+        hinge, tip = bar[state]
+        axes.add_artist(
+            Polygon(bar_corners(hinge, tip, radius), fc=pale, ec=colour, lw=width, zorder=3)
+        )
+        axes.add_artist(Circle((hinge[0], hinge[1]), 0.5 * radius, color=colour, zorder=3.5))
+
+
+def bar_corners(hinge: np.ndarray, tip: np.ndarray, half_thickness: float) -> np.ndarray:
+    """[4, 2] m: the outline of a bar between two points."""
+    along = tip - hinge
+    length = float(np.hypot(*along))
+    aside = half_thickness * np.array([-along[1], along[0]]) / (length or 1.0)
+    return np.stack([hinge + aside, tip + aside, tip - aside, hinge - aside])
 
 
 def _draw_edges(axes: Axes, run: SceneRun, state: int) -> None:

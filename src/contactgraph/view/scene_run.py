@@ -53,13 +53,15 @@ class SceneRun:
     """[T, N] c/m, 1/s, learned; mean over degrees of freedom."""
     plan: np.ndarray | None = None
     """[T, H+1, N, D] m: where the plan made at step t puts every node; NaN where there is none."""
+    anchor: np.ndarray | None = None
+    """[N, D] m: a node's hinge, NaN where it has none; see `bar`. None: nobody has one."""
 
     def __post_init__(self) -> None:
         for name in ("radius", "position", "velocity", "control", "belief"):
             self._set(name, np.asarray(getattr(self, name), dtype=np.float64))
         self._set("actuated", np.asarray(self.actuated, dtype=bool))
         self._set("edges", np.asarray(self.edges, dtype=np.int64).reshape(-1, 2))
-        for name in ("goal", "inverse_mass", "stiffness", "damping", "plan"):
+        for name in ("goal", "inverse_mass", "stiffness", "damping", "plan", "anchor"):
             if getattr(self, name) is not None:
                 self._set(name, np.asarray(getattr(self, name), dtype=np.float64))
         if self.contact is not None:
@@ -89,6 +91,7 @@ class SceneRun:
             "belief": (steps, self.edge_count),
             "goal": (dimension,),
             "contact": (steps + 1, self.edge_count),
+            "anchor": (nodes, dimension),
             "inverse_mass": (steps, nodes),
             "stiffness": (steps, nodes),
             "damping": (steps, nodes),
@@ -124,6 +127,16 @@ class SceneRun:
     def edge_count(self) -> int:
         """E, the number of edges."""
         return self.edges.shape[0]
+
+    def bar(self, node: int) -> np.ndarray | None:
+        """[T+1, 2, 2] m: hinge and tip of a node on a hinge; None for any other node.
+
+        Its position is the bar's middle, its radius half the bar's thickness.
+        """
+        if self.anchor is None or not np.isfinite(self.anchor[node, :2]).all():
+            return None
+        hinge = np.broadcast_to(self.anchor[node, :2], (self.steps + 1, 2))
+        return np.stack([hinge, 2.0 * self.position[:, node, :2] - hinge], axis=1)
 
     def edge_name(self, edge: int) -> str:
         """The two nodes an edge joins, in words."""
@@ -171,4 +184,5 @@ class SceneRun:
             stiffness=stiffness,
             damping=damping,
             plan=plan,
+            anchor=scene.anchor,
         )

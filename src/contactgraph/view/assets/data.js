@@ -32,6 +32,11 @@ function positionAt(run, node, axis, step) {
   return read(before) + (step - before) * (read(after) - read(before));
 }
 
+// The free end of a hinged body, as far beyond its middle as its hinge is before it, m.
+function tipAt(run, node, step) {
+  return [0, 1].map((axis) => 2 * positionAt(run, node, axis, step) - run.anchor[node][axis]);
+}
+
 // The number of the step that a time lies in.
 function stepOf(run, step) {
   return Math.max(0, Math.min(run.steps - 1, Math.floor(step)));

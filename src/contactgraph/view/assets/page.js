@@ -76,7 +76,7 @@ function startWatching() {
     chooseRun(run);
   });
   const spans = [{ name: "whole run", near: false }];
-  if (payload.runs.some((run) => run.grasp !== null)) spans.push({ name: "around the grasp", near: true });
+  if (payload.runs.some((run) => run.grasp !== null)) spans.push({ name: "around the contact", near: true });
   choices("span-choice", spans, ({ near }) => showSpan(near ? graspSpan(clock.run) : null));
   document.getElementById("play").addEventListener("click", () => (clock.playing ? pause() : play()));
   document.getElementById("time").addEventListener("input", (event) => {

@@ -24,6 +24,13 @@ function sceneBounds(run) {
     const node = Math.floor(index / run.dimension) % run.nodes;
     if (axis < 2) include(axis, run.position[index], run.radius[node] ?? 0);
   }
+  for (let node = 0; node < run.nodes; node += 1) {
+    const hinge = run.anchor?.[node];
+    for (let state = 0; hinge && state <= run.steps; state += 1) {
+      [0, 1].forEach((axis) => include(axis, hinge[axis], run.radius[node] ?? 0));
+      tipAt(run, node, state).forEach((value, axis) => include(axis, value, run.radius[node] ?? 0));
+    }
+  }
   if (run.goal) [0, 1].forEach((axis) => include(axis, run.goal[axis], run.goalRadius ?? 0));
   if (!Number.isFinite(low[0])) return { low: [-1, -1], high: [1, 1] };
   const margin = 0.06 * Math.max(high[0] - low[0], high[1] - low[1], 0.2);
@@ -143,10 +150,32 @@ function drawBodies(draw, run) {
     if (!Number.isFinite(x) || !Number.isFinite(y)) continue;
     const colour = scene.colours[colourName(run, node)];
     const radius = Math.max(3, (run.radius[node] ?? 0) * scene.scale);
+    if (run.anchor?.[node]) {
+      drawBar(draw, run, node, colour, radius);
+      continue;
+    }
     disc(draw, x, y, radius, scene.colours["--sheet"], 1);
     disc(draw, x, y, radius, colour, run.involved.includes(node) ? 0.3 : 0.22);
     ring(draw, x, y, radius - 1, colour, run.actuated[node] ? 3 : 1.6);
   }
+}
+
+// A hinged body: a bar from its hinge, a dot, to its tip.
+function drawBar(draw, run, node, colour, radius) {
+  const [hinge, tip] = [run.anchor[node], tipAt(run, node, clock.step)].map(([x, y]) => [scene.toX(x), scene.toY(y)]);
+  const length = Math.hypot(tip[0] - hinge[0], tip[1] - hinge[1]) || 1;
+  const aside = [(radius * (hinge[1] - tip[1])) / length, (radius * (tip[0] - hinge[0])) / length];
+  const corner = (end, side) => [end[0] + side * aside[0], end[1] + side * aside[1]];
+  const outline = [corner(hinge, 1), corner(tip, 1), corner(tip, -1), corner(hinge, -1), corner(hinge, 1)];
+  const area = new Path2D(`M${outline.map((point) => point.join(" ")).join("L")}Z`);
+  for (const [fill, alpha] of [[scene.colours["--sheet"], 1], [colour, run.involved.includes(node) ? 0.3 : 0.22]]) {
+    draw.globalAlpha = alpha;
+    draw.fillStyle = fill;
+    draw.fill(area);
+  }
+  draw.globalAlpha = 1;
+  stroke(draw, outline, colour, run.actuated[node] ? 3 : 1.6, 1);
+  disc(draw, hinge[0], hinge[1], Math.max(2, 0.6 * radius), colour, 1);
 }
 
 function drawForce(draw, run) {
