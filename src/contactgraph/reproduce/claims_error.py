@@ -19,7 +19,7 @@ from contactgraph.reproduce.declared import (
 from contactgraph.reproduce.plan_cells import Source, Where
 from contactgraph.reproduce.results import Figure, Results
 from contactgraph.reproduce.sample_efficiency import data_ratio
-from contactgraph.reproduce.words import joined, short
+from contactgraph.reproduce.words import joined, short, with_unit
 
 PLANNED_ERROR = "n_step_rmse_planned_m"
 RECORDED_ERROR = "n_step_rmse_m"
@@ -52,11 +52,11 @@ def small_in_distribution(results: Results, tasks: Sequence[StudyTask]) -> Claim
             numbers.append(ClaimNumber(model.name, task.name, "cm", figure))
             found.append(figure.median < _SMALL_CM if figure.known else None)
             if found[-1] is False:
-                large.append(f"{model.name} on {task.name} ({short(figure.median)} cm)")
+                large.append(f"{model.name} on {task.name} ({with_unit(figure.median, 'cm')})")
     holds = verdict(found)
     worst = max((one.figure.median for one in numbers if one.figure.known), default=math.nan)
     sentence = {
-        True: f"The largest median error of any of these models is {short(worst)} cm.",
+        True: f"The largest median error of any of these models is {with_unit(worst, 'cm')}.",
         False: f"1 cm or more: {joined(large)}.",
         None: "Not every model was measured.",
     }[holds]
@@ -177,7 +177,8 @@ def more_data(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) ->
         else:
             said.append(
                 f"{task.name}: not reached with {most}: No-GIM-Aug is at "
-                f"{short(curve[-1].median)} cm there, GIM-Temp at {short(own.median)} cm with "
+                f"{with_unit(curve[-1].median, 'cm')} there, GIM-Temp at "
+                f"{with_unit(own.median, 'cm')} with "
                 f"{TRAINING_RUNS}, so it needs more than {most / TRAINING_RUNS:g} times the data"
             )
     return Claim(

@@ -17,7 +17,7 @@ from contactgraph.reproduce.declared import (
 )
 from contactgraph.reproduce.plan_cells import Source, Where
 from contactgraph.reproduce.results import Results
-from contactgraph.reproduce.words import joined, short
+from contactgraph.reproduce.words import joined, with_unit
 
 FALSE_ALARMS = "edge_false_alarm_rate"
 
@@ -110,8 +110,8 @@ def prior_needed(results: Results, tasks: Sequence[StudyTask]) -> Claim:
         found.append(connected and as_bad)
         said.append(
             f"{task.name}: {_percent(stray.median)} of the edges without contact are active, and "
-            f"with {task.hardest.name} the error is {short(own.median)} cm against No-GIM's "
-            f"{short(other.median)} cm"
+            f"with {task.hardest.name} the error is {with_unit(own.median, 'cm')} against No-GIM's "
+            f"{with_unit(other.median, 'cm')}"
         )
     return Claim(
         number=6,

@@ -155,8 +155,10 @@ def sample_chart(results: Results, tasks: Sequence[StudyTask], amounts: Amounts)
                 )
                 for runs, figure in points:
                     axes.plot([runs] * 2, [figure.low, figure.high], color=colour, lw=1.0)
+        if any(line.get_xydata().size for line in axes.lines):  # a log axis of nothing is an error
+            axes.set_yscale("log")
+        axes.set_xscale("log")
         axes.axvline(TRAINING_RUNS, color=SOFT, lw=0.7, ls=(0, (2, 3)))
-        axes.set(xscale="log", yscale="log")
         axes.set_xticks(amounts.sample_sizes, [str(runs) for runs in amounts.sample_sizes])
         axes.minorticks_off()
         axes.set_xlabel("training runs", color=SOFT, fontsize=9)

@@ -5,7 +5,7 @@ import io
 import math
 from collections.abc import Sequence
 
-from contactgraph.reproduce.words import short
+from contactgraph.reproduce.words import short, with_unit
 from contactgraph.view import Number
 
 
@@ -17,7 +17,7 @@ def markdown_numbers(numbers: Sequence[Number]) -> str:
     ]
     for number in numbers:
         value = math.nan if number.value is None else number.value
-        measured = f"{short(value)} {number.unit}".strip()
+        measured = with_unit(value, number.unit)
         if number.interval is not None:
             low, high = number.interval
             measured += f" ({short(low)} to {short(high)})"

@@ -80,10 +80,11 @@ def _work(schedule: "_Schedule", process: WorkerProcess, records: Records) -> No
             else:
                 died = "its process died" if answer is None else f"exit code {answer.code}"
                 schedule.finished(cell, 0.0, Failure(cell, f"{died}; {_last_line(log)}"))
-        process.close()
     except BaseException as fault:  # told to the caller, whose thread is another
         schedule.fault = fault
         schedule.stop()
+    finally:
+        process.close()
 
 
 def _last_line(log: Path) -> str:

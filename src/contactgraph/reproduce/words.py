@@ -19,11 +19,16 @@ def short(value: float) -> str:
     return f"{value:.3g}"
 
 
+def with_unit(value: float, unit: str) -> str:
+    """As `short`; a unit behind words would read oddly."""
+    return f"{short(value)} {unit}".strip() if math.isfinite(value) else short(value)
+
+
 def with_range(figure: Figure, unit: str = "") -> str:
     """The median, and the range where there are several seeds."""
     if not figure.known:
         return "not known"
-    told = f"{short(figure.median)} {unit}".strip()
+    told = with_unit(figure.median, unit)
     if len(figure.values) == 1:
         return told
     return f"{told} ({short(figure.low)} to {short(figure.high)})"

@@ -1,0 +1,117 @@
+"""``contactgraph reproduce``: which studies there are, what it writes, how it exits."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from contactgraph import cli
+from contactgraph.commands.study import Study
+from contactgraph.reproduce.cell import Cell
+from contactgraph.reproduce.record import Records
+from contactgraph.reproduce.runner import Failure, Standing
+
+FILES = {
+    "claims.json",
+    "figures",
+    "index.html",
+    "results.json",
+    "table.csv",
+    "table.md",
+    "targets.csv",
+    "targets.md",
+}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("juggling", "study must be one of pickup, multi-pickup, door, all; found 'juggling'"),
+        ("door --out taken", "--out: taken must be a folder, found a file"),
+    ],
+)
+def test_mistakes(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: str,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").write_text("")
+    assert cli.run(["reproduce", *arguments.split()]) == 2
+    assert capsys.readouterr().err == f"contactgraph: {said}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+@pytest.fixture
+def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Cell]]:
+    """Cells are not made: every JSON file that they would write holds the same numbers."""
+    asked: list[list[Cell]] = []
+
+    def run_cells(
+        cells: Sequence[Cell], records: Records, workers: object, on_step: object
+    ) -> list[Failure]:
+        asked.append(list(cells))
+        values = {"success_rate": 1.0, "episodes": 5, "n_step_rmse_planned_m": 0.001}
+        for cell in cells:
+            path = records.folder / cell.output
+            if path.suffix == ".json" and "paper-literal" not in cell.output:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(json.dumps(values))
+        lost = [cell for cell in cells if "paper-literal" in cell.output]
+        failures = [Failure(cell, "not begun: it needs something") for cell in lost[1:]]
+        first = Failure(lost[0], "exit code 2; contactgraph: no such model")
+        on_step(Standing(1, 2, 90.0, lost[0], first))  # type: ignore[operator]
+        return [first, *failures]
+
+    monkeypatch.setattr("contactgraph.commands.study.run_cells", run_cells)
+    return asked
+
+
+def test_what_a_study_leaves(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    made_up: list[list[Cell]],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        cli.run(["reproduce", "door", "--quick"])
+    assert left.value.code == 1, "a study that lacks something is no success"
+    folder = tmp_path / "results" / "door"
+    assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
+    captured = capsys.readouterr()
+    assert "1. holds: In distribution, every model's N-step error is under 1 cm" in captured.out
+    assert "the page: results/door/index.html" in captured.out
+    assert "failed: contactgraph train " in captured.err
+    assert "(exit code 2; contactgraph: no such model)" in captured.err
+    claims = json.loads((folder / "claims.json").read_text())["claims"]
+    assert [(claim["number"], claim["holds"]) for claim in claims[:2]] == [(1, True), (2, False)]
+    assert all(claim["tasks"] == ["door"] and claim["paper"] for claim in claims)
+    results = json.loads((folder / "results.json").read_text())
+    assert results["command"] == "contactgraph reproduce door --quick"
+    assert results["versions"].keys() >= {"contactgraph", "jax"}
+    assert results["training_seeds"] == [0] and results["date"]
+    assert results["failures"][0]["reason"] == "exit code 2; contactgraph: no such model"
+    assert {cell["task"] for cell in results["cells"]} == {"door"}
+    assert {path.suffix for path in (folder / "figures").iterdir()} == {".png", ".svg"}
+    assert "What could not be measured" in (folder / "index.html").read_text()
+
+
+def test_all_tasks_go_into_one_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_up: list[list[Cell]]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Study, "write", lambda self, failures: None)
+    with pytest.raises(SystemExit):
+        cli.run(["reproduce"])
+    with pytest.raises(SystemExit):
+        cli.run(["reproduce", "all", "--quick", "--out", "other"])
+    assert {path.name for path in tmp_path.iterdir()} == {"results", "other"}
+    full, quick = ({cell.output for cell in cells} for cells in made_up)
+    assert len(quick) < len(full) / 2
+    for task in ("pickup", "multi-pickup", "door"):
+        assert f"cells/{task}/seed-0/gim-temp-40/run" in full & quick
+        assert f"cells/{task}/seed-2/gim-temp-40/run" in full - quick

@@ -1,0 +1,54 @@
+"""From what is declared to command lines: each is one that the commands take, and all are there."""
+
+from contactgraph import cli
+from contactgraph.reproduce.cell import in_order
+from contactgraph.reproduce.declared import FAULTS, FULL, MODELS, PICKUP, QUICK, TASKS
+from contactgraph.reproduce.plan_cells import Source, measurements
+
+
+def test_every_command_line_is_one_of_ours() -> None:
+    """So that no study finds out at its end that an option is called otherwise."""
+    lines = {cell.arguments for cell in in_order(one.cell for one in measurements(TASKS, FULL))}
+    seen: set[tuple[str, ...]] = set()
+    for arguments in lines:
+        # Values differ from cell to cell; options are what could be wrong.
+        options = (arguments[0], *(word for word in arguments if word.startswith("--")))
+        if options in seen:
+            continue
+        seen.add(options)
+        parsed = cli._parse(list(arguments))
+        assert not isinstance(parsed, int), " ".join(arguments)
+    assert {options[0] for options in seen} == {"collect", "train", "evaluate", "control"}
+
+
+def test_outputs_are_each_made_by_one_cell() -> None:
+    for amounts in (FULL, QUICK):
+        cells = [
+            cell for one in measurements(TASKS, amounts) for cell in (one.cell, *one.cell.needs)
+        ]
+        commands: dict[str, set[str]] = {}
+        for cell in cells:
+            commands.setdefault(cell.output, set()).add(cell.command)
+        assert {output: found for output, found in commands.items() if len(found) > 1} == {}
+
+
+def test_all_that_was_asked_for() -> None:
+    found = measurements(TASKS, FULL)
+    of = {source: [one for one in found if one.where.source is source] for source in Source}
+    conditions = sum(len(task.conditions) for task in TASKS)
+    assert len(of[Source.recorded]) == len(of[Source.planned]) == 3 * len(MODELS) * conditions
+    assert len(of[Source.every_step]) == 3 * conditions
+    assert len(of[Source.faults]) == 3 * len(TASKS) * len(FAULTS)
+    assert len(of[Source.samples]) == 3 * 2 * 2 * 2 * len(FULL.sample_sizes)
+    trainings = [
+        cell for cell in in_order(one.cell for one in found) if cell.arguments[0] == "train"
+    ]
+    # 7 models a task; of the samples, 40 runs are GIM-Temp's own, 160 pickup's augmented ones.
+    assert len(trainings) == 3 * (3 * 7 + 2 * 2 * 6 - 3)
+
+
+def test_test_scenes_are_the_same_for_every_model_and_seed() -> None:
+    cells = in_order(one.cell for one in measurements([PICKUP], FULL))
+    tests = [cell for cell in cells if "/test-" in cell.output]
+    assert len(tests) == len(PICKUP.conditions)
+    assert all("--seed 1000" in cell.command for cell in tests)
