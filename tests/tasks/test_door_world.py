@@ -194,6 +194,15 @@ def test_the_gripper_holds_one_door_and_passes_others():
     assert not world.velocity[2].any()
 
 
+def test_doors_pass_one_another():
+    hinge = np.array([HINGE, HINGE + np.array([0.3, 0.3])])
+    world = make_world([3.0, 3.0], np.zeros(2), hinge)
+    for _ in range(30):
+        push(world, [0.0, 0.0], [0.0, 10.0])
+    assert bar_angle(world) > 1.2 and not world.contact.any()
+    assert not world.velocity[2].any()
+
+
 def test_a_free_gripper_moves_as_a_free_body():
     world = make_world([2.0, 2.0])
     position, velocity, force = np.array([2.0, 2.0]), np.zeros(2), np.array([3.0, -1.0])
