@@ -90,7 +90,7 @@ def test_the_page_knows_the_hinges(doors, run):
 
 def orange(picture):
     """Pixels of the scene in the door's colour, also pale."""
-    return int(np.sum(picture[400:760, :480, 0] - picture[400:760, :480, 2] > 60))
+    return int(np.sum(picture[400:760, :480, 0] - picture[400:760, :480, 2] > 40))
 
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="needs the chromium browser")
