@@ -142,6 +142,16 @@ def test_several_at_a_time(tmp_path: Path) -> None:
     assert [step.done for step in steps] == list(range(1, 13))
 
 
+def test_a_process_goes_on_with_what_it_has_compiled_and_is_not_kept_for_ever(
+    tmp_path: Path,
+) -> None:
+    cells = [Cell(f"{n}", ("make", f"{n}"), kind="ab"[n % 2]) for n in range(60)]
+    run(tmp_path, cells, workers=1)
+    first = [int(line.split()[1]) % 2 for line in done(tmp_path)]
+    assert first == [0] * 25 + [1] * 25 + [0] * 5 + [1] * 5
+    assert (tmp_path / "started.txt").read_text().count("started") == 3
+
+
 def test_interrupted_it_ends_its_workers_and_goes_on_later(tmp_path: Path) -> None:
     before = threading.active_count()
     cells = [make("a"), make("b"), make("c")]

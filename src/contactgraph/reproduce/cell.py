@@ -17,7 +17,7 @@ class Cell:
     arguments: tuple[str, ...]
     """What follows ``contactgraph`` on the command line."""
     kind: str
-    """Cells of one kind take about as long as each other."""
+    """Cells of one kind take about as long as each other, and need the same compiled programs."""
     needs: tuple["Cell", ...] = ()
     """Cells whose outputs it reads."""
     checkpoints: str = ""

@@ -130,7 +130,7 @@ def _beside(trained: Cell, name: str) -> str:
 def _evaluation(trained: Cell, data: Cell, name: str, options: Sequence[str] = ()) -> Cell:
     output = _beside(trained, f"{name}.json")
     arguments = ("evaluate", trained.output, data.output, *options, "--json", output)
-    return Cell(output, arguments, f"evaluate {data.output}", (trained, data))
+    return Cell(output, arguments, f"evaluate {data.output} after {trained.kind}", (trained, data))
 
 
 def _recorded(
@@ -191,7 +191,7 @@ def _control(
             *("--json", output),
             *saved,
         ),
-        f"{name} {task.name} {condition.slug}",
+        f"{name} {condition.slug} after {trained.kind}",
         (trained,),
     )
 
