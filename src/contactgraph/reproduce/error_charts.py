@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Chart
+from matplotlib.ticker import NullLocator
 
 from contactgraph.reproduce.chart import COLOURS, INK, SOFT, bars, chart, quiet
 from contactgraph.reproduce.claims_error import planned, sample_errors
@@ -21,6 +22,8 @@ from contactgraph.reproduce.declared import (
 from contactgraph.reproduce.plan_cells import Source, Where
 from contactgraph.reproduce.results import Figure, Results
 from contactgraph.reproduce.study_table import Row
+
+_LOWEST_CM, _HIGHEST_CM = 1e-3, 1e3
 
 
 def error_chart(table: Sequence[Row], tasks: Sequence[StudyTask]) -> Chart:
@@ -43,6 +46,10 @@ def error_chart(table: Sequence[Row], tasks: Sequence[StudyTask]) -> Chart:
         axes.axhline(1.0, color=INK, lw=0.7, ls=(0, (2, 3)))
         axes.set_yscale("log")
         quiet(axes, task.name)
+    # A model that stands still predicts to a nanometre, one that runs away is off by kilometres:
+    # neither may squeeze what is of interest.
+    bottom, top = panels[0].get_ylim()
+    panels[0].set_ylim(max(bottom, _LOWEST_CM), min(top, _HIGHEST_CM))
     panels[0].set_ylabel("N-step error, planned against executed, cm", color=SOFT, fontsize=9)
     handles, labels = panels[0].get_legend_handles_labels()
     made.legend(
@@ -160,7 +167,7 @@ def sample_chart(results: Results, tasks: Sequence[StudyTask], amounts: Amounts)
         axes.set_xscale("log")
         axes.axvline(TRAINING_RUNS, color=SOFT, lw=0.7, ls=(0, (2, 3)))
         axes.set_xticks(amounts.sample_sizes, [str(runs) for runs in amounts.sample_sizes])
-        axes.minorticks_off()
+        axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xlabel("training runs", color=SOFT, fontsize=9)
         axes.legend(fontsize=8, frameon=False)
         quiet(axes, task.name)
