@@ -51,6 +51,14 @@ def test_tables_say_the_same_to_people_and_programs() -> None:
     assert next(csv.DictReader(io.StringIO(empty)))["planned_cm_median"] == ""
 
 
+def test_an_error_of_moving_bodies_is_not_known_where_nothing_moves() -> None:
+    moving = "n_step_rmse_planned_moving_m"
+    still = rows(results({moving: None}, FULL_AB), TASKS, AMOUNTS)[4]
+    assert not still.planned_moving.known
+    wild = rows(results({moving: None, ERROR: None}, FULL_AB), TASKS, AMOUNTS)[4]
+    assert wild.planned_moving.median == float("inf")
+
+
 def test_targets_are_judged_by_the_median_over_seeds() -> None:
     where = Where(Source.planned, "door", GIM_TEMP.name, DOOR.hardest.name)
     base = by_the_paper(where)

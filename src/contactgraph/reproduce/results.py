@@ -76,6 +76,18 @@ class Results:
         """An error in m, as cm. Null is infinite: commands say so of predictions not finite."""
         return self._figure(where, lambda values: _scaled(values.get(key), 100.0, math.inf), key)
 
+    def moving_error_cm(self, where: Where, key: str, every_key: str) -> Figure:
+        """An error of moving bodies alone, cm. Null where nothing moves too: then not known.
+
+        ``every_key`` is of all bodies, and tells the two apart.
+        """
+        return self.derived(
+            where,
+            lambda values: _scaled(
+                values.get(key), 100.0, math.inf if values.get(every_key) is None else math.nan
+            ),
+        )
+
     def number(self, where: Where, key: str, scale: float = 1.0) -> Figure:
         """Any other number. Seeds whose number is null, which is not known, are left out."""
         return self._figure(where, lambda values: _scaled(values.get(key), scale, math.nan), key)

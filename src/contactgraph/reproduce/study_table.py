@@ -91,9 +91,11 @@ def _row(results: Results, task: StudyTask, condition: TestCondition, model: Stu
         condition=condition,
         model=model.name,
         planned=results.error_cm(closed, PLANNED_ERROR),
-        planned_moving=results.error_cm(closed, "n_step_rmse_planned_moving_m"),
+        planned_moving=results.moving_error_cm(
+            closed, "n_step_rmse_planned_moving_m", PLANNED_ERROR
+        ),
         recorded=results.error_cm(opened, RECORDED_ERROR),
-        recorded_moving=results.error_cm(opened, "n_step_rmse_moving_m"),
+        recorded_moving=results.moving_error_cm(opened, "n_step_rmse_moving_m", RECORDED_ERROR),
         constant_velocity=results.number(closed, "constant_velocity_planned_rmse_m", 100.0),
         frozen_contact=results.number(closed, "frozen_contact_planned_rmse_m", 100.0),
         edge_f1=results.number(closed, "edge_f1_planned"),
