@@ -6,10 +6,12 @@ from typing import TypeVar
 
 from contactgraph.data import InvalidInputError
 from contactgraph.model import (
+    Preset,
     full_ab,
     gim_non_temp,
     gim_temp,
     no_gim,
+    paper_literal,
     shipped_model,
     shipped_models,
 )
@@ -18,11 +20,12 @@ from contactgraph.tasks.contract import Policy, Task
 
 Value = TypeVar("Value")
 
-MODELS = {
+MODELS: dict[str, Preset] = {
     "gim-temp": gim_temp,
     "gim-non-temp": gim_non_temp,
     "no-gim": no_gim,
     "full-ab": full_ab,
+    "paper-literal": paper_literal,
 }
 EXPERTS: dict[str, Callable[[], Policy]] = {
     "pickup": PickupExpert,

@@ -17,12 +17,12 @@ class Train:
     out: Annotated[Path, arg(metavar="FOLDER")]
     """The folder of the run; new, or with --resume the one to go on with."""
     model: str = "gim-temp"
-    """gim-temp, gim-non-temp, no-gim or full-ab."""
+    """gim-temp, gim-non-temp, no-gim, full-ab or paper-literal."""
     seed: int = 0
     """One seed makes one result."""
     resume: bool = False
     """Go on from the last checkpoint of the run, with the settings it was begun with."""
-    contact_distance: float = 0.1
+    contact_distance: float = 0.085
     """About where bodies touch, centre to centre, in m (the paper's d_th)."""
     held_out: float = 0.15
     """Share of the runs kept from training, to choose the best model by."""
@@ -37,7 +37,9 @@ class Train:
     event_fraction: float = 0.6
     """Share of windows that hold an impact."""
     bystanders: int = 1
-    """Resting bodies put into every window."""
+    """Resting bodies put into every window; none where what can be touched hangs on hinges."""
+    prior_weight: float = 0.05
+    """Weight of the KL divergence of beliefs from the distance prior; 0 leaves it out."""
 
     def run(self) -> None:
         """Train, saving checkpoints on the way."""
@@ -59,6 +61,7 @@ class Train:
             FitProgress,
             FitState,
             FitStatus,
+            LossTerms,
             Recipe,
             RunFolder,
             fit,
@@ -73,7 +76,14 @@ class Train:
                 f"--contact-distance must be positive metres, found {told.contact_distance}"
             )
         build = looked_up("--model", told.model, MODELS)
-        recipe = Recipe(**{name: getattr(told, name) for name in _RECIPE})
+        if not (told.prior_weight >= 0 and math.isfinite(told.prior_weight)):
+            raise InvalidInputError(
+                f"--prior-weight must be a number of at least 0, found {told.prior_weight}"
+            )
+        recipe = Recipe(
+            **{name: getattr(told, name) for name in _RECIPE},
+            weights=LossTerms(prior=told.prior_weight),
+        )
         dataset = read_trajectories(self.data)
         checksum = sha256(self.data)
         train, held_out = split_by_run(dataset, told.held_out, told.seed)
@@ -84,6 +94,7 @@ class Train:
             dataset.control_size,
             dataset.dt,
             told.contact_distance,
+            hinges=any(run.scene.has_hinges for run in dataset),
             key=jax.random.key(told.seed),
         )
         state = initial_state(model, recipe, told.seed)
@@ -97,6 +108,11 @@ class Train:
             config = {**asdict(told), "data": str(self.data), "out": str(self.out)}
             folder.create({**config, "data_sha256": checksum, **provenance()}, state)
         options = f"--model {told.model} --seed {told.seed}"
+        options += "".join(
+            f" --{name.replace('_', '-')} {getattr(told, name)}"
+            for name in ("bystanders", "prior_weight")
+            if getattr(told, name) != getattr(type(told), name)
+        )
         summary = {
             "command": f"contactgraph train {self.data.name} {options}",
             "seed": told.seed,

@@ -1,7 +1,5 @@
 """Predicting a policy's future: states, controls and, for free, the linearisation along them."""
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,15 @@ from jaxtyping import Array, Float, Int
 from contactgraph.control.control_step import ControlLimits
 from contactgraph.control.lqr import LQRPolicy
 from contactgraph.control.step_model import StepModel
-from contactgraph.model import ContactBelief, LinearDynamics, ModelState, Nodes
+from contactgraph.model import (
+    ContactBelief,
+    LinearDynamics,
+    ModelState,
+    Nodes,
+    held_response,
+    pushed,
+    response_of,
+)
 
 
 class Rollout(eqx.Module):
@@ -69,10 +75,9 @@ def roll_out(
     """Follow a policy on ``block_state`` for H steps through the model, in one scan.
 
     Whether bodies touch within a step depends on the step's own control. A planner to which the
-    model did not say so would count on a touch that its own braking prevents. So the model is
-    told the push of every control: the control times what it did to positions in the step before.
+    model did not say so would count on a touch that its own braking prevents: see `pushed`.
     """
-    response = _response_before_new_contacts(model, start, nodes)
+    response = held_response(model, start, nodes)
 
     def advance(
         carry: tuple[ModelState, Float[Array, "N D U"]], stage: LQRPolicy
@@ -82,13 +87,11 @@ def roll_out(
         # A sum rather than a product with K: it fuses with what is around it.
         u = jnp.sum(stage.K * x, axis=-1) + stage.k
         u = u if limits is None else limits(u)
-        push = jnp.sum(response * u, axis=-1)
-        aware = dataclasses.replace(state, push=push.astype(state.velocity.dtype))
-        linear, belief = model.linear_step(aware, nodes)
+        linear, belief = model.linear_step(pushed(state, response, u), nodes)
         position, velocity = linear(state.position, state.velocity, u)
         after = _like(ModelState(position, velocity, belief), state)
         part = jax.tree.map(lambda block: block[involved].astype(x.dtype), linear)
-        carry = after, linear.B[..., 0, :].astype(response.dtype)
+        carry = after, response_of(linear, response)
         return carry, Rollout(after.position, after.velocity, after.belief, x, u, part)
 
     (last, _), steps = jax.lax.scan(advance, (start, response), policy)
@@ -100,15 +103,6 @@ def roll_out(
         controls=steps.controls,
         dynamics=steps.dynamics,
     )
-
-
-def _response_before_new_contacts(
-    model: StepModel, start: ModelState, nodes: Nodes
-) -> Float[Array, "N D U"]:
-    """[m/N] How far each node is moved by the control, if only the present contacts hold."""
-    holds = nodes.candidate & (start.belief.probability > 0.5)
-    linear, _ = model.linear_step(start, dataclasses.replace(nodes, candidate=holds))
-    return linear.B[..., 0, :].astype(start.position.dtype)
 
 
 def _like(state: ModelState, other: ModelState) -> ModelState:

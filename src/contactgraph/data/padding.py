@@ -32,6 +32,8 @@ class PaddedRuns:
     """[R, E] bool: whether the two nodes could touch; edges in `pair_indices`' order."""
     contact: np.ndarray | None
     """[R, T+1, E] bool: whether they do. For evaluation only. None: not recorded in every run."""
+    anchor: np.ndarray | None
+    """[R, N, D] m: where a node is hinged, NaN where it is not. None: nobody is in any run."""
     dt: float
     """Time between two steps, s."""
 
@@ -50,6 +52,7 @@ def pad_runs(dataset: Dataset, node_capacity: int | None = None) -> PaddedRuns:
     runs, steps = len(dataset), max(run.steps for run in dataset)
     pairs = pair_indices(nodes)
     labelled = all(run.contact is not None for run in dataset)
+    hinges = any(run.scene.has_hinges for run in dataset)
     padded = PaddedRuns(
         position=np.zeros((runs, steps + 1, nodes, dataset.dimension)),
         velocity=np.zeros((runs, steps + 1, nodes, dataset.dimension)),
@@ -59,6 +62,7 @@ def pad_runs(dataset: Dataset, node_capacity: int | None = None) -> PaddedRuns:
         step_mask=np.zeros((runs, steps), dtype=bool),
         candidate=np.zeros((runs, len(pairs)), dtype=bool),
         contact=np.zeros((runs, steps + 1, len(pairs)), dtype=bool) if labelled else None,
+        anchor=np.full((runs, nodes, dataset.dimension), np.nan) if hinges else None,
         dt=dataset.dt,
     )
     for index, run in enumerate(dataset):
@@ -68,6 +72,8 @@ def pad_runs(dataset: Dataset, node_capacity: int | None = None) -> PaddedRuns:
         padded.control[index, : run.steps] = run.control
         padded.node_mask[index, :count] = True
         padded.actuated[index, :count] = run.scene.actuated
+        if padded.anchor is not None and run.scene.anchor is not None:
+            padded.anchor[index, :count] = run.scene.anchor
         padded.step_mask[index, : run.steps] = True
         # A run's own pairs are a prefix of those of the capacity: see `pair_indices`.
         own = pairs[: count * (count - 1) // 2]

@@ -77,6 +77,11 @@ class Scene:
         """N, the number of nodes."""
         return len(self.node_name)
 
+    @property
+    def has_hinges(self) -> bool:
+        """Whether some node hangs on a hinge."""
+        return self.anchor is not None and bool(np.any(np.isfinite(self.anchor)))
+
 
 def _checked_edges(edges: np.ndarray, count: int) -> np.ndarray:
     edges = np.asarray(edges, dtype=np.int64)

@@ -1,12 +1,13 @@
 """The model predictive controller as a policy that runs in a task."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contactgraph.control import MPC, MPCState, Plan, chain_cost
-from contactgraph.data import InvalidInputError, Scene
+from contactgraph.control import MPC, MPCState, Plan, QuadraticCost, chain_cost
+from contactgraph.data import InvalidInputError, Scene, pair_indices
+from contactgraph.evaluate.floors import joined
 from contactgraph.evaluate.scene_nodes import scene_nodes
 from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
 from contactgraph.tasks.contract import ChainCost, Observation
@@ -70,6 +71,7 @@ class MPCPolicy:
         self._sensor: FaultySensor | None = None
         self._scene: Scene | None = None
         self._state: MPCState | None = None
+        self._chain = terms.chain
         self._ticks: list[_Tick] = []
 
     def reset(self, scene: Scene, seed: int) -> None:
@@ -89,6 +91,7 @@ class MPCPolicy:
             self._state = self._begin(observation)
         contacts = self._contacts(observation)
         begin = time.perf_counter()
+        self._state = self._along_what_is_held(self._state)
         plan, self._state = self._mpc.step(observation, contacts, self._state)
         control = np.asarray(plan.controls[0], dtype=np.float64)  # waits for the plan
         self._ticks.append(_Tick(1e3 * (time.perf_counter() - begin), plan))
@@ -118,13 +121,37 @@ class MPCPolicy:
     def _begin(self, observation: Observation) -> MPCState:
         if self._scene is None or self._scene.goal is None:
             raise InvalidInputError("call reset(scene, seed) first")
-        cost = chain_cost(
-            self._terms.chain,
+        self._chain = self._terms.chain
+        nodes = scene_nodes(self._scene, self._capacity)
+        return self._mpc.reset(observation, nodes, self._cost(self._scene.goal))
+
+    def _along_what_is_held(self, state: MPCState) -> MPCState:
+        """The state with the chain's held nodes before those that are still to be picked up.
+
+        A node that is picked up out of turn would else stand in the chain between two that pull
+        at it, and nothing further would be picked up.
+        """
+        if self._scene is None or self._scene.goal is None or len(self._terms.chain) < 3:
+            return state
+        chain = self._terms.chain
+        pairs = pair_indices(self._capacity)
+        active = pairs[np.asarray(state.belief.probability) > 0.5]
+        contact = np.zeros((self._capacity, self._capacity), dtype=bool)
+        contact[active[:, 0], active[:, 1]] = contact[active[:, 1], active[:, 0]] = True
+        held = joined(contact[None])[0, chain[0]] > 0
+        onward = tuple(sorted(chain, key=lambda node: (not held[node], chain.index(node))))
+        if onward == self._chain:
+            return state
+        self._chain = onward
+        return replace(state, cost=self._cost(self._scene.goal))
+
+    def _cost(self, goal: np.ndarray) -> QuadraticCost:
+        return chain_cost(
+            self._chain,
             self._terms.pick_weights,
             self._terms.goal_weights,
             self._terms.control_weight,
-            self._scene.goal,
+            goal,
             self._capacity,
             self._control_size,
         )
-        return self._mpc.reset(observation, scene_nodes(self._scene, self._capacity), cost)

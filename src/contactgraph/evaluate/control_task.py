@@ -57,7 +57,7 @@ def control_task(
     task.reset(seed=seeds[0])
     box = cast(gymnasium.spaces.Box, task.action_space)
     control_size = int(np.prod(box.shape))
-    check_fit(model, task.scene.dimension, control_size, task.scene.dt, "the task")
+    check_fit(model, task.scene, control_size, "the task")
     terms = task.cost_terms()
     limits = ControlLimits(jnp.asarray(box.low), jnp.asarray(box.high))
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)

@@ -50,7 +50,8 @@ def rollout_growth(model: StepModel, dataset: Dataset, steps: int) -> RolloutGro
 
     Raises `InvalidInputError` where ``steps`` is not positive, or model and data do not fit.
     """
-    check_fit(model, dataset.dimension, dataset.control_size, dataset.dt, "the data")
+    for run in dataset:
+        check_fit(model, run.scene, run.control_size, "the data")
     if steps < 1:
         raise InvalidInputError(f"steps must be at least 1, found {steps}")
     capacity = max(run.scene.node_count for run in dataset)

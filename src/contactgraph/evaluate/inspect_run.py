@@ -42,7 +42,7 @@ def inspect_run(
     Raises `InvalidInputError` where model and run do not fit, or the run has more nodes than
     ``node_capacity`` (default: no padding).
     """
-    check_fit(model, run.scene.dimension, run.control_size, run.scene.dt, "the run")
+    check_fit(model, run.scene, run.control_size, "the run")
     count = run.scene.node_count
     capacity = count if node_capacity is None else node_capacity
     padded = recording(run, run.steps, capacity, number_type(model), measured)

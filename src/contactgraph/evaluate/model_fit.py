@@ -3,12 +3,12 @@
 import math
 
 from contactgraph.control import StepModel
-from contactgraph.data import InvalidInputError
+from contactgraph.data import InvalidInputError, Scene
 from contactgraph.model import ContactDynamics
 
 
-def check_fit(model: StepModel, dimension: int, control_size: int, dt: float, other: str) -> None:
-    """Raises `InvalidInputError` where sizes or time step [s] are not those the model is for.
+def check_fit(model: StepModel, scene: Scene, control_size: int, other: str) -> None:
+    """Raises `InvalidInputError` where a scene or its control are not of the kind the model is for.
 
     ``other`` names what does not fit, e.g. ``"the data"``. Models other than `ContactDynamics` do
     not say what they are for.
@@ -16,14 +16,23 @@ def check_fit(model: StepModel, dimension: int, control_size: int, dt: float, ot
     if not isinstance(model, ContactDynamics):
         return
     for what, found, wanted in (
-        ("dimension D", dimension, model.dimension),
+        ("dimension D", scene.dimension, model.dimension),
         ("control size U", control_size, model.control_size),
     ):
         if found != wanted:
             raise InvalidInputError(
                 f"the model is for {what} {wanted}, but {other} has {found}; they must agree"
             )
-    if not math.isclose(dt, model.dt, rel_tol=1e-6):
+    if not math.isclose(scene.dt, model.dt, rel_tol=1e-6):
         raise InvalidInputError(
-            f"the model is for dt {model.dt:g} s, but {other} has {dt:g} s; they must agree"
+            f"the model is for dt {model.dt:g} s, but {other} has {scene.dt:g} s; they must agree"
+        )
+    if model.features.hinges and not scene.has_hinges:
+        raise InvalidInputError(
+            f"the model is for bodies on hinges, but {other} has no anchor; it must say where a "
+            "hinge is"
+        )
+    if scene.has_hinges and not model.features.hinges:
+        raise InvalidInputError(
+            f"the model knows no hinges, but {other} has an anchor; train one on data that has"
         )

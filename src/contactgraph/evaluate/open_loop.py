@@ -104,7 +104,8 @@ def evaluate_open_loop(
     Raises `InvalidInputError` where the horizon is shorter than half a step or longer than every
     run, where model and data do not fit, or where there are no contacts for faults to spoil.
     """
-    check_fit(model, dataset.dimension, dataset.control_size, dataset.dt, "the data")
+    for run in dataset:
+        check_fit(model, run.scene, run.control_size, "the data")
     steps = _steps(dataset, horizon_s)
     known = all(run.contact is not None for run in dataset)
     if not (known or faults.exact):

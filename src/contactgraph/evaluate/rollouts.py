@@ -11,7 +11,16 @@ from jaxtyping import Array, Bool, Float, Int
 from contactgraph.control import StepModel
 from contactgraph.data import Trajectory, pair_indices
 from contactgraph.evaluate.scene_nodes import scene_nodes
-from contactgraph.model import ContactBelief, ContactSensor, ModelState, Nodes, correct
+from contactgraph.model import (
+    ContactBelief,
+    ContactSensor,
+    ModelState,
+    Nodes,
+    correct,
+    held_response,
+    pushed,
+    response_of,
+)
 
 _Tree = TypeVar("_Tree", ModelState, ContactBelief)
 
@@ -91,17 +100,25 @@ def number_type(model: StepModel) -> np.dtype:
 def carry_belief(model: StepModel, run: Recording, sensor: ContactSensor) -> CarriedBelief:
     """The belief carried along a run: predicted for every step, then corrected by its contacts."""
 
+    Carry = tuple[ContactBelief, Float[Array, "N D U"]]
+
     def advance(
-        predicted: ContactBelief, step: tuple[Array, Array, Array]
-    ) -> tuple[ContactBelief, CarriedBelief]:
-        position, velocity, contact = step
+        carry: Carry, step: tuple[Array, Array, Array, Array]
+    ) -> tuple[Carry, CarriedBelief]:
+        predicted, response = carry
+        position, velocity, contact, control = step
         now = correct(predicted, contact, sensor)
-        _, coming = model.linear_step(ModelState(position, velocity, now), run.nodes)
+        state = pushed(ModelState(position, velocity, now), response, control)
+        linear, coming = model.linear_step(state, run.nodes)
         coming = _like(coming, predicted)
-        return coming, CarriedBelief(now, coming)
+        return (coming, response_of(linear, response)), CarriedBelief(now, coming)
 
     first = model.initial_belief(run.position[0], run.velocity[0], run.nodes)
-    return jax.lax.scan(advance, first, (run.position, run.velocity, run.contact))[1]
+    begin = ModelState(run.position[0], run.velocity[0], first)
+    # No control follows the last state.
+    control = jnp.concatenate([run.control, jnp.zeros_like(run.control[:1])])
+    steps = run.position, run.velocity, run.contact, control
+    return jax.lax.scan(advance, (first, held_response(model, begin, run.nodes)), steps)[1]
 
 
 @eqx.filter_jit
@@ -116,13 +133,18 @@ def predict_run(
         state = ModelState(run.position[start], run.velocity[start], belief)
         controls = jax.lax.dynamic_slice_in_dim(run.control, start, steps)
 
-        def advance(state: ModelState, control: Array) -> tuple[ModelState, tuple[Array, Array]]:
-            linear, belief = model.linear_step(state, run.nodes)
+        Carry = tuple[ModelState, Float[Array, "N D U"]]
+
+        def advance(carry: Carry, control: Array) -> tuple[Carry, tuple[Array, Array]]:
+            state, response = carry
+            linear, belief = model.linear_step(pushed(state, response, control), run.nodes)
             position, velocity = linear(state.position, state.velocity, control)
             after = _like(ModelState(position, velocity, belief), state)
-            return after, (after.position, after.belief.probability > 0.5)
+            seen = after.position, after.belief.probability > 0.5
+            return (after, response_of(linear, response)), seen
 
-        return jax.lax.scan(advance, state, controls)[1]
+        response = held_response(model, state, run.nodes)
+        return jax.lax.scan(advance, (state, response), controls)[1]
 
     count, edges = starts.shape[0], run.contact.shape[-1]
     batch = min(_BATCH, count) if edges <= _SMALL_GRAPH else 1

@@ -20,4 +20,13 @@ def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
     candidate = candidate_pairs(scene, capacity)
     actuated = np.zeros(capacity, dtype=bool)
     actuated[:count] = scene.actuated
-    return Nodes(jnp.asarray(actuated), jnp.asarray(exists), jnp.asarray(candidate))
+    anchor = None
+    if scene.anchor is not None and scene.has_hinges:
+        anchor = np.full((capacity, scene.dimension), np.nan)
+        anchor[:count] = scene.anchor
+    return Nodes(
+        actuated=jnp.asarray(actuated),
+        mask=jnp.asarray(exists),
+        candidate=jnp.asarray(candidate),
+        anchor=None if anchor is None else jnp.asarray(anchor),
+    )

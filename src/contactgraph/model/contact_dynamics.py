@@ -1,5 +1,7 @@
 """The whole model: inference of the edges, and local dynamics given the edges."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,12 +14,10 @@ from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
 from contactgraph.model.geometry import Geometry, geometry
 from contactgraph.model.inference import AllEdges, MemorylessEdges, RecurrentEdges
 from contactgraph.model.linear_dynamics import LinearDynamics
-from contactgraph.model.local_dynamics import (
-    FreeLinearDynamics,
-    LocalInput,
-    SpringMassDamperDynamics,
-)
-from contactgraph.model.prior import DistancePrior
+from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
+from contactgraph.model.local_input import LocalInput
+from contactgraph.model.prior import DistancePrior, TouchPrior
+from contactgraph.model.push import held_response, pushed, response_of
 from contactgraph.model.reach import Everywhere, Reach
 from contactgraph.model.sampling import ArgmaxSample, GumbelSample
 from contactgraph.model.spring_mass_damper import SpringMassDamper
@@ -45,7 +45,7 @@ class ContactDynamics(eqx.Module):
     inference: RecurrentEdges | MemorylessEdges | AllEdges
     local_dynamics: SpringMassDamperDynamics | FreeLinearDynamics
     features: InvariantFeatures | AbsoluteFeatures
-    prior: DistancePrior
+    prior: DistancePrior | TouchPrior
     reach: Reach | Everywhere
     sample: ArgmaxSample | GumbelSample
     dt: float = eqx.field(static=True)
@@ -73,7 +73,8 @@ class ContactDynamics(eqx.Module):
     ) -> Percept:
         """What does not depend on the belief: geometry, features and edge embeddings."""
         pairs = jnp.asarray(pair_indices(position.shape[0]))
-        seen = geometry(position, velocity, pairs, self.dt, self.features.touch_distance, push)
+        touch_distance = self.features.touch_distance
+        seen = geometry(position, velocity, pairs, self.dt, touch_distance, push, nodes.anchor)
         node_features = self.features.node(position, velocity, nodes)
         edge_features = self.features.edge(seen)
         exists = nodes.candidate & nodes.mask[seen.first] & nodes.mask[seen.second]
@@ -84,7 +85,7 @@ class ContactDynamics(eqx.Module):
 
     def prior_belief(self, percept: Percept) -> ContactBelief:
         """What distance alone says, the active part spread evenly over the active types."""
-        active = self.prior(percept.geometry) * percept.weight
+        active = self.prior(percept.geometry, self.features.touch_distance) * percept.weight
         types = self.inference.edge_types - 1
         spread = jnp.repeat(active[:, None] / types, types, axis=-1)
         return ContactBelief(jnp.concatenate([1.0 - active[:, None], spread], axis=-1))
@@ -108,6 +109,7 @@ class ContactDynamics(eqx.Module):
         belief: ContactBelief,
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
+        nodes: Nodes,
         key: PRNGKeyArray | None = None,
     ) -> LocalInput:
         """Cut the inactive edges from the graph."""
@@ -115,10 +117,12 @@ class ContactDynamics(eqx.Module):
         return LocalInput(
             position=position,
             velocity=velocity,
+            kind=self.features.kind(nodes, position.dtype),
             node_features=percept.node_features,
             edge_features=percept.edge_features,
             weight=edge_active[:, 1:] * percept.weight[:, None],
             geometry=percept.geometry,
+            anchor=nodes.anchor,
         )
 
     def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
@@ -128,23 +132,28 @@ class ContactDynamics(eqx.Module):
         """
         percept = self.perceive(state.position, state.velocity, nodes, state.push)
         belief = self.predict_belief(state.belief, percept)
-        local = self.local_input(percept, belief, state.position, state.velocity)
+        local = self.local_input(percept, belief, state.position, state.velocity, nodes)
         return self.local_dynamics(local, self.dt, self.control_size), belief
 
     def step(self, state: ModelState, control: Float[Array, " U"], nodes: Nodes) -> ModelState:
         """The next state under a control [N]."""
-        linear, belief = self.linear_step(state, nodes)
+        response = held_response(self, state, nodes)
+        linear, belief = self.linear_step(pushed(state, response, control), nodes)
         position, velocity = linear(state.position, state.velocity, control)
         return ModelState(position, velocity, belief)
 
     def rollout(self, state: ModelState, controls: Float[Array, "H U"], nodes: Nodes) -> ModelState:
         """All states that follow, ``[H, …]``; belief h is about the step that led to state h."""
+        Carry = tuple[ModelState, Float[Array, "N D U"]]
 
-        def advance(state: ModelState, control: Array) -> tuple[ModelState, ModelState]:
-            state = self.step(state, control, nodes)
-            return state, state
+        def advance(carry: Carry, control: Array) -> tuple[Carry, ModelState]:
+            state, response = carry
+            linear, belief = self.linear_step(pushed(state, response, control), nodes)
+            state = ModelState(*linear(state.position, state.velocity, control), belief)
+            return (state, response_of(linear, response)), state
 
-        return jax.lax.scan(advance, state, controls)[1]
+        first = dataclasses.replace(state, push=None)
+        return jax.lax.scan(advance, (first, held_response(self, state, nodes)), controls)[1]
 
     def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
         """The spring-mass-damper parameters of the coming step, each [N, D].
@@ -155,5 +164,5 @@ class ContactDynamics(eqx.Module):
             raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
         percept = self.perceive(state.position, state.velocity, nodes)
         belief = self.predict_belief(state.belief, percept)
-        local = self.local_input(percept, belief, state.position, state.velocity)
-        return self.local_dynamics.parameters(local)
+        local = self.local_input(percept, belief, state.position, state.velocity, nodes)
+        return self.local_dynamics.parameters(local, self.dt, self.control_size)

@@ -16,12 +16,13 @@ import jax
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.coupled_head import CoupledHead
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.heads import CoupledHead, PerDegreeHead
 from contactgraph.model.inference import AllEdges, MemorylessEdges, RecurrentEdges
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
-from contactgraph.model.message_passing import MessagePassing, TypedMessagePassing
-from contactgraph.model.prior import DistancePrior
+from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
+from contactgraph.model.per_degree_head import PerDegreeHead
+from contactgraph.model.prior import DistancePrior, TouchPrior
 from contactgraph.model.reach import Everywhere, Reach
 from contactgraph.model.sampling import ArgmaxSample, GumbelSample
 from contactgraph.model.theta_method import ThetaMethod
@@ -35,6 +36,7 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         ContactDynamics,
         CoupledHead,
         DistancePrior,
+        EdgeNetwork,
         Everywhere,
         FreeLinearDynamics,
         GumbelSample,
@@ -46,6 +48,7 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         RecurrentEdges,
         SpringMassDamperDynamics,
         ThetaMethod,
+        TouchPrior,
         TypedMessagePassing,
     )
 }
@@ -92,7 +95,7 @@ def _describe_value(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
         return kinds[0](value)
     if typing.get_origin(kinds[0]) is list:
         return [
-            _describe(part, typing.get_args(kinds[0]), f"{where}.{index}")
+            _describe(part, _part_types(kinds[0]), f"{where}.{index}")
             for index, part in enumerate(value)
         ]
     return _describe(value, kinds, where)
@@ -145,7 +148,7 @@ def _build_value(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
     if typing.get_origin(kind) is list:
         if not isinstance(value, list) or not 1 <= len(value) <= _LARGEST_SIZE:
             raise InvalidInputError(f"{where}: must be a list of 1 to {_LARGEST_SIZE} parts")
-        parts = typing.get_args(kind)
+        parts = _part_types(kind)
         return [_build(part, parts, f"{where}.{index}") for index, part in enumerate(value)]
     return _build(value, kinds, where)
 
@@ -161,6 +164,12 @@ def _arguments(known: Any) -> dict[str, tuple[Any, ...]]:
         for name, parameter in inspect.signature(known.__init__).parameters.items()
         if name not in ("self", "key")
     }
+
+
+def _part_types(kind: Any) -> tuple[Any, ...]:
+    """What the parts of a list may be."""
+    (part,) = typing.get_args(kind)
+    return typing.get_args(part) if isinstance(part, types.UnionType) else (part,)
 
 
 def _names(allowed: tuple[type, ...]) -> str:

@@ -1,65 +1,78 @@
 """What the networks see of nodes and edges."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from contactgraph.model.geometry import Geometry
 from contactgraph.model.state import Nodes
 
+_NEAR = 0.03
+"""Gap, in distances of touch, that tells bodies which touch from those which are merely near."""
+
 
 class InvariantFeatures(eqx.Module):
     """Features that no rotation, reflection or translation of the scene changes.
 
-    Node: actuated or not, speed. Edge: distance now and one step ahead, closing and sideways
-    speed, and the share of the step that follows the touch. All but the distances are bounded,
-    so that a speed never seen in training is not far from those that were. The distance at which
-    bodies touch is learned; lengths are measured in `length` [m], speeds in `speed` [m/s].
+    Node: its kind (actuated or not, hinged or not where there are hinges), speed. Edge: the gaps
+    between the two bodies, now and where they come nearest in the coming step, bounded; the
+    distance; the share of the step that follows the touch. Speeds of edges are none of it: what is
+    coming tells of them what matters, so a speed never seen in training is nothing new. The
+    distance at which bodies touch is learned; distances are measured in `length` [m], speeds in
+    `speed` [m/s].
     """
 
     touch_distance: Float[Array, ""]
-    """m, centre to centre; learned."""
+    """m, centre to centre, or to a bar's middle line; learned."""
     length: float = eqx.field(static=True)
     speed: float = eqx.field(static=True)
+    hinges: bool = eqx.field(static=True)
 
-    def __init__(self, length: float = 0.1, speed: float = 1.0):
+    def __init__(self, length: float = 0.1, speed: float = 1.0, hinges: bool = False):
+        """`hinges`: whether nodes may hang on hinges."""
         # A product, so that its type is not weak: else the first update of training recompiles.
         self.touch_distance = length * jnp.ones(())
         self.length = length
         self.speed = speed
+        self.hinges = hinges
+
+    @property
+    def kinds(self) -> int:
+        """Number of `kind`'s features."""
+        return 4 if self.hinges else 2
+
+    def kind(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N kinds"]:
+        """One-hot: actuated or not; times hinged or not, where there are hinges."""
+        return _kind(nodes, self.hinges, dtype)
 
     def node_size(self, dimension: int) -> int:
         """Number of features a node."""
-        return 2
+        return self.kinds + 1
 
     def edge_size(self, dimension: int) -> int:
         """Number of features an edge."""
-        return 5
+        return 4
 
     def node(
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
     ) -> Float[Array, "N F"]:
         """Features of every node."""
         speed = jnp.sqrt(jnp.sum(velocity**2, axis=-1) + 1e-12) / self.speed
-        return jnp.stack([nodes.actuated.astype(speed.dtype), speed / (1.0 + speed)], axis=-1)
+        bounded = (speed / (1.0 + speed))[:, None]
+        return jnp.concatenate([self.kind(nodes, speed.dtype), bounded], axis=-1)
 
     def edge(self, geometry: Geometry) -> Float[Array, "2 E F"]:
         """Features of every edge, for the message to its first and to its second node."""
-        relative = geometry.relative_velocity
-        closing = -jnp.sum(relative * geometry.direction, axis=-1)
-        sideways = relative + closing[:, None] * geometry.direction
-        sideways = jnp.sqrt(jnp.sum(sideways**2, axis=-1) + 1e-12) / self.speed
-        closing = closing / self.speed
-        features = jnp.stack(
-            [
-                geometry.distance / self.length - 1.0,
-                geometry.coming_distance / self.length - 1.0,
-                closing / (1.0 + jnp.abs(closing)),
-                sideways / (1.0 + sideways),
-                geometry.share_after_touch,
-            ],
-            axis=-1,
-        )
+        # The distance of touch is learned from the impacts' timing alone.
+        touch = jax.lax.stop_gradient(self.touch_distance)
+        gaps = jnp.stack([geometry.distance, geometry.nearest], axis=-1) / touch - 1.0
+        # Touching or merely near: a few hundredths of the distance decide.
+        close = gaps / (_NEAR + jnp.abs(gaps))
+        distance = geometry.distance[:, None] / self.length - 1.0
+        share = geometry.share_after_touch[:, None]
+        features = jnp.concatenate([close, distance, share], axis=-1)
         return jnp.stack([features, features])
 
 
@@ -68,10 +81,21 @@ class AbsoluteFeatures(eqx.Module):
 
     touch_distance: float = eqx.field(static=True, default=0.1)
     """m, centre to centre; these features do not use it."""
+    hinges: bool = eqx.field(static=True, default=False)
+    """Whether nodes may hang on hinges; the way from the hinge is a feature then."""
+
+    @property
+    def kinds(self) -> int:
+        """Number of `kind`'s features."""
+        return 4 if self.hinges else 2
+
+    def kind(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N kinds"]:
+        """One-hot: actuated or not; times hinged or not, where there are hinges."""
+        return _kind(nodes, self.hinges, dtype)
 
     def node_size(self, dimension: int) -> int:
         """Number of features a node."""
-        return 2 * dimension + 1
+        return 2 * dimension + self.kinds + self.hinges * dimension
 
     def edge_size(self, dimension: int) -> int:
         """Number of features an edge."""
@@ -81,10 +105,22 @@ class AbsoluteFeatures(eqx.Module):
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
     ) -> Float[Array, "N F"]:
         """Features of every node."""
-        actuated = nodes.actuated.astype(position.dtype)[:, None]
-        return jnp.concatenate([position, velocity, actuated], axis=-1)
+        features = [position, velocity, self.kind(nodes, position.dtype)]
+        if self.hinges and nodes.anchor is not None:
+            hinged = nodes.hinged[:, None]
+            features.append(jnp.where(hinged, position - jnp.nan_to_num(nodes.anchor), 0.0))
+        elif self.hinges:
+            features.append(jnp.zeros_like(position))
+        return jnp.concatenate(features, axis=-1)
 
     def edge(self, geometry: Geometry) -> Float[Array, "2 E F"]:
         """Features of every edge, for the message to its first and to its second node."""
         features = geometry.distance[:, None]
         return jnp.stack([features, features])
+
+
+def _kind(nodes: Nodes, hinges: bool, dtype: DTypeLike) -> Float[Array, "N kinds"]:
+    kind = nodes.actuated.astype(int)
+    if hinges:
+        kind = kind + 2 * nodes.hinged.astype(int)
+    return jax.nn.one_hot(kind, 4 if hinges else 2, dtype=dtype)

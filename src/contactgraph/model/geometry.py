@@ -2,11 +2,16 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
+
+from contactgraph.model.hinges import Bars
 
 _SMALLEST = 1e-12
 _RESTING_SPEED = 0.01
 """Relative speed, m/s, well below which nothing counts as an approach."""
+
+_REFINEMENTS = 3
+"""Of the moments of touch and of closest approach under a force."""
 
 
 class Geometry(eqx.Module):
@@ -15,24 +20,25 @@ class Geometry(eqx.Module):
     first: Int[Array, " E"]
     second: Int[Array, " E"]
     displacement: Float[Array, "E D"]
-    """From the first to the second node, m."""
+    """From the first to the second node, m; between the nearest points where one is hinged."""
     relative_velocity: Float[Array, "E D"]
-    """Of the second node against the first, m/s."""
+    """Of the second node against the first, m/s, where they meet."""
     distance: Float[Array, " E"]
     """m"""
     coming_distance: Float[Array, " E"]
     """m; after one step without forces."""
+    nearest: Float[Array, " E"]
+    """m; the least distance within the step without forces."""
     direction: Float[Array, "E D"]
-    """Unit vector from the first to the second node."""
+    """Unit vector along the displacement."""
 
     share_after_touch: Float[Array, " E"]
     """Share of the coming step, in [0, 1], that follows the moment at which the two nodes, if
     nothing hindered them, would come as near as bodies touch. 0 where they do not meet."""
 
-    @property
-    def nearest(self) -> Float[Array, " E"]:
-        """The smaller of the distances now and one step ahead, m."""
-        return jnp.minimum(self.distance, self.coming_distance)
+    lever: Float[Array, "2 E d d"]
+    """What takes the velocities of both nodes to where they meet: `Bars.lever`, d = D, where there
+    are hinges; ones, d = 1, where there are none."""
 
 
 def geometry(
@@ -42,48 +48,105 @@ def geometry(
     dt: float,
     touch_distance: Float[Array, ""] | float,
     push: Float[Array, "N D"] | None = None,
+    anchor: Float[Array, "N D"] | None = None,
 ) -> Geometry:
     """The geometry of the edges `pairs` at one step of `dt` [s]; finite where nodes coincide.
 
     Bodies touch `touch_distance` [m] apart, centre to centre. `push` [m] is how far the
     step's control alone moves the nodes, where it is known; what is coming depends on it.
+    `anchor` [m] is where nodes are hinged, NaN where they are not; see `Bars`.
     """
     first, second = pairs[:, 0], pairs[:, 1]
-    displacement = position[second] - position[first]
-    relative_velocity = velocity[second] - velocity[first]
+    displacement, lever, slides = _meeting(position, pairs, anchor)
+
+    def relative(motion: Float[Array, "N D"]) -> Float[Array, "E D"]:
+        if anchor is None:
+            return motion[second] - motion[first]
+        ends = jnp.stack([first, second])
+        at_contact = jnp.einsum("eijk,eik->eij", lever, motion[ends])
+        return at_contact[1] - at_contact[0]
+
+    def nearing(motion: Float[Array, "E D"]) -> Float[Array, "E D"]:
+        # A point that slides along a bar is no nearer for it.
+        for along in slides:
+            motion = motion - along * jnp.sum(along * motion, axis=-1, keepdims=True)
+        return motion
+
+    relative_velocity = relative(velocity)
+    drifted = dt * nearing(relative_velocity)
+    driven = jnp.zeros_like(drifted) if push is None else nearing(relative(push))
+    closest = jnp.full(displacement.shape[:1], 0.5, displacement.dtype)
+    for _ in range(1 if push is None else _REFINEMENTS):
+        closest = _closest(displacement, _way(drifted, driven, closest))
+    until, meets = closest, jnp.zeros_like(closest, bool)
+    for _ in range(1 if push is None else _REFINEMENTS):
+        until, meets = _touch(displacement, _way(drifted, driven, until), touch_distance)
+    # Bodies that hold together have relative velocities of rounding size, and no impact.
+    square = jnp.sum((drifted + driven) ** 2, axis=-1)
+    impact = meets * square / (square + (_RESTING_SPEED * dt) ** 2)
+    nearest = displacement + closest[:, None] * _way(drifted, driven, closest)
     distance = _norm(displacement)
-    coming = relative_velocity
-    if push is not None:
-        coming = coming + (push[second] - push[first]) / dt
     return Geometry(
         first=first,
         second=second,
         displacement=displacement,
         relative_velocity=relative_velocity,
         distance=distance,
-        coming_distance=_norm(displacement + dt * coming),
+        coming_distance=_norm(displacement + drifted + driven),
+        nearest=_norm(nearest),
         direction=displacement / distance[:, None],
-        share_after_touch=_share_after_touch(displacement, coming, dt, touch_distance),
+        share_after_touch=(1.0 - until) * impact,
+        lever=lever,
     )
 
 
-def _share_after_touch(
+def _meeting(
+    position: Float[Array, "N D"], pairs: Int[Array, "E 2"], anchor: Float[Array, "N D"] | None
+) -> tuple[Float[Array, "E D"], Float[Array, "2 E d d"], list[Float[Array, "E D"]]]:
+    """Where pairs meet: displacement [m], levers, and the directions in which the points slide."""
+    first, second = pairs[:, 0], pairs[:, 1]
+    if anchor is None:
+        one = jnp.ones((2, pairs.shape[0], 1, 1), position.dtype)
+        return position[second] - position[first], one, []
+    bars = Bars(position, anchor)
+    begin, begin_slides = bars.nearest(first, position[second])
+    end, end_slides = bars.nearest(second, position[first])
+    lever = jnp.stack([bars.lever(first, position[second]), bars.lever(second, position[first])])
+    return end - begin, lever, [begin_slides, end_slides]
+
+
+def _way(
+    drifted: Float[Array, "E D"], driven: Float[Array, "E D"], part: Float[Array, " E"]
+) -> Float[Array, "E D"]:
+    """Mean way [m] a step until `part` of it is over: a constant force has then done that part
+    squared of its work, not that part."""
+    return drifted + part[:, None] * driven
+
+
+def _closest(displacement: Float[Array, "E D"], way: Float[Array, "E D"]) -> Float[Array, " E"]:
+    """The part of the step after which two nodes are closest."""
+    square = jnp.maximum(jnp.sum(way**2, axis=-1), _SMALLEST)
+    return jnp.clip(-jnp.sum(displacement * way, axis=-1) / square, 0.0, 1.0)
+
+
+def _touch(
     displacement: Float[Array, "E D"],
-    relative_velocity: Float[Array, "E D"],
-    dt: float,
+    way: Float[Array, "E D"],
     touch_distance: Float[Array, ""] | float,
-) -> Float[Array, " E"]:
-    """From the earlier root of |r + w t| = touch distance, where the two approach each other."""
-    square = jnp.sum(relative_velocity**2, axis=-1)
-    closing = -jnp.sum(displacement * relative_velocity, axis=-1)
+) -> tuple[Float[Array, " E"], Bool[Array, " E"]]:
+    """The part of the step until two nodes touch, and whether they do.
+
+    The earlier root of |r + w s| = touch distance, where the two approach each other; where they
+    do not come as near, the part until they are closest.
+    """
+    square = jnp.maximum(jnp.sum(way**2, axis=-1), _SMALLEST)
+    closing = -jnp.sum(displacement * way, axis=-1)
     gap = jnp.sum(displacement**2, axis=-1) - touch_distance**2
     discriminant = closing**2 - square * gap
     meets = (discriminant > 0) & (closing > 0)
     root = jnp.sqrt(jnp.where(meets, discriminant, 1.0))
-    time = (closing - root) / jnp.maximum(square, _SMALLEST)
-    share = jnp.where(meets, jnp.clip(1.0 - time / dt, 0.0, 1.0), 0.0)
-    # Bodies that hold together have relative velocities of rounding size, and no impact.
-    return share * square / (square + _RESTING_SPEED**2)
+    until = jnp.clip(jnp.where(meets, closing - root, closing) / square, 0.0, 1.0)
+    return until, meets & (until < 1.0)
 
 
 def _norm(vector: Float[Array, "E D"]) -> Float[Array, " E"]:

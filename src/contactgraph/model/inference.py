@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.model.belief import ContactBelief
-from contactgraph.model.message_passing import MessagePassing
+from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 
 
 class RecurrentEdges(eqx.Module):
@@ -20,7 +20,7 @@ class RecurrentEdges(eqx.Module):
     The belief itself is the recurrent state, so a corrected belief changes what comes next.
     """
 
-    message_passing: MessagePassing
+    message_passing: MessagePassing | EdgeNetwork
     input: eqx.nn.Linear
     hidden: eqx.nn.Linear
     edge_types: int = eqx.field(static=True)
@@ -28,7 +28,7 @@ class RecurrentEdges(eqx.Module):
 
     def __init__(
         self,
-        message_passing: MessagePassing,
+        message_passing: MessagePassing | EdgeNetwork,
         *,
         edge_types: int = 2,
         temperature: float = 0.15,
@@ -68,13 +68,13 @@ class RecurrentEdges(eqx.Module):
 class MemorylessEdges(eqx.Module):
     """Messages in space only: each step's belief stands alone (the paper's GIM-Non-Temp)."""
 
-    message_passing: MessagePassing
+    message_passing: MessagePassing | EdgeNetwork
     output: eqx.nn.Linear
     edge_types: int = eqx.field(static=True)
 
     def __init__(
         self,
-        message_passing: MessagePassing,
+        message_passing: MessagePassing | EdgeNetwork,
         *,
         edge_types: int = 2,
         key: PRNGKeyArray,
@@ -120,7 +120,7 @@ class AllEdges(eqx.Module):
 
 
 def _edge_embedding(
-    message_passing: MessagePassing,
+    message_passing: MessagePassing | EdgeNetwork,
     output: eqx.nn.Linear,
     node: Float[Array, "N F"],
     edge: Float[Array, "2 E G"],

@@ -3,26 +3,15 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
-from contactgraph.model.geometry import Geometry
-from contactgraph.model.heads import CoupledHead, PerDegreeHead
+from contactgraph.model.coupled_head import CoupledHead
 from contactgraph.model.linear_dynamics import LinearDynamics
+from contactgraph.model.local_input import LocalInput, Step
 from contactgraph.model.message_passing import TypedMessagePassing
+from contactgraph.model.per_degree_head import PerDegreeHead
 from contactgraph.model.spring_mass_damper import SpringMassDamper
 from contactgraph.model.theta_method import ThetaMethod
-
-
-class LocalInput(eqx.Module):
-    """What local dynamics are computed from, at one step."""
-
-    position: Float[Array, "N D"]
-    velocity: Float[Array, "N D"]
-    node_features: Float[Array, "N F"]
-    edge_features: Float[Array, "2 E G"]
-    weight: Float[Array, "E active"]
-    """How active each edge is of each active type; 0 where it does not exist."""
-    geometry: Geometry
 
 
 class SpringMassDamperDynamics(eqx.Module):
@@ -32,19 +21,18 @@ class SpringMassDamperDynamics(eqx.Module):
     head: CoupledHead | PerDegreeHead
     discretisation: ThetaMethod
 
-    def parameters(self, local: LocalInput) -> SpringMassDamper:
-        """The parameters of every node at one step, each [N, D]."""
+    def parameters(self, local: LocalInput, dt: float, control_size: int) -> SpringMassDamper:
+        """The parameters of every node at one step of `dt` [s], each [N, D]."""
         ends = jnp.stack([local.geometry.first, local.geometry.second])
         embedding, message = self.message_passing(
             local.node_features, local.edge_features, local.weight, ends
         )
-        return self.head(
-            embedding, message, local.weight, local.geometry, local.position, local.velocity
-        )
+        step = Step(self.discretisation.theta, dt, control_size)
+        return self.head(local, embedding, message, step)
 
     def __call__(self, local: LocalInput, dt: float, control_size: int) -> LinearDynamics:
         """The linear step of every node."""
-        return self.discretisation(self.parameters(local), dt, control_size)
+        return self.discretisation(self.parameters(local, dt, control_size), dt)
 
 
 class FreeLinearDynamics(eqx.Module):

@@ -87,6 +87,35 @@ class MessagePassing(eqx.Module):
         return embedding, message
 
 
+class EdgeNetwork(eqx.Module):
+    """Messages that each edge makes of its own features alone, the same both ways.
+
+    Whether two bodies touch is between the two: what kind they are and what else is near has no
+    say, so what was learned from one pair holds for any other, however many there are. Returns as
+    `MessagePassing` does, with empty node embeddings.
+    """
+
+    network: eqx.nn.MLP
+    edge_size: int = eqx.field(static=True)
+    width: int = eqx.field(static=True)
+
+    def __init__(self, edge_size: int, width: int = 32, *, key: PRNGKeyArray):
+        self.network = eqx.nn.MLP(edge_size, width, width, 2, final_activation=jax.nn.relu, key=key)
+        self.edge_size = edge_size
+        self.width = width
+
+    def __call__(
+        self,
+        node: Float[Array, "N F"],
+        edge: Float[Array, "2 E G"],
+        weight: Float[Array, " E"],
+        ends: Int[Array, "2 E"],
+    ) -> tuple[Float[Array, "N 0"], Float[Array, "2 E W"]]:
+        """One message an edge, weighted."""
+        message = jax.vmap(self.network)(0.5 * (edge[0] + edge[1])) * weight[:, None]
+        return jnp.zeros((node.shape[0], 0), node.dtype), jnp.stack([message, message])
+
+
 class TypedMessagePassing(eqx.Module):
     """Message passing with networks of its own for every active edge type.
 
@@ -94,9 +123,9 @@ class TypedMessagePassing(eqx.Module):
     ``[K-1, 2, E, width]``.
     """
 
-    types: list[MessagePassing]
+    types: list[MessagePassing | EdgeNetwork]
 
-    def __init__(self, types: list[MessagePassing]):
+    def __init__(self, types: list[MessagePassing | EdgeNetwork]):
         self.types = list(types)
 
     @property

@@ -2,42 +2,65 @@
 
 Every function takes the number of degrees of freedom a node `dimension`, the size of the control,
 the step `dt` [s], the distance `contact_distance` [m] at about which bodies touch, centre to centre
-(the paper's d_th), the networks' width, and a random key.
+(the paper's d_th), the networks' width, whether bodies may hang
+on hinges, and a random key.
 """
+
+import dataclasses
+from typing import Protocol
 
 import jax
 from jaxtyping import PRNGKeyArray
 
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.coupled_head import CoupledHead
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.heads import CoupledHead, PerDegreeHead
 from contactgraph.model.inference import AllEdges, MemorylessEdges, RecurrentEdges
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
-from contactgraph.model.message_passing import MessagePassing, TypedMessagePassing
-from contactgraph.model.prior import DistancePrior
+from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
+from contactgraph.model.per_degree_head import PerDegreeHead
+from contactgraph.model.prior import DistancePrior, TouchPrior
 from contactgraph.model.reach import Everywhere, Reach
 from contactgraph.model.sampling import ArgmaxSample
 from contactgraph.model.theta_method import ThetaMethod
+
+
+class Preset(Protocol):
+    """What makes one of the paper's models."""
+
+    def __call__(
+        self,
+        dimension: int,
+        control_size: int,
+        dt: float,
+        contact_distance: float = 0.085,
+        width: int = 32,
+        hinges: bool = False,
+        *,
+        key: PRNGKeyArray,
+    ) -> ContactDynamics:
+        """The model with fresh weights."""
 
 
 def gim_temp(
     dimension: int,
     control_size: int,
     dt: float,
-    contact_distance: float = 0.1,
+    contact_distance: float = 0.085,
     width: int = 32,
+    hinges: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
-    """Recurrent edges and coupled springs and dampers; local, and blind to the choice of axes."""
-    inference_key, cell_key, dynamics_key = jax.random.split(key, 3)
-    features = InvariantFeatures(length=contact_distance)
-    messages = _messages(features, dimension, width, inference_key)
+    """Recurrent edges; bodies that hold are solved as groups; local, and blind to the axes."""
+    features = InvariantFeatures(length=contact_distance, hinges=hinges)
+    messages_key, cell_key, dynamics_key = jax.random.split(key, 3)
+    messages = EdgeNetwork(features.edge_size(dimension), width, key=messages_key)
     return ContactDynamics(
         inference=RecurrentEdges(messages, key=cell_key),
-        local_dynamics=_coupled(features, dimension, dt, contact_distance, width, dynamics_key),
+        local_dynamics=_coupled(features, dimension, contact_distance, width, dynamics_key),
         features=features,
-        prior=DistancePrior(threshold=contact_distance),
+        prior=TouchPrior(),
         reach=_reach(contact_distance),
         sample=ArgmaxSample(),
         dt=dt,
@@ -50,79 +73,56 @@ def gim_non_temp(
     dimension: int,
     control_size: int,
     dt: float,
-    contact_distance: float = 0.1,
+    contact_distance: float = 0.085,
     width: int = 32,
+    hinges: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """As `gim_temp`, but its edges have no memory."""
-    inference_key, output_key, dynamics_key = jax.random.split(key, 3)
-    features = InvariantFeatures(length=contact_distance)
-    messages = _messages(features, dimension, width, inference_key)
-    return ContactDynamics(
-        inference=MemorylessEdges(messages, key=output_key),
-        local_dynamics=_coupled(features, dimension, dt, contact_distance, width, dynamics_key),
-        features=features,
-        prior=DistancePrior(threshold=contact_distance),
-        reach=_reach(contact_distance),
-        sample=ArgmaxSample(),
-        dt=dt,
-        dimension=dimension,
-        control_size=control_size,
-    )
+    model_key, messages_key, output_key = jax.random.split(key, 3)
+    model = gim_temp(dimension, control_size, dt, contact_distance, width, hinges, key=model_key)
+    messages = EdgeNetwork(model.features.edge_size(dimension), width, key=messages_key)
+    return dataclasses.replace(model, inference=MemorylessEdges(messages, key=output_key))
 
 
 def no_gim(
     dimension: int,
     control_size: int,
     dt: float,
-    contact_distance: float = 0.1,
+    contact_distance: float = 0.085,
     width: int = 32,
+    hinges: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """No inference: every edge is active at every step, at any distance."""
-    features = InvariantFeatures(length=contact_distance)
-    return ContactDynamics(
-        inference=AllEdges(),
-        local_dynamics=_coupled(features, dimension, dt, contact_distance, width, key),
-        features=features,
-        prior=DistancePrior(threshold=contact_distance),
-        reach=Everywhere(),
-        sample=ArgmaxSample(),
-        dt=dt,
-        dimension=dimension,
-        control_size=control_size,
-    )
+    model = gim_temp(dimension, control_size, dt, contact_distance, width, hinges, key=key)
+    return dataclasses.replace(model, inference=AllEdges(), reach=Everywhere())
 
 
 def full_ab(
     dimension: int,
     control_size: int,
     dt: float,
-    contact_distance: float = 0.1,
+    contact_distance: float = 0.085,
     width: int = 32,
+    hinges: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
-    """As the paper's model, but with free matrices in place of spring-mass-dampers."""
-    inference_key, cell_key, dynamics_key, head_key = jax.random.split(key, 4)
-    features = AbsoluteFeatures()
-    passing = TypedMessagePassing([_messages(features, dimension, width, dynamics_key)])
-    return ContactDynamics(
-        inference=RecurrentEdges(
-            _messages(features, dimension, width, inference_key), key=cell_key
-        ),
+    """Recurrent, local edges as in `gim_temp`, but free matrices, of absolute positions."""
+    model = paper_literal(dimension, control_size, dt, contact_distance, width, hinges, key=key)
+    return dataclasses.replace(
+        model,
         local_dynamics=FreeLinearDynamics(
-            passing, dimension=dimension, control_size=control_size, key=head_key
+            model.local_dynamics.message_passing,
+            dimension=dimension,
+            control_size=control_size,
+            key=jax.random.fold_in(key, 1),
         ),
-        features=features,
-        prior=DistancePrior(threshold=contact_distance),
+        prior=TouchPrior(),
         reach=_reach(contact_distance),
-        sample=ArgmaxSample(),
-        dt=dt,
-        dimension=dimension,
-        control_size=control_size,
     )
 
 
@@ -130,26 +130,26 @@ def paper_literal(
     dimension: int,
     control_size: int,
     dt: float,
-    contact_distance: float = 0.1,
+    contact_distance: float = 0.085,
     width: int = 64,
+    hinges: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """The paper's own form: all pairs, absolute positions, distance only, explicit Euler."""
-    inference_key, cell_key, dynamics_key, head_key = jax.random.split(key, 4)
-    features = AbsoluteFeatures()
+    messages_key, cell_key, dynamics_key, head_key = jax.random.split(key, 4)
+    features = AbsoluteFeatures(hinges=hinges)
+    messages = _messages(features, dimension, width, messages_key)
     passing = TypedMessagePassing([_messages(features, dimension, width, dynamics_key)])
     return ContactDynamics(
-        inference=RecurrentEdges(
-            _messages(features, dimension, width, inference_key), key=cell_key
-        ),
+        inference=RecurrentEdges(messages, key=cell_key),
         local_dynamics=SpringMassDamperDynamics(
             message_passing=passing,
             head=PerDegreeHead(width, dimension, key=head_key),
             discretisation=ThetaMethod(0.0, learned=False),
         ),
         features=features,
-        prior=DistancePrior(threshold=contact_distance, inside=0.1, outside=1.0, look_ahead=False),
+        prior=DistancePrior(threshold=contact_distance),
         reach=Everywhere(),
         sample=ArgmaxSample(),
         dt=dt,
@@ -164,23 +164,23 @@ def _messages(
     width: int,
     key: PRNGKeyArray,
 ) -> MessagePassing:
-    return MessagePassing(
-        features.node_size(dimension), features.edge_size(dimension), width, key=key
-    )
+    node_size, edge_size = features.node_size(dimension), features.edge_size(dimension)
+    return MessagePassing(node_size, edge_size, width, key=key)
 
 
 def _coupled(
     features: InvariantFeatures,
     dimension: int,
-    dt: float,
     contact_distance: float,
     width: int,
     key: PRNGKeyArray,
 ) -> SpringMassDamperDynamics:
     messages_key, head_key = jax.random.split(key)
+    # What an edge does is its own affair; the head solves for what follows from all of them.
+    messages = EdgeNetwork(features.edge_size(dimension), width, key=messages_key)
     return SpringMassDamperDynamics(
-        message_passing=TypedMessagePassing([_messages(features, dimension, width, messages_key)]),
-        head=CoupledHead(width, length=contact_distance, dt=dt, key=head_key),
+        message_passing=TypedMessagePassing([messages]),
+        head=CoupledHead(width, features.kinds, length=contact_distance, key=head_key),
         discretisation=ThetaMethod(),
     )
 

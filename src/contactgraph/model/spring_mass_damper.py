@@ -19,8 +19,9 @@ class SpringMassDamper(eqx.Module):
     an impact in the middle of a step displaces what it stops.
     """
 
-    inverse_mass: Float[Array, "*T N D"]
-    """w, 1/kg."""
+    response: Float[Array, "*T N D U"]
+    """w, 1/kg: acceleration by each component of the control. Off its diagonal only where a
+    hinge turns a push."""
     stiffness_rate: Float[Array, "*T N D"]
     """k/m, 1/s^2."""
     damping_rate: Float[Array, "*T N D"]
@@ -31,6 +32,13 @@ class SpringMassDamper(eqx.Module):
     """m/s; where the damper is at rest."""
     shift: Float[Array, "*T N D"]
     """m; displacement by an impact within the step."""
+
+    @property
+    def inverse_mass(self) -> Float[Array, "*T N D"]:
+        """1/m, 1/kg: the response of each degree of freedom to its own component of the control."""
+        dimension, size = self.response.shape[-2:]
+        own = jnp.diagonal(self.response, axis1=-2, axis2=-1)
+        return jnp.pad(own, [(0, 0)] * (own.ndim - 1) + [(0, dimension - min(dimension, size))])
 
     @property
     def stiffness(self) -> Float[Array, "*T N D"]:
@@ -49,13 +57,24 @@ def from_physical(
     damping: Float[Array, "*T N D"],
     equilibrium: Float[Array, "*T N D"],
 ) -> SpringMassDamper:
-    """The paper's own parameters: 1/m [1/kg], k [N/m], c [N s/m] and equilibrium [m]."""
+    """The paper's own parameters: 1/m [1/kg], k [N/m], c [N s/m] and equilibrium [m].
+
+    Component d of the control acts on degree of freedom d.
+    """
     still = jnp.zeros_like(equilibrium)
     return SpringMassDamper(
-        inverse_mass=inverse_mass,
+        response=own_component(inverse_mass, inverse_mass.shape[-1]),
         stiffness_rate=inverse_mass * stiffness,
         damping_rate=inverse_mass * damping,
         equilibrium=equilibrium,
         equilibrium_velocity=still,
         shift=still,
     )
+
+
+def own_component(
+    inverse_mass: Float[Array, "*T N D"], control_size: int
+) -> Float[Array, "*T N D U"]:
+    """The response of degrees of freedom that component d of the control moves along d alone."""
+    dimension = inverse_mass.shape[-1]
+    return inverse_mass[..., None] * jnp.eye(dimension, control_size, dtype=inverse_mass.dtype)

@@ -1,6 +1,7 @@
 """What the model knows at one step, and who the nodes are."""
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.model.belief import ContactBelief
@@ -14,6 +15,15 @@ class Nodes(eqx.Module):
     """False for padding, which takes part in nothing."""
     candidate: Bool[Array, " E"]
     """Whether an edge may ever be active; edges in `pair_indices`' order."""
+    anchor: Float[Array, "N D"] | None = None
+    """m; where a node is hinged, NaN where it is not. None: nobody is."""
+
+    @property
+    def hinged(self) -> Bool[Array, " N"]:
+        """Whether a node hangs on a hinge."""
+        if self.anchor is None:
+            return jnp.zeros_like(self.mask)
+        return jnp.isfinite(self.anchor[:, 0])
 
 
 class ModelState(eqx.Module):

@@ -40,13 +40,8 @@ class ThetaMethod(eqx.Module):
             return jnp.full_like(self.raw, self.initial)
         return 0.5 + 0.5 * jax.nn.sigmoid(self.raw)
 
-    def __call__(
-        self, parameters: SpringMassDamper, dt: float, control_size: int
-    ) -> LinearDynamics:
-        """``A [N, D, 2, 2]``, ``B [N, D, 2, U]`` and ``offset [N, D, 2]`` of a step of `dt` [s].
-
-        Degree of freedom d of every node is moved by component d of the control.
-        """
+    def __call__(self, parameters: SpringMassDamper, dt: float) -> LinearDynamics:
+        """``A [N, D, 2, 2]``, ``B [N, D, 2, U]`` and ``offset [N, D, 2]`` of a step of `dt` [s]."""
         theta = self.theta
         explicit = 1.0 - theta
         spring = parameters.stiffness_rate * dt
@@ -56,12 +51,10 @@ class ThetaMethod(eqx.Module):
         A22 = (1.0 - explicit * damper - theta * explicit * spring * dt) / den
         A11 = 1.0 + theta * dt * A21
         A12 = dt * (explicit + theta * A22)
-        B2 = parameters.inverse_mass * dt / den
+        B2 = parameters.response * dt / den[..., None]
         pull = spring * parameters.equilibrium + damper * parameters.equilibrium_velocity
         offset2 = pull / den
         A = jnp.stack([jnp.stack([A11, A12], -1), jnp.stack([A21, A22], -1)], -2)
-        B = jnp.stack([theta * dt * B2, B2], -1)
-        dimension = B.shape[-2]
-        selects = jnp.eye(dimension, control_size, dtype=B.dtype)
+        B = jnp.stack([theta * dt * B2, B2], -2)
         offset = jnp.stack([theta * dt * offset2 + parameters.shift, offset2], -1)
-        return LinearDynamics(A=A, B=B[..., None] * selects[:, None, :], offset=offset)
+        return LinearDynamics(A=A, B=B, offset=offset)

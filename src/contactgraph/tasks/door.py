@@ -96,6 +96,6 @@ class DoorTask(GripperTask):
         return ChainCost(
             chain=(GRIPPER, DOOR),
             pick_weights=np.array([6.5, 6.5, 0.2, 0.2]),
-            goal_weights=np.array([1.0, 1.0, 2.0, 2.0]),
+            goal_weights=np.array([50.0, 50.0, 1.0, 1.0]),
             control_weight=0.01,
         )

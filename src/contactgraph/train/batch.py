@@ -66,6 +66,7 @@ def window_source(runs: PaddedRuns, windows: Windows) -> WindowSource:
             actuated=jnp.asarray(runs.actuated),
             mask=jnp.asarray(runs.node_mask),
             candidate=jnp.asarray(runs.candidate),
+            anchor=None if runs.anchor is None else jnp.asarray(runs.anchor, jnp.float32),
         ),
         run=jnp.asarray(windows.run),
         start=jnp.asarray(windows.start),

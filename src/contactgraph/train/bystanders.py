@@ -22,10 +22,12 @@ _REST = 1e-6
 
 
 def bodies_rest(runs: PaddedRuns) -> bool:
-    """Whether bodies that nothing actuates are ever seen at rest.
+    """Whether free bodies that nothing actuates are ever seen at rest.
 
-    Where they never are (they fall, or flow) a resting bystander would be a lie.
+    Where they never are (they fall, or flow, or hang on hinges) a resting bystander would be a lie.
     """
+    if runs.anchor is not None:
+        return False
     speed = np.linalg.norm(runs.velocity[:, :-1], axis=-1)
     exists = runs.node_mask[:, None, :] & runs.step_mask[:, :, None]
     return bool(np.any((speed < _REST) & exists & ~runs.actuated[:, None, :]))

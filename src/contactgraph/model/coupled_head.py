@@ -1,0 +1,132 @@
+"""Bodies that are held together move together: parameters from a network of dampers and springs."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from contactgraph.model.circling import circling
+from contactgraph.model.contact_network import ContactNetwork
+from contactgraph.model.local_input import LocalInput, Step
+from contactgraph.model.spring_mass_damper import SpringMassDamper
+
+_MOST_HELD = 1.0 - 1e-3
+"""Of the coefficient of holding: a damper a thousand times stiffer than a mass of 1 in a step."""
+_IMPACT_SPEED = 0.1
+"""Change of velocity, m/s, from about which a step counts as an impact."""
+_PACE = 5.0
+"""How much faster than a network's weights masses and gains are learned: each is a single number
+on which everything rests."""
+_SMALLEST = 1e-6
+
+
+class CoupledHead(eqx.Module):
+    r"""Parameters of every node from masses, and springs and dampers along the active edges.
+
+    The networks give every kind of node a mass and a gain on the control, every node a damper to
+    the ground, and every active edge a coefficient of holding (0 free, 1 rigid) and a spring. Then `ContactNetwork` is solved for the whole scene at once, so that what
+    one body of a chain feels reaches all others, however long the chain. Seen from one node the
+    solution is a spring-mass-damper: its inverse mass is that of the group it is in, its damper is
+    stiff in the step of an impact, its spring is what keeps it on the circle about a hinge.
+    """
+
+    log_mass: Float[Array, " kinds"]
+    """Of the mass in kg, up to a common factor that no motion tells; in `_PACE`."""
+    gain_root: Float[Array, " kinds"]
+    """Root of the force on a node for each newton of control, in `_PACE`; its square is never
+    negative."""
+    ground: eqx.nn.MLP
+    edge: eqx.nn.MLP
+    width: int = eqx.field(static=True)
+    kinds: int = eqx.field(static=True)
+    length: float = eqx.field(static=True)
+
+    def __init__(self, width: int, kinds: int, *, length: float, key: PRNGKeyArray):
+        """`kinds`: how many kinds of node there are; `length` [m] scales rest lengths."""
+        ground_key, edge_key = jax.random.split(key)
+        # Products, so that their types are not weak: else the first update of training recompiles.
+        self.log_mass = 0.0 * jnp.ones(kinds)
+        self.gain_root = jnp.ones(kinds) / _PACE
+        self.ground = eqx.nn.MLP(kinds + 1, 1, width, 1, key=ground_key)
+        self.edge = eqx.nn.MLP(width, 3, width, 1, key=edge_key)
+        self.width = width
+        self.kinds = kinds
+        self.length = length
+
+    def __call__(
+        self,
+        local: LocalInput,
+        embedding: Float[Array, "N W"],
+        message: Float[Array, "active 2 E W"],
+        step: Step,
+    ) -> SpringMassDamper:
+        """Parameters of every node at one step."""
+        theta, dt = step.theta, step.dt
+        network, gain, hold = self._network(local, message, theta)
+        motion = network.step(local.velocity, gain, local.geometry, dt, step.control_size)
+        # A damper whose other end moves, such that the discrete step makes `change` of it.
+        size = jnp.sqrt(jnp.sum(motion.change**2, axis=-1) + _SMALLEST**2)
+        impact = (1.0 - motion.own_share) * size / (size + _IMPACT_SPEED)
+        part = jnp.clip(motion.ground_share + impact, 0.0, 1.0)
+        damping = (part / ((1.0 - theta * part) * dt))[:, None] * jnp.ones_like(motion.change)
+        damper_end = local.velocity + motion.change / (part + _SMALLEST)[:, None]
+        parameters = SpringMassDamper(
+            response=motion.response * (1.0 + theta * dt * damping)[..., None],
+            stiffness_rate=jnp.zeros_like(damping),
+            damping_rate=damping,
+            equilibrium=local.position,
+            equilibrium_velocity=damper_end,
+            shift=motion.shift,
+        )
+        return parameters if local.anchor is None else _on_circles(parameters, local, hold, step)
+
+    def _network(
+        self, local: LocalInput, message: Float[Array, "active 2 E W"], theta: Float[Array, ""]
+    ) -> tuple[ContactNetwork, Float[Array, " N"], Float[Array, " E"]]:
+        """The network, the gains on the control, and how far each edge holds, in [0, 1)."""
+        ground = jax.vmap(self.ground)(local.node_features)[:, 0]
+        # What holds two bodies does not depend on which of them is called the first.
+        out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
+        weight = local.weight.T
+
+        def over_types(per_type: Float[Array, "active E"]) -> Float[Array, " E"]:
+            return jnp.sum(weight * per_type, axis=0)
+
+        hold = _MOST_HELD * over_types(jax.nn.sigmoid(out[..., 0] + 5.0))
+        network = ContactNetwork(
+            mass=jnp.exp(_PACE * local.kind @ self.log_mass),
+            ground=jax.nn.softplus(ground - 6.0),
+            hold=hold / (1.0 - hold),
+            spring=over_types(jax.nn.softplus(out[..., 1] - 6.0)),
+            rest=over_types(jax.nn.softplus(out[..., 2])) * self.length,
+            displaces=local.geometry.share_after_touch - theta,
+        )
+        return network, (_PACE * local.kind @ self.gain_root) ** 2, hold
+
+
+def _on_circles(
+    parameters: SpringMassDamper, local: LocalInput, hold: Float[Array, " E"], step: Step
+) -> SpringMassDamper:
+    """The parameters with the springs that keep hinged bodies turning about their hinges."""
+    assert local.anchor is not None
+    theta, dt = step.theta, step.dt
+    damper = dt * parameters.damping_rate
+    change = damper * (parameters.equilibrium_velocity - local.velocity) / (1.0 + theta * damper)
+    circles = circling(local.anchor, local.position, local.velocity + change, hold, local.geometry)
+    stiffness = circles.rate[:, None] * jnp.ones_like(damper)
+    before, after = 1.0 + theta * damper, 1.0 + theta * damper + theta**2 * dt**2 * stiffness
+    sprung = SpringMassDamper(
+        response=parameters.response * (after / before)[..., None],
+        stiffness_rate=stiffness,
+        damping_rate=parameters.damping_rate,
+        equilibrium=circles.centre,
+        equilibrium_velocity=parameters.equilibrium_velocity,
+        shift=parameters.shift,
+    )
+    pulled = damper * (sprung.equilibrium_velocity - local.velocity)
+    pulled = pulled - dt * stiffness * (
+        local.position + theta * dt * local.velocity - circles.centre
+    )
+    # Where the step would lead without a push; see `ThetaMethod`.
+    position = local.position + dt * (local.velocity + theta * pulled / after) + sprung.shift
+    return eqx.tree_at(lambda p: p.shift, sprung, sprung.shift + circles.kept(position))

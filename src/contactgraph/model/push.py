@@ -1,0 +1,42 @@
+"""What a step's own control does to who touches whom within the step.
+
+A force of 10 N moves a body of 1 kg by 14 mm in a step of 0.05 s: that decides whether it touches
+another within it. So a model is told the push of every control, which is the control times what
+it did to positions in the step before: contacts that come about in a step do not push in it.
+"""
+
+import dataclasses
+from typing import Protocol
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from contactgraph.model.belief import ContactBelief
+from contactgraph.model.linear_dynamics import LinearDynamics
+from contactgraph.model.state import ModelState, Nodes
+
+
+class _LinearModel(Protocol):
+    def linear_step(
+        self, state: ModelState, nodes: Nodes
+    ) -> tuple[LinearDynamics, ContactBelief]: ...
+
+
+def held_response(model: _LinearModel, state: ModelState, nodes: Nodes) -> Float[Array, "N D U"]:
+    """[m/N] How far each node is moved by the control, if only the present contacts hold."""
+    holds = nodes.candidate & (state.belief.probability > 0.5)
+    linear, _ = model.linear_step(state, dataclasses.replace(nodes, candidate=holds))
+    return linear.B[..., 0, :].astype(state.position.dtype)
+
+
+def pushed(
+    state: ModelState, response: Float[Array, "N D U"], control: Float[Array, " U"]
+) -> ModelState:
+    """The state, told how far the coming step's control [N] alone moves each node."""
+    push = jnp.sum(response * control, axis=-1)
+    return dataclasses.replace(state, push=push.astype(state.velocity.dtype))
+
+
+def response_of(linear: LinearDynamics, like: Float[Array, "N D U"]) -> Float[Array, "N D U"]:
+    """[m/N] The response in the step after one of these dynamics."""
+    return linear.B[..., 0, :].astype(like.dtype)
