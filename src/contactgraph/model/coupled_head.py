@@ -23,11 +23,12 @@ _SMALLEST = 1e-6
 class CoupledHead(eqx.Module):
     r"""Parameters of every node from masses, and springs and dampers along the active edges.
 
-    The networks give every kind of node a mass and a gain on the control, every node a damper to
-    the ground, and every active edge a coefficient of holding (0 free, 1 rigid) and a spring. Then `ContactNetwork` is solved for the whole scene at once, so that what
-    one body of a chain feels reaches all others, however long the chain. Seen from one node the
-    solution is a spring-mass-damper: its inverse mass is that of the group it is in, its damper is
-    stiff in the step of an impact, its spring is what keeps it on the circle about a hinge.
+    Every kind of node has a mass and a gain on the control, every node a damper to the ground;
+    the networks give every active edge a coefficient of holding (0 free, 1 rigid) and a spring.
+    Then `ContactNetwork` is solved for the whole scene at once, so that what one body of a chain
+    feels reaches all others, however long the chain. Seen from one node the solution is a
+    spring-mass-damper: its inverse mass is that of the group it is in, its damper is stiff in the
+    step of an impact, its spring is what keeps it on the circle about a hinge.
     """
 
     log_mass: Float[Array, " kinds"]

@@ -11,7 +11,9 @@ _RESTING_SPEED = 0.01
 """Relative speed, m/s, well below which nothing counts as an approach."""
 
 _REFINEMENTS = 3
-"""Of the moments of touch and of closest approach under a force."""
+"""Of the moment of touch under a force."""
+_CHORDS = 8
+"""Of the way under a force: 10 N bend that of 1 kg in 0.05 s by less than 0.1 mm from them."""
 
 
 class Geometry(eqx.Module):
@@ -75,16 +77,13 @@ def geometry(
     relative_velocity = relative(velocity)
     drifted = dt * nearing(relative_velocity)
     driven = jnp.zeros_like(drifted) if push is None else nearing(relative(push))
-    closest = jnp.full(displacement.shape[:1], 0.5, displacement.dtype)
-    for _ in range(1 if push is None else _REFINEMENTS):
-        closest = _closest(displacement, _way(drifted, driven, closest))
+    closest, nearest = _closest(displacement, drifted, driven, 1 if push is None else _CHORDS)
     until, meets = closest, jnp.zeros_like(closest, bool)
     for _ in range(1 if push is None else _REFINEMENTS):
         until, meets = _touch(displacement, _way(drifted, driven, until), touch_distance)
     # Bodies that hold together have relative velocities of rounding size, and no impact.
     square = jnp.sum((drifted + driven) ** 2, axis=-1)
     impact = meets * square / (square + (_RESTING_SPEED * dt) ** 2)
-    nearest = displacement + closest[:, None] * _way(drifted, driven, closest)
     distance = _norm(displacement)
     return Geometry(
         first=first,
@@ -93,7 +92,7 @@ def geometry(
         relative_velocity=relative_velocity,
         distance=distance,
         coming_distance=_norm(displacement + drifted + driven),
-        nearest=_norm(nearest),
+        nearest=nearest,
         direction=displacement / distance[:, None],
         share_after_touch=(1.0 - until) * impact,
         lever=lever,
@@ -123,10 +122,25 @@ def _way(
     return drifted + part[:, None] * driven
 
 
-def _closest(displacement: Float[Array, "E D"], way: Float[Array, "E D"]) -> Float[Array, " E"]:
-    """The part of the step after which two nodes are closest."""
+def _closest(
+    displacement: Float[Array, "E D"],
+    drifted: Float[Array, "E D"],
+    driven: Float[Array, "E D"],
+    chords: int,
+) -> tuple[Float[Array, " E"], Float[Array, " E"]]:
+    """The part of the step after which two nodes are closest, and their distance then, m.
+
+    The way under a force is a parabola, taken as so many chords.
+    """
+    ends = jnp.linspace(0.0, 1.0, chords + 1, dtype=displacement.dtype)[:, None, None]
+    path = displacement + ends * (drifted + ends * driven)
+    begin, way = path[:-1], path[1:] - path[:-1]
     square = jnp.maximum(jnp.sum(way**2, axis=-1), _SMALLEST)
-    return jnp.clip(-jnp.sum(displacement * way, axis=-1) / square, 0.0, 1.0)
+    along = jnp.clip(-jnp.sum(begin * way, axis=-1) / square, 0.0, 1.0)
+    distance = _norm(begin + along[..., None] * way)
+    chord = jnp.argmin(distance, axis=0)
+    part = jnp.take_along_axis(along, chord[None], axis=0)[0]
+    return (chord + part) / chords, jnp.min(distance, axis=0)
 
 
 def _touch(
@@ -149,5 +163,5 @@ def _touch(
     return until, meets & (until < 1.0)
 
 
-def _norm(vector: Float[Array, "E D"]) -> Float[Array, " E"]:
+def _norm(vector: Float[Array, "*C E D"]) -> Float[Array, "*C E"]:
     return jnp.sqrt(jnp.sum(vector**2, axis=-1) + _SMALLEST)

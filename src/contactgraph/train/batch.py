@@ -3,11 +3,15 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.padding import PaddedRuns
 from contactgraph.data.windows import Windows
 from contactgraph.model.state import Nodes
+
+_RUNS = 256
 
 
 class Window(eqx.Module):
@@ -57,19 +61,35 @@ class WindowSource(eqx.Module):
 
 
 def window_source(runs: PaddedRuns, windows: Windows) -> WindowSource:
-    """Put runs and windows on the device."""
+    """Put runs and windows on the device.
+
+    Runs are padded to a multiple of `_RUNS`, and windows as if every run had the longest one's:
+    compiling a training takes longer than many a training, and like this another number of runs
+    compiles nothing anew. Padding has no probability.
+    """
+    count, steps = runs.control.shape[:2]
+    more_runs = -count % _RUNS
+    most = (count + more_runs) * (steps - windows.length + 1)
+
+    def padded(values: np.ndarray, dtype: DTypeLike) -> Array:
+        # What is there is repeated: even a draw that rounding leads astray is a real one.
+        return jnp.asarray(np.take(values, np.arange(count + more_runs) % count, axis=0), dtype)
+
+    drawn = np.arange(most) % len(windows.run)
+    cumulative = np.ones(most)
+    cumulative[: len(windows.run)] = windows.probability.cumsum() / windows.probability.sum()
     return WindowSource(
-        position=jnp.asarray(runs.position, jnp.float32),
-        velocity=jnp.asarray(runs.velocity, jnp.float32),
-        control=jnp.asarray(runs.control, jnp.float32),
+        position=padded(runs.position, jnp.float32),
+        velocity=padded(runs.velocity, jnp.float32),
+        control=padded(runs.control, jnp.float32),
         nodes=Nodes(
-            actuated=jnp.asarray(runs.actuated),
-            mask=jnp.asarray(runs.node_mask),
-            candidate=jnp.asarray(runs.candidate),
-            anchor=None if runs.anchor is None else jnp.asarray(runs.anchor, jnp.float32),
+            actuated=padded(runs.actuated, bool),
+            mask=padded(runs.node_mask, bool),
+            candidate=padded(runs.candidate, bool),
+            anchor=None if runs.anchor is None else padded(runs.anchor, jnp.float32),
         ),
-        run=jnp.asarray(windows.run),
-        start=jnp.asarray(windows.start),
-        cumulative=jnp.asarray(windows.probability.cumsum(), jnp.float32),
+        run=jnp.asarray(windows.run[drawn]),
+        start=jnp.asarray(windows.start[drawn]),
+        cumulative=jnp.asarray(cumulative, jnp.float32),
         length=windows.length,
     )
