@@ -166,14 +166,6 @@ FAULTS = (
         SensorFault(f"misses-{percent}", f"{percent} % misses", ("--misses", rate))
         for percent, rate in ((1, "0.01"), (5, "0.05"), (20, "0.2"))
     ),
-    *(
-        SensorFault(
-            f"both-{percent}",
-            f"{percent} % of both",
-            ("--false-alarms", rate, "--misses", rate),
-        )
-        for percent, rate in ((1, "0.01"), (5, "0.05"), (20, "0.2"))
-    ),
     SensorFault("delay-1", "one step late", ("--delay", "1")),
     SensorFault("delay-2", "two steps late", ("--delay", "2")),
 )

@@ -59,8 +59,13 @@ class Measurement:
 
 
 def measurements(tasks: Sequence[StudyTask], amounts: Amounts) -> list[Measurement]:
-    """All of a study, seed after seed, so that one that is stopped has whole seeds."""
-    return [one for seed in amounts.seeds for task in tasks for one in _of(task, seed, amounts)]
+    """All of a study: GIM-Temp against its targets first, then the rest, seed after seed."""
+    every = [one for seed in amounts.seeds for task in tasks for one in _of(task, seed, amounts)]
+    aims = (Source.recorded, Source.planned, Source.every_step)
+    return sorted(
+        every,
+        key=lambda one: not (one.where.model == GIM_TEMP.name and one.where.source in aims),
+    )
 
 
 def conditions_of(task: StudyTask, amounts: Amounts) -> list[TestCondition]:
