@@ -1,5 +1,6 @@
 """Scenes and models that the model tests share."""
 
+import dataclasses
 from collections.abc import Callable
 from functools import cache
 
@@ -30,15 +31,20 @@ PRESETS = {
 }
 
 
-def preset(name: str, dimension: int = 2, seed: int = 0, width: int = 16) -> ContactDynamics:
+def preset(
+    name: str, dimension: int = 2, seed: int = 0, width: int = 16, hinges: bool = False
+) -> ContactDynamics:
     """A preset with random weights, of the number type that is on."""
-    return _preset(name, dimension, seed, width, jnp.zeros(()).dtype)
+    return _preset(name, dimension, seed, width, hinges, jnp.zeros(()).dtype)
 
 
 @cache
-def _preset(name: str, dimension: int, seed: int, width: int, _: np.dtype) -> ContactDynamics:
+def _preset(
+    name: str, dimension: int, seed: int, width: int, hinges: bool, _: np.dtype
+) -> ContactDynamics:
     def construct() -> ContactDynamics:
-        return PRESETS[name](dimension, 2, DT, width=width, key=jax.random.PRNGKey(0))
+        key = jax.random.PRNGKey(0)
+        return PRESETS[name](dimension, 2, DT, width=width, hinges=hinges, key=key)
 
     return with_random_weights(construct, seed)
 
@@ -47,15 +53,17 @@ def with_random_weights(construct: Callable[[], ContactDynamics], seed: int = 0)
     """What `construct` makes, its weights drawn by numpy: that compiles nothing."""
     rng = np.random.default_rng(seed)
 
-    def draw(leaf: object) -> object:
+    def draw(path: tuple, leaf: object) -> object:
         if not isinstance(leaf, jax.ShapeDtypeStruct):
             return leaf
         if leaf.ndim == 0:  # The touch distance, and the raw theta.
             return jnp.asarray(np.full((), 0.1, leaf.dtype))
-        bound = 1.5 / np.sqrt(leaf.shape[-1])
+        # Masses and gains are exponentials and squares of theirs: some that bodies could have.
+        single = path[-1].name in ("log_mass", "gain_root")
+        bound = 0.2 if single else 1.5 / np.sqrt(leaf.shape[-1])
         return jnp.asarray(rng.uniform(-bound, bound, leaf.shape).astype(leaf.dtype))
 
-    return jax.tree.map(draw, eqx.filter_eval_shape(construct))
+    return jax.tree_util.tree_map_with_path(draw, eqx.filter_eval_shape(construct))
 
 
 def nodes_of(count: int, capacity: int | None = None) -> Nodes:
@@ -67,6 +75,13 @@ def nodes_of(count: int, capacity: int | None = None) -> Nodes:
         mask=jnp.asarray(mask),
         candidate=jnp.asarray(mask[pairs].all(axis=1)),
     )
+
+
+def hinged(nodes: Nodes, *anchors: tuple[float, ...]) -> Nodes:
+    """The same nodes, of which those from the second on hang on hinges there."""
+    anchor = np.full((len(nodes.mask), len(anchors[0])), np.nan)
+    anchor[1 : 1 + len(anchors)] = anchors
+    return dataclasses.replace(nodes, anchor=jnp.asarray(anchor))
 
 
 def crowd(model: ContactDynamics, nodes: Nodes, seed: int = 0, size: float = 0.15) -> ModelState:

@@ -14,6 +14,7 @@ from contactgraph.model import (
     stack_state,
     unstack_state,
 )
+from contactgraph.model.spring_mass_damper import own_component
 
 
 def random_step(nodes: int, dimension: int, size: int, lead: tuple[int, ...] = ()):
@@ -74,14 +75,15 @@ def test_a_step_by_hand() -> None:
 @pytest.mark.usefixtures("double_precision")
 @pytest.mark.parametrize("learned", [True, False])
 def test_derivatives_of_the_theta_method(learned) -> None:
-    def moved(w, k, c, rest, rest_velocity, shift, raw):
-        parameters = SpringMassDamper(w, k, c, rest, rest_velocity, shift)
+    def moved(response, k, c, rest, rest_velocity, shift, raw):
+        parameters = SpringMassDamper(response, k, c, rest, rest_velocity, shift)
         method = ThetaMethod(0.6, learned=learned)
         method = jax.tree.map(lambda leaf: leaf + raw, method)
-        return jax.tree.leaves(method(parameters, 0.05, 2))
+        return jax.tree.leaves(method(parameters, 0.05))
 
-    keys = jax.random.split(jax.random.PRNGKey(0), 6)
+    response_key, *keys = jax.random.split(jax.random.PRNGKey(0), 6)
     values = [5 * jax.random.uniform(key, (2, 2)) for key in keys]
+    values.insert(0, 5 * jax.random.uniform(response_key, (2, 2, 3)))
     values[1] = values[1] * 100
     check_grads(jax.jit(moved), (*values, jnp.array(0.1)), order=1, eps=1e-6)
     slope = jax.grad(lambda raw: sum(jnp.sum(x) for x in moved(*values, raw)))(0.1)
@@ -90,8 +92,21 @@ def test_derivatives_of_the_theta_method(learned) -> None:
 
 def test_a_weightless_control_has_finite_physical_parameters() -> None:
     zero, one = jnp.zeros((1, 2)), jnp.ones((1, 2))
-    parameters = SpringMassDamper(zero, one, one, zero, zero, zero)
+    parameters = SpringMassDamper(own_component(zero, 2), one, one, zero, zero, zero)
     assert np.all(np.isfinite(parameters.stiffness)) and np.all(np.isfinite(parameters.damping))
+
+
+@pytest.mark.parametrize("size", [0, 1, 2, 3])
+def test_inverse_masses_are_the_responses_to_ones_own_component(size) -> None:
+    inverse_mass = jnp.asarray(np.random.default_rng(0).uniform(1, 5, (4, 3, 2)))
+    response = own_component(inverse_mass, size)
+    assert response.shape == (4, 3, 2, size)
+    parameters = SpringMassDamper(response, *[inverse_mass] * 5)
+    # A component that the control lacks moves nothing; one that no degree has is not looked at.
+    moved = np.arange(2) < size
+    np.testing.assert_array_equal(parameters.inverse_mass, inverse_mass * moved)
+    across = ~np.eye(2, size, dtype=bool)
+    assert not np.any(response[..., across])
 
 
 def test_physical_parameters_come_back() -> None:

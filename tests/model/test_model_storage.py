@@ -12,7 +12,7 @@ import optax
 import pytest
 import safetensors.numpy
 from hypothesis import given, settings
-from model_scenes import DT, PRESETS, crowd, nodes_of, preset
+from model_scenes import DT, PRESETS, crowd, hinged, nodes_of, preset
 
 from contactgraph.data import InvalidInputError
 from contactgraph.model import (
@@ -37,14 +37,18 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.parametrize("hinges", [False, True])
 @pytest.mark.parametrize("name", list(PRESETS))
-def test_a_loaded_model_predicts_bit_for_bit_the_same(name: str, tmp_path: Path) -> None:
-    model = preset(name)
+def test_a_loaded_model_predicts_bit_for_bit_the_same(
+    name: str, hinges: bool, tmp_path: Path
+) -> None:
+    model = preset(name, hinges=hinges)
     save_model(tmp_path / "model", model, TRAINING)
     stored = load_model(tmp_path / "model")
     assert stored.training == TRAINING
     assert jax.tree.structure(stored.model) == jax.tree.structure(model)
-    nodes = nodes_of(3)
+    assert stored.model.features.hinges == hinges
+    nodes = hinged(nodes_of(3), (0.3, 0.2)) if hinges else nodes_of(3)
     state = crowd(model, nodes)
     controls = jnp.ones((4, 2))
     rollout = eqx.filter_jit(lambda model: model.rollout(state, controls, nodes))
@@ -196,6 +200,10 @@ def at(*names: str):
             at("reach", "type")("Nowhere"),
             "model.arguments.reach.type: must be Reach or Everywhere, found 'Nowhere'",
         ),
+        (
+            at("prior", "type")("NoPrior"),
+            "model.arguments.prior.type: must be DistancePrior or TouchPrior, found 'NoPrior'",
+        ),
         (at("reach")(3), "model.arguments.reach: must be an object of 'type' and 'arguments'"),
         (
             at("reach", "size")(1),
@@ -203,7 +211,7 @@ def at(*names: str):
         ),
         (at("reach", "far")("wide"), "reach.arguments.far: must be a finite number, found 'wide'"),
         (at("reach", "far")(True), "reach.arguments.far: must be a finite number, found True"),
-        (at("prior", "look_ahead")(1), "look_ahead: must be true or false, found 1"),
+        (at("features", "hinges")(1), "hinges: must be true or false, found 1"),
         (at("dimension")(10**9), "dimension: must be an integer from 0 to 1024, found 1000000000"),
         (at("dimension")(2.0), "dimension: must be an integer from 0 to 1024, found 2.0"),
         (at("dt")(-1), "dt must be a positive number of seconds, found -1.0"),

@@ -56,7 +56,7 @@ def test_the_radius_is_that_of_a_library():
 
 
 def step(theta: float, parameters: SpringMassDamper, dt: float = DT):
-    return ThetaMethod(theta, learned=False)(parameters, dt, 1)
+    return ThetaMethod(theta, learned=False)(parameters, dt)
 
 
 def worst(theta: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -103,7 +103,7 @@ def test_zero_is_the_papers_step_exactly():
 
 def test_each_degree_of_freedom_takes_its_own_control():
     ones = jnp.ones((3, 2))
-    B = ThetaMethod()(from_physical(ones, ones, ones, ones), DT, 2).B
+    B = ThetaMethod()(from_physical(ones, ones, ones, ones), DT).B
     assert B.shape == (3, 2, 2, 2)
     assert np.all(B[:, 0, :, 0] > 0) and np.all(B[:, 1, :, 1] > 0)
     assert np.all(B[:, 0, :, 1] == 0) and np.all(B[:, 1, :, 0] == 0)
