@@ -1,0 +1,187 @@
+"""The coupled head presents the network's solution as one spring-mass-damper for each node."""
+
+import dataclasses
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from model_scenes import DT, with_random_weights
+
+from contactgraph.model import CoupledHead, SpringMassDamper, ThetaMethod
+from contactgraph.model.contact_network import ContactNetwork
+from contactgraph.model.geometry import geometry
+from contactgraph.model.local_input import LocalInput, Step
+
+pytestmark = pytest.mark.usefixtures("double_precision")
+WIDTH, LENGTH, NODES, TYPES = 6, 0.1, 4, 2
+PAIRS = np.array(list(itertools.combinations(range(NODES), 2)))
+CONTROL = jnp.array([1.3, -0.8])
+HINGE = np.array([0.3, 0.25])
+
+
+def random_head(kinds: int = 2) -> CoupledHead:
+    key = jax.random.PRNGKey(0)
+    return with_random_weights(lambda: CoupledHead(WIDTH, kinds, length=LENGTH, key=key))
+
+
+def inputs(hinges: bool = False) -> tuple[LocalInput, jax.Array]:
+    rng = np.random.default_rng(1)
+    position, velocity = 0.1 * rng.normal(size=(NODES, 2)), rng.normal(size=(NODES, 2))
+    anchor = None
+    if hinges:
+        anchor = np.full((NODES, 2), np.nan)
+        anchor[1] = HINGE
+        arm = position[1] - HINGE
+        velocity[1] = 2.0 * np.array([-arm[1], arm[0]])
+        anchor = jnp.asarray(anchor)
+    states = jnp.asarray(position), jnp.asarray(velocity)
+    kinds = np.arange(NODES) == 0
+    kind = np.eye(2)[kinds.astype(int)]
+    if hinges:
+        kind = np.hstack([kind, np.zeros_like(kind)])
+        kind[1] = [0, 0, 1, 0]
+    weight = np.stack([[1.0, 0.4, 0.0, 1.0, 0.0, 0.7], [0.0, 0.6, 0.0, 0.0, 0.0, 0.0]], axis=-1)
+    local = LocalInput(
+        position=states[0],
+        velocity=states[1],
+        kind=jnp.asarray(kind),
+        node_features=jnp.asarray(np.hstack([kind, rng.uniform(size=(NODES, 1))])),
+        edge_features=jnp.zeros((2, len(PAIRS), 0)),
+        weight=jnp.asarray(weight),
+        geometry=geometry(*states, jnp.asarray(PAIRS), DT, 0.08, None, anchor),
+        anchor=anchor,
+    )
+    return local, jnp.asarray(rng.normal(size=(TYPES, 2, len(PAIRS), WIDTH)))
+
+
+@eqx.filter_jit
+def _parameters(head, local, message, step) -> SpringMassDamper:
+    return head(local, jnp.zeros((NODES, 0)), message, step)
+
+
+def parameters(head, local, message, theta=0.6) -> SpringMassDamper:
+    return _parameters(head, local, message, Step(jnp.asarray(theta), DT, 2))
+
+
+def moved(found: SpringMassDamper, local: LocalInput, control, theta=0.6):
+    linear = ThetaMethod(theta, learned=False)(found, DT)
+    return linear(local.position, local.velocity, jnp.asarray(control))
+
+
+def by_hand(head: CoupledHead, local: LocalInput, message, theta: float):
+    """The network that the head's own networks describe, solved."""
+    out = jax.vmap(jax.vmap(head.edge))(message[:, 0] + message[:, 1])
+    weight, softplus = local.weight.T, jax.nn.softplus
+    hold = 0.999 * jnp.sum(weight * jax.nn.sigmoid(out[..., 0] + 5), axis=0)
+    network = ContactNetwork(
+        mass=jnp.exp(5 * local.kind @ head.log_mass),
+        ground=softplus(jax.vmap(head.ground)(local.node_features)[:, 0] - 6),
+        hold=hold / (1 - hold),
+        spring=jnp.sum(weight * softplus(out[..., 1] - 6), axis=0),
+        rest=jnp.sum(weight * softplus(out[..., 2]), axis=0) * LENGTH,
+        displaces=local.geometry.share_after_touch - theta,
+    )
+    gain = (5 * local.kind @ head.gain_root) ** 2
+    return network, network.step(local.velocity, gain, local.geometry, DT, 2)
+
+
+@pytest.mark.parametrize("theta", [0.5, 0.6, 1.0])
+def test_the_linear_step_is_that_of_the_network(theta: float) -> None:
+    head, (local, message) = random_head(), inputs()
+    found = parameters(head, local, message, theta)
+    _, motion = by_hand(head, local, message, theta)
+    changed = motion.change + DT * motion.response @ CONTROL
+    position, velocity = moved(found, local, CONTROL, theta)
+    way = DT * (local.velocity + theta * changed) + motion.shift
+    np.testing.assert_allclose(velocity, local.velocity + changed, atol=1e-4)
+    np.testing.assert_allclose(position, local.position + way, atol=1e-5)
+    assert np.abs(motion.change).max() > 0.3 and np.abs(motion.shift).max() > 1e-3
+
+
+@pytest.mark.parametrize("theta", [0.5, 1.0])
+def test_a_nodes_own_step_is_stable_and_does_not_overshoot(theta: float) -> None:
+    found = parameters(random_head(), *inputs(), theta)
+    A = ThetaMethod(theta, learned=False)(found, DT).A
+    assert np.all(found.damping_rate >= 0) and not np.any(found.stiffness_rate)
+    assert np.all((A[..., 1, 1] >= 0) & (A[..., 1, 1] <= 1)), "what is kept of a node's velocity"
+    assert A[..., 1, 1].min() < 0.7, "the struck ones keep little"
+
+
+def test_an_untouched_node_only_rubs_against_the_ground() -> None:
+    head, (local, message) = random_head(), inputs()
+    local = dataclasses.replace(local, weight=0 * local.weight)
+    found = parameters(head, local, message)
+    network, _ = by_hand(head, local, message, 0.6)
+    assert not np.any(found.stiffness_rate) and not np.any(found.shift)
+    np.testing.assert_array_equal(found.equilibrium, local.position)
+    # Implicitly: m (v' - v) = -g v'; the push is felt a mass and the ground's damper late.
+    _, still = moved(found, local, [0.0, 0.0])
+    kept = network.mass / (network.mass + network.ground)
+    np.testing.assert_allclose(still, kept[:, None] * local.velocity, rtol=1e-3)
+    gain = (5 * local.kind @ head.gain_root) ** 2
+    response = ThetaMethod(0.6, learned=False)(found, DT).B[..., 1, :] / DT
+    expected = (gain / (network.mass + network.ground))[:, None, None] * np.eye(2)
+    np.testing.assert_allclose(response, expected, rtol=1e-9)
+
+
+def without_ground(head: CoupledHead) -> CoupledHead:
+    return eqx.tree_at(lambda head: head.ground.layers[-1].bias, head, jnp.array([-60.0]))
+
+
+def test_momentum_is_kept_by_the_whole_of_the_scene() -> None:
+    head, (local, message) = without_ground(random_head()), inputs()
+    network, _ = by_hand(head, local, message, 0.6)
+    _, velocity = moved(parameters(head, local, message), local, [0.0, 0.0])
+    np.testing.assert_allclose(
+        network.mass @ velocity, network.mass @ local.velocity, rtol=1e-4, atol=1e-4
+    )
+
+
+def test_a_held_chain_answers_the_control_as_one_body() -> None:
+    head, (local, message) = without_ground(random_head()), inputs()
+    # Message 0 is what the networks make of it; a large bias is an edge that holds all it can.
+    head = eqx.tree_at(lambda head: head.edge.layers[-1].bias, head, jnp.array([60.0, -60.0, 0.0]))
+    chain = [(0, 1), (1, 2), (2, 3)]
+    active = np.array([[tuple(pair) in chain, False] for pair in PAIRS], float)
+    local = dataclasses.replace(local, weight=jnp.asarray(active))
+    network, _ = by_hand(head, local, message, 0.6)
+    gain = np.sum((5 * local.kind @ head.gain_root) ** 2)
+    B = ThetaMethod(0.6, learned=False)(parameters(head, local, message), DT).B[..., 1, :]
+    expected = gain / np.sum(network.mass) * np.eye(2)
+    np.testing.assert_allclose(B / DT, np.tile(expected, (NODES, 1, 1)), atol=5e-3 * gain)
+
+
+def test_which_end_of_an_edge_comes_first_does_not_matter() -> None:
+    head, (local, message) = random_head(), inputs()
+    one, other = (parameters(head, local, way) for way in (message, message[:, ::-1]))
+    for ours, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+
+
+def test_a_hinged_body_stays_on_its_circle() -> None:
+    head, (local, message) = random_head(kinds=4), inputs(hinges=True)
+    found = parameters(head, local, message)
+    position, _ = moved(found, local, [0.0, 0.0])
+    radius = np.linalg.norm(local.position[1] - HINGE)
+    assert np.linalg.norm(position[1] - HINGE) == pytest.approx(radius, abs=1e-7)
+    assert found.stiffness_rate[1, 0] > 0
+    # The springs of circling leave alone what the control does to velocities.
+    _, motion = by_hand(head, local, message, 0.6)
+    B = ThetaMethod(0.6, learned=False)(found, DT).B
+    np.testing.assert_allclose(B[..., 1, :] / DT, motion.response, rtol=1e-6, atol=1e-9)
+
+
+def test_a_lone_bar_turns_as_bars_do() -> None:
+    head, (local, message) = without_ground(random_head(kinds=4)), inputs(hinges=True)
+    local = dataclasses.replace(local, weight=0 * local.weight)
+    position, velocity = moved(parameters(head, local, message, 0.5), local, [0.0, 0.0], 0.5)
+    angle = 2.0 * DT
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    arm = np.asarray(local.position[1]) - HINGE
+    # Of the third order in the angle.
+    np.testing.assert_allclose(position[1] - HINGE, turn @ arm, atol=angle**3 * np.hypot(*arm))
+    error = np.linalg.norm(velocity[1] - turn @ local.velocity[1])
+    assert error < angle**3 * np.linalg.norm(local.velocity[1])

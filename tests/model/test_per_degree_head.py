@@ -1,0 +1,58 @@
+"""The paper's head: bounded, at rest at its damper, its equilibrium seen from hinge or node."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from model_scenes import DT
+
+from contactgraph.data.graph import pair_indices
+from contactgraph.model import PerDegreeHead
+from contactgraph.model.geometry import geometry
+from contactgraph.model.local_input import LocalInput, Step
+
+WIDTH, NODES = 6, 3
+STEP = Step(jnp.zeros(()), DT, 2)
+
+
+def inputs() -> tuple[LocalInput, jax.Array, jax.Array]:
+    keys = jax.random.split(jax.random.PRNGKey(0), 4)
+    position, velocity = jax.random.normal(keys[0], (2, NODES, 2))
+    pairs = jnp.asarray(pair_indices(NODES))
+    local = LocalInput(
+        position=position,
+        velocity=velocity,
+        kind=jnp.zeros((NODES, 2)),
+        node_features=jnp.zeros((NODES, 0)),
+        edge_features=jnp.zeros((2, len(pairs), 0)),
+        weight=jnp.ones((len(pairs), 1)),
+        geometry=geometry(position, velocity, pairs, DT, 0.1),
+        anchor=None,
+    )
+    embedding = jax.random.normal(keys[1], (NODES, WIDTH))
+    return local, embedding, jax.random.normal(keys[2], (1, 2, len(pairs), WIDTH))
+
+
+def test_the_papers_parameters_are_bounded_and_its_damper_rests() -> None:
+    local, embedding, message = inputs()
+    found = PerDegreeHead(WIDTH, 2, key=jax.random.PRNGKey(1))(local, embedding, message, STEP)
+    for rate in (found.inverse_mass, found.stiffness_rate, found.damping_rate):
+        assert rate.shape == (NODES, 2)
+        assert np.all((rate > 0) & (rate < 5))
+    assert not np.any(found.equilibrium_velocity) and not np.any(found.shift)
+    off_diagonal = found.response * (1 - jnp.eye(2))
+    assert not np.any(off_diagonal), "each degree of freedom takes its own control"
+
+
+def test_the_equilibrium_is_seen_from_the_hinge_where_there_is_one() -> None:
+    local, embedding, message = inputs()
+    head = PerDegreeHead(WIDTH, 2, key=jax.random.PRNGKey(1))
+    free = head(local, embedding, message, STEP)
+    hinge = jnp.array([2.0, -1.0])
+    anchor = jnp.full((NODES, 2), jnp.nan).at[1].set(hinge)
+    hung = head(dataclasses.replace(local, anchor=anchor), embedding, message, STEP)
+    moved = hung.equilibrium - free.equilibrium
+    np.testing.assert_allclose(moved[1], hinge - local.position[1], atol=1e-6)
+    np.testing.assert_array_equal(moved[jnp.array([0, 2])], 0.0)
+    assert np.all(np.isfinite(hung.equilibrium))
