@@ -12,6 +12,7 @@ from contactgraph.model import (
     gim_temp,
     no_gim,
     paper_literal,
+    paper_literal_no_gim,
     shipped_model,
     shipped_models,
 )
@@ -26,6 +27,7 @@ MODELS: dict[str, Preset] = {
     "no-gim": no_gim,
     "full-ab": full_ab,
     "paper-literal": paper_literal,
+    "paper-literal-no-gim": paper_literal_no_gim,
 }
 EXPERTS: dict[str, Callable[[], Policy]] = {
     "pickup": PickupExpert,

@@ -17,7 +17,7 @@ class Train:
     out: Annotated[Path, arg(metavar="FOLDER")]
     """The folder of the run; new, or with --resume the one to go on with."""
     model: str = "gim-temp"
-    """gim-temp, gim-non-temp, no-gim, full-ab or paper-literal."""
+    """gim-temp, gim-non-temp, no-gim, full-ab, paper-literal or paper-literal-no-gim."""
     seed: int = 0
     """One seed makes one result."""
     resume: bool = False

@@ -28,6 +28,7 @@ from contactgraph.model.presets import gim_non_temp as gim_non_temp
 from contactgraph.model.presets import gim_temp as gim_temp
 from contactgraph.model.presets import no_gim as no_gim
 from contactgraph.model.presets import paper_literal as paper_literal
+from contactgraph.model.presets import paper_literal_no_gim as paper_literal_no_gim
 from contactgraph.model.prior import DistancePrior as DistancePrior
 from contactgraph.model.prior import TouchPrior as TouchPrior
 from contactgraph.model.push import held_response as held_response

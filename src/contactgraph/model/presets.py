@@ -158,6 +158,21 @@ def paper_literal(
     )
 
 
+def paper_literal_no_gim(
+    dimension: int,
+    control_size: int,
+    dt: float,
+    contact_distance: float = 0.085,
+    width: int = 64,
+    hinges: bool = False,
+    *,
+    key: PRNGKeyArray,
+) -> ContactDynamics:
+    """The paper's own form without inference: every edge is active at every step."""
+    model = paper_literal(dimension, control_size, dt, contact_distance, width, hinges, key=key)
+    return dataclasses.replace(model, inference=AllEdges())
+
+
 def _messages(
     features: InvariantFeatures | AbsoluteFeatures,
     dimension: int,

@@ -16,6 +16,7 @@ from contactgraph.reproduce.declared import (
     GIM_NON_TEMP,
     GIM_TEMP,
     LITERAL,
+    LITERAL_NO_GIM,
     NO_GIM,
     NO_GIM_AUG,
     NO_KL,
@@ -31,6 +32,7 @@ COLOURS = {
     FULL_AB.name: "#7650a3",
     NO_KL.name: "#0d8074",
     LITERAL.name: "#a5a9ae",
+    LITERAL_NO_GIM.name: "#6d7278",
 }
 """One colour a model, in every chart."""
 

@@ -120,7 +120,12 @@ NO_KL = StudyModel(
 LITERAL = StudyModel(
     "paper-literal", "paper-literal", ("--model", "paper-literal", "--bystanders", "0")
 )
-MODELS = (GIM_TEMP, GIM_NON_TEMP, NO_GIM, NO_GIM_AUG, FULL_AB, NO_KL, LITERAL)
+LITERAL_NO_GIM = StudyModel(
+    "paper-literal-no-gim",
+    "paper-literal No-GIM",
+    ("--model", "paper-literal-no-gim", "--bystanders", "0"),
+)
+MODELS = (GIM_TEMP, GIM_NON_TEMP, NO_GIM, NO_GIM_AUG, FULL_AB, NO_KL, LITERAL, LITERAL_NO_GIM)
 
 PICKUP = StudyTask(
     "pickup",
