@@ -1,4 +1,5 @@
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -6,8 +7,8 @@ import numpy as np
 import pytest
 from evaluation_worlds import DT, GluedBodies, random_run, scene_of
 
-from contactgraph.control import ILQR, MPC, ControlLimits
-from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.control import ILQR, MPC, ControlLimits, QuadraticCost, chain_cost
+from contactgraph.data import Dataset, InvalidInputError, pair_indices
 from contactgraph.evaluate import (
     MPCPolicy,
     control_task,
@@ -16,8 +17,8 @@ from contactgraph.evaluate import (
     inspect_run,
     scene_nodes,
 )
-from contactgraph.model import gim_temp
-from contactgraph.tasks import PickupTask
+from contactgraph.model import ContactBelief, gim_temp, two_type_belief
+from contactgraph.tasks import ChainCost, PickupTask
 from contactgraph.tasks.pickup import pickup_success
 
 SEER = GluedBodies(reach=0.081)
@@ -74,6 +75,71 @@ def test_other_numbers_of_objects_do_not_recompile():
     assert traces[0] > 0 and traces == [traces[0]] * 3
 
 
+@dataclass(frozen=True)
+class Watched:
+    """What a planner carries, as far as the policy looks at it."""
+
+    cost: QuadraticCost
+    belief: ContactBelief
+
+
+class Watcher:
+    """Plans nothing, believes the contacts that it is told of, and remembers the costs."""
+
+    def __init__(self):
+        self.costs = []
+
+    def reset(self, observation, nodes, cost):
+        return Watched(cost, two_type_belief(jnp.zeros(nodes.candidate.shape)))
+
+    def step(self, observation, contacts, state):
+        self.costs.append(state.cost)
+        touching = contacts[tuple(pair_indices(len(contacts)).T)]
+        held = replace(state, belief=two_type_belief(jnp.asarray(touching, float)))
+        return SimpleNamespace(controls=jnp.zeros((1, 2))), held
+
+
+TOLD = (0, 3, 1)
+WEIGHTS = np.array([3.0, 3.0, 0.2, 0.2]), np.array([50.0, 50.0, 1.0, 1.0]), 0.01
+
+
+def planned_for(contacts, chain=TOLD) -> list[QuadraticCost]:
+    """The cost at each tick, the contacts of the tick before being known by then."""
+    watcher = Watcher()
+    policy = MPCPolicy(watcher, ChainCost(chain, *WEIGHTS), 2)
+    policy.reset(scene_of(4, goal=np.ones(2)), 0)
+    for pairs in contacts:
+        contact = np.zeros((4, 4), np.int8)
+        for first, second in pairs:
+            contact[first, second] = contact[second, first] = 1
+        policy({"position": np.zeros((4, 2)), "velocity": np.zeros((4, 2)), "contact": contact})
+    return watcher.costs
+
+
+@pytest.mark.parametrize(
+    ("held", "expected"),
+    [
+        ([], (0, 3, 1)),
+        ([(0, 3)], (0, 3, 1)),
+        ([(0, 1)], (0, 1, 3)),  # Picked up out of turn.
+        ([(0, 2), (1, 2)], (0, 1, 3)),  # By way of a body that the task does not name.
+        ([(0, 1), (0, 3)], (0, 3, 1)),
+        ([(1, 2), (2, 3)], (0, 3, 1)),  # They hold each other, and the gripper holds none.
+    ],
+)
+def test_the_chain_follows_what_is_held(held, expected):
+    costs = planned_for([held, [], []])
+    for cost, chain in zip(costs, (TOLD, expected, TOLD), strict=True):
+        wanted = chain_cost(chain, *WEIGHTS, np.ones(2), 4)
+        assert np.array_equal(cost.Q, wanted.Q) and np.array_equal(cost.goal, wanted.goal)
+        assert cost.involved.tolist() == list(chain)
+
+
+def test_with_nothing_further_to_pick_up_the_chain_stays():
+    for cost in planned_for([[(0, 3)], [], []], chain=(0, 3)):
+        assert cost.involved.tolist() == [0, 3]
+
+
 def test_padding_changes_no_control():
     task = PickupTask(1)
     runs = []
@@ -114,6 +180,11 @@ def test_scene_nodes_pads_and_knows_candidates():
     assert nodes.actuated.tolist() == [True, False, False, False]
     assert nodes.candidate.tolist() == [True, True, False, False, False, False]
     assert scene_nodes(scene_of(3)).candidate.all()
+    assert nodes.anchor is None and not nodes.hinged.any()
+    hung = scene_nodes(scene_of(3, anchor=[[np.nan] * 2, [1.0, 2.0], [np.nan] * 2]), 4)
+    assert hung.hinged.tolist() == [False, True, False, False]
+    assert hung.anchor[1].tolist() == [1.0, 2.0]
+    assert scene_nodes(scene_of(3, anchor=np.full((3, 2), np.nan))).anchor is None
     with pytest.raises(InvalidInputError, match="node_capacity must be at least 3, found 2"):
         scene_nodes(scene, 2)
 

@@ -17,7 +17,7 @@ JSON_KEYS = {
     *("constant_velocity_rmse_m", "frozen_contact_rmse_m", "n_steps", "n_step_rmse_unmeasured_m"),
     *("edge_precision", "edge_recall", "edge_f1", "edge_accuracy", "switch_time_error_s"),
     *("edge_precision_unmeasured", "edge_recall_unmeasured", "edge_f1_unmeasured"),
-    *("edge_accuracy_unmeasured", "switch_time_error_unmeasured_s"),
+    *("edge_accuracy_unmeasured", "switch_time_error_unmeasured_s", "edge_false_alarm_rate"),
     *("constant_velocity_rmse_free_m", "constant_velocity_rmse_contact_m"),
     *("frozen_contact_rmse_free_m", "frozen_contact_rmse_contact_m"),
     *("edge_on_time", "edge_on_time_unmeasured", "runs", "windows", "diverged_windows"),

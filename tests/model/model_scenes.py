@@ -19,6 +19,7 @@ from contactgraph.model import (
     gim_temp,
     no_gim,
     paper_literal,
+    paper_literal_no_gim,
 )
 
 DT = 0.05
@@ -28,6 +29,7 @@ PRESETS = {
     "no_gim": no_gim,
     "full_ab": full_ab,
     "paper_literal": paper_literal,
+    "paper_literal_no_gim": paper_literal_no_gim,
 }
 
 

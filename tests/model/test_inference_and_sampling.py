@@ -14,6 +14,7 @@ from contactgraph.model import (
     AllEdges,
     ArgmaxSample,
     ContactBelief,
+    EdgeNetwork,
     GumbelSample,
     MemorylessEdges,
     MessagePassing,
@@ -140,6 +141,40 @@ def test_the_factored_first_layer_is_one_layer_on_both_ends_and_the_edge() -> No
             hidden = jax.nn.relu(whole @ inputs + only.receiver.bias)
             expected = jax.nn.relu(only.message(hidden)) * weight[index]
             np.testing.assert_allclose(messages[way, index], expected, atol=1e-5)
+
+
+def test_an_edge_networks_message_is_its_edges_own_affair() -> None:
+    network = EdgeNetwork(EDGE_SIZE, WIDTH, key=jax.random.PRNGKey(0))
+    node, edge, weight = graph()
+    embedding, message = network(node, edge, weight, ENDS)
+    assert embedding.shape == (NODES, 0) and message.shape == (2, EDGES, WIDTH)
+    np.testing.assert_array_equal(message[0], message[1])
+    # Neither the nodes, nor who is joined, nor which end comes first, nor the other edges count.
+    _, same = network(node + 1.0, edge[::-1], weight, ENDS[::-1])
+    np.testing.assert_allclose(same, message, atol=1e-6)
+    _, alone = network(node, edge[:, 2:3], weight[2:3], ENDS[:, 2:3])
+    np.testing.assert_allclose(alone[:, 0], message[:, 2], atol=1e-6)
+    # Weights scale: an edge of weight 0 does not exist.
+    _, half = network(node, edge, 0.5 * weight.at[4].set(0.0), ENDS)
+    kept = jnp.arange(EDGES) != 4
+    np.testing.assert_allclose(half[:, kept], 0.5 * message[:, kept], atol=1e-6)
+    assert not np.any(half[:, 4]) and np.any(message > 0)
+
+
+def test_edge_networks_stand_in_for_messages_of_any_kind() -> None:
+    key = jax.random.PRNGKey(0)
+    network = EdgeNetwork(EDGE_SIZE, WIDTH, key=key)
+    node, edge, weight = graph()
+    for edges in (RecurrentEdges(network, key=key), MemorylessEdges(network, key=key)):
+        found = edges.predict(
+            two_type_belief(jnp.full(EDGES, 0.5)), edges.embed(node, edge, weight, ENDS)
+        )
+        np.testing.assert_allclose(found.type_probability.sum(axis=-1), 1, atol=1e-6)
+        assert np.ptp(found.probability) > 1e-3
+    _, messages = TypedMessagePassing([network, network])(
+        node, edge, jnp.stack([weight, 0 * weight], axis=-1), ENDS
+    )
+    assert np.any(messages[0]) and not np.any(messages[1])
 
 
 PROBABILITY = jnp.array([[0.7, 0.2, 0.1], [0.05, 0.05, 0.9]])

@@ -1,5 +1,7 @@
 """Windows: how often each is drawn, and that each is the stretch of the run it says it is."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,6 +50,19 @@ def test_a_window_is_a_stretch_of_its_run(padded) -> None:
         np.testing.assert_array_equal(batch.nodes.mask[index], padded.node_mask[number])
         np.testing.assert_array_equal(batch.nodes.actuated[index], padded.actuated[number])
         np.testing.assert_array_equal(batch.nodes.candidate[index], padded.candidate[number])
+
+
+def test_hinges_go_with_their_runs(padded) -> None:
+    free, hung = run(2, 5, 100.0), run(3, 8, 200.0)
+    anchor = np.array([[np.nan, np.nan], [0.3, 0.4], [np.nan, np.nan]])
+    hung = dataclasses.replace(hung, scene=dataclasses.replace(hung.scene, anchor=anchor))
+    runs = pad_runs(Dataset((free, hung)))
+    windows = window_weights(runs, 3, 0.6)
+    nodes = window_source(runs, windows).take(jnp.arange(len(windows.run))).nodes
+    hinged = np.asarray(jax.vmap(lambda nodes: nodes.hinged)(nodes))
+    np.testing.assert_array_equal(hinged, (windows.run == 1)[:, None] & [False, True, False])
+    np.testing.assert_allclose(nodes.anchor[hinged], np.tile(anchor[1], (hinged.sum(), 1)))
+    assert window_source(padded, window_weights(padded, 3, 0.6)).nodes.anchor is None
 
 
 def test_what_training_sees_has_no_place_for_labels(padded) -> None:

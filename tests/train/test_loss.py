@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.model import Nodes, gim_temp, two_type_belief
+from contactgraph.model import LinearDynamics, Nodes, gim_temp, two_type_belief
 from contactgraph.train import LossTerms
 from contactgraph.train.batch import Window
 from contactgraph.train.loss import rollout_rmse, window_loss
@@ -27,7 +27,7 @@ class Still(eqx.Module):
     dt: float = DT
     control_size: int = 2
 
-    def perceive(self, position, velocity, nodes):
+    def perceive(self, position, velocity, nodes, push=None):
         exists = nodes.mask[:1] & nodes.mask[1:2] & nodes.candidate[:1]
         return Seen(jnp.where(exists, 1.0, 0.0))
 
@@ -37,11 +37,12 @@ class Still(eqx.Module):
     def predict_belief(self, belief, percept):
         return two_type_belief(jnp.full(percept.weight.shape, 0.8))
 
-    def local_input(self, percept, belief, position, velocity, key):
-        return percept
+    def local_input(self, percept, belief, position, velocity, nodes, key=None):
+        return position
 
     def local_dynamics(self, local, dt, control_size):
-        return lambda position, velocity, control: (position, velocity)
+        blocks = jnp.zeros((*local.shape, 2, 2))
+        return LinearDynamics(blocks + jnp.eye(2), blocks, blocks[..., 0])
 
     def initial_belief(self, position, velocity, nodes):
         return two_type_belief(jnp.full(nodes.candidate.shape, 0.2))
@@ -79,7 +80,9 @@ def test_the_terms_by_hand() -> None:
     weights = LossTerms(prediction=1.0, squared=10.0, rollout=100.0, prior=1000.0)
     expected = 1.25 + 32.5 + 100.0 + 1000 * 0.6 * math.log(4)
     assert float(terms.total(weights)) == pytest.approx(expected, rel=1e-3)
-    assert float(rollout_rmse(Still(), by_hand())) == pytest.approx(0.1 / math.sqrt(4))
+    # The mean over windows of each one's root: 0.1 m of one node of two, and nothing.
+    found = float(rollout_rmse(Still(), by_hand()))
+    assert found == pytest.approx((0.1 / math.sqrt(2) + 0.0) / 2)
 
 
 def test_the_rollout_is_left_out_where_it_is_not_asked_for() -> None:
@@ -93,6 +96,59 @@ def test_nodes_and_edges_that_do_not_exist_do_not_count() -> None:
     assert float(terms.prediction) == pytest.approx((2 + 0) / 2, abs=2e-3)
     assert float(terms.squared) == pytest.approx((4 + 0) / 2)
     assert float(terms.prior) == 0.0, "no edge, and no division by none"
+
+
+class Told(eqx.Module):
+    """What `TellsPush` sees, and the push that it is told of."""
+
+    weight: jax.Array
+    push: jax.Array
+
+
+class TellsPush(Still):
+    """Velocities become what the model was told of its push; 1 N moves a node by `gain` [m]."""
+
+    gain: jax.Array = eqx.field(default_factory=lambda: jnp.ones(()))
+
+    def perceive(self, position, velocity, nodes, push=None):
+        return Told(jnp.ones(1), jnp.zeros_like(position) if push is None else push)
+
+    def local_input(self, percept, belief, position, velocity, nodes, key=None):
+        # A first node's gain is one more in the second step: it lies at 1 m there.
+        return percept.push, position
+
+    def local_dynamics(self, local, dt, control_size):
+        push, position = local
+        keep = jnp.zeros((*push.shape, 2, 2)).at[..., 0, 0].set(1.0)
+        response = (self.gain + position)[..., None] * jnp.eye(2)
+        B = jnp.stack([response, jnp.zeros_like(response)], axis=-2)
+        return LinearDynamics(keep, B, jnp.stack([jnp.zeros_like(push), push], axis=-1))
+
+
+def test_training_tells_each_step_its_push_and_learns_nothing_through_it() -> None:
+    """The push of a step is its control times the response of the step before."""
+    # Node 0 is at 0 m and then at 1 m, so its responses are 1, 2; node 1's are 1, 1.
+    position = np.zeros((1, 4, 2, 2))
+    position[0, 1:, 0] = 1.0
+    control = np.array([[[3.0, 0.0], [0.0, 5.0], [7.0, 0.0]]])
+    # The first step has no other before it.
+    expected = np.zeros((1, 4, 2, 2))
+    expected[0, 1, :, 0] = 3.0
+    expected[0, 2, :, 1] = 5.0
+    expected[0, 3, :, 0] = [14.0, 7.0]
+    window = Window(*map(jnp.asarray, (position, expected, control)), nodes(1, [True] * 2))
+
+    def velocity_error(model, window):
+        moved = window_loss(model, window, jax.random.key(0), with_rollout=False)
+        return moved.squared
+
+    # Positions are moved by the control; no part of this test.
+    without = dataclasses.replace(window, velocity=jnp.zeros_like(window.velocity))
+    squares = np.sum(expected[0, 1:] ** 2) / 6
+    difference = velocity_error(TellsPush(), without) - velocity_error(TellsPush(), window)
+    assert float(difference) == pytest.approx(squares, rel=1e-4)
+    slope = eqx.filter_grad(lambda m: velocity_error(m, window) - velocity_error(m, without))
+    assert float(slope(TellsPush()).gain) == pytest.approx(0.0, abs=1e-4)
 
 
 def random_windows(padding: int) -> Window:

@@ -1,0 +1,61 @@
+"""A model meets data or a task of another kind: refused in one line that names the field."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from evaluation_worlds import DT, GluedBodies, random_run, scene_of
+
+from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.evaluate import control_task, evaluate_open_loop, inspect_run
+from contactgraph.evaluate.model_fit import check_fit
+from contactgraph.model import gim_temp
+from contactgraph.tasks import DoorTask, PickupTask
+
+ANCHOR = np.array([[np.nan, np.nan], [0.3, 0.4]])
+HINGED, FREE = scene_of(2, anchor=ANCHOR), scene_of(2)
+
+
+@pytest.fixture(scope="module")
+def models():
+    return {
+        hinges: gim_temp(2, 2, DT, 0.085, 4, hinges, key=jax.random.key(0)) for hinges in (0, 1)
+    }
+
+
+def test_models_fit_their_own_kind(models) -> None:
+    check_fit(models[1], HINGED, 2, "the data")
+    check_fit(models[0], FREE, 2, "the data")
+    # Anchors that are all NaN say that nobody hangs on a hinge.
+    check_fit(models[0], scene_of(2, anchor=np.full((2, 2), np.nan)), 2, "the data")
+    # Models that do not say what they are for are let through.
+    check_fit(GluedBodies(), scene_of(2, anchor=ANCHOR), 5, "the data")
+
+
+@pytest.mark.parametrize(
+    ("hinges", "scene", "message"),
+    [
+        (1, FREE, "the model is for bodies on hinges, but the data has no anchor; it must say "),
+        (0, HINGED, "the model knows no hinges, but the data has an anchor; train one on data "),
+        (0, replace(FREE, dt=0.1), "the model is for dt 0.05 s, but the data has 0.1 s; "),
+    ],
+)
+def test_what_does_not_fit_is_named_in_one_line(models, hinges, scene, message) -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        check_fit(models[hinges], scene, 2, "the data")
+    assert str(caught.value).startswith(message)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_anchor_is_asked_for_wherever_models_meet_data(models) -> None:
+    bare = random_run(2, 5, 0)
+    hung = random_run(2, 5, 0, anchor=ANCHOR)
+    for run, model in ((bare, models[1]), (hung, models[0])):
+        with pytest.raises(InvalidInputError, match=r"the data has (no|an) anchor"):
+            evaluate_open_loop(model, Dataset((run,)), horizon_s=2 * DT)
+        with pytest.raises(InvalidInputError, match=r"has (no|an) anchor"):
+            inspect_run(model, run)
+    for task, model in ((PickupTask, models[1]), (DoorTask, models[0])):
+        with pytest.raises(InvalidInputError, match=r"the task has (no|an) anchor"):
+            control_task(model, task, 1, 0)

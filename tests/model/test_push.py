@@ -1,0 +1,86 @@
+"""What a step's own control does to positions: contacts present push, coming ones do not."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from model_scenes import nodes_of, preset, state_at
+
+from contactgraph.data.graph import pair_indices
+from contactgraph.model import (
+    LinearDynamics,
+    ModelState,
+    held_response,
+    pushed,
+    response_of,
+    two_type_belief,
+)
+
+COUNT = 4
+
+
+class Counts(eqx.Module):
+    """1 N moves every node by as many metres as it has candidate edges, and makes it as fast."""
+
+    def linear_step(self, state, nodes):
+        first, second = pair_indices(COUNT).T
+        edges = jnp.zeros(COUNT).at[first].add(nodes.candidate).at[second].add(nodes.candidate)
+        position = edges[:, None, None] * jnp.eye(2)
+        B = jnp.stack([position, 100.0 + position], axis=-2)
+        still = jnp.zeros((COUNT, 2, 2, 2))
+        return LinearDynamics(still, B, still[..., 0]), state.belief
+
+
+def test_only_the_contacts_of_now_hold() -> None:
+    nodes = nodes_of(3, capacity=COUNT)
+    probability = jnp.array([0.9, 0.4, 0.51, 0.9, 0.9, 0.9])  # The last three: with padding.
+    state = ModelState(jnp.zeros((COUNT, 2)), jnp.ones((COUNT, 2)), two_type_belief(probability))
+    response = held_response(Counts(), state, nodes)
+    # Pairs in order: 0-1, 0-2, 1-2.
+    np.testing.assert_array_equal(response, jnp.array([1.0, 2, 1, 0])[:, None, None] * jnp.eye(2))
+    # In metres a newton: the row of the positions.
+    linear, _ = Counts().linear_step(state, nodes)
+    np.testing.assert_array_equal(response_of(linear, response), linear.B[..., 0, :])
+
+
+def test_a_push_is_the_response_times_the_control() -> None:
+    rng = np.random.default_rng(0)
+    response, control = rng.normal(size=(COUNT, 2, 3)), rng.normal(size=3)
+    still = jnp.zeros((COUNT, 2))
+    state = ModelState(still, still, two_type_belief(jnp.zeros(6)))
+    found = pushed(state, jnp.asarray(response), jnp.asarray(control))
+    np.testing.assert_allclose(found.push, response @ control, rtol=1e-5)
+    # What else is known stays as it was.
+    for one, other in zip(
+        (found.position, found.velocity), (state.position, state.velocity), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+    assert state.push is None
+
+
+def test_the_contact_that_a_push_would_bring_does_not_push() -> None:
+    """Two bodies a hair out of touch: the model will hold them, the push is the first one's own."""
+    model, nodes = preset("no_gim"), nodes_of(2)
+    position = jnp.array([[0.0, 0.0], [0.1, 0.0]])
+    state = state_at(model, position, jnp.zeros((2, 2)), nodes)
+    apart = dataclasses.replace(state, belief=two_type_belief(jnp.zeros(1)))
+    held = dataclasses.replace(state, belief=two_type_belief(jnp.ones(1)))
+    alone, together = (held_response(model, each, nodes) for each in (apart, held))
+    assert np.any(alone[0] > 0) and np.all(np.abs(together[0]) <= np.abs(alone[0]))
+    linear, _ = model.linear_step(apart, nodes)
+    np.testing.assert_allclose(response_of(linear, together), together, rtol=1e-5)
+    assert np.abs(together[0] - alone[0]).max() > 1e-5
+
+
+def test_a_push_decides_who_touches_whom() -> None:
+    """Bodies at rest, 2 cm from touch: pushed together within the step they meet in it."""
+    model, nodes = preset("gim_temp"), nodes_of(2)
+    touch = float(model.features.touch_distance)
+    position, still = jnp.array([[0.0, 0.0], [touch + 0.02, 0.0]]), jnp.zeros((2, 2))
+    shares = []
+    for push in (None, jnp.array([[0.03, 0.0], [0.0, 0.0]]), jnp.array([[-0.03, 0.0], [0.0, 0.0]])):
+        percept = model.perceive(position, still, nodes, push)
+        shares.append(float(percept.geometry.share_after_touch[0]))
+    assert shares[0] == shares[2] == 0.0
+    assert 0.0 < shares[1] < 0.5
