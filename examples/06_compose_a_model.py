@@ -39,7 +39,7 @@ model = ContactDynamics(
     inference=MemorylessEdges(messages(edges_key), edge_types=3, key=output_key),
     local_dynamics=SpringMassDamperDynamics(
         message_passing=TypedMessagePassing([messages(key) for key in type_keys]),
-        head=CoupledHead(WIDTH, length=DISTANCE, dt=DT, key=head_key),
+        head=CoupledHead(WIDTH, features.kinds, length=DISTANCE, key=head_key),
         discretisation=ThetaMethod(0.55, learned=False),  # ten symplectic substeps: (n+1)/2n
     ),
     features=features,
