@@ -129,11 +129,11 @@ def test_success_is_a_held_door_at_its_goal():
     assert not task.solved(task.scene, position + 0.001, held)
 
 
-def test_the_cost_has_the_weights_of_the_paper():
+def test_the_cost_pulls_to_the_door_as_the_paper_does_and_to_the_goal_as_pickup_does():
     cost = DoorTask(4).cost_terms()
     assert cost.chain == (0, 1)
     assert cost.pick_weights.tolist() == [6.5, 6.5, 0.2, 0.2]
-    assert cost.goal_weights.tolist() == [1.0, 1.0, 2.0, 2.0]
+    assert cost.goal_weights.tolist() == [50.0, 50.0, 1.0, 1.0]
     assert cost.control_weight == 0.01
 
 
