@@ -13,9 +13,8 @@ from contactgraph.model import (
     LinearDynamics,
     ModelState,
     Nodes,
+    advance,
     held_response,
-    pushed,
-    response_of,
 )
 
 
@@ -79,7 +78,7 @@ def roll_out(
     """
     response = held_response(model, start, nodes)
 
-    def advance(
+    def step(
         carry: tuple[ModelState, Float[Array, "N D U"]], stage: LQRPolicy
     ) -> tuple[tuple[ModelState, Float[Array, "N D U"]], Rollout]:
         state, response = carry
@@ -87,14 +86,12 @@ def roll_out(
         # A sum rather than a product with K: it fuses with what is around it.
         u = jnp.sum(stage.K * x, axis=-1) + stage.k
         u = u if limits is None else limits(u)
-        linear, belief = model.linear_step(pushed(state, response, u), nodes)
-        position, velocity = linear(state.position, state.velocity, u)
-        after = _like(ModelState(position, velocity, belief), state)
+        after, response, linear = advance(model, state, response, u, nodes)
         part = jax.tree.map(lambda block: block[involved].astype(x.dtype), linear)
-        carry = after, response_of(linear, response)
-        return carry, Rollout(after.position, after.velocity, after.belief, x, u, part)
+        told = Rollout(after.position, after.velocity, after.belief, x, u, part)
+        return (after, response), told
 
-    (last, _), steps = jax.lax.scan(advance, (start, response), policy)
+    (last, _), steps = jax.lax.scan(step, (start, response), policy)
     return Rollout(
         position=jnp.concatenate([start.position[None], steps.position]),
         velocity=jnp.concatenate([start.velocity[None], steps.velocity]),
@@ -103,8 +100,3 @@ def roll_out(
         controls=steps.controls,
         dynamics=steps.dynamics,
     )
-
-
-def _like(state: ModelState, other: ModelState) -> ModelState:
-    """In the other's number types: a model of float32 may meet states of float64."""
-    return jax.tree.map(lambda value, old: value.astype(old.dtype), state, other)

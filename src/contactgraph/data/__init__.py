@@ -8,6 +8,7 @@ from contactgraph.data.dataset import strip_contacts as strip_contacts
 from contactgraph.data.errors import InvalidInputError as InvalidInputError
 from contactgraph.data.events import event_steps as event_steps
 from contactgraph.data.graph import candidate_pairs as candidate_pairs
+from contactgraph.data.graph import joined as joined
 from contactgraph.data.graph import pair_indices as pair_indices
 from contactgraph.data.padding import PaddedRuns as PaddedRuns
 from contactgraph.data.padding import pad_runs as pad_runs

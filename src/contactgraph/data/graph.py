@@ -29,3 +29,17 @@ def candidate_pairs(scene: Scene, node_capacity: int) -> np.ndarray:
         listed[scene.candidate_edges[:, 0], scene.candidate_edges[:, 1]] = True
         candidate &= (listed | listed.T)[pairs[:, 0], pairs[:, 1]]
     return candidate
+
+
+def joined(contact: np.ndarray) -> np.ndarray:
+    """[S, N, N] float 0 or 1: who is joined to whom, directly or through others, or is the same.
+
+    ``contact``: [S, N, N] bool, symmetric.
+    """
+    count = contact.shape[-1]
+    reach = (contact | np.eye(count, dtype=bool)).astype(np.float64)
+    length = 1
+    while length < count:
+        reach = np.minimum(reach @ reach, 1.0)
+        length *= 2
+    return reach

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from contactgraph.control import MPC, MPCState, Plan, QuadraticCost, chain_cost
-from contactgraph.data import InvalidInputError, Scene, pair_indices
-from contactgraph.evaluate.floors import joined
+from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
 from contactgraph.evaluate.scene_nodes import scene_nodes
 from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
 from contactgraph.tasks.contract import ChainCost, Observation

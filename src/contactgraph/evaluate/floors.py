@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from contactgraph.data import Trajectory
+from contactgraph.data import Trajectory, joined
 from contactgraph.evaluate.hinged_floor import hinged_positions
 
 
@@ -51,20 +51,6 @@ def frozen_contact(run: Trajectory, steps: int) -> np.ndarray | None:
     position, velocity = run.position[:starts], run.velocity[:starts]
     turned, turns = hinged_positions(scene, group, position, velocity, force, _substeps(run))
     return np.where(turns[:, None, :, None], turned, straight)
-
-
-def joined(contact: np.ndarray) -> np.ndarray:
-    """[S, N, N] float 0 or 1: who is joined to whom, directly or through others, or is the same.
-
-    ``contact``: [S, N, N] bool, symmetric.
-    """
-    count = contact.shape[-1]
-    reach = (contact | np.eye(count, dtype=bool)).astype(np.float64)
-    length = 1
-    while length < count:
-        reach = np.minimum(reach @ reach, 1.0)
-        length *= 2
-    return reach
 
 
 def _force(run: Trajectory) -> np.ndarray:

@@ -14,7 +14,7 @@ from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.evaluate.model_fit import check_fit
 from contactgraph.evaluate.rollouts import number_type
 from contactgraph.evaluate.scene_nodes import scene_nodes
-from contactgraph.model import ModelState, Nodes, stack_state
+from contactgraph.model import ModelState, Nodes, advance, held_response, stack_state
 
 
 @dataclass(frozen=True)
@@ -105,20 +105,21 @@ def _rollout(
     ``position`` and ``velocity`` [N, D], ``controls`` [T, U].
     """
 
-    def advance(state: ModelState, control: Array) -> tuple[ModelState, tuple[Array, Array]]:
-        linear, belief = model.linear_step(state, nodes)
-        after = ModelState(*linear(state.position, state.velocity, control), belief)
-        after = jax.tree.map(lambda new, old: new.astype(old.dtype), after, state)
+    Carry = tuple[ModelState, Float[Array, "N D U"]]
+
+    def step(carry: Carry, control: Array) -> tuple[Carry, tuple[Array, Array]]:
+        after, response, linear = advance(model, *carry, control, nodes)
         seen = nodes.mask[:, None]
         moved = stack_state(
             jnp.where(seen, after.position, 0.0), jnp.where(seen, after.velocity, 0.0)
         )
         radius = jnp.where(seen, _spectral_radius(linear.A), 0.0)
-        return after, (jnp.linalg.norm(moved), jnp.max(radius))
+        return (after, response), (jnp.linalg.norm(moved), jnp.max(radius))
 
     start, speed = jnp.asarray(position), jnp.asarray(velocity)
     first = ModelState(start, speed, model.initial_belief(start, speed, nodes))
-    return jax.lax.scan(advance, first, jnp.asarray(controls))[1]
+    begin = first, held_response(model, first, nodes)
+    return jax.lax.scan(step, begin, jnp.asarray(controls))[1]
 
 
 def _spectral_radius(A: Float[Array, "*N 2 2"]) -> Float[Array, "*N"]:

@@ -1,7 +1,5 @@
 """What a model predicts along a recorded run, and from every state of it on."""
 
-from typing import TypeVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,13 +14,13 @@ from contactgraph.model import (
     ContactSensor,
     ModelState,
     Nodes,
+    advance,
     correct,
     held_response,
+    in_types_of,
     pushed,
     response_of,
 )
-
-_Tree = TypeVar("_Tree", ModelState, ContactBelief)
 
 _SMALL_GRAPH = 28
 """Edges up to which rollouts side by side are faster on a CPU than one after the other: from
@@ -102,7 +100,7 @@ def carry_belief(model: StepModel, run: Recording, sensor: ContactSensor) -> Car
 
     Carry = tuple[ContactBelief, Float[Array, "N D U"]]
 
-    def advance(
+    def follow(
         carry: Carry, step: tuple[Array, Array, Array, Array]
     ) -> tuple[Carry, CarriedBelief]:
         predicted, response = carry
@@ -110,7 +108,7 @@ def carry_belief(model: StepModel, run: Recording, sensor: ContactSensor) -> Car
         now = correct(predicted, contact, sensor)
         state = pushed(ModelState(position, velocity, now), response, control)
         linear, coming = model.linear_step(state, run.nodes)
-        coming = _like(coming, predicted)
+        coming = in_types_of(coming, predicted)
         return (coming, response_of(linear, response)), CarriedBelief(now, coming)
 
     first = model.initial_belief(run.position[0], run.velocity[0], run.nodes)
@@ -118,7 +116,7 @@ def carry_belief(model: StepModel, run: Recording, sensor: ContactSensor) -> Car
     # No control follows the last state.
     control = jnp.concatenate([run.control, jnp.zeros_like(run.control[:1])])
     steps = run.position, run.velocity, run.contact, control
-    return jax.lax.scan(advance, (first, held_response(model, begin, run.nodes)), steps)[1]
+    return jax.lax.scan(follow, (first, held_response(model, begin, run.nodes)), steps)[1]
 
 
 @eqx.filter_jit
@@ -135,16 +133,12 @@ def predict_run(
 
         Carry = tuple[ModelState, Float[Array, "N D U"]]
 
-        def advance(carry: Carry, control: Array) -> tuple[Carry, tuple[Array, Array]]:
-            state, response = carry
-            linear, belief = model.linear_step(pushed(state, response, control), run.nodes)
-            position, velocity = linear(state.position, state.velocity, control)
-            after = _like(ModelState(position, velocity, belief), state)
-            seen = after.position, after.belief.probability > 0.5
-            return (after, response_of(linear, response)), seen
+        def step(carry: Carry, control: Array) -> tuple[Carry, tuple[Array, Array]]:
+            after, response, _ = advance(model, *carry, control, run.nodes)
+            return (after, response), (after.position, after.belief.probability > 0.5)
 
         response = held_response(model, state, run.nodes)
-        return jax.lax.scan(advance, (state, response), controls)[1]
+        return jax.lax.scan(step, (state, response), controls)[1]
 
     count, edges = starts.shape[0], run.contact.shape[-1]
     batch = min(_BATCH, count) if edges <= _SMALL_GRAPH else 1
@@ -152,8 +146,3 @@ def predict_run(
     padded = jnp.pad(starts, (0, -count % batch), mode="edge")
     position, active = jax.lax.map(from_state, padded, batch_size=batch if batch > 1 else None)
     return RunPrediction(position[:count], active[:count], carried.coming.probability > 0.5)
-
-
-def _like(value: _Tree, other: _Tree) -> _Tree:
-    """In the other's number types: a model of float32 may meet states of float64."""
-    return jax.tree.map(lambda new, old: new.astype(old.dtype), value, other)

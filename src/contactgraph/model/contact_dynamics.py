@@ -17,7 +17,7 @@ from contactgraph.model.linear_dynamics import LinearDynamics
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
 from contactgraph.model.local_input import LocalInput
 from contactgraph.model.prior import DistancePrior, TouchPrior
-from contactgraph.model.push import held_response, pushed, response_of
+from contactgraph.model.push import advance, held_response
 from contactgraph.model.reach import Everywhere, Reach
 from contactgraph.model.sampling import ArgmaxSample, GumbelSample
 from contactgraph.model.spring_mass_damper import SpringMassDamper
@@ -137,23 +137,18 @@ class ContactDynamics(eqx.Module):
 
     def step(self, state: ModelState, control: Float[Array, " U"], nodes: Nodes) -> ModelState:
         """The next state under a control [N]."""
-        response = held_response(self, state, nodes)
-        linear, belief = self.linear_step(pushed(state, response, control), nodes)
-        position, velocity = linear(state.position, state.velocity, control)
-        return ModelState(position, velocity, belief)
+        return advance(self, state, held_response(self, state, nodes), control, nodes)[0]
 
     def rollout(self, state: ModelState, controls: Float[Array, "H U"], nodes: Nodes) -> ModelState:
         """All states that follow, ``[H, …]``; belief h is about the step that led to state h."""
         Carry = tuple[ModelState, Float[Array, "N D U"]]
 
-        def advance(carry: Carry, control: Array) -> tuple[Carry, ModelState]:
-            state, response = carry
-            linear, belief = self.linear_step(pushed(state, response, control), nodes)
-            state = ModelState(*linear(state.position, state.velocity, control), belief)
-            return (state, response_of(linear, response)), state
+        def step(carry: Carry, control: Array) -> tuple[Carry, ModelState]:
+            after, response, _ = advance(self, *carry, control, nodes)
+            return (after, response), after
 
         first = dataclasses.replace(state, push=None)
-        return jax.lax.scan(advance, (first, held_response(self, state, nodes)), controls)[1]
+        return jax.lax.scan(step, (first, held_response(self, state, nodes)), controls)[1]
 
     def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
         """The spring-mass-damper parameters of the coming step, each [N, D].

@@ -6,14 +6,17 @@ it did to positions in the step before: contacts that come about in a step do no
 """
 
 import dataclasses
-from typing import Protocol
+from typing import Protocol, TypeVar
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from contactgraph.model.belief import ContactBelief
 from contactgraph.model.linear_dynamics import LinearDynamics
 from contactgraph.model.state import ModelState, Nodes
+
+_Tree = TypeVar("_Tree", ModelState, ContactBelief)
 
 
 class _LinearModel(Protocol):
@@ -26,7 +29,7 @@ def held_response(model: _LinearModel, state: ModelState, nodes: Nodes) -> Float
     """[m/N] How far each node is moved by the control, if only the present contacts hold."""
     holds = nodes.candidate & (state.belief.probability > 0.5)
     linear, _ = model.linear_step(state, dataclasses.replace(nodes, candidate=holds))
-    return linear.B[..., 0, :].astype(state.position.dtype)
+    return response_of(linear, state.position)
 
 
 def pushed(
@@ -37,6 +40,28 @@ def pushed(
     return dataclasses.replace(state, push=push.astype(state.velocity.dtype))
 
 
-def response_of(linear: LinearDynamics, like: Float[Array, "N D U"]) -> Float[Array, "N D U"]:
-    """[m/N] The response in the step after one of these dynamics."""
+def response_of(linear: LinearDynamics, like: Array) -> Float[Array, "N D U"]:
+    """[m/N] The response in the step after one of these dynamics; of `like`'s number type."""
     return linear.B[..., 0, :].astype(like.dtype)
+
+
+def advance(
+    model: _LinearModel,
+    state: ModelState,
+    response: Float[Array, "N D U"],
+    control: Float[Array, " U"],
+    nodes: Nodes,
+) -> tuple[ModelState, Float[Array, "N D U"], LinearDynamics]:
+    """One step under a control [N]: the next state, the response after it, and the dynamics.
+
+    States keep their number types: a model of float32 may meet states of float64.
+    """
+    linear, belief = model.linear_step(pushed(state, response, control), nodes)
+    position, velocity = linear(state.position, state.velocity, control)
+    after = in_types_of(ModelState(position, velocity, belief), state)
+    return after, response_of(linear, response), linear
+
+
+def in_types_of(value: _Tree, other: _Tree) -> _Tree:
+    """The value in the number types of another that is built alike."""
+    return jax.tree.map(lambda new, old: new.astype(old.dtype), value, other)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from contactgraph.data import InvalidInputError, Scene
+from contactgraph.data import InvalidInputError, Scene, joined
 from contactgraph.tasks.box2d import SIMULATOR, CircleWorld
 from contactgraph.tasks.contract import ChainCost
 from contactgraph.tasks.gripper_task import GRIPPER, GripperTask
@@ -69,8 +69,5 @@ class MultiPickupTask(GripperTask):
 
 def held(contact: np.ndarray) -> set[int]:
     """The nodes joined to the gripper by ``contact`` ``[N, N]``, directly or through others."""
-    found, new = set[int](), {GRIPPER}
-    while new:
-        found |= new
-        new = {int(node) for node in np.flatnonzero(contact[sorted(new)].any(axis=0))} - found
-    return found - {GRIPPER}
+    together = joined(np.asarray(contact, dtype=bool)[None])[0, GRIPPER]
+    return {int(node) for node in np.flatnonzero(together)} - {GRIPPER}
