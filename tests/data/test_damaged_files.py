@@ -37,12 +37,14 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
         goal=np.zeros(2),
         mass=np.ones(NODES),
         radius=np.ones(NODES),
+        size=np.array([[np.nan, np.nan], [0.1, 0.2], [0.3, 0.1]]),
         candidate_edges=np.array([[0, 1], [0, 2]]),
         metadata={"seed": 3},
     )
     state = rng.normal(size=(2, STEPS + 1, NODES, 2))
     contact = np.zeros((STEPS + 1, NODES, NODES), dtype=bool)
-    run = Trajectory(scene, state[0], state[1], rng.normal(size=(STEPS, 2)), contact)
+    control, skeleton = rng.normal(size=(STEPS, 2)), rng.normal(size=(STEPS + 1, 4, 2))
+    run = Trajectory(scene, state[0], state[1], control, contact, skeleton)
     write_trajectories(path, [run, run], {"task": "push"})
     return path
 
@@ -97,7 +99,7 @@ def test_everything_written_is_under_a_checksum(good: Path) -> None:
         assert good.read_bytes()[8] == 3, "superblock version"
         check("/", file)
         file.visititems(check)
-    assert len(arrays) == 2 * 12
+    assert len(arrays) == 2 * 14
 
 
 @settings(max_examples=300, deadline=None)
@@ -185,6 +187,15 @@ STATE = np.zeros((STEPS + 1, NODES, 2))
         (put("position", STATE.astype("S3")), f"{RUN}/position: must have shape (T+1, N, D) of"),
         (put("mass", [1.0]), f"{RUN}: mass must have shape (3,)"),
         (put("mass", [1.0, np.inf, 1.0]), f"{RUN}: mass must be finite"),
+        (put("size", np.ones((3, 3))), f"{RUN}: size must have shape (3, 2), found (3, 3)"),
+        (put("size", [[1, 1], [1, 0], [1, 1]]), f"{RUN}: size must be positive, or NaN throughout"),
+        (put("size", [[1, np.inf]] * 3), "found [1.0, inf] for 'gripper'"),
+        (put("size", [[1, 1], [np.nan, 1], [1, 1]]), "found [nan, 1.0] for 'käse'"),
+        (with_nan("skeleton"), f"{RUN}: skeleton must be finite, found nan at [1, 1, 0]"),
+        (put("skeleton", STATE[:3]), f"{RUN}: skeleton must have shape (T+1, P, D) = (5, P, 2)"),
+        (put("skeleton", STATE[..., :1]), "with P >= 2, found (5, 3, 1)"),
+        (put("skeleton", STATE[:, :1]), "with P >= 2, found (5, 1, 2)"),
+        (put("skeleton", STATE[0]), f"{RUN}/skeleton: must have shape (T+1, P, D) of floats"),
         (put("contact", np.full((5, 3, 3), 2)), f"{RUN}/contact: must hold only 0 and 1"),
         (put("contact", np.tri(3)[None].repeat(5, 0) > 0), f"{RUN}: contact must be symmetric"),
         (put("actuated", [1.0, 0.0, 0.0]), f"{RUN}/actuated: must have shape (N,) of bools"),

@@ -53,6 +53,10 @@ def datasets(draw: st.DrawFn) -> Dataset:
         }
         if optional["anchor"] is not None:
             optional["anchor"][0] = np.nan
+        sides = st.floats(1e-3, 1e3)
+        size = draw(st.none() | hnp.arrays(np.float64, (nodes, dimension), elements=sides))
+        if size is not None:
+            size[0] = np.nan
         edges = st.tuples(st.integers(0, nodes - 1), st.integers(0, nodes - 1))
         pairs = (
             draw(st.lists(edges.filter(lambda e: e[0] != e[1]), max_size=4)) if nodes > 1 else []
@@ -65,6 +69,7 @@ def datasets(draw: st.DrawFn) -> Dataset:
             dt=dt,
             dimension=dimension,
             candidate_edges=np.array(pairs).reshape(-1, 2) if draw(st.booleans()) else None,
+            size=size,
             metadata=draw(metadata),
             **optional,
         )
@@ -74,6 +79,7 @@ def datasets(draw: st.DrawFn) -> Dataset:
             numbers(steps + 1, nodes, dimension),
             numbers(steps, control_size),
             contact | contact.swapaxes(1, 2) if draw(st.booleans()) else None,
+            numbers(steps + 1, draw(st.integers(2, 4)), dimension) if draw(st.booleans()) else None,
         )
 
     return Dataset(tuple(run() for _ in range(draw(st.integers(1, 3)))), draw(metadata))
@@ -86,9 +92,9 @@ def assert_same(found: Dataset, expected: Dataset) -> None:
     }
     assert len(found) == len(expected)
     for ours, theirs in zip(found, expected, strict=True):
-        for name in ("position", "velocity", "control", "contact"):
+        for name in ("position", "velocity", "control", "contact", "skeleton"):
             assert_same_array(getattr(ours, name), getattr(theirs, name))
-        for name in ("actuated", "anchor", "goal", "mass", "radius", "candidate_edges"):
+        for name in ("actuated", "anchor", "goal", "mass", "radius", "size", "candidate_edges"):
             assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
         for name in ("node_name", "node_type", "dt", "dimension", "metadata"):
             assert getattr(ours.scene, name) == getattr(theirs.scene, name)

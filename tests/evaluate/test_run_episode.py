@@ -55,6 +55,33 @@ def test_every_step_is_reported():
     assert np.array_equal(np.stack([control for _, _, control in seen]), run.control)
 
 
+class Watched(PickupTask):
+    """A pickup that shows a stick from above to its gripper, always in the same array."""
+
+    stick = np.array([[0.0, 2.0], [0.0, 0.0]])
+
+    def step(self, action):
+        observation, *others = super().step(action)
+        self.stick[1] = observation["position"][0]
+        return observation, *others
+
+    def reset(self, *, seed=None, options=None):
+        observation, info = super().reset(seed=seed, options=options)
+        self.stick[1] = observation["position"][0]
+        return observation, info
+
+    def skeleton(self):
+        return self.stick
+
+
+def test_a_task_that_is_drawn_has_its_skeleton_recorded_at_every_state():
+    run = run_episode(Watched(), PickupExpert(), 4)
+    assert run.skeleton.shape == (201, 2, 2)
+    assert np.array_equal(run.skeleton[:, 1], run.position[:, 0])
+    assert np.array_equal(run.skeleton[:, 0], np.tile([0.0, 2.0], (201, 1)))
+    assert run_episode(PickupTask(), PickupExpert(), 4).skeleton is None
+
+
 def test_the_metadata_tells_who_did_it_and_does_not_touch_the_task():
     task = PickupTask()
     run = run_episode(task, RestPolicy(), 9)

@@ -135,6 +135,37 @@ class SuccessAsNumber(PickupTask):
         return 1.0
 
 
+class Drawn(PickupTask):
+    """A pickup with a stick to draw."""
+
+    stick = np.zeros((2, 2))
+
+    def skeleton(self):
+        return self.stick
+
+
+class DrawnAsOnePoint(Drawn):
+    stick = np.zeros((1, 2))
+
+
+class DrawnInSpace(Drawn):
+    stick = np.zeros((4, 3))
+
+
+class DrawnNowhere(Drawn):
+    stick = np.full((2, 2), np.nan)
+
+
+class DrawnLongerAndLonger(Drawn):
+    def step(self, action):
+        self.stick = np.append(self.stick, np.zeros((1, 2)), axis=0)
+        return super().step(action)
+
+
+def test_a_task_may_be_drawn():
+    check_task(Drawn)
+
+
 @pytest.mark.parametrize(
     ("task", "message"),
     [
@@ -157,6 +188,10 @@ class SuccessAsNumber(PickupTask):
         (WeightsIn3D, r"cost_terms\(\) must have 4 weights"),
         (SuccessAsNumber, r"success\(\) must be a bool, found float"),
         (SceneOfItsOwn, "scene must be a contactgraph.data.Scene, found dict"),
+        (DrawnAsOnePoint, r"skeleton\(\) must have shape \(P, 2\) with P >= 2, found \(1, 2\)"),
+        (DrawnInSpace, r"skeleton\(\) must have shape \(P, 2\) .* found \(4, 3\) at reset"),
+        (DrawnNowhere, r"skeleton\(\) must be finite, found .*nan.* at reset"),
+        (DrawnLongerAndLonger, r"keep its 2 points, found 202 at the end of an episode"),
         (object, "a task must be a gymnasium.Env, found object"),
     ],
 )

@@ -30,12 +30,14 @@ ARRAYS = {
     "position": Field(("T+1", "N", "D"), "fiu", "m"),
     "velocity": Field(("T+1", "N", "D"), "fiu", "m/s"),
     "control": Field(("T", "U"), "fiu", "N"),
+    "skeleton": Field(("T+1", "P", "D"), "fiu", "m"),
     "actuated": Field(("N",), "biu"),
     "contact": Field(("T+1", "N", "N"), "biu"),
     "anchor": Field(("N", "D"), "fiu", "m"),
     "goal": Field(("D",), "fiu", "m"),
     "mass": Field(("N",), "fiu", "kg"),
     "radius": Field(("N",), "fiu", "m"),
+    "size": Field(("N", "D"), "fiu", "m"),
     "candidate_edges": Field(("E", "2"), "iu"),
 }
 NAMES = ("node_name", "node_type")

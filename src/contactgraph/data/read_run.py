@@ -17,12 +17,12 @@ def read_run(group: UntrustedGroup) -> Trajectory:
     """The run in ``group``; raises `InvalidInputError` naming it and the field."""
     position = _array(group, "position")
     velocity, control = _array(group, "velocity"), _array(group, "control")
-    contact = _optional_array(group, "contact")
+    contact, skeleton = _optional_array(group, "contact"), _optional_array(group, "skeleton")
     names, types = group.texts("node_name"), group.texts("node_type")
     actuated, dt, metadata = _array(group, "actuated"), read_dt(group), read_metadata(group)
     anchor, goal = _optional_array(group, "anchor"), _optional_array(group, "goal")
     mass, radius = _optional_array(group, "mass"), _optional_array(group, "radius")
-    edges = _optional_array(group, "candidate_edges")
+    size, edges = _optional_array(group, "size"), _optional_array(group, "candidate_edges")
     with naming(group.where):
         scene = Scene(
             node_name=names,
@@ -34,10 +34,11 @@ def read_run(group: UntrustedGroup) -> Trajectory:
             goal=goal,
             mass=mass,
             radius=radius,
+            size=size,
             candidate_edges=edges,
             metadata=metadata,
         )
-        return Trajectory(scene, position, velocity, control, contact)
+        return Trajectory(scene, position, velocity, control, contact, skeleton)
 
 
 def read_dt(group: UntrustedGroup) -> float:

@@ -33,6 +33,9 @@ class Scene:
     """[N] true mass, kg, where it is known. Serves evaluation only; training never reads it."""
     radius: np.ndarray | None = None
     """[N] radius, m, where it is known. Serves drawing only; training never reads it."""
+    size: np.ndarray | None = None
+    """[N, D] side lengths of a box around each node's position, along the axes, m; NaN throughout
+    for a node that is no box. None: nobody is. Serves drawing only; training never reads it."""
     candidate_edges: np.ndarray | None = None
     """[E, 2] int: pairs of nodes that could touch. None: every pair."""
     metadata: dict[str, str | int | float | bool] = field(default_factory=dict)
@@ -51,6 +54,7 @@ class Scene:
             "goal": (dimension,),
             "mass": (count,),
             "radius": (count,),
+            "size": (count, dimension),
         }
         if len(self.node_type) != count:
             raise InvalidInputError(
@@ -69,6 +73,8 @@ class Scene:
             value = getattr(self, name)
             if value is not None and not np.all(np.isfinite(value)):
                 raise InvalidInputError(f"{name} must be finite, found {value.tolist()}")
+        if self.size is not None:
+            _check_size(self.size, self.node_name)
         if self.candidate_edges is not None:
             _set(self, "candidate_edges", _checked_edges(self.candidate_edges, count))
 
@@ -81,6 +87,15 @@ class Scene:
     def has_hinges(self) -> bool:
         """Whether some node hangs on a hinge."""
         return self.anchor is not None and bool(np.any(np.isfinite(self.anchor)))
+
+
+def _check_size(size: np.ndarray, names: tuple[str, ...]) -> None:
+    box = np.all(np.isfinite(size) & (size > 0.0), axis=1)
+    for node in np.flatnonzero(~(box | np.all(np.isnan(size), axis=1))):
+        raise InvalidInputError(
+            f"size must be positive, or NaN throughout for a node that is no box, "
+            f"found {size[node].tolist()} for {names[node]!r}"
+        )
 
 
 def _checked_edges(edges: np.ndarray, count: int) -> np.ndarray:

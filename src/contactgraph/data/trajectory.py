@@ -25,6 +25,9 @@ class Trajectory:
     """[T, U] N; U may be 0."""
     contact: np.ndarray | None = None
     """[T+1, N, N] bool, symmetric: whether two nodes touch at a step. None: not recorded."""
+    skeleton: np.ndarray | None = None
+    """[T+1, P, D] m: points, joined by lines in their order, of a body that is drawn but is no
+    node, such as an arm from base to hand. None: there is none. Training never reads it."""
 
     def __post_init__(self) -> None:
         scene = self.scene
@@ -47,15 +50,28 @@ class Trajectory:
             raise InvalidInputError(
                 f"control must have shape (T, U) with T = {steps}, found {self.control.shape}"
             )
-        for name in ("position", "velocity", "control"):
+        if self.skeleton is not None:
+            self._check_skeleton(state_shape)
+        for name in ("position", "velocity", "control", "skeleton"):
             value = getattr(self, name)
-            if not np.all(np.isfinite(value)):
+            if value is not None and not np.all(np.isfinite(value)):
                 where = [int(i) for i in np.argwhere(~np.isfinite(value))[0]]
                 raise InvalidInputError(
                     f"{name} must be finite, found {value[tuple(where)]} at {where}"
                 )
         if self.contact is not None:
             self._check_contact(steps)
+
+    def _check_skeleton(self, state_shape: tuple[int, ...]) -> None:
+        skeleton = np.asarray(self.skeleton, dtype=np.float64)
+        object.__setattr__(self, "skeleton", skeleton)
+        states, _, dimension = state_shape
+        points = skeleton.shape[1] if skeleton.ndim == 3 else 0
+        if points < 2 or skeleton.shape != (states, points, dimension):
+            raise InvalidInputError(
+                f"skeleton must have shape (T+1, P, D) = ({states}, P, {dimension}) with P >= 2, "
+                f"found {skeleton.shape}"
+            )
 
     def _check_contact(self, steps: int) -> None:
         contact = np.asarray(self.contact, dtype=bool)

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.tasks.contract import Observation, Policy, Task
+from contactgraph.tasks.contract import Drawn, Observation, Policy, Task
 
 StepCallback = Callable[[int, Observation, np.ndarray], None]
 """Called after every step with its index, the observation before it and the control ``[U]`` N."""
@@ -20,7 +20,8 @@ def run_episode(
     """Runs one episode and records it: ``T`` controls as applied, ``T + 1`` states and contacts.
 
     ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
-    it. The scene's metadata gains the policy's class name.
+    it. The scene's metadata gains the policy's class name. A task that is `Drawn` has its skeleton
+    recorded at every state.
     """
     if seed < 0:
         raise InvalidInputError(f"seed must be at least 0, found {seed}")
@@ -29,6 +30,9 @@ def run_episode(
     # A stream of its own: a noise drawn from the scene's numbers would depend on the layout.
     policy.reset(task.scene, int(np.random.SeedSequence(seed).generate_state(1)[0]))
     observations = [observation]
+    drawn = task if isinstance(task, Drawn) else None
+    # Copies: a simulator may well answer with a view of what it moves.
+    skeletons = [] if drawn is None else [np.array(drawn.skeleton())]
     controls: list[np.ndarray] = []
     done = False
     while not done:
@@ -38,6 +42,8 @@ def run_episode(
             on_step(len(controls), observation, control)
         observation, done = following, terminated or truncated
         observations.append(observation)
+        if drawn is not None:
+            skeletons.append(np.array(drawn.skeleton()))
         controls.append(control)
     metadata = {**task.scene.metadata, "policy": type(policy).__name__}
     return Trajectory(
@@ -46,6 +52,7 @@ def run_episode(
         velocity=np.stack([each["velocity"] for each in observations]),
         control=np.stack(controls),
         contact=np.stack([each["contact"] for each in observations]).astype(bool),
+        skeleton=np.stack(skeletons) if skeletons else None,
     )
 
 

@@ -2,6 +2,7 @@
 
 from contactgraph.tasks.check_task import check_task as check_task
 from contactgraph.tasks.contract import ChainCost as ChainCost
+from contactgraph.tasks.contract import Drawn as Drawn
 from contactgraph.tasks.contract import Observation as Observation
 from contactgraph.tasks.contract import Policy as Policy
 from contactgraph.tasks.contract import Task as Task

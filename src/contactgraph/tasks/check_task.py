@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.tasks.contract import Observation, Task
+from contactgraph.tasks.contract import Drawn, Observation, Task
 
 _SEEDS = (0, 1, 12345)
 _CONTROL_HOLD = 10
@@ -29,11 +29,13 @@ def check_task(task_factory: Callable[[], Task]) -> None:
         first, _ = task.reset(seed=seed)
         _check_observation(task, first, "reset")
         _check_scene(task.scene, first)
+        points = _check_skeleton(task, None, "reset")
         _check_cost(task)
         _check_start(task.scene, first)
         twin_first, _ = twin.reset(seed=seed)
         _check_equal(first, twin_first, f"two tasks reset with seed {seed} must agree")
         _check_episode(task, twin, first, np.random.default_rng(seed))
+        _check_skeleton(task, points, "the end of an episode")
         again, _ = task.reset(seed=seed)
         _check_equal(first, again, f"a reset with seed {seed} after an episode must begin it again")
 
@@ -141,6 +143,23 @@ def _check_observation(task: Task, observation: Observation, when: str) -> None:
         _fail(f"contact must be symmetric with a zero diagonal, violated at {when}")
     if not task.observation_space.contains(observation):
         _fail(f"an observation must lie in observation_space, violated at {when}")
+
+
+def _check_skeleton(task: Task, points: int | None, when: str) -> int | None:
+    """How many points a task that is `Drawn` has; ``points``, where that is known already."""
+    if not isinstance(task, Drawn):
+        return None
+    skeleton, dimension = task.skeleton(), task.scene.dimension
+    if skeleton.ndim != 2 or len(skeleton) < 2 or skeleton.shape[1] != dimension:
+        _fail(
+            f"skeleton() must have shape (P, {dimension}) with P >= 2, found {skeleton.shape} "
+            f"at {when}"
+        )
+    if points not in (None, len(skeleton)):
+        _fail(f"skeleton() must keep its {points} points, found {len(skeleton)} at {when}")
+    if not np.all(np.isfinite(skeleton)):
+        _fail(f"skeleton() must be finite, found {skeleton.tolist()} at {when}")
+    return len(skeleton)
 
 
 def _check_equal(one: Observation, other: Observation, demand: str) -> None:

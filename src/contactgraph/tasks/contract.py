@@ -1,7 +1,7 @@
 """What every task and every controller offers, whoever wrote it."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import gymnasium
 import numpy as np
@@ -53,6 +53,17 @@ class Task(Protocol):
 
     def cost_terms(self) -> "ChainCost":
         """The task as a cost, in plain numbers."""
+
+
+@runtime_checkable
+class Drawn(Protocol):
+    """What a task may offer beside `Task`: a body to draw that is no node, such as an arm."""
+
+    def skeleton(self) -> np.ndarray:
+        """[P, D] m: where the body's points are now, to be joined by lines in their order.
+
+        ``P``, at least 2, never changes.
+        """
 
 
 class Policy(Protocol):
