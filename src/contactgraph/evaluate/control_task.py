@@ -13,10 +13,11 @@ from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_met
 from contactgraph.evaluate.control_policy import EpisodeRecord, MPCPolicy
 from contactgraph.evaluate.model_fit import check_fit
 from contactgraph.evaluate.planned_error import PlannedError, planned_error
-from contactgraph.evaluate.run_episode import episode_seeds, run_episode
 from contactgraph.evaluate.sensor_faults import SensorFaults
 from contactgraph.model import ContactSensor
+from contactgraph.tasks.collect import episode_seeds
 from contactgraph.tasks.contract import Task
+from contactgraph.tasks.run_episode import run_episode
 
 _EXACT = SensorFaults()
 

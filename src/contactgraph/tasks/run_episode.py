@@ -1,6 +1,6 @@
 """Running a policy in a task, and recording what happened."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import cast
 
@@ -54,50 +54,3 @@ def run_episode(
         contact=np.stack([each["contact"] for each in observations]).astype(bool),
         skeleton=np.stack(skeletons) if skeletons else None,
     )
-
-
-def collect(
-    task_factories: Sequence[Callable[[], Task]],
-    policies: Sequence[Policy],
-    episodes: int,
-    seed: int,
-    on_episode: Callable[[Trajectory], None] | None = None,
-) -> list[Trajectory]:
-    """Records ``episodes`` runs; run ``i`` is by ``policies[i % len(policies)]``.
-
-    Its task is by ``task_factories[i % len(task_factories)]``: one of them gives runs alike,
-    several take turns, and runs of different scenes come mixed.
-
-    A mix is a longer list: ``[expert] * 8 + [ExplorationPolicy(), RestPolicy()]`` explores in
-    every tenth run and rests in every tenth. Each run has a seed of its own, spawned from
-    ``seed``, so that run ``i`` is the same however many are recorded; its scene's metadata names
-    it, and `run_episode` with it gives that run again.
-
-    ``on_episode`` is called with every run as it is done. Raises `InvalidInputError` where a
-    count or the seed is out of range.
-    """
-    if not policies:
-        raise InvalidInputError("policies must name at least one policy, found none")
-    if not task_factories:
-        raise InvalidInputError("task_factories must name at least one task, found none")
-    tasks = [task_factory() for task_factory in task_factories]
-    runs = []
-    for index, episode_seed in enumerate(episode_seeds(episodes, seed)):
-        task, policy = tasks[index % len(tasks)], policies[index % len(policies)]
-        runs.append(run_episode(task, policy, episode_seed))
-        if on_episode is not None:
-            on_episode(runs[-1])
-    return runs
-
-
-def episode_seeds(episodes: int, seed: int) -> list[int]:
-    """A seed for every episode; seed ``i`` is the same however many there are.
-
-    Raises `InvalidInputError` where a count or the seed is out of range.
-    """
-    if episodes < 1:
-        raise InvalidInputError(f"episodes must be at least 1, found {episodes}")
-    if seed < 0:
-        raise InvalidInputError(f"seed must be at least 0, found {seed}")
-    children = np.random.SeedSequence(seed).spawn(episodes)
-    return [int(child.generate_state(1)[0]) for child in children]
