@@ -1,4 +1,4 @@
-"""What the tasks of a gripper in the plane share: how an episode goes, whatever is in the scene."""
+"""What the tasks of a gripper share: how an episode goes, whatever is in the scene."""
 
 from abc import ABC, abstractmethod
 from typing import Any, Protocol
@@ -19,41 +19,57 @@ MAX_FORCE = 10.0
 
 
 class World(Protocol):
-    """``N`` bodies in the plane that move under forces and hold together once they touch."""
+    """``N`` bodies that move under forces and hold together once they touch."""
 
     @property
     def position(self) -> np.ndarray:
-        """``[N, 2]`` m."""
+        """``[N, D]`` m."""
 
     @property
     def velocity(self) -> np.ndarray:
-        """``[N, 2]`` m/s."""
+        """``[N, D]`` m/s."""
 
     @property
     def contact(self) -> np.ndarray:
         """``[N, N]`` bool, symmetric."""
 
     def step(self, force: np.ndarray) -> None:
-        """Moves on by a time step under a constant ``force`` ``[N, 2]`` N."""
+        """Moves on by a time step under a constant ``force`` ``[N, D]`` N."""
 
 
 class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
-    """A gripper (node 0) pushed about in the plane among ``count - 1`` other bodies.
+    """A gripper (node 0) pushed about among ``count - 1`` other bodies.
 
-    The control ``[2]`` N is a force on the gripper. The reward is the negative distance, m, from
-    the last node of the cost's chain to the goal. An episode always runs for ``max_steps`` steps.
-    ``extent`` m bounds the start positions and the goal on each axis.
+    The control ``[D]`` N is a force on the gripper, at most ``max_force`` N on each axis. The
+    reward is the negative distance, m, from the last node of the cost's chain to the goal. An
+    episode always runs for ``max_steps`` steps. ``extent`` m bounds the start positions and the
+    goal on each axis; ``mass`` kg is the gripper's.
 
     A task of this kind says how an episode begins, when it has succeeded, and what its cost is.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own declaration)
 
-    def __init__(self, count: int, max_steps: int, extent: float) -> None:
+    def __init__(
+        self,
+        count: int,
+        max_steps: int,
+        extent: float,
+        *,
+        dimension: int = 2,
+        dt: float = DT,
+        max_force: float = MAX_FORCE,
+        mass: float = MASS,
+    ) -> None:
         self.max_steps = max_steps
-        self.action_space = gymnasium.spaces.Box(-MAX_FORCE, MAX_FORCE, (2,), np.float64)
-        self.observation_space = _observation_space(count, max_steps, extent)
-        self._count = count
+        bounds = gymnasium.spaces.Box(-max_force, max_force, (dimension,), np.float64)
+        self.action_space = bounds
+        # The farthest and fastest that the largest force can bring a body in one episode.
+        speed = max_force / mass * max_steps * dt
+        distance = extent + speed * max_steps * dt
+        self.observation_space = _observation_space(count, dimension, extent, distance, speed)
+        self._shape = count, dimension
+        self._max_force = max_force
         self._steps = 0
         self._episode: tuple[Scene, World] | None = None
 
@@ -63,7 +79,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
 
     @abstractmethod
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether an episode that ends so, ``[N, 2]`` m and ``[N, N]`` bool, is a success."""
+        """Whether an episode that ends so, ``[N, D]`` m and ``[N, N]`` bool, is a success."""
 
     @abstractmethod
     def cost_terms(self) -> ChainCost:
@@ -76,6 +92,13 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
             raise gymnasium.error.ResetNeeded("call reset() first")
         return self._episode[0]
 
+    @property
+    def world(self) -> World:
+        """The current episode's world."""
+        if self._episode is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        return self._episode[1]
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -87,11 +110,11 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         return _observation(*self._episode), {}
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Moves on by 0.05 s under the force ``action`` ``[2]`` N, clipped to its bounds."""
+        """Moves on by ``scene.dt`` under the force ``action`` ``[D]`` N, clipped to its bounds."""
         if self._episode is None or self._steps >= self.max_steps:
             raise gymnasium.error.ResetNeeded("the episode is over or not begun: call reset()")
-        force = np.zeros((self._count, 2))
-        force[GRIPPER] = np.clip(action, -MAX_FORCE, MAX_FORCE)
+        force = np.zeros(self._shape)
+        force[GRIPPER] = np.clip(action, -self._max_force, self._max_force)
         if not np.all(np.isfinite(force)):
             raise InvalidInputError(f"action must be finite, found {np.asarray(action).tolist()}")
         self._episode[1].step(force)
@@ -119,16 +142,15 @@ def _observation(scene: Scene, world: World) -> Observation:
     }
 
 
-def _observation_space(count: int, max_steps: int, extent: float) -> gymnasium.spaces.Dict:
-    # The farthest and fastest that the largest force can bring a body in one episode.
-    duration = max_steps * DT
-    speed = MAX_FORCE / MASS * duration
-    distance = extent + speed * duration
+def _observation_space(
+    count: int, dimension: int, extent: float, distance: float, speed: float
+) -> gymnasium.spaces.Dict:
+    shape = count, dimension
     return gymnasium.spaces.Dict(
         {
-            "position": gymnasium.spaces.Box(-distance, distance, (count, 2), np.float64),
-            "velocity": gymnasium.spaces.Box(-speed, speed, (count, 2), np.float64),
+            "position": gymnasium.spaces.Box(-distance, distance, shape, np.float64),
+            "velocity": gymnasium.spaces.Box(-speed, speed, shape, np.float64),
             "contact": gymnasium.spaces.MultiBinary((count, count)),
-            "goal": gymnasium.spaces.Box(-extent, extent, (2,), np.float64),
+            "goal": gymnasium.spaces.Box(-extent, extent, (dimension,), np.float64),
         }
     )

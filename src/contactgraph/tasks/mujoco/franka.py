@@ -1,0 +1,100 @@
+"""The arm's pickup: a Panda takes a block up in one sweep and brings it to a goal in the air."""
+
+from importlib.resources import files
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.tasks.contract import ChainCost
+from contactgraph.tasks.gripper_task import GRIPPER, GripperTask
+from contactgraph.tasks.mujoco.arm_world import BLOCK, BLOCK_MASS, ArmWorld, Grasp
+from contactgraph.tasks.mujoco.engine import SIMULATOR, mujoco
+from contactgraph.tasks.mujoco.impedance import APPARENT_MASS
+from contactgraph.tasks.mujoco.layout import HIGH, sample_layout
+from contactgraph.tasks.mujoco.reach import joints_at
+
+TARGET = 1
+DT = 0.01
+"""s"""
+MAX_STEPS = 400
+MAX_DISTRACTORS = 5
+MAX_FORCE = 20.0
+"""Bound of the control on each axis, N."""
+GOAL_RADIUS = 0.05
+"""The block must end within this distance of the goal, m."""
+PICK_WEIGHTS = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
+GOAL_WEIGHTS = np.array([5e3, 5e3, 5e3, 50.0, 50.0, 50.0])
+CONTROL_WEIGHT = 0.01
+
+
+class FrankaTask(GripperTask):
+    """The paper's arm task on MuJoCo; a `contactgraph.tasks.Task`.
+
+    Nodes are the hand (0), the block to pick up (1) and ``distractors`` further blocks on the
+    table. The control ``[3]`` N is a force on the hand, which moves as a mass of 4 kg and keeps
+    its orientation (`Impedance`); the fingers close by themselves on a block that passes between
+    them (`GraspReflex`) and hold it by friction. The reward is the negative distance from block to
+    goal, m. An episode always runs for 400 steps of 0.01 s.
+
+    Raises `InvalidInputError` where ``distractors`` is not in 0 to 5.
+    """
+
+    def __init__(self, distractors: int = 0, grasp: Grasp = Grasp.FRICTION) -> None:
+        if not 0 <= distractors <= MAX_DISTRACTORS:
+            raise InvalidInputError(
+                f"distractors must be 0 to {MAX_DISTRACTORS}, found {distractors}"
+            )
+        super().__init__(
+            2 + distractors,
+            MAX_STEPS,
+            float(np.max(HIGH)),
+            dimension=3,
+            dt=DT,
+            max_force=MAX_FORCE,
+            mass=APPARENT_MASS,
+        )
+        self._distractors = distractors
+        self._grasp = grasp
+        source = files("contactgraph.tasks.mujoco").joinpath("panda.xml").read_text()
+        self._arm = mujoco.MjModel.from_xml_string(source)
+
+    def begin(self, seed: int) -> tuple[Scene, ArmWorld]:
+        """Samples the scene of a seed, with everything at rest."""
+        layout = sample_layout(np.random.default_rng(seed), self._distractors)
+        joints = joints_at(self._arm, layout.hand, layout.yaw)
+        world = ArmWorld(joints, layout.blocks, layout.block_yaw, DT, self._grasp)
+        count = 1 + len(layout.blocks)
+        names = ("hand", "block", *(f"distractor-{i}" for i in range(self._distractors)))
+        scene = Scene(
+            node_name=names,
+            node_type=("hand", *["block"] * (count - 1)),
+            actuated=np.arange(count) == GRIPPER,
+            dt=DT,
+            dimension=3,
+            goal=layout.goal,
+            mass=np.array([APPARENT_MASS, *[BLOCK_MASS] * (count - 1)]),
+            size=np.array([[np.nan] * 3, *[BLOCK] * (count - 1)]),
+            metadata={
+                "task": "franka",
+                "seed": seed,
+                "distractors": self._distractors,
+                "grasp": self._grasp.value,
+                "simulator": SIMULATOR,
+            },
+        )
+        return scene, world
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether the hand holds the block within 0.05 m of the goal."""
+        near = float(np.linalg.norm(position[TARGET] - scene.goal)) <= GOAL_RADIUS
+        return near and bool(contact[GRIPPER, TARGET])
+
+    def cost_terms(self) -> ChainCost:
+        """Hand to block, block to goal."""
+        return ChainCost((GRIPPER, TARGET), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
+
+    def skeleton(self) -> np.ndarray:
+        """[P, 3] m: the arm's joints, for drawing."""
+        world = self.world
+        assert isinstance(world, ArmWorld)
+        return world.skeleton()

@@ -1,0 +1,90 @@
+"""Where hand, blocks and goal are when the arm's pickup begins."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactgraph.tasks.mujoco.arm_world import BLOCK
+
+LOW = np.array([0.3, -0.35, 0.05])
+HIGH = np.array([0.7, 0.35, 0.35])
+"""The region of the paper, 0.4 x 0.7 x 0.3 m, as seen from the arm's base; m."""
+START_HEIGHT = 0.15
+"""The least height of the hand and of the goal, m."""
+RUN_UP = 0.2
+"""The least distance from hand to block and from block to goal in the plane, m."""
+CORRIDOR = 0.15
+"""The least distance of a distractor from the ways in the plane, m: the palm is 0.2 m wide."""
+CLEARANCE = 0.1
+"""The least distance of two blocks' centres, m."""
+OVERSHOOT = 0.15
+"""By how much a way is longer than the straight line, m."""
+REACH = 0.74
+"""Of the arm in the plane, from its base, with the hand pointing down; m."""
+NEAR = 0.28
+"""The least distance from the base in the plane, m."""
+EDGE = 0.03
+"""How far from the region's edge blocks stand, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmLayout:
+    """Start and goal of a pickup by the arm."""
+
+    hand: np.ndarray
+    """[3] m: the grasp point."""
+    yaw: float
+    """rad; the fingers' line is across the way to the block."""
+    blocks: np.ndarray
+    """[1 + M, 3] m: the target, the distractors."""
+    block_yaw: np.ndarray
+    """[1 + M] rad; the target faces the hand."""
+    goal: np.ndarray
+    """[3] m"""
+
+
+def sample_layout(rng: np.random.Generator, distractors: int) -> ArmLayout:
+    """Samples a layout, uniformly over those that satisfy the distances above."""
+    while True:
+        hand, target, goal = rng.uniform(LOW, HIGH, (3, 3))
+        target[:2] = rng.uniform(LOW[:2] + EDGE, HIGH[:2] - EDGE)
+        target[2] = BLOCK[2] / 2
+        if min(hand[2], goal[2]) < START_HEIGHT:
+            continue
+        way, on = target - hand, goal - target
+        if min(np.hypot(*way[:2]), np.hypot(*on[:2])) < RUN_UP:
+            continue
+        # Nobody stops dead: there must be room behind the block.
+        beyond = target + OVERSHOOT * way / np.hypot(*way[:2])
+        if not all(NEAR <= np.hypot(*p[:2]) <= REACH for p in (hand, target, goal, beyond)):
+            continue
+        others = _place(rng, np.stack([hand, target, goal])[:, :2], distractors)
+        if others is None:
+            continue
+        blocks = np.concatenate([target[None], others])
+        # Sweeping forth and back are alike to the fingers; the last joint's range is not endless.
+        turned = np.arctan2(way[1], way[0]) - np.arctan2(target[1], target[0]) - np.pi / 4
+        bearing = float(np.arctan2(target[1], target[0])) + np.pi / 4
+        yaw = bearing + float((turned + np.pi / 2) % np.pi - np.pi / 2)
+        block_yaw = np.concatenate([[yaw], rng.uniform(-np.pi / 4, np.pi / 4, distractors)])
+        return ArmLayout(hand, yaw, blocks, block_yaw, goal)
+
+
+def _place(rng: np.random.Generator, stops: np.ndarray, count: int) -> np.ndarray | None:
+    """[count, 3] m of distractors, or None where no room was found."""
+    placed: list[np.ndarray] = []
+    for point in rng.uniform(LOW[:2] + EDGE, HIGH[:2] - EDGE, (100 * count, 2)):
+        if len(placed) == count:
+            break
+        clear = all(np.hypot(*(point - other[:2])) >= CLEARANCE for other in placed)
+        ways = min(_distance(point, stops[0], stops[1]), _distance(point, stops[1], stops[2]))
+        if clear and ways >= CORRIDOR:
+            placed.append(np.array([*point, BLOCK[2] / 2]))
+    return np.reshape(placed, (count, 3)) if len(placed) == count else None
+
+
+def _distance(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
+    length = float(np.hypot(*(end - start)))
+    direction = (end - start) / length
+    along = np.clip(direction @ (point - start), 0.0, length + OVERSHOOT)
+    return float(np.hypot(*(point - start - along * direction)))
