@@ -124,7 +124,8 @@ def _parameters(held, touch, nodes, rng):
     impact = int(np.argmax(touch)) - 1
     stiffness[impact, :2] += (2.1, 3.4)
     damping[impact, :2] += (7.5, 9.2)
-    return {"inverse_mass": inverse_mass, "stiffness": stiffness, "damping": damping}
+    parameters = {"inverse_mass": inverse_mass, "stiffness": stiffness, "damping": damping}
+    return {name: np.stack([values, values], axis=-1) for name, values in parameters.items()}
 
 
 def report(runs=None):

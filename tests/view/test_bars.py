@@ -13,8 +13,9 @@ from test_report_page import bare
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
 from contactgraph.view import ReportData, SceneRun, write_animation, write_still
+from contactgraph.view.body_picture import bar_corners
 from contactgraph.view.embed import embedded_json
-from contactgraph.view.scene_picture import bar_corners, draw_scene, scene_limits
+from contactgraph.view.scene_picture import draw_scene, scene_limits
 
 STEPS, DT = 20, 0.05
 HINGES = np.array([[np.nan, np.nan], [0.0, 0.0], [1.2, 0.4]])

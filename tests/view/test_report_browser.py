@@ -88,10 +88,14 @@ def test_browser_page_answers_its_controls(tmp_path, data):
     const before = now();
     press("ArrowRight");
     const after = now();
+    const slider = document.getElementById("time");
+    slider.value = 20;
+    slider.dispatchEvent(new Event("input"));
+    const slid = now();
     const plot = document.querySelector("#parameter-plots svg");
     const box = plot.getBoundingClientRect();
     plot.dispatchEvent(new PointerEvent("pointermove", { clientX: box.right - 6, bubbles: true }));
-    console.log(JSON.stringify({ plays, before, after, hovered: now() }));
+    console.log(JSON.stringify({ plays, before, after, slid, hovered: now() }));
     """
     _, said = screenshot(tmp_path, data, acting)
     assert len(said) == 1, said
@@ -99,5 +103,6 @@ def test_browser_page_answers_its_controls(tmp_path, data):
     assert found["plays"]
     step = float(found["after"][:-2]) - float(found["before"][:-2])
     assert step == pytest.approx(0.05)
+    assert found["slid"] == "1.00 s"
     grasp = int(np.argmax(data.runs[1].contact[:, 0])) * 0.05
     assert float(found["hovered"][:-2]) == pytest.approx(grasp + 1.0, abs=0.011)

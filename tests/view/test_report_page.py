@@ -80,9 +80,8 @@ def test_arrays_come_back_from_the_page(data, run):
     np.testing.assert_array_equal(
         floats(first["belief"], (steps, edges)), run.belief.astype(np.float32)
     )
-    np.testing.assert_array_equal(
-        floats(first["inverseMass"], (steps, nodes)), run.inverse_mass.astype(np.float32)
-    )
+    (mean,) = first["inverseMass"]
+    np.testing.assert_allclose(floats(mean, (steps, nodes)), run.inverse_mass.mean(-1), atol=1e-6)
     contact = np.zeros((steps + 1, edges), dtype=bool)
     for edge, spans in enumerate(first["contact"]):
         for start, end in spans:

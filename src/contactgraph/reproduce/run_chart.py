@@ -6,19 +6,23 @@ from matplotlib.figure import Figure as Chart
 
 from contactgraph.reproduce.chart import SOFT, chart, quiet
 from contactgraph.view import SceneRun
-from contactgraph.view.scene_picture import CONTACT_COLOUR, body_colour
-from contactgraph.view.selection import focus_nodes, involved_nodes, leading_edges
+from contactgraph.view.colours import CONTACT_COLOUR, body_colour
+from contactgraph.view.selection import focus_nodes, involved_nodes, leading_edges, shown_directions
 
 
 def run_chart(run: SceneRun) -> Chart:
-    """Belief, speed, inverse mass, stiffness and damping over time; bands where contact is true."""
-    panels: list[tuple[str, np.ndarray | None]] = [
-        ("speed, m/s", np.linalg.norm(run.velocity, axis=-1)[:-1]),
+    """Belief, speed, inverse mass, stiffness and damping over time; bands where contact is true.
+
+    In space, parameters along the vertical are dashed.
+    """
+    speed = np.linalg.norm(run.velocity, axis=-1)[:-1]
+    parameters = [
         ("1/m, 1/kg", run.inverse_mass),
         ("k/m, 1/s²", run.stiffness),
         ("c/m, 1/s", run.damping),
     ]
-    shown = [(name, values) for name, values in panels if values is not None]
+    shown = [("speed, m/s", [speed])]
+    shown += [(name, shown_directions(each)) for name, each in parameters if each is not None]
     made = chart(7.0, 1.4 * (1 + len(shown)))
     axes = made.subplots(1 + len(shown), 1, sharex=True)
     time = np.arange(run.steps + 1) * run.dt
@@ -31,17 +35,19 @@ def run_chart(run: SceneRun) -> Chart:
         axes[0].legend(fontsize=8, frameon=False, loc="center right")
     involved = involved_nodes(run)
     nodes = list(dict.fromkeys([*focus_nodes(run), *involved]))[:6]
-    for panel, (name, values) in zip(axes[1:], shown, strict=True):
+    for panel, (name, directions) in zip(axes[1:], shown, strict=True):
         for node in nodes:
             colour = body_colour(node, involved)
-            panel.stairs(
-                values[:, node],
-                time,
-                baseline=None,
-                color=colour,
-                lw=1.4,
-                label=run.node_name[node],
-            )
+            for values, style in zip(directions, ("-", "--"), strict=False):
+                panel.stairs(
+                    values[:, node],
+                    time,
+                    baseline=None,
+                    color=colour,
+                    lw=1.4,
+                    ls=style,
+                    label=run.node_name[node] if style == "-" else None,
+                )
         _band(panel, run, time)
         quiet(panel)
         panel.set_ylabel(name, color=SOFT, fontsize=9)

@@ -24,8 +24,8 @@ def scene_run(
         run,
         insight.edges,
         insight.belief,
-        inverse_mass=np.asarray(parameters.inverse_mass).mean(axis=-1),
-        stiffness=np.asarray(parameters.stiffness_rate).mean(axis=-1),
-        damping=np.asarray(parameters.damping_rate).mean(axis=-1),
+        inverse_mass=np.asarray(parameters.inverse_mass),
+        stiffness=np.asarray(parameters.stiffness_rate),
+        damping=np.asarray(parameters.damping_rate),
         plan=plan,
     )

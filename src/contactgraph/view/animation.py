@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from contactgraph.data import InvalidInputError
-from contactgraph.view.scene_picture import INK, SOFT, draw_scene
+from contactgraph.view.colours import INK, SOFT
+from contactgraph.view.scene_picture import draw_scene
 from contactgraph.view.scene_run import SceneRun
 
 _FRAME_SECONDS = 0.04

@@ -6,12 +6,21 @@ import math
 
 import numpy as np
 
+from contactgraph.view.ground import Ground, ground_of
 from contactgraph.view.report_data import ReportData
 from contactgraph.view.scene_run import SceneRun
-from contactgraph.view.selection import focus_nodes, grasp_step, involved_nodes, leading_edges
+from contactgraph.view.selection import (
+    focus_nodes,
+    grasp_step,
+    involved_nodes,
+    leading_edges,
+    shown_directions,
+)
 
 _PLAN_MOVES = 0.005
 """m: a body that no plan moves further than this is left out of the drawn plans."""
+_PLAN_POINTS = 20
+"""Points of a plan that are drawn, at most about twice as many; more would run into a line."""
 
 
 def embedded_json(data: ReportData) -> str:
@@ -49,24 +58,29 @@ def _run(run: SceneRun) -> dict[str, object]:
         "name": run.name,
         "dt": run.dt,
         "steps": run.steps,
-        "dimension": run.position.shape[2],
+        "dimension": run.dimension,
+        "axes": run.projection.axes.tolist(),
+        "ground": _ground(ground_of(run)),
         "controlSize": run.control.shape[1],
         "nodeName": list(run.node_name),
         "nodeType": list(run.node_type),
         "actuated": run.actuated.tolist(),
         "radius": [_number(radius) for radius in run.radius],
         "anchor": _anchors(run),
+        "box": [_list(run.box(node)) for node in range(run.node_count)],
         "goal": None if run.goal is None else [_number(value) for value in run.goal],
         "goalRadius": _number(run.goal_radius),
         "edges": run.edges.tolist(),
         "position": _floats(run.position),
         "velocity": _floats(run.velocity),
+        "skeletonPoints": 0 if run.skeleton is None else run.skeleton.shape[1],
+        "skeleton": _floats(run.skeleton),
         "control": _floats(run.control),
         "belief": _floats(run.belief),
         "contact": None if run.contact is None else [_spans(run.contact[:, e]) for e in _all(run)],
-        "inverseMass": _floats(run.inverse_mass),
-        "stiffness": _floats(run.stiffness),
-        "damping": _floats(run.damping),
+        "inverseMass": _directions(run.inverse_mass),
+        "stiffness": _directions(run.stiffness),
+        "damping": _directions(run.damping),
         "plan": _plan(run),
         "leading": leading_edges(run),
         "focus": focus_nodes(run),
@@ -80,7 +94,26 @@ def _anchors(run: SceneRun) -> list[list[float] | None] | None:
     if run.anchor is None:
         return None
     nodes = range(run.node_count)
-    return [None if run.bar(n) is None else run.anchor[n, :2].tolist() for n in nodes]
+    return [None if run.bar(n) is None else run.anchor[n].tolist() for n in nodes]
+
+
+def _list(values: np.ndarray | None) -> list[float] | None:
+    return None if values is None else values.tolist()
+
+
+def _ground(ground: Ground | None) -> dict[str, object] | None:
+    if ground is None:
+        return None
+    return {
+        "low": ground.low.tolist(),
+        "high": ground.high.tolist(),
+        "level": ground.level,
+        "spacing": ground.spacing,
+    }
+
+
+def _directions(values: np.ndarray | None) -> list[str | None] | None:
+    return None if values is None else [_floats(each) for each in shown_directions(values)]
 
 
 def _all(run: SceneRun) -> range:
@@ -93,10 +126,11 @@ def _plan(run: SceneRun) -> dict[str, object] | None:
         return None
     moved = np.nan_to_num(np.abs(run.plan - run.plan[:, :1])).max(axis=(0, 1, 3))
     nodes = np.flatnonzero(moved > _PLAN_MOVES)
+    shown = run.plan[:, :: max(1, (run.plan.shape[1] - 1) // _PLAN_POINTS), nodes]
     return {
         "nodes": nodes.tolist(),
-        "horizon": run.plan.shape[1] - 1,
-        "position": _floats(run.plan[:, :, nodes, :2]),
+        "horizon": shown.shape[1] - 1,
+        "position": _floats(shown),
     }
 
 

@@ -52,6 +52,17 @@ def grasp_step(run: SceneRun) -> int | None:
     return int(np.argmax(believed)) + 1 if believed.any() else None
 
 
+def shown_directions(values: np.ndarray) -> list[np.ndarray]:
+    """[T, N] each: what is drawn of parameters ``values`` [T, N, D].
+
+    In the plane no direction is special, and their mean is drawn. In space the vertical is (bodies
+    stand on something, and fall), so it is drawn beside the mean over the level directions.
+    """
+    if values.shape[-1] < 3:
+        return [values.mean(axis=-1)]
+    return [values[..., :2].mean(axis=-1), values[..., 2]]
+
+
 def _largest(belief: np.ndarray) -> np.ndarray:
     return np.max(np.nan_to_num(belief, nan=0.0), axis=0)
 

@@ -9,17 +9,23 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 
-from contactgraph.view.scene_picture import (
+from contactgraph.view.colours import (
     BELIEF_COLOUR,
     CONTACT_COLOUR,
     INK,
     RULE,
     SOFT,
     body_colour,
-    draw_scene,
 )
+from contactgraph.view.scene_picture import draw_scene
 from contactgraph.view.scene_run import SceneRun
-from contactgraph.view.selection import focus_nodes, grasp_step, involved_nodes, leading_edges
+from contactgraph.view.selection import (
+    focus_nodes,
+    grasp_step,
+    involved_nodes,
+    leading_edges,
+    shown_directions,
+)
 
 _MOMENTS = 5
 
@@ -117,10 +123,12 @@ def _draw_belief(axes: Axes, run: SceneRun) -> None:
 
 def _draw_inverse_mass(axes: Axes, run: SceneRun, inverse_mass: np.ndarray) -> None:
     time = np.arange(run.steps + 1) * run.dt
-    involved = involved_nodes(run)
-    for place, node in enumerate(focus_nodes(run)):
+    involved, focus = involved_nodes(run), focus_nodes(run)
+    directions = shown_directions(inverse_mass)
+    for place, node in enumerate(focus):
         colour = body_colour(node, involved)
-        axes.stairs(inverse_mass[:, node], time, baseline=None, color=colour, lw=1.6)
+        for values, style in zip(directions, ("-", "--"), strict=False):
+            axes.stairs(values[:, node], time, baseline=None, color=colour, lw=1.6, ls=style)
         axes.text(
             0.99,
             0.8 - 0.17 * place,
@@ -131,8 +139,18 @@ def _draw_inverse_mass(axes: Axes, run: SceneRun, inverse_mass: np.ndarray) -> N
             transform=axes.transAxes,
             parse_math=False,
         )
-    largest = np.nanmax(np.append(inverse_mass[:, focus_nodes(run)].ravel(), 1.0))
-    _style(axes, run, "1/m, 1/kg", (-0.06, 1.08 * float(largest)))
+    largest = np.nanmax(np.append([values[:, focus] for values in directions], 0.1))
+    _style(axes, run, "1/m, 1/kg", (-0.06 * float(largest), 1.08 * float(largest)))
+    if len(directions) > 1:
+        axes.text(
+            0.99,
+            0.8 - 0.17 * len(focus),
+            "vertical: dashed",
+            color=SOFT,
+            fontsize=9,
+            ha="right",
+            transform=axes.transAxes,
+        )
 
 
 def _style(axes: Axes, run: SceneRun, name: str, limits: tuple[float, float]) -> None:

@@ -10,9 +10,9 @@ function floats(text) {
 
 function decodeRun(raw) {
   const run = { ...raw, nodes: raw.nodeName.length, duration: raw.steps * raw.dt };
-  for (const name of ["position", "velocity", "control", "belief", "inverseMass", "stiffness", "damping"]) {
-    run[name] = floats(raw[name]);
-  }
+  for (const name of ["position", "velocity", "control", "belief", "skeleton"]) run[name] = floats(raw[name]);
+  // One array for each direction that is shown.
+  for (const name of ["inverseMass", "stiffness", "damping"]) run[name] = raw[name] && raw[name].map(floats);
   if (raw.plan) run.plan = { ...raw.plan, position: floats(raw.plan.position) };
   run.edgeName = raw.edges.map(([i, j]) => `${raw.nodeName[i]} and ${raw.nodeName[j]}`);
   return run;
@@ -24,17 +24,29 @@ for (const loss of payload.losses) {
   loss.value = floats(loss.value);
 }
 
-// A body's coordinate at a time between two states, m.
-function positionAt(run, node, axis, step) {
+// A point at a time between two states, m; it is number `which` of `count` in `values`.
+function between(run, values, count, which, step) {
   const before = Math.min(Math.floor(step), run.steps);
   const after = Math.min(before + 1, run.steps);
-  const read = (state) => run.position[(state * run.nodes + node) * run.dimension + axis];
-  return read(before) + (step - before) * (read(after) - read(before));
+  const read = (state, axis) => values[(state * count + which) * run.dimension + axis];
+  return Array.from({ length: run.dimension }, (_, axis) =>
+    read(before, axis) + (step - before) * (read(after, axis) - read(before, axis)));
+}
+
+// Where a body is, m.
+function placeAt(run, node, step) {
+  return between(run, run.position, run.nodes, node, step);
 }
 
 // The free end of a hinged body, as far beyond its middle as its hinge is before it, m.
 function tipAt(run, node, step) {
-  return [0, 1].map((axis) => 2 * positionAt(run, node, axis, step) - run.anchor[node][axis]);
+  return placeAt(run, node, step).map((value, axis) => 2 * value - run.anchor[node][axis]);
+}
+
+// The points of the body that is no node; none where there is no such body.
+function skeletonAt(run, step) {
+  const count = run.skeletonPoints;
+  return Array.from({ length: count }, (_, point) => between(run, run.skeleton, count, point, step));
 }
 
 // The number of the step that a time lies in.

@@ -37,7 +37,7 @@ function describeScene() {
   const words = edges.length ? `Edges believed active: ${edges.join(", ")}.` : "No edge is believed active.";
   const sentence = `${(step * run.dt).toFixed(2)} s. ${words}`;
   document.getElementById("scene-words").textContent = sentence;
-  scene.canvas.setAttribute("aria-label", `The scene seen from above. ${sentence}`);
+  scene.canvas.setAttribute("aria-label", `The scene seen from ${run.dimension < 3 ? "above" : "aside"}. ${sentence}`);
 }
 
 function onKey(event) {
@@ -80,8 +80,9 @@ function startWatching() {
   choices("span-choice", spans, ({ near }) => showSpan(near ? graspSpan(clock.run) : null));
   document.getElementById("play").addEventListener("click", () => (clock.playing ? pause() : play()));
   document.getElementById("time").addEventListener("input", (event) => {
+    const step = Number(event.target.value); // read first: pausing puts the slider back
     pause();
-    seek(Number(event.target.value));
+    seek(step);
   });
   document.getElementById("speed").addEventListener("change", (event) => {
     clock.speed = Number(event.target.value);

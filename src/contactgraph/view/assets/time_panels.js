@@ -1,5 +1,7 @@
 // Which panels a run has: beliefs, learned parameters, motion.
 
+const DASHES = ["solid", "dashed", "dotted"]; // of the first, second and third axis
+
 function beliefPanels(run) {
   const read = (edge) => (step) => run.belief[step * run.edges.length + edge];
   const panels = run.leading.map((edge) => ({
@@ -43,17 +45,18 @@ function valueDomain(lines, count, withZero) {
 function parameterPanels(run) {
   const spans = run.contact && run.leading.length ? run.contact[run.leading[0]] : [];
   const kinds = [
-    { title: "inverse mass 1/m", unit: "1/kg", height: 110, values: run.inverseMass, least: 1 },
+    { title: "inverse mass 1/m", unit: "1/kg", height: 110, values: run.inverseMass, least: 0.1 },
     { title: "stiffness k/m", unit: "1/s²", height: 52, values: run.stiffness, least: 0 },
     { title: "damping c/m", unit: "1/s", height: 52, values: run.damping, least: 0 },
   ];
   return kinds.filter((kind) => kind.values).map((kind) => {
-    const lines = run.focus.map((node) => ({
-      name: run.nodeName[node],
+    const lines = run.focus.flatMap((node) => kind.values.map((values, direction) => ({
+      name: direction === 0 ? run.nodeName[node] : "",
       colour: colourName(run, node),
+      dash: DASHES[direction],
       perStep: true,
-      read: (step) => kind.values[step * run.nodes + node],
-    }));
+      read: (step) => values[step * run.nodes + node],
+    })));
     const [low, high] = valueDomain(lines, run.steps, true);
     return { ...kind, spans, lines, domain: [low, Math.max(high, 1.06 * kind.least)] };
   });
@@ -66,10 +69,10 @@ function motionPanels(run) {
     { title: "velocity", unit: "m/s", values: run.velocity },
   ];
   return kinds.map((kind) => {
-    const lines = run.focus.flatMap((node) => [0, 1].map((axis) => ({
+    const lines = run.focus.flatMap((node) => DASHES.slice(0, run.dimension).map((dash, axis) => ({
       name: axis === 0 ? run.nodeName[node] : "",
       colour: colourName(run, node),
-      dashed: axis === 1,
+      dash,
       perStep: false,
       read: (state) => kind.values[(state * run.nodes + node) * run.dimension + axis],
     })));

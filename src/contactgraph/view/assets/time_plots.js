@@ -1,5 +1,5 @@
 // Plots over time that share one cursor with the scene. A panel is
-// { title, unit, height, domain, ticks, spans, lines: [{ name, colour, dashed, perStep, read(index) }] },
+// { title, unit, height, domain, ticks, spans, lines: [{ name, colour, dash, perStep, read(index) }] },
 // where `perStep` lines hold a value over each step and the others join the states.
 
 const MARGIN = { left: 38, right: 6, top: 5, bottom: 5 };
@@ -19,8 +19,13 @@ function linePoints(line, toX, toY, [first, last]) {
   return points;
 }
 
+function valueTicks({ domain, height }) {
+  const ticks = niceTicks(...domain, height > 90 ? 4 : 2);
+  return ticks.length > 1 ? ticks : niceTicks(...domain, 4);
+}
+
 function drawAxes(svg, panel, toX, toY, width, bottom) {
-  for (const tick of panel.ticks ?? niceTicks(...panel.domain, panel.height > 90 ? 4 : 2)) {
+  for (const tick of panel.ticks ?? valueTicks(panel)) {
     element("line", { class: "grid", x1: MARGIN.left, x2: width - MARGIN.right, y1: toY(tick), y2: toY(tick) }, svg);
     element("text", { x: MARGIN.left - 6, y: toY(tick) + 4, "text-anchor": "end" }, svg, readable(tick));
   }
@@ -49,7 +54,7 @@ function drawPanel(parent, panel, width) {
   }
   drawAxes(svg, panel, toX, toY, width, bottom);
   for (const line of panel.lines) {
-    const style = { class: line.dashed ? "line dashed" : "line", stroke: `var(${line.colour})` };
+    const style = { class: `line ${line.dash ?? "solid"}`, stroke: `var(${line.colour})` };
     element("path", { ...style, d: linePath(linePoints(line, toX, toY, span)) }, svg);
   }
   const cursor = element("line", { class: "cursor", y1: MARGIN.top - 2, y2: bottom + 2 }, svg);
