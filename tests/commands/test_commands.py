@@ -68,10 +68,13 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str], arguments:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ("collect", "TASK --out --episodes --seed --distractors --objects --mixed"),
+        ("collect", "TASK --out --episodes --seed --distractors --objects --grasp --mixed"),
         ("train", "DATA --out --model --seed --resume gim-temp gim-non-temp no-gim full-ab"),
         ("evaluate", "RUN DATA --json"),
-        ("control", "RUN TASK --episodes --seed --distractors --objects --json --video --save"),
+        (
+            "control",
+            "RUN TASK --episodes --seed --distractors --objects --grasp --json --video --save",
+        ),
         ("reproduce", "--quick --out"),
         ("report", ""),
         ("info", "FILE"),
@@ -120,6 +123,13 @@ def test_collect_mixed_numbers_of_objects_in_one_file(tmp_path: Path) -> None:
     assert told == [(1, 0), (1, 1), (2, 0), (2, 1), (1, 0)]
     for one, other in zip(read_trajectories(first), dataset, strict=False):
         assert np.array_equal(one.position, other.position), "the same, however many are recorded"
+
+
+def test_collect_does_not_wait_for_jax(tmp_path: Path) -> None:
+    main = "import sys; from contactgraph.cli import run; code = run(sys.argv[1:]); "
+    main += "sys.exit('jax' in sys.modules or code)"
+    arguments = ["collect", "pickup", "--episodes", "1", "--out", str(tmp_path / "data.h5")]
+    assert subprocess.run([sys.executable, "-c", main, *arguments]).returncode == 0
 
 
 @pytest.mark.parametrize(("task", "nodes"), [("multi-pickup", 3), ("door", 2)])

@@ -24,6 +24,8 @@ class Collect:
     """Bystanders: objects, 0 to 20, or doors, 0 to 10."""
     objects: Annotated[int | None, arg(metavar="INT")] = None
     """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
+    grasp: Annotated[str | None, arg(metavar="HOW")] = None
+    """How fingers hold, where the task has some: friction or weld."""
     mixed: bool = False
     """Runs take turns at 0 to DISTRACTORS bystanders, and at 1 to OBJECTS objects if given."""
     exploration: float = 0.0
@@ -33,17 +35,25 @@ class Collect:
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.commands.names import EXPERTS, looked_up, mixed_factories, task_factory
+        from contactgraph.commands.cores import usable_cores
+        from contactgraph.commands.names import looked_up
         from contactgraph.commands.numbers import check_episodes, check_seed
         from contactgraph.commands.output import check_writable, progress, say
+        from contactgraph.commands.task_names import (
+            EXPERTS,
+            TaskOptions,
+            mixed_factories,
+            task_factory,
+        )
         from contactgraph.data import InvalidInputError, Metadata, write_trajectories
-        from contactgraph.evaluate import collect
         from contactgraph.tasks import ExplorationPolicy, RestPolicy
+        from contactgraph.tasks.collect import collect
 
+        options = TaskOptions(self.distractors, self.objects, self.grasp)
         if self.mixed:
-            factories = mixed_factories(self.task, self.distractors, self.objects)
+            factories = mixed_factories(self.task, options)
         else:
-            factories = [task_factory(self.task, self.distractors, self.objects)]
+            factories = [task_factory(self.task, options)]
         check_episodes(self.episodes)
         check_seed(self.seed)
         shares = {"--exploration": self.exploration, "--resting": self.resting}
@@ -62,11 +72,14 @@ class Collect:
         with progress("collecting", self.episodes) as steps:
             done = itertools.count(1)
             runs = collect(
-                factories, policies, self.episodes, self.seed, lambda _: steps.advance(next(done))
+                factories,
+                policies,
+                self.episodes,
+                self.seed,
+                on_episode=lambda _: steps.advance(next(done)),
+                processes=len(usable_cores()),
             )
-        metadata: Metadata = {"task": self.task, "seed": self.seed, "distractors": self.distractors}
-        if self.objects is not None:
-            metadata["objects"] = self.objects
+        metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
         if self.mixed:
             metadata["mixed"] = True
         write_trajectories(self.out, runs, metadata)

@@ -24,6 +24,8 @@ class Control:
     """Bystanders: objects, 0 to 20, or doors, 0 to 10."""
     objects: Annotated[int | None, arg(metavar="INT")] = None
     """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
+    grasp: Annotated[str | None, arg(metavar="HOW")] = None
+    """How fingers hold, where the task has some: friction or weld."""
     horizon: int = 20
     """Steps to plan ahead."""
     replan_every: int = 1
@@ -47,14 +49,11 @@ class Control:
 
     def run(self) -> None:
         """Run the episodes and say how they went."""
-        from contactgraph.commands.names import model_path, task_factory
-        from contactgraph.commands.numbers import (
-            check_episodes,
-            check_range,
-            check_seed,
-            sensor_faults,
-        )
+        from contactgraph.commands.model_names import model_path
+        from contactgraph.commands.numbers import check_episodes, check_range, check_seed
         from contactgraph.commands.output import check_writable, progress, say, write_json
+        from contactgraph.commands.sensor import sensor_faults
+        from contactgraph.commands.task_names import TaskOptions, task_factory
         from contactgraph.data import (
             Dataset,
             InvalidInputError,
@@ -80,7 +79,8 @@ class Control:
                 "--unmeasured: no contact is measured, so --false-alarms, --misses and --delay "
                 "must be left out"
             )
-        factory = task_factory(self.task, self.distractors, self.objects)
+        options = TaskOptions(self.distractors, self.objects, self.grasp)
+        factory = task_factory(self.task, options)
         model = load_model(model_path(self.run_name)).model
         first: list[EpisodeRecord] = []
         done = itertools.count(1)
@@ -104,13 +104,7 @@ class Control:
                 measured=not self.unmeasured,
                 on_episode=on_episode,
             )
-        told: Metadata = {
-            "task": self.task,
-            "seed": self.seed,
-            "distractors": self.distractors,
-        }
-        if self.objects is not None:
-            told["objects"] = self.objects
+        told: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
         dataset = Dataset(tuple(runs), told)
         predicted = evaluate_open_loop(model, dataset, faults=faults)
         values = {

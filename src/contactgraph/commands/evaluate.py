@@ -29,9 +29,10 @@ class Evaluate:
 
     def run(self) -> None:
         """Evaluate and say."""
-        from contactgraph.commands.names import model_path
-        from contactgraph.commands.numbers import check_range, sensor_faults
+        from contactgraph.commands.model_names import model_path
+        from contactgraph.commands.numbers import check_range
         from contactgraph.commands.output import check_writable, say, write_json
+        from contactgraph.commands.sensor import sensor_faults
         from contactgraph.data import read_trajectories
         from contactgraph.evaluate import evaluate_open_loop, rollout_growth
         from contactgraph.model.storage import load_model

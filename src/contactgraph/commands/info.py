@@ -51,7 +51,7 @@ class Info:
             say(f"  checkpoint  {checkpoint.name}")
 
     def _model(self) -> None:
-        from contactgraph.commands.names import model_path
+        from contactgraph.commands.model_names import model_path
         from contactgraph.commands.output import say
         from contactgraph.model.storage import describe_model
 

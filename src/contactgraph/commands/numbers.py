@@ -1,7 +1,6 @@
 """Numbers a user types, refused before any work is begun where nothing good can come of them."""
 
 from contactgraph.data import InvalidInputError
-from contactgraph.evaluate import SensorFaults
 
 _LARGEST_SEED = 2**32 - 1
 """Random keys are made of 32 bits: a larger seed would be another one in disguise."""
@@ -21,12 +20,3 @@ def check_seed(seed: int) -> None:
 def check_episodes(episodes: int) -> None:
     """Raises `InvalidInputError` for no episodes, or more than memory could hold."""
     check_range("--episodes", episodes, 1, 100_000)
-
-
-def sensor_faults(false_alarms: float, misses: float, delay: int, seed: int) -> SensorFaults:
-    """The sensor that the flags describe. Raises `InvalidInputError` for what no sensor can be."""
-    for flag, rate in (("--false-alarms", false_alarms), ("--misses", misses)):
-        if not 0.0 <= rate < 1.0:
-            raise InvalidInputError(f"{flag} must be a share from 0 to below 1, found {rate}")
-    check_range("--delay", delay, 0, 1000)
-    return SensorFaults(false_alarms, misses, delay, seed)

@@ -4,9 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from contactgraph.commands.conditions import Conditions
-from contactgraph.commands.names import model_path, task_factory
+from contactgraph.commands.model_names import model_path
 from contactgraph.commands.output import say, write_json, write_text
 from contactgraph.commands.provenance import provenance
+from contactgraph.commands.task_names import TaskOptions, task_factory
 from contactgraph.data import Trajectory
 from contactgraph.evaluate import EpisodeRecord, control_task
 from contactgraph.model.storage import describe_model, load_model
@@ -79,7 +80,7 @@ def _scenes(run_name: str, result: ModelResult) -> list[SceneRun]:
         condition = one.condition
         _, runs = control_task(
             model,
-            task_factory(result.task.name, condition.distractors, condition.objects),
+            task_factory(result.task.name, TaskOptions(condition.distractors, condition.objects)),
             episodes=1,
             seed=one.seed,
             on_episode=_into(records),

@@ -1,6 +1,5 @@
 """A study's cells made, and the files that show what they say."""
 
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -9,6 +8,7 @@ from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 
+from contactgraph.commands.cores import usable_cores
 from contactgraph.commands.output import progress, say, write_json, write_text
 from contactgraph.commands.provenance import provenance
 from contactgraph.reproduce.cell import Cell, in_order
@@ -51,7 +51,9 @@ class Study:
         self.folder.mkdir(parents=True, exist_ok=True)
         records = Records(self.folder, version("contactgraph"))
         # One core a cell: trainings of this size gain nothing from a second one.
-        workers = [[sys.executable, "-m", "contactgraph.worker", core] for core in _cores()]
+        workers = [
+            [sys.executable, "-m", "contactgraph.worker", str(core)] for core in usable_cores()
+        ]
         with progress("cells", len(self.cells)) as steps:
 
             def on_step(standing: Standing) -> None:
@@ -108,7 +110,7 @@ class Study:
             "command": self.command,
             "date": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             **provenance(),
-            "cores": len(_cores()),
+            "cores": len(usable_cores()),
             "training_seeds": list(self.amounts.seeds),
             "test_runs": self.amounts.test_runs,
             "episodes": self.amounts.episodes,
@@ -141,13 +143,6 @@ _WORDS = {True: "holds", False: "does not hold", None: "not known"}
 def _told(found: Sequence[Claim]) -> str:
     held = sum(claim.holds is True for claim in found)
     return f"{held} of {len(found)} claims hold for our models."
-
-
-def _cores() -> list[str]:
-    """Those that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return [str(core) for core in sorted(os.sched_getaffinity(0))]
-    return [str(core) for core in range(os.cpu_count() or 1)]
 
 
 def _left(seconds: float | None) -> str:

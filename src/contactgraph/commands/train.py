@@ -45,7 +45,8 @@ class Train:
         """Train, saving checkpoints on the way."""
         import jax
 
-        from contactgraph.commands.names import MODELS, looked_up
+        from contactgraph.commands.model_names import MODELS
+        from contactgraph.commands.names import looked_up
         from contactgraph.commands.numbers import check_seed
         from contactgraph.commands.output import progress, say
         from contactgraph.commands.provenance import provenance, sha256

@@ -1,0 +1,95 @@
+"""Tasks and their experts by the names a user types. JAX is not needed to record runs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+from contactgraph.commands.names import looked_up
+from contactgraph.data import InvalidInputError
+from contactgraph.tasks import DoorExpert, DoorTask, MultiPickupTask, PickupExpert, PickupTask
+from contactgraph.tasks.contract import Policy, Task
+
+
+@dataclass(frozen=True)
+class TaskOptions:
+    """What a user may say about a task's scenes. None: the task's own choice."""
+
+    distractors: int = 0
+    objects: int | None = None
+    grasp: str | None = None
+
+    @property
+    def metadata(self) -> dict[str, str | int]:
+        """What was said, for the files that are made."""
+        told = {"objects": self.objects, "grasp": self.grasp}
+        given = {name: value for name, value in told.items() if value is not None}
+        return {"distractors": self.distractors, **given}
+
+
+TaskFactory = Callable[[], Task]
+
+
+def _pickup(options: TaskOptions) -> TaskFactory:
+    _refuse_grasp("pickup", options)
+    _check_one_object("pickup", options)
+    return partial(PickupTask, options.distractors)
+
+
+def _multi_pickup(options: TaskOptions) -> TaskFactory:
+    _refuse_grasp("multi-pickup", options)
+    if options.objects is None:
+        return partial(MultiPickupTask, distractors=options.distractors)
+    return partial(MultiPickupTask, options.objects, options.distractors)
+
+
+def _door(options: TaskOptions) -> TaskFactory:
+    _refuse_grasp("door", options)
+    if options.objects is not None:
+        raise InvalidInputError(f"--objects: door has no objects to count, found {options.objects}")
+    return partial(DoorTask, options.distractors)
+
+
+TASKS: dict[str, Callable[[TaskOptions], TaskFactory]] = {
+    "pickup": _pickup,
+    "multi-pickup": _multi_pickup,
+    "door": _door,
+}
+EXPERTS: dict[str, Callable[[], Policy]] = {
+    "pickup": PickupExpert,
+    "multi-pickup": PickupExpert,
+    "door": DoorExpert,
+}
+
+
+def task_factory(name: str, options: TaskOptions) -> TaskFactory:
+    """Makes a task's environment; other processes can be sent it.
+
+    Raises `InvalidInputError` for names and options that no task has.
+    """
+    factory = looked_up("task", name, TASKS)(options)
+    factory()  # a wrong count is refused before anything is begun
+    return factory
+
+
+def mixed_factories(name: str, options: TaskOptions) -> list[TaskFactory]:
+    """A task's environments with 0 to ``distractors`` distractors, and 1 to ``objects`` objects.
+
+    Objects None leaves them at the task's own number. Raises as `task_factory`.
+    """
+    task_factory(name, options)
+    counts = [None] if options.objects is None else range(1, options.objects + 1)
+    return [
+        task_factory(name, replace(options, distractors=bystanders, objects=count))
+        for count in counts
+        for bystanders in range(options.distractors + 1)
+    ]
+
+
+def _check_one_object(name: str, options: TaskOptions) -> None:
+    if options.objects not in (None, 1):
+        raise InvalidInputError(f"--objects: {name} has 1 object, found {options.objects}")
+
+
+def _refuse_grasp(name: str, options: TaskOptions) -> None:
+    if options.grasp is not None:
+        raise InvalidInputError(f"--grasp: {name} has no fingers to close, found {options.grasp!r}")
