@@ -8,6 +8,7 @@ import numpy as np
 from contactgraph.tasks.mujoco.engine import JOINTS, mujoco
 from contactgraph.tasks.mujoco.impedance import Impedance
 from contactgraph.tasks.mujoco.reflex import GraspReflex
+from contactgraph.tasks.mujoco.touch import Touch
 
 BLOCK = np.array([0.04, 0.04, 0.1])
 """Sides of a block, m."""
@@ -49,55 +50,50 @@ class ArmWorld:
         data.qpos[JOINTS : JOINTS + 2] = self._reflex.way
         mujoco.mj_forward(model, data)
         self.impedance = Impedance(model, data)
+        self._touch = Touch(model, data, len(place))
+        self._held: set[int] = set()
         self._substeps = round(dt / model.opt.timestep)
-        self._site = model.site("grasp").id
-        self._hand = int(model.site_bodyid[self._site])
-        count = len(place)
-        self._bodies = [model.body(f"block{i}").id for i in range(count)]
-        self._block = np.full(model.ngeom, -1)
-        self._block[[model.geom(f"block{i}").id for i in range(count)]] = np.arange(count)
-        self._pad = np.full(model.ngeom, -1)
-        self._pad[[model.geom("left_pad").id, model.geom("right_pad").id]] = 0, 1
-        self._grasped = np.zeros(count, bool)
-        self._start = JOINTS + 2 + 6 * np.arange(count)
+        # Views of what MuJoCo moves. Blocks are the last bodies, each with 6 velocities.
+        self._hand_position = data.site_xpos[model.site("grasp").id]
+        self._block_position = data.xpos[model.nbody - len(place) :]
+        self._block_velocity = data.qvel[JOINTS + 2 :].reshape(-1, 6)[:, :3]
+        links = [model.body(f"link{index}").id for index in range(8)]
+        self._links = [*links, model.body("hand").id]
 
     @property
     def position(self) -> np.ndarray:
         """[N, 3] m: the grasp point, the blocks' centres."""
-        return np.concatenate([self.data.site_xpos[self._site][None], self.data.xpos[self._bodies]])
+        return np.concatenate([self._hand_position[None], self._block_position])
 
     @property
     def velocity(self) -> np.ndarray:
         """[N, 3] m/s."""
-        return np.concatenate([self._hand_velocity()[None], self._block_velocity()])
+        return np.concatenate([self.impedance.velocity[None], self._block_velocity])
 
     @property
     def contact(self) -> np.ndarray:
         """[N, N] bool: the hand and a block that both fingers touched at once within the last
         step; blocks that touch."""
-        count = len(self._bodies)
+        count = len(self._block_position)
         contact = np.zeros((1 + count, 1 + count), bool)
-        geoms = self.data.contact.geom
-        if len(geoms):
-            first, second = self._block[geoms[:, 0]], self._block[geoms[:, 1]]
-            both = (first >= 0) & (second >= 0)
-            contact[1 + first[both], 1 + second[both]] = True
-        contact[0, 1:] = self._grasped
-        return contact | contact.T
+        contact[1:, 1:] = self._touch.between_blocks()
+        held = [1 + index for index in self._held]
+        contact[0, held] = contact[held, 0] = True
+        return contact
 
     def step(self, force: np.ndarray) -> None:
         """Moves on by ``dt`` under a ``force`` [N, 3] N, of which the hand's counts."""
         model, data = self.model, self.data
-        self._grasped = np.zeros(len(self._bodies), bool)
+        self._held = set()
         for _ in range(self._substeps):
             data.ctrl[:JOINTS] = self.impedance(force[0])
-            offset = data.xpos[self._bodies] - data.site_xpos[self._site]
-            velocity = self._hand_velocity() - self._block_velocity()
-            held = self._held()
-            self._grasped |= held
-            if self._weld and held.any():
-                self._weld_to(int(np.argmax(held)))
-            way = self._reflex.step(offset, velocity, bool(held.any()), model.opt.timestep)
+            held = self._touch.held()
+            self._held.update(held)
+            if self._weld and held:
+                self._weld_to(held[0])
+            offset = self._block_position - self._hand_position
+            velocity = self.impedance.velocity - self._block_velocity
+            way = self._reflex.step(offset, velocity, bool(held), model.opt.timestep)
             data.ctrl[JOINTS] = way
             before = data.qvel.copy()
             mujoco.mj_step2(model, data)
@@ -106,9 +102,7 @@ class ArmWorld:
 
     def skeleton(self) -> np.ndarray:
         """[P, 3] m: the arm's joints from the base to the grasp point."""
-        names = [f"link{index}" for index in range(8)]
-        joints = [self.data.body(name).xpos for name in (*names, "hand")]
-        return np.stack([*joints, self.data.site_xpos[self._site]])
+        return np.concatenate([self.data.xpos[self._links], self._hand_position[None]])
 
     def _weld_to(self, index: int) -> None:
         """Ties a block to the hand as the two are now; a weld that is there stays."""
@@ -125,23 +119,6 @@ class ArmWorld:
         self.model.eq_data[weld, 3:6] = relative
         self.model.eq_data[weld, 6:10] = turn
         self.data.eq_active[weld] = 1
-
-    def _held(self) -> np.ndarray:
-        """[M] bool: whether both fingers touch a block."""
-        geoms = self.data.contact.geom
-        touched = np.zeros((2, len(self._bodies)), bool)
-        if len(geoms):
-            for one, other in ((0, 1), (1, 0)):
-                pad, block = self._pad[geoms[:, one]], self._block[geoms[:, other]]
-                both = (pad >= 0) & (block >= 0)
-                touched[pad[both], block[both]] = True
-        return touched[0] & touched[1]
-
-    def _hand_velocity(self) -> np.ndarray:
-        return self.impedance.velocity
-
-    def _block_velocity(self) -> np.ndarray:
-        return np.stack([self.data.qvel[at : at + 3] for at in self._start])
 
 
 def _scene(place: np.ndarray, yaw: np.ndarray) -> str:

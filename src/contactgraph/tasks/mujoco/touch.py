@@ -1,0 +1,37 @@
+"""Which blocks the fingers hold, and which blocks touch, by MuJoCo's own contacts."""
+
+import numpy as np
+
+from contactgraph.tasks.mujoco.engine import mujoco
+
+
+class Touch:
+    """The contacts of the finger pads and of ``count`` blocks, whose geoms are ``block0`` and on.
+
+    Plain numbers in loops: it is asked at every tick, and arrays as small as these take longer.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, count: int) -> None:
+        self._data = data
+        self._count = count
+        self._block = {model.geom(f"block{index}").id: index for index in range(count)}
+        self._pad = {model.geom("left_pad").id: 0, model.geom("right_pad").id: 1}
+
+    def held(self) -> list[int]:
+        """The blocks, by index and in order, that both fingers touch."""
+        touched: tuple[set[int], set[int]] = set(), set()
+        for one, other in self._data.contact.geom.tolist():
+            if one in self._pad:
+                touched[self._pad[one]].add(other)
+            elif other in self._pad:
+                touched[self._pad[other]].add(one)
+        return sorted(self._block[geom] for geom in touched[0] & touched[1] if geom in self._block)
+
+    def between_blocks(self) -> np.ndarray:
+        """[M, M] bool, symmetric."""
+        contact = np.zeros((self._count, self._count), bool)
+        for one, other in self._data.contact.geom.tolist():
+            if one in self._block and other in self._block:
+                first, second = self._block[one], self._block[other]
+                contact[first, second] = contact[second, first] = True
+        return contact
