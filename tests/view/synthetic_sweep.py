@@ -93,5 +93,5 @@ def sweep(name="Sweep", distractors=2, horizon=25):
         inverse_mass=inverse_mass,
         stiffness=stiffness,
         damping=damping,
-        plan=run.position[ahead] + 0.002 * rng.standard_normal((STEPS, horizon + 1, 1, 3)),
+        plan=run.position[ahead] + 0.0005 * rng.standard_normal((STEPS, horizon + 1, 1, 3)),
     )

@@ -12,6 +12,7 @@ _TITLES = {
     "pickup": "A contact graph that picks things up",
     "multi-pickup": "A contact graph that picks up one thing after another",
     "door": "A contact graph that opens doors",
+    "franka": "A contact graph that picks things up with an arm",
 }
 
 
