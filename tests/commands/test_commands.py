@@ -132,7 +132,7 @@ def test_collect_does_not_wait_for_jax(tmp_path: Path) -> None:
     assert subprocess.run([sys.executable, "-c", main, *arguments]).returncode == 0
 
 
-@pytest.mark.parametrize(("task", "nodes"), [("multi-pickup", 3), ("door", 2)])
+@pytest.mark.parametrize(("task", "nodes"), [("multi-pickup", 3), ("door", 2), ("franka", 2)])
 def test_collect_other_tasks(tmp_path: Path, task: str, nodes: int) -> None:
     path = tmp_path / "data.h5"
     done("collect", task, "--episodes", 2, "--exploration", 0.5, "--out", path)
@@ -141,6 +141,16 @@ def test_collect_other_tasks(tmp_path: Path, task: str, nodes: int) -> None:
     policies = [run.scene.metadata["policy"] for run in dataset]
     assert policies[0].endswith("Expert") and policies[1] == "ExplorationPolicy"
     assert all((run.scene.anchor is not None) == (task == "door") for run in dataset)
+    assert all(run.scene.dimension == (3 if task == "franka" else 2) for run in dataset)
+
+
+def test_collect_with_another_grasp(tmp_path: Path) -> None:
+    path = tmp_path / "data.h5"
+    done("collect", "franka", "--episodes", 1, "--distractors", 1, "--grasp", "weld", "--out", path)
+    dataset = read_trajectories(path)
+    assert dataset.metadata == {"task": "franka", "seed": 0, "distractors": 1, "grasp": "weld"}
+    (run,) = dataset
+    assert run.scene.metadata["grasp"] == "weld"
 
 
 def test_train_leaves_a_run_folder(trained: Path, recorded: Path) -> None:

@@ -55,7 +55,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a --out b --resume yes", "train does not take yes (see"),
         (
             "collect juggling --out a.h5",
-            "task must be one of pickup, multi-pickup, door; found 'juggling'",
+            "task must be one of pickup, multi-pickup, door, franka; found 'juggling'",
         ),
         ("collect pickup --out a.h5 --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("collect pickup --out a.h5 --episodes -3", "--episodes must be 1 to 100000, found -3"),
@@ -71,6 +71,9 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("control nobody pickup --grasp weld", "--grasp: pickup has no fingers to close, found"),
         ("collect multi-pickup --out a.h5 --grasp", "--grasp needs a value (see"),
         ("collect multi-pickup --out a.h5 --grasp x", "--grasp: multi-pickup has no fingers to cl"),
+        ("collect franka --out a.h5 --grasp glue", "--grasp must be one of friction, weld; found"),
+        ("collect franka --out a.h5 --objects 2", "--objects: franka has 1 object, found 2"),
+        ("collect franka --out a.h5 --distractors 6", "distractors must be 0 to 5, found 6"),
         ("collect door --out a.h5 --distractors 11", "distractors must be 0 to 10, found 11"),
         ("collect door --out a.h5 --mixed --distractors -1", "distractors must be 0 to 10, found"),
         ("collect multi-pickup --out a.h5 --mixed --objects 0", "objects must be 1 to 5, found 0"),
@@ -99,7 +102,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("control nobody pickup", "nobody: no such run folder or model file; models that ship are"),
         (
             "control nobody juggling",
-            "task must be one of pickup, multi-pickup, door; found 'juggling'",
+            "task must be one of pickup, multi-pickup, door, franka; found 'juggling'",
         ),
         ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("control nobody pickup --horizon 0", "--horizon must be 1 to 1000, found 0"),
@@ -209,6 +212,20 @@ def test_resuming_without_a_checkpoint(
     (run / "config.json").write_text(json.dumps({**config, "steps": "many"}))
     said = mistake("train", recorded, "--out", run, "--resume")
     assert said == f"{run}/config.json: steps must be like 2000, found 'many'"
+
+
+@pytest.mark.parametrize("command", ["collect franka --out a.h5", "control pickup franka"])
+def test_mujoco_missing(tmp_path: Path, command: str) -> None:
+    main = "import sys; from contactgraph.cli import main; sys.modules['mujoco'] = None; "
+    told = subprocess.run(
+        [sys.executable, "-c", main + "main(sys.argv[1:])", *command.split()],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    said = "contactgraph: franka needs MuJoCo: pip install 'contactgraph[mujoco]'\n"
+    assert (told.returncode, told.stdout, told.stderr) == (2, "", said)
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_closed_pipe_is_no_mistake() -> None:

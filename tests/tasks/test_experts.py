@@ -82,6 +82,19 @@ def test_exploration_moves_about_hits_something_and_stays_near():
         assert np.abs(run.position).max() < 3.0
 
 
+def test_exploration_is_drawn_to_the_middle_of_the_scene_wherever_that_is():
+    scene = Scene(("hand", "block"), ("hand", "block"), np.array([True, False]), 0.01, 3)
+    explore = ExplorationPolicy(deviation=0.0, stiffness=2.0, damping=0.5)
+    place, speed = np.array([[5.0, 1.0, 2.0], [4.0, 3.0, 0.0]]), np.array([[0.0, 0.0, 4.0]] * 2)
+    first = {"position": place, "velocity": speed, "goal": np.array([4.0, 1.0, 8.0])}
+    explore.reset(scene, 0)
+    np.testing.assert_allclose(explore(first), 2.0 * np.array([-0.5, 1.0, 2.0]) - [0.0, 0.0, 2.0])
+    later = {**first, "position": place + 1.0}
+    np.testing.assert_allclose(explore(later), explore(first) - 2.0)
+    explore.reset(scene, 0)
+    np.testing.assert_allclose(explore(later)[:2], [-2.0, 1.0])  # to a new middle
+
+
 def test_rest_rests():
     (run,) = collect([lambda: PickupTask(3)], [RestPolicy()], 1, 0)
     assert not run.control.any() and not run.velocity.any() and not run.contact.any()

@@ -13,7 +13,7 @@ class Collect:
     """Record runs of a task by its scripted expert, and write them to a dataset file."""
 
     task: Positional[Annotated[str, arg(metavar="TASK")]]
-    """The task: pickup, multi-pickup or door."""
+    """The task: pickup, multi-pickup, door or franka (an arm; needs the extra mujoco)."""
     out: Annotated[Path, arg(metavar="FILE")]
     """The file to write (HDF5)."""
     episodes: int = 40
@@ -21,7 +21,7 @@ class Collect:
     seed: int = 0
     """The same seed records the same runs."""
     distractors: int = 0
-    """Bystanders: objects, 0 to 20, or doors, 0 to 10."""
+    """Bystanders: objects, 0 to 20, doors, 0 to 10, or blocks, 0 to 5."""
     objects: Annotated[int | None, arg(metavar="INT")] = None
     """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
     grasp: Annotated[str | None, arg(metavar="HOW")] = None
@@ -40,13 +40,13 @@ class Collect:
         from contactgraph.commands.numbers import check_episodes, check_seed
         from contactgraph.commands.output import check_writable, progress, say
         from contactgraph.commands.task_names import (
-            EXPERTS,
+            TASKS,
             TaskOptions,
             mixed_factories,
             task_factory,
         )
         from contactgraph.data import InvalidInputError, Metadata, write_trajectories
-        from contactgraph.tasks import ExplorationPolicy, RestPolicy
+        from contactgraph.tasks import RestPolicy
         from contactgraph.tasks.collect import collect
 
         options = TaskOptions(self.distractors, self.objects, self.grasp)
@@ -65,9 +65,9 @@ class Collect:
         check_writable(self.out)
         explores = round(self.exploration * self.episodes)
         rests = round(self.resting * self.episodes)
-        expert = looked_up("task", self.task, EXPERTS)
-        policies = [expert() for _ in range(self.episodes - explores - rests)]
-        policies += [ExplorationPolicy() for _ in range(explores)]
+        task = looked_up("task", self.task, TASKS)
+        policies = [task.expert() for _ in range(self.episodes - explores - rests)]
+        policies += [task.explorer() for _ in range(explores)]
         policies += [RestPolicy() for _ in range(rests)]
         with progress("collecting", self.episodes) as steps:
             done = itertools.count(1)

@@ -15,13 +15,13 @@ class Control:
     run_name: Positional[Annotated[str, arg(metavar="RUN")]]
     """A run folder, a model file, or a model that ships with the package (pickup)."""
     task: Positional[Annotated[str, arg(metavar="TASK")]]
-    """The task: pickup, multi-pickup or door."""
+    """The task: pickup, multi-pickup, door or franka (an arm; needs the extra mujoco)."""
     episodes: int = 100
     """How many episodes."""
     seed: int = 0
     """The same seed gives the same episodes."""
     distractors: int = 0
-    """Bystanders: objects, 0 to 20, or doors, 0 to 10."""
+    """Bystanders: objects, 0 to 20, doors, 0 to 10, or blocks, 0 to 5."""
     objects: Annotated[int | None, arg(metavar="INT")] = None
     """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
     grasp: Annotated[str | None, arg(metavar="HOW")] = None

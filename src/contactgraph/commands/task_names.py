@@ -6,7 +6,14 @@ from functools import partial
 
 from contactgraph.commands.names import looked_up
 from contactgraph.data import InvalidInputError
-from contactgraph.tasks import DoorExpert, DoorTask, MultiPickupTask, PickupExpert, PickupTask
+from contactgraph.tasks import (
+    DoorExpert,
+    DoorTask,
+    ExplorationPolicy,
+    MultiPickupTask,
+    PickupExpert,
+    PickupTask,
+)
 from contactgraph.tasks.contract import Policy, Task
 
 
@@ -49,15 +56,42 @@ def _door(options: TaskOptions) -> TaskFactory:
     return partial(DoorTask, options.distractors)
 
 
-TASKS: dict[str, Callable[[TaskOptions], TaskFactory]] = {
-    "pickup": _pickup,
-    "multi-pickup": _multi_pickup,
-    "door": _door,
-}
-EXPERTS: dict[str, Callable[[], Policy]] = {
-    "pickup": PickupExpert,
-    "multi-pickup": PickupExpert,
-    "door": DoorExpert,
+def _franka(options: TaskOptions) -> TaskFactory:
+    # Imported when it is asked for: MuJoCo may be missing, which this import says.
+    from contactgraph.tasks.mujoco import FrankaTask, Grasp
+
+    _check_one_object("franka", options)
+    if options.grasp is None:
+        return partial(FrankaTask, options.distractors)
+    grasp = looked_up("--grasp", options.grasp, {each.value: each for each in Grasp})
+    return partial(FrankaTask, options.distractors, grasp)
+
+
+def _franka_expert() -> Policy:
+    from contactgraph.tasks.mujoco import FrankaExpert
+
+    return FrankaExpert()
+
+
+def _franka_explorer() -> Policy:
+    # For a hand of 4 kg and steps of 0.01 s: it spreads by 0.15 m on each axis.
+    return ExplorationPolicy(deviation=2.6, correlation_steps=25.0, stiffness=16.0, damping=4.8)
+
+
+@dataclass(frozen=True)
+class KnownTask:
+    """What belongs to the name of a task."""
+
+    factory: Callable[[TaskOptions], TaskFactory]
+    expert: Callable[[], Policy]
+    explorer: Callable[[], Policy] = ExplorationPolicy
+
+
+TASKS = {
+    "pickup": KnownTask(_pickup, PickupExpert),
+    "multi-pickup": KnownTask(_multi_pickup, PickupExpert),
+    "door": KnownTask(_door, DoorExpert),
+    "franka": KnownTask(_franka, _franka_expert, _franka_explorer),
 }
 
 
@@ -66,7 +100,7 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
 
     Raises `InvalidInputError` for names and options that no task has.
     """
-    factory = looked_up("task", name, TASKS)(options)
+    factory = looked_up("task", name, TASKS).factory(options)
     factory()  # a wrong count is refused before anything is begun
     return factory
 
