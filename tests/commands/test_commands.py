@@ -235,6 +235,7 @@ def test_control(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     values = json.loads(result.read_text())
     assert values.keys() >= OPEN_LOOP | CLOSED_LOOP | {"run", "task", "distractors"}
     assert (values["episodes"], values["seed"], values["distractors"]) == (2, 5, 1)
+    assert (values["horizon"], values["replan_every"]) == (20, 5)
     low, high = values["success_interval"]
     assert 0 <= low <= values["success_rate"] <= high <= 1
     assert values["plan_ms_p99"] >= values["plan_ms_p50"] > 0

@@ -45,6 +45,13 @@ def test_speeds_by_hand():
     assert slowing.slowest == pytest.approx(0.02)
 
 
+def test_start_up_is_a_time_not_a_number_of_steps():
+    run = episode([*np.linspace(0.0, 0.5, 26), 0.7, 0.6, 0.0], touch=28)
+    quick = replace(run, scene=replace(run.scene, dt=0.01))
+    assert approach(quick, (0, 1)).slowest == pytest.approx(0.5)
+    assert approach(run, (0, 1)).slowest == pytest.approx(0.1)
+
+
 def test_contact_in_start_up_or_never_or_from_the_start():
     early = approach(episode([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0], touch=2), (0, 1))
     assert early.contact_speed == pytest.approx(0.5) and early.slowest is None

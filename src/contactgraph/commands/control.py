@@ -26,8 +26,8 @@ class Control:
     """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
     grasp: Annotated[str | None, arg(metavar="HOW")] = None
     """How fingers hold, where the task has some: friction or weld."""
-    horizon: int = 20
-    """Steps to plan ahead."""
+    horizon: Annotated[int | None, arg(metavar="INT")] = None
+    """Steps to plan ahead; 20, for franka 50, if not given."""
     replan_every: int = 1
     """Steps between plans; feedback acts in between."""
     deadline_ms: Annotated[float | None, arg(metavar="MS")] = None
@@ -50,10 +50,11 @@ class Control:
     def run(self) -> None:
         """Run the episodes and say how they went."""
         from contactgraph.commands.model_names import model_path
+        from contactgraph.commands.names import looked_up
         from contactgraph.commands.numbers import check_episodes, check_range, check_seed
         from contactgraph.commands.output import check_writable, progress, say, write_json
         from contactgraph.commands.sensor import sensor_faults
-        from contactgraph.commands.task_names import TaskOptions, task_factory
+        from contactgraph.commands.task_names import TASKS, TaskOptions, task_factory
         from contactgraph.data import (
             Dataset,
             InvalidInputError,
@@ -72,7 +73,10 @@ class Control:
             check_animation(self.video)
         check_episodes(self.episodes)
         check_seed(self.seed)
-        check_range("--horizon", self.horizon, 1, 1000)
+        horizon = looked_up("task", self.task, TASKS).horizon
+        if self.horizon is not None:
+            check_range("--horizon", self.horizon, 1, 1000)
+            horizon = self.horizon
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, self.seed)
         if self.unmeasured and not faults.exact:
             raise InvalidInputError(
@@ -97,7 +101,7 @@ class Control:
                 factory,
                 self.episodes,
                 self.seed,
-                horizon=self.horizon,
+                horizon=horizon,
                 replan_every=self.replan_every,
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
                 faults=faults,
@@ -110,6 +114,7 @@ class Control:
         values = {
             "run": self.run_name,
             **told,
+            "horizon": horizon,
             "replan_every": self.replan_every,
             "false_alarms": self.false_alarms,
             "misses": self.misses,

@@ -7,7 +7,7 @@ from contactgraph.commands.conditions import Conditions
 from contactgraph.commands.model_names import model_path
 from contactgraph.commands.output import say, write_json, write_text
 from contactgraph.commands.provenance import provenance
-from contactgraph.commands.task_names import TaskOptions, task_factory
+from contactgraph.commands.task_names import TASKS, TaskOptions, task_factory
 from contactgraph.data import Trajectory
 from contactgraph.evaluate import EpisodeRecord, control_task
 from contactgraph.model.storage import describe_model, load_model
@@ -83,6 +83,7 @@ def _scenes(run_name: str, result: ModelResult) -> list[SceneRun]:
             task_factory(result.task.name, TaskOptions(condition.distractors, condition.objects)),
             episodes=1,
             seed=one.seed,
+            horizon=TASKS[result.task.name].horizon,
             on_episode=_into(records),
         )
         scenes.append(scene_run(model, condition.name, runs[0], records[0].plan))

@@ -85,13 +85,15 @@ class KnownTask:
     factory: Callable[[TaskOptions], TaskFactory]
     expert: Callable[[], Policy]
     explorer: Callable[[], Policy] = ExplorationPolicy
+    horizon: int = 20
+    """Steps that a plan looks ahead where nobody says otherwise."""
 
 
 TASKS = {
     "pickup": KnownTask(_pickup, PickupExpert),
     "multi-pickup": KnownTask(_multi_pickup, PickupExpert),
     "door": KnownTask(_door, DoorExpert),
-    "franka": KnownTask(_franka, _franka_expert, _franka_explorer),
+    "franka": KnownTask(_franka, _franka_expert, _franka_explorer, horizon=50),
 }
 
 

@@ -11,8 +11,8 @@ from contactgraph.evaluate.planned_error import PlannedError
 from contactgraph.evaluate.statistics import wilson_interval
 
 _NOTHING_PLANNED = PlannedError()
-_START_UP = 5
-"""Steps in which a gripper that starts at rest gains speed."""
+_START_UP_S = 0.25
+"""In which a gripper that starts at rest gains speed."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class ClosedLoopMetrics:
     contact_speed_m_s: float | None
     """Median speed in the last state before the first contact, m/s."""
     slowest_before_contact_m_s: float | None
-    """Median of each episode's lowest speed from its 6th state to contact ("never stopping")."""
+    """Median of each episode's lowest speed from 0.25 s on to contact ("never stopping")."""
     slowest_before_contact_min_m_s: float | None
     """The lowest such speed of any episode."""
     touched_bystanders: int | None
@@ -118,8 +118,9 @@ def approach(run: Trajectory, chain: Sequence[int]) -> Approach | None:
     if first == 0:
         return None
     speed = np.linalg.norm(run.velocity[:first, chain[0]], axis=-1)
-    slowest = float(speed[_START_UP:].min(initial=math.inf))
-    return Approach(float(speed[-1]), slowest if first > _START_UP else None)
+    start_up = round(_START_UP_S / run.scene.dt)
+    slowest = float(speed[start_up:].min(initial=math.inf))
+    return Approach(float(speed[-1]), slowest if first > start_up else None)
 
 
 def _touched_bystander(run: Trajectory, chain: Sequence[int]) -> bool | None:
