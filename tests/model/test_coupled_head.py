@@ -48,6 +48,7 @@ def inputs(hinges: bool = False) -> tuple[LocalInput, jax.Array]:
         position=states[0],
         velocity=states[1],
         kind=jnp.asarray(kind),
+        actuated=jnp.asarray(kinds, float),
         node_features=jnp.asarray(np.hstack([kind, rng.uniform(size=(NODES, 1))])),
         edge_features=jnp.zeros((2, len(PAIRS), 0)),
         weight=jnp.asarray(weight),

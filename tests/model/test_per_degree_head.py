@@ -24,6 +24,7 @@ def inputs() -> tuple[LocalInput, jax.Array, jax.Array]:
         position=position,
         velocity=velocity,
         kind=jnp.zeros((NODES, 2)),
+        actuated=jnp.zeros(NODES),
         node_features=jnp.zeros((NODES, 0)),
         edge_features=jnp.zeros((2, len(pairs), 0)),
         weight=jnp.ones((len(pairs), 1)),

@@ -96,6 +96,7 @@ class Train:
             dataset.dt,
             told.contact_distance,
             hinges=any(run.scene.has_hinges for run in dataset),
+            weight=any(run.scene.has_weight for run in dataset),
             key=jax.random.key(told.seed),
         )
         state = initial_state(model, recipe, told.seed)

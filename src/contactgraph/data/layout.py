@@ -35,6 +35,7 @@ ARRAYS = {
     "contact": Field(("T+1", "N", "N"), "biu"),
     "anchor": Field(("N", "D"), "fiu", "m"),
     "goal": Field(("D",), "fiu", "m"),
+    "gravity": Field(("D",), "fiu", "m/s^2"),
     "mass": Field(("N",), "fiu", "kg"),
     "radius": Field(("N",), "fiu", "m"),
     "size": Field(("N", "D"), "fiu", "m"),

@@ -21,6 +21,7 @@ def read_run(group: UntrustedGroup) -> Trajectory:
     names, types = group.texts("node_name"), group.texts("node_type")
     actuated, dt, metadata = _array(group, "actuated"), read_dt(group), read_metadata(group)
     anchor, goal = _optional_array(group, "anchor"), _optional_array(group, "goal")
+    gravity = _optional_array(group, "gravity")
     mass, radius = _optional_array(group, "mass"), _optional_array(group, "radius")
     size, edges = _optional_array(group, "size"), _optional_array(group, "candidate_edges")
     with naming(group.where):
@@ -32,6 +33,7 @@ def read_run(group: UntrustedGroup) -> Trajectory:
             dimension=position.shape[2],
             anchor=anchor,
             goal=goal,
+            gravity=gravity,
             mass=mass,
             radius=radius,
             size=size,

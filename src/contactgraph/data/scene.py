@@ -29,6 +29,9 @@ class Scene:
     """[N, D] hinge position, m; NaN where a node has none. None: nobody has one."""
     goal: np.ndarray | None = None
     """[D] goal position, m. None: the run has no goal."""
+    gravity: np.ndarray | None = None
+    """[D] m/s^2: how bodies fall that nothing bears and nothing actuates. They rest on something
+    until they are carried. None: bodies have no weight, or lie in a plane that bears them."""
     mass: np.ndarray | None = None
     """[N] true mass, kg, where it is known. Serves evaluation only; training never reads it."""
     radius: np.ndarray | None = None
@@ -52,6 +55,7 @@ class Scene:
             "actuated": (count,),
             "anchor": (count, dimension),
             "goal": (dimension,),
+            "gravity": (dimension,),
             "mass": (count,),
             "radius": (count,),
             "size": (count, dimension),
@@ -69,7 +73,7 @@ class Scene:
                 _set(self, name, value)
             if value.shape != shape:
                 raise InvalidInputError(f"{name} must have shape {shape}, found {value.shape}")
-        for name in ("goal", "mass", "radius"):
+        for name in ("goal", "gravity", "mass", "radius"):
             value = getattr(self, name)
             if value is not None and not np.all(np.isfinite(value)):
                 raise InvalidInputError(f"{name} must be finite, found {value.tolist()}")
@@ -82,6 +86,11 @@ class Scene:
     def node_count(self) -> int:
         """N, the number of nodes."""
         return len(self.node_name)
+
+    @property
+    def has_weight(self) -> bool:
+        """Whether bodies have weight."""
+        return self.gravity is not None and bool(np.any(self.gravity != 0.0))
 
     @property
     def has_hinges(self) -> bool:

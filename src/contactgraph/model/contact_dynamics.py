@@ -118,6 +118,7 @@ class ContactDynamics(eqx.Module):
             position=position,
             velocity=velocity,
             kind=self.features.kind(nodes, position.dtype),
+            actuated=nodes.actuated.astype(position.dtype),
             node_features=percept.node_features,
             edge_features=percept.edge_features,
             weight=edge_active[:, 1:] * percept.weight[:, None],

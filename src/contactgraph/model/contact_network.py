@@ -20,6 +20,8 @@ class GroupMotion(eqx.Module):
     """What part of its own momentum a node keeps, in (0, 1]."""
     ground_share: Float[Array, " N"]
     """What part of its velocity a node loses to the ground when all move alike, in [0, 1)."""
+    acceleration: Float[Array, "N D"] | None
+    """By forces that always act, m/s^2; None where there are none."""
 
 
 class ContactNetwork(eqx.Module):
@@ -58,8 +60,10 @@ class ContactNetwork(eqx.Module):
         geometry: Geometry,
         dt: float,
         control_size: int,
+        weight: Float[Array, "N D"] | None = None,
     ) -> GroupMotion:
-        """One step of `dt` [s]; `gain` is the force on a node for each newton of control."""
+        """One step of `dt` [s]; `gain` is the force on a node for each newton of control, `weight`
+        [N] a force that always acts."""
         count, dimension = velocity.shape
         jacobian = _jacobian(geometry, count)
         size = geometry.lever.shape[-1]
@@ -92,6 +96,7 @@ class ContactNetwork(eqx.Module):
             response=response @ jnp.eye(dimension, control_size),
             own_share=own * self.mass,
             ground_share=ground,
+            acceleration=None if weight is None else moved(weight),
         )
 
 

@@ -1,5 +1,7 @@
 """Bodies that are held together move together: parameters from a network of dampers and springs."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,6 +11,7 @@ from contactgraph.model.circling import circling
 from contactgraph.model.contact_network import ContactNetwork
 from contactgraph.model.local_input import LocalInput, Step
 from contactgraph.model.spring_mass_damper import SpringMassDamper
+from contactgraph.model.support import Support, carried
 
 _MOST_HELD = 1.0 - 1e-3
 """Of the coefficient of holding: a damper a thousand times stiffer than a mass of 1 in a step."""
@@ -38,11 +41,21 @@ class CoupledHead(eqx.Module):
     negative."""
     ground: eqx.nn.MLP
     edge: eqx.nn.MLP
+    support: Support | None
+    """What bears bodies that nobody carries; None: all float."""
     width: int = eqx.field(static=True)
     kinds: int = eqx.field(static=True)
     length: float = eqx.field(static=True)
 
-    def __init__(self, width: int, kinds: int, *, length: float, key: PRNGKeyArray):
+    def __init__(
+        self,
+        width: int,
+        kinds: int,
+        *,
+        length: float,
+        support: Support | None = None,
+        key: PRNGKeyArray,
+    ):
         """`kinds`: how many kinds of node there are; `length` [m] scales rest lengths."""
         ground_key, edge_key = jax.random.split(key)
         # Products, so that their types are not weak: else the first update of training recompiles.
@@ -50,6 +63,7 @@ class CoupledHead(eqx.Module):
         self.gain_root = jnp.ones(kinds) / _PACE
         self.ground = eqx.nn.MLP(kinds + 1, 1, width, 1, key=ground_key)
         self.edge = eqx.nn.MLP(width, 3, width, 1, key=edge_key)
+        self.support = support
         self.width = width
         self.kinds = kinds
         self.length = length
@@ -64,20 +78,29 @@ class CoupledHead(eqx.Module):
         """Parameters of every node at one step."""
         theta, dt = step.theta, step.dt
         network, gain, hold = self._network(local, message, theta)
-        motion = network.step(local.velocity, gain, local.geometry, dt, step.control_size)
+        weight = None
+        if self.support is not None:
+            share = carried(local.actuated, hold, local.geometry)
+            weight = share[:, None] * self.support.weight(local.kind)
+            network = dataclasses.replace(network, ground=(1.0 - share) * network.ground)
+        motion = network.step(local.velocity, gain, local.geometry, dt, step.control_size, weight)
         # A damper whose other end moves, such that the discrete step makes `change` of it.
         size = jnp.sqrt(jnp.sum(motion.change**2, axis=-1) + _SMALLEST**2)
         impact = (1.0 - motion.own_share) * size / (size + _IMPACT_SPEED)
         part = jnp.clip(motion.ground_share + impact, 0.0, 1.0)
         damping = (part / ((1.0 - theta * part) * dt))[:, None] * jnp.ones_like(motion.change)
         damper_end = local.velocity + motion.change / (part + _SMALLEST)[:, None]
+        # What acts besides is slowed by that damper too; the network's solution already is.
+        undamped = 1.0 + theta * dt * damping
+        acceleration = motion.acceleration
         parameters = SpringMassDamper(
-            response=motion.response * (1.0 + theta * dt * damping)[..., None],
+            response=motion.response * undamped[..., None],
             stiffness_rate=jnp.zeros_like(damping),
             damping_rate=damping,
             equilibrium=local.position,
             equilibrium_velocity=damper_end,
             shift=motion.shift,
+            acceleration=None if acceleration is None else acceleration * undamped,
         )
         return parameters if local.anchor is None else _on_circles(parameters, local, hold, step)
 
@@ -123,6 +146,9 @@ def _on_circles(
         equilibrium=circles.centre,
         equilibrium_velocity=parameters.equilibrium_velocity,
         shift=parameters.shift,
+        acceleration=None
+        if parameters.acceleration is None
+        else parameters.acceleration * (after / before),
     )
     pulled = damper * (sprung.equilibrium_velocity - local.velocity)
     pulled = pulled - dt * stiffness * (

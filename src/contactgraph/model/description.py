@@ -25,6 +25,7 @@ from contactgraph.model.per_degree_head import PerDegreeHead
 from contactgraph.model.prior import DistancePrior, TouchPrior
 from contactgraph.model.reach import Everywhere, Reach
 from contactgraph.model.sampling import ArgmaxSample, GumbelSample
+from contactgraph.model.support import Support
 from contactgraph.model.theta_method import ThetaMethod
 
 _CLASSES: dict[str, type[eqx.Module]] = {
@@ -47,6 +48,7 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         Reach,
         RecurrentEdges,
         SpringMassDamperDynamics,
+        Support,
         ThetaMethod,
         TouchPrior,
         TypedMessagePassing,
@@ -86,6 +88,7 @@ def _describe(module: object, allowed: tuple[type, ...], where: str) -> Descript
     arguments = {
         name: _describe_value(getattr(module, name), kinds, f"{where}.{name}")
         for name, kinds in _arguments(type(module)).items()
+        if not (_optional(kinds) and getattr(module, name) is None)
     }
     return {"type": type(module).__name__, "arguments": arguments}
 
@@ -108,15 +111,16 @@ def _build(value: object, allowed: tuple[type, ...], where: str) -> Any:
     if not isinstance(name, str) or _CLASSES.get(name) not in allowed:
         raise InvalidInputError(f"{where}.type: must be {_names(allowed)}, found {_short(name)}")
     expected = _arguments(_CLASSES[name])
-    if not isinstance(given, dict) or set(given) != set(expected):
+    needed = {argument for argument, kinds in expected.items() if not _optional(kinds)}
+    if not isinstance(given, dict) or not needed <= set(given) <= set(expected):
         found = sorted(given) if isinstance(given, dict) else given
         raise InvalidInputError(
             f"{where}.arguments: must be those of {name} ({', '.join(expected) or 'none'}), "
             f"found {_short(found)}"
         )
     values = {
-        argument: _build_value(given[argument], kinds, f"{where}.arguments.{argument}")
-        for argument, kinds in expected.items()
+        argument: _build_value(value, expected[argument], f"{where}.arguments.{argument}")
+        for argument, value in given.items()
     }
     if "key" in inspect.signature(_CLASSES[name].__init__).parameters:
         values["key"] = jax.random.PRNGKey(0)
@@ -164,6 +168,11 @@ def _arguments(known: Any) -> dict[str, tuple[Any, ...]]:
         for name, parameter in inspect.signature(known.__init__).parameters.items()
         if name not in ("self", "key")
     }
+
+
+def _optional(kinds: tuple[Any, ...]) -> bool:
+    """Whether an argument may be None, and is left out where it is."""
+    return type(None) in kinds
 
 
 def _part_types(kind: Any) -> tuple[Any, ...]:

@@ -15,6 +15,8 @@ class LocalInput(eqx.Module):
     """m/s"""
     kind: Float[Array, "N kinds"]
     """What of a node does not change."""
+    actuated: Float[Array, " N"]
+    """1 where the control acts on the node itself, else 0."""
     node_features: Float[Array, "N F"]
     edge_features: Float[Array, "2 E G"]
     weight: Float[Array, "E active"]

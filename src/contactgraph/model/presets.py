@@ -3,7 +3,8 @@
 Every function takes the number of degrees of freedom a node `dimension`, the size of the control,
 the step `dt` [s], the distance `contact_distance` [m] at about which bodies touch, centre to centre
 (the paper's d_th), the networks' width, whether bodies may hang
-on hinges, and a random key.
+on hinges, whether they have weight and rest on something until they are carried (`Support`; only
+`gim_temp` and what is made of it), and a random key.
 """
 
 import dataclasses
@@ -22,6 +23,7 @@ from contactgraph.model.per_degree_head import PerDegreeHead
 from contactgraph.model.prior import DistancePrior, TouchPrior
 from contactgraph.model.reach import Everywhere, Reach
 from contactgraph.model.sampling import ArgmaxSample
+from contactgraph.model.support import Support
 from contactgraph.model.theta_method import ThetaMethod
 
 
@@ -36,6 +38,7 @@ class Preset(Protocol):
         contact_distance: float = 0.085,
         width: int = 32,
         hinges: bool = False,
+        weight: bool = False,
         *,
         key: PRNGKeyArray,
     ) -> ContactDynamics:
@@ -49,6 +52,7 @@ def gim_temp(
     contact_distance: float = 0.085,
     width: int = 32,
     hinges: bool = False,
+    weight: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
@@ -58,7 +62,7 @@ def gim_temp(
     messages = EdgeNetwork(features.edge_size(dimension), width, key=messages_key)
     return ContactDynamics(
         inference=RecurrentEdges(messages, key=cell_key),
-        local_dynamics=_coupled(features, dimension, contact_distance, width, dynamics_key),
+        local_dynamics=_coupled(features, dimension, contact_distance, width, weight, dynamics_key),
         features=features,
         prior=TouchPrior(),
         reach=_reach(contact_distance),
@@ -76,12 +80,15 @@ def gim_non_temp(
     contact_distance: float = 0.085,
     width: int = 32,
     hinges: bool = False,
+    weight: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """As `gim_temp`, but its edges have no memory."""
     model_key, messages_key, output_key = jax.random.split(key, 3)
-    model = gim_temp(dimension, control_size, dt, contact_distance, width, hinges, key=model_key)
+    model = gim_temp(
+        dimension, control_size, dt, contact_distance, width, hinges, weight, key=model_key
+    )
     messages = EdgeNetwork(model.features.edge_size(dimension), width, key=messages_key)
     return dataclasses.replace(model, inference=MemorylessEdges(messages, key=output_key))
 
@@ -93,11 +100,12 @@ def no_gim(
     contact_distance: float = 0.085,
     width: int = 32,
     hinges: bool = False,
+    weight: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """No inference: every edge is active at every step, at any distance."""
-    model = gim_temp(dimension, control_size, dt, contact_distance, width, hinges, key=key)
+    model = gim_temp(dimension, control_size, dt, contact_distance, width, hinges, weight, key=key)
     return dataclasses.replace(model, inference=AllEdges(), reach=Everywhere())
 
 
@@ -108,11 +116,14 @@ def full_ab(
     contact_distance: float = 0.085,
     width: int = 32,
     hinges: bool = False,
+    weight: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """Recurrent, local edges as in `gim_temp`, but free matrices, of absolute positions."""
-    model = paper_literal(dimension, control_size, dt, contact_distance, width, hinges, key=key)
+    model = paper_literal(
+        dimension, control_size, dt, contact_distance, width, hinges, weight, key=key
+    )
     return dataclasses.replace(
         model,
         local_dynamics=FreeLinearDynamics(
@@ -133,6 +144,7 @@ def paper_literal(
     contact_distance: float = 0.085,
     width: int = 64,
     hinges: bool = False,
+    weight: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
@@ -165,11 +177,14 @@ def paper_literal_no_gim(
     contact_distance: float = 0.085,
     width: int = 64,
     hinges: bool = False,
+    weight: bool = False,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """The paper's own form without inference: every edge is active at every step."""
-    model = paper_literal(dimension, control_size, dt, contact_distance, width, hinges, key=key)
+    model = paper_literal(
+        dimension, control_size, dt, contact_distance, width, hinges, weight, key=key
+    )
     return dataclasses.replace(model, inference=AllEdges())
 
 
@@ -188,6 +203,7 @@ def _coupled(
     dimension: int,
     contact_distance: float,
     width: int,
+    weight: bool,
     key: PRNGKeyArray,
 ) -> SpringMassDamperDynamics:
     messages_key, head_key = jax.random.split(key)
@@ -195,7 +211,13 @@ def _coupled(
     messages = EdgeNetwork(features.edge_size(dimension), width, key=messages_key)
     return SpringMassDamperDynamics(
         message_passing=TypedMessagePassing([messages]),
-        head=CoupledHead(width, features.kinds, length=contact_distance, key=head_key),
+        head=CoupledHead(
+            width,
+            features.kinds,
+            length=contact_distance,
+            support=Support(features.kinds, dimension) if weight else None,
+            key=head_key,
+        ),
         discretisation=ThetaMethod(),
     )
 

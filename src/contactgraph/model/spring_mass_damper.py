@@ -10,7 +10,7 @@ _SMALLEST = 1e-6
 class SpringMassDamper(eqx.Module):
     r"""A mass on a spring and a damper, for every node and degree of freedom on its own.
 
-    $$ \ddot x = w u - \kappa (x - \hat x) - \gamma (v - \hat v), \qquad
+    $$ \ddot x = w u - \kappa (x - \hat x) - \gamma (v - \hat v) + a, \qquad
        w = 1/m,\ \kappa = k/m,\ \gamma = c/m $$
 
     Stiffness and damping are kept as rates, so that a body which no control moves ($w = 0$) can
@@ -32,6 +32,8 @@ class SpringMassDamper(eqx.Module):
     """m/s; where the damper is at rest."""
     shift: Float[Array, "*T N D"]
     """m; displacement by an impact within the step."""
+    acceleration: Float[Array, "*T N D"] | None = None
+    """a, m/s^2, by forces that depend on nothing here, such as weight. None: there are none."""
 
     @property
     def inverse_mass(self) -> Float[Array, "*T N D"]:

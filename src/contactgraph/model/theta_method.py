@@ -53,6 +53,8 @@ class ThetaMethod(eqx.Module):
         A12 = dt * (explicit + theta * A22)
         B2 = parameters.response * dt / den[..., None]
         pull = spring * parameters.equilibrium + damper * parameters.equilibrium_velocity
+        if parameters.acceleration is not None:
+            pull = pull + dt * parameters.acceleration
         offset2 = pull / den
         A = jnp.stack([jnp.stack([A11, A12], -1), jnp.stack([A21, A22], -1)], -2)
         B = jnp.stack([theta * dt * B2, B2], -2)

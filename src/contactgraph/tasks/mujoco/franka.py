@@ -72,6 +72,7 @@ class FrankaTask(GripperTask):
             dt=DT,
             dimension=3,
             goal=layout.goal,
+            gravity=self._arm.opt.gravity.copy(),
             mass=np.array([APPARENT_MASS, *[BLOCK_MASS] * (count - 1)]),
             size=np.array([[np.nan] * 3, *[BLOCK] * (count - 1)]),
             metadata={
@@ -79,6 +80,7 @@ class FrankaTask(GripperTask):
                 "seed": seed,
                 "distractors": self._distractors,
                 "grasp": self._grasp.value,
+                "goal_radius": GOAL_RADIUS,
                 "simulator": SIMULATOR,
             },
         )

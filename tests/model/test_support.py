@@ -1,0 +1,116 @@
+"""What rests until it is carried: who is carried, and what that does to a step."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from contactgraph.data import pair_indices
+from contactgraph.model import (
+    ContactBelief,
+    ContactDynamics,
+    ModelState,
+    Nodes,
+    gim_temp,
+    load_model,
+    save_model,
+)
+from contactgraph.model.geometry import geometry
+from contactgraph.model.support import carried
+
+pytestmark = pytest.mark.usefixtures("double_precision")
+DT = 0.01
+WEIGHT = np.array([0.0, 0.0, -3.9])
+
+
+def model_with_weight() -> ContactDynamics:
+    """Its unactuated nodes weigh 3.9 N and rub on the ground, nothing reaches them otherwise."""
+    model = gim_temp(3, 3, DT, 0.05, weight=True, key=jax.random.PRNGKey(0))
+    head = model.local_dynamics.head
+    last = head.edge.layers[-1]
+    head = eqx.tree_at(
+        lambda h: (
+            h.support.weight_root,
+            h.log_mass,
+            h.gain_root,
+            h.edge.layers[-1].weight,
+            h.edge.layers[-1].bias,
+        ),
+        head,
+        (
+            jnp.stack([WEIGHT / 5.0, jnp.zeros(3)]),
+            jnp.log(jnp.array([0.4, 4.0])) / 5.0,
+            jnp.array([0.0, 0.2]),
+            jnp.zeros_like(last.weight),
+            # Holds as firmly as an edge can, without a spring.
+            jnp.array([20.0, -40.0, 0.0]),
+        ),
+    )
+    return eqx.tree_at(lambda m: m.local_dynamics.head, model, head)
+
+
+def state(velocity: np.ndarray, active: list[float]) -> tuple[ModelState, Nodes]:
+    position = jnp.asarray([[0.0, 0.0, 0.3], [0.0, 0.0, 0.29], [0.0, 0.02, 0.29]])
+    probability = jnp.asarray(active)
+    belief = ContactBelief(jnp.stack([1.0 - probability, probability], axis=-1))
+    nodes = Nodes(jnp.arange(3) == 0, jnp.ones(3, bool), jnp.asarray(probability > 0.5))
+    return ModelState(position, jnp.asarray(velocity), belief), nodes
+
+
+def change(active: list[float], velocity: np.ndarray, control: np.ndarray) -> np.ndarray:
+    """[N, D] m/s: what a step does to velocities when exactly these edges hold."""
+    model = model_with_weight()
+    start, nodes = state(velocity, active)
+
+    @eqx.filter_jit
+    def step(start: ModelState, control: jax.Array) -> jax.Array:
+        percept = model.perceive(start.position, start.velocity, nodes)
+        local = model.local_input(percept, start.belief, start.position, start.velocity, nodes)
+        linear = model.local_dynamics(local, DT, 3)
+        return linear(start.position, start.velocity, control)[1]
+
+    return np.asarray(step(start, jnp.asarray(control))) - velocity
+
+
+def test_what_nobody_carries_rests_and_has_no_weight() -> None:
+    found = change([0.0, 0.0, 1.0], np.zeros((3, 3)), np.array([0.0, 0.0, 8.0]))
+    assert np.allclose(found[0], [0, 0, DT * 8.0 / 4.0], rtol=1e-6)
+    assert np.allclose(found[1:], 0.0, atol=1e-12), "two blocks that touch do not fall"
+
+
+def test_what_is_carried_loads_the_one_that_carries() -> None:
+    found = change([1.0, 0.0, 0.0], np.zeros((3, 3)), np.array([0.0, 0.0, 8.0]))
+    together = DT * (8.0 + WEIGHT[2]) / 4.4
+    assert np.allclose(found[:2, 2], together, rtol=0.02)
+    assert np.allclose(found[2], 0.0)
+
+
+def test_weight_reaches_along_a_chain() -> None:
+    found = change([1.0, 0.0, 1.0], np.zeros((3, 3)), np.zeros(3))
+    assert np.allclose(found[:, 2], DT * 2 * WEIGHT[2] / 4.8, rtol=0.03)
+
+
+def test_the_ground_rubs_only_on_what_is_not_carried() -> None:
+    sliding = np.tile([0.2, 0.0, 0.0], (3, 1))
+    free, held = (change(active, sliding, np.zeros(3)) for active in ([0.0] * 3, [1.0, 0.0, 0.0]))
+    assert free[1, 0] < -1e-4
+    assert abs(held[1, 0]) < 0.1 * abs(free[1, 0])
+
+
+def test_carried_is_the_best_chain_to_an_actuated_node() -> None:
+    position = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
+    pairs = jnp.asarray(pair_indices(4))
+    hold = jnp.asarray([{(0, 1): 0.9, (1, 2): 0.5}.get((int(i), int(j)), 0.0) for i, j in pairs])
+    seen = geometry(position, 0.0 * position, pairs, DT, 0.05)
+    share = carried(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen)
+    assert np.allclose(share, [1.0, 0.9, 0.45, 0.0])
+
+
+def test_a_model_with_weight_is_stored_and_loaded(tmp_path) -> None:
+    model = model_with_weight()
+    save_model(tmp_path / "model.safetensors", model)
+    again = load_model(tmp_path / "model.safetensors").model
+    assert np.array_equal(
+        again.local_dynamics.head.support.weight_root, model.local_dynamics.head.support.weight_root
+    )
