@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from evaluation_worlds import DT, random_run, scene_of
 
-from contactgraph.data import Trajectory
+from contactgraph.data import Scene, Trajectory
 from contactgraph.evaluate import collect
 from contactgraph.evaluate.floors import constant_velocity, frozen_contact, joined
 from contactgraph.tasks import PickupExpert, PickupTask
@@ -61,6 +61,34 @@ def test_frozen_contact_against_substeps_of_a_loop(substeps):
             position += DT / substeps * velocity
         expected.append(position.copy())
     assert np.allclose(frozen_contact(run, 4)[1], expected, atol=1e-12)
+
+
+def test_weight_pulls_at_what_is_carried_and_nothing_else():
+    """A hand carries a body that holds another; a third rests, and a fourth slides by on it."""
+    gravity, mass = np.array([0.3, 0.0, -9.8]), np.array([4.0, 1.0, 2.0, 3.0, 0.5])
+    scene = Scene(
+        node_name=tuple("abcde"),
+        node_type=("hand", *["block"] * 4),
+        actuated=np.arange(5) == 0,
+        dt=DT,
+        dimension=3,
+        gravity=gravity,
+        mass=mass,
+    )
+    contact = np.zeros((4, 5, 5), dtype=bool)
+    for first, second in ((0, 1), (1, 2), (3, 4)):
+        contact[:, first, second] = contact[:, second, first] = True
+    rng = np.random.default_rng(2)
+    velocity, force = rng.normal(size=(4, 5, 3)), rng.normal(size=(3, 3))
+    velocity[:, 3] = 0.0
+    run = Trajectory(scene, rng.normal(size=(4, 5, 3)), velocity, force, contact)
+    moved = frozen_contact(run, 1) - constant_velocity(run, 1)
+    carried = (force + 3.0 * gravity) / 7.0 * DT**2 / 2
+    np.testing.assert_allclose(moved[:, 0, :3], np.repeat(carried[:, None], 3, axis=1), atol=1e-14)
+    assert not moved[:, 0, 3:].any()
+    planar = replace(run, scene=replace(scene, gravity=None))
+    light = frozen_contact(planar, 1) - constant_velocity(planar, 1)
+    np.testing.assert_allclose(light[:, 0, 1], force / 7.0 * DT**2 / 2, atol=1e-14)
 
 
 def test_without_substeps_the_motion_is_the_exact_one():

@@ -25,6 +25,11 @@ def frozen_contact(run: Trajectory, steps: int) -> np.ndarray | None:
     ``v dt + theta a dt^2`` with ``theta = (n+1)/2n``; n is ``substeps`` of the scene's metadata,
     and theta is 1/2, the exact motion, where it is not given.
 
+    Where bodies have weight (`Scene.gravity`), that of a group's members which are not actuated
+    pulls it down, as long as an actuated one carries it; a group that nothing actuated is in rests
+    on something, which bears it and rubs on nothing: it keeps its velocity. What a carried body
+    may still stand on is left out.
+
     A group with a body on a hinge turns about it instead: see `hinged_positions`.
 
     None where masses or contacts are unknown, or where there are hinges not in the plane.
@@ -40,6 +45,9 @@ def frozen_contact(run: Trajectory, steps: int) -> np.ndarray | None:
     pushes = group @ scene.actuated / (group @ scene.mass)
     force = _windows(_force(run), steps)
     acceleration = pushes[:, None, :, None] * force[:, :, None, :]
+    if scene.gravity is not None:
+        hanging = (pushes > 0.0) * (group @ (scene.mass * ~scene.actuated)) / (group @ scene.mass)
+        acceleration = acceleration + hanging[:, None, :, None] * scene.gravity
     dt = scene.dt
     gained = dt * np.cumsum(acceleration, axis=1)
     # What was gained in earlier steps moves the body for all of this one.
