@@ -27,7 +27,10 @@ FILES = {
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ("juggling", "study must be one of pickup, multi-pickup, door, all; found 'juggling'"),
+        (
+            "juggling",
+            "study must be one of pickup, multi-pickup, door, franka, all; found 'juggling'",
+        ),
         ("door --out taken", "--out: taken must be a folder, found a file"),
     ],
 )

@@ -2,13 +2,23 @@
 
 from contactgraph import cli
 from contactgraph.reproduce.cell import in_order
-from contactgraph.reproduce.declared import FAULTS, FULL, MODELS, PICKUP, QUICK, TASKS
+from contactgraph.reproduce.declared import (
+    EVERY_TASK,
+    FAULTS,
+    FRANKA,
+    FULL,
+    MODELS,
+    PICKUP,
+    QUICK,
+    TASKS,
+)
 from contactgraph.reproduce.plan_cells import Source, measurements
 
 
 def test_every_command_line_is_one_of_ours() -> None:
     """So that no study finds out at its end that an option is called otherwise."""
-    lines = {cell.arguments for cell in in_order(one.cell for one in measurements(TASKS, FULL))}
+    cells = in_order(one.cell for one in measurements(EVERY_TASK, FULL))
+    lines = {cell.arguments for cell in cells}
     seen: set[tuple[str, ...]] = set()
     for arguments in lines:
         # Values differ from cell to cell; options are what could be wrong.
@@ -24,7 +34,9 @@ def test_every_command_line_is_one_of_ours() -> None:
 def test_outputs_are_each_made_by_one_cell() -> None:
     for amounts in (FULL, QUICK):
         cells = [
-            cell for one in measurements(TASKS, amounts) for cell in (one.cell, *one.cell.needs)
+            cell
+            for one in measurements(EVERY_TASK, amounts)
+            for cell in (one.cell, *one.cell.needs)
         ]
         commands: dict[str, set[str]] = {}
         for cell in cells:
@@ -52,3 +64,20 @@ def test_test_scenes_are_the_same_for_every_model_and_seed() -> None:
     tests = [cell for cell in cells if "/test-" in cell.output]
     assert len(tests) == len(PICKUP.conditions)
     assert all("--seed 1000" in cell.command for cell in tests)
+
+
+def test_half_a_second_and_a_run_are_other_numbers_of_steps_with_an_arm() -> None:
+    found = measurements([FRANKA], QUICK)
+    cells = in_order(one.cell for one in found)
+
+    def options(source: Source, option: str) -> set[str]:
+        told = [one.cell.arguments for one in found if one.where.source is source]
+        return {words[words.index(option) + 1] for words in told}
+
+    assert options(Source.planned, "--replan-every") == {"50"}
+    assert options(Source.growth, "--growth-steps") == {"400"}
+    assert options(Source.long_plan, "--horizon") == {"400"}
+    trained = [cell for cell in cells if cell.arguments[0] == "train"]
+    assert all("--contact-distance" in cell.arguments for cell in trained)
+    runs = {cell.arguments[cell.arguments.index("--episodes") + 1] for cell in trained[0].needs}
+    assert runs == {"200"}

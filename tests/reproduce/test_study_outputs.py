@@ -7,7 +7,7 @@ import pytest
 from made_up import AMOUNTS, by_the_paper, results
 
 from contactgraph.reproduce.claims import claims
-from contactgraph.reproduce.declared import DOOR, FULL_AB, GIM_TEMP, MODELS, PICKUP, TASKS
+from contactgraph.reproduce.declared import DOOR, FRANKA, FULL_AB, GIM_TEMP, MODELS, PICKUP, TASKS
 from contactgraph.reproduce.number_table import csv_numbers, markdown_numbers
 from contactgraph.reproduce.plan_cells import Source, Where
 from contactgraph.reproduce.results import Figure, Reading, Results
@@ -78,6 +78,8 @@ def test_targets_are_judged_by_the_median_over_seeds() -> None:
     text = markdown_numbers(list(numbers.values()))
     assert "planned against executed | 1.1 cm (0.1 to 5) | 1.2 | 0.3 | yes |" in text
     assert "10 more doors: success | not known | 95 | 100 |  |" in text
+    arm = {number.name: number for number in targets(results(), [FRANKA], (0, 1, 2))}
+    assert arm["franka, 5 distractors: success"].at_least == 90.0
     missed = targets(results({ERROR: 0.02}, GIM_TEMP), TASKS, (0,))
     assert "| **no** |" in markdown_numbers(missed)
     read = list(csv.DictReader(io.StringIO(csv_numbers(missed))))

@@ -13,7 +13,7 @@ class Report:
     run_name: Positional[str]
     """A run folder, a model file, or a model that ships with the package (pickup)."""
     task: str = "pickup"
-    """The task to test it on: pickup, multi-pickup or door."""
+    """The task to test it on: pickup, multi-pickup, door or franka."""
     out: Path | None = None
     """The page to write; report/index.html in the run folder, or here, if not given."""
     test_runs: int = 20
@@ -30,7 +30,7 @@ class Report:
         from contactgraph.commands.output import check_writable
         from contactgraph.commands.report_files import measured, write_report_files
         from contactgraph.data import InvalidInputError
-        from contactgraph.reproduce.declared import TASKS
+        from contactgraph.reproduce.declared import EVERY_TASK
 
         if self.test_runs < 1:
             raise InvalidInputError(f"--test-runs must be at least 1, found {self.test_runs}")
@@ -38,7 +38,7 @@ class Report:
         page = self.out or folder / "report" / "index.html"
         if page.parent.exists():
             check_writable(page)
-        task = looked_up("task", self.task, {task.name: task for task in TASKS})
+        task = looked_up("task", self.task, {task.name: task for task in EVERY_TASK})
         conditions = Conditions(task, self.test_runs, self.episodes, self.seed)
         result = measured(self.run_name, conditions, page.parent / "cells")
         command = f"contactgraph report {self.run_name} --task {task.name} --seed {self.seed}"

@@ -16,20 +16,20 @@ class Reproduce:
     """
 
     study: Positional[Annotated[str, arg(metavar="STUDY")]] = "all"
-    """The study: pickup, multi-pickup, door or all."""
+    """The study: pickup, multi-pickup, door, all of these (all), or franka (an arm)."""
     quick: bool = False
     """One training seed and few test scenes: half an hour on two cores for all tasks."""
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """The folder to write; results/study for all tasks, results/TASK for one, if not given."""
+    """The folder to write; results/study for all, results/TASK for one, if not given."""
 
     def run(self) -> None:
         """Run the study."""
         from contactgraph.commands.names import looked_up
         from contactgraph.commands.study import Study
         from contactgraph.data import InvalidInputError
-        from contactgraph.reproduce.declared import FULL, QUICK, TASKS
+        from contactgraph.reproduce.declared import EVERY_TASK, FULL, QUICK, TASKS
 
-        studies = {**{task.name: (task,) for task in TASKS}, "all": TASKS}
+        studies = {**{task.name: (task,) for task in EVERY_TASK}, "all": TASKS}
         tasks = looked_up("study", self.study, studies)
         folder = self.out or Path("results") / ("study" if self.study == "all" else self.study)
         if folder.exists() and not folder.is_dir():

@@ -44,6 +44,13 @@ class StudyTask:
     """As many as the paper has; for the door, which the paper names no number for, as pickup."""
     with_samples: bool
     """Whether error is measured against the number of training runs."""
+    training_runs: int = 40
+    training_options: Options = ()
+    """Of ``train``, for every model."""
+    run_steps: int = 200
+    """Of a whole run, over which predictions may grow, and plans may reach."""
+    steps_ahead: int = 10
+    """In half a second (the paper's N): how far ahead errors look, how long plans are followed."""
 
     @property
     def as_trained(self) -> TestCondition:
@@ -89,7 +96,7 @@ class Amounts:
     test_runs: int
     """Recorded expert runs a condition."""
     episodes: int
-    """Closed-loop episodes a condition, planned anew every 10 steps."""
+    """Closed-loop episodes a condition, planned anew every half second."""
     success_episodes: int
     """Of GIM-Temp, planned anew every step."""
     sample_sizes: tuple[int, ...]
@@ -97,16 +104,13 @@ class Amounts:
     extras: bool
     """Whether conditions marked as extra are measured."""
     training_options: Options = ()
-    """Of ``train``, for every model."""
+    """Of ``train``, for every model of every task."""
 
 
-TRAINING_RUNS = 40
 TEST_SEED = 1000
 """Of scenes that no training has seen."""
 HORIZON_S = 0.5
 """How far ahead errors look, s (the paper's N steps)."""
-GROWTH_STEPS = 200
-"""A whole run, over which predictions may grow."""
 
 GIM_TEMP = StudyModel("gim-temp", "GIM-Temp", ("--model", "gim-temp"))
 GIM_NON_TEMP = StudyModel("gim-non-temp", "GIM-Non-Temp", ("--model", "gim-non-temp"))
@@ -158,7 +162,23 @@ DOOR = StudyTask(
     augmented_runs=160,
     with_samples=False,
 )
+FRANKA = StudyTask(
+    "franka",
+    (
+        TestCondition("as-trained", "as trained", True),
+        TestCondition("5-distractors", "5 distractors", False, distractors=5),
+    ),
+    ("--distractors", "3", "--mixed"),
+    augmented_runs=800,
+    with_samples=False,
+    training_runs=200,
+    training_options=("--contact-distance", "0.03"),
+    run_steps=400,
+    steps_ahead=50,
+)
 TASKS = (PICKUP, MULTI_PICKUP, DOOR)
+"""In the plane: what a study of all is of."""
+EVERY_TASK = (*TASKS, FRANKA)
 
 FAULTS = (
     *(

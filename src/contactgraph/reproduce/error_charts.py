@@ -15,7 +15,6 @@ from contactgraph.reproduce.declared import (
     GIM_TEMP,
     MODELS,
     NO_GIM_AUG,
-    TRAINING_RUNS,
     Amounts,
     StudyTask,
 )
@@ -165,7 +164,7 @@ def sample_chart(results: Results, tasks: Sequence[StudyTask], amounts: Amounts)
         if any(line.get_xydata().size for line in axes.lines):  # a log axis of nothing is an error
             axes.set_yscale("log")
         axes.set_xscale("log")
-        axes.axvline(TRAINING_RUNS, color=SOFT, lw=0.7, ls=(0, (2, 3)))
+        axes.axvline(task.training_runs, color=SOFT, lw=0.7, ls=(0, (2, 3)))
         axes.set_xticks(amounts.sample_sizes, [str(runs) for runs in amounts.sample_sizes])
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xlabel("training runs", color=SOFT, fontsize=9)

@@ -83,7 +83,7 @@ def scene_pictures(
             path = folder / _FIGURES / f"{name}.png"
             write_still(path, run)
             title = f"{task.name}, {condition.name}"
-            caption = "A closed-loop episode of GIM-Temp, planned anew every 10 steps."
+            caption = "A closed-loop episode of GIM-Temp, planned anew every half second."
             stills.append(Picture(title, caption, path.read_bytes(), "png"))
             if condition is task.as_trained:
                 insights.append(

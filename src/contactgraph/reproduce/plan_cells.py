@@ -9,11 +9,9 @@ from contactgraph.reproduce.declared import (
     FAULTS,
     FULL_AB,
     GIM_TEMP,
-    GROWTH_STEPS,
     MODELS,
     NO_GIM_AUG,
     TEST_SEED,
-    TRAINING_RUNS,
     Amounts,
     SensorFault,
     StudyModel,
@@ -26,7 +24,7 @@ class Source(Enum):
     """Where numbers come from."""
 
     recorded = "open loop, on recorded expert runs"
-    planned = "closed loop, planned anew every 10 steps"
+    planned = "closed loop, planned anew every half second"
     every_step = "closed loop, planned anew every step"
     long_plan = "closed loop, planned over the whole run"
     growth = "rolled out over a whole run"
@@ -75,7 +73,7 @@ def conditions_of(task: StudyTask, amounts: Amounts) -> list[TestCondition]:
 
 def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
     for model in MODELS:
-        runs = task.augmented_runs if model.augmented else TRAINING_RUNS
+        runs = task.augmented_runs if model.augmented else task.training_runs
         trained = training(task, model, seed, runs, amounts)
         for condition in conditions_of(task, amounts):
             data = test_data(task, condition, amounts)
@@ -120,6 +118,7 @@ def training(task: StudyTask, model: StudyModel, seed: int, runs: int, amounts: 
             *("train", data.output, "--out", output),
             *model.options,
             *("--seed", str(seed)),
+            *task.training_options,
             *amounts.training_options,
         ),
         f"train {task.name} {model.slug}",
@@ -161,7 +160,7 @@ def _growth(
     task: StudyTask, model: StudyModel, seed: int, trained: Cell, data: Cell
 ) -> Measurement:
     where = Where(Source.growth, task.name, model.name, task.as_trained.name)
-    options = ("--growth-steps", str(GROWTH_STEPS))
+    options = ("--growth-steps", str(task.run_steps))
     return Measurement(where, seed, _evaluation(trained, data, "growth", options))
 
 
@@ -210,7 +209,7 @@ def _planned(
     amounts: Amounts,
 ) -> Measurement:
     where = Where(Source.planned, task.name, model.name, condition.name)
-    options = ("--episodes", str(amounts.episodes), "--replan-every", "10")
+    options = ("--episodes", str(amounts.episodes), "--replan-every", str(task.steps_ahead))
     save = model is GIM_TEMP  # these are the scenes that are shown
     return Measurement(where, seed, _control(task, condition, trained, "planned", options, save))
 
@@ -226,6 +225,6 @@ def _every_step(
 def _long_plan(task: StudyTask, model: StudyModel, seed: int, trained: Cell) -> Measurement:
     """The paper plans Full-AB over a whole run: there its growth shows."""
     where = Where(Source.long_plan, task.name, model.name, task.as_trained.name)
-    options = ("--episodes", "5", "--horizon", str(GROWTH_STEPS), "--replan-every", "50")
+    options = ("--episodes", "5", "--horizon", str(task.run_steps), "--replan-every", "50")
     cell = _control(task, task.as_trained, trained, "long-plan", options)
     return Measurement(where, seed, cell)

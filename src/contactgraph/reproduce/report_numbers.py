@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactgraph.reproduce.declared import StudyTask, TestCondition
-from contactgraph.reproduce.targets import EDGE_F1, SUCCESS_PERCENT, Asked, asked_error_cm
+from contactgraph.reproduce.targets import TARGETS, Asked, asked_error_cm
 from contactgraph.view import Number
 
 
@@ -42,6 +42,7 @@ class ModelResult:
 def report_numbers(result: ModelResult) -> tuple[Number, ...]:
     """Every number of the report, in the order of its table."""
     task, first, last = result.task, result.conditions[0], result.conditions[-1]
+    targets = TARGETS[task.name]
     against_floor = _ratio(
         first.open_loop["n_step_rmse_m"], first.open_loop["frozen_contact_rmse_m"]
     )
@@ -73,11 +74,14 @@ def report_numbers(result: ModelResult) -> tuple[Number, ...]:
     name = f"N-step error, {last.condition.name}, all nodes"
     numbers.append(_predicted(name, last, "n_step_rmse_m", asked_error_cm(task, last.condition)))
     for one in (first, last):
-        f1, asked = one.open_loop["edge_f1"], EDGE_F1[one.condition.in_distribution]
+        f1, asked = one.open_loop["edge_f1"], targets.edge_f1[one.condition.in_distribution]
         name = f"edge F1, {one.condition.name}"
         tile = one is last
         numbers.append(_number(name, "", f1, one.open_loop_command, asked, tile=tile))
-    numbers += [_success(one) for one in result.conditions]
+    numbers += [
+        _success(one, targets.success_percent[one.condition.in_distribution])
+        for one in result.conditions
+    ]
     loop, command = first.closed_loop, first.closed_loop_command
     speed, slowest = loop["contact_speed_m_s"], loop["slowest_before_contact_min_m_s"]
     numbers += [
@@ -86,7 +90,7 @@ def report_numbers(result: ModelResult) -> tuple[Number, ...]:
             "m/s",
             speed,
             command,
-            Asked(0.3),
+            targets.contact_speed,
             tile=True,
         ),
         _number("slowest on the way there, any episode", "m/s", slowest, command, None),
@@ -95,15 +99,15 @@ def report_numbers(result: ModelResult) -> tuple[Number, ...]:
             "s",
             result.training_s,
             result.training_command,
-            Asked(120.0, 30.0),
+            targets.training_s,
             lower=True,
         ),
         _number(
-            f"control tick, horizon 20, {last.condition.name}, 99 %",
+            f"control tick, horizon {last.closed_loop['horizon']}, {last.condition.name}, 99 %",
             "ms",
             last.closed_loop["plan_ms_p99"],
             last.closed_loop_command,
-            Asked(10.0, 3.0),
+            targets.tick_ms,
             lower=True,
             tile=True,
         ),
@@ -158,14 +162,14 @@ def _predicted(
     return _number(name, "cm", centimetres, one.open_loop_command, asked, lower=True, tile=tile)
 
 
-def _success(one: ConditionResult) -> _Unseeded:
+def _success(one: ConditionResult, asked: Asked) -> _Unseeded:
     low, high = one.closed_loop["success_interval"]
     return _number(
         f"success, {one.condition.name}",
         "%",
         100.0 * one.closed_loop["success_rate"],
         one.closed_loop_command,
-        SUCCESS_PERCENT[one.condition.in_distribution],
+        asked,
         tile=True,
         interval=(100.0 * low, 100.0 * high),
     )

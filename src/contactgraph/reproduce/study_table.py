@@ -60,7 +60,7 @@ class Row:
     """Planned against executed."""
     edge_f1_recorded: Figure
     success: Success | None
-    """Planned anew every 10 steps."""
+    """Planned anew every half second."""
     success_every_step: Success | None
     """Planned anew every step; of GIM-Temp alone."""
     plan_ms_p99: Figure
@@ -121,7 +121,7 @@ def markdown_rows(table: Sequence[Row]) -> str:
         "| task | scenes | model | N-step error, planned against executed, cm "
         "| of moving bodies, cm | open loop, cm | floor: frozen contact, cm "
         "| floor: constant velocity, cm | edge F1 planned | edge F1 recorded "
-        "| success, replanned every 10 steps | every step |",
+        "| success, replanned every 0.5 s | every step |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in table:
