@@ -5,13 +5,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import safetensors
 
 from contactgraph import cli
 from contactgraph.data import describe_file, read_trajectories
-from contactgraph.model.storage import describe_model
+from contactgraph.model import gim_temp
+from contactgraph.model.storage import describe_model, save_model
 
 OPEN_LOOP = {
     "n_step_rmse_m",
@@ -245,6 +247,21 @@ def test_control(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert saved.metadata == {"task": "pickup", "seed": 5, "distractors": 1}
     assert video.read_bytes().startswith(b"GIF8")
     assert {path.name for path in tmp_path.iterdir()} == {"out.json", "out.gif", "out.h5"}
+
+
+def test_control_in_space(tmp_path: Path) -> None:
+    """Three degrees of freedom and another time step: the same command, files and numbers."""
+    model, result, episodes = (tmp_path / name for name in ("m.safetensors", "out.json", "out.h5"))
+    save_model(model, gim_temp(3, 3, 0.01, 0.03, weight=True, key=jax.random.key(0)))
+    plans = ["--horizon", 20, "--replan-every", 20]
+    files = ["--json", result, "--save", episodes]
+    done("control", model, "franka", "--episodes", 1, "--grasp", "weld", *plans, *files)
+    values = json.loads(result.read_text())
+    assert values.keys() >= OPEN_LOOP | CLOSED_LOOP
+    assert (values["task"], values["grasp"], values["horizon"]) == ("franka", "weld", 20)
+    assert values["n_steps"] == 50 and values["frozen_contact_rmse_m"] is not None
+    (run,) = read_trajectories(episodes)
+    assert run.scene.has_weight and run.control.shape == (400, 3) and run.skeleton is not None
 
 
 def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
