@@ -2,6 +2,8 @@
 
 import multiprocessing
 import os
+import subprocess
+import sys
 import time
 from dataclasses import dataclass
 
@@ -65,3 +67,26 @@ def test_processes_end_with_whoever_wants_no_more():
     assert len(multiprocessing.active_children()) == 2
     answers.close()
     assert multiprocessing.active_children() == []
+
+
+UNGUARDED = """
+import functools, sys
+from contactgraph.tasks.processes import shared_out
+
+def begin(ballast):
+    return str
+
+print(list(shared_out(functools.partial(begin, "x" * int(sys.argv[1])), range(2), 1)))
+"""
+
+
+@pytest.mark.parametrize("ballast", ["1", "1000000"])
+def test_a_script_that_is_not_guarded_ends_and_says_why(tmp_path, ballast):
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED)
+    told = subprocess.run(
+        [sys.executable, str(script), ballast], capture_output=True, text=True, timeout=60
+    )
+    assert told.returncode == 1 and told.stdout == ""
+    assert "RuntimeError: a process that" in told.stderr.splitlines()[-1]
+    assert "if __name__ == '__main__':" in told.stderr

@@ -4,7 +4,7 @@ import multiprocessing
 import signal
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -36,8 +36,12 @@ def shared_out(
     workers: dict[Connection, BaseProcess] = {}
     try:
         for _ in range(processes):
-            connection, process = _started(begin)
+            connection, process = _started()
             workers[connection] = process
+        # Not with the start: should a process die there, that would wait for ever to be read.
+        for connection, process in workers.items():
+            with _death_told(process):
+                connection.send(begin)
         yield from _answers(workers, indices)
     finally:
         for connection, process in workers.items():
@@ -82,32 +86,28 @@ class _Fault:
     text: str
 
 
-def _serve(connection: Connection, begin: Callable[[], Work[Any]]) -> None:
-    """What a process does: answer, until nobody asks any more."""
+def _serve(connection: Connection) -> None:
+    """What a process does: answer, until its owner asks no more, or is gone."""
     work: Work[Any] | None = None
-    while True:
-        try:
+    with suppress(EOFError, ConnectionError):
+        begin = connection.recv()
+        while True:
             index = connection.recv()
-        except EOFError:
-            return
-        answer: Any
-        try:
-            work = work or begin()
-            answer = work(index)
-        except InvalidInputError as mistake:
-            answer = _Mistake(str(mistake))
-        except Exception:
-            answer = _Fault(traceback.format_exc())
-        try:
+            answer: Any
+            try:
+                work = work or begin()
+                answer = work(index)
+            except InvalidInputError as mistake:
+                answer = _Mistake(str(mistake))
+            except Exception:
+                answer = _Fault(traceback.format_exc())
             connection.send((index, answer))
-        except ConnectionError:
-            return
 
 
-def _started(begin: Callable[[], Work[Any]]) -> tuple[Connection, BaseProcess]:
+def _started() -> tuple[Connection, BaseProcess]:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(theirs, begin), daemon=True)
+    process = context.Process(target=_serve, args=(theirs,), daemon=True)
     with _interrupts_held():
         process.start()
     theirs.close()
