@@ -5,6 +5,7 @@ from importlib.resources import files
 
 import numpy as np
 
+from contactgraph.tasks.mujoco.brakes import Brakes
 from contactgraph.tasks.mujoco.engine import JOINTS, mujoco
 from contactgraph.tasks.mujoco.impedance import Impedance
 from contactgraph.tasks.mujoco.reflex import GraspReflex
@@ -50,6 +51,7 @@ class ArmWorld:
         data.qpos[JOINTS : JOINTS + 2] = self._reflex.way
         mujoco.mj_forward(model, data)
         self.impedance = Impedance(model, data)
+        self.brakes = Brakes(model, data)
         self._touch = Touch(model, data, len(place))
         self._held: set[int] = set()
         self._substeps = round(dt / model.opt.timestep)
@@ -85,8 +87,11 @@ class ArmWorld:
         """Moves on by ``dt`` under a ``force`` [N, 3] N, of which the hand's counts."""
         model, data = self.model, self.data
         self._held = set()
+        self.brakes.check(self.impedance.turn)
         for _ in range(self._substeps):
-            data.ctrl[:JOINTS] = self.impedance(force[0])
+            torque = self.impedance(force[0])
+            # Closed brakes bear the load; the motors, the arm's own weight.
+            data.ctrl[:JOINTS] = data.qfrc_bias[:JOINTS] if self.brakes.closed else torque
             held = self._touch.held()
             self._held.update(held)
             if self._weld and held:
