@@ -3,7 +3,7 @@
 import math
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -22,8 +22,9 @@ class Train:
     """One seed makes one result."""
     resume: bool = False
     """Go on from the last checkpoint of the run, with the settings it was begun with."""
-    contact_distance: float = 0.085
-    """About where bodies touch, centre to centre, in m (the paper's d_th)."""
+    contact_distance: float | None = None
+    """About where bodies touch, centre to centre, in m (the paper's d_th). A distance that the
+    data tell is kept; another is where learning it begins. (default: the data's, or 0.085)"""
     held_out: float = 0.15
     """Share of the runs kept from training, to choose the best model by."""
     steps: int = 2000
@@ -36,6 +37,9 @@ class Train:
     """Highest learning rate."""
     event_fraction: float = 0.6
     """Share of windows that hold an impact."""
+    rollout_from: float | None = None
+    """Part of the steps after which whole windows are predicted too. (default: 0.5; 0 where
+    bodies have weight, since only then is it told from a grasp)"""
     bystanders: int = 1
     """Resting bodies put into every window; none where what can be touched hangs on hinges."""
     prior_weight: float = 0.05
@@ -67,15 +71,15 @@ class Train:
             RunFolder,
             fit,
             initial_state,
+            suited_to,
         )
 
         folder = RunFolder(self.out)
         told = self._settled(folder.config()) if self.resume else self
         check_seed(told.seed)
-        if not (told.contact_distance > 0 and math.isfinite(told.contact_distance)):
-            raise InvalidInputError(
-                f"--contact-distance must be positive metres, found {told.contact_distance}"
-            )
+        distance = told.contact_distance
+        if distance is not None and not (distance > 0 and math.isfinite(distance)):
+            raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
         build = looked_up("--model", told.model, MODELS)
         if not (told.prior_weight >= 0 and math.isfinite(told.prior_weight)):
             raise InvalidInputError(
@@ -83,9 +87,13 @@ class Train:
             )
         recipe = Recipe(
             **{name: getattr(told, name) for name in _RECIPE},
+            rollout_from=0.0 if told.rollout_from is None else told.rollout_from,
             weights=LossTerms(prior=told.prior_weight),
         )
         dataset = read_trajectories(self.data)
+        suited = suited_to(dataset)
+        if told.rollout_from is None:
+            recipe = replace(recipe, rollout_from=suited.rollout_from)
         checksum = sha256(self.data)
         train, held_out = split_by_run(dataset, told.held_out, told.seed)
         for runs in (train, held_out):  # too short for a window: refused before a folder is made
@@ -94,9 +102,10 @@ class Train:
             dataset.dimension,
             dataset.control_size,
             dataset.dt,
-            told.contact_distance,
-            hinges=any(run.scene.has_hinges for run in dataset),
-            weight=any(run.scene.has_weight for run in dataset),
+            suited.contact_distance if distance is None else distance,
+            hinges=suited.hinges,
+            weight=suited.weight,
+            learned_touch=suited.learned_touch or distance is not None,
             key=jax.random.key(told.seed),
         )
         state = initial_state(model, recipe, told.seed)
@@ -157,16 +166,19 @@ class Train:
         """The settings the run was begun with."""
         from contactgraph.data import InvalidInputError
 
-        told = {}
+        told: dict[str, Any] = {}
         for setting in fields(self):
             if setting.name in ("data", "out", "resume"):
                 continue
-            if type(config.get(setting.name)) is not type(setting.default):
+            found, default = config.get(setting.name), setting.default
+            # Without a default it is a number, or the data's choice.
+            kinds = (float, type(None)) if default is None else (type(default),)
+            if type(found) not in kinds:
                 raise InvalidInputError(
                     f"{self.out / 'config.json'}: {setting.name} must be like "
-                    f"{setting.default!r}, found {config.get(setting.name)!r}"
+                    f"{default!r}, found {found!r}"
                 )
-            told[setting.name] = config[setting.name]
+            told[setting.name] = found
         return Train(data=self.data, out=self.out, **told)
 
 

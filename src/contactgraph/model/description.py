@@ -88,7 +88,7 @@ def _describe(module: object, allowed: tuple[type, ...], where: str) -> Descript
     arguments = {
         name: _describe_value(getattr(module, name), kinds, f"{where}.{name}")
         for name, kinds in _arguments(type(module)).items()
-        if not (_optional(kinds) and getattr(module, name) is None)
+        if getattr(module, name) is not None
     }
     return {"type": type(module).__name__, "arguments": arguments}
 
@@ -111,7 +111,7 @@ def _build(value: object, allowed: tuple[type, ...], where: str) -> Any:
     if not isinstance(name, str) or _CLASSES.get(name) not in allowed:
         raise InvalidInputError(f"{where}.type: must be {_names(allowed)}, found {_short(name)}")
     expected = _arguments(_CLASSES[name])
-    needed = {argument for argument, kinds in expected.items() if not _optional(kinds)}
+    needed = _needed(_CLASSES[name])
     if not isinstance(given, dict) or not needed <= set(given) <= set(expected):
         found = sorted(given) if isinstance(given, dict) else given
         raise InvalidInputError(
@@ -170,9 +170,12 @@ def _arguments(known: Any) -> dict[str, tuple[Any, ...]]:
     }
 
 
-def _optional(kinds: tuple[Any, ...]) -> bool:
-    """Whether an argument may be None, and is left out where it is."""
-    return type(None) in kinds
+def _needed(known: Any) -> set[str]:
+    """The arguments without a default: files of before the others came have only these."""
+    parameters = inspect.signature(known.__init__).parameters
+    return {
+        name for name in _arguments(known) if parameters[name].default is inspect.Parameter.empty
+    }
 
 
 def _part_types(kind: Any) -> tuple[Any, ...]:

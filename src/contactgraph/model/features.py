@@ -20,23 +20,34 @@ class InvariantFeatures(eqx.Module):
     between the two bodies, now and where they come nearest in the coming step, bounded; the
     distance; the share of the step that follows the touch. Speeds of edges are none of it: what is
     coming tells of them what matters, so a speed never seen in training is nothing new. The
-    distance at which bodies touch is learned; distances are measured in `length` [m], speeds in
-    `speed` [m/s].
+    distance at which bodies touch is `length` [m], in which distances are measured, or learned from
+    there on; speeds are measured in `speed` [m/s].
     """
 
-    touch_distance: Float[Array, ""]
-    """m, centre to centre, or to a bar's middle line; learned."""
+    touch_distance: Float[Array, ""] | float
+    """m, centre to centre, or to a bar's middle line; a plain number where it is not learned."""
     length: float = eqx.field(static=True)
     speed: float = eqx.field(static=True)
     hinges: bool = eqx.field(static=True)
+    learned: bool = eqx.field(static=True)
 
-    def __init__(self, length: float = 0.1, speed: float = 1.0, hinges: bool = False):
-        """`hinges`: whether nodes may hang on hinges."""
+    def __init__(
+        self,
+        length: float = 0.1,
+        speed: float = 1.0,
+        hinges: bool = False,
+        learned: bool = True,
+    ):
+        """`hinges`: whether nodes may hang on hinges; `learned`: whether the distance of touch is.
+
+        Impacts within one step tell it; a grasp that takes several steps does not.
+        """
         # A product, so that its type is not weak: else the first update of training recompiles.
-        self.touch_distance = length * jnp.ones(())
+        self.touch_distance = length * jnp.ones(()) if learned else length
         self.length = length
         self.speed = speed
         self.hinges = hinges
+        self.learned = learned
 
     @property
     def kinds(self) -> int:

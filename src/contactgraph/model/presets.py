@@ -2,9 +2,9 @@
 
 Every function takes the number of degrees of freedom a node `dimension`, the size of the control,
 the step `dt` [s], the distance `contact_distance` [m] at about which bodies touch, centre to centre
-(the paper's d_th), the networks' width, whether bodies may hang
-on hinges, whether they have weight and rest on something until they are carried (`Support`; only
-`gim_temp` and what is made of it), and a random key.
+(the paper's d_th), the networks' width, whether bodies may hang on hinges, whether they have weight
+and rest on something until they are carried (`Support`), whether the distance of touch is learned
+(these two in `gim_temp` and what is made of it alone), and a random key.
 """
 
 import dataclasses
@@ -39,6 +39,7 @@ class Preset(Protocol):
         width: int = 32,
         hinges: bool = False,
         weight: bool = False,
+        learned_touch: bool = True,
         *,
         key: PRNGKeyArray,
     ) -> ContactDynamics:
@@ -53,11 +54,12 @@ def gim_temp(
     width: int = 32,
     hinges: bool = False,
     weight: bool = False,
+    learned_touch: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """Recurrent edges; bodies that hold are solved as groups; local, and blind to the axes."""
-    features = InvariantFeatures(length=contact_distance, hinges=hinges)
+    features = InvariantFeatures(contact_distance, hinges=hinges, learned=learned_touch)
     messages_key, cell_key, dynamics_key = jax.random.split(key, 3)
     messages = EdgeNetwork(features.edge_size(dimension), width, key=messages_key)
     return ContactDynamics(
@@ -81,13 +83,22 @@ def gim_non_temp(
     width: int = 32,
     hinges: bool = False,
     weight: bool = False,
+    learned_touch: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """As `gim_temp`, but its edges have no memory."""
     model_key, messages_key, output_key = jax.random.split(key, 3)
     model = gim_temp(
-        dimension, control_size, dt, contact_distance, width, hinges, weight, key=model_key
+        dimension,
+        control_size,
+        dt,
+        contact_distance,
+        width,
+        hinges,
+        weight,
+        learned_touch,
+        key=model_key,
     )
     messages = EdgeNetwork(model.features.edge_size(dimension), width, key=messages_key)
     return dataclasses.replace(model, inference=MemorylessEdges(messages, key=output_key))
@@ -101,11 +112,14 @@ def no_gim(
     width: int = 32,
     hinges: bool = False,
     weight: bool = False,
+    learned_touch: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """No inference: every edge is active at every step, at any distance."""
-    model = gim_temp(dimension, control_size, dt, contact_distance, width, hinges, weight, key=key)
+    model = gim_temp(
+        dimension, control_size, dt, contact_distance, width, hinges, weight, learned_touch, key=key
+    )
     return dataclasses.replace(model, inference=AllEdges(), reach=Everywhere())
 
 
@@ -117,12 +131,13 @@ def full_ab(
     width: int = 32,
     hinges: bool = False,
     weight: bool = False,
+    learned_touch: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """Recurrent, local edges as in `gim_temp`, but free matrices, of absolute positions."""
     model = paper_literal(
-        dimension, control_size, dt, contact_distance, width, hinges, weight, key=key
+        dimension, control_size, dt, contact_distance, width, hinges, weight, learned_touch, key=key
     )
     return dataclasses.replace(
         model,
@@ -145,6 +160,7 @@ def paper_literal(
     width: int = 64,
     hinges: bool = False,
     weight: bool = False,
+    learned_touch: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
@@ -178,12 +194,13 @@ def paper_literal_no_gim(
     width: int = 64,
     hinges: bool = False,
     weight: bool = False,
+    learned_touch: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """The paper's own form without inference: every edge is active at every step."""
     model = paper_literal(
-        dimension, control_size, dt, contact_distance, width, hinges, weight, key=key
+        dimension, control_size, dt, contact_distance, width, hinges, weight, learned_touch, key=key
     )
     return dataclasses.replace(model, inference=AllEdges())
 

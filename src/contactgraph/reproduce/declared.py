@@ -172,7 +172,6 @@ FRANKA = StudyTask(
     augmented_runs=800,
     with_samples=False,
     training_runs=200,
-    training_options=("--contact-distance", "0.03"),
     run_steps=400,
     steps_ahead=50,
 )

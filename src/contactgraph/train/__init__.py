@@ -11,3 +11,5 @@ from contactgraph.train.fit import initial_state as initial_state
 from contactgraph.train.loss import LossTerms as LossTerms
 from contactgraph.train.recipe import Recipe as Recipe
 from contactgraph.train.run_folder import RunFolder as RunFolder
+from contactgraph.train.suited import Suited as Suited
+from contactgraph.train.suited import suited_to as suited_to

@@ -53,7 +53,7 @@ class ArmWorld:
         self.impedance = Impedance(model, data)
         self.brakes = Brakes(model, data)
         self._touch = Touch(model, data, len(place))
-        self._held: set[int] = set()
+        self._touched: set[int] = set()
         self._substeps = round(dt / model.opt.timestep)
         # Views of what MuJoCo moves. Blocks are the last bodies, each with 6 velocities.
         self._hand_position = data.site_xpos[model.site("grasp").id]
@@ -74,26 +74,26 @@ class ArmWorld:
 
     @property
     def contact(self) -> np.ndarray:
-        """[N, N] bool: the hand and a block that both fingers touched at once within the last
-        step; blocks that touch."""
+        """[N, N] bool: the hand and a block that a finger touched within the last step; blocks
+        that touch."""
         count = len(self._block_position)
         contact = np.zeros((1 + count, 1 + count), bool)
         contact[1:, 1:] = self._touch.between_blocks()
-        held = [1 + index for index in self._held]
-        contact[0, held] = contact[held, 0] = True
+        touched = [1 + index for index in self._touched]
+        contact[0, touched] = contact[touched, 0] = True
         return contact
 
     def step(self, force: np.ndarray) -> None:
         """Moves on by ``dt`` under a ``force`` [N, 3] N, of which the hand's counts."""
         model, data = self.model, self.data
-        self._held = set()
+        self._touched = set()
         self.brakes.check(self.impedance.turn)
         for _ in range(self._substeps):
             torque = self.impedance(force[0])
             # Closed brakes bear the load; the motors, the arm's own weight.
             data.ctrl[:JOINTS] = data.qfrc_bias[:JOINTS] if self.brakes.closed else torque
-            held = self._touch.held()
-            self._held.update(held)
+            touched, held = self._touch.fingers()
+            self._touched |= touched
             if self._weld and held:
                 self._weld_to(held[0])
             offset = self._block_position - self._hand_position

@@ -13,6 +13,8 @@ DAMPING = 4.0 * np.sqrt(STIFFNESS)
 """N s/m"""
 SWEEP_SPEED = 0.38
 """In the plane, as the hand passes the block, m/s."""
+RISE = 0.06
+"""Upwards, as the hand passes the block, m/s: what is grasped leaves the table at once."""
 _HAND, _TARGET = 0, 1
 _MEAN = 0.55
 """Mean speed of a way on the way to and from the sweep, in sweep speeds."""
@@ -23,8 +25,8 @@ LONGEST = 3.3
 class FrankaExpert:
     """Sweeps through the block to the goal without stopping; the paper's gains.
 
-    The way is a minimum-jerk path (quintic in time) to the block, which it passes level and at
-    speed, and another to the goal; the force is that of a spring and a damper to the path. The
+    The way is a minimum-jerk path (quintic in time) to the block, which it passes at speed
+    and rising, and another to the goal; the force is that of a spring and a damper to the path. The
     path is the hand's: the block is where it was grasped.
 
     ``noise`` N as in `PickupExpert`.
@@ -76,7 +78,7 @@ def _plan(observation: Observation) -> list[tuple[float, float, np.ndarray]]:
     start, block = observation["position"][[_HAND, _TARGET]]
     goal = observation["goal"]
     way = (block - start) * [1.0, 1.0, 0.0]
-    sweep = SWEEP_SPEED * way / np.linalg.norm(way)
+    sweep = SWEEP_SPEED * way / np.linalg.norm(way) + [0.0, 0.0, RISE]
     rest = np.zeros(3)
     first = float(np.linalg.norm(block - start)) / (_MEAN * SWEEP_SPEED)
     second = float(np.linalg.norm(goal - block)) / (_MEAN * SWEEP_SPEED)

@@ -22,6 +22,8 @@ MAX_FORCE = 20.0
 """Bound of the control on each axis, N."""
 GOAL_RADIUS = 0.05
 """The block must end within this distance of the goal, m."""
+CONTACT_DISTANCE = 0.0165
+"""How near the grasp point is to a block's centre when fingers touch it, at the most, m."""
 PICK_WEIGHTS = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
 GOAL_WEIGHTS = np.array([5e3, 5e3, 5e3, 50.0, 50.0, 50.0])
 CONTROL_WEIGHT = 0.01
@@ -81,6 +83,7 @@ class FrankaTask(GripperTask):
                 "distractors": self._distractors,
                 "grasp": self._grasp.value,
                 "goal_radius": GOAL_RADIUS,
+                "contact_distance": CONTACT_DISTANCE,
                 "simulator": SIMULATOR,
             },
         )

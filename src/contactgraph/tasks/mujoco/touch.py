@@ -17,15 +17,16 @@ class Touch:
         self._block = {model.geom(f"block{index}").id: index for index in range(count)}
         self._pad = {model.geom("left_pad").id: 0, model.geom("right_pad").id: 1}
 
-    def held(self) -> list[int]:
-        """The blocks, by index and in order, that both fingers touch."""
+    def fingers(self) -> tuple[set[int], list[int]]:
+        """The blocks, by index, that any finger touches, and in order those that both touch."""
         touched: tuple[set[int], set[int]] = set(), set()
         for one, other in self._data.contact.geom.tolist():
             if one in self._pad:
                 touched[self._pad[one]].add(other)
             elif other in self._pad:
                 touched[self._pad[other]].add(one)
-        return sorted(self._block[geom] for geom in touched[0] & touched[1] if geom in self._block)
+        left, right = ({self._block[g] for g in side if g in self._block} for side in touched)
+        return left | right, sorted(left & right)
 
     def between_blocks(self) -> np.ndarray:
         """[M, M] bool, symmetric."""
