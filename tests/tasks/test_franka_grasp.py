@@ -87,10 +87,10 @@ def test_the_hand_with_its_load_is_a_mass_of_both():
 
 
 @pytest.mark.parametrize("grasp", list(Grasp))
-def test_contact_is_measured_where_both_pads_touch(grasp):
+def test_contact_is_measured_where_a_pad_touches(grasp):
     task = WatchedTask(1, grasp)
     run = run_episode(task, FrankaExpert(), 4)
-    ticks = [pads_touching(task.world, pairs) == BOTH for pairs in task.watched.contacts]
+    ticks = [bool(pads_touching(task.world, pairs)) for pairs in task.watched.contacts]
     touched = np.reshape(ticks, (400, 10)).any(axis=1).tolist()
     assert run.contact[1:, 0, 1].tolist() == touched
     assert not run.contact[:, :, 2].any() and not run.contact[0].any()
