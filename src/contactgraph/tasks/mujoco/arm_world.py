@@ -42,7 +42,9 @@ class ArmWorld:
         grasp: Grasp = Grasp.FRICTION,
     ) -> None:
         """``joints`` [7] rad; ``place`` [M, 3] m and ``yaw`` [M] rad of the blocks."""
-        self.model = mujoco.MjModel.from_xml_string(_scene(place, yaw))
+        self.description = _scene(place, yaw)
+        """What MuJoCo is told, in its own words."""
+        self.model = mujoco.MjModel.from_xml_string(self.description)
         self.data = mujoco.MjData(self.model)
         model, data = self.model, self.data
         data.qpos[:JOINTS] = joints

@@ -2,12 +2,14 @@
 
 from importlib.resources import files
 
+import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.tasks.contract import ChainCost
 from contactgraph.tasks.gripper_task import GRIPPER, GripperTask
 from contactgraph.tasks.mujoco.arm_world import BLOCK, BLOCK_MASS, ArmWorld, Grasp
+from contactgraph.tasks.mujoco.camera import Camera
 from contactgraph.tasks.mujoco.engine import SIMULATOR, mujoco
 from contactgraph.tasks.mujoco.impedance import APPARENT_MASS
 from contactgraph.tasks.mujoco.layout import HIGH, sample_layout
@@ -38,14 +40,25 @@ class FrankaTask(GripperTask):
     them (`GraspReflex`) and hold it by friction. The reward is the negative distance from block to
     goal, m. An episode always runs for 400 steps of 0.01 s.
 
+    ``render_mode`` as in Gymnasium: with "rgb_array", `render` gives pictures.
+
     Raises `InvalidInputError` where ``distractors`` is not in 0 to 5.
     """
 
-    def __init__(self, distractors: int = 0, grasp: Grasp = Grasp.FRICTION) -> None:
+    metadata = {"render_modes": ["rgb_array"], "render_fps": round(1.0 / DT)}  # noqa: RUF012
+
+    def __init__(
+        self,
+        distractors: int = 0,
+        grasp: Grasp = Grasp.FRICTION,
+        render_mode: str | None = None,
+    ) -> None:
         if not 0 <= distractors <= MAX_DISTRACTORS:
             raise InvalidInputError(
                 f"distractors must be 0 to {MAX_DISTRACTORS}, found {distractors}"
             )
+        if render_mode not in (None, "rgb_array"):
+            raise InvalidInputError(f"render_mode must be rgb_array or None, found {render_mode!r}")
         super().__init__(
             2 + distractors,
             MAX_STEPS,
@@ -57,6 +70,8 @@ class FrankaTask(GripperTask):
         )
         self._distractors = distractors
         self._grasp = grasp
+        self.render_mode = render_mode
+        self._camera: Camera | None = None
         source = files("contactgraph.tasks.mujoco").joinpath("panda.xml").read_text()
         self._arm = mujoco.MjModel.from_xml_string(source)
 
@@ -100,6 +115,28 @@ class FrankaTask(GripperTask):
 
     def skeleton(self) -> np.ndarray:
         """[P, 3] m: the arm's joints, for drawing."""
+        return self._arm_world().skeleton()
+
+    def render(self) -> np.ndarray | None:
+        """[480, 640, 3] uint8: a picture of now; None without a ``render_mode``.
+
+        Raises `InvalidInputError` where MuJoCo has no OpenGL to draw with.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() draws only with render_mode='rgb_array'")
+            return None
+        world = self._arm_world()
+        if self._camera is None:
+            self._camera = Camera(world.description)
+        return self._camera.picture(world.data.qpos, np.asarray(self.scene.goal))
+
+    def close(self) -> None:
+        """Ends the drawing."""
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
+
+    def _arm_world(self) -> ArmWorld:
         world = self.world
         assert isinstance(world, ArmWorld)
-        return world.skeleton()
+        return world
