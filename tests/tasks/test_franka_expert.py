@@ -51,6 +51,13 @@ def test_the_block_moves_with_the_hand_from_the_grasp_on(sweeps):
         assert run.position[-1, 1, 2] > 0.1
 
 
+def test_what_is_grasped_leaves_the_table_at_once(sweeps):
+    for _, run, _ in sweeps:
+        at = grasped(run)
+        assert run.velocity[at, 0, 2] > 0.02
+        assert run.position[at + 20, 1, 2] > 0.055
+
+
 def test_the_expert_touches_nothing_but_its_block(sweeps):
     for _, run, _ in sweeps:
         assert run.contact.sum() == 2 * run.contact[:, 0, 1].sum()
