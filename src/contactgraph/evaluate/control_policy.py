@@ -9,7 +9,7 @@ from contactgraph.control import MPC, MPCState, Plan, QuadraticCost, chain_cost
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
 from contactgraph.evaluate.scene_nodes import scene_nodes
 from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
-from contactgraph.tasks.contract import ChainCost, Observation
+from contactgraph.tasks.contract import ChainCost, Feedback, Observation
 
 _EXACT = SensorFaults()
 
@@ -95,6 +95,23 @@ class MPCPolicy:
         control = np.asarray(plan.controls[0], dtype=np.float64)  # waits for the plan
         self._ticks.append(_Tick(1e3 * (time.perf_counter() - begin), plan))
         return control
+
+    def feedback(self) -> Feedback:
+        """The plan's feedback about where its first step leads; raises before the first tick."""
+        if not self._ticks:
+            raise InvalidInputError("no feedback: the policy has made no step since reset")
+        plan = self._ticks[-1].plan
+        control, gain = np.asarray(plan.controls[0], float), np.asarray(plan.policy.K[0], float)
+        begin, end = np.asarray(plan.states[:2], float)
+        shape = self._capacity, 2, end.size // (2 * self._capacity)
+
+        def answer(part: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+            state = np.zeros(shape)
+            state[: len(position), 0], state[: len(position), 1] = position, velocity
+            astray = state.ravel() - (begin + part * (end - begin))
+            return control + gain @ astray
+
+        return answer
 
     def record(self) -> EpisodeRecord:
         """What was thought since `reset`. Raises `InvalidInputError` before the first tick."""

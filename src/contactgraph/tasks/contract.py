@@ -1,5 +1,6 @@
 """What every task and every controller offers, whoever wrote it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -74,6 +75,29 @@ class Policy(Protocol):
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[U]`` N for the coming step; the task clips it to its bounds."""
+
+
+Feedback = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
+"""The control ``[U]`` N within a step, from what part of it has passed, in [0, 1), and from
+position and velocity ``[N, D]`` m, m/s at that moment."""
+
+
+@runtime_checkable
+class FeedbackTask(Protocol):
+    """A task whose control may change within a step, at whatever rate its plant is controlled."""
+
+    def step_under(
+        self, feedback: Feedback
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """As `Task.step`; ``info["control"]`` ``[U]`` N is the mean of what was applied."""
+
+
+@runtime_checkable
+class FeedbackPolicy(Protocol):
+    """A policy that has an answer to what happens within the step, too."""
+
+    def feedback(self) -> Feedback:
+        """For the step that its last control was for."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -111,19 +111,35 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves on by ``scene.dt`` under the force ``action`` ``[D]`` N, clipped to its bounds."""
-        if self._episode is None or self._steps >= self.max_steps:
-            raise gymnasium.error.ResetNeeded("the episode is over or not begun: call reset()")
         force = np.zeros(self._shape)
-        force[GRIPPER] = np.clip(action, -self._max_force, self._max_force)
+        force[GRIPPER] = self.bounded(action)
+        self.running().step(force)
+        return self.stepped({})
+
+    def bounded(self, action: np.ndarray) -> np.ndarray:
+        """The control ``[D]`` N within its bounds; raises `InvalidInputError` for no number."""
+        force = np.clip(action, -self._max_force, self._max_force)
         if not np.all(np.isfinite(force)):
             raise InvalidInputError(f"action must be finite, found {np.asarray(action).tolist()}")
-        self._episode[1].step(force)
+        return force
+
+    def running(self) -> World:
+        """The current episode's world, if it may go on."""
+        if self._episode is None or self._steps >= self.max_steps:
+            raise gymnasium.error.ResetNeeded("the episode is over or not begun: call reset()")
+        return self._episode[1]
+
+    def stepped(
+        self, info: dict[str, Any]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What a step answers, after the world has moved on by one; ``info`` is what it adds."""
+        assert self._episode is not None
         self._steps += 1
         observation = _observation(*self._episode)
         last = observation["position"][self.cost_terms().chain[-1]]
         reward = -float(np.linalg.norm(last - observation["goal"]))
         over = self._steps == self.max_steps
-        return observation, reward, False, over, {"success": self.success()}
+        return observation, reward, False, over, {"success": self.success(), **info}
 
     def success(self) -> bool:
         """Whether the episode is over and has ended as the task demands."""

@@ -8,7 +8,14 @@ import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.tasks.contract import Drawn, Observation, Policy, Task
+from contactgraph.tasks.contract import (
+    Drawn,
+    FeedbackPolicy,
+    FeedbackTask,
+    Observation,
+    Policy,
+    Task,
+)
 
 StepCallback = Callable[[int, Observation, np.ndarray], None]
 """Called after every step with its index, the observation before it and the control ``[U]`` N."""
@@ -20,8 +27,9 @@ def run_episode(
     """Runs one episode and records it: ``T`` controls as applied, ``T + 1`` states and contacts.
 
     ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
-    it. The scene's metadata gains the policy's class name. A task that is `Drawn` has its skeleton
-    recorded at every state.
+    it. Where task and policy both know of it, feedback acts within the steps, and controls are
+    their means. The scene's metadata gains the policy's class name. A task that is `Drawn` has its
+    skeleton recorded at every state.
     """
     if seed < 0:
         raise InvalidInputError(f"seed must be at least 0, found {seed}")
@@ -37,7 +45,11 @@ def run_episode(
     done = False
     while not done:
         control = np.clip(policy(observation), box.low, box.high).astype(box.dtype)
-        following, _, terminated, truncated, _ = task.step(control)
+        if isinstance(task, FeedbackTask) and isinstance(policy, FeedbackPolicy):
+            following, _, terminated, truncated, info = task.step_under(policy.feedback())
+            control = info["control"]
+        else:
+            following, _, terminated, truncated, _ = task.step(control)
         if on_step is not None:
             on_step(len(controls), observation, control)
         observation, done = following, terminated or truncated

@@ -1,5 +1,6 @@
 """The arm over its table, with blocks on it."""
 
+from collections.abc import Callable
 from enum import Enum
 from importlib.resources import files
 
@@ -87,11 +88,21 @@ class ArmWorld:
 
     def step(self, force: np.ndarray) -> None:
         """Moves on by ``dt`` under a ``force`` [N, 3] N, of which the hand's counts."""
+        self.step_under(lambda part: force[0])
+
+    def step_under(self, force_at: Callable[[float], np.ndarray]) -> np.ndarray:
+        """Moves on by ``dt`` under a force [3] N on the hand that is asked for in every tick.
+
+        ``force_at`` is told what part of the step has passed. Returns the mean force.
+        """
         model, data = self.model, self.data
         self._touched = set()
         self.brakes.check(self.impedance.turn)
-        for _ in range(self._substeps):
-            torque = self.impedance(force[0])
+        total = np.zeros(3)
+        for tick in range(self._substeps):
+            force = force_at(tick / self._substeps)
+            total += force
+            torque = self.impedance(force)
             # Closed brakes bear the load; the motors, the arm's own weight.
             data.ctrl[:JOINTS] = data.qfrc_bias[:JOINTS] if self.brakes.closed else torque
             touched, held = self._touch.fingers()
@@ -106,6 +117,7 @@ class ArmWorld:
             mujoco.mj_step2(model, data)
             self.impedance.observe(before)
             mujoco.mj_step1(model, data)
+        return total / self._substeps
 
     def skeleton(self) -> np.ndarray:
         """[P, 3] m: the arm's joints from the base to the grasp point."""

@@ -1,12 +1,13 @@
 """The arm's pickup: a Panda takes a block up in one sweep and brings it to a goal in the air."""
 
 from importlib.resources import files
+from typing import Any
 
 import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.tasks.contract import ChainCost
+from contactgraph.tasks.contract import ChainCost, Feedback, Observation
 from contactgraph.tasks.gripper_task import GRIPPER, GripperTask
 from contactgraph.tasks.mujoco.arm_world import BLOCK, BLOCK_MASS, ArmWorld, Grasp
 from contactgraph.tasks.mujoco.camera import Camera
@@ -26,8 +27,10 @@ GOAL_RADIUS = 0.05
 """The block must end within this distance of the goal, m."""
 CONTACT_DISTANCE = 0.0165
 """How near the grasp point is to a block's centre when fingers touch it, at the most, m."""
-PICK_WEIGHTS = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
-GOAL_WEIGHTS = np.array([5e3, 5e3, 5e3, 50.0, 50.0, 50.0])
+PICK_WEIGHTS = np.array([10.0, 10.0, 100.0, 0.1, 0.1, 5.0])
+"""The hand comes down before it arrives: it sweeps through the block at its height."""
+GOAL_WEIGHTS = np.array([30.0, 30.0, 30.0, 3.0, 3.0, 3.0])
+"""With 100 the way to the block bends towards the goal, and a finger strikes the block's corner."""
 CONTROL_WEIGHT = 0.01
 
 
@@ -103,6 +106,17 @@ class FrankaTask(GripperTask):
             },
         )
         return scene, world
+
+    def step_under(
+        self, feedback: Feedback
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Moves on by 0.01 s; the force ``[3]`` N is asked for every millisecond."""
+        world = self.running()
+        assert isinstance(world, ArmWorld)
+        mean = world.step_under(
+            lambda part: self.bounded(feedback(part, world.position, world.velocity))
+        )
+        return self.stepped({"control": mean})
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the hand holds the block within 0.05 m of the goal."""
