@@ -12,7 +12,10 @@ from contactgraph.tasks.mujoco import FrankaTask
 
 PICTURES = """
 import sys
+import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
 from contactgraph.tasks.mujoco import FrankaTask
 
 task, blind = FrankaTask(1, render_mode="rgb_array"), FrankaTask(1)
@@ -25,6 +28,10 @@ for seed in (3, 4):
         other, *_ = blind.step(np.array([0.0, 6.0, -1.0]))
         same = same and np.array_equal(one["position"], other["position"])
 task.close()
+spec = EnvSpec(
+    "Franka-v0", entry_point="contactgraph.tasks.mujoco:FrankaTask", disable_env_checker=True
+)
+check_env(gymnasium.make(spec, render_mode="rgb_array").unwrapped)
 np.savez(sys.argv[1], pictures=pictures[::39], same=same)
 """
 
