@@ -96,7 +96,10 @@ def test_collect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--episodes", 3, "--seed", 7, "--distractors", 2, "--objects", 1, "--resting", 0.34]
     done("collect", "pickup", *options, "--out", path)
     captured = capsys.readouterr()
-    assert captured.out == f"{path}: 3 runs of pickup, seed 7\n"
+    assert captured.out.splitlines() == [
+        f"{path}: 3 runs of pickup, seed 7",
+        "the expert succeeded in 2 of 2 runs",
+    ]
     assert captured.err.splitlines()[-1] == "collecting: 3 of 3"
     dataset = read_trajectories(path)
     assert dataset.metadata == {"task": "pickup", "seed": 7, "distractors": 2, "objects": 1}

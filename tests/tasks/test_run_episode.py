@@ -86,6 +86,8 @@ def test_the_metadata_tells_who_did_it_and_does_not_touch_the_task():
     task = PickupTask()
     run = run_episode(task, RestPolicy(), 9)
     assert run.scene.metadata["policy"] == "RestPolicy" and run.scene.metadata["seed"] == 9
+    assert run.scene.metadata["success"] is False
+    assert run_episode(task, PickupExpert(), 9).scene.metadata["success"] is True
     assert "policy" not in task.scene.metadata
 
 

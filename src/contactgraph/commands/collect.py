@@ -65,8 +65,9 @@ class Collect:
         check_writable(self.out)
         explores = round(self.exploration * self.episodes)
         rests = round(self.resting * self.episodes)
+        experts = self.episodes - explores - rests
         task = looked_up("task", self.task, TASKS)
-        policies = [task.expert() for _ in range(self.episodes - explores - rests)]
+        policies = [task.expert() for _ in range(experts)]
         policies += [task.explorer() for _ in range(explores)]
         policies += [RestPolicy() for _ in range(rests)]
         with progress("collecting", self.episodes) as steps:
@@ -84,3 +85,6 @@ class Collect:
             metadata["mixed"] = True
         write_trajectories(self.out, runs, metadata)
         say(f"{self.out}: {len(runs)} runs of {self.task}, seed {self.seed}")
+        if experts:
+            succeeded = sum(bool(run.scene.metadata["success"]) for run in runs[:experts])
+            say(f"the expert succeeded in {succeeded} of {experts} runs")

@@ -28,8 +28,8 @@ def run_episode(
 
     ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
     it. Where task and policy both know of it, feedback acts within the steps, and controls are
-    their means. The scene's metadata gains the policy's class name. A task that is `Drawn` has its
-    skeleton recorded at every state.
+    their means. The scene's metadata gains the policy's class name and whether the run succeeded.
+    A task that is `Drawn` has its skeleton recorded at every state.
     """
     if seed < 0:
         raise InvalidInputError(f"seed must be at least 0, found {seed}")
@@ -57,7 +57,11 @@ def run_episode(
         if drawn is not None:
             skeletons.append(np.array(drawn.skeleton()))
         controls.append(control)
-    metadata = {**task.scene.metadata, "policy": type(policy).__name__}
+    metadata = {
+        **task.scene.metadata,
+        "policy": type(policy).__name__,
+        "success": task.success(),
+    }
     return Trajectory(
         scene=replace(task.scene, metadata=metadata),
         position=np.stack([each["position"] for each in observations]),
