@@ -176,6 +176,30 @@ def test_the_control_is_clipped_to_20_newton():
     assert one["velocity"][0] == pytest.approx([0.25, -0.25, 0.0], abs=5e-3)
 
 
+def test_feedback_is_asked_every_millisecond_about_what_is_then():
+    told, task, plain = [], FrankaTask(), FrankaTask()
+    for each in (task, plain):
+        each.reset(seed=0)
+
+    def feedback(part, position, velocity):
+        told.append((part, position[0].copy(), velocity[0].copy()))
+        return np.array([40.0 if part < 0.5 else 0.0, -3.0, 0.0])
+
+    observation, *_, info = task.step_under(feedback)
+    parts, positions, velocities = (np.array(column) for column in zip(*told, strict=True))
+    np.testing.assert_allclose(parts, np.arange(10) / 10)
+    np.testing.assert_allclose(info["control"], [10.0, -3.0, 0.0])
+    np.testing.assert_allclose(np.diff(velocities[:6, 0]), 20.0 / 4.0 * 1e-3, rtol=0.02)
+    np.testing.assert_allclose(np.diff(positions, axis=0), velocities[1:] * 1e-3, atol=1e-6)
+    assert observation["velocity"][0, 0] == pytest.approx(0.005 * 20.0 / 4.0, rel=0.02)
+
+    force = np.array([1.0, 2.0, 3.0])
+    same, *_ = task.step_under(lambda part, position, velocity: force)
+    plain.step_under(feedback)
+    step, *_ = plain.step(force)
+    assert all(np.array_equal(same[name], step[name]) for name in step)
+
+
 def test_success_is_the_block_held_at_the_goal():
     task = FrankaTask()
     task.reset(seed=0)
