@@ -75,9 +75,9 @@ def test_half_a_second_and_a_run_are_other_numbers_of_steps_with_an_arm() -> Non
         return {words[words.index(option) + 1] for words in told}
 
     assert options(Source.planned, "--replan-every") == {"50"}
-    assert options(Source.growth, "--growth-steps") == {"400"}
-    assert options(Source.long_plan, "--horizon") == {"400"}
     trained = [cell for cell in cells if cell.arguments[0] == "train"]
-    assert all("--contact-distance" in cell.arguments for cell in trained)
+    models = [cell.arguments[cell.arguments.index("--model") + 1] for cell in trained]
+    assert models == ["gim-temp", "gim-non-temp", "no-gim"], "those that the paper compares"
+    assert not [one for one in found if one.where.source in (Source.growth, Source.long_plan)]
     runs = {cell.arguments[cell.arguments.index("--episodes") + 1] for cell in trained[0].needs}
     assert runs == {"200"}
