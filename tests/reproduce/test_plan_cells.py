@@ -75,6 +75,7 @@ def test_half_a_second_and_a_run_are_other_numbers_of_steps_with_an_arm() -> Non
         return {words[words.index(option) + 1] for words in told}
 
     assert options(Source.planned, "--replan-every") == {"50"}
+    assert options(Source.planned, "--horizon") == {"100"}
     trained = [cell for cell in cells if cell.arguments[0] == "train"]
     models = [cell.arguments[cell.arguments.index("--model") + 1] for cell in trained]
     assert models == ["gim-temp", "gim-non-temp", "no-gim"], "those that the paper compares"

@@ -49,6 +49,8 @@ class StudyTask:
     """Of ``train``, for every model."""
     left_out: tuple[str, ...] = ()
     """Slugs of models that are not compared on this task."""
+    followed_options: Options = ()
+    """Of ``control``, where plans are followed for half a second: they must look farther."""
     run_steps: int = 200
     """Of a whole run, over which predictions may grow, and plans may reach."""
     steps_ahead: int = 10
@@ -179,6 +181,7 @@ FRANKA = StudyTask(
         *(NO_GIM_AUG.slug, FULL_AB.slug, NO_KL.slug),
         *(LITERAL.slug, LITERAL_NO_GIM.slug),
     ),
+    followed_options=("--horizon", "100"),
     run_steps=400,
     steps_ahead=50,
 )

@@ -210,6 +210,7 @@ def _planned(
 ) -> Measurement:
     where = Where(Source.planned, task.name, model.name, condition.name)
     options = ("--episodes", str(amounts.episodes), "--replan-every", str(task.steps_ahead))
+    options += task.followed_options
     save = model is GIM_TEMP  # these are the scenes that are shown
     return Measurement(where, seed, _control(task, condition, trained, "planned", options, save))
 
