@@ -209,8 +209,10 @@ def _planned(
     amounts: Amounts,
 ) -> Measurement:
     where = Where(Source.planned, task.name, model.name, condition.name)
-    options = ("--episodes", str(amounts.episodes), "--replan-every", str(task.steps_ahead))
-    options += task.followed_options
+    options = (
+        *("--episodes", str(amounts.episodes), "--replan-every", str(task.steps_ahead)),
+        *task.followed_options,
+    )
     save = model is GIM_TEMP  # these are the scenes that are shown
     return Measurement(where, seed, _control(task, condition, trained, "planned", options, save))
 
