@@ -114,3 +114,11 @@ def test_a_model_with_weight_is_stored_and_loaded(tmp_path) -> None:
     assert np.array_equal(
         again.local_dynamics.head.support.weight_root, model.local_dynamics.head.support.weight_root
     )
+
+
+def test_a_distance_of_touch_that_is_told_is_no_weight_of_the_model(tmp_path) -> None:
+    model = gim_temp(3, 3, DT, 0.02, learned_touch=False, key=jax.random.PRNGKey(0))
+    assert model.features.touch_distance == 0.02
+    assert not eqx.is_array(model.features.touch_distance)
+    save_model(tmp_path / "model.safetensors", model)
+    assert load_model(tmp_path / "model.safetensors").model.features.touch_distance == 0.02

@@ -1,0 +1,51 @@
+"""What runs say about the model and the training that suit them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
+from contactgraph.train import suited_to
+
+
+def runs(*scenes: Scene) -> Dataset:
+    def still(scene: Scene) -> Trajectory:
+        shape = 3, scene.node_count, scene.dimension
+        return Trajectory(scene, np.zeros(shape), np.zeros(shape), np.zeros((2, scene.dimension)))
+
+    return Dataset(tuple(still(scene) for scene in scenes))
+
+
+def scene(**told: float) -> Scene:
+    return Scene(("hand", "block"), ("hand", "block"), np.array([1, 0], bool), 0.1, metadata=told)
+
+
+def test_runs_that_tell_nothing_have_the_usual_distance_which_is_learned() -> None:
+    found = suited_to(runs(scene()))
+    assert (found.contact_distance, found.learned_touch) == (0.085, True)
+    assert (found.hinges, found.weight, found.rollout_from) == (False, False, 0.5)
+
+
+def test_a_distance_that_is_told_is_kept() -> None:
+    found = suited_to(runs(scene(contact_distance=0.02), scene(contact_distance=0.02)))
+    assert (found.contact_distance, found.learned_touch) == (0.02, False)
+
+
+def test_weight_and_hinges_are_seen_in_any_run() -> None:
+    heavy = replace(scene(), gravity=np.array([0.0, -9.81]))
+    hinged = replace(scene(), anchor=np.array([[np.nan, np.nan], [0.0, 0.0]]))
+    found = suited_to(runs(scene(), heavy, hinged))
+    assert found.weight and found.hinges and found.rollout_from == 0.0
+    assert not suited_to(runs(replace(scene(), gravity=np.zeros(2)))).weight
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, float("inf"), "near"])
+def test_a_distance_that_is_none_is_refused(wrong) -> None:
+    with pytest.raises(InvalidInputError, match="contact_distance must be positive metres"):
+        suited_to(runs(scene(contact_distance=wrong)))
+
+
+def test_runs_must_not_contradict_each_other() -> None:
+    with pytest.raises(InvalidInputError, match="the same in all runs"):
+        suited_to(runs(scene(contact_distance=0.02), scene(contact_distance=0.03)))
