@@ -74,8 +74,8 @@ def _franka_expert() -> Policy:
 
 
 def _franka_explorer() -> Policy:
-    # For a hand of 4 kg and steps of 0.01 s: it spreads by 0.15 m on each axis.
-    return ExplorationPolicy(deviation=2.6, correlation_steps=25.0, stiffness=16.0, damping=4.8)
+    # For a hand of 4 kg and steps of 0.01 s: it spreads by 0.1 m on each axis, within its reach.
+    return ExplorationPolicy(deviation=2.0, correlation_steps=25.0, stiffness=20.0, damping=8.0)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ MAX_FORCE = 20.0
 GOAL_RADIUS = 0.05
 """The block must end within this distance of the goal, m."""
 CONTACT_DISTANCE = 0.0165
-"""How near the grasp point is to a block's centre when fingers touch it, at the most, m."""
+"""How near the grasp point is to a block's centre when fingers touch it; hardly ever farther; m."""
 PICK_WEIGHTS = np.array([10.0, 10.0, 100.0, 0.1, 0.1, 5.0])
 """The hand comes down before it arrives: it sweeps through the block at its height."""
 GOAL_WEIGHTS = np.array([30.0, 30.0, 30.0, 3.0, 3.0, 3.0])
