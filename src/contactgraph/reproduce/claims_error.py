@@ -53,7 +53,7 @@ def small_in_distribution(results: Results, tasks: Sequence[StudyTask]) -> Claim
     found: list[bool | None] = []
     large = []
     for task in tasks:
-        for model in (model for model in _COMPARED if model.slug not in task.left_out):
+        for model in (model for model in _COMPARED if model in task.models):
             figure = results.error_cm(planned(task, model, task.as_trained), PLANNED_ERROR)
             numbers.append(ClaimNumber(model.name, task.name, "cm", figure))
             found.append(figure.median < _SMALL_CM if figure.known else None)

@@ -32,6 +32,20 @@ class TestCondition:
 
 
 @dataclass(frozen=True)
+class StudyModel:
+    """One of the models that are compared."""
+
+    slug: str
+    """Names folders."""
+    name: str
+    """The paper's, where it has one."""
+    options: Options
+    """Of ``train``."""
+    augmented: bool = False
+    """Whether it is trained on the augmented data."""
+
+
+@dataclass(frozen=True)
 class StudyTask:
     """One of the paper's tasks."""
 
@@ -57,6 +71,11 @@ class StudyTask:
     """In half a second (the paper's N): how far ahead errors look, how long plans are followed."""
 
     @property
+    def models(self) -> tuple[StudyModel, ...]:
+        """Those that are compared."""
+        return tuple(model for model in MODELS if model.slug not in self.left_out)
+
+    @property
     def as_trained(self) -> TestCondition:
         """Scenes like those of the training data."""
         return self.conditions[0]
@@ -65,20 +84,6 @@ class StudyTask:
     def hardest(self) -> TestCondition:
         """The scenes furthest from those of the training data."""
         return self.conditions[-1]
-
-
-@dataclass(frozen=True)
-class StudyModel:
-    """One of the models that are compared."""
-
-    slug: str
-    """Names folders."""
-    name: str
-    """The paper's, where it has one."""
-    options: Options
-    """Of ``train``."""
-    augmented: bool = False
-    """Whether it is trained on the augmented data."""
 
 
 @dataclass(frozen=True)

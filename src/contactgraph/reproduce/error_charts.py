@@ -13,7 +13,6 @@ from contactgraph.reproduce.declared import (
     FAULTS,
     GIM_NON_TEMP,
     GIM_TEMP,
-    MODELS,
     NO_GIM_AUG,
     Amounts,
     StudyTask,
@@ -38,7 +37,7 @@ def error_chart(table: Sequence[Row], tasks: Sequence[StudyTask]) -> Chart:
                 COLOURS[model.name],
                 [found[condition, model.name].planned for condition in conditions],
             )
-            for model in MODELS
+            for model in task.models
         ]
         bars(axes, [condition.name for condition in conditions], series)
         _floors(axes, [found[condition, GIM_TEMP.name] for condition in conditions])

@@ -9,7 +9,6 @@ from contactgraph.reproduce.declared import (
     FAULTS,
     FULL_AB,
     GIM_TEMP,
-    MODELS,
     NO_GIM_AUG,
     TEST_SEED,
     Amounts,
@@ -72,7 +71,7 @@ def conditions_of(task: StudyTask, amounts: Amounts) -> list[TestCondition]:
 
 
 def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
-    for model in (model for model in MODELS if model.slug not in task.left_out):
+    for model in task.models:
         runs = task.augmented_runs if model.augmented else task.training_runs
         trained = training(task, model, seed, runs, amounts)
         for condition in conditions_of(task, amounts):
@@ -84,7 +83,7 @@ def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
         fresh = test_data(task, task.as_trained, amounts)
         if model is GIM_TEMP:
             yield from (_faulty(task, seed, trained, fresh, fault) for fault in FAULTS)
-        if model in (GIM_TEMP, FULL_AB) and FULL_AB.slug not in task.left_out:
+        if model in (GIM_TEMP, FULL_AB) and FULL_AB in task.models:
             yield _growth(task, model, seed, trained, fresh)
             yield _long_plan(task, model, seed, trained)
     if task.with_samples:

@@ -10,7 +10,6 @@ from contactgraph.reproduce.claims_error import PLANNED_ERROR, RECORDED_ERROR, p
 from contactgraph.reproduce.claims_graph import recorded
 from contactgraph.reproduce.declared import (
     GIM_TEMP,
-    MODELS,
     Amounts,
     StudyModel,
     StudyTask,
@@ -78,7 +77,7 @@ def rows(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> list
         _row(results, task, condition, model)
         for task in tasks
         for condition in conditions_of(task, amounts)
-        for model in MODELS
+        for model in task.models
     ]
 
 

@@ -44,6 +44,8 @@ class TaskTargets:
     training_s: Asked = Asked(120.0, 30.0)
     tick_ms: Asked = Asked(10.0, 3.0)
     """99 %, in the hardest scenes."""
+    as_it_passes: bool = False
+    """Whether the study judges speed at contact and the tick too; a report does for every task."""
 
 
 _PLANAR_F1 = {True: Asked(0.97, 0.995), False: Asked(0.95, 0.995)}
@@ -65,6 +67,7 @@ TARGETS = {
         contact_speed=Asked(0.1, 0.3),
         training_s=Asked(900.0, 300.0),
         tick_ms=Asked(10.0, 2.0),
+        as_it_passes=True,
     ),
 }
 
@@ -105,6 +108,21 @@ def targets(
                     f"{label}: edge F1, recorded", "", f1_recorded, asked.edge_f1[inside], seeds
                 ),
                 _number(f"{label}: success", "%", success, asked.success_percent[inside], seeds),
+            ]
+            if not asked.as_it_passes:
+                continue
+            speed = results.number(every_step, "contact_speed_m_s")
+            tick = results.number(every_step, "plan_ms_p99")
+            numbers += [
+                _number(f"{label}: speed at contact", "m/s", speed, asked.contact_speed, seeds),
+                _number(
+                    f"{label}: control tick, 99 %, both cores busy",
+                    "ms",
+                    tick,
+                    asked.tick_ms,
+                    seeds,
+                    lower_is_better=True,
+                ),
             ]
     return tuple(numbers)
 
