@@ -17,13 +17,16 @@ pytestmark = pytest.mark.skipif(
 )
 
 SCRIPT = """
+import signal
 import sys
 from contactgraph.cli import main
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())
 """
-"""As installed: every process imports it anew."""
+"""As installed: every process imports it anew. It hears Ctrl-C even where a shell lets what it
+starts in the background ignore it."""
 
 
 @pytest.fixture

@@ -18,14 +18,22 @@ from contactgraph import cli
 from contactgraph.model import gim_temp
 from contactgraph.train import Recipe, RunFolder, initial_state, save_checkpoint
 
-MAIN = "import sys; from contactgraph.cli import main; main(sys.argv[1:])"
+MAIN = """
+import signal, sys
+from contactgraph.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+main(sys.argv[1:])
+"""
+"""It hears Ctrl-C even where a shell lets what it starts in the background ignore it."""
 
 
 def test_ctrl_c_leaves_a_run_that_resumes(recorded: Path, trained: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     command = ["train", str(recorded), "--out", str(run), "--steps", "300"]
     with subprocess.Popen(
-        [sys.executable, "-c", MAIN, *command], stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", MAIN, *command],
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         deadline = time.monotonic() + 60
         while not list(run.glob("checkpoint-*")) and time.monotonic() < deadline:
