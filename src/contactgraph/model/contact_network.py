@@ -104,9 +104,7 @@ def _jacobian(geometry: Geometry, count: int) -> Float[Array, "Ed Nd"]:
     """From all velocities to the relative velocities along all edges."""
     lever = geometry.lever
     size = lever.shape[-1]
-    node = jnp.arange(count)
-    first = (geometry.first[:, None] == node).astype(lever.dtype)
-    second = (geometry.second[:, None] == node).astype(lever.dtype)
+    first, second = geometry.ends(count)
     blocks = second[:, None, :, None] * lever[1][:, :, None, :]
     blocks = blocks - first[:, None, :, None] * lever[0][:, :, None, :]
     return blocks.reshape(-1, count * size)

@@ -42,6 +42,12 @@ class Geometry(eqx.Module):
     """What takes the velocities of both nodes to where they meet: `Bars.lever`, d = D, where there
     are hinges; ones, d = 1, where there are none."""
 
+    def ends(self, count: int) -> tuple[Float[Array, "E N"], Float[Array, "E N"]]:
+        """1 where an edge has one of `count` nodes as its first, and as its second end; else 0."""
+        node, dtype = jnp.arange(count), self.lever.dtype
+        first = (self.first[:, None] == node).astype(dtype)
+        return first, (self.second[:, None] == node).astype(dtype)
+
 
 def geometry(
     position: Float[Array, "N D"],

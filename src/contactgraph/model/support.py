@@ -44,9 +44,7 @@ def carried(
     `actuated`: 1 or 0; `hold`: how far each edge holds, in [0, 1).
     """
     count = actuated.shape[0]
-    node = jnp.arange(count)
-    first = (geometry.first[:, None] == node).astype(hold.dtype)
-    second = (geometry.second[:, None] == node).astype(hold.dtype)
+    first, second = geometry.ends(count)
     holds = first.T @ (hold[:, None] * second)
     holds = holds + holds.T
     share = actuated.astype(hold.dtype)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from contactgraph.tasks.ways import distance_to_way
+
 HALF_WIDTH = 1.0
 """Half the side of the square that gripper, targets and goal lie in at the start, m."""
 WIDENING = 0.5
@@ -70,7 +72,7 @@ def distance_to_ways(point: np.ndarray, stops: np.ndarray) -> float:
 
     All ways go on straight for `OVERSHOOT` beyond their ends.
     """
-    return min(_distance_to_way(point, start, end) for start, end in _ways(stops))
+    return min(distance_to_way(point, start, end, OVERSHOOT) for start, end in _ways(stops))
 
 
 def _passable(stops: np.ndarray) -> bool:
@@ -78,7 +80,7 @@ def _passable(stops: np.ndarray) -> bool:
     if min(_distance(start, end) for start, end in _ways(stops)) < REACH:
         return False
     return all(
-        _distance_to_way(stops[due], *way) >= TARGET_CORRIDOR
+        distance_to_way(stops[due], *way, OVERSHOOT) >= TARGET_CORRIDOR
         for index, way in enumerate(_ways(stops))
         for due in range(index + 2, len(stops) - 1)
     )
@@ -109,10 +111,3 @@ def _ways(stops: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def _distance(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.hypot(*(a - b)))
-
-
-def _distance_to_way(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    length = _distance(start, end)
-    direction = (end - start) / length
-    along = np.clip(direction @ (point - start), 0.0, length + OVERSHOOT)
-    return _distance(point, start + along * direction)

@@ -140,8 +140,12 @@ class ArmWorld:
         self.data.eq_active[weld] = 1
 
 
+def arm_alone() -> str:
+    """The arm over its table, as MuJoCo is told of it."""
+    return files("contactgraph.tasks.mujoco").joinpath("panda.xml").read_text()
+
+
 def _scene(place: np.ndarray, yaw: np.ndarray) -> str:
-    arm = files("contactgraph.tasks.mujoco").joinpath("panda.xml").read_text()
     blocks = "".join(
         _BLOCK.format(
             index=index,
@@ -158,4 +162,6 @@ def _scene(place: np.ndarray, yaw: np.ndarray) -> str:
         f'<weld name="weld{index}" body1="hand" body2="block{index}" active="false"/>'
         for index in range(len(place))
     )
-    return arm.replace("</worldbody>\n  <equality>", f"{blocks}</worldbody>\n  <equality>{welds}")
+    return arm_alone().replace(
+        "</worldbody>\n  <equality>", f"{blocks}</worldbody>\n  <equality>{welds}"
+    )

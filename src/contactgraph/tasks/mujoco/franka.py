@@ -1,6 +1,5 @@
 """The arm's pickup: a Panda takes a block up in one sweep and brings it to a goal in the air."""
 
-from importlib.resources import files
 from typing import Any
 
 import gymnasium
@@ -9,7 +8,7 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.tasks.contract import ChainCost, Feedback, Observation
 from contactgraph.tasks.gripper_task import GRIPPER, GripperTask
-from contactgraph.tasks.mujoco.arm_world import BLOCK, BLOCK_MASS, ArmWorld, Grasp
+from contactgraph.tasks.mujoco.arm_world import BLOCK, BLOCK_MASS, ArmWorld, Grasp, arm_alone
 from contactgraph.tasks.mujoco.camera import Camera
 from contactgraph.tasks.mujoco.engine import SIMULATOR, mujoco
 from contactgraph.tasks.mujoco.impedance import APPARENT_MASS
@@ -75,8 +74,7 @@ class FrankaTask(GripperTask):
         self._grasp = grasp
         self.render_mode = render_mode
         self._camera: Camera | None = None
-        source = files("contactgraph.tasks.mujoco").joinpath("panda.xml").read_text()
-        self._arm = mujoco.MjModel.from_xml_string(source)
+        self._arm = mujoco.MjModel.from_xml_string(arm_alone())
 
     def begin(self, seed: int) -> tuple[Scene, ArmWorld]:
         """Samples the scene of a seed, with everything at rest."""
@@ -111,8 +109,8 @@ class FrankaTask(GripperTask):
         self, feedback: Feedback
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves on by 0.01 s; the force ``[3]`` N is asked for every millisecond."""
-        world = self.running()
-        assert isinstance(world, ArmWorld)
+        self.running()
+        world = self._arm_world()
         mean = world.step_under(
             lambda part: self.bounded(feedback(part, world.position, world.velocity))
         )

@@ -1,10 +1,12 @@
 """Where hand, blocks and goal are when the arm's pickup begins."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from contactgraph.tasks.mujoco.arm_world import BLOCK
+from contactgraph.tasks.ways import distance_to_way
 
 LOW = np.array([0.3, -0.35, 0.05])
 HIGH = np.array([0.7, 0.35, 0.35])
@@ -77,14 +79,7 @@ def _place(rng: np.random.Generator, stops: np.ndarray, count: int) -> np.ndarra
         if len(placed) == count:
             break
         clear = all(np.hypot(*(point - other[:2])) >= CLEARANCE for other in placed)
-        ways = min(_distance(point, stops[0], stops[1]), _distance(point, stops[1], stops[2]))
-        if clear and ways >= CORRIDOR:
+        ways = [distance_to_way(point, *way, OVERSHOOT) for way in itertools.pairwise(stops)]
+        if clear and min(ways) >= CORRIDOR:
             placed.append(np.array([*point, BLOCK[2] / 2]))
     return np.reshape(placed, (count, 3)) if len(placed) == count else None
-
-
-def _distance(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    length = float(np.hypot(*(end - start)))
-    direction = (end - start) / length
-    along = np.clip(direction @ (point - start), 0.0, length + OVERSHOOT)
-    return float(np.hypot(*(point - start - along * direction)))

@@ -23,7 +23,7 @@ MISS = 0.022
 class GraspReflex:
     """Closes the fingers in time, holds what they hold, and opens them again if it is lost.
 
-    The fingers touch a block as the grasp point comes within 0.015 m of its centre: they begin
+    The fingers touch a block as the grasp point comes within 0.01 m of its centre: they begin
     to close as long before as they need at their largest speed.
     """
 
