@@ -3,6 +3,9 @@
 from contactgraph.control.control_step import ControlLimits as ControlLimits
 from contactgraph.control.cost import QuadraticCost as QuadraticCost
 from contactgraph.control.cost import chain_cost as chain_cost
+from contactgraph.control.differentiable_lqr import LQRTrajectory as LQRTrajectory
+from contactgraph.control.differentiable_lqr import lqr_trajectory as lqr_trajectory
+from contactgraph.control.differentiable_lqr import tracking_problem as tracking_problem
 from contactgraph.control.ilqr import ILQR as ILQR
 from contactgraph.control.lqr import LQRPolicy as LQRPolicy
 from contactgraph.control.lqr import LQRProblem as LQRProblem
