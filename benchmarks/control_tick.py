@@ -15,8 +15,8 @@ import numpy as np
 from measuring import Compilations, arguments, report
 
 from contactgraph.control import ILQR, MPC, ControlLimits, chain_cost
-from contactgraph.evaluate import episode_seeds, scene_nodes
-from contactgraph.model import ContactDynamics, load_model, shipped_model
+from contactgraph.evaluate import episode_seeds
+from contactgraph.model import ContactDynamics, load_model, scene_nodes, shipped_model
 from contactgraph.tasks import PickupTask
 from contactgraph.tasks.gripper_task import GripperTask
 

@@ -15,9 +15,8 @@ from contactgraph.evaluate import (
     episode_seeds,
     evaluate_open_loop,
     inspect_run,
-    scene_nodes,
 )
-from contactgraph.model import ContactBelief, gim_temp, two_type_belief
+from contactgraph.model import ContactBelief, gim_temp, scene_nodes, two_type_belief
 from contactgraph.tasks import ChainCost, PickupTask
 from contactgraph.tasks.pickup import pickup_success
 

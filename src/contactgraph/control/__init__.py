@@ -15,5 +15,4 @@ from contactgraph.control.mpc import MPC as MPC
 from contactgraph.control.plan import Plan as Plan
 from contactgraph.control.plan import PlanStatus as PlanStatus
 from contactgraph.control.plan import shift_plan as shift_plan
-from contactgraph.control.step_model import StepModel as StepModel
 from contactgraph.control.tick import MPCState as MPCState

@@ -10,8 +10,7 @@ from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.lqr import Improvement, LQRPolicy, LQRProblem, improve_policy
 from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.rollout import Rollout, block_index, block_product, roll_out
-from contactgraph.control.step_model import StepModel
-from contactgraph.model import ModelState, Nodes, stack_state
+from contactgraph.model import ModelState, Nodes, StepModel, stack_state
 
 _RUNNING = -1
 _ARMIJO = 1e-4

@@ -14,10 +14,9 @@ from contactgraph.control.ilqr import ILQR
 from contactgraph.control.lqr import LQRPolicy
 from contactgraph.control.measurement import MeasurementReader, Observation
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.step_model import StepModel
 from contactgraph.control.tick import Controller, MPCState
 from contactgraph.data import InvalidInputError
-from contactgraph.model import ContactBelief, ContactSensor, Nodes
+from contactgraph.model import ContactBelief, ContactSensor, Nodes, StepModel
 
 _EXACT = ContactSensor()
 

@@ -7,12 +7,12 @@ from jaxtyping import Array, Float, Int
 
 from contactgraph.control.control_step import ControlLimits
 from contactgraph.control.lqr import LQRPolicy
-from contactgraph.control.step_model import StepModel
 from contactgraph.model import (
     ContactBelief,
     LinearDynamics,
     ModelState,
     Nodes,
+    StepModel,
     advance,
     held_response,
 )

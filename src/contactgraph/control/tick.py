@@ -8,12 +8,12 @@ from jaxtyping import Array, Bool, Float, Int
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.plan import Plan, PlanStatus, shift_plan
-from contactgraph.control.step_model import StepModel
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,
     ModelState,
     Nodes,
+    StepModel,
     correct,
     stack_state,
 )

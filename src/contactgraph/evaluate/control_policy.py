@@ -7,8 +7,8 @@ import numpy as np
 
 from contactgraph.control import MPC, MPCState, Plan, QuadraticCost, chain_cost
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
-from contactgraph.evaluate.scene_nodes import scene_nodes
 from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
+from contactgraph.model import scene_nodes
 from contactgraph.tasks.contract import ChainCost, Feedback, Observation
 
 _EXACT = SensorFaults()

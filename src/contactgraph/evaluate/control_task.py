@@ -7,14 +7,14 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import ILQR, MPC, ControlLimits, StepModel
+from contactgraph.control import ILQR, MPC, ControlLimits
 from contactgraph.data import Trajectory
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
 from contactgraph.evaluate.control_policy import EpisodeRecord, MPCPolicy
-from contactgraph.evaluate.model_fit import check_fit
 from contactgraph.evaluate.planned_error import PlannedError, planned_error
 from contactgraph.evaluate.sensor_faults import SensorFaults
-from contactgraph.model import ContactSensor
+from contactgraph.model import ContactSensor, StepModel
+from contactgraph.model.model_fit import check_fit
 from contactgraph.tasks.collect import episode_seeds
 from contactgraph.tasks.contract import Task
 from contactgraph.tasks.run_episode import run_episode

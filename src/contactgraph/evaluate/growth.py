@@ -9,12 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from contactgraph.control import StepModel
 from contactgraph.data import Dataset, InvalidInputError
-from contactgraph.evaluate.model_fit import check_fit
-from contactgraph.evaluate.rollouts import number_type
-from contactgraph.evaluate.scene_nodes import scene_nodes
-from contactgraph.model import ModelState, Nodes, advance, held_response, stack_state
+from contactgraph.model import (
+    ModelState,
+    Nodes,
+    StepModel,
+    advance,
+    held_response,
+    scene_nodes,
+    stack_state,
+)
+from contactgraph.model.model_fit import check_fit
+from contactgraph.model.recording import number_type
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,11 @@ import jax
 import numpy as np
 
 from contactgraph.data import Trajectory, pair_indices
-from contactgraph.evaluate.model_fit import check_fit
-from contactgraph.evaluate.rollouts import Recording, carry_belief, number_type, recording
 from contactgraph.model import ContactDynamics, ContactSensor, ModelState
+from contactgraph.model.follow import follow_run
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
+from contactgraph.model.model_fit import check_fit
+from contactgraph.model.recording import Recording, number_type, recording
 from contactgraph.model.spring_mass_damper import SpringMassDamper
 
 _EXACT = ContactSensor()
@@ -57,7 +58,7 @@ def inspect_run(
 def _along(
     model: ContactDynamics, run: Recording, sensor: ContactSensor
 ) -> tuple[jax.Array, SpringMassDamper | None]:
-    carried = carry_belief(model, run, sensor)
+    carried = follow_run(model, run, sensor)
     parameters = None
     if isinstance(model.local_dynamics, SpringMassDamperDynamics):
         states = ModelState(run.position, run.velocity, carried.now)

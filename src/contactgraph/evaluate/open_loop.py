@@ -5,14 +5,13 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from contactgraph.control import StepModel
 from contactgraph.data import Dataset, InvalidInputError, Trajectory
 from contactgraph.evaluate.edge_scores import EdgeScores, edge_scores
-from contactgraph.evaluate.model_fit import check_fit
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
 from contactgraph.evaluate.run_windows import detail_of_run, joined_details
 from contactgraph.evaluate.sensor_faults import SensorFaults
-from contactgraph.model import ContactSensor
+from contactgraph.model import ContactSensor, StepModel
+from contactgraph.model.model_fit import check_fit
 
 _EXACT = SensorFaults()
 

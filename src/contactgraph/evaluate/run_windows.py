@@ -6,12 +6,12 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import StepModel
 from contactgraph.data import Dataset, Trajectory, pair_indices
 from contactgraph.evaluate.floors import constant_velocity, frozen_contact
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
-from contactgraph.evaluate.rollouts import RunPrediction, number_type, predict_run, recording
-from contactgraph.model import ContactSensor
+from contactgraph.evaluate.rollouts import RunPrediction, predict_run
+from contactgraph.model import ContactSensor, StepModel
+from contactgraph.model.recording import number_type, recording
 
 _MOVES_M = 1e-3
 

@@ -40,12 +40,14 @@ from contactgraph.model.reach import Everywhere as Everywhere
 from contactgraph.model.reach import Reach as Reach
 from contactgraph.model.sampling import ArgmaxSample as ArgmaxSample
 from contactgraph.model.sampling import GumbelSample as GumbelSample
+from contactgraph.model.scene_nodes import scene_nodes as scene_nodes
 from contactgraph.model.shipped import shipped_model as shipped_model
 from contactgraph.model.shipped import shipped_models as shipped_models
 from contactgraph.model.spring_mass_damper import SpringMassDamper as SpringMassDamper
 from contactgraph.model.spring_mass_damper import from_physical as from_physical
 from contactgraph.model.state import ModelState as ModelState
 from contactgraph.model.state import Nodes as Nodes
+from contactgraph.model.step_model import StepModel as StepModel
 from contactgraph.model.storage import ModelSummary as ModelSummary
 from contactgraph.model.storage import StoredModel as StoredModel
 from contactgraph.model.storage import describe_model as describe_model

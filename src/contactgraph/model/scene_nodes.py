@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, candidate_pairs
-from contactgraph.model import Nodes
+from contactgraph.model.state import Nodes
 
 
 def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:

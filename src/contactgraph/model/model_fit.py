@@ -2,12 +2,11 @@
 
 import math
 
-from contactgraph.control import StepModel
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.model import ContactDynamics
+from contactgraph.model.contact_dynamics import ContactDynamics
 
 
-def check_fit(model: StepModel, scene: Scene, control_size: int, other: str) -> None:
+def check_fit(model: object, scene: Scene, control_size: int, other: str) -> None:
     """Raises `InvalidInputError` where a scene or its control are not of the kind the model is for.
 
     ``other`` names what does not fit, e.g. ``"the data"``. Models other than `ContactDynamics` do

@@ -4,7 +4,9 @@ from typing import Protocol
 
 from jaxtyping import Array, Float
 
-from contactgraph.model import ContactBelief, LinearDynamics, ModelState, Nodes
+from contactgraph.model.belief import ContactBelief
+from contactgraph.model.linear_dynamics import LinearDynamics
+from contactgraph.model.state import ModelState, Nodes
 
 
 class StepModel(Protocol):
