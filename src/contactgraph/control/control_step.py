@@ -26,7 +26,9 @@ class ControlLimits(eqx.Module):
         return jnp.clip(control, self.lower, self.upper)
 
 
-def solve_small(matrix: Float[Array, "U U"], right: Float[Array, "U m"]) -> Float[Array, "U m"]:
+def solve_small(
+    matrix: Float[Array, "U U *batch"], right: Float[Array, "U m *batch"]
+) -> Float[Array, "U m *batch"]:
     """``matrix^-1 right`` for a small, symmetric positive definite matrix.
 
     Written out as LDL^T in scalars, which fuse into one kernel: inside a scan a call of LAPACK
@@ -34,7 +36,11 @@ def solve_small(matrix: Float[Array, "U U"], right: Float[Array, "U m"]) -> Floa
     """
     size = matrix.shape[0]
     if size > _UNROLLED_SIZE:
-        return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), right)
+        batch = jnp.broadcast_shapes(matrix.shape[2:], right.shape[2:])
+        solve = _solve_by_cholesky
+        for _ in batch:
+            solve = jax.vmap(solve, in_axes=-1, out_axes=-1)
+        return solve(*(jnp.broadcast_to(a, (*a.shape[:2], *batch)) for a in (matrix, right)))
     lower: dict[tuple[int, int], Array] = {}
     pivot: list[Array] = []
     for j in range(size):
@@ -49,6 +55,10 @@ def solve_small(matrix: Float[Array, "U U"], right: Float[Array, "U m"]) -> Floa
     for i in reversed(range(size)):
         rows[i] = rows[i] - sum(lower[s, i] * rows[s] for s in range(i + 1, size))
     return jnp.stack(rows)
+
+
+def _solve_by_cholesky(matrix: Array, right: Array) -> Array:
+    return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), right)
 
 
 def free_part(matrix: Float[Array, "U U"], free: Bool[Array, " U"]) -> Float[Array, "U U"]:

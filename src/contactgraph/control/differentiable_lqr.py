@@ -1,16 +1,10 @@
 """The optimal trajectory of an affine LQR problem, and its derivatives by one adjoint solve.
 
-Notation as in `contactgraph.control.lqr`. The optimal ``x, u`` and the costates ``l`` satisfy the
-optimality (KKT) conditions, linear with a symmetric matrix (a dash marks the step after)::
-
-    Q x + q + A^T l'  = l        at the end  Q x + q = l
-    R u + r + B^T l'  = 0
-    A x + B u + offset = x'      x_0 = start
-
-Because that matrix is its own transpose, the derivatives of a loss ``L(x, u)`` come from solving
-the same system once more, with ``dL/dx, dL/du`` in the place of ``q, r`` and with zero ``offset``
-and ``start`` (Amos et al. 2018, "Differentiable MPC for End-to-end Planning and Control", the
-backward pass of LQR). With ``dx, du, dl`` its solution::
+The optimality conditions of `contactgraph.control.lqr_system` are linear with a symmetric matrix.
+The derivatives of a loss ``L(x, u)`` therefore come from solving the same system once more, with
+``dL/dx, dL/du`` in the place of ``q, r`` and with zero ``offset`` and ``start`` (Amos et al. 2018,
+"Differentiable MPC for End-to-end Planning and Control", the backward pass of LQR). With
+``dx, du, dl`` its solution, and a dash for the step after::
 
     dL/dq, dL/dr       dx, du
     dL/dQ, dL/dR       (dx x^T + x dx^T) / 2, (du u^T + u du^T) / 2
@@ -18,53 +12,29 @@ backward pass of LQR). With ``dx, du, dl`` its solution::
     dL/doffset         dl'
     dL/dstart          dl_0
 
-The Riccati pass depends on ``A, B, Q, R`` alone, so it is made once, forwards, and kept
-(`LQRFactors`); each of the two solves is then two scans of one vector.
+No loop is unrolled, and the matrices of the Riccati pass are used again.
 """
+
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
-from contactgraph.control.control_step import solve_small
 from contactgraph.control.lqr import LQRProblem
+from contactgraph.control.lqr_system import LQRFactors, LQRSolution, factorised, solved
 
 
 class LQRTrajectory(eqx.Module):
     """Where an optimally controlled system goes, and what moves it."""
 
-    states: Float[Array, "H+1 n"]
+    states: Float[Array, "H+1 n *batch"]
     """m and m/s; the first is the start."""
-    controls: Float[Array, "H U"]
+    controls: Float[Array, "H U *batch"]
     """N"""
-
-
-class _Factors(eqx.Module):
-    """What the Riccati pass leaves: all that depends on ``A, B, Q, R`` alone."""
-
-    P: Float[Array, "H+1 n n"]
-    S: Float[Array, "H U U"]
-    K: Float[Array, "H U n"]
-    closed_loop: Float[Array, "H n n"]
-    """``A + B K``"""
-
-
-class _Slopes(eqx.Module):
-    """The right side of the optimality conditions."""
-
-    q: Float[Array, "H+1 n"]
-    r: Float[Array, "H U"]
-    offset: Float[Array, "H n"]
-    start: Float[Array, " n"]
-
-
-class _Solution(eqx.Module):
-    """A solution of the optimality conditions."""
-
-    states: Float[Array, "H+1 n"]
-    controls: Float[Array, "H U"]
-    costates: Float[Array, "H+1 n"]
 
 
 def lqr_trajectory(problem: LQRProblem, start: Float[Array, " n"]) -> LQRTrajectory:
@@ -77,10 +47,11 @@ def lqr_trajectory(problem: LQRProblem, start: Float[Array, " n"]) -> LQRTraject
     Differentiable, once and in reverse mode (`jax.grad`, `jax.vjp`), with respect to every leaf of
     the problem and the start, by the rule at the head of this file. ``Q`` and ``R`` must be
     symmetric, and so are their derivatives: those along symmetric changes. Forward mode
-    (`jax.jvp`) and second derivatives are not defined and raise JAX's own error.
+    (`jax.jvp`) is not defined and raises JAX's own error.
 
-    One problem with a dense ``A`` [H, n, n]; use `jax.vmap` for a batch, in which any leaf may be
-    shared.
+    One problem with a dense ``A`` [H, n, n]; for a batch use `jax.vmap`, in which any leaf may be
+    shared. A batch kept in the last axis of every array (``in_axes=-1, out_axes=-1``) is fastest:
+    it needs no transposition.
     """
     return _trajectory(problem, start)
 
@@ -111,25 +82,45 @@ def tracking_problem(
     )
 
 
-@jax.custom_vjp
-def _trajectory(problem: LQRProblem, start: Array) -> LQRTrajectory:
-    return _forward(problem, start)[0]
+def _batch_last(function: Callable) -> Callable:
+    """Under `jax.vmap`, call the function once with the batch as the last axis of every array.
+
+    An array without a batch gets a last axis of length 1 there.
+    """
+    batched = custom_vmap(function)
+
+    def with_batch(size: int, is_batched: list, *arguments: Any) -> tuple[Any, Any]:
+        def last(leaf: Array, has_batch: bool) -> Array:
+            return jnp.moveaxis(leaf, 0, -1) if has_batch else leaf[..., None]
+
+        def first(leaf: Array) -> Array:
+            return jnp.moveaxis(jnp.broadcast_to(leaf, (*leaf.shape[:-1], size)), -1, 0)
+
+        answer = function(*jax.tree.map(last, arguments, tuple(is_batched)))
+        return jax.tree.map(first, answer), jax.tree.map(lambda _: True, answer)
+
+    batched.def_vmap(with_batch)
+    return batched
 
 
-def _forward(problem: LQRProblem, start: Array) -> tuple[LQRTrajectory, tuple]:
-    factors = _factorised(problem)
-    slopes = _Slopes(problem.q, problem.r, problem.offset, start)
-    solution = _solved(factors, problem.B, slopes)
-    trajectory = LQRTrajectory(solution.states, solution.controls)
-    return trajectory, (factors, problem.B, solution)
+@_batch_last
+def _forward(
+    problem: LQRProblem, start: Array
+) -> tuple[LQRTrajectory, tuple[LQRFactors, LQRSolution]]:
+    factors = factorised(problem.A, problem.B, problem.Q, problem.R)
+    solution = solved(factors, problem.q, problem.r, problem.offset, start)
+    return LQRTrajectory(solution.states, solution.controls), (factors, solution)
 
 
-def _backward(kept: tuple, slope: LQRTrajectory) -> tuple[LQRProblem, Array]:
-    factors, B, solution = kept
-    offset, start = jnp.zeros_like(solution.states[1:]), jnp.zeros_like(solution.states[0])
-    adjoint = _solved(factors, B, _Slopes(slope.states, slope.controls, offset, start))
-    x, u, after = solution.states[:-1], solution.controls, solution.costates[1:]
-    dx, du, dafter = adjoint.states[:-1], adjoint.controls, adjoint.costates[1:]
+@_batch_last
+def _backward(
+    kept: tuple[LQRFactors, LQRSolution], slope: LQRTrajectory
+) -> tuple[LQRProblem, Array]:
+    factors, solution = kept
+    rest = jnp.zeros_like(solution.states[0])
+    adjoint = solved(factors, slope.states, slope.controls, None, rest)
+    x, u, after = solution.states[:-1], solution.controls, solution.costates
+    dx, du, dafter = adjoint.states[:-1], adjoint.controls, adjoint.costates
     problem = LQRProblem(
         A=_outer(dafter, x) + _outer(after, dx),
         B=_outer(dafter, u) + _outer(after, du),
@@ -139,60 +130,21 @@ def _backward(kept: tuple, slope: LQRTrajectory) -> tuple[LQRProblem, Array]:
         q=adjoint.states,
         r=du,
     )
-    return problem, adjoint.costates[0]
+    # The adjoint starts at rest, so its first costate is its first slope.
+    return problem, adjoint.first_slope
+
+
+@jax.custom_vjp
+def _trajectory(problem: LQRProblem, start: Array) -> LQRTrajectory:
+    return _forward(problem, start)[0]
 
 
 _trajectory.defvjp(_forward, _backward)
 
 
-def _factorised(problem: LQRProblem) -> _Factors:
-    def back(P: Array, stage: tuple) -> tuple[Array, tuple]:
-        A, B, Q, R = stage
-        PA, PB = P @ A, P @ B
-        S, G = R + B.T @ PB, B.T @ PA
-        K = -solve_small(S, G)
-        before = Q + A.T @ PA + G.T @ K
-        before = 0.5 * (before + before.T)
-        return before, (before, S, K)
-
-    Q, final = problem.Q[:-1], problem.Q[-1]
-    _, (P, S, K) = jax.lax.scan(back, final, (problem.A, problem.B, Q, problem.R), reverse=True)
-    return _Factors(jnp.concatenate([P, final[None]]), S, K, problem.A + problem.B @ K)
+def _outer(left: Float[Array, "T i *b"], right: Float[Array, "T j *b"]) -> Array:
+    return left[:, :, None] * right[:, None]
 
 
-def _solved(factors: _Factors, B: Array, slopes: _Slopes) -> _Solution:
-    K, M, P = factors.K, factors.closed_loop, factors.P
-    pushed = _times(P[1:], slopes.offset)
-    c = slopes.q[:-1] + _transpose_times(K, slopes.r) + _transpose_times(M, pushed)
-    p = _recursion(M.swapaxes(-1, -2), c, slopes.q[-1], reverse=True)
-    slope = slopes.r + _transpose_times(B, p[1:] + pushed)
-    k = -jax.vmap(solve_small)(factors.S, slope[..., None])[..., 0]
-    states = _recursion(M, _times(B, k) + slopes.offset, slopes.start, reverse=False)
-    return _Solution(states, _times(K, states[:-1]) + k, _times(P, states) + p)
-
-
-def _recursion(matrix: Array, added: Array, first: Array, reverse: bool) -> Array:
-    """``y' = matrix y + added`` from ``first``, in time order, the first included."""
-
-    def step(y: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
-        now = inputs[0] @ y + inputs[1]
-        return now, now
-
-    _, rest = jax.lax.scan(step, first, (matrix, added), reverse=reverse)
-    return jnp.concatenate([rest, first[None]] if reverse else [first[None], rest])
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    return jnp.sum(matrix * vector[:, None, :], axis=-1)
-
-
-def _transpose_times(matrix: Array, vector: Array) -> Array:
-    return jnp.sum(matrix * vector[:, :, None], axis=-2)
-
-
-def _outer(left: Array, right: Array) -> Array:
-    return left[:, :, None] * right[:, None, :]
-
-
-def _symmetric_outer(left: Array, right: Array) -> Array:
+def _symmetric_outer(left: Float[Array, "T i *b"], right: Float[Array, "T i *b"]) -> Array:
     return 0.5 * (_outer(left, right) + _outer(right, left))
