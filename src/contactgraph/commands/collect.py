@@ -28,6 +28,10 @@ class Collect:
     """How fingers hold, where the task has some: friction or weld."""
     mixed: bool = False
     """Runs take turns at 0 to DISTRACTORS bystanders, and at 1 to OBJECTS objects if given."""
+    goal: Annotated[str, arg(metavar="HOW")] = "sampled"
+    """sampled: every run has its own goal and targets. fixed: all runs share them."""
+    expert: Annotated[str, arg(metavar="WHO")] = "train"
+    """train: with noise on its force, to learn masses from. demo: without, to learn costs from."""
     exploration: float = 0.0
     """Share of runs with random forces in place of the expert."""
     resting: float = 0.0
@@ -47,27 +51,35 @@ class Collect:
         )
         from contactgraph.data import InvalidInputError, Metadata, write_trajectories
         from contactgraph.tasks import RestPolicy
-        from contactgraph.tasks.collect import collect
+        from contactgraph.tasks.collect import collect, fixed_seed
 
-        options = TaskOptions(self.distractors, self.objects, self.grasp)
+        check_episodes(self.episodes)
+        check_seed(self.seed)
+        shared = looked_up("--goal", self.goal, {"sampled": None, "fixed": fixed_seed(self.seed)})
+        options = TaskOptions(self.distractors, self.objects, self.grasp, shared)
         if self.mixed:
             factories = mixed_factories(self.task, options)
         else:
             factories = [task_factory(self.task, options)]
-        check_episodes(self.episodes)
-        check_seed(self.seed)
+        task = looked_up("task", self.task, TASKS)
+        experts_by_name = {"train": task.expert, "demo": task.demonstrator}
+        expert = looked_up("--expert", self.expert, experts_by_name)
         shares = {"--exploration": self.exploration, "--resting": self.resting}
         for name, share in shares.items():
             if not 0.0 <= share <= 1.0:
                 raise InvalidInputError(f"{name} must be 0 to 1, found {share}")
         if self.exploration + self.resting > 1.0:
             raise InvalidInputError("--exploration and --resting together must not exceed 1")
+        if expert is task.demonstrator and self.exploration + self.resting > 0.0:
+            raise InvalidInputError(
+                "--expert demo: every run is a demonstration, so --exploration and --resting must "
+                "be left out"
+            )
         check_writable(self.out)
         explores = round(self.exploration * self.episodes)
         rests = round(self.resting * self.episodes)
         experts = self.episodes - explores - rests
-        task = looked_up("task", self.task, TASKS)
-        policies = [task.expert() for _ in range(experts)]
+        policies = [expert() for _ in range(experts)]
         policies += [task.explorer() for _ in range(explores)]
         policies += [RestPolicy() for _ in range(rests)]
         with progress("collecting", self.episodes) as steps:
@@ -83,6 +95,8 @@ class Collect:
         metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
         if self.mixed:
             metadata["mixed"] = True
+        if expert is task.demonstrator:
+            metadata["expert"] = self.expert
         write_trajectories(self.out, runs, metadata)
         say(f"{self.out}: {len(runs)} runs of {self.task}, seed {self.seed}")
         if experts:

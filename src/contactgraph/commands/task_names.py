@@ -24,11 +24,14 @@ class TaskOptions:
     distractors: int = 0
     objects: int | None = None
     grasp: str | None = None
+    fixed_seed: int | None = None
+    """Of the scene whose targets and goal all runs share."""
 
     @property
     def metadata(self) -> dict[str, str | int]:
         """What was said, for the files that are made."""
-        told = {"objects": self.objects, "grasp": self.grasp}
+        goal = None if self.fixed_seed is None else "fixed"
+        told = {"objects": self.objects, "grasp": self.grasp, "goal": goal}
         given = {name: value for name, value in told.items() if value is not None}
         return {"distractors": self.distractors, **given}
 
@@ -39,21 +42,20 @@ TaskFactory = Callable[[], Task]
 def _pickup(options: TaskOptions) -> TaskFactory:
     _refuse_grasp("pickup", options)
     _check_one_object("pickup", options)
-    return partial(PickupTask, options.distractors)
+    return partial(PickupTask, options.distractors, fixed_seed=options.fixed_seed)
 
 
 def _multi_pickup(options: TaskOptions) -> TaskFactory:
     _refuse_grasp("multi-pickup", options)
-    if options.objects is None:
-        return partial(MultiPickupTask, distractors=options.distractors)
-    return partial(MultiPickupTask, options.objects, options.distractors)
+    task = MultiPickupTask if options.objects is None else partial(MultiPickupTask, options.objects)
+    return partial(task, distractors=options.distractors, fixed_seed=options.fixed_seed)
 
 
 def _door(options: TaskOptions) -> TaskFactory:
     _refuse_grasp("door", options)
     if options.objects is not None:
         raise InvalidInputError(f"--objects: door has no objects to count, found {options.objects}")
-    return partial(DoorTask, options.distractors)
+    return partial(DoorTask, options.distractors, fixed_seed=options.fixed_seed)
 
 
 def _franka(options: TaskOptions) -> TaskFactory:
@@ -61,16 +63,23 @@ def _franka(options: TaskOptions) -> TaskFactory:
     from contactgraph.tasks.mujoco import FrankaTask, Grasp
 
     _check_one_object("franka", options)
+    task = partial(FrankaTask, options.distractors, fixed_seed=options.fixed_seed)
     if options.grasp is None:
-        return partial(FrankaTask, options.distractors)
+        return task
     grasp = looked_up("--grasp", options.grasp, {each.value: each for each in Grasp})
-    return partial(FrankaTask, options.distractors, grasp)
+    return partial(task, grasp=grasp)
 
 
 def _franka_expert() -> Policy:
     from contactgraph.tasks.mujoco import FrankaExpert
 
     return FrankaExpert()
+
+
+def _franka_demonstrator() -> Policy:
+    from contactgraph.tasks.mujoco import FrankaExpert
+
+    return FrankaExpert(noise=0.0)
 
 
 def _franka_explorer() -> Policy:
@@ -84,16 +93,21 @@ class KnownTask:
 
     factory: Callable[[TaskOptions], TaskFactory]
     expert: Callable[[], Policy]
+    """To train on: noise on its force tells masses from drags."""
+    demonstrator: Callable[[], Policy]
+    """The same expert without noise."""
     explorer: Callable[[], Policy] = ExplorationPolicy
     horizon: int = 20
     """Steps that a plan looks ahead where nobody says otherwise."""
 
 
 TASKS = {
-    "pickup": KnownTask(_pickup, PickupExpert),
-    "multi-pickup": KnownTask(_multi_pickup, PickupExpert),
-    "door": KnownTask(_door, DoorExpert),
-    "franka": KnownTask(_franka, _franka_expert, _franka_explorer, horizon=50),
+    "pickup": KnownTask(_pickup, PickupExpert, partial(PickupExpert, noise=0.0)),
+    "multi-pickup": KnownTask(_multi_pickup, PickupExpert, partial(PickupExpert, noise=0.0)),
+    "door": KnownTask(_door, DoorExpert, partial(DoorExpert, noise=0.0)),
+    "franka": KnownTask(
+        _franka, _franka_expert, _franka_demonstrator, _franka_explorer, horizon=50
+    ),
 }
 
 
@@ -110,9 +124,15 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
 def mixed_factories(name: str, options: TaskOptions) -> list[TaskFactory]:
     """A task's environments with 0 to ``distractors`` distractors, and 1 to ``objects`` objects.
 
-    Objects None leaves them at the task's own number. Raises as `task_factory`.
+    Objects None leaves them at the task's own number. Raises as `task_factory`, and where runs of
+    one goal were to differ in their objects.
     """
     task_factory(name, options)
+    if options.fixed_seed is not None and options.objects not in (None, 1):
+        raise InvalidInputError(
+            "--goal fixed: all runs have the same objects, so --mixed takes --objects 1 or none, "
+            f"found {options.objects}"
+        )
     counts = [None] if options.objects is None else range(1, options.objects + 1)
     return [
         task_factory(name, replace(options, distractors=bystanders, objects=count))

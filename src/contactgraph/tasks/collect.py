@@ -70,6 +70,11 @@ def episode_seeds(episodes: int, seed: int) -> list[int]:
     return [int(child.generate_state(1)[0]) for child in children]
 
 
+def fixed_seed(seed: int) -> int:
+    """The seed of what all episodes of a data set share: of a stream apart from theirs."""
+    return int(np.random.SeedSequence(seed).generate_state(1)[0])
+
+
 @dataclass(frozen=True)
 class _Runs:
     """What is to be recorded."""

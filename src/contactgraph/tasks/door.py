@@ -12,6 +12,7 @@ from contactgraph.tasks.door_layout import (
     middle,
     sample_layout,
 )
+from contactgraph.tasks.fixed_goal import fixed_layout, fixed_metadata
 from contactgraph.tasks.gripper_task import DT, GRIPPER, MASS, GripperTask
 
 DOOR = 1
@@ -34,10 +35,15 @@ class DoorTask(GripperTask):
     it. The control ``[2]`` N is a force on the gripper. The reward is the negative distance of the
     door's middle from where it is at the goal angle, m. An episode always runs for 120 steps.
 
+    ``fixed_seed`` is the seed of a scene whose target door (hinge, angle) and goal every episode
+    shares, so that only the gripper and other doors begin elsewhere; None: each has its own.
+
     Raises `InvalidInputError` where ``distractors`` is not in 0 to 10.
     """
 
-    def __init__(self, distractors: int = 0, substeps: int = 10) -> None:
+    def __init__(
+        self, distractors: int = 0, substeps: int = 10, fixed_seed: int | None = None
+    ) -> None:
         if not 0 <= distractors <= MAX_DISTRACTORS:
             raise InvalidInputError(
                 f"distractors must be 0 to {MAX_DISTRACTORS}, found {distractors}"
@@ -47,10 +53,12 @@ class DoorTask(GripperTask):
         super().__init__(2 + distractors, MAX_STEPS, DISTRACTOR_HALF_WIDTH + LENGTH)
         self._distractors = distractors
         self._substeps = substeps
+        self._fixed_seed = fixed_seed
+        self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_DISTRACTORS))
 
     def begin(self, seed: int) -> tuple[Scene, DoorWorld]:
         """Samples the scene of a seed, with everything at rest."""
-        layout = sample_layout(np.random.default_rng(seed), self._distractors)
+        layout = sample_layout(np.random.default_rng(seed), self._distractors, self._fixed)
         world = DoorWorld(
             layout.gripper,
             layout.hinge,
@@ -82,6 +90,7 @@ class DoorTask(GripperTask):
                 "substeps": self._substeps,
                 "angle": float(layout.angle[0]),
                 "goal_angle": layout.goal_angle,
+                **fixed_metadata(self._fixed_seed),
             },
         )
         return scene, world

@@ -51,27 +51,33 @@ def middle(hinge: np.ndarray, angle: np.ndarray | float) -> np.ndarray:
     return hinge + 0.5 * LENGTH * _direction(angle)
 
 
-def sample_layout(rng: np.random.Generator, distractors: int) -> DoorLayout:
+def sample_layout(
+    rng: np.random.Generator, distractors: int, fixed: DoorLayout | None = None
+) -> DoorLayout:
     """Samples a layout, uniformly over those that satisfy the distances above.
 
-    A layout without room for every distractor is given up and sampled afresh as a whole.
+    With ``fixed``, door 0 and its goal are those of this layout; all else is sampled. A layout
+    without room for every distractor is given up and sampled afresh as a whole.
     """
     while True:
         hinge = rng.uniform(-HINGE_HALF_WIDTH, HINGE_HALF_WIDTH, 2)
         angle = rng.uniform(-np.pi, np.pi)
         swing = rng.uniform(SMALLEST_SWING, LARGEST_SWING) * rng.choice([-1.0, 1.0])
+        goal_angle = float(angle + swing)
         gripper = rng.uniform(-HALF_WIDTH, HALF_WIDTH, 2)
+        if fixed is not None:
+            hinge, angle, goal_angle = fixed.hinge[0], float(fixed.angle[0]), fixed.goal_angle
         way = middle(hinge, angle) - gripper
         steep = abs(way @ _direction(angle)) > np.sin(STEEPEST) * np.linalg.norm(way)
         if steep or _distance(gripper[None], _bar(hinge, angle)) < REACH:
             continue
-        low, high = sorted([angle, angle + swing])
+        low, high = sorted([angle, goal_angle])
         turns = np.arange(low - OVERSHOOT, high + OVERSHOOT, _SPACING / LENGTH)
         taken = [_line(gripper, gripper + way), *(_bar(hinge, turn) for turn in turns)]
         others = _place_distractors(rng, np.concatenate(taken), distractors)
         if others is not None:
             hinges, angles = np.vstack([hinge, others[:, :2]]), np.append(angle, others[:, 2])
-            return DoorLayout(gripper, hinges, angles, float(angle + swing))
+            return DoorLayout(gripper, hinges, angles, goal_angle)
 
 
 def _place_distractors(

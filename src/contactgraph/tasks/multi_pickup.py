@@ -5,10 +5,12 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Scene, joined
 from contactgraph.tasks.box2d import SIMULATOR, CircleWorld
 from contactgraph.tasks.contract import ChainCost
+from contactgraph.tasks.fixed_goal import fixed_layout, fixed_metadata
 from contactgraph.tasks.gripper_task import GRIPPER, GripperTask
 from contactgraph.tasks.pickup import (
     CONTROL_WEIGHT,
     GOAL_WEIGHTS,
+    MAX_DISTRACTORS,
     MAX_STEPS,
     PICK_WEIGHTS,
     at_goal,
@@ -30,10 +32,19 @@ class MultiPickupTask(GripperTask):
     The reward is the negative distance from the last target to the goal, m. An episode always
     runs for 200 steps.
 
+    ``fixed_seed`` is the seed of a scene whose targets and goal every episode shares, so that only
+    gripper and distractors begin elsewhere; None: each episode has its own.
+
     Raises `InvalidInputError` where ``objects`` is not in 1 to 5 or ``distractors`` in 0 to 20.
     """
 
-    def __init__(self, objects: int = 2, distractors: int = 0, substeps: int = 10) -> None:
+    def __init__(
+        self,
+        objects: int = 2,
+        distractors: int = 0,
+        substeps: int = 10,
+        fixed_seed: int | None = None,
+    ) -> None:
         if not 1 <= objects <= MAX_OBJECTS:
             raise InvalidInputError(f"objects must be 1 to {MAX_OBJECTS}, found {objects}")
         check_counts(distractors, substeps)
@@ -41,10 +52,15 @@ class MultiPickupTask(GripperTask):
         self._objects = objects
         self._distractors = distractors
         self._substeps = substeps
+        self._fixed_seed = fixed_seed
+        self._fixed = fixed_layout(
+            fixed_seed, lambda rng: sample_layout(rng, objects, MAX_DISTRACTORS)
+        )
 
     def begin(self, seed: int) -> tuple[Scene, CircleWorld]:
         """Samples the scene of a seed, with everything at rest."""
-        layout = sample_layout(np.random.default_rng(seed), self._objects, self._distractors)
+        rng = np.random.default_rng(seed)
+        layout = sample_layout(rng, self._objects, self._distractors, self._fixed)
         names = tuple(f"target-{index}" for index in range(1, self._objects + 1))
         told: dict[str, str | int | float | bool] = {
             "task": "multi-pickup",
@@ -53,6 +69,7 @@ class MultiPickupTask(GripperTask):
             "distractors": self._distractors,
             "simulator": SIMULATOR,
             "substeps": self._substeps,
+            **fixed_metadata(self._fixed_seed),
         }
         return circle_scene(layout, names, told), circle_world(layout, self._substeps)
 

@@ -5,6 +5,7 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Scene, Trajectory
 from contactgraph.tasks.box2d import SIMULATOR, CircleWorld
 from contactgraph.tasks.contract import ChainCost
+from contactgraph.tasks.fixed_goal import fixed_layout, fixed_metadata
 from contactgraph.tasks.gripper_task import DT, GRIPPER, MASS, GripperTask
 from contactgraph.tasks.pickup_layout import HALF_WIDTH, RADIUS, PickupLayout, sample_layout
 
@@ -25,24 +26,33 @@ class PickupTask(GripperTask):
     stick to whatever they touch. The control ``[2]`` N is a force on the gripper. The reward is
     the negative distance from target to goal, m. An episode always runs for 200 steps.
 
+    ``fixed_seed`` is the seed of a scene whose target and goal every episode shares, so that only
+    gripper and distractors begin elsewhere; None: each episode has its own.
+
     Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
     """
 
-    def __init__(self, distractors: int = 0, substeps: int = 10) -> None:
+    def __init__(
+        self, distractors: int = 0, substeps: int = 10, fixed_seed: int | None = None
+    ) -> None:
         check_counts(distractors, substeps)
         super().__init__(2 + distractors, MAX_STEPS, HALF_WIDTH)
         self._distractors = distractors
         self._substeps = substeps
+        self._fixed_seed = fixed_seed
+        self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, 1, MAX_DISTRACTORS))
 
     def begin(self, seed: int) -> tuple[Scene, CircleWorld]:
         """Samples the scene of a seed, with everything at rest."""
-        layout = sample_layout(np.random.default_rng(seed), 1, self._distractors)
+        rng = np.random.default_rng(seed)
+        layout = sample_layout(rng, 1, self._distractors, self._fixed)
         told: dict[str, str | int | float | bool] = {
             "task": "pickup",
             "seed": seed,
             "distractors": self._distractors,
             "simulator": SIMULATOR,
             "substeps": self._substeps,
+            **fixed_metadata(self._fixed_seed),
         }
         return circle_scene(layout, ("target",), told), circle_world(layout, self._substeps)
 

@@ -52,14 +52,19 @@ def extent(targets: int) -> float:
     return HALF_WIDTH + WIDENING * (targets - 1)
 
 
-def sample_layout(rng: np.random.Generator, targets: int, distractors: int) -> PickupLayout:
+def sample_layout(
+    rng: np.random.Generator, targets: int, distractors: int, fixed: PickupLayout | None = None
+) -> PickupLayout:
     """Samples start positions and a goal, uniformly over those that satisfy the distances above.
 
-    A layout without room for every distractor is given up and sampled afresh as a whole, so that
+    With ``fixed``, the targets and the goal are those of this layout; all else is sampled. A
+    layout without room for every distractor is given up and sampled afresh as a whole, so that
     crowding does not bias where the gripper, the targets and the goal are within a layout.
     """
     while True:
         stops = _uniform(rng, targets + 2, HALF_WIDTH)
+        if fixed is not None:
+            stops[1:] = fixed.stops[1:]
         if not _passable(stops):
             continue
         others = _place_distractors(rng, stops, distractors)

@@ -7,6 +7,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.tasks.contract import ChainCost, Feedback, Observation
+from contactgraph.tasks.fixed_goal import fixed_layout, fixed_metadata
 from contactgraph.tasks.gripper_task import GRIPPER, GripperTask
 from contactgraph.tasks.mujoco.arm_world import BLOCK, BLOCK_MASS, ArmWorld, Grasp, arm_alone
 from contactgraph.tasks.mujoco.camera import Camera
@@ -42,7 +43,9 @@ class FrankaTask(GripperTask):
     them (`GraspReflex`) and hold it by friction. The reward is the negative distance from block to
     goal, m. An episode always runs for 400 steps of 0.01 s.
 
-    ``render_mode`` as in Gymnasium: with "rgb_array", `render` gives pictures.
+    ``fixed_seed`` is the seed of a scene whose goal and place of the block every episode shares, so
+    that only the hand and other blocks begin elsewhere (the block still faces the hand); None: each
+    episode has its own. ``render_mode`` as in Gymnasium: with "rgb_array", `render` gives pictures.
 
     Raises `InvalidInputError` where ``distractors`` is not in 0 to 5.
     """
@@ -54,6 +57,7 @@ class FrankaTask(GripperTask):
         distractors: int = 0,
         grasp: Grasp = Grasp.FRICTION,
         render_mode: str | None = None,
+        fixed_seed: int | None = None,
     ) -> None:
         if not 0 <= distractors <= MAX_DISTRACTORS:
             raise InvalidInputError(
@@ -72,13 +76,15 @@ class FrankaTask(GripperTask):
         )
         self._distractors = distractors
         self._grasp = grasp
+        self._fixed_seed = fixed_seed
+        self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_DISTRACTORS))
         self.render_mode = render_mode
         self._camera: Camera | None = None
         self._arm = mujoco.MjModel.from_xml_string(arm_alone())
 
     def begin(self, seed: int) -> tuple[Scene, ArmWorld]:
         """Samples the scene of a seed, with everything at rest."""
-        layout = sample_layout(np.random.default_rng(seed), self._distractors)
+        layout = sample_layout(np.random.default_rng(seed), self._distractors, self._fixed)
         joints = joints_at(self._arm, layout.hand, layout.yaw)
         world = ArmWorld(joints, layout.blocks, layout.block_yaw, DT, self._grasp)
         count = 1 + len(layout.blocks)
@@ -101,6 +107,7 @@ class FrankaTask(GripperTask):
                 "goal_radius": GOAL_RADIUS,
                 "contact_distance": CONTACT_DISTANCE,
                 "simulator": SIMULATOR,
+                **fixed_metadata(self._fixed_seed),
             },
         )
         return scene, world

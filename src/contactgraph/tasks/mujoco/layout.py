@@ -45,12 +45,19 @@ class ArmLayout:
     """[3] m"""
 
 
-def sample_layout(rng: np.random.Generator, distractors: int) -> ArmLayout:
-    """Samples a layout, uniformly over those that satisfy the distances above."""
+def sample_layout(
+    rng: np.random.Generator, distractors: int, fixed: ArmLayout | None = None
+) -> ArmLayout:
+    """Samples a layout, uniformly over those that satisfy the distances above.
+
+    With ``fixed``, the target's place and the goal are those of this layout; all else is sampled.
+    """
     while True:
         hand, target, goal = rng.uniform(LOW, HIGH, (3, 3))
         target[:2] = rng.uniform(LOW[:2] + EDGE, HIGH[:2] - EDGE)
         target[2] = BLOCK[2] / 2
+        if fixed is not None:
+            target, goal = fixed.blocks[0], fixed.goal
         if min(hand[2], goal[2]) < START_HEIGHT:
             continue
         way, on = target - hand, goal - target
