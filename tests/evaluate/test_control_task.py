@@ -11,6 +11,7 @@ from contactgraph.control import ILQR, MPC, ControlLimits, QuadraticCost, chain_
 from contactgraph.data import Dataset, InvalidInputError, pair_indices
 from contactgraph.evaluate import (
     MPCPolicy,
+    TaskCost,
     control_task,
     episode_seeds,
     evaluate_open_loop,
@@ -35,7 +36,7 @@ class Counted(GluedBodies):
 
 def policy_of(model, capacity=0, limits=None) -> MPCPolicy:
     ilqr = ILQR(5, 2, limits)
-    return MPCPolicy(MPC(model, ilqr), PickupTask().cost_terms(), 2, capacity)
+    return MPCPolicy(MPC(model, ilqr), TaskCost.of(PickupTask().cost_terms(), 2), capacity)
 
 
 def test_the_known_world_is_picked_up_in_one_sweep():
@@ -92,7 +93,7 @@ class Watcher:
         return Watched(cost, two_type_belief(jnp.zeros(nodes.candidate.shape)))
 
     def step(self, observation, contacts, state):
-        self.costs.append(state.cost)
+        self.costs.append(state.cost.quadratic(4))
         touching = contacts[tuple(pair_indices(len(contacts)).T)]
         held = replace(state, belief=two_type_belief(jnp.asarray(touching, float)))
         return SimpleNamespace(controls=jnp.zeros((1, 2))), held
@@ -105,7 +106,7 @@ WEIGHTS = np.array([3.0, 3.0, 0.2, 0.2]), np.array([50.0, 50.0, 1.0, 1.0]), 0.01
 def planned_for(contacts, chain=TOLD) -> list[QuadraticCost]:
     """The cost at each tick, the contacts of the tick before being known by then."""
     watcher = Watcher()
-    policy = MPCPolicy(watcher, ChainCost(chain, *WEIGHTS), 2)
+    policy = MPCPolicy(watcher, TaskCost.of(ChainCost(chain, *WEIGHTS), 2))
     policy.reset(scene_of(4, goal=np.ones(2)), 0)
     for pairs in contacts:
         contact = np.zeros((4, 4), np.int8)

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
+from typing import Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,6 +10,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
+
+
+class Cost(Protocol):
+    """What `MPC` and `ILQR` take for a cost: whatever becomes quadratic in a scene."""
+
+    def quadratic(self, node_count: int) -> "QuadraticCost":
+        """The cost of a scene padded to ``node_count`` nodes."""
+        ...
 
 
 class QuadraticCost(eqx.Module):
@@ -46,6 +55,10 @@ class QuadraticCost(eqx.Module):
         error = states - goal
         state_cost = jnp.sum(error * jnp.einsum("tij,tj->ti", Q, error))
         return state_cost + jnp.sum(controls * jnp.einsum("tij,tj->ti", R, controls))
+
+    def quadratic(self, node_count: int) -> "QuadraticCost":
+        """Itself: the `Cost` that is one already."""
+        return self
 
     def over(self, horizon: int) -> tuple[Array, Array, Array]:
         """``Q [H+1,n,n]``, ``R [H,U,U]`` and ``goal [H+1,n]``, one a step."""

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.control_step import ControlLimits
-from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.lqr import Improvement, LQRPolicy, LQRProblem, improve_policy
 from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.rollout import Rollout, block_index, block_product, roll_out
@@ -55,7 +55,7 @@ class ILQR(eqx.Module):
         model: StepModel,
         state: ModelState,
         nodes: Nodes,
-        cost: QuadraticCost,
+        cost: Cost,
         guess: LQRPolicy | None = None,
     ) -> Plan:
         """The best plan from a state, starting from a guessed policy (None: no force).
@@ -64,13 +64,12 @@ class ILQR(eqx.Module):
         ITERATION_LIMIT, NO_DESCENT or NOT_FINITE; with NOT_FINITE neither the guess nor zero
         control could be rolled out, and the controls are zero (or the nearest within limits).
         """
-        dimension = state.position.shape[-1]
-        involved = cost.involved
-        if involved is None:
-            involved = jnp.arange(state.position.shape[0])
+        count, dimension = state.position.shape
+        quadratic = cost.quadratic(count)
+        involved = jnp.arange(count) if quadratic.involved is None else quadratic.involved
         index = block_index(involved, dimension)
-        guess = self.zero_policy(2 * state.position.size, cost) if guess is None else guess
-        part = _part_of(cost, index, self.horizon)
+        guess = self.zero_policy(2 * state.position.size, quadratic) if guess is None else guess
+        part = _part_of(quadratic, index, self.horizon)
         trial = LQRPolicy(guess.K[:, :, index], guess.k)
 
         shape = jax.eval_shape(

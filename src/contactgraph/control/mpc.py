@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.lqr import LQRPolicy
 from contactgraph.control.measurement import MeasurementReader, Observation
@@ -93,12 +93,14 @@ class MPC:
         self._dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
         self._readers: dict[tuple[int, int], MeasurementReader] = {}
 
-    def reset(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> MPCState:
+    def reset(self, observation: Observation, nodes: Nodes, cost: Cost) -> MPCState:
         """Begin a run: the model's first belief and a first plan. Compiles where need be.
 
         Raises `InvalidInputError` where the observation is not finite or shapes do not fit.
         """
-        capacity, size = nodes.mask.shape[0], cost.goal.shape[-1]
+        capacity = nodes.mask.shape[0]
+        quadratic = cost.quadratic(capacity)
+        size = quadratic.goal.shape[-1]
         if size % (2 * capacity):
             raise InvalidInputError(
                 f"cost.goal must have 2ND entries for the capacity N = {capacity}, found {size}"
@@ -115,9 +117,9 @@ class MPC:
         state = _strongly_typed(
             MPCState(
                 nodes=nodes,
-                cost=cost,
+                cost=quadratic,
                 belief=belief,
-                plan=self._no_plan(size, cost, belief),
+                plan=self._no_plan(size, quadratic, belief),
                 unplanned=jnp.asarray(self._controller.replan_every, jnp.int32),
                 fresh=jnp.ones((), bool),
             ),

@@ -14,6 +14,8 @@ from contactgraph.evaluate.open_loop import evaluate_open_loop as evaluate_open_
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail as OpenLoopDetail
 from contactgraph.evaluate.planned_error import PlannedError as PlannedError
 from contactgraph.evaluate.planned_error import planned_error as planned_error
+from contactgraph.evaluate.scene_cost import SceneCost as SceneCost
+from contactgraph.evaluate.scene_cost import TaskCost as TaskCost
 from contactgraph.evaluate.sensor_faults import SensorFaults as SensorFaults
 from contactgraph.evaluate.statistics import MedianInterval as MedianInterval
 from contactgraph.evaluate.statistics import median_interval as median_interval

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contactgraph.control import MPC, MPCState, Plan, QuadraticCost, chain_cost
+from contactgraph.control import MPC, MPCState, Plan
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
+from contactgraph.evaluate.scene_cost import SceneCost
 from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
 from contactgraph.model import scene_nodes
-from contactgraph.tasks.contract import ChainCost, Feedback, Observation
+from contactgraph.tasks.contract import Feedback, Observation
 
 _EXACT = SensorFaults()
 
@@ -40,7 +41,7 @@ class _Tick:
 
 
 class MPCPolicy:
-    """A `contactgraph.tasks.Policy`: plans along the task's chain of nodes to the scene's goal.
+    """A `contactgraph.tasks.Policy`: plans with a cost about some nodes and the scene's goal.
 
     Scenes are padded to a capacity of nodes, so that another number of objects recompiles
     nothing; a scene above it raises the capacity, and compiles once more. Compiling is done
@@ -50,36 +51,34 @@ class MPCPolicy:
     def __init__(
         self,
         mpc: MPC,
-        terms: ChainCost,
-        control_size: int,
+        cost: SceneCost,
         node_capacity: int = 0,
         faults: SensorFaults = _EXACT,
         measured: bool = True,
     ) -> None:
-        """``control_size``: U, of the task's action. ``node_capacity``: 0 for the first scene's.
+        """``node_capacity``: 0 for the first scene's.
 
         ``faults``: how the observed contacts are spoiled before the controller sees them. Without
         ``measured`` it sees none.
         """
         self._mpc = mpc
-        self._terms = terms
-        self._control_size = control_size
+        self._cost = cost
+        self._placed, self._order = cost, cost.order
         self._capacity = node_capacity
         self._faults = faults
         self._measured = measured
         self._sensor: FaultySensor | None = None
         self._scene: Scene | None = None
         self._state: MPCState | None = None
-        self._chain = terms.chain
         self._ticks: list[_Tick] = []
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode in ``scene``; only the sensor's faults are random.
 
-        Raises `InvalidInputError` where the scene has no goal.
+        Raises `InvalidInputError` where cost and scene do not fit, for want of a goal, say.
         """
-        if scene.goal is None:
-            raise InvalidInputError("the scene has no goal; a plan needs one")
+        self._placed = self._cost.in_scene(scene)
+        self._order = self._placed.order
         self._capacity = max(self._capacity, scene.node_count)
         self._scene, self._state, self._ticks = scene, None, []
         self._sensor = self._faults.begin(scene, seed)
@@ -135,39 +134,27 @@ class MPCPolicy:
         return self._sensor(observation["contact"])
 
     def _begin(self, observation: Observation) -> MPCState:
-        if self._scene is None or self._scene.goal is None:
+        if self._scene is None:
             raise InvalidInputError("call reset(scene, seed) first")
-        self._chain = self._terms.chain
         nodes = scene_nodes(self._scene, self._capacity)
-        return self._mpc.reset(observation, nodes, self._cost(self._scene.goal))
+        return self._mpc.reset(observation, nodes, self._placed)
 
     def _along_what_is_held(self, state: MPCState) -> MPCState:
-        """The state with the chain's held nodes before those that are still to be picked up.
+        """The state with the cost's held nodes before those that are still to be picked up.
 
         A node that is picked up out of turn would else stand in the chain between two that pull
         at it, and nothing further would be picked up.
         """
-        if self._scene is None or self._scene.goal is None or len(self._terms.chain) < 3:
+        order = self._placed.order
+        if len(order) < 3:
             return state
-        chain = self._terms.chain
         pairs = pair_indices(self._capacity)
         active = pairs[np.asarray(state.belief.probability) > 0.5]
         contact = np.zeros((self._capacity, self._capacity), dtype=bool)
         contact[active[:, 0], active[:, 1]] = contact[active[:, 1], active[:, 0]] = True
-        held = joined(contact[None])[0, chain[0]] > 0
-        onward = tuple(sorted(chain, key=lambda node: (not held[node], chain.index(node))))
-        if onward == self._chain:
+        held = joined(contact[None])[0, order[0]] > 0
+        onward = tuple(sorted(order, key=lambda node: (not held[node], order.index(node))))
+        if onward == self._order:
             return state
-        self._chain = onward
-        return replace(state, cost=self._cost(self._scene.goal))
-
-    def _cost(self, goal: np.ndarray) -> QuadraticCost:
-        return chain_cost(
-            self._chain,
-            self._terms.pick_weights,
-            self._terms.goal_weights,
-            self._terms.control_weight,
-            goal,
-            self._capacity,
-            self._control_size,
-        )
+        self._order = onward
+        return replace(state, cost=self._placed.among(onward).quadratic(self._capacity))

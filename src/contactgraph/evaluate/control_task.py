@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.control import ILQR, MPC, ControlLimits
-from contactgraph.data import Trajectory
+from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
 from contactgraph.evaluate.control_policy import EpisodeRecord, MPCPolicy
 from contactgraph.evaluate.planned_error import PlannedError, planned_error
+from contactgraph.evaluate.scene_cost import SceneCost, TaskCost
 from contactgraph.evaluate.sensor_faults import SensorFaults
 from contactgraph.model import ContactSensor, StepModel
 from contactgraph.model.model_fit import check_fit
@@ -28,6 +29,7 @@ def control_task(
     episodes: int,
     seed: int,
     *,
+    cost: SceneCost | None = None,
     horizon: int = 20,
     iterations: int = 5,
     replan_every: int = 1,
@@ -40,7 +42,7 @@ def control_task(
 ) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
     """Runs ``episodes`` episodes under `MPC` with this model, and measures them.
 
-    The cost is the task's own, the force limits are its action space's. Episode ``i`` has the
+    ``cost`` None is the task's own; the force limits are its action space's. Episode ``i`` has the
     seed `collect` would give it. ``horizon``, ``iterations`` and ``replan_every`` are `ILQR`'s
     and `MPC`'s, ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s. ``on_episode`` is
     called after each episode with what was done and what the controller thought.
@@ -63,7 +65,9 @@ def control_task(
     limits = ControlLimits(jnp.asarray(box.low), jnp.asarray(box.high))
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
     mpc = MPC(model, ilqr, sensor or faults.sensor, replan_every, deadline)
-    policy = MPCPolicy(mpc, terms, control_size, node_capacity, faults, measured)
+    wanted = TaskCost.of(terms, control_size) if cost is None else cost
+    _check_cost(wanted, task, control_size)
+    policy = MPCPolicy(mpc, wanted, node_capacity, faults, measured)
 
     runs: list[Trajectory] = []
     succeeded: list[bool] = []
@@ -81,3 +85,13 @@ def control_task(
         runs, succeeded, terms.chain, seed, np.concatenate(plan_ms), planned
     )
     return metrics, runs
+
+
+def _check_cost(cost: SceneCost, task: Task, control_size: int) -> None:
+    """Before anything is compiled: whether the cost is about this task at all."""
+    found = cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
+    if found != control_size:
+        raise InvalidInputError(
+            f"the cost is for control size U {found}, but the task has {control_size}; they must "
+            "agree"
+        )

@@ -1,0 +1,112 @@
+"""Demonstrations as the learner of a cost sees them: states, controls, and linear dynamics."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.model import LinearDynamics
+from contactgraph.model.follow import FollowedRun
+
+
+class DemonstrationWindow(eqx.Module):
+    """``H`` steps of one demonstration, linear along what was done."""
+
+    A: Float[Array, "H m m"]
+    B: Float[Array, "H m U"]
+    offset: Float[Array, "H m"]
+    states: Float[Array, "H+1 m"]
+    controls: Float[Array, "H U"]
+    goal: Float[Array, " m"]
+
+
+class Demonstrations(eqx.Module):
+    """Runs of the ``M`` kept nodes, padded to the longest; ``m = 2MD`` in `stack_state`'s order."""
+
+    A: Float[Array, "runs T m m"]
+    B: Float[Array, "runs T m U"]
+    offset: Float[Array, "runs T m"]
+    states: Float[Array, "runs T+1 m"]
+    controls: Float[Array, "runs T U"]
+    goal: Float[Array, "runs m"]
+    """Of every node, at rest."""
+
+    def window(self, run: Array, start: Array, horizon: int) -> DemonstrationWindow:
+        """``H`` steps of a run from one of its states on."""
+
+        def cut(values: Array, count: int) -> Array:
+            return jax.lax.dynamic_slice_in_dim(values[run], start, count)
+
+        return DemonstrationWindow(
+            A=cut(self.A, horizon),
+            B=cut(self.B, horizon),
+            offset=cut(self.offset, horizon),
+            states=cut(self.states, horizon + 1),
+            controls=cut(self.controls, horizon),
+            goal=self.goal[run],
+        )
+
+
+def demonstrations_of(
+    dataset: Dataset,
+    followed: FollowedRun,
+    names: Sequence[str],
+    goal: np.ndarray | None = None,
+) -> Demonstrations:
+    """The named nodes' part of every run; ``goal`` [D] m in place of the runs' own.
+
+    Raises `InvalidInputError`, naming the run, where one has no goal.
+    """
+    runs, longest = len(dataset), max(run.steps for run in dataset)
+    dimension, M, U = dataset.dimension, len(names), dataset.control_size
+    nodes = np.array([[run.scene.node_name.index(name) for name in names] for run in dataset])
+    states = np.zeros((runs, longest + 1, 2 * M * dimension))
+    controls = np.zeros((runs, longest, U))
+    goals = np.zeros((runs, M, 2, dimension))
+    for number, run in enumerate(dataset):
+        place = run.scene.goal if goal is None else goal
+        if place is None:
+            raise InvalidInputError(f"run {number}: goal is missing; a cost is about a goal")
+        both = np.stack([run.position, run.velocity], axis=2)[:, nodes[number]]
+        states[number, : run.steps + 1] = both.reshape(run.steps + 1, -1)
+        controls[number, : run.steps] = run.control
+        goals[number, :, 0] = place
+    dtype = followed.dynamics.A.dtype
+    kept = jax.tree.map(
+        lambda block: jax.vmap(lambda of_run, chosen: of_run[:-1, chosen])(block, nodes),
+        followed.dynamics,
+    )
+    A, B, offset = _stacked(kept)
+    return Demonstrations(
+        A=A,
+        B=B,
+        offset=offset,
+        states=jnp.asarray(states, dtype),
+        controls=jnp.asarray(controls, dtype),
+        goal=jnp.asarray(goals.reshape(runs, -1), dtype),
+    )
+
+
+def window_starts(dataset: Dataset, horizon: int) -> np.ndarray:
+    """[W, 2] (run, step) of every window of ``horizon`` steps.
+
+    Raises `InvalidInputError`, naming the run, where one is shorter.
+    """
+    for number, run in enumerate(dataset):
+        if run.steps < horizon:
+            raise InvalidInputError(
+                f"run {number}: control must have at least the horizon's {horizon} steps, found "
+                f"{run.steps}"
+            )
+    return np.array(
+        [(i, t) for i, run in enumerate(dataset) for t in range(run.steps - horizon + 1)]
+    )
+
+
+@jax.jit
+def _stacked(dynamics: LinearDynamics) -> tuple[Array, Array, Array]:
+    return dynamics.stacked()

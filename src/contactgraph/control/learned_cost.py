@@ -1,0 +1,131 @@
+"""A cost that was learned from demonstrations, and where it belongs in a scene."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from contactgraph.control.cost import QuadraticCost
+from contactgraph.data import InvalidInputError, Scene
+
+
+@dataclass(frozen=True)
+class Participant:
+    """What demonstrations tell of one node: whether it takes part in the task, and why."""
+
+    name: str
+    actuated: bool
+    runs: int
+    """Of the demonstrations, those in which the node is there."""
+    active_runs: int
+    """Those in which it has an active edge at some step, by the model's inference."""
+    joins_s: float | None
+    """When its first edge becomes active, s; the median over those runs. None: never."""
+
+    @property
+    def kept(self) -> bool:
+        """A node takes part if it is actuated or has an active edge in any demonstration."""
+        return self.actuated or self.active_runs > 0
+
+    @property
+    def reason(self) -> str:
+        """Why it is kept or dropped, in words."""
+        if self.active_runs:
+            when = f"in contact in {self.active_runs} of {self.runs} runs, from {self.joins_s:g} s"
+            return f"actuated; {when}" if self.actuated else when
+        return "actuated" if self.actuated else f"no active edge in any of {self.runs} runs"
+
+
+class LearningHistory(eqx.Module):
+    """How learning went, step by step."""
+
+    imitation: Float[Array, " S"]
+    """Loss on states and controls, in the units of `contactgraph.control.learn_cost`."""
+    prior: Float[Array, " S"]
+    """Share of Q that ties terms or axes together which the prior takes for independent."""
+    smallest_q: Float[Array, " S"]
+    """Smallest eigenvalue of Q."""
+    smallest_r: Float[Array, " S"]
+    """Smallest eigenvalue of R, 1/N^2."""
+
+
+class LearnedCost(eqx.Module):
+    """``sum (x - goal)^T Q (x - goal) + sum u^T R u`` over the nodes that take part in a task.
+
+    ``x`` is `stack_state`'s vector of the kept nodes, in their order; the goal is the same place
+    for all of them, at rest (the paper's ``x_f``). A cost is known up to a factor: here the mean of
+    R's diagonal is 1/N^2.
+
+    It is a `Cost`: `MPC` and `ILQR` take it as it is, for the scene of the demonstrations and
+    their goal. `in_scene` and `with_goal` give it for others.
+    """
+
+    Q: Float[Array, "m m"]
+    """``m = 2MD``; symmetric, positive semi-definite; 1/m^2 and s^2/m^2."""
+    R: Float[Array, "U U"]
+    """Symmetric, positive definite; 1/N^2."""
+    goal: Float[Array, " D"]
+    """m"""
+    nodes: Int[Array, " M"]
+    """Where the kept nodes are in the scene."""
+    kept_nodes: tuple[str, ...] = eqx.field(static=True)
+    """[M] names, in the order in which they come into contact: gripper, first object, …"""
+    history: LearningHistory
+    participants: tuple[Participant, ...] = eqx.field(static=True, default=())
+    """All nodes of the demonstrations, kept and dropped."""
+
+    def with_goal(self, goal: Sequence[float] | np.ndarray) -> "LearnedCost":
+        """The same wishes, with another goal [D] m."""
+        place = np.asarray(goal, dtype=np.float64)
+        if place.shape != self.goal.shape or not np.all(np.isfinite(place)):
+            raise InvalidInputError(
+                f"goal must be {self.goal.shape[0]} finite numbers [m], found {goal}"
+            )
+        return replace(self, goal=jnp.asarray(place, self.goal.dtype))
+
+    def in_scene(self, scene: Scene) -> "LearnedCost":
+        """The same wishes in another scene: its goal, and its nodes of the same names.
+
+        Raises `InvalidInputError` where the scene has no goal or lacks a node.
+        """
+        if scene.goal is None:
+            raise InvalidInputError("the scene has no goal; a cost needs one")
+        if scene.dimension != self.goal.shape[0]:
+            raise InvalidInputError(
+                f"the cost is for dimension D {self.goal.shape[0]}, but the scene has "
+                f"{scene.dimension}; they must agree"
+            )
+        missing = [name for name in self.kept_nodes if name not in scene.node_name]
+        if missing:
+            raise InvalidInputError(
+                f"the cost is about the nodes {', '.join(self.kept_nodes)}, but the scene has no "
+                f"{', '.join(missing)}; its nodes are {', '.join(scene.node_name)}"
+            )
+        found = [scene.node_name.index(name) for name in self.kept_nodes]
+        return replace(self.with_goal(scene.goal), nodes=jnp.asarray(found, jnp.int32))
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """[M] Where the kept nodes are in the scene."""
+        return tuple(int(node) for node in self.nodes)
+
+    def among(self, nodes: Sequence[int]) -> "LearnedCost":
+        """The same wishes about other nodes [M] in the places of the kept ones, in this order."""
+        return replace(self, nodes=jnp.asarray(nodes, jnp.int32))
+
+    def quadratic(self, node_count: int) -> QuadraticCost:
+        """The cost of a scene padded to ``node_count`` nodes."""
+        part = self.Q.shape[0] // len(self.kept_nodes)
+        rows = (part * self.nodes[:, None] + jnp.arange(part)).reshape(-1)
+        Q = jnp.zeros((node_count * part, node_count * part), self.Q.dtype)
+        rest = jnp.concatenate([self.goal, jnp.zeros_like(self.goal)])
+        goal = jnp.zeros((node_count, part), self.Q.dtype).at[self.nodes].set(rest)
+        return QuadraticCost(
+            Q=Q.at[rows[:, None], rows[None, :]].set(self.Q),
+            R=self.R,
+            goal=goal.reshape(-1),
+            involved=self.nodes,
+        )
