@@ -9,6 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from contactgraph.data import InvalidInputError
 from contactgraph.evaluate import collect
 from contactgraph.tasks import MultiPickupTask, PickupExpert, PickupTask, check_task
+from contactgraph.tasks.fixed_goal import fixed_layout
 from contactgraph.tasks.multi_pickup import held
 from contactgraph.tasks.pickup_layout import (
     CORRIDOR,
@@ -48,10 +49,12 @@ def test_one_object_is_laid_out_as_a_pickup():
         assert np.array_equal(multi["goal"], single["goal"])
 
 
+@pytest.mark.parametrize("fixed_seed", [None, 3])
 @pytest.mark.parametrize(("objects", "distractors"), [(2, 3), (5, 10)])
-def test_stops_are_apart_and_the_ways_are_clear(objects, distractors):
+def test_stops_are_apart_and_the_ways_are_clear(objects, distractors, fixed_seed):
+    fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, objects, 20))
     for seed in SEEDS:
-        layout = sample_layout(np.random.default_rng(seed), objects, distractors)
+        layout = sample_layout(np.random.default_rng(seed), objects, distractors, fixed)
         assert layout.position.shape == (1 + objects + distractors, 2)
         assert np.abs(layout.stops).max() <= 1.0 - RADIUS
         for index in range(objects + 1):
