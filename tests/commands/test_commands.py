@@ -70,7 +70,10 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str], arguments:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ("collect", "TASK --out --episodes --seed --distractors --objects --grasp --mixed"),
+        (
+            "collect",
+            "TASK --out --episodes --seed --distractors --objects --grasp --mixed --goal --expert",
+        ),
         ("train", "DATA --out --model --seed --resume gim-temp gim-non-temp no-gim full-ab"),
         ("evaluate", "RUN DATA --json"),
         (

@@ -83,6 +83,23 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
             "collect pickup --out a.h5 --resting 0.6 --exploration 0.6",
             "--exploration and --resting together must not exceed 1",
         ),
+        (
+            "collect pickup --out a.h5 --goal moving",
+            "--goal must be one of sampled, fixed; found 'moving'",
+        ),
+        (
+            "collect pickup --out a.h5 --expert best",
+            "--expert must be one of train, demo; found 'best'",
+        ),
+        (
+            "collect pickup --out a.h5 --expert demo --resting 0.1",
+            "--expert demo: every run is a demonstration, so --exploration and --resting must be ",
+        ),
+        (
+            "collect multi-pickup --out a.h5 --goal fixed --mixed --objects 2",
+            "--goal fixed: all runs have the same objects, so --mixed takes --objects 1 or none, f",
+        ),
+        ("collect pickup --out a.h5 --goal fixed --seed -1", "--seed must be 0 to 4294967295, fou"),
         ("collect pickup --out no/a.h5", "no/a.h5: folder no does not exist"),
         ("collect pickup --out .", ".: must be a file, found a folder"),
         ("train a.h5 --out run", "a.h5: does not exist"),
