@@ -8,11 +8,12 @@ from made_up import AMOUNTS, by_the_paper, results
 
 from contactgraph.reproduce.claims import claims
 from contactgraph.reproduce.declared import DOOR, FRANKA, FULL_AB, GIM_TEMP, MODELS, PICKUP, TASKS
+from contactgraph.reproduce.findings import Findings, Picture
 from contactgraph.reproduce.number_table import csv_numbers, markdown_numbers
 from contactgraph.reproduce.plan_cells import Source, Where
 from contactgraph.reproduce.results import Figure, Reading, Results
-from contactgraph.reproduce.study_page import Picture, StudyPage, study_page
-from contactgraph.reproduce.study_table import csv_rows, markdown_rows, rows
+from contactgraph.reproduce.study_page import StudyPage, study_page
+from contactgraph.reproduce.study_table import csv_rows, markdown_rows, page_table, rows
 from contactgraph.reproduce.targets import targets
 from contactgraph.reproduce.words import joined, short, with_range
 
@@ -88,21 +89,24 @@ def test_targets_are_judged_by_the_median_over_seeds() -> None:
 
 
 def test_the_page_says_verdicts_first_and_loads_nothing() -> None:
-    page = study_page(
-        StudyPage(
-            title="Study <1>",
-            summary="in short",
-            claims=claims(results({ERROR: 0.02}), TASKS, AMOUNTS),
-            targets=targets(results(), TASKS, (0, 1, 2)),
-            table=rows(results(), TASKS, AMOUNTS),
-            figures=[Picture("Errors", "cm", b"<svg/>", "svg+xml")],
-            scenes=[],
-            failures=[("contactgraph x", "exit code 2; <b>")],
-            commands=["contactgraph reproduce all"],
-            versions={"jax": "1"},
-            date="today",
-        )
+    found = Findings(
+        title="Study <1>",
+        summary="in short",
+        claims=claims(results({ERROR: 0.02}), TASKS, AMOUNTS),
+        asked="What it must reach",
+        targets=targets(results(), TASKS, (0, 1, 2)),
+        tables=[page_table(rows(results(), TASKS, AMOUNTS))],
+        table_markdown="",
+        table_csv="",
+        figures=[Picture("Errors", "cm", b"<svg/>", "svg+xml")],
+        scenes=[],
+        amounts={},
+        readings=[],
     )
+    failures = [("contactgraph x", "exit code 2; <b>")]
+    commands = ["contactgraph reproduce all"]
+    page = study_page(StudyPage(found, failures, commands, {"jax": "1"}, "today"))
+    assert page.count("<td>pickup</td><td>as trained</td><td>GIM-Temp</td>") == 1
     assert "Study &lt;1&gt;" in page and "exit code 2; &lt;b&gt;" in page
     assert page.index('class="verdict missed">does not hold') < page.index('id="figures"')
     assert page.index('class="verdict met">holds') < page.index('id="figures"')

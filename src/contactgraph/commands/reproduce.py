@@ -28,16 +28,18 @@ class Reproduce:
         from contactgraph.commands.study import Study
         from contactgraph.data import InvalidInputError
         from contactgraph.reproduce.declared import EVERY_TASK, FULL, QUICK, TASKS
+        from contactgraph.reproduce.model_study import ModelStudy
 
-        studies = {**{task.name: (task,) for task in EVERY_TASK}, "all": TASKS}
-        tasks = looked_up("study", self.study, studies)
+        amounts = QUICK if self.quick else FULL
+        studies = {task.name: ModelStudy((task,), amounts) for task in EVERY_TASK}
+        studies["all"] = ModelStudy(TASKS, amounts)
+        plan = looked_up("study", self.study, studies)
         folder = self.out or Path("results") / ("study" if self.study == "all" else self.study)
         if folder.exists() and not folder.is_dir():
             raise InvalidInputError(f"--out: {folder} must be a folder, found a file")
         option = " --quick" if self.quick else ""
         study = Study(
-            tasks=tasks,
-            amounts=QUICK if self.quick else FULL,
+            plan=plan,
             folder=folder,
             command=f"contactgraph reproduce {self.study}{option}",
         )

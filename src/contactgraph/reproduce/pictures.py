@@ -10,11 +10,12 @@ from contactgraph.model.storage import load_model
 from contactgraph.reproduce.chart import svg, write_chart
 from contactgraph.reproduce.declared import GIM_TEMP, Amounts, StudyTask
 from contactgraph.reproduce.error_charts import edge_chart, error_chart, fault_chart, sample_chart
-from contactgraph.reproduce.plan_cells import Measurement, Source
+from contactgraph.reproduce.findings import Picture
+from contactgraph.reproduce.measurement import Measurement
+from contactgraph.reproduce.plan_cells import Source, Where
 from contactgraph.reproduce.results import Results
 from contactgraph.reproduce.run_chart import run_chart
 from contactgraph.reproduce.scenes import scene_run
-from contactgraph.reproduce.study_page import Picture
 from contactgraph.reproduce.study_table import Row
 from contactgraph.view import SceneRun, write_still
 
@@ -70,7 +71,7 @@ def _drawn(folder: Path, name: str, title: str, caption: str, chart: Chart) -> P
 
 
 def scene_pictures(
-    folder: Path, tasks: Sequence[StudyTask], wanted: Sequence[Measurement]
+    folder: Path, tasks: Sequence[StudyTask], wanted: Sequence[Measurement[Where]]
 ) -> tuple[list[Picture], list[Picture]]:
     """Stills of GIM-Temp at work under every condition, and what it inferred in one run a task."""
     stills, insights = [], []
@@ -100,7 +101,7 @@ def scene_pictures(
 
 
 def _first_episode(
-    folder: Path, wanted: Sequence[Measurement], task: str, condition: str
+    folder: Path, wanted: Sequence[Measurement[Where]], task: str, condition: str
 ) -> SceneRun | None:
     """Of the first seed's GIM-Temp, as its model sees it; None where there is none."""
     for one in wanted:

@@ -17,6 +17,7 @@ from contactgraph.reproduce.declared import (
     StudyTask,
     TestCondition,
 )
+from contactgraph.reproduce.measurement import Measurement
 
 
 class Source(Enum):
@@ -45,17 +46,7 @@ class Where:
     """Training runs, for `Source.samples`."""
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """One cell whose output holds numbers."""
-
-    where: Where
-    seed: int
-    """Of the training."""
-    cell: Cell
-
-
-def measurements(tasks: Sequence[StudyTask], amounts: Amounts) -> list[Measurement]:
+def measurements(tasks: Sequence[StudyTask], amounts: Amounts) -> list[Measurement[Where]]:
     """All of a study: GIM-Temp against its targets first, then the rest, seed after seed."""
     every = [one for seed in amounts.seeds for task in tasks for one in _of(task, seed, amounts)]
     aims = (Source.recorded, Source.planned, Source.every_step)
@@ -70,7 +61,7 @@ def conditions_of(task: StudyTask, amounts: Amounts) -> list[TestCondition]:
     return [one for one in task.conditions if amounts.extras or not one.extra]
 
 
-def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
+def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement[Where]]:
     for model in task.models:
         runs = task.augmented_runs if model.augmented else task.training_runs
         trained = training(task, model, seed, runs, amounts)
@@ -143,27 +134,27 @@ def _recorded(
     seed: int,
     trained: Cell,
     data: Cell,
-) -> Measurement:
+) -> Measurement[Where]:
     where = Where(Source.recorded, task.name, model.name, condition.name)
     return Measurement(where, seed, _evaluation(trained, data, f"recorded-{condition.slug}"))
 
 
 def _faulty(
     task: StudyTask, seed: int, trained: Cell, data: Cell, fault: SensorFault
-) -> Measurement:
+) -> Measurement[Where]:
     where = Where(Source.faults, task.name, GIM_TEMP.name, task.as_trained.name, fault=fault.name)
     return Measurement(where, seed, _evaluation(trained, data, fault.slug, fault.options))
 
 
 def _growth(
     task: StudyTask, model: StudyModel, seed: int, trained: Cell, data: Cell
-) -> Measurement:
+) -> Measurement[Where]:
     where = Where(Source.growth, task.name, model.name, task.as_trained.name)
     options = ("--growth-steps", str(task.run_steps))
     return Measurement(where, seed, _evaluation(trained, data, "growth", options))
 
 
-def _samples(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
+def _samples(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement[Where]]:
     for runs in amounts.sample_sizes:
         for model in (GIM_TEMP, NO_GIM_AUG):
             trained = training(task, model, seed, runs, amounts)
@@ -206,7 +197,7 @@ def _planned(
     seed: int,
     trained: Cell,
     amounts: Amounts,
-) -> Measurement:
+) -> Measurement[Where]:
     where = Where(Source.planned, task.name, model.name, condition.name)
     options = (
         *("--episodes", str(amounts.episodes), "--replan-every", str(task.steps_ahead)),
@@ -218,13 +209,13 @@ def _planned(
 
 def _every_step(
     task: StudyTask, condition: TestCondition, seed: int, trained: Cell, amounts: Amounts
-) -> Measurement:
+) -> Measurement[Where]:
     where = Where(Source.every_step, task.name, GIM_TEMP.name, condition.name)
     options = ("--episodes", str(amounts.success_episodes))
     return Measurement(where, seed, _control(task, condition, trained, "every-step", options))
 
 
-def _long_plan(task: StudyTask, model: StudyModel, seed: int, trained: Cell) -> Measurement:
+def _long_plan(task: StudyTask, model: StudyModel, seed: int, trained: Cell) -> Measurement[Where]:
     """The paper plans Full-AB over a whole run: there its growth shows."""
     where = Where(Source.long_plan, task.name, model.name, task.as_trained.name)
     options = ("--episodes", "5", "--horizon", str(task.run_steps), "--replan-every", "50")

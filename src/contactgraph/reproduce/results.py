@@ -1,14 +1,14 @@
-"""What the cells of a study measured, as one number a training seed."""
+"""What the cells of a study measured, as one number a seed."""
 
 import json
 import math
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from contactgraph.reproduce.plan_cells import Measurement, Where
+from contactgraph.reproduce.measurement import Measurement
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Figure:
-    """One number of every training seed; none where its cells could not be made."""
+    """One number of every seed; none where its cells could not be made."""
 
     values: tuple[float, ...]
     """Infinite where a prediction was not finite."""
@@ -54,13 +54,13 @@ class Figure:
 class Results:
     """All that was measured, looked up by what it is of."""
 
-    def __init__(self, readings: dict[Where, list[Reading]]) -> None:
+    def __init__(self, readings: Mapping[Any, list[Reading]]) -> None:
         self._readings = readings
 
     @classmethod
     def read(cls, folder: Path, wanted: Sequence[Measurement]) -> "Results":
         """The outputs that are there; a cell that failed has left none."""
-        readings: dict[Where, list[Reading]] = {}
+        readings: dict[Hashable, list[Reading]] = {}
         for one in wanted:
             path = folder / one.cell.output
             if path.is_file():
@@ -68,15 +68,15 @@ class Results:
                 readings.setdefault(one.where, []).append(reading)
         return cls(readings)
 
-    def readings(self, where: Where) -> list[Reading]:
+    def readings(self, where: Hashable) -> list[Reading]:
         """One a seed, in order of seeds."""
         return self._readings.get(where, [])
 
-    def error_cm(self, where: Where, key: str) -> Figure:
+    def error_cm(self, where: Hashable, key: str) -> Figure:
         """An error in m, as cm. Null is infinite: commands say so of predictions not finite."""
         return self._figure(where, lambda values: _scaled(values.get(key), 100.0, math.inf), key)
 
-    def moving_error_cm(self, where: Where, key: str, every_key: str) -> Figure:
+    def moving_error_cm(self, where: Hashable, key: str, every_key: str) -> Figure:
         """An error of moving bodies alone, cm. Null where nothing moves too: then not known.
 
         ``every_key`` is of all bodies, and tells the two apart.
@@ -88,20 +88,20 @@ class Results:
             ),
         )
 
-    def number(self, where: Where, key: str, scale: float = 1.0) -> Figure:
+    def number(self, where: Hashable, key: str, scale: float = 1.0) -> Figure:
         """Any other number. Seeds whose number is null, which is not known, are left out."""
         return self._figure(where, lambda values: _scaled(values.get(key), scale, math.nan), key)
 
-    def growth(self, where: Where, key: str) -> Figure:
+    def growth(self, where: Hashable, key: str) -> Figure:
         """A growth factor; null is infinite."""
         return self._figure(where, lambda values: _scaled(values.get(key), 1.0, math.inf), key)
 
-    def derived(self, where: Where, value: Callable[[dict[str, Any]], float]) -> Figure:
+    def derived(self, where: Hashable, value: Callable[[dict[str, Any]], float]) -> Figure:
         """A number made of several; NaN where it is not known."""
         return self._figure(where, value, None)
 
     def _figure(
-        self, where: Where, value: Callable[[dict[str, Any]], float], key: str | None
+        self, where: Hashable, value: Callable[[dict[str, Any]], float], key: str | None
     ) -> Figure:
         readings = [
             reading for reading in self.readings(where) if key is None or key in reading.values

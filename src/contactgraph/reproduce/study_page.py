@@ -8,36 +8,19 @@ from importlib.resources import files
 from string import Template
 
 from contactgraph.reproduce.claim import Claim, ClaimNumber
-from contactgraph.reproduce.study_table import Row
-from contactgraph.reproduce.words import short, with_range
-from contactgraph.view import Number
+from contactgraph.reproduce.findings import Findings, Picture
+from contactgraph.reproduce.page_table import table_section
+from contactgraph.reproduce.words import with_range
 from contactgraph.view.markup import numbers_table
 
 _VERDICT = {True: ("holds", "met"), False: ("does not hold", "missed"), None: ("not known", "")}
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A figure of the page."""
-
-    title: str
-    caption: str
-    image: bytes
-    kind: str
-    """``svg+xml`` or ``png``."""
-
-
-@dataclass(frozen=True)
 class StudyPage:
     """Everything on the page."""
 
-    title: str
-    summary: str
-    claims: Sequence[Claim]
-    targets: Sequence[Number]
-    table: Sequence[Row]
-    figures: Sequence[Picture]
-    scenes: Sequence[Picture]
+    findings: Findings
     failures: Sequence[tuple[str, str]]
     """Commands that failed, and why."""
     commands: Sequence[str]
@@ -47,16 +30,18 @@ class StudyPage:
 
 def study_page(data: StudyPage) -> str:
     """The page as text; it loads nothing."""
+    found = data.findings
     return Template(_asset("study.html")).substitute(
-        title=escape(data.title),
-        summary=escape(data.summary),
+        title=escape(found.title),
+        summary=escape(found.summary),
         style=_asset("page.css") + _asset("study.css"),
-        claims="".join(_claim(claim) for claim in data.claims),
+        claims="".join(_claim(claim) for claim in found.claims),
         failures=_failures(data.failures),
-        figures="".join(_picture(picture) for picture in data.figures),
-        targets=numbers_table(tuple(data.targets)),
-        table=_table(data.table),
-        scenes="".join(_picture(picture) for picture in data.scenes),
+        figures="".join(_picture(picture) for picture in found.figures),
+        asked=escape(found.asked),
+        targets=numbers_table(tuple(found.targets)),
+        tables="".join(table_section(table) for table in found.tables),
+        scenes="".join(_picture(picture) for picture in found.scenes),
         commands="\n".join(escape(command) for command in data.commands),
         versions=", ".join(f"{escape(name)} {escape(v)}" for name, v in data.versions.items()),
         date=escape(data.date),
@@ -111,34 +96,3 @@ def _picture(picture: Picture) -> str:
         f'<img alt="{escape(picture.title)}" src="data:image/{picture.kind};base64,{data}">'
         f'<figcaption class="caption">{escape(picture.caption)}</figcaption></figure>'
     )
-
-
-def _table(table: Sequence[Row]) -> str:
-    heads = (
-        *("Task", "Scenes", "Model", "N-step error, cm", "moving bodies, cm", "open loop, cm"),
-        *("frozen contact, cm", "constant velocity, cm", "edge F1", "edge F1, recorded"),
-        *("success", "success, replanned every step"),
-    )
-    head = "".join(f"<th>{name}</th>" for name in heads)
-    body = "".join(_row(row) for row in table)
-    return f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
-
-
-def _row(row: Row) -> str:
-    cells = (
-        with_range(row.planned),
-        with_range(row.planned_moving),
-        with_range(row.recorded),
-        short(row.frozen_contact.median),
-        short(row.constant_velocity.median),
-        with_range(row.edge_f1),
-        with_range(row.edge_f1_recorded),
-        "" if row.success is None else str(row.success),
-        "" if row.success_every_step is None else str(row.success_every_step),
-    )
-    names = "".join(
-        f"<td>{escape(name)}</td>" for name in (row.task, row.condition.name, row.model)
-    )
-    title = escape("\n".join(row.commands))
-    figures = "".join(f'<td class="figure">{escape(cell)}</td>' for cell in cells)
-    return f'<tr title="{title}">{names}{figures}</tr>'

@@ -5,7 +5,6 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from contactgraph.evaluate import wilson_interval
 from contactgraph.reproduce.claims_error import PLANNED_ERROR, RECORDED_ERROR, planned
 from contactgraph.reproduce.claims_graph import recorded
 from contactgraph.reproduce.declared import (
@@ -15,28 +14,11 @@ from contactgraph.reproduce.declared import (
     StudyTask,
     TestCondition,
 )
+from contactgraph.reproduce.page_table import PageTable, TableRow, markdown_table
 from contactgraph.reproduce.plan_cells import Source, Where, conditions_of
 from contactgraph.reproduce.results import Figure, Results
+from contactgraph.reproduce.success import Success, pooled_success
 from contactgraph.reproduce.words import short, with_range
-
-
-@dataclass(frozen=True)
-class Success:
-    """Episodes that reached the goal, of all seeds together."""
-
-    successes: int
-    episodes: int
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 %, Wilson, of the share."""
-        return wilson_interval(self.successes, self.episodes)
-
-    def __str__(self) -> str:
-        """In per cent, with the interval."""
-        low, high = self.interval
-        share = 100.0 * self.successes / self.episodes
-        return f"{share:.0f} % of {self.episodes} ({100 * low:.0f} to {100 * high:.0f})"
 
 
 @dataclass(frozen=True)
@@ -99,35 +81,48 @@ def _row(results: Results, task: StudyTask, condition: TestCondition, model: Stu
         frozen_contact=results.number(closed, "frozen_contact_planned_rmse_m", 100.0),
         edge_f1=results.number(closed, "edge_f1_planned"),
         edge_f1_recorded=results.number(opened, "edge_f1"),
-        success=_success(results, closed),
-        success_every_step=_success(results, every_step) if model is GIM_TEMP else None,
+        success=pooled_success(results.readings(closed)),
+        success_every_step=(
+            pooled_success(results.readings(every_step)) if model is GIM_TEMP else None
+        ),
         plan_ms_p99=results.number(every_step, "plan_ms_p99") if model is GIM_TEMP else Figure(()),
     )
 
 
-def _success(results: Results, where: Where) -> Success | None:
-    values = [reading.values for reading in results.readings(where)]
-    if not values:
-        return None
-    episodes = sum(int(each["episodes"]) for each in values)
-    reached = sum(round(each["success_rate"] * each["episodes"]) for each in values)
-    return Success(reached, episodes)
-
-
 def markdown_rows(table: Sequence[Row]) -> str:
     """For people: median (range over seeds)."""
-    lines = [
-        "| task | scenes | model | N-step error, planned against executed, cm "
-        "| of moving bodies, cm | open loop, cm | floor: frozen contact, cm "
-        "| floor: constant velocity, cm | edge F1 planned | edge F1 recorded "
-        "| success, replanned every 0.5 s | every step |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for row in table:
-        cells = [
-            row.task,
-            row.condition.name,
-            row.model,
+    heads = (
+        *("task", "scenes", "model", "N-step error, planned against executed, cm"),
+        *("of moving bodies, cm", "open loop, cm", "floor: frozen contact, cm"),
+        *("floor: constant velocity, cm", "edge F1 planned", "edge F1 recorded"),
+        *("success, replanned every 0.5 s", "every step"),
+    )
+    return markdown_table(heads, [_texts(row) for row in table])
+
+
+def page_table(table: Sequence[Row]) -> PageTable:
+    """For the study's page."""
+    return PageTable(
+        slug="table",
+        title="Every model",
+        caption="N-step error: plans against what was executed, half a second ahead, over all "
+        "bodies (the paper's metric); the floors are on the same windows. Open loop: recorded "
+        "expert runs. Medians, with the range over training seeds in brackets; success with its "
+        "95 % Wilson interval, the episodes of all seeds together. A row's commands show when the "
+        "pointer rests on it.",
+        heads=(
+            *("Task", "Scenes", "Model", "N-step error, cm", "moving bodies, cm"),
+            *("open loop, cm", "frozen contact, cm", "constant velocity, cm", "edge F1"),
+            *("edge F1, recorded", "success", "success, replanned every step"),
+        ),
+        rows=[_texts(row) for row in table],
+    )
+
+
+def _texts(row: Row) -> TableRow:
+    return TableRow(
+        names=(row.task, row.condition.name, row.model),
+        figures=(
             with_range(row.planned),
             with_range(row.planned_moving),
             with_range(row.recorded),
@@ -137,9 +132,9 @@ def markdown_rows(table: Sequence[Row]) -> str:
             with_range(row.edge_f1_recorded),
             "" if row.success is None else str(row.success),
             "" if row.success_every_step is None else str(row.success_every_step),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+        ),
+        commands=row.commands,
+    )
 
 
 def csv_rows(table: Sequence[Row]) -> str:
