@@ -8,6 +8,17 @@ import pytest
 from contactgraph import cli
 from contactgraph.data import read_trajectories
 from contactgraph.data.dataset import Dataset
+from contactgraph.tasks import DoorExpert, DoorTask, MultiPickupTask, PickupExpert, PickupTask
+from contactgraph.tasks.mujoco import FrankaExpert, FrankaTask
+from contactgraph.tasks.run_episode import run_episode
+
+PARTS = {
+    "pickup": (PickupTask, PickupExpert, 1),
+    "multi-pickup": (MultiPickupTask, PickupExpert, 2),
+    "door": (DoorTask, DoorExpert, 1),
+    "franka": (FrankaTask, FrankaExpert, 1),
+}
+"""Task, expert, number of targets."""
 
 
 def demonstrated(path: Path, task: str, *options: object) -> Dataset:
@@ -16,10 +27,9 @@ def demonstrated(path: Path, task: str, *options: object) -> Dataset:
     return read_trajectories(path)
 
 
-@pytest.mark.parametrize(
-    ("task", "targets"), [("pickup", 1), ("multi-pickup", 2), ("door", 1), ("franka", 1)]
-)
-def test_demonstrations_of_every_task(tmp_path: Path, task: str, targets: int) -> None:
+@pytest.mark.parametrize("task", PARTS)
+def test_demonstrations_of_every_task(tmp_path: Path, task: str) -> None:
+    task_class, expert_class, targets = PARTS[task]
     episodes = 2 if task == "franka" else 4
     runs = demonstrated(tmp_path / "demos.h5", task, "--episodes", episodes, "--seed", 3)
     assert runs.metadata == {
@@ -36,6 +46,12 @@ def test_demonstrations_of_every_task(tmp_path: Path, task: str, targets: int) -
     assert begins.shape[1] == 1 + targets
     assert len(np.unique(begins[:, 0], axis=0)) == len(runs)
     assert len(np.unique([run.scene.goal for run in runs], axis=0)) == 1
+    *_, last = runs
+    told = last.scene.metadata
+    again = run_episode(
+        task_class(fixed_seed=told["fixed_seed"]), expert_class(noise=0.0), told["seed"]
+    )
+    assert np.array_equal(again.control, last.control), "no noise, and to be had again"
     other = demonstrated(tmp_path / "other.h5", task, "--episodes", 1, "--seed", 4)
     assert not np.array_equal(next(iter(other)).scene.goal, next(iter(runs)).scene.goal)
 

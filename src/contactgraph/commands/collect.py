@@ -62,15 +62,15 @@ class Collect:
         else:
             factories = [task_factory(self.task, options)]
         task = looked_up("task", self.task, TASKS)
-        experts_by_name = {"train": task.expert, "demo": task.demonstrator}
-        expert = looked_up("--expert", self.expert, experts_by_name)
+        demonstrates = looked_up("--expert", self.expert, {"train": False, "demo": True})
+        expert = task.demonstrator if demonstrates else task.expert
         shares = {"--exploration": self.exploration, "--resting": self.resting}
         for name, share in shares.items():
             if not 0.0 <= share <= 1.0:
                 raise InvalidInputError(f"{name} must be 0 to 1, found {share}")
         if self.exploration + self.resting > 1.0:
             raise InvalidInputError("--exploration and --resting together must not exceed 1")
-        if expert is task.demonstrator and self.exploration + self.resting > 0.0:
+        if demonstrates and self.exploration + self.resting > 0.0:
             raise InvalidInputError(
                 "--expert demo: every run is a demonstration, so --exploration and --resting must "
                 "be left out"
@@ -95,7 +95,7 @@ class Collect:
         metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
         if self.mixed:
             metadata["mixed"] = True
-        if expert is task.demonstrator:
+        if demonstrates:
             metadata["expert"] = self.expert
         write_trajectories(self.out, runs, metadata)
         say(f"{self.out}: {len(runs)} runs of {self.task}, seed {self.seed}")
