@@ -4,7 +4,13 @@ from contactgraph.control.control_step import ControlLimits as ControlLimits
 from contactgraph.control.cost import Cost as Cost
 from contactgraph.control.cost import QuadraticCost as QuadraticCost
 from contactgraph.control.cost import chain_cost as chain_cost
+from contactgraph.control.cost_file import CostSummary as CostSummary
+from contactgraph.control.cost_file import describe_cost as describe_cost
+from contactgraph.control.cost_file import read_cost as read_cost
+from contactgraph.control.cost_file import write_cost as write_cost
 from contactgraph.control.cost_recipe import CostRecipe as CostRecipe
+from contactgraph.control.cost_terms import CostTerm as CostTerm
+from contactgraph.control.cost_terms import cost_terms as cost_terms
 from contactgraph.control.differentiable_lqr import LQRTrajectory as LQRTrajectory
 from contactgraph.control.differentiable_lqr import lqr_trajectory as lqr_trajectory
 from contactgraph.control.differentiable_lqr import tracking_problem as tracking_problem

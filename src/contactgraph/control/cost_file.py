@@ -1,0 +1,189 @@
+"""Cost files: one JSON object that says what was learned, from what, and who takes part.
+
+A file is made to be read by people, too: it says in words what it minimises and in which units, a
+matrix has a row a line, and numbers have as many digits as give the same number back.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from contactgraph.control.cost_fields import CostFields
+from contactgraph.control.learned_cost import LearnedCost, LearningHistory, Participant
+from contactgraph.data import InvalidInputError, replacing
+
+FORMAT = "contactgraph-cost"
+VERSION = 1
+_SIZE_LIMIT = 20_000_000
+"""Bytes."""
+_WORDS = {
+    "cost": "sum over steps of (x - goal)^T Q (x - goal) + u^T R u",
+    "x": "for each kept node, in order: its D positions [m], then its D velocities [m/s]",
+    "goal": "the same place [m] for all kept nodes, at rest",
+    "units": "Q: 1/m^2, s/m^2 and s^2/m^2; R: 1/N^2; goal: m",
+    "scale": "a cost is known up to a factor; here the mean of R's diagonal is 1/N^2",
+}
+
+
+@dataclass(frozen=True)
+class CostSummary:
+    """A cost and what its file says about how it was made."""
+
+    cost: LearnedCost
+    made: dict[str, Any] = field(default_factory=dict)
+    """Free-form JSON: model, demonstrations, recipe, seed, seconds, versions, …"""
+
+
+def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | None = None) -> None:
+    """Write a cost to ``path``; whoever looks sees the old file or the whole new one, never half.
+
+    ``made`` is anything JSON can hold. The same cost gives the same bytes. Raises
+    `InvalidInputError` where `read_cost` would refuse it, ``made`` is not JSON, or the folder
+    cannot be written to.
+    """
+    path = Path(path)
+    content = {
+        "format": FORMAT,
+        "format_version": VERSION,
+        "in_words": _WORDS,
+        "dimension": int(cost.goal.shape[0]),
+        "kept_nodes": list(cost.kept_nodes),
+        "nodes": list(cost.order),
+        "goal": _numbers(cost.goal),
+        "Q": _numbers(cost.Q),
+        "R": _numbers(cost.R),
+        "participants": [
+            {
+                "name": each.name,
+                "kept": each.kept,
+                "reason": each.reason,
+                "actuated": each.actuated,
+                "runs": each.runs,
+                "active_runs": each.active_runs,
+                "joins_s": each.joins_s,
+            }
+            for each in cost.participants
+        ],
+        "made": dict(made or {}),
+        "history": {
+            "imitation": _numbers(cost.history.imitation),
+            "prior": _numbers(cost.history.prior),
+            "smallest_q": _numbers(cost.history.smallest_q),
+            "smallest_r": _numbers(cost.history.smallest_r),
+        },
+    }
+    _summary(CostFields(str(path), content))
+    try:
+        text = _text(content) + "\n"
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InvalidInputError(f"{path}: made must hold only JSON values ({error})") from error
+    if json.loads(text)["made"] != content["made"]:
+        raise InvalidInputError(f"{path}: made must hold only JSON values (and texts as keys)")
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def read_cost(path: str | Path) -> LearnedCost:
+    """Read a cost that `write_cost` has written, in JAX's default precision.
+
+    Nothing in the file is executed. Raises `InvalidInputError` naming file and field for whatever
+    is wrong with it.
+    """
+    return describe_cost(path).cost
+
+
+def describe_cost(path: str | Path) -> CostSummary:
+    """The cost, and how it was made. Raises `InvalidInputError` as `read_cost` does."""
+    path = Path(path)
+    if not path.exists():
+        raise InvalidInputError(f"{path}: does not exist")
+    if not path.is_file():
+        raise InvalidInputError(f"{path}: must be a file, found a folder or device")
+    if path.stat().st_size > _SIZE_LIMIT:
+        raise InvalidInputError(f"{path}: must be a cost file, of at most {_SIZE_LIMIT} bytes")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+    except (ValueError, RecursionError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise InvalidInputError(
+            f"{path}: must be a cost file (JSON), found something else or a damaged file ({reason})"
+        ) from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InvalidInputError(f"{path}: must be a cost file, whose 'format' is {FORMAT!r}")
+    version = content.get("format_version")
+    if version != VERSION or isinstance(version, bool):
+        raise InvalidInputError(
+            f"{path}: field 'format_version' must be {VERSION}, found {version!r}"
+        )
+    return _summary(CostFields(str(path), content))
+
+
+def _summary(fields: CostFields) -> CostSummary:
+    """The checked content. Fields that are not known are left alone."""
+    names = fields.names("kept_nodes")
+    dimension = fields.count("dimension", 1)
+    goal = fields.numbers("goal", (dimension,))
+    history = fields.inner("history")
+    imitation = history.numbers("imitation", (None,))
+    steps = imitation.shape
+    return CostSummary(
+        cost=LearnedCost(
+            Q=jnp.asarray(fields.semidefinite("Q", 2 * dimension * len(names))),
+            R=jnp.asarray(fields.definite("R")),
+            goal=jnp.asarray(goal),
+            nodes=jnp.asarray(fields.places("nodes", len(names)), jnp.int32),
+            kept_nodes=names,
+            history=LearningHistory(
+                imitation=jnp.asarray(imitation),
+                prior=jnp.asarray(history.numbers("prior", steps)),
+                smallest_q=jnp.asarray(history.numbers("smallest_q", steps)),
+                smallest_r=jnp.asarray(history.numbers("smallest_r", steps)),
+            ),
+            participants=tuple(_participant(each) for each in fields.each("participants")),
+        ),
+        made=fields.inner("made").content,
+    )
+
+
+def _participant(fields: CostFields) -> Participant:
+    runs = fields.count("runs", 0)
+    active = fields.count("active_runs", 0)
+    return Participant(
+        name=fields.text("name"),
+        actuated=fields.truth("actuated"),
+        runs=runs,
+        active_runs=active,
+        joins_s=float(fields.numbers("joins_s", ())) if active else None,
+    )
+
+
+def _numbers(values: Any) -> Any:
+    """Nested lists of numbers with the fewest digits that give the same ones back."""
+    array = np.asarray(values)
+    if array.ndim:
+        return [_numbers(part) for part in array]
+    return float(str(array[()]))
+
+
+def _text(value: Any, indent: str = "\n") -> str:
+    """JSON in which what holds lists or objects has a line for each, and the rest is one line."""
+    inner = indent + "  "
+    if isinstance(value, dict) and value:
+        parts = [f"{_line(str(key))}: {_text(each, inner)}" for key, each in value.items()]
+        return "{" + inner + f",{inner}".join(parts) + indent + "}"
+    if isinstance(value, list) and any(isinstance(each, list | dict) for each in value):
+        return "[" + inner + f",{inner}".join(_text(each, inner) for each in value) + indent + "]"
+    return _line(value)
+
+
+def _line(value: Any) -> str:
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"numbers must be finite, found {name}")

@@ -1,0 +1,267 @@
+"""Cost files: written and read again to the last bit, and refused with one line when damaged."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from contactgraph.control import (
+    CostTerm,
+    LearnedCost,
+    LearningHistory,
+    Participant,
+    cost_terms,
+    describe_cost,
+    read_cost,
+    write_cost,
+)
+from contactgraph.control.relative_form import relative_basis
+from contactgraph.data import InvalidInputError
+
+MADE = {"model": "pickup", "seed": 3, "recipe": {"steps": 20, "discount": 0.8}, "goal": [0.1, 2]}
+
+
+def a_cost() -> LearnedCost:
+    """Of two nodes in the plane, with numbers that no decimal is equal to."""
+    rng = np.random.default_rng(0)
+    L, Lu = rng.normal(size=(8, 8)), np.eye(2) + 0.3 * rng.normal(size=(2, 2))
+    Q, R = jnp.asarray(L @ L.T), jnp.asarray(Lu @ Lu.T)
+    history = [jnp.asarray(rng.exponential(size=20)) for _ in range(4)]
+    return LearnedCost(
+        Q=0.5 * (Q + Q.T),
+        R=0.5 * (R + R.T),
+        goal=jnp.asarray(rng.normal(size=2)),
+        nodes=jnp.asarray([2, 0], jnp.int32),
+        kept_nodes=("gripper", "Öl-Kanne"),
+        history=LearningHistory(*history),
+        participants=(
+            Participant("gripper", True, 3, 2, 0.8),
+            Participant("Öl-Kanne", False, 3, 3, 0.85),
+            Participant("lamp", False, 2, 0, None),
+        ),
+    )
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "cost.json"
+    write_cost(path, a_cost(), MADE)
+    return path
+
+
+def test_what_is_read_is_what_was_written(path: Path) -> None:
+    wanted, found = a_cost(), read_cost(path)
+    for name in ("Q", "R", "goal", "nodes"):
+        one, other = getattr(wanted, name), getattr(found, name)
+        assert one.dtype == other.dtype
+        assert np.array_equal(one, other), name
+    for name in ("imitation", "prior", "smallest_q", "smallest_r"):
+        assert np.array_equal(getattr(wanted.history, name), getattr(found.history, name)), name
+    assert found.kept_nodes == wanted.kept_nodes
+    assert found.participants == wanted.participants
+    assert describe_cost(path).made == MADE
+
+
+def test_a_file_says_what_it_is_about_in_words(path: Path, tmp_path: Path) -> None:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    assert (content["format"], content["format_version"]) == ("contactgraph-cost", 1)
+    assert "mean of R's diagonal is 1/N^2" in content["in_words"]["scale"]
+    assert [each["reason"] for each in content["participants"]] == [
+        "actuated; in contact in 2 of 3 runs, from 0.8 s",
+        "in contact in 3 of 3 runs, from 0.85 s",
+        "no active edge in any of 2 runs",
+    ]
+    lines = path.read_text(encoding="utf-8").splitlines()
+    begin = lines.index('  "Q": [')
+    assert [len(json.loads(line.rstrip(","))) for line in lines[begin + 1 : begin + 9]] == [8] * 8
+    again = tmp_path / "again.json"
+    write_cost(again, read_cost(path), MADE)
+    assert again.read_bytes() == path.read_bytes()
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["again.json", "cost.json"]
+
+
+def test_unknown_fields_are_left_alone(path: Path) -> None:
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "colour": ["green"]}))
+    assert np.array_equal(read_cost(path).Q, a_cost().Q)
+
+
+def negative(matrix: list[list[float]]) -> list[list[float]]:
+    values, vectors = np.linalg.eigh(np.asarray(matrix))
+    values[0] = -0.25  # beyond rounding
+    return (vectors * values @ vectors.T).tolist()
+
+
+ROW = [1.0] * 8
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"format": "contactgraph-model"}, "must be a cost file, whose 'format' is 'contactgr"),
+        ({"format_version": 2}, "field 'format_version' must be 1, found 2"),
+        ({"format_version": True}, "field 'format_version' must be 1, found True"),
+        ({"dimension": 3}, "field 'goal' must be 3 numbers, found 2"),
+        ({"dimension": 0}, "field 'dimension' must be a whole number of at least 1, found 0"),
+        ({"dimension": 2.0}, "field 'dimension' must be a whole number of at least 1, found 2.0"),
+        ({"Q": None}, "field 'Q' must be 8 x 8 numbers, found None"),
+        ({"Q": [ROW] * 7}, "field 'Q' must be 8 x 8 numbers, found 7 x 8"),
+        ({"Q": [ROW] * 7 + [ROW[1:]]}, "field 'Q' must be 8 x 8 numbers, found 8"),
+        ({"Q": [ROW] * 7 + [[*ROW[1:], "1"]]}, "field 'Q[7][7]' must be a finite number, found '1"),
+        ({"Q": [[*ROW[1:], True]] + [ROW] * 7}, "field 'Q[0][7]' must be a finite number, found T"),
+        ({"Q": [[10**400, *ROW[1:]]] + [ROW] * 7}, "field 'Q[0][0]' must be a finite number, foun"),
+        ({"Q": [[1e31, *ROW[1:]]] + [ROW] * 7}, "field 'Q[0][0]' must be a finite number, found 1"),
+        (
+            {"Q": [[0.0] * 7 + [1.0]] + [[0.0] * 8] * 7},
+            "field 'Q' must be symmetric, found 1 in row 0, column 7 and 0 the other way round",
+        ),
+        (
+            {"Q": negative},
+            "field 'Q' must be positive semi-definite, but its smallest eigenvalue i",
+        ),
+        ({"R": []}, "field 'R' must be rows of numbers, as many as columns, found []"),
+        ({"R": [[1.0, 0.0]]}, "field 'R' must be 1 x 1 numbers, found 1 x 2"),
+        (
+            {"R": [[1.0, 0.1], [0.0, 1.0]]},
+            "field 'R' must be symmetric, found 0.1 in row 0, column",
+        ),
+        (
+            {"R": [[1.0, 1.0], [1.0, 1.0]]},
+            "field 'R' must be positive definite, but its smallest e",
+        ),
+        (
+            {"R": negative},
+            "field 'R' must be positive definite, but its smallest eigenvalue is -0.",
+        ),
+        ({"goal": [0.0]}, "field 'goal' must be 2 numbers, found 1"),
+        ({"goal": "here"}, "field 'goal' must be 2 numbers, found 'here'"),
+        ({"nodes": [0, 0]}, "field 'nodes' must be 2 different whole numbers from 0 on, found [0,"),
+        ({"nodes": [0, -1]}, "field 'nodes' must be 2 different whole numbers from 0 on, found [0"),
+        ({"nodes": [0, 2**31]}, "field 'nodes' must be 2 different whole numbers from 0 on, found"),
+        ({"nodes": [0]}, "field 'nodes' must be 2 different whole numbers from 0 on, found [0]"),
+        ({"kept_nodes": ["a", "a"]}, "field 'kept_nodes' must be different names, at least one, f"),
+        ({"kept_nodes": []}, "field 'kept_nodes' must be different names, at least one, found []"),
+        ({"kept_nodes": [{}, 1]}, "field 'kept_nodes' must be different names, at least one, foun"),
+        ({"kept_nodes": ["a"]}, "field 'Q' must be 4 x 4 numbers, found 8 x 8"),
+        ({"participants": {}}, "field 'participants' must be a list of objects, found {}"),
+        ({"participants": [{}]}, "participants[0]: field 'runs' is missing"),
+        ({"history": []}, "field 'history' must be an object, found []"),
+        ({"history": {}}, "history: field 'imitation' is missing"),
+        (
+            {"history": {"imitation": []}},
+            "history: field 'imitation' must be 1 or more numbers, found 0",
+        ),
+        (
+            {"history": {"imitation": [1.0], "prior": [1.0, 2.0]}},
+            "history: field 'prior' must be 1 n",
+        ),
+        ({"made": "by hand"}, "field 'made' must be an object, found 'by hand'"),
+    ],
+)
+def test_what_is_wrong_is_named(path: Path, change: dict[str, Any], said: str) -> None:
+    content = json.loads(path.read_text())
+    for name, value in change.items():
+        content[name] = value(content[name]) if callable(value) else value
+    path.write_text(json.dumps(content))
+    with pytest.raises(InvalidInputError) as error:
+        read_cost(path)
+    assert str(error.value).startswith(f"{path}: {said}")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("format", "format_version", "dimension", "kept_nodes", "nodes"),
+        *("goal", "Q", "R", "participants", "made", "history"),
+    ],
+)
+def test_what_is_missing_is_named(path: Path, name: str) -> None:
+    content = json.loads(path.read_text())
+    del content[name]
+    path.write_text(json.dumps(content))
+    with pytest.raises(InvalidInputError, match=rf"cost\.json: .*'{name}'"):
+        read_cost(path)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [
+        ("name", "", "field 'name' must be a text, found ''"),
+        ("actuated", 1, "field 'actuated' must be true or false, found 1"),
+        ("runs", -1, "field 'runs' must be a whole number of at least 0, found -1"),
+        ("joins_s", None, "field 'joins_s' must be a finite number, found None"),
+    ],
+)
+def test_what_is_wrong_with_a_participant(path: Path, place: str, value: Any, said: str) -> None:
+    content = json.loads(path.read_text())
+    content["participants"][1][place] = value
+    path.write_text(json.dumps(content))
+    with pytest.raises(InvalidInputError) as error:
+        read_cost(path)
+    assert f"participants[1]: {said}" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{",
+        b"\x89HDF\r\n",
+        b"[]",
+        b"1",
+        b'{"Q": NaN}',
+        b"[" * 100_000,
+        b"1" * 5000,
+        b'{"format": "contactgraph-cost", "format_version": 1, "kept_nodes": '
+        + b"[" * 900
+        + b"]" * 900
+        + b"}",
+    ],
+)
+def test_other_files(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    with pytest.raises(InvalidInputError) as error:
+        read_cost(path)
+    said = str(error.value)
+    assert said.startswith(f"{path}: ") and "\n" not in said and len(said) < 400
+
+
+def test_no_file(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match=r"none\.json: does not exist"):
+        read_cost(tmp_path / "none.json")
+    with pytest.raises(InvalidInputError, match="must be a file, found a folder"):
+        read_cost(tmp_path)
+
+
+def test_what_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:
+    path, cost = tmp_path / "cost.json", a_cost()
+    for wrong, said in (
+        (replace(cost, Q=-cost.Q), "'Q' must be positive semi-definite"),
+        (replace(cost, R=cost.R.at[0, 0].set(jnp.nan)), r"'R\[0\]\[0\]' must be a finite number"),
+        (replace(cost, kept_nodes=("a", "a")), "'kept_nodes' must be different names"),
+    ):
+        with pytest.raises(InvalidInputError, match=said):
+            write_cost(path, wrong)
+    for made in ({"model": object()}, {"seconds": float("nan")}, {1: "one"}, {"goal": (1, 2)}):
+        with pytest.raises(InvalidInputError, match="made must hold only JSON values"):
+            write_cost(path, cost, made)
+    with pytest.raises(InvalidInputError, match=r"folder .* does not exist"):
+        write_cost(tmp_path / "none" / "cost.json", cost)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_terms_in_newtons() -> None:
+    """Of a cost built from its terms: 9 and 25 on positions, 4 and 0 on velocities; R = 4."""
+    T = relative_basis(2, 2)
+    W = np.diag([9.0, 9.0, 4.0, 4.0, 25.0, 25.0, 0.0, 0.0])
+    W[0, 4] = W[4, 0] = 3.0  # what ties terms together is neither's strength
+    cost = replace(a_cost(), Q=jnp.asarray(T.T @ W @ T), R=4.0 * jnp.eye(2))
+    assert cost_terms(cost) == (
+        CostTerm("gripper - Öl-Kanne", pytest.approx(1.5), pytest.approx(1.0)),
+        CostTerm("Öl-Kanne - goal", pytest.approx(2.5), pytest.approx(0.0, abs=1e-3)),
+    )
