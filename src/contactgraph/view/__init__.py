@@ -1,6 +1,8 @@
 """Pictures of what was learned: the report page, an animation of a run, a still for a README."""
 
 from contactgraph.view.animation import write_animation as write_animation
+from contactgraph.view.cost_picture import cost_figure as cost_figure
+from contactgraph.view.cost_picture import write_cost_picture as write_cost_picture
 from contactgraph.view.report import write_report as write_report
 from contactgraph.view.report_data import LossCurve as LossCurve
 from contactgraph.view.report_data import NStepError as NStepError
