@@ -17,6 +17,7 @@ from contactgraph.commands.collect import Collect
 from contactgraph.commands.control import Control
 from contactgraph.commands.evaluate import Evaluate
 from contactgraph.commands.info import Info
+from contactgraph.commands.learn_cost import LearnCost
 from contactgraph.commands.report import Report
 from contactgraph.commands.reproduce import Reproduce
 from contactgraph.commands.train import Train
@@ -28,12 +29,22 @@ Command = (
     | Annotated[Train, subcommand("train")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Control, subcommand("control")]
+    | Annotated[LearnCost, subcommand("learn-cost")]
     | Annotated[Reproduce, subcommand("reproduce")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Info, subcommand("info")]
 )
 
-_COMMANDS = ("collect", "train", "evaluate", "control", "reproduce", "report", "info")
+_COMMANDS = (
+    "collect",
+    "train",
+    "evaluate",
+    "control",
+    "learn-cost",
+    "reproduce",
+    "report",
+    "info",
+)
 
 
 def main(arguments: list[str] | None = None) -> None:

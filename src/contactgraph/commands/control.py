@@ -26,6 +26,8 @@ class Control:
     """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
     grasp: Annotated[str | None, arg(metavar="HOW")] = None
     """How fingers hold, where the task has some: friction or weld."""
+    cost: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Plan with the cost in this file, as learn-cost writes it, in place of the task's own."""
     horizon: Annotated[int | None, arg(metavar="INT")] = None
     """Steps to plan ahead; 20, for franka 50, if not given."""
     replan_every: int = 1
@@ -55,6 +57,7 @@ class Control:
         from contactgraph.commands.output import check_writable, progress, say, write_json
         from contactgraph.commands.sensor import sensor_faults
         from contactgraph.commands.task_names import TASKS, TaskOptions, task_factory
+        from contactgraph.control import read_cost
         from contactgraph.data import (
             Dataset,
             InvalidInputError,
@@ -85,6 +88,7 @@ class Control:
             )
         options = TaskOptions(self.distractors, self.objects, self.grasp)
         factory = task_factory(self.task, options)
+        cost = None if self.cost is None else read_cost(self.cost)
         model = load_model(model_path(self.run_name)).model
         first: list[EpisodeRecord] = []
         done = itertools.count(1)
@@ -101,6 +105,7 @@ class Control:
                 factory,
                 self.episodes,
                 self.seed,
+                cost=cost,
                 horizon=horizon,
                 replan_every=self.replan_every,
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
@@ -114,6 +119,7 @@ class Control:
         values = {
             "run": self.run_name,
             **told,
+            "cost": None if self.cost is None else str(self.cost),
             "horizon": horizon,
             "replan_every": self.replan_every,
             "false_alarms": self.false_alarms,

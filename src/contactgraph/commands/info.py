@@ -1,4 +1,4 @@
-"""``contactgraph info``: what is in a dataset, a model or a run."""
+"""``contactgraph info``: what is in a dataset, a model, a run or a learned cost."""
 
 import json
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 @dataclass(frozen=True)
 class Info:
-    """Say what is in a dataset file, a model file, a run folder, or a model that ships."""
+    """Say what is in a dataset, a model, a cost file, a run folder, or a model that ships."""
 
     file: Positional[Annotated[str, arg(metavar="FILE")]]
     """The file or folder, or the name of a model that ships with the package."""
@@ -25,6 +25,8 @@ class Info:
             self._run_folder(path)
         elif path.suffix == ".safetensors" or (not path.exists() and self.file in shipped_models()):
             self._model()
+        elif path.exists() and path.suffix.lower() == ".json":
+            self._cost(path)
         elif path.exists():
             self._dataset(path)
         else:
@@ -63,6 +65,22 @@ class Info:
         for name, value in summary.training.items():
             say(f"  {name:<19} {_text(value)}")
         say(f"  parts               {_text(summary.model)}")
+
+    def _cost(self, path: Path) -> None:
+        from contactgraph.commands.cost_words import participant_lines, term_lines
+        from contactgraph.commands.output import say
+        from contactgraph.control import describe_cost
+
+        summary = describe_cost(path)
+        cost = summary.cost
+        goal = ", ".join(f"{float(number):.3g}" for number in cost.goal)
+        say(f"{path}: learned cost about {', '.join(cost.kept_nodes)}")
+        say(f"  degrees of freedom  {len(cost.goal)} a node, control {len(cost.R)}")
+        say(f"  goal                {goal} m; control takes the scene's")
+        for line in (*participant_lines(cost), *term_lines(cost)):
+            say(f"  {line}")
+        for name, value in summary.made.items():
+            say(f"  {name:<22}{_text(value)}")
 
     def _dataset(self, path: Path) -> None:
         from contactgraph.commands.output import say

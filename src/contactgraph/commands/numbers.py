@@ -1,5 +1,7 @@
 """Numbers a user types, refused before any work is begun where nothing good can come of them."""
 
+import math
+
 from contactgraph.data import InvalidInputError
 
 _LARGEST_SEED = 2**32 - 1
@@ -15,6 +17,12 @@ def check_range(flag: str, value: int, lowest: int, highest: int) -> None:
 def check_seed(seed: int) -> None:
     """Raises `InvalidInputError` for a seed that random numbers cannot be made from."""
     check_range("--seed", seed, 0, _LARGEST_SEED)
+
+
+def check_weight(flag: str, weight: float) -> None:
+    """Raises `InvalidInputError` for what cannot weigh anything."""
+    if not (weight >= 0 and math.isfinite(weight)):
+        raise InvalidInputError(f"{flag} must be a number of at least 0, found {weight}")
 
 
 def check_episodes(episodes: int) -> None:

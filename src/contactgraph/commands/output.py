@@ -29,6 +29,12 @@ def check_writable(path: Path | None) -> None:
         raise InvalidInputError(f"{path}: folder {path.parent} does not exist")
 
 
+def check_suffix(flag: str, path: Path | None, suffix: str) -> None:
+    """Refuse a file whose name says it is of another kind."""
+    if path is not None and path.suffix.lower() != suffix:
+        raise InvalidInputError(f"{flag} must name a file that ends in {suffix}, found {path}")
+
+
 def write_json(path: Path | None, values: Mapping[str, Any]) -> None:
     """Write a JSON object to a file, whole or not at all; nothing where no file is named.
 

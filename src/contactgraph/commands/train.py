@@ -51,7 +51,7 @@ class Train:
 
         from contactgraph.commands.model_names import MODELS
         from contactgraph.commands.names import looked_up
-        from contactgraph.commands.numbers import check_seed
+        from contactgraph.commands.numbers import check_seed, check_weight
         from contactgraph.commands.output import progress, say
         from contactgraph.commands.provenance import provenance, sha256
         from contactgraph.data import (
@@ -81,10 +81,7 @@ class Train:
         if distance is not None and not (distance > 0 and math.isfinite(distance)):
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
         build = looked_up("--model", told.model, MODELS)
-        if not (told.prior_weight >= 0 and math.isfinite(told.prior_weight)):
-            raise InvalidInputError(
-                f"--prior-weight must be a number of at least 0, found {told.prior_weight}"
-            )
+        check_weight("--prior-weight", told.prior_weight)
         recipe = Recipe(
             **{name: getattr(told, name) for name in _RECIPE},
             rollout_from=0.0 if told.rollout_from is None else told.rollout_from,

@@ -14,6 +14,7 @@ _MISSING = re.compile(r"Missing from [^:]*: (?P<pieces>.*)")
 _NO_VALUE = re.compile(r"Missing value for argument '(?P<option>[^']+)'")
 _BAD_VALUE = re.compile(r"Error parsing (?P<option>\S+?): (?P<reason>.*?) Argument helptext: ")
 _BAD_NUMBER = re.compile(r".*(?P<kind>int\(\)|float).*: (?P<found>'.*')")
+_BAD_NUMBERS = re.compile(r".*tuple\[float, \.\.\.\].* arguments: \[(?P<found>.*)\]")
 _KINDS = {"int()": "an integer", "float": "a number"}
 
 
@@ -46,5 +47,7 @@ def _mistake(text: str, command: str) -> str:
     if match := _BAD_VALUE.search(text):
         if number := _BAD_NUMBER.fullmatch(match["reason"]):
             return f"{match['option']} must be {_KINDS[number['kind']]}, found {number['found']}"
+        if numbers := _BAD_NUMBERS.fullmatch(match["reason"]):
+            return f"{match['option']} must be numbers, found {numbers['found']}"
         return f"{match['option']}: {match['reason']}"
     return text
