@@ -2,13 +2,19 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import jax.numpy as jnp
 import pytest
 
 from contactgraph import cli
 from contactgraph.commands.study import Study
+from contactgraph.control import LearningHistory, write_cost
 from contactgraph.reproduce.cell import Cell
+from contactgraph.reproduce.cost import declared
+from contactgraph.reproduce.cost.declared import PICKUP_COST
+from contactgraph.reproduce.cost.known_answer import own_cost
 from contactgraph.reproduce.record import Records
 from contactgraph.reproduce.runner import Failure, Standing
 
@@ -29,7 +35,7 @@ FILES = {
     [
         (
             "juggling",
-            "study must be one of pickup, multi-pickup, door, franka, all; found 'juggling'",
+            "study must be one of pickup, multi-pickup, door, franka, cost, all; found 'juggling'",
         ),
         ("door --out taken", "--out: taken must be a folder, found a file"),
     ],
@@ -118,3 +124,48 @@ def test_all_tasks_go_into_one_folder(
     for task in ("pickup", "multi-pickup", "door"):
         assert f"cells/{task}/seed-0/gim-temp-40/run" in full & quick
         assert f"cells/{task}/seed-2/gim-temp-40/run" in full - quick
+
+
+def test_what_the_study_of_costs_leaves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    history = LearningHistory(*[jnp.ones(1)] * 4)
+    learned = replace(own_cost(PICKUP_COST, ("gripper", "target")), history=history)
+    values = {"success_rate": 0.97, "episodes": 100, "contact_speed_m_s": 1.5}
+
+    def run_cells(
+        cells: Sequence[Cell], records: Records, workers: object, on_step: object
+    ) -> list[Failure]:
+        for cell in cells:
+            path = records.folder / cell.output
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.name == "cost.json" and "pickup/seed-0" in cell.output:
+                write_cost(path, learned, {"seconds": 12.5})
+            elif path.suffix == ".json" and path.name != "cost.json":
+                path.write_text(json.dumps(values))
+        return []
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("contactgraph.commands.study.run_cells", run_cells)
+    monkeypatch.setattr(declared, "COST_TASKS", [PICKUP_COST])
+    assert cli.run(["reproduce", "cost", "--quick"]) == 0
+    folder = tmp_path / "results" / "cost"
+    assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
+    said = capsys.readouterr().out
+    assert "8. does not hold: A cost learned from demonstrations of one goal" in said
+    assert "the page: results/cost/index.html" in said
+    results = json.loads((folder / "results.json").read_text())
+    assert results["command"] == "contactgraph reproduce cost --quick"
+    assert (results["demonstrations"], results["test_scene_seeds"]) == ([5, 40], [1100])
+    made = [cell for cell in results["cells"] if cell["source"] == "learning"]
+    assert {cell["values"]["made"]["seconds"] for cell in made} == {12.5}
+    assert all("history" not in cell["values"] and cell["values"]["Q"] for cell in made)
+    figures = {path.name for path in (folder / "figures").iterdir()}
+    assert figures == {
+        f"{name}.{kind}"
+        for name in ("success", "cost-pickup", "known-answer-pickup")
+        for kind in ("png", "svg")
+    }
+    page = (folder / "index.html").read_text()
+    assert 'id="known-answer"' in page and page.count("data:image/svg+xml") == 3
+    assert "| pickup | target - goal | 1 m | 70.7 | 70.7 | 1 |" in (folder / "table.md").read_text()

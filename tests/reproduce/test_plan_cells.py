@@ -1,6 +1,7 @@
 """From what is declared to command lines: each is one that the commands take, and all are there."""
 
-from contactgraph import cli
+from command_lines import commands_of, outputs_of_several, value
+
 from contactgraph.reproduce.cell import in_order
 from contactgraph.reproduce.declared import (
     EVERY_TASK,
@@ -16,32 +17,13 @@ from contactgraph.reproduce.plan_cells import Source, measurements
 
 
 def test_every_command_line_is_one_of_ours() -> None:
-    """So that no study finds out at its end that an option is called otherwise."""
-    cells = in_order(one.cell for one in measurements(EVERY_TASK, FULL))
-    lines = {cell.arguments for cell in cells}
-    seen: set[tuple[str, ...]] = set()
-    for arguments in lines:
-        # Values differ from cell to cell; options are what could be wrong.
-        options = (arguments[0], *(word for word in arguments if word.startswith("--")))
-        if options in seen:
-            continue
-        seen.add(options)
-        parsed = cli._parse(list(arguments))
-        assert not isinstance(parsed, int), " ".join(arguments)
-    assert {options[0] for options in seen} == {"collect", "train", "evaluate", "control"}
+    cells = [one.cell for one in measurements(EVERY_TASK, FULL)]
+    assert commands_of(cells) == {"collect", "train", "evaluate", "control"}
 
 
 def test_outputs_are_each_made_by_one_cell() -> None:
     for amounts in (FULL, QUICK):
-        cells = [
-            cell
-            for one in measurements(EVERY_TASK, amounts)
-            for cell in (one.cell, *one.cell.needs)
-        ]
-        commands: dict[str, set[str]] = {}
-        for cell in cells:
-            commands.setdefault(cell.output, set()).add(cell.command)
-        assert {output: found for output, found in commands.items() if len(found) > 1} == {}
+        assert outputs_of_several(one.cell for one in measurements(EVERY_TASK, amounts)) == {}
 
 
 def test_all_that_was_asked_for() -> None:
@@ -71,14 +53,13 @@ def test_half_a_second_and_a_run_are_other_numbers_of_steps_with_an_arm() -> Non
     cells = in_order(one.cell for one in found)
 
     def options(source: Source, option: str) -> set[str]:
-        told = [one.cell.arguments for one in found if one.where.source is source]
-        return {words[words.index(option) + 1] for words in told}
+        return {value(one.cell, option) for one in found if one.where.source is source}
 
     assert options(Source.planned, "--replan-every") == {"50"}
     assert options(Source.planned, "--horizon") == {"100"}
     trained = [cell for cell in cells if cell.arguments[0] == "train"]
-    models = [cell.arguments[cell.arguments.index("--model") + 1] for cell in trained]
+    models = [value(cell, "--model") for cell in trained]
     assert models == ["gim-temp", "gim-non-temp", "no-gim"], "those that the paper compares"
     assert not [one for one in found if one.where.source in (Source.growth, Source.long_plan)]
-    runs = {cell.arguments[cell.arguments.index("--episodes") + 1] for cell in trained[0].needs}
+    runs = {value(cell, "--episodes") for cell in trained[0].needs}
     assert runs == {"200"}

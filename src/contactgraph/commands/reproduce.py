@@ -12,27 +12,34 @@ from tyro.conf import Positional, arg
 class Reproduce:
     """Record, train and test every model of the paper, and say which of its claims hold.
 
-    Goes on where it was stopped: what the same command has made already is not done again.
+    With cost: learn costs from demonstrations, and control with them where none was. Goes on where
+    it was stopped: what the same command has made already is not done again.
     """
 
     study: Positional[Annotated[str, arg(metavar="STUDY")]] = "all"
-    """The study: pickup, multi-pickup, door, all of these (all), or franka (an arm)."""
+    """The study: pickup, multi-pickup, door, all of these (all), franka (an arm), or cost."""
     quick: bool = False
-    """One training seed and few test scenes: half an hour on two cores for all tasks."""
+    """One seed and few test scenes: half an hour on two cores for all tasks."""
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """The folder to write; results/study for all, results/TASK for one, if not given."""
+    """The folder to write; results/study for all, results/STUDY for another, if not given."""
 
     def run(self) -> None:
         """Run the study."""
         from contactgraph.commands.names import looked_up
         from contactgraph.commands.study import Study
         from contactgraph.data import InvalidInputError
+        from contactgraph.reproduce.cost.declared import COST_TASKS, FULL_COST, QUICK_COST
+        from contactgraph.reproduce.cost.study import CostStudy
         from contactgraph.reproduce.declared import EVERY_TASK, FULL, QUICK, TASKS
+        from contactgraph.reproduce.findings import StudyPlan
         from contactgraph.reproduce.model_study import ModelStudy
 
         amounts = QUICK if self.quick else FULL
-        studies = {task.name: ModelStudy((task,), amounts) for task in EVERY_TASK}
-        studies["all"] = ModelStudy(TASKS, amounts)
+        studies: dict[str, StudyPlan] = {
+            **{task.name: ModelStudy((task,), amounts) for task in EVERY_TASK},
+            "cost": CostStudy(COST_TASKS, QUICK_COST if self.quick else FULL_COST),
+            "all": ModelStudy(TASKS, amounts),
+        }
         plan = looked_up("study", self.study, studies)
         folder = self.out or Path("results") / ("study" if self.study == "all" else self.study)
         if folder.exists() and not folder.is_dir():

@@ -62,12 +62,20 @@ def figure_pictures(
                 sample_chart(results, tasks, amounts),
             )
         )
-    return [_drawn(folder, *one) for one in charts]
+    return [drawn(folder, *one) for one in charts]
 
 
-def _drawn(folder: Path, name: str, title: str, caption: str, chart: Chart) -> Picture:
+def drawn(folder: Path, name: str, title: str, caption: str, chart: Chart) -> Picture:
+    """A chart, written to ``figures/NAME.png`` and ``.svg``."""
     write_chart(folder / _FIGURES, name, chart)
     return Picture(title, caption, svg(chart), "svg+xml")
+
+
+def still(folder: Path, name: str, title: str, caption: str, run: SceneRun) -> Picture:
+    """One moment of a run, written to ``figures/NAME.png``."""
+    path = folder / _FIGURES / f"{name}.png"
+    write_still(path, run)
+    return Picture(title, caption, path.read_bytes(), "png")
 
 
 def scene_pictures(
@@ -81,14 +89,12 @@ def scene_pictures(
             if run is None:
                 continue
             name = f"scene-{task.name}-{condition.slug}"
-            path = folder / _FIGURES / f"{name}.png"
-            write_still(path, run)
             title = f"{task.name}, {condition.name}"
             caption = "A closed-loop episode of GIM-Temp, planned anew every half second."
-            stills.append(Picture(title, caption, path.read_bytes(), "png"))
+            stills.append(still(folder, name, title, caption, run))
             if condition is task.as_trained:
                 insights.append(
-                    _drawn(
+                    drawn(
                         folder,
                         f"parameters-{task.name}",
                         f"Belief and learned parameters through a run, {task.name}",

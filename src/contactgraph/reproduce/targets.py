@@ -95,7 +95,7 @@ def targets(
             f1_recorded = results.number(recorded(task, GIM_TEMP, condition), "edge_f1")
             success = results.number(every_step, "success_rate", 100.0)
             numbers += [
-                _number(
+                judged(
                     f"{label}: N-step error, planned against executed",
                     "cm",
                     results.error_cm(where, PLANNED_ERROR),
@@ -103,19 +103,19 @@ def targets(
                     seeds,
                     lower_is_better=True,
                 ),
-                _number(f"{label}: edge F1, the same", "", f1, asked.edge_f1[inside], seeds),
-                _number(
+                judged(f"{label}: edge F1, the same", "", f1, asked.edge_f1[inside], seeds),
+                judged(
                     f"{label}: edge F1, recorded", "", f1_recorded, asked.edge_f1[inside], seeds
                 ),
-                _number(f"{label}: success", "%", success, asked.success_percent[inside], seeds),
+                judged(f"{label}: success", "%", success, asked.success_percent[inside], seeds),
             ]
             if not asked.as_it_passes:
                 continue
             speed = results.number(every_step, "contact_speed_m_s")
             tick = results.number(every_step, "plan_ms_p99")
             numbers += [
-                _number(f"{label}: speed at contact", "m/s", speed, asked.contact_speed, seeds),
-                _number(
+                judged(f"{label}: speed at contact", "m/s", speed, asked.contact_speed, seeds),
+                judged(
                     f"{label}: control tick, 99 %, both cores busy",
                     "ms",
                     tick,
@@ -127,7 +127,7 @@ def targets(
     return tuple(numbers)
 
 
-def _number(
+def judged(
     name: str,
     unit: str,
     figure: Figure,
@@ -135,6 +135,7 @@ def _number(
     seeds: tuple[int, ...],
     lower_is_better: bool = False,
 ) -> Number:
+    """The median over seeds, with their range, beside what is asked of it."""
     return Number(
         name=name,
         value=figure.median if figure.known else None,

@@ -1,0 +1,1 @@
+"""The study of learned costs: the paper's fourth question."""

@@ -1,0 +1,114 @@
+"""The study of learned costs: do they do the task where no demonstration was?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from contactgraph.reproduce.cell import Cell, in_order
+from contactgraph.reproduce.claim import told
+from contactgraph.reproduce.cost.cells import (
+    Controlled,
+    Demonstrated,
+    Learned,
+    Place,
+    cost_measurements,
+)
+from contactgraph.reproduce.cost.charts import cost_pictures, cost_scenes
+from contactgraph.reproduce.cost.claim import transfers
+from contactgraph.reproduce.cost.declared import SCENE_SEED, CostAmounts, CostTask
+from contactgraph.reproduce.cost.known_answer import known_costs, known_table, known_terms
+from contactgraph.reproduce.cost.table import cost_csv, cost_rows, cost_table
+from contactgraph.reproduce.cost.targets import cost_targets
+from contactgraph.reproduce.findings import Findings
+from contactgraph.reproduce.measurement import Measurement
+from contactgraph.reproduce.page_table import markdown_table
+from contactgraph.reproduce.results import Results
+
+_LEFT_OUT = ("history", "in_words")
+"""Of a cost file, in the results: long, or the same in all."""
+
+
+@dataclass(frozen=True)
+class CostStudy:
+    """Some tasks, and so much of everything."""
+
+    tasks: Sequence[CostTask]
+    amounts: CostAmounts
+
+    @cached_property
+    def wanted(self) -> list[Measurement[Place]]:
+        """All that is measured."""
+        return cost_measurements(self.tasks, self.amounts)
+
+    @cached_property
+    def cells(self) -> list[Cell]:
+        """All that is made for it, in order of need."""
+        return in_order(one.cell for one in self.wanted)
+
+    def findings(self, folder: Path) -> Findings:
+        """The claim, tables and figures."""
+        results = Results.read(folder, self.wanted)
+        found = [transfers(results, self.tasks, self.amounts)]
+        table = cost_table(rows := cost_rows(results, self.tasks, self.amounts))
+        known = known_table(
+            [
+                term
+                for task in self.tasks
+                for term in known_terms(task, known_costs(folder, self.wanted, task, self.amounts))
+            ]
+        )
+        tables = [table, known]
+        seeds, episodes = self.amounts.seeds, self.amounts.episodes
+        return Findings(
+            title="A cost, learned from demonstrations",
+            summary="What an expert wants, learned from its runs through a differentiable LQR on "
+            f"the learned model: {told(found)} {len(seeds)} seed(s) of demonstrations, each with "
+            f"one goal; {episodes} closed-loop episodes a seed, with goals and objects that no "
+            "demonstration had.",
+            claims=found,
+            asked="What learned costs must reach",
+            targets=cost_targets(results, self.tasks, self.amounts),
+            tables=tables,
+            table_markdown="\n".join(markdown_table(one.heads, one.rows) for one in tables),
+            table_csv=cost_csv(rows),
+            figures=cost_pictures(folder, results, self.wanted, self.tasks, self.amounts),
+            scenes=cost_scenes(folder, self.wanted, self.tasks, self.amounts),
+            amounts={
+                "demonstration_seeds": list(seeds),
+                "demonstrations": list(self.amounts.runs),
+                "episodes": episodes,
+                "test_scene_seeds": [SCENE_SEED + seed for seed in seeds],
+            },
+            readings=[
+                {
+                    **_what(where),
+                    "seed": reading.seed,
+                    "command": reading.command,
+                    "values": {
+                        key: value for key, value in reading.values.items() if key not in _LEFT_OUT
+                    },
+                }
+                for where in dict.fromkeys(one.where for one in self.wanted)
+                for reading in results.readings(where)
+            ],
+        )
+
+
+def _what(where: Place) -> dict[str, Any]:
+    """What a reading is of, in words."""
+    match where:
+        case Demonstrated(task):
+            return {"source": "control with the task's own cost", "task": task}
+        case Learned(task, lesson):
+            source, distractors = "learning", None
+        case Controlled(task, trial):
+            source, lesson, distractors = "control", trial.lesson, trial.distractors
+    return {
+        "source": source,
+        "task": task,
+        "learned_from": lesson.name,
+        "demonstrations": lesson.runs,
+        "distractors": distractors,
+    }

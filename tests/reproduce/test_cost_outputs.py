@@ -1,0 +1,169 @@
+"""Claim, targets, tables, charts and the page of the study of costs, from made-up numbers."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from made_up_costs import Change, cost_results
+
+from contactgraph.reproduce.chart import svg
+from contactgraph.reproduce.cost.charts import success_chart
+from contactgraph.reproduce.cost.claim import transfers
+from contactgraph.reproduce.cost.declared import (
+    COST_TASKS,
+    DOOR_COST,
+    FULL_COST,
+    MULTI_PICKUP_COST,
+    PICKUP_COST,
+    among_distractors,
+    by_runs,
+)
+from contactgraph.reproduce.cost.known_answer import known_table, known_terms, own_cost
+from contactgraph.reproduce.cost.study import CostStudy
+from contactgraph.reproduce.cost.table import cost_csv, cost_rows, cost_table
+from contactgraph.reproduce.cost.targets import cost_targets
+from contactgraph.reproduce.results import Results
+from contactgraph.view import Number
+
+MOST = by_runs(FULL_COST)[-1]
+
+
+@pytest.mark.parametrize(
+    ("change", "task", "holds"),
+    [
+        (None, "", True),
+        ({"success_rate": 0.98}, "pickup", True),
+        (lambda seed: {"success_rate": 0.98 if seed else 0.97}, "pickup", False),
+        ({"success_rate": 0.5}, "door", True),
+    ],
+)
+def test_the_claim_is_about_all_episodes_of_pickup(
+    change: Change | None, task: str, holds: bool
+) -> None:
+    found = transfers(cost_results(change, task, MOST), COST_TASKS, FULL_COST)
+    assert (found.number, found.holds) == (8, holds)
+    json.dumps(found.to_json(), allow_nan=False)
+
+
+def test_what_the_claim_says() -> None:
+    found = transfers(
+        cost_results({"success_rate": 0.5}, "pickup", by_runs(FULL_COST)[0]), COST_TASKS, FULL_COST
+    )
+    assert found.holds is True, "fewer demonstrations are another question"
+    assert found.sentence == (
+        "Learned from 40 demonstrations: 99 % (297 of 300; 97.1 to 99.7) on pickup, "
+        "99 % (297 of 300; 97.1 to 99.7) on multi-pickup and 99 % (297 of 300; 97.1 to 99.7) on "
+        "door."
+    )
+    assert [number.figure.median for number in found.numbers[:4]] == [50.0, 99.0, 99.0, 99.0]
+    nothing = transfers(Results({}), COST_TASKS, FULL_COST)
+    assert (nothing.holds, nothing.sentence) == (None, "Not measured.")
+
+
+def targets(results: Results) -> dict[str, Number]:
+    return {number.name: number for number in cost_targets(results, [PICKUP_COST], FULL_COST)}
+
+
+def test_targets_are_judged_by_all_episodes_together() -> None:
+    found = targets(cost_results())
+    counted = "(297 of 300 episodes of 3 seeds)"
+    unseen = found[f"pickup: success, unseen goals and objects, 40 demonstrations {counted}"]
+    assert (unseen.at_least, unseen.aim, unseen.reached) == (98.0, 100.0, True)
+    assert unseen.value == pytest.approx(99.0)
+    assert unseen.interval == pytest.approx((97.1, 99.7), abs=0.05)
+    assert unseen.command.startswith("contactgraph control pickup pickup --cost ")
+    seconds = found["pickup: learning from 40 demonstrations, on one core"]
+    assert (seconds.value, seconds.at_least, seconds.aim) == (30.0, 300.0, 60.0)
+    bad = targets(cost_results({"success_rate": 0.94}, "pickup", among_distractors(FULL_COST)[1]))
+    missed = [number for number in bad.values() if number.reached is False]
+    assert [number.at_least for number in missed] == [95.0]
+    assert "40 demonstrations by the expert among 5 distractors, 5 dis" in missed[0].name
+
+
+@pytest.mark.parametrize(("changed", "needed"), [(None, 5), (5, 10), (10, 20), (40, None)])
+def test_demonstrations_needed(changed: int | None, needed: int | None) -> None:
+    """More must not be worse: the fewest from which on all are enough."""
+    bad = [trial for trial in by_runs(FULL_COST) if trial.lesson.runs == changed]
+    change = {"success_rate": 0.9} if bad else None
+    found = targets(cost_results(change, "pickup", bad[0] if bad else None))
+    number = found["pickup: demonstrations needed for 95 % (of 5, 10, 20, 40)"]
+    assert (number.value, number.aim, number.reached) == (needed, 5.0, None)
+
+
+def test_tables_say_the_same_to_people_and_programs() -> None:
+    rows = cost_rows(
+        cost_results(lambda seed: {"success_rate": 1.0 - seed / 100}, "pickup"),
+        COST_TASKS,
+        FULL_COST,
+    )
+    assert len(rows) == 3 * 8 + 1
+    page = cost_table(rows)
+    assert page.rows[3].names == ("pickup", "expert", "40", "0")
+    assert page.rows[3].figures == (
+        "99 % (297 of 300; 97.1 to 99.7)",
+        "100, 99, 98",
+        "1.5 (1.5 to 1.5)",
+        "",
+        "30 (30 to 30)",
+    )
+    assert page.rows[5].names == ("pickup", "expert among 5 distractors", "40", "5")
+    assert page.rows[5].figures[3] == "2, 2, 2"
+    assert page.rows[7].names[1] == "expert, without the prior"
+    assert page.rows[8].names == ("pickup", "not learned: the task's own cost", "", "0")
+    assert page.rows[8].commands[1].startswith("contactgraph control pickup pickup --episodes 40 ")
+    read = list(csv.DictReader(io.StringIO(cost_csv(rows))))
+    assert len(read) == len(rows)
+    first = read[3]
+    assert (first["successes"], first["episodes"], first["seeds"]) == ("297", "300", "3")
+    assert float(first["interval_low"]) == pytest.approx(0.971, abs=5e-4)
+    assert (first["success_percent_low"], first["learning_s_median"]) == ("98.0", "30.0")
+    empty = cost_rows(Results({}), COST_TASKS, FULL_COST)
+    assert next(csv.DictReader(io.StringIO(cost_csv(empty))))["successes"] == ""
+
+
+def test_the_known_answer_is_known_up_to_scale() -> None:
+    own = own_cost(PICKUP_COST, ("gripper", "target"))
+    half = replace(own, Q=3.5 * own.Q, R=7.0 * own.R)
+    terms = known_terms(PICKUP_COST, [replace(own, Q=7.0 * own.Q, R=7.0 * own.R), half])
+    assert [(term.name, term.unit) for term in terms] == [
+        ("gripper - target", "1 m"),
+        ("gripper - target", "1 m/s"),
+        ("target - goal", "1 m"),
+        ("target - goal", "1 m/s"),
+    ]
+    # Roots of the paper's weights over that of the force: 3, 0.2, 50 and 1 over 0.01.
+    assert [term.own for term in terms] == pytest.approx([300**0.5, 20**0.5, 5000**0.5, 10.0])
+    for term in terms:
+        assert term.ratio.values == pytest.approx((1.0, 0.5**0.5))
+    assert known_table(terms).rows[0].names == ("pickup", "gripper - target", "1 m")
+    assert known_table(terms).rows[0].figures[0] == "17.3"
+    assert known_terms(PICKUP_COST, []) == []
+
+
+def test_costs_of_several_objects_are_compared_in_the_order_learned() -> None:
+    kept = ("gripper", "target-2", "target-1")
+    own = own_cost(MULTI_PICKUP_COST, kept)
+    other = own_cost(MULTI_PICKUP_COST, ("gripper", "target-1", "target-2"))
+    terms = known_terms(MULTI_PICKUP_COST, [own, other])
+    assert terms[0].name == "gripper - target-2"
+    assert terms[0].ratio.values == pytest.approx((1.0,)), "the other order has other terms"
+    assert {
+        term.name for term in known_terms(DOOR_COST, [own_cost(DOOR_COST, ("gripper", "door"))])
+    } == {"gripper - door", "door - goal"}
+
+
+def test_charts_are_drawn_whatever_is_missing() -> None:
+    whole = svg(success_chart(cost_results(), COST_TASKS, FULL_COST))
+    assert whole == svg(success_chart(cost_results(), COST_TASKS, FULL_COST))
+    assert svg(success_chart(Results({}), COST_TASKS, FULL_COST)) != whole
+
+
+def test_a_study_of_nothing_says_so(tmp_path: Path) -> None:
+    found = CostStudy(COST_TASKS, FULL_COST).findings(tmp_path)
+    assert [claim.holds for claim in found.claims] == [None]
+    assert all(number.value is None for number in found.targets)
+    assert found.readings == [] and found.scenes == []
+    assert "| pickup | expert | 40 | 0 | not known |" in found.table_markdown
