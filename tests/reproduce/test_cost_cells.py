@@ -28,6 +28,8 @@ def test_all_that_was_asked_for() -> None:
     assert len(of[Learned]) == 3 * (3 * 6 + 1)
     assert len(of[Controlled]) == 3 * (3 * 7 + 1)
     assert sum(isinstance(one.where, Demonstrated) for one in found) == 3 * 3
+    told = {(str(one.where.lesson.runs), value(one.cell, "--runs")) for one in of[Learned]}
+    assert told == {(runs, runs) for runs in ("5", "10", "20", "40")}
     without = {one.cell for one in of[Learned] if "--prior-weight" in one.cell.arguments}
     assert {value(cell, "--prior-weight") for cell in without} == {"0"}
     assert {cell.arguments[1] for cell in without} == {"pickup"}

@@ -25,9 +25,10 @@ def transfers(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts)
             success = results.number(where, "success_rate", 100.0)
             name = f"success, {trial.lesson.runs} demonstrations"
             numbers.append(ClaimNumber(name, task.name, "%", success))
-            pooled = pooled_success(results.readings(where))
-            if pooled is not None and trial.lesson.runs == amounts.most:
-                reached[task.name] = pooled
+        most = Controlled(task.name, by_runs(amounts)[-1])
+        pooled = pooled_success(results.readings(most))
+        if pooled is not None:
+            reached[task.name] = pooled
     own = reached.get(PICKUP_COST.name)
     said = [f"{success_words(success)} on {name}" for name, success in reached.items()]
     return Claim(
