@@ -1,6 +1,7 @@
 # make demo    from nothing to a report: environment, data, training, closed loop, page
 # make test    what CI runs: lint, format, types, tests
 # make bench   training throughput and control tick time, on this machine
+# make bench-peers   the differentiable LQR beside mpc.pytorch, in an environment of its own
 # make clean   remove what was made here (the environment too)
 #
 # make demo PYTHON=python3.12   another interpreter, 3.11 or newer
@@ -8,6 +9,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PEERS := .venv-peers
 PACKAGE := $(VENV)/.installed
 DEVELOPMENT := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet --quiet
@@ -17,7 +19,7 @@ RUN := $(DEMO)/run
 TRAINED := $(DEMO)/.trained
 REPORT := report/index.html
 
-.PHONY: help demo test bench clean
+.PHONY: help demo test bench bench-peers clean
 .DELETE_ON_ERROR:
 
 help:
@@ -55,8 +57,11 @@ bench: $(PACKAGE)
 	$(BIN)/python benchmarks/training_throughput.py
 	$(BIN)/python benchmarks/control_tick.py
 
+bench-peers: $(PEERS)/.installed
+	$(PEERS)/bin/python benchmarks/differentiable_lqr.py
+
 clean:
-	rm -rf $(VENV) $(DEMO) report build src/contactgraph.egg-info
+	rm -rf $(VENV) $(PEERS) $(DEMO) report build src/contactgraph.egg-info
 	rm -rf .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -69,6 +74,17 @@ $(DEVELOPMENT): pyproject.toml | $(BIN)/python
 $(PACKAGE): pyproject.toml | $(BIN)/python
 	@echo "== installing"
 	@$(PIP) install -e .
+	@touch $@
+
+# mpc asks for numpy below 2, but runs with newer ones: hence --no-deps. Where pip would choose a
+# torch for graphics cards, gigabytes large, name another: make bench-peers TORCH=torch==2.13.0+cpu
+TORCH ?= torch
+$(PEERS)/.installed: pyproject.toml benchmarks/requirements-peers.txt
+	@echo "== making $(PEERS): this package, torch and mpc"
+	@$(PYTHON) -m venv $(PEERS)
+	@$(PEERS)/bin/python -m pip --disable-pip-version-check --quiet install -e . '$(TORCH)'
+	@$(PEERS)/bin/python -m pip --disable-pip-version-check --quiet install --no-deps \
+		-r benchmarks/requirements-peers.txt
 	@touch $@
 
 $(BIN)/python:

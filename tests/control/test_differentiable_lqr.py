@@ -14,6 +14,7 @@ from contactgraph.control import (
     solve_lqr,
     tracking_problem,
 )
+from contactgraph.control.control_step import solve_small
 from contactgraph.control.lqr_system import factorised, solved
 
 
@@ -219,6 +220,15 @@ def test_a_batch_of_batches_and_a_map_over_batches():
     alone = jax.jit(lqr_trajectory)(*problems[4])
     jax.tree.map(close_to(1e-12), nested, mapped)
     jax.tree.map(close_to(1e-12), jax.tree.map(lambda leaf: leaf[1, 1], nested), alone)
+
+
+@pytest.mark.parametrize("U", [2, 7])
+def test_small_systems_are_solved_with_the_batch_last(U):
+    rng = np.random.default_rng(U)
+    root, right = rng.normal(size=(U, U, 5)), rng.normal(size=(U, 3, 5))
+    matrix = np.einsum("ikb,jkb->ijb", root, root) + np.eye(U)[..., None]
+    answer = jax.jit(solve_small)(jnp.asarray(matrix), jnp.asarray(right))
+    np.testing.assert_allclose(np.einsum("ikb,kjb->ijb", matrix, answer), right, atol=1e-10)
 
 
 def test_single_precision_stays_single():

@@ -51,7 +51,8 @@ def lqr_trajectory(problem: LQRProblem, start: Float[Array, " n"]) -> LQRTraject
 
     One problem with a dense ``A`` [H, n, n]; for a batch use `jax.vmap`, in which any leaf may be
     shared. A batch kept in the last axis of every array (``in_axes=-1, out_axes=-1``) is fastest:
-    it needs no transposition.
+    it needs no transposition. Some hundreds of problems at a time fit a processor's caches; take
+    thousands in parts, with `jax.lax.map`.
     """
     return _trajectory(problem, start)
 

@@ -22,7 +22,7 @@ Written for speed on a CPU, where it is the number and the form of XLA's kernels
 
 - A batch is the *last* axis of every array, and a product is a sum over its inner index of
   elementwise products, which XLA makes one vectorised kernel along the batch. The batched small
-  products of `jnp.matmul` are six times slower. No batch axis at all is fine, too.
+  products of `jnp.matmul` are five times slower. No batch axis at all is fine, too.
 - A loop carries its *next* inputs (`_values`). XLA would otherwise fuse the read of a step's
   inputs into each kernel that uses them, and such a kernel is not vectorised.
 - A product whose result enters another product on the left, entry by entry (`_inner`), is used too
