@@ -92,6 +92,7 @@ def test_unknown_dynamics():
     def learned(seed, attempt):
         _, linear, starts, shown = expert_of(seed)
 
+        @jax.jit
         def loss(dynamics):
             return error(trajectories(dynamics, jnp.ones(2 * SIZE), linear, starts), shown)
 
@@ -107,6 +108,7 @@ def test_unknown_cost():
     def learned(seed):
         dynamics, _, starts, shown = expert_of(seed)
 
+        @jax.jit
         def loss(cost):
             logarithms, linear = cost
             return error(trajectories(dynamics, jnp.exp(logarithms), linear, starts), shown)
