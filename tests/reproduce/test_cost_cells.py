@@ -23,9 +23,9 @@ def test_all_that_was_asked_for() -> None:
         kind: [one for one in found if isinstance(one.where, kind)]
         for kind in (Learned, Controlled)
     }
-    # Four numbers of demonstrations, those among distractors, those with a known answer; and on
-    # pickup without the prior.
-    assert len(of[Learned]) == 3 * (3 * 6 + 1)
+    # Four numbers of demonstrations, those among distractors, those with a known answer by two
+    # costs; and on pickup without the prior.
+    assert len(of[Learned]) == 3 * (3 * 7 + 1)
     assert len(of[Controlled]) == 3 * (3 * 7 + 1)
     assert sum(isinstance(one.where, Demonstrated) for one in found) == 3 * 3
     told = {(str(one.where.lesson.runs), value(one.cell, "--runs")) for one in of[Learned]}
@@ -42,7 +42,7 @@ def test_all_that_was_asked_for() -> None:
     assert {one.where.lesson.runs for one in quick if isinstance(one.where, Learned)} == {5, 40}
 
 
-def test_demonstrations_have_one_goal_unless_they_are_by_the_tasks_own_cost() -> None:
+def test_demonstrations_have_one_goal_unless_a_known_cost_makes_them() -> None:
     cells = in_order(one.cell for one in cost_measurements([PICKUP_COST], FULL_COST))
 
     def command(output: str) -> str:
@@ -58,6 +58,11 @@ def test_demonstrations_have_one_goal_unless_they_are_by_the_tasks_own_cost() ->
     assert command("cells/pickup/seed-1/own-cost-40/cost.json").startswith(
         "contactgraph learn-cost pickup cells/pickup/seed-1/own-cost.h5 --runs 40 "
     )
+    again = command("cells/pickup/seed-1/learned-cost.json")
+    hidden = "cells/pickup/seed-1/expert-40/cost.json"
+    assert again.startswith(f"contactgraph control pickup pickup --cost {hidden} --episodes 40 ")
+    made = next(cell for cell in cells if cell.output.endswith("seed-1/learned-cost.json"))
+    assert [cell.output for cell in made.needs] == [hidden]
 
 
 def test_test_scenes_are_the_same_for_every_cost_and_other_ones_for_every_seed() -> None:
@@ -72,4 +77,4 @@ def test_test_scenes_are_the_same_for_every_cost_and_other_ones_for_every_seed()
 
 
 def _demonstrates(cell: Cell) -> bool:
-    return "--seed" in cell.arguments and "--cost" not in cell.arguments
+    return "--seed" in cell.arguments and value(cell, "--episodes") == "40"

@@ -1,7 +1,7 @@
 """A claim of the paper beside what was measured."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,12 +67,6 @@ def verdict(found: list[bool | None]) -> bool | None:
     if False in found:
         return False
     return None if not found or None in found else True
-
-
-def told(found: Sequence[Claim]) -> str:
-    """How many hold, as a sentence."""
-    held = sum(claim.holds is True for claim in found)
-    return f"{held} of {len(found)} claims hold for our models."
 
 
 def _json(value: float) -> float | str | None:

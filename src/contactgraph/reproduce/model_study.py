@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 from contactgraph.reproduce.cell import Cell, in_order
-from contactgraph.reproduce.claim import told
+from contactgraph.reproduce.claim import Claim
 from contactgraph.reproduce.claims import claims
 from contactgraph.reproduce.declared import Amounts, StudyTask
 from contactgraph.reproduce.findings import Findings
@@ -44,7 +44,7 @@ class ModelStudy:
         scenes, insights = scene_pictures(folder, self.tasks, self.wanted)
         return Findings(
             title="A contact graph, claim by claim",
-            summary=f"What the paper says, measured anew: {told(found)} "
+            summary=f"What the paper says, measured anew: {_told(found)} "
             f"{len(self.amounts.seeds)} training seed(s), {self.amounts.episodes} closed-loop "
             "episodes a cell, in scenes that no training has seen.",
             claims=found,
@@ -80,3 +80,8 @@ class ModelStudy:
             for where in dict.fromkeys(one.where for one in self.wanted)
             for reading in results.readings(where)
         ]
+
+
+def _told(found: Sequence[Claim]) -> str:
+    held = sum(claim.holds is True for claim in found)
+    return f"{held} of {len(found)} claims hold for our models."

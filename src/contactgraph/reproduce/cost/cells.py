@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from contactgraph.reproduce.cell import Cell
 from contactgraph.reproduce.cost.declared import (
     BYSTANDERS,
-    CONTROLLER,
+    OWN_COST,
     SCENE_SEED,
     CostAmounts,
     CostTask,
     Demonstrator,
     Lesson,
     Trial,
+    lessons,
     trials,
 )
 from contactgraph.reproduce.measurement import Measurement
@@ -50,13 +51,12 @@ def cost_measurements(tasks: Sequence[CostTask], amounts: CostAmounts) -> list[M
 
 
 def _of(task: CostTask, seed: int, amounts: CostAmounts) -> Iterator[Measurement[Place]]:
-    own = demonstrations(task, CONTROLLER, seed, amounts)
+    own = demonstrations(task, OWN_COST, seed, amounts)
     yield Measurement(Demonstrated(task.name), seed, own)
-    wanted = trials(task, amounts)
-    for lesson in dict.fromkeys(trial.lesson for trial in wanted):
+    for lesson in lessons(task, amounts):
         cell = learning(task, lesson, seed, amounts)
         yield Measurement(Learned(task.name, lesson), seed, cell)
-    for trial in wanted:
+    for trial in trials(task, amounts):
         learned = learning(task, trial.lesson, seed, amounts)
         # These are the scenes that are shown.
         save = trial.distractors == BYSTANDERS and seed == amounts.seeds[0]
@@ -74,8 +74,11 @@ def demonstrations(
     if demonstrator.planned:
         output = f"{beginning}.json"
         files = ("--json", output, "--save", f"{beginning}.h5")
-        arguments = ("control", task.name, task.name, *counts, *among, *files)
-        return Cell(output, arguments, f"control {task.name}")
+        hidden = demonstrator.hidden
+        known = () if hidden is None else (learning(task, hidden, seed, amounts),)
+        cost = tuple(word for cell in known for word in ("--cost", cell.output))
+        arguments = ("control", task.name, task.name, *cost, *counts, *among, *files)
+        return Cell(output, arguments, f"control {task.name}", known)
     output = f"{beginning}.h5"
     kind = ("--goal", "fixed", "--expert", "demo")
     arguments = ("collect", task.name, *kind, *counts, *among, "--out", output)

@@ -16,8 +16,9 @@ from contactgraph.reproduce.cost.declared import (
     CostTask,
     among_distractors,
     by_runs,
+    known_answers,
 )
-from contactgraph.reproduce.cost.known_answer import known_costs, own_cost
+from contactgraph.reproduce.cost.known_answer import known_answer
 from contactgraph.reproduce.cost.targets import ENOUGH
 from contactgraph.reproduce.findings import Picture
 from contactgraph.reproduce.measurement import Measurement
@@ -100,16 +101,18 @@ def cost_pictures(
                     cost_figure(read_cost(path)),
                 )
             )
-        known = known_costs(folder, wanted, task, amounts)
-        if known:
+        for lesson in known_answers(amounts):
+            known = known_answer(folder, wanted, task, lesson)
+            if not known:
+                continue
             pictures.append(
                 drawn(
                     folder,
-                    f"known-answer-{task.name}",
+                    f"known-{lesson.demonstrator.slug}-{task.name}",
                     f"A known answer, {task.name}",
-                    f"Learned from {amounts.most} runs of MPC with the task's own cost, the first "
-                    "seed's; below it that cost.",
-                    cost_figure(known[0], own_cost(task, known[0].kept_nodes)),
+                    f"Learned from {lesson.runs} runs of {lesson.name}, the first seed's; below it "
+                    "that cost.",
+                    cost_figure(known[0].learned, known[0].hidden),
                 )
             )
     return pictures

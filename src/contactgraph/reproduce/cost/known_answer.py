@@ -1,92 +1,111 @@
-"""Costs learned from runs whose cost is known, beside that cost."""
+"""Costs learned from runs of a controller whose cost is known, beside that cost."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
+import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.control import CostTerm, LearnedCost, LearningHistory, cost_terms, read_cost
+from contactgraph.data import read_trajectories
 from contactgraph.evaluate import TaskCost
 from contactgraph.reproduce.cost.cells import Learned, Place
-from contactgraph.reproduce.cost.declared import CostAmounts, CostTask, known_answer
+from contactgraph.reproduce.cost.declared import CostTask, Lesson
 from contactgraph.reproduce.measurement import Measurement
-from contactgraph.reproduce.page_table import PageTable, TableRow
 from contactgraph.reproduce.results import Figure
-from contactgraph.reproduce.words import short, with_range
+
+_AT_LIMIT = 0.999
+
+
+@dataclass(frozen=True, eq=False)
+class KnownAnswer:
+    """Of one seed."""
+
+    hidden: LearnedCost
+    """That the runs were made by."""
+    learned: LearnedCost
+    """From the runs."""
+    at_limit: float
+    """Share of the runs' steps in which the force is as large as it may be."""
 
 
 @dataclass(frozen=True)
 class KnownTerm:
     """What it costs to be off by one unit in one of a cost's terms, as a force: `CostTerm`."""
 
-    task: str
     name: str
     unit: str
     """Of being off."""
-    own: float
-    """N, by the task's own cost."""
+    hidden: Figure
+    """N; of every seed."""
     learned: Figure
-    """N, by the cost learned from each seed's runs."""
+    """N; of every seed."""
 
     @property
     def ratio(self) -> Figure:
-        """Learned over own; 1 is the known answer."""
-        return Figure(tuple(value / self.own for value in self.learned.values))
+        """Learned over hidden; 1 is the known answer."""
+        pairs = zip(self.learned.values, self.hidden.values, strict=True)
+        return Figure(tuple(learned / hidden for learned, hidden in pairs))
 
 
-def own_cost(task: CostTask, kept_nodes: Sequence[str]) -> LearnedCost:
-    """The task's own cost, about nodes of these names, as if it had been learned."""
+def own_cost(task: CostTask) -> LearnedCost:
+    """The task's own cost, as if it had been learned."""
     made = task.task()
     made.reset(seed=0)
     scene, terms = made.scene, made.cost_terms()
-    assert scene.goal is not None and made.action_space.shape is not None
-    whole = TaskCost.of(terms, made.action_space.shape[0]).in_scene(scene)
-    cost = whole.quadratic(scene.node_count)
-    nodes = np.array([scene.node_name.index(name) for name in kept_nodes])
-    part = 2 * scene.dimension
-    rows = (part * nodes[:, None] + np.arange(part)).reshape(-1)
+    control_size = int(_limits(task).size)
+    whole = TaskCost.of(terms, control_size).in_scene(scene).quadratic(scene.node_count)
+    D = scene.dimension
+    rows = _rows(terms.chain, 2 * D)
     nothing = jnp.zeros(0)
     return LearnedCost(
-        Q=cost.Q[rows[:, None], rows[None, :]],
-        R=cost.R,
-        goal=jnp.asarray(scene.goal),
-        nodes=jnp.asarray(nodes, jnp.int32),
-        kept_nodes=tuple(kept_nodes),
+        Q=whole.Q[rows[:, None], rows[None, :]],
+        R=whole.R,
+        goal=whole.goal[rows][:D],
+        nodes=jnp.asarray(terms.chain, jnp.int32),
+        kept_nodes=tuple(scene.node_name[node] for node in terms.chain),
         history=LearningHistory(nothing, nothing, nothing, nothing),
         participants=(),
     )
 
 
-def known_costs(
+def known_answer(
     folder: Path,
     wanted: Sequence[Measurement[Place]],
     task: CostTask,
-    amounts: CostAmounts,
-) -> list[LearnedCost]:
-    """Of every seed whose cell is there."""
-    where = Learned(task.name, known_answer(amounts).lesson)
-    paths = [folder / one.cell.output for one in wanted if one.where == where]
-    return [read_cost(path) for path in paths if path.is_file()]
+    lesson: Lesson,
+) -> list[KnownAnswer]:
+    """What there is in the folder; of costs about other nodes than the hidden one's, nothing."""
+    found = []
+    for one in wanted:
+        path = folder / one.cell.output
+        if one.where != Learned(task.name, lesson) or not path.is_file():
+            continue
+        learned, recorded = read_cost(path), folder / one.cell.needs[0].output
+        known = one.cell.needs[0].needs
+        hidden = read_cost(folder / known[0].output) if known else own_cost(task)
+        if sorted(hidden.kept_nodes) == sorted(learned.kept_nodes):
+            found.append(KnownAnswer(hidden, learned, _at_limit(task, recorded)))
+    return found
 
 
-def known_terms(task: CostTask, learned: Sequence[LearnedCost]) -> list[KnownTerm]:
-    """Every term of the task's cost, by position and by velocity; none where nothing was learned.
-
-    Costs of other nodes, or of the same in another order, than the first seed's are left out: they
-    have other terms.
-    """
-    if not learned:
+def known_terms(answers: Sequence[KnownAnswer]) -> list[KnownTerm]:
+    """Every term of the hidden cost of the first seed, by position and by velocity."""
+    if not answers:
         return []
-    kept = learned[0].kept_nodes
-    own = cost_terms(own_cost(task, kept))
-    found = [cost_terms(cost) for cost in learned if cost.kept_nodes == kept]
+    order = answers[0].hidden.kept_nodes
+    hidden = [cost_terms(_about(each.hidden, order)) for each in answers]
+    learned = [cost_terms(_about(each.learned, order)) for each in answers]
+
+    def of(costs: list[tuple[CostTerm, ...]], place: int, size: Callable) -> Figure:
+        return Figure(tuple(size(terms[place]) for terms in costs))
+
     return [
-        KnownTerm(
-            task.name, term.name, unit, size(term), Figure(tuple(size(f[place]) for f in found))
-        )
-        for place, term in enumerate(own)
+        KnownTerm(term.name, unit, of(hidden, place, size), of(learned, place, size))
+        for place, term in enumerate(hidden[0])
         for unit, size in (("1 m", _position), ("1 m/s", _velocity))
     ]
 
@@ -99,20 +118,28 @@ def _velocity(term: CostTerm) -> float:
     return term.velocity
 
 
-def known_table(terms: Sequence[KnownTerm]) -> PageTable:
-    """For the study's page."""
-    return PageTable(
-        slug="known-answer",
-        title="A known answer",
-        caption="Costs learned from runs of MPC with the task's own cost, beside that cost. "
-        "What it costs to be off for one step, as the force that costs as much: a factor on the "
-        "whole cost, which no run tells, drops out. Median of the seeds, with their range.",
-        heads=("Task", "Term", "Off by", "own, N", "learned, N", "learned over own"),
-        rows=[
-            TableRow(
-                (term.task, term.name, term.unit),
-                (short(term.own), with_range(term.learned), with_range(term.ratio)),
-            )
-            for term in terms
-        ],
-    )
+def _about(cost: LearnedCost, names: Sequence[str]) -> LearnedCost:
+    """The same cost with its nodes in another order."""
+    places = [cost.kept_nodes.index(name) for name in names]
+    rows = _rows(places, 2 * cost.goal.shape[0])
+    Q, nodes = cost.Q[rows[:, None], rows[None, :]], cost.nodes[np.array(places)]
+    return replace(cost, Q=Q, nodes=nodes, kept_nodes=tuple(names))
+
+
+def _rows(nodes: Sequence[int], part: int) -> np.ndarray:
+    """Where the states of these nodes, of so many numbers each, are in a state."""
+    return (part * np.asarray(nodes)[:, None] + np.arange(part)).reshape(-1)
+
+
+def _limits(task: CostTask) -> np.ndarray:
+    """[U] N, the largest force."""
+    return cast(gymnasium.spaces.Box, task.task().action_space).high
+
+
+def _at_limit(task: CostTask, measured: Path) -> float:
+    """Of the runs beside a file of measurements; NaN where they are not there."""
+    runs = measured.with_suffix(".h5")
+    if not runs.is_file():
+        return float("nan")
+    force = np.concatenate([run.control for run in read_trajectories(runs)])
+    return float(np.mean((np.abs(force) >= _AT_LIMIT * _limits(task)).any(axis=1)))

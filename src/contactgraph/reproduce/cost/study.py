@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from contactgraph.reproduce.cell import Cell, in_order
-from contactgraph.reproduce.claim import told
 from contactgraph.reproduce.cost.cells import (
     Controlled,
     Demonstrated,
@@ -18,16 +17,22 @@ from contactgraph.reproduce.cost.cells import (
 from contactgraph.reproduce.cost.charts import cost_pictures, cost_scenes
 from contactgraph.reproduce.cost.claim import transfers
 from contactgraph.reproduce.cost.declared import SCENE_SEED, CostAmounts, CostTask
-from contactgraph.reproduce.cost.known_answer import known_costs, known_table, known_terms
+from contactgraph.reproduce.cost.known_table import known_table
 from contactgraph.reproduce.cost.table import cost_csv, cost_rows, cost_table
 from contactgraph.reproduce.cost.targets import cost_targets
 from contactgraph.reproduce.findings import Findings
 from contactgraph.reproduce.measurement import Measurement
 from contactgraph.reproduce.page_table import markdown_table
-from contactgraph.reproduce.results import Results
+from contactgraph.reproduce.results import Reading, Results
 
 _LEFT_OUT = ("history", "in_words")
 """Of a cost file, in the results: long, or the same in all."""
+
+_TOLD = {
+    True: "the paper's claim holds",
+    False: "the paper's claim does not hold",
+    None: "whether the paper's claim holds is not known",
+}
 
 
 @dataclass(frozen=True)
@@ -50,24 +55,18 @@ class CostStudy:
     def findings(self, folder: Path) -> Findings:
         """The claim, tables and figures."""
         results = Results.read(folder, self.wanted)
-        found = [transfers(results, self.tasks, self.amounts)]
-        table = cost_table(rows := cost_rows(results, self.tasks, self.amounts))
-        known = known_table(
-            [
-                term
-                for task in self.tasks
-                for term in known_terms(task, known_costs(folder, self.wanted, task, self.amounts))
-            ]
-        )
-        tables = [table, known]
+        claim = transfers(results, self.tasks, self.amounts)
+        rows = cost_rows(results, self.tasks, self.amounts)
+        known = known_table(folder, self.wanted, self.tasks, self.amounts)
+        tables = [cost_table(rows), known]
         seeds, episodes = self.amounts.seeds, self.amounts.episodes
         return Findings(
             title="A cost, learned from demonstrations",
             summary="What an expert wants, learned from its runs through a differentiable LQR on "
-            f"the learned model: {told(found)} {len(seeds)} seed(s) of demonstrations, each with "
-            f"one goal; {episodes} closed-loop episodes a seed, with goals and objects that no "
-            "demonstration had.",
-            claims=found,
+            f"the learned model: {_TOLD[claim.holds]}. {len(seeds)} seed(s) of demonstrations, "
+            f"each with one goal; {episodes} closed-loop episodes a seed, with goals and objects "
+            "that no demonstration had.",
+            claims=[claim],
             asked="What learned costs must reach",
             targets=cost_targets(results, self.tasks, self.amounts),
             tables=tables,
@@ -82,18 +81,16 @@ class CostStudy:
                 "test_scene_seeds": [SCENE_SEED + seed for seed in seeds],
             },
             readings=[
-                {
-                    **_what(where),
-                    "seed": reading.seed,
-                    "command": reading.command,
-                    "values": {
-                        key: value for key, value in reading.values.items() if key not in _LEFT_OUT
-                    },
-                }
+                {**_what(where), **_told(reading)}
                 for where in dict.fromkeys(one.where for one in self.wanted)
                 for reading in results.readings(where)
             ],
         )
+
+
+def _told(reading: Reading) -> dict[str, Any]:
+    told = {key: value for key, value in reading.values.items() if key not in _LEFT_OUT}
+    return {"seed": reading.seed, "command": reading.command, "values": told}
 
 
 def _what(where: Place) -> dict[str, Any]:

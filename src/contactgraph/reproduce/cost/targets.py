@@ -14,6 +14,7 @@ from contactgraph.reproduce.cost.table import learning_seconds
 from contactgraph.reproduce.results import Results
 from contactgraph.reproduce.success import pooled_success
 from contactgraph.reproduce.targets import Asked, judged
+from contactgraph.reproduce.words import short
 from contactgraph.view import Number
 
 _UNSEEN = Asked(98.0, 100.0)
@@ -59,19 +60,20 @@ def _success(
     """Of the episodes of all seeds together, with their Wilson interval."""
     readings = results.readings(Controlled(task.name, trial))
     pooled = pooled_success(readings)
-    seeds = len(readings)
     scenes = f"unseen goals and objects, {trial.lesson.runs} demonstrations"
     if trial.distractors:
         scenes += f" by the {trial.lesson.name}, {trial.distractors} distractors in view"
     name = f"{task.name}: success, {scenes}"
+    interval = None
     if pooled is not None:
-        name += f" ({pooled.successes} of {pooled.episodes} episodes of {seeds} seeds)"
-    low, high = (0.0, 0.0) if pooled is None else pooled.interval
+        each = ", ".join(short(100.0 * reading.values["success_rate"]) for reading in readings)
+        name += f" ({pooled.successes} of {pooled.episodes} episodes; each seed: {each} %)"
+        interval = (100.0 * pooled.interval[0], 100.0 * pooled.interval[1])
     return Number(
         name=name,
         value=None if pooled is None else 100.0 * pooled.share,
         unit="%",
-        interval=None if pooled is None else (100.0 * low, 100.0 * high),
+        interval=interval,
         at_least=asked.at_least,
         aim=asked.aim,
         command=readings[0].command if readings else "",
@@ -81,14 +83,17 @@ def _success(
 
 def _demonstrations_needed(results: Results, task: CostTask, amounts: CostAmounts) -> Number:
     """The fewest from which on every number of demonstrations is enough."""
-    needed, command = None, ""
+    needed, command, missed = None, "", False
     for trial in reversed(by_runs(amounts)):
         readings = results.readings(Controlled(task.name, trial))
         pooled = pooled_success(readings)
-        if pooled is None or pooled.share < ENOUGH:
+        missed = pooled is not None and pooled.share < ENOUGH
+        if pooled is None or missed:
             break
         needed, command = trial.lesson.runs, readings[0].command
     tried = ", ".join(str(runs) for runs in amounts.runs)
+    if needed is None and missed:
+        tried += ": not enough"
     return Number(
         name=f"{task.name}: demonstrations needed for {100 * ENOUGH:.0f} % (of {tried})",
         value=needed,
