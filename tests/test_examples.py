@@ -16,11 +16,13 @@ SAYS = {
     "04_contact_graph.py": "gripper - target",
     "05_own_task.py": "Fetch keeps the contract\nsuccess: 100%",
     "06_compose_a_model.py": "with the true masses, contact frozen",
+    "07_learn_cost.py": "goals that no demonstration had: 100 %",
 }
 WRITES = {
     "01_collect_and_train.py": "model.safetensors",
     "02_own_data.py": "balls.h5",
     "04_contact_graph.py": "contact_graph.png",
+    "07_learn_cost.py": "cost.json",
 }
 CACHE_VERBS = ("reading", "writing")
 

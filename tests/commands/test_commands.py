@@ -38,7 +38,10 @@ CLOSED_LOOP = {
     "episodes",
     "seed",
 }
-COMMANDS = ("collect", "train", "evaluate", "control", "reproduce", "report", "info")
+COMMANDS = (
+    *("collect", "train", "evaluate", "control"),
+    *("learn-cost", "reproduce", "report", "info"),
+)
 
 
 def done(*arguments: object) -> None:
@@ -80,6 +83,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str], arguments:
             "control",
             "RUN TASK --episodes --seed --distractors --objects --grasp --json --video --save",
         ),
+        ("learn-cost", "RUN DEMOS --out --horizon --steps --runs --goal --prior-weight --picture"),
         ("reproduce", "--quick --out"),
         ("report", ""),
         ("info", "FILE"),
