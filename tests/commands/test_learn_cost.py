@@ -29,8 +29,8 @@ def cut(run: Trajectory, steps: int = STEPS) -> Trajectory:
 
 @pytest.fixture(scope="module")
 def runs() -> list[Trajectory]:
-    """Three demonstrations of one goal, with a bystander in view."""
-    factory = partial(PickupTask, 1, fixed_seed=7)
+    """Three demonstrations of one goal, with bystanders in view."""
+    factory = partial(PickupTask, 2, fixed_seed=7)
     return [cut(run) for run in collect([factory], [PickupExpert(noise=0.0)], 3, 0)]
 
 
@@ -62,7 +62,7 @@ def test_what_is_said_and_written(
     assert [line.split(":")[0] for line in lines[:3]] == [
         "kept     gripper",
         "kept     target",
-        "dropped  distractor-0",
+        "dropped  distractor-0, distractor-1",
     ]
     assert lines[0].startswith("kept     gripper: actuated; in contact in 3 of 3 runs, from ")
     assert lines[2].endswith(": no active edge in any of 3 runs")
@@ -150,7 +150,11 @@ def test_info(cost: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said, errors = capsys.readouterr()
     assert errors == ""
     assert said.startswith(f"{cost}: learned cost about gripper, target\n")
-    for words in ("2 a node, control 2", "kept     gripper: actuated", "dropped  distractor-0: no"):
+    for words in (
+        "2 a node, control 2",
+        "kept     gripper: actuated",
+        "dropped  distractor-0, distractor-1: no",
+    ):
         assert words in said
     for words in ("gripper - target  1 m costs", "imitation loss", "seed   ", '"steps": 20'):
         assert words in said

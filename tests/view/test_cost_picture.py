@@ -98,6 +98,7 @@ def test_numbers_are_short_and_nothing_is_said_of_nearly_nothing() -> None:
 def test_more_nodes_make_a_larger_picture_and_long_names_are_shortened() -> None:
     few, many = cost_figure(a_cost()), cost_figure(a_cost(("a", "b", "c", "d", "e")))
     assert many.get_figwidth() > few.get_figwidth()
+    assert "gripper - target-1" in texts(cost_figure(a_cost(("gripper", "target-1", "c"))), 1)
     long = "a name that goes on and on, much too long for its block of the matrix"
     (shortened, _) = (text for text in texts(cost_figure(a_cost((long, "b"))), 0) if "…" in text)
     assert long.startswith(shortened[:-1]) and len(shortened) > 20

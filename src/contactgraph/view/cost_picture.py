@@ -149,7 +149,7 @@ def _draw_state(
     room = 72 * side / len(blocks)
     for place, name in enumerate(blocks):
         size = float(np.clip(room / (_LETTER * len(name)), _SMALLEST, 10.0))
-        fits = int(room / (_LETTER * size))
+        fits = round(room / (_LETTER * size))
         shown = name if len(name) <= fits else name[: fits - 1] + "…"
         _label(axes, (2 * place + 1) * half - 0.5, shown, INK, size, 20.0)
         for part, kind in enumerate(("position", "velocity")):
@@ -197,7 +197,7 @@ def _draw(axes: Axes, side: float, matrix: np.ndarray, norm: Normalize) -> None:
             row,
             _short(value),
             color="white" if depth > 0.72 else INK if depth > 0.1 else SOFT,
-            fontsize=min(8.0, 20.0 * cell),
+            fontsize=min(8.0, 17.0 * cell),
             ha="center",
             va="center",
         )
