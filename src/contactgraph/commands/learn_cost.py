@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
+    from contactgraph.control import ControlLimits
     from contactgraph.data import Dataset
 
 
@@ -32,6 +33,8 @@ class LearnCost:
     """Learn from the first so many runs alone; all of them if not given."""
     goal: Annotated[tuple[float, ...] | None, arg(metavar="X Y")] = None
     """The goal of all runs, in m: where runs have none, or in place of theirs."""
+    max_force: Annotated[float | None, arg(metavar="N")] = None
+    """What the control could be at most on each axis, N; the task's own bound if not given."""
     prior_weight: float = 3.0
     """How dear it is to tie terms or axes together that stand for themselves; 0: free."""
     picture: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -57,6 +60,8 @@ class LearnCost:
             check_range("--horizon", self.horizon, 1, 1000)
         check_range("--steps", self.steps, 1, 1_000_000)
         check_seed(self.seed)
+        if self.max_force is not None and not 0.0 < self.max_force < math.inf:
+            raise InvalidInputError(f"--max-force must be positive, found {self.max_force}")
         check_weight("--prior-weight", self.prior_weight)
         model_file = model_path(self.run_name)
         dataset = self._dataset()
@@ -74,6 +79,7 @@ class LearnCost:
                     dataset,
                     recipe,
                     goal=self.goal,
+                    limits=self._limits(dataset),
                     seed=self.seed,
                     on_step=lambda done, loss: steps.advance(done, f"imitation loss {loss:.4f}"),
                 )
@@ -89,6 +95,7 @@ class LearnCost:
             "data": dataset.metadata,
             "recipe": asdict(recipe),
             "goal": "the runs' own" if self.goal is None else list(self.goal),
+            "max_force": self._bound(dataset),
             "seed": self.seed,
             "seconds": round(seconds, 1),
             **provenance(),
@@ -122,6 +129,25 @@ class LearnCost:
                 f"{self.runs}"
             )
         return Dataset(found.trajectories[: self.runs], found.metadata)
+
+    def _bound(self, dataset: "Dataset") -> float | None:
+        """N: what is said, or else what the task that the data set names allows."""
+        from contactgraph.commands.task_names import TASKS
+
+        task = str(dataset.metadata.get("task"))
+        known = TASKS[task].max_force if task in TASKS else None
+        return known if self.max_force is None else self.max_force
+
+    def _limits(self, dataset: "Dataset") -> "ControlLimits | None":
+        import jax.numpy as jnp
+
+        from contactgraph.control import ControlLimits
+
+        bound = self._bound(dataset)
+        if bound is None:
+            return None
+        upper = jnp.full(dataset.control_size, bound)
+        return ControlLimits(-upper, upper)
 
     def _horizon(self, dataset: "Dataset") -> int:
         """What `control` plans ahead in the task that the data set names."""

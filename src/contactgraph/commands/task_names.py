@@ -15,6 +15,10 @@ from contactgraph.tasks import (
     PickupTask,
 )
 from contactgraph.tasks.contract import Policy, Task
+from contactgraph.tasks.gripper_task import MAX_FORCE
+
+_FRANKA_FORCE = 20.0
+"""N; stated here because the task itself can be imported with MuJoCo only."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,8 @@ class KnownTask:
     explorer: Callable[[], Policy] = ExplorationPolicy
     horizon: int = 20
     """Steps that a plan looks ahead where nobody says otherwise."""
+    max_force: float = MAX_FORCE
+    """Bound of the control on each axis, N."""
 
 
 TASKS = {
@@ -106,7 +112,12 @@ TASKS = {
     "multi-pickup": KnownTask(_multi_pickup, PickupExpert, partial(PickupExpert, noise=0.0)),
     "door": KnownTask(_door, DoorExpert, partial(DoorExpert, noise=0.0)),
     "franka": KnownTask(
-        _franka, _franka_expert, _franka_demonstrator, _franka_explorer, horizon=50
+        _franka,
+        _franka_expert,
+        _franka_demonstrator,
+        _franka_explorer,
+        horizon=50,
+        max_force=_FRANKA_FORCE,
     ),
 }
 

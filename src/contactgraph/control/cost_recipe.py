@@ -10,13 +10,13 @@ class CostRecipe:
     """How a cost is learned."""
 
     horizon: int = 20
-    """H, steps that the policy looks ahead: as many as the controller will."""
+    """H, steps that the policy looks ahead."""
     steps: int = 400
     """Of Adam."""
     batch: int = 256
     """Windows a step."""
-    learning_rate: float = 0.03
-    discount: float = 0.8
+    learning_rate: float = 0.1
+    discount: float = 0.95
     """Weight of each step of a window against the one before."""
     prior_weight: float = 3.0
     """0: only what the demonstrations say."""

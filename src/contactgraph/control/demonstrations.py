@@ -8,9 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from contactgraph.control.control_step import ControlLimits
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.model import LinearDynamics
 from contactgraph.model.follow import FollowedRun
+
+_AT_LIMIT = 1e-4
+"""Part of the range of a control within which it counts as at a limit."""
 
 
 class DemonstrationWindow(eqx.Module):
@@ -32,6 +36,7 @@ class Demonstrations(eqx.Module):
     offset: Float[Array, "runs T m"]
     states: Float[Array, "runs T+1 m"]
     controls: Float[Array, "runs T U"]
+    """What was free to choose; 0 where a control was at a limit, whose effect is in ``offset``."""
     goal: Float[Array, "runs m"]
     """Of every node, at rest."""
 
@@ -56,8 +61,12 @@ def demonstrations_of(
     followed: FollowedRun,
     names: Sequence[str],
     goal: np.ndarray | None = None,
+    limits: ControlLimits | None = None,
 ) -> Demonstrations:
     """The named nodes' part of every run; ``goal`` [D] m in place of the runs' own.
+
+    Where a control was at one of ``limits``, its optimum lies beyond: all it tells is that the
+    limit held there. So it is held in the plan, too, and not compared.
 
     Raises `InvalidInputError`, naming the run, where one has no goal.
     """
@@ -75,18 +84,20 @@ def demonstrations_of(
         states[number, : run.steps + 1] = both.reshape(run.steps + 1, -1)
         controls[number, : run.steps] = run.control
         goals[number, :, 0] = place
+    free = np.ones_like(controls) if limits is None else _within(controls, limits)
     dtype = followed.dynamics.A.dtype
     kept = jax.tree.map(
         lambda block: jax.vmap(lambda of_run, chosen: of_run[:-1, chosen])(block, nodes),
         followed.dynamics,
     )
     A, B, offset = _stacked(kept)
+    held = jnp.asarray(controls * (1.0 - free), dtype)
     return Demonstrations(
         A=A,
-        B=B,
-        offset=offset,
+        B=B * jnp.asarray(free, dtype)[:, :, None, :],
+        offset=offset + jnp.einsum("rtmu,rtu->rtm", B, held),
         states=jnp.asarray(states, dtype),
-        controls=jnp.asarray(controls, dtype),
+        controls=jnp.asarray(controls * free, dtype),
         goal=jnp.asarray(goals.reshape(runs, -1), dtype),
     )
 
@@ -105,6 +116,13 @@ def window_starts(dataset: Dataset, horizon: int) -> np.ndarray:
     return np.array(
         [(i, t) for i, run in enumerate(dataset) for t in range(run.steps - horizon + 1)]
     )
+
+
+def _within(controls: np.ndarray, limits: ControlLimits) -> np.ndarray:
+    """1 where a control is inside its limits, 0 at them or beyond."""
+    lower, upper = np.asarray(limits.lower, float), np.asarray(limits.upper, float)
+    margin = _AT_LIMIT * (upper - lower)
+    return ((controls > lower + margin) & (controls < upper - margin)).astype(float)
 
 
 @jax.jit

@@ -6,7 +6,8 @@ model predictive control with this cost would plan there, if it met the same con
 
 **The loss.** What was planned against what was done, states and controls, each in units of how much
 they vary in the demonstrations; step ``t`` of a window counts ``discount**t``, since a controller
-that plans anew acts on the first steps.
+that plans anew acts on the first steps. A control that was at its limit tells that the limit held
+it, no more: there it is held in the plan, too.
 
 **What is learned.** With ``z`` the relative coordinates of `contactgraph.control.relative_form`,
 ``Q = T^T W T``, ``W = S L L^T S`` and ``R = Lu Lu^T``, ``L`` and ``Lu`` lower triangular and free:
@@ -28,6 +29,7 @@ from collections.abc import Callable, Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from contactgraph.control.control_step import ControlLimits
 from contactgraph.control.cost_recipe import CostRecipe
 from contactgraph.control.demonstrations import demonstrations_of, window_starts
 from contactgraph.control.fit_cost import fit_cost
@@ -46,13 +48,15 @@ def learn_cost(
     recipe: CostRecipe = _DEFAULT,
     *,
     goal: Sequence[float] | np.ndarray | None = None,
+    limits: ControlLimits | None = None,
     seed: int = 0,
     on_step: Callable[[int, float], None] = lambda step, loss: None,
 ) -> LearnedCost:
     """Q and R with which the model's optimal plans are what the demonstrations do.
 
     Nodes that take part in none of them are left out (`participants`). ``goal`` [D] m: in place of
-    the runs' own. ``seed`` and ``on_step`` are `fit_cost`'s.
+    the runs' own. ``limits``: those that the controls were subject to; where one was at a limit, it
+    tells no more than that. None: there were none. ``seed`` and ``on_step`` are `fit_cost`'s.
 
     Raises `InvalidInputError` where a run has no control or no goal, is shorter than the horizon,
     does not fit the model, touches nothing or lacks a node; and where Q or R loses its
@@ -66,7 +70,7 @@ def learn_cost(
     followed = follow_all(model, demonstrations)
     found = participants(demonstrations, followed)
     kept = tuple(each.name for each in found if each.kept)
-    data = demonstrations_of(demonstrations, followed, kept, place)
+    data = demonstrations_of(demonstrations, followed, kept, place, limits)
     alike = alike_axes(scene.gravity, scene.dimension)
     fitted = fit_cost(data, starts, alike, recipe, seed, on_step)
     return LearnedCost(

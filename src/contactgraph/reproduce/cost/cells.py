@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from contactgraph.reproduce.cell import Cell
 from contactgraph.reproduce.cost.declared import (
     BYSTANDERS,
+    LEARNED_AHEAD,
     OWN_COST,
     SCENE_SEED,
     CostAmounts,
@@ -76,7 +77,9 @@ def demonstrations(
         files = ("--json", output, "--save", f"{beginning}.h5")
         hidden = demonstrator.hidden
         known = () if hidden is None else (learning(task, hidden, seed, amounts),)
-        cost = tuple(word for cell in known for word in ("--cost", cell.output))
+        # As far ahead as the learner looks: its answer is known only then.
+        ahead = ("--horizon", str(LEARNED_AHEAD)) if known else ()
+        cost = (*(word for cell in known for word in ("--cost", cell.output)), *ahead)
         arguments = ("control", task.name, task.name, *cost, *counts, *among, *files)
         return Cell(output, arguments, f"control {task.name}", known)
     output = f"{beginning}.h5"

@@ -81,6 +81,9 @@ and no model has seen them."""
 BYSTANDERS = 5
 """Distractors in view."""
 
+LEARNED_AHEAD = 20
+"""Steps that the learner looks ahead in these tasks."""
+
 EXPERT = Demonstrator("expert", "expert")
 EXPERT_AMONG = Demonstrator(
     "expert-among-5", f"expert among {BYSTANDERS} distractors", distractors=BYSTANDERS

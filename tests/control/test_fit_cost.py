@@ -1,0 +1,112 @@
+"""Experts that are LQR controllers with a hidden cost: it is found again, up to its scale."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from contactgraph.control import CostRecipe, lqr_trajectory, tracking_problem
+from contactgraph.control.demonstrations import Demonstrations
+from contactgraph.control.fit_cost import fit_cost
+from contactgraph.control.relative_form import alike_axes
+from contactgraph.data import InvalidInputError
+
+RUNS, HORIZON, N, U = 24, 12, 4, 2
+STARTS = np.array([(run, 0) for run in range(RUNS)])
+
+
+@pytest.fixture
+def double_precision():
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+def hidden_expert(seed: int) -> tuple[Demonstrations, np.ndarray, np.ndarray]:
+    """Optimal runs of a random system from random states to random goals, and their Q and R."""
+    rng = np.random.default_rng(seed)
+    A = np.eye(N) + 0.2 * rng.normal(size=(N, N))
+    A = A / max(1.0, np.abs(np.linalg.eigvals(A)).max())
+    B = rng.normal(size=(N, U))
+    root, control_root = rng.normal(size=(N, N)), np.eye(U) + 0.3 * rng.normal(size=(U, U))
+    R = control_root @ control_root.T
+    scale = U / np.trace(R)
+    Q, R = scale * (root @ root.T) / N, scale * R
+    offset = 0.1 * rng.normal(size=(RUNS, HORIZON, N))
+    goal, start = rng.normal(size=(RUNS, N)), rng.normal(size=(RUNS, N))
+    A, B = np.tile(A, (RUNS, HORIZON, 1, 1)), np.tile(B, (RUNS, HORIZON, 1, 1))
+    A, B, offset, goal, start = map(jnp.asarray, (A, B, offset, goal, start))
+
+    @jax.jit
+    @jax.vmap
+    def optimal(A, B, offset, goal, start):
+        problem = tracking_problem(A, B, offset, jnp.asarray(Q), jnp.asarray(R), goal)
+        return lqr_trajectory(problem, start)
+
+    runs = optimal(A, B, offset, goal, start)
+    return Demonstrations(A, B, offset, runs.states, runs.controls, goal), Q, R
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_hidden_cost_is_found_again(double_precision, seed):
+    data, Q, R = hidden_expert(seed)
+    recipe = CostRecipe(
+        horizon=HORIZON,
+        steps=20_000,
+        batch=RUNS,
+        learning_rate=0.1,
+        discount=1.0,
+        prior_weight=0.0,
+    )
+    found = fit_cost(data, STARTS, alike_axes(None, 2), recipe)
+    assert found.history.imitation[-1] < 1e-9 * found.history.imitation[0]
+    assert np.abs(found.Q - Q).max() < 1e-4 * np.abs(Q).max()
+    assert np.abs(found.R - R).max() < 1e-4
+    assert np.trace(found.R) == pytest.approx(U)
+    assert np.array_equal(found.Q, found.Q.T) and np.linalg.eigvalsh(found.Q)[0] > -1e-12
+
+
+def test_the_same_seed_gives_the_same_cost_and_progress_is_told():
+    data, _, _ = hidden_expert(0)
+    recipe = CostRecipe(horizon=HORIZON, steps=100, batch=8)
+    told: list[int] = []
+    one = fit_cost(
+        data, STARTS, alike_axes(None, 2), recipe, 3, on_step=lambda step, loss: told.append(step)
+    )
+    other = fit_cost(data, STARTS, alike_axes(None, 2), recipe, 3)
+    assert told == [50, 100] and one.history.imitation.shape == (100,)
+    assert np.array_equal(one.Q, other.Q) and np.array_equal(one.R, other.R)
+    assert np.mean(one.history.imitation[-10:]) < np.mean(one.history.imitation[:10])
+
+
+def test_lost_definiteness_stops_with_the_step_and_the_eigenvalue():
+    data, _, _ = hidden_expert(0)
+    recipe = CostRecipe(horizon=HORIZON, steps=50, batch=8, learning_rate=1e30)
+    message = r"stopped at step \d+: [QR]'s smallest eigenvalue is .*; a smaller learning rate"
+    with pytest.raises(InvalidInputError, match=message):
+        fit_cost(data, STARTS, alike_axes(None, 2), recipe)
+
+
+def test_nothing_demonstrated_is_refused():
+    data, _, _ = hidden_expert(0)
+    still = Demonstrations(
+        data.A, data.B, data.offset, data.states, jnp.zeros_like(data.controls), data.goal
+    )
+    with pytest.raises(InvalidInputError, match="control never changes from 0"):
+        fit_cost(still, STARTS, alike_axes(None, 2), CostRecipe(horizon=HORIZON))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("horizon", 0),
+        ("steps", 0),
+        ("batch", 0),
+        ("learning_rate", 0.0),
+        ("discount", 1.5),
+        ("prior_weight", -1.0),
+    ],
+)
+def test_recipes_out_of_range_are_refused(name, value):
+    with pytest.raises(InvalidInputError, match=name):
+        CostRecipe(**{name: value})
