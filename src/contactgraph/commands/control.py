@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-_FARTHER = 4
+_FARTHER = 2
 """With a learned cost plans look so many times as far ahead. A cost is learned along contacts that
 were made, so nothing in it says that they must be: who does not look beyond a contact may find that
 it does not pay, and hover before it."""
@@ -34,7 +34,7 @@ class Control:
     cost: Annotated[Path | None, arg(metavar="FILE")] = None
     """Plan with the cost in this file, as learn-cost writes it, in place of the task's own."""
     horizon: Annotated[int | None, arg(metavar="INT")] = None
-    """Steps to plan ahead; 20, for franka 50, with --cost four times that, if not given."""
+    """Steps to plan ahead; 20, for franka 50, with --cost twice that, if not given."""
     replan_every: int = 1
     """Steps between plans; feedback acts in between."""
     deadline_ms: Annotated[float | None, arg(metavar="MS")] = None
