@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from contactgraph import cli
+from contactgraph.commands.task_names import TASKS, TaskOptions, task_factory
 from contactgraph.control import LearnedCost, describe_cost, read_cost
 from contactgraph.data import Scene, Trajectory, write_trajectories
 from contactgraph.evaluate import collect
@@ -110,6 +111,7 @@ def test_the_flags_reach_the_learner(
     assert (len(dataset), dataset.metadata) == (2, METADATA)
     assert (recipe.steps, recipe.horizon, recipe.prior_weight) == (20, 12, 0.0)
     assert (options["goal"], options["seed"]) == ((-0.1, 0.2), 5)
+    assert options["limits"].upper.tolist() == [10.0, 10.0]  # The task's own.
 
 
 @pytest.mark.parametrize(("task", "horizon"), [("pickup", 20), ("franka", 50), ("juggling", 20)])
@@ -128,6 +130,42 @@ def test_the_horizon_is_the_task_s(
     assert asked.value.args[0][2].horizon == horizon
 
 
+@pytest.mark.parametrize(
+    ("task", "flags", "bound"),
+    [
+        ("pickup", [], 10.0),
+        ("franka", [], 20.0),
+        ("juggling", [], None),
+        ("juggling", ["--max-force", "3.5"], 3.5),
+        ("pickup", ["--max-force", "3.5"], 3.5),
+    ],
+)
+def test_the_largest_force_is_the_task_s_or_what_is_said(
+    runs: list[Trajectory],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    task: str,
+    flags: list[str],
+    bound: float | None,
+) -> None:
+    monkeypatch.setattr("contactgraph.control.learn_cost", asking)
+    demos = tmp_path / "demos.h5"
+    write_trajectories(demos, runs, {"task": task})
+    with pytest.raises(Asked) as asked:
+        cli.run(learned(demos, "--out", tmp_path / "a.json", *flags))
+    limits = asked.value.args[1]["limits"]
+    if bound is None:
+        assert limits is None
+    else:
+        assert limits.upper.tolist() == [bound] * 2 and limits.lower.tolist() == [-bound] * 2
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_known_tasks_say_their_largest_force(name: str) -> None:
+    task = task_factory(name, TaskOptions())()
+    assert (task.action_space.high == TASKS[name].max_force).all()
+
+
 def test_control_plans_with_it(cost: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = tmp_path / "out.json"
     command = ["control", "pickup", "pickup", "--episodes", "1", "--replan-every", "10"]
@@ -139,10 +177,11 @@ def test_control_plans_with_it(cost: Path, tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(Asked) as asked:
         cli.run([*command, "--cost", str(cost)])
     planned = asked.value.args[1]["cost"]
+    assert asked.value.args[1]["horizon"] == 40, "twice as far as with the task's own"
     assert isinstance(planned, LearnedCost) and np.array_equal(planned.Q, read_cost(cost).Q)
     with pytest.raises(Asked) as asked:
         cli.run(command)
-    assert asked.value.args[1]["cost"] is None
+    assert asked.value.args[1]["cost"] is None and asked.value.args[1]["horizon"] == 20
 
 
 def test_info(cost: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -187,6 +226,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("--out a.json --picture no/a.png", "no/a.png: folder no does not exist"),
         ("--out a.json --runs 4", "--runs must be 1 to 3, the runs in "),
         ("--out a.json --runs 0", "--runs must be 1 to 3, the runs in "),
+        ("--out a.json --max-force 0", "--max-force must be positive, found 0.0"),
         ("--out a.json --horizon 0", "--horizon must be 1 to 1000, found 0"),
         ("--out a.json --steps 0", "--steps must be 1 to 1000000, found 0"),
         ("--out a.json --seed -1", "--seed must be 0 to 4294967295, found -1"),

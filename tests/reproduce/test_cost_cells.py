@@ -60,7 +60,8 @@ def test_demonstrations_have_one_goal_unless_a_known_cost_makes_them() -> None:
     )
     again = command("cells/pickup/seed-1/learned-cost.json")
     hidden = "cells/pickup/seed-1/expert-40/cost.json"
-    assert again.startswith(f"contactgraph control pickup pickup --cost {hidden} --episodes 40 ")
+    begun = f"contactgraph control pickup pickup --cost {hidden} --horizon 20 --episodes 40 "
+    assert again.startswith(begun)
     made = next(cell for cell in cells if cell.output.endswith("seed-1/learned-cost.json"))
     assert [cell.output for cell in made.needs] == [hidden]
 
