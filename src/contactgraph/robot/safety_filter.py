@@ -1,0 +1,140 @@
+"""What stands between every controller and every robot."""
+
+import math
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.robot.contract import Command, RobotReading
+from contactgraph.robot.guards import approached, guarded
+from contactgraph.robot.limits import SafetyLimits
+from contactgraph.robot.reading_check import doubt
+from contactgraph.robot.stop import Stop, StopReason
+
+
+class SafetyFilter:
+    """Forces that are finite and within limits, always, whatever comes in.
+
+    Called once a tick with the newest command and the newest reading. A reading that cannot be
+    believed eases the force off at once, and stops the robot where it lasts longer than
+    ``longest_age``: so one lost packet is no stop, and a lasting fault costs no time to recognise.
+    A command that is not finite stops at once, one that does not come, after ``longest_gap``.
+
+    A stop is gentle: the force goes to zero within its largest rate and stays there until `reset`.
+    What the hand still moves is for the robot's own brake (`eased`), which needs no reading.
+    """
+
+    def __init__(self, limits: SafetyLimits, now: float, hand: int = 0) -> None:
+        """``now`` s on the clock of all later calls; ``hand`` is the node that is driven.
+
+        Raises `InvalidInputError` where ``hand`` is negative.
+        """
+        if hand < 0:
+            raise InvalidInputError(f"hand must be the index of a node, found {hand}")
+        self.limits = limits
+        self._hand = hand
+        self._force = np.zeros(len(limits.workspace_low))
+        self._before = self._force
+        self.reset(now)
+
+    def reset(self, now: float) -> None:
+        """Ends a stop: forgets all readings and commands, and what was wrong. ``now`` in s.
+
+        The force goes on from where it is, and stays zero until a reading and a command came.
+        """
+        self.stop: Stop | None = None
+        self.eased = False
+        """Whether a stop has come so far that nothing pushes, and the robot's brake may act."""
+        self._now = now
+        self._believed_at = now
+        self._sent_at = now
+        self._sent_before = now
+        self._asked_at: float | None = None
+        self._reading: RobotReading | None = None
+        self._command: np.ndarray | None = None
+
+    def __call__(
+        self, command: Command | None, reading: RobotReading | None, now: float
+    ) -> np.ndarray:
+        """The force ``[D]`` N to send at the time ``now`` s.
+
+        ``command`` and ``reading`` are None where none has come since the last call.
+        """
+        duration = now - self._now
+        if not duration >= 0.0 or math.isinf(duration):
+            self._halt(StopReason.CLOCK_BROKEN, self._now)
+            # Without time there is no rate to keep: the robot's own brake must do.
+            self.eased = True
+            return self._force
+        self._now = now
+        if duration > self.limits.longest_gap + _JITTER:
+            self._halt(StopReason.LOOP_LATE, now)
+        believed = self._take_reading(reading, now)
+        self._take_command(command, now)
+        if now - self._sent_at > self.limits.longest_gap + _JITTER:
+            self._halt(StopReason.CONNECTION_LOST, now)
+
+        target = self._target(believed)
+        # After a pause the force may not make up for all of the lost time at once.
+        duration = min(duration, self.limits.longest_gap)
+        self._before = self._force
+        self._force = approached(self._force, target, duration, self.limits)
+        self.eased = self.stop is not None and not self._force.any()
+        self._sent_before, self._sent_at = self._sent_at, now
+        return self._force
+
+    def sent(self, force: np.ndarray | None) -> None:
+        """What the robot says was really sent, ``[D]`` N; None where it got lost.
+
+        The next force follows that one. A robot that cannot be reached cannot be stopped gently.
+        """
+        if force is None:
+            self._force, self._sent_at = self._before, self._sent_before
+            self.eased = self.stop is not None
+        else:
+            self._force = force
+
+    def _target(self, believed: RobotReading | None) -> np.ndarray:
+        if self.stop is not None or self._command is None or believed is None:
+            return np.zeros_like(self._force)
+        position, velocity = believed.position[self._hand], believed.velocity[self._hand]
+        return guarded(self._command, position, velocity, self.limits)
+
+    def _take_reading(self, reading: RobotReading | None, now: float) -> RobotReading | None:
+        limits = self.limits
+        reason = doubt(reading, self._reading, now, self._hand, limits)
+        if reason is not None:
+            if now - self._believed_at > limits.longest_age + _JITTER:
+                self._halt(reason, now)
+            return None
+        assert reading is not None
+        self._reading = reading
+        self._believed_at = now
+        position, velocity = reading.position[self._hand], reading.velocity[self._hand]
+        if np.any(position < limits.workspace_low) or np.any(position > limits.workspace_high):
+            self._halt(StopReason.OUTSIDE_WORKSPACE, now)
+        elif math.hypot(*velocity) > limits.max_speed:
+            self._halt(StopReason.TOO_FAST, now)
+        return reading
+
+    def _take_command(self, command: Command | None, now: float) -> None:
+        if command is not None:
+            force = np.array(command.force)
+            usable = force.shape == self._force.shape and force.dtype.kind in "fiu"
+            if not usable or not np.isfinite(force).all() or not command.time <= now:
+                self._halt(StopReason.COMMAND_UNUSABLE, now)
+                return
+            self._command = force
+            self._asked_at = command.time
+        asked = self._asked_at
+        # A robot that nobody has moved yet waits for as long as it takes.
+        if asked is not None and now - asked > self.limits.longest_gap + _JITTER:
+            self._halt(StopReason.COMMAND_LATE, now)
+
+    def _halt(self, reason: StopReason, now: float) -> None:
+        if self.stop is None:
+            self.stop = Stop(reason, now)
+
+
+_JITTER = 1e-9
+"""s: clocks are floating point numbers."""
