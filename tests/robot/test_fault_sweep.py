@@ -1,15 +1,35 @@
 """A thousand short episodes with faults: commands stay within limits, lasting faults stop it."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
-from contactgraph.robot import FAULTS, Command, FakeRobot, Fault, SafeRobot, SafetyLimits
+from contactgraph.robot import (
+    FAULTS,
+    Command,
+    FakeRobot,
+    Fault,
+    SafeRobot,
+    SafetyLimits,
+    StopReason,
+    faults,
+)
 from contactgraph.robot.fake_robot import TICK
 
 LIMITS = SafetyLimits()
 EPISODES = 1000
 TICKS = 55
 STOP_TICKS = round(LIMITS.stop_within / TICK)
+REASONS = {
+    faults.nan_fault: StopReason.READING_NOT_FINITE,
+    faults.frozen_fault: StopReason.READING_FROZEN,
+    faults.jump_fault: StopReason.POSITION_JUMPED,
+    faults.delay_fault: StopReason.READING_STALE,
+    faults.lost_object_fault: StopReason.OBJECT_LOST,
+    faults.lost_packet_fault: StopReason.CONNECTION_LOST,
+    faults.late_plan_fault: StopReason.COMMAND_LATE,
+}
 
 
 def controller(robot: FakeRobot, push: np.ndarray, erratic: bool, tick: int) -> np.ndarray:
@@ -17,13 +37,13 @@ def controller(robot: FakeRobot, push: np.ndarray, erratic: bool, tick: int) -> 
     return push * (40.0 if erratic and tick % 3 else 1.0) * (-1.0 if erratic and tick % 5 else 1.0)
 
 
-def episode(seed: int, faults: tuple[Fault, ...]) -> tuple[np.ndarray, list[bool], SafeRobot]:
+def episode(seed: int, injected: tuple[Fault, ...]) -> tuple[np.ndarray, list[bool], SafeRobot]:
     """The forces that the robot held [TICKS, 3] N, and whether it braked in each tick."""
     random = np.random.default_rng(seed)
     push = random.uniform(-1.0, 1.0, 3)
     push *= random.uniform(5.0, 25.0) / np.linalg.norm(push)
     erratic = bool(random.random() < 0.3)
-    robot = FakeRobot(seed, faults)
+    robot = FakeRobot(seed, injected)
     safe = SafeRobot(robot, LIMITS, robot.clock)
     forces, braking = [], []
     for tick in range(TICKS):
@@ -53,13 +73,13 @@ def test_a_lasting_fault_stops_within_20_ms() -> None:
         assert_within_limits(forces)
         assert not any(braking[:start])
         assert all(braking[start + STOP_TICKS :]), (kind.__name__, seed, start)
-        assert safe.stop is not None
+        assert safe.stop is not None and safe.stop.reason is REASONS[kind]
         stopped[kind] += 1
     assert min(stopped.values()) >= EPISODES // len(FAULTS)
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_a_fault_of_a_tick_is_no_stop(kind: type[Fault]) -> None:
+def test_a_fault_of_a_tick_is_no_stop(kind: Callable[[int, int], Fault]) -> None:
     for seed in range(10):
         forces, braking, safe = episode(seed, (kind(12, 13),))
         assert_within_limits(forces)

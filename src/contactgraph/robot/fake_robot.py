@@ -96,9 +96,10 @@ class FakeRobot:
 
     def resume(self) -> None:
         """Ends `stop`, with no force."""
-        self.stopped = None
-        self.applied = np.zeros(3)
-        self._heard_tick = self._tick
+        if self.stopped is not None:
+            self.stopped = None
+            self.applied = np.zeros(3)
+            self._heard_tick = self._tick
 
     def advance(self) -> None:
         """Moves on by one tick."""

@@ -10,9 +10,9 @@ from contactgraph.data import InvalidInputError
 class SafetyLimits:
     """The limits that `SafetyFilter` keeps. The defaults suit an arm like the Franka Panda.
 
-    They must allow the stop they promise: the wait for a late command, and then easing the largest
-    force off at the largest rate, have to fit into ``stop_within``. Raises `InvalidInputError`
-    where they do not, or where a limit is no positive number.
+    They must allow the stop they promise: the wait for a late command or reading, and then easing
+    the largest force off at the largest rate, have to fit into ``stop_within``. Raises
+    `InvalidInputError` where they do not, or where a limit is no positive number.
     """
 
     max_force: float = 20.0
@@ -50,9 +50,10 @@ class SafetyLimits:
             raise InvalidInputError(
                 f"workspace_low must be below workspace_high on each axis, found {low} and {high}"
             )
-        needed = self.longest_gap + self.max_force / self.max_force_rate
+        wait = max(self.longest_gap, self.longest_age)
+        needed = wait + self.max_force / self.max_force_rate
         if needed > self.stop_within:
             raise InvalidInputError(
-                f"stop_within is {self.stop_within} s, but longest_gap and easing max_force off at "
-                f"max_force_rate take {needed:.4f} s: lower the first two or raise the rate"
+                f"stop_within is {self.stop_within} s, but longest_gap or longest_age, and easing "
+                f"max_force off at max_force_rate, take {needed:.4f} s: lower these or the force"
             )

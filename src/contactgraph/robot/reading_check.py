@@ -35,13 +35,13 @@ def doubt(
         return StopReason.OBJECT_LOST
     if not _finite(reading):
         return StopReason.READING_NOT_FINITE
-    if last is not None and reading.robot_time <= last.robot_time:
-        return StopReason.READING_FROZEN
     longest = np.full(len(reading.time), limits.longest_track_age)
     longest[hand] = limits.longest_age
     # A stamp from the future is as little use as an old one.
     if np.any(np.abs(now - reading.time) > longest):
         return StopReason.READING_STALE
+    if last is not None and reading.robot_time <= last.robot_time:
+        return StopReason.READING_FROZEN
     if last is not None and _jumped(reading, last, limits):
         return StopReason.POSITION_JUMPED
     return None

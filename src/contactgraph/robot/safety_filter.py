@@ -16,9 +16,9 @@ class SafetyFilter:
     """Forces that are finite and within limits, always, whatever comes in.
 
     Called once a tick with the newest command and the newest reading. A reading that cannot be
-    believed eases the force off at once, and stops the robot where it lasts longer than
-    ``longest_age``: so one lost packet is no stop, and a lasting fault costs no time to recognise.
-    A command that is not finite stops at once, one that does not come, after ``longest_gap``.
+    believed eases the force off at once; where none comes the last one counts. Either stops the
+    robot where it lasts longer than ``longest_age``: one lost packet is no stop. A command that is
+    not finite stops at once, one that does not come, after ``longest_gap``.
 
     A stop is gentle: the force goes to zero within its largest rate and stays there until `reset`.
     What the hand still moves is for the robot's own brake (`eased`), which needs no reading.
@@ -33,16 +33,18 @@ class SafetyFilter:
             raise InvalidInputError(f"hand must be the index of a node, found {hand}")
         self.limits = limits
         self._hand = hand
-        self._force = np.zeros(len(limits.workspace_low))
-        self._before = self._force
+        self.eased = True
         self.reset(now)
 
     def reset(self, now: float) -> None:
         """Ends a stop: forgets all readings and commands, and what was wrong. ``now`` in s.
 
-        The force goes on from where it is, and stays zero until a reading and a command came.
+        The force goes on from where it is, which is zero once the robot braked by itself.
         """
         self.stop: Stop | None = None
+        if self.eased:
+            self._force = np.zeros(len(self.limits.workspace_low))
+            self._before = self._force
         self.eased = False
         """Whether a stop has come so far that nothing pushes, and the robot's brake may act."""
         self._now = now
@@ -79,7 +81,7 @@ class SafetyFilter:
         duration = min(duration, self.limits.longest_gap)
         self._before = self._force
         self._force = approached(self._force, target, duration, self.limits)
-        self.eased = self.stop is not None and not self._force.any()
+        self.eased = self.eased or (self.stop is not None and not self._force.any())
         self._sent_before, self._sent_at = self._sent_at, now
         return self._force
 
@@ -106,7 +108,7 @@ class SafetyFilter:
         if reason is not None:
             if now - self._believed_at > limits.longest_age + _JITTER:
                 self._halt(reason, now)
-            return None
+            return self._reading if reason in _NO_NEWS else None
         assert reading is not None
         self._reading = reading
         self._believed_at = now
@@ -135,6 +137,9 @@ class SafetyFilter:
         if self.stop is None:
             self.stop = Stop(reason, now)
 
+
+_NO_NEWS = (StopReason.CONNECTION_LOST, StopReason.READING_FROZEN)
+"""Doubts under which the last reading still counts: a loop may be faster than what it reads."""
 
 _JITTER = 1e-9
 """s: clocks are floating point numbers."""
