@@ -7,6 +7,7 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.robot import Command, RobotReading, SafetyFilter, SafetyLimits, StopReason
+from contactgraph.robot.guards import guarded
 
 LIMITS = SafetyLimits()
 TICK = 0.001
@@ -63,6 +64,58 @@ def test_a_force_changes_no_faster_than_allowed() -> None:
 def test_huge_forces_do_not_overflow(size: float) -> None:
     force = SafetyFilter(LIMITS, 0.0)(command(1, np.full(3, size)), reading(1), TICK)
     assert np.isfinite(force).all() and np.linalg.norm(force) <= 1.2 + 1e-9
+
+
+def test_a_command_counts_as_it_was_given() -> None:
+    safety = SafetyFilter(LIMITS, 0.0)
+    asked = command(1, np.array([0.3, 0.0, 0.0]))
+    safety(asked, reading(1), TICK)
+    asked.force[:] = np.nan
+    np.testing.assert_array_equal(safety(None, reading(2), 2 * TICK), [0.3, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("said", [np.full(3, np.nan), np.full(3, 1e9), np.zeros(2)])
+def test_a_robot_that_says_nonsense_about_what_it_sent(said: np.ndarray) -> None:
+    safety = pushed()
+    safety.sent(said)
+    force = safety(command(30), reading(30), 0.030)
+    assert np.isfinite(force).all() and np.linalg.norm(force) <= LIMITS.max_force + 1e-9
+
+
+def test_a_force_follows_what_was_really_sent() -> None:
+    safety = pushed()
+    safety.sent(np.zeros(3))
+    np.testing.assert_allclose(safety(command(30), reading(30), 0.030), [0.0, 1.2, 0.0], rtol=1e-9)
+
+
+def test_anything_at_all_comes_out_finite_and_within_limits() -> None:
+    random = np.random.default_rng(0)
+    odd = np.array([0.0, 1.0, -1.0, 40.0, 1e-320, 1e11, -1e200, np.inf, -np.inf, np.nan])
+    safety, last = SafetyFilter(LIMITS, 0.0), np.zeros(3)
+    for tick in range(1, 4000):
+        now = reading(tick)
+        shaken = now.position + 0.3 * random.standard_normal((2, 3)) * (random.random() < 0.1)
+        speeds = random.standard_normal((2, 3)) * random.choice([0.1, 0.5])
+        if random.random() < 0.1:
+            speeds[random.integers(2), random.integers(3)] = random.choice(odd)
+        now = replace(now, position=shaken, velocity=speeds)
+        wanted = 30.0 * random.standard_normal(3)
+        if random.random() < 0.1:
+            wanted[random.integers(3)] = random.choice(odd)
+        force = safety(command(tick, wanted), now, tick * TICK)
+        assert np.isfinite(force).all()
+        assert np.linalg.norm(force) <= LIMITS.max_force * (1.0 + 1e-9)
+        assert np.linalg.norm(force - last) <= LIMITS.max_force_rate * TICK * (1.0 + 1e-9)
+        # What is eased is not sent: the robot brakes, and begins again from nothing.
+        last = np.zeros(3) if safety.eased else force
+        if safety.stop is not None and random.random() < 0.2:
+            safety.reset(tick * TICK)
+
+
+def test_a_guard_asks_for_no_more_than_the_largest_force() -> None:
+    racing = np.array([0.0, 0.9, 0.0])
+    force = guarded(np.zeros(3), np.array([0.5, 0.36, 0.2]), racing, LIMITS)
+    np.testing.assert_allclose(force, [0.0, -LIMITS.max_force, 0.0], rtol=1e-9)
 
 
 def ridden(push: np.ndarray, limits: SafetyLimits) -> tuple[SafetyFilter, np.ndarray, float]:

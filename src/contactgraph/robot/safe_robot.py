@@ -51,8 +51,6 @@ class SafeRobot:
         """
         now = self._clock()
         force = self._filter(command, self._reading, now)
-        # It has been judged; without another `read` it is no news in the next tick.
-        self._reading = None
         if self._filter.stop is not None and self._filter.eased:
             self._robot.stop(self._filter.stop)
             return None

@@ -6,7 +6,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError
 from contactgraph.robot.contract import Command, RobotReading
-from contactgraph.robot.guards import approached, guarded
+from contactgraph.robot.guards import approached, guarded, shortened
 from contactgraph.robot.limits import SafetyLimits
 from contactgraph.robot.reading_check import doubt
 from contactgraph.robot.stop import Stop, StopReason
@@ -67,7 +67,7 @@ class SafetyFilter:
             self._halt(StopReason.CLOCK_BROKEN, self._now)
             # Without time there is no rate to keep: the robot's own brake must do.
             self.eased = True
-            return self._force
+            return self._force.copy()
         self._now = now
         if duration > self.limits.longest_gap + _JITTER:
             self._halt(StopReason.LOOP_LATE, now)
@@ -83,18 +83,19 @@ class SafetyFilter:
         self._force = approached(self._force, target, duration, self.limits)
         self.eased = self.eased or (self.stop is not None and not self._force.any())
         self._sent_before, self._sent_at = self._sent_at, now
-        return self._force
+        return self._force.copy()
 
     def sent(self, force: np.ndarray | None) -> None:
         """What the robot says was really sent, ``[D]`` N; None where it got lost.
 
-        The next force follows that one. A robot that cannot be reached cannot be stopped gently.
+        The next force follows that one, if it is one. A robot that cannot be reached cannot be
+        stopped gently.
         """
         if force is None:
             self._force, self._sent_at = self._before, self._sent_before
             self.eased = self.stop is not None
-        else:
-            self._force = force
+        elif np.shape(force) == self._force.shape and np.isfinite(force).all():
+            self._force = shortened(np.array(force, dtype=np.float64), self.limits.max_force)
 
     def _target(self, believed: RobotReading | None) -> np.ndarray:
         if self.stop is not None or self._command is None or believed is None:
