@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from contactgraph.control.learned_cost import ROUNDING
 from contactgraph.data import InvalidInputError
 
-_ROUNDING = 1e-5
-"""Part of a matrix's largest entry, or eigenvalue, that rounding may come to."""
 _LARGEST_COUNT = 2**31 - 1
 """What 32 bits hold."""
 _LARGEST = 1e30
@@ -103,7 +102,7 @@ class CostFields:
     def semidefinite(self, name: str, size: int) -> np.ndarray:
         """[size, size] symmetric, without eigenvalues below zero, but for rounding."""
         matrix, eigenvalues = self._symmetric(name, self.numbers(name, (size, size)))
-        if eigenvalues[0] < -_ROUNDING * max(eigenvalues[-1], 0.0):
+        if eigenvalues[0] < -ROUNDING * max(eigenvalues[-1], 0.0):
             raise self._indefinite(name, "positive semi-definite", eigenvalues[0])
         return matrix
 
@@ -121,7 +120,7 @@ class CostFields:
     def _symmetric(self, name: str, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The matrix, exactly symmetric, and its eigenvalues, ascending."""
         apart = np.abs(matrix - matrix.T)
-        if apart.max() > _ROUNDING * np.abs(matrix).max():
+        if apart.max() > ROUNDING * np.abs(matrix).max():
             row, column = np.unravel_index(np.argmax(apart), apart.shape)
             raise InvalidInputError(
                 f"{self.where}: field {name!r} must be symmetric, found {matrix[row, column]:g} in "

@@ -10,12 +10,9 @@ from jaxtyping import Array, Float, Int
 from contactgraph.control.cost_recipe import CostRecipe
 from contactgraph.control.demonstrations import Demonstrations
 from contactgraph.control.differentiable_lqr import lqr_trajectory, tracking_problem
-from contactgraph.control.learned_cost import LearningHistory
+from contactgraph.control.learned_cost import ROUNDING, LearningHistory
 from contactgraph.control.relative_form import independent_part, relative_basis
 from contactgraph.data import InvalidInputError
-
-_ROUNDING = 1e-5
-"""Part of the largest eigenvalue that rounding may take off the smallest one."""
 
 
 class FreeCost(eqx.Module):
@@ -135,7 +132,7 @@ def advance_learner(
         Q, R, _ = learner.cost(free)
         q, r = jnp.linalg.eigvalsh(Q), jnp.linalg.eigvalsh(R)
         # Below zero by rounding alone is zero.
-        rounded = jnp.where(q[0] > -_ROUNDING * q[-1], jnp.maximum(q[0], 0.0), q[0])
+        rounded = jnp.where(q[0] > -ROUNDING * q[-1], jnp.maximum(q[0], 0.0), q[0])
         return LearnerState(free, inner), LearningHistory(imitation, prior, rounded, r[0])
 
     return jax.lax.scan(step, state, windows)

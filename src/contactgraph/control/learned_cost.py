@@ -11,6 +11,9 @@ from jaxtyping import Array, Float, Int
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.data import InvalidInputError, Scene
 
+ROUNDING = 1e-5
+"""Part of the largest eigenvalue, or entry, by which rounding may spoil a symmetric matrix."""
+
 
 @dataclass(frozen=True)
 class Participant:

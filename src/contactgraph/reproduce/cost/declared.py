@@ -115,8 +115,8 @@ def among_distractors(amounts: CostAmounts) -> list[Trial]:
 def known_answers(amounts: CostAmounts) -> tuple[Lesson, Lesson]:
     """Learned from runs of MPC with a cost that is known: the task's own, and a learned one.
 
-    The task's own asks for more force than there is, which no LQR knows of; a cost that was
-    learned from an expert hardly ever does.
+    The task's own asks for more force than there is, and where it does it is not seen; a cost
+    that was learned from an expert hardly ever does.
     """
     learned = _lesson(EXPERT, amounts.most)
     name = "MPC with the cost learned from the expert"
