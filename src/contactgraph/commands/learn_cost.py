@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
+    from contactgraph.commands.task_names import KnownTask
     from contactgraph.control import ControlLimits
     from contactgraph.data import Dataset
 
@@ -132,11 +133,9 @@ class LearnCost:
 
     def _bound(self, dataset: "Dataset") -> float | None:
         """N: what is said, or else what the task that the data set names allows."""
-        from contactgraph.commands.task_names import TASKS
-
-        task = str(dataset.metadata.get("task"))
-        known = TASKS[task].max_force if task in TASKS else None
-        return known if self.max_force is None else self.max_force
+        known = _task_of(dataset)
+        bound = None if known is None else known.max_force
+        return bound if self.max_force is None else self.max_force
 
     def _limits(self, dataset: "Dataset") -> "ControlLimits | None":
         import jax.numpy as jnp
@@ -151,8 +150,14 @@ class LearnCost:
 
     def _horizon(self, dataset: "Dataset") -> int:
         """What `control` plans ahead in the task that the data set names."""
-        from contactgraph.commands.task_names import TASKS
         from contactgraph.control import CostRecipe
 
-        task = str(dataset.metadata.get("task"))
-        return TASKS[task].horizon if task in TASKS else CostRecipe().horizon
+        known = _task_of(dataset)
+        return CostRecipe().horizon if known is None else known.horizon
+
+
+def _task_of(dataset: "Dataset") -> "KnownTask | None":
+    """The task that the data set names, if it is one of ours."""
+    from contactgraph.commands.task_names import TASKS
+
+    return TASKS.get(str(dataset.metadata.get("task")))

@@ -16,6 +16,7 @@ import numpy as np
 from contactgraph.control.cost_fields import CostFields
 from contactgraph.control.learned_cost import LearnedCost, LearningHistory, Participant
 from contactgraph.data import InvalidInputError, replacing
+from contactgraph.data.untrusted_json import check_version, parse_json
 
 FORMAT = "contactgraph-cost"
 VERSION = 1
@@ -107,7 +108,7 @@ def describe_cost(path: str | Path) -> CostSummary:
     if path.stat().st_size > _SIZE_LIMIT:
         raise InvalidInputError(f"{path}: must be a cost file, of at most {_SIZE_LIMIT} bytes")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        content = parse_json(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError, OSError) as error:
         reason = " ".join(str(error).split())
         raise InvalidInputError(
@@ -115,11 +116,7 @@ def describe_cost(path: str | Path) -> CostSummary:
         ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InvalidInputError(f"{path}: must be a cost file, whose 'format' is {FORMAT!r}")
-    version = content.get("format_version")
-    if version != VERSION or isinstance(version, bool):
-        raise InvalidInputError(
-            f"{path}: field 'format_version' must be {VERSION}, found {version!r}"
-        )
+    check_version(f"{path}: field", content, VERSION)
     return _summary(CostFields(str(path), content))
 
 
@@ -183,7 +180,3 @@ def _text(value: Any, indent: str = "\n") -> str:
 
 def _line(value: Any) -> str:
     return json.dumps(value, allow_nan=False, ensure_ascii=False)
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"numbers must be finite, found {name}")

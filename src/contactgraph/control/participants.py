@@ -15,9 +15,7 @@ from contactgraph.model.recording import Recording, number_type, recording
 _EXACT = ContactSensor()
 
 
-def follow_all(
-    model: StepModel, demonstrations: Dataset, sensor: ContactSensor = _EXACT
-) -> FollowedRun:
+def follow_all(model: StepModel, demonstrations: Dataset) -> FollowedRun:
     """[runs, T, …] What the model infers along every run, padded to the longest and the largest.
 
     Contacts correct the beliefs where they were recorded. Raises `InvalidInputError`, naming the
@@ -33,7 +31,7 @@ def follow_all(
     capacity = max(run.scene.node_count for run in demonstrations)
     dtype = number_type(model)
     padded = [recording(run, steps, capacity, dtype, True) for run in demonstrations]
-    return _followed(model, jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded), sensor)
+    return _followed(model, jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded))
 
 
 def participants(demonstrations: Dataset, followed: FollowedRun) -> tuple[Participant, ...]:
@@ -96,8 +94,5 @@ def _check_everywhere(each: Participant, demonstrations: Dataset) -> None:
 
 
 @eqx.filter_jit
-def _followed(model: StepModel, runs: Recording, sensor: ContactSensor) -> FollowedRun:
-    def one(run: Recording) -> FollowedRun:
-        return follow_run(model, run, sensor)
-
-    return jax.lax.map(one, runs)
+def _followed(model: StepModel, runs: Recording) -> FollowedRun:
+    return jax.lax.map(lambda run: follow_run(model, run, _EXACT), runs)

@@ -44,14 +44,7 @@ def independent_part(W: Float[Array, "m m"], alike: Float[Array, "D D"]) -> Floa
     M = W.shape[0] // (2 * D)
     blocks = W.reshape(M, 2, D, M, 2, D)
     own = jnp.einsum("apdaqd->apqd", blocks) @ alike.T
-    terms, axes = jnp.arange(M), jnp.arange(D)
-    placed = jnp.zeros_like(blocks)
-    # [M, D, 2, 2]: advanced indices come first.
-    values = jnp.transpose(own, (0, 3, 1, 2))
-    placed = placed.at[terms[:, None], :, axes[None, :], terms[:, None], :, axes[None, :]].set(
-        values
-    )
-    return placed.reshape(W.shape)
+    return jnp.einsum("apqd,ab,de->apdbqe", own, jnp.eye(M), jnp.eye(D)).reshape(W.shape)
 
 
 def alike_axes(gravity: np.ndarray | None, dimension: int) -> np.ndarray:

@@ -63,7 +63,8 @@ class MPCPolicy:
         """
         self._mpc = mpc
         self._cost = cost
-        self._placed, self._order = cost, cost.order
+        self._placed = cost
+        self._chain = self._order = cost.order
         self._capacity = node_capacity
         self._faults = faults
         self._measured = measured
@@ -78,7 +79,7 @@ class MPCPolicy:
         Raises `InvalidInputError` where cost and scene do not fit, for want of a goal, say.
         """
         self._placed = self._cost.in_scene(scene)
-        self._order = self._placed.order
+        self._chain = self._order = self._placed.order
         self._capacity = max(self._capacity, scene.node_count)
         self._scene, self._state, self._ticks = scene, None, []
         self._sensor = self._faults.begin(scene, seed)
@@ -145,7 +146,7 @@ class MPCPolicy:
         A node that is picked up out of turn would else stand in the chain between two that pull
         at it, and nothing further would be picked up.
         """
-        order = self._placed.order
+        order = self._chain
         if len(order) < 3:
             return state
         pairs = pair_indices(self._capacity)

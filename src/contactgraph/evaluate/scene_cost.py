@@ -6,12 +6,12 @@ from typing import Protocol
 
 import numpy as np
 
-from contactgraph.control import QuadraticCost, chain_cost
+from contactgraph.control import Cost, QuadraticCost, chain_cost
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.tasks.contract import ChainCost
 
 
-class SceneCost(Protocol):
+class SceneCost(Cost, Protocol):
     """A cost that finds its place in a scene. `contactgraph.control.LearnedCost` is one."""
 
     @property
@@ -23,9 +23,6 @@ class SceneCost(Protocol):
 
     def among(self, nodes: Sequence[int]) -> "SceneCost":
         """The same with its nodes in another order."""
-
-    def quadratic(self, node_count: int) -> QuadraticCost:
-        """The cost of the scene padded to ``node_count`` nodes."""
 
 
 @dataclass(frozen=True, eq=False)

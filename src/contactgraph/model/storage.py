@@ -16,6 +16,7 @@ import safetensors.numpy
 
 from contactgraph.data.atomic_file import replacing
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.untrusted_json import check_version, parse_json
 from contactgraph.model.arrays import module_arrays, with_arrays
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.description import Description, build, describe
@@ -159,16 +160,12 @@ def _header(path: Path, metadata: dict[str, str]) -> dict[str, Any]:
     if len(text) > _HEADER_LIMIT:
         raise InvalidInputError(f"{path}: header must be shorter than {_HEADER_LIMIT} characters")
     try:
-        header = json.loads(text, parse_constant=_refuse_constant)
+        header = parse_json(text)
     except (ValueError, RecursionError) as error:
         raise InvalidInputError(f"{path}: header must be JSON ({error})") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise InvalidInputError(f"{path}: header field 'format' must be {FORMAT!r}")
-    version = header.get("format_version")
-    if version != VERSION or isinstance(version, bool):
-        raise InvalidInputError(
-            f"{path}: header field 'format_version' must be {VERSION}, found {version!r}"
-        )
+    check_version(f"{path}: header field", header, VERSION)
     for name, kind in {"model": dict, "training": dict, "checksum": str}.items():
         if not isinstance(header.get(name), kind):
             raise InvalidInputError(f"{path}: header field {name!r} is missing or of another type")
@@ -180,10 +177,6 @@ def _weights(file: Any, name: str, path: Path) -> np.ndarray:
     if found not in ("F32", "F64"):
         raise InvalidInputError(f"{path}: array {name!r} must be F32 or F64, found {found}")
     return file.get_tensor(name)
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"numbers must be finite, found {name}")
 
 
 def _json(value: object) -> str:
