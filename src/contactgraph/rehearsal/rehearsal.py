@@ -1,0 +1,127 @@
+"""A rehearsal from start to end, and how other processes find one."""
+
+import os
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.rehearsal.camera_settings import CameraSettings
+from contactgraph.rehearsal.orders import order_block
+from contactgraph.rehearsal.processes import Child
+from contactgraph.rehearsal.server_report import ServerReport, read_places, read_report
+from contactgraph.rehearsal.session import Session, attached, free_address
+from contactgraph.rehearsal.tagged_block import MASS
+from contactgraph.rehearsal.truth import Truth
+
+ADDRESSES = tuple(f"127.0.0.{number}" for number in range(1, 10))
+"""Where a rehearsal may listen: the first free one."""
+_PARTS = "contactgraph.rehearsal"
+
+
+class RunningRehearsal:
+    """A rehearsal that runs, in whatever process it was started: see `attach`."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._truth = Truth(session.folder, session.blocks, read_places(session.folder))
+
+    @property
+    def address(self) -> str:
+        """Where the arm's client finds the server."""
+        return self._session.address
+
+    @property
+    def pace(self) -> float:
+        """Seconds on the wall for each simulated one."""
+        return self._session.pace
+
+    def clock(self) -> float:
+        """s: the reader's clock, on which all is stamped. It goes slower by `pace`."""
+        return time.monotonic() / self._session.pace
+
+    @property
+    def truth(self) -> Truth:
+        """What is really so: for measuring, never for control."""
+        return self._truth
+
+    def place_block(self, index: int, position: np.ndarray, yaw: float = 0.0) -> None:
+        """Puts block ``index`` at ``position`` [3] m, turned by ``yaw`` rad, at rest.
+
+        Raises `InvalidInputError` for no such block or no such place.
+        """
+        place = np.asarray(position, dtype=np.float64)
+        if not 0 <= index < self._session.blocks:
+            raise InvalidInputError(f"block must be 0 to {self._session.blocks - 1}, found {index}")
+        if place.shape != (3,) or not np.isfinite([*place, yaw]).all():
+            raise InvalidInputError(f"position must be [3] m, and yaw rad, found {position}, {yaw}")
+        order_block(self._session.folder, index, place, yaw)
+
+    def report(self) -> ServerReport:
+        """How well the server has kept time."""
+        report = read_report(self._session.folder)
+        if report is None:
+            raise InvalidInputError(f"the rehearsal at {self.address} has ended")
+        return report
+
+
+def attach(address: str) -> RunningRehearsal:
+    """The rehearsal at ``address``; raises `InvalidInputError` where there is none."""
+    return RunningRehearsal(attached(address))
+
+
+class Rehearsal:
+    """Starts a simulated arm behind the real one's protocol, and ends it. A context manager.
+
+    ``pace`` seconds on the wall are one simulated second: 1 is real time, for which server, client
+    and what else runs need cores enough. The first free one of ``addresses`` is taken. ``mass`` kg
+    is that of each of the ``blocks`` blocks. ``camera``: with what camera; None: without one.
+
+    What is entered is a `RunningRehearsal`. Raises `InvalidInputError` where an argument is out of
+    range, an address is taken, or what a process needs is not installed.
+    """
+
+    def __init__(
+        self,
+        pace: float = 1.0,
+        camera: CameraSettings | None = None,
+        blocks: int = 1,
+        mass: float = MASS,
+        addresses: Sequence[str] = ADDRESSES,
+    ) -> None:
+        if not (np.isfinite(pace) and 0.1 <= pace <= 100.0):
+            raise InvalidInputError(f"pace must be 0.1 to 100, found {pace}")
+        self._arguments = (pace, blocks, mass, camera)
+        self._addresses = tuple(addresses)
+        self._children: list[Child] = []
+
+    def __enter__(self) -> RunningRehearsal:
+        pace, blocks, mass, camera = self._arguments
+        address = free_address(self._addresses)
+        self._session = Session(address, pace, blocks, mass, os.getpid(), camera)
+        self._session.create()
+        folder = self._session.folder
+        try:
+            arm = self._started("arm_server")
+            arm.wait_until(lambda: read_report(folder) is not None)
+            return RunningRehearsal(self._session)
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        for child in reversed(self._children):
+            child.close()
+        self._children.clear()
+        self._session.remove()
+
+    def check(self) -> None:
+        """Raises `RuntimeError` where a process has died, with its last words."""
+        for child in self._children:
+            child.check()
+
+    def _started(self, part: str) -> Child:
+        child = Child(f"{_PARTS}.{part}", self._session.folder)
+        self._children.append(child)
+        return child
