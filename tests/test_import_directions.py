@@ -18,11 +18,12 @@ ALLOWED = {
     "control": {"data", "model"},
     "tasks": {"data"},
     "robot": {"data"},
+    "rehearsal": {"data", "tasks", "robot"},
     "evaluate": LIBRARY,
     "reproduce": LIBRARY | {"evaluate", "view"},
     "view": LIBRARY | {"evaluate"},
-    "commands": LIBRARY | {"evaluate", "reproduce", "view"},
-    "cli": LIBRARY | {"evaluate", "reproduce", "view", "commands"},
+    "commands": LIBRARY | {"evaluate", "reproduce", "view", "rehearsal"},
+    "cli": LIBRARY | {"evaluate", "reproduce", "view", "rehearsal", "commands"},
     "worker": {"cli"},
 }
 """What each package may import besides itself."""

@@ -1,0 +1,1 @@
+"""Where tagged objects are: from camera frames to positions, velocities and how sure they are."""

@@ -1,0 +1,103 @@
+"""The pose of an object from all of its tags at once: from corners, then from edges and depth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactgraph.robot.perception.camera import CameraFrame, Intrinsics
+from contactgraph.robot.perception.edges import find_edges
+from contactgraph.robot.perception.planar_start import starts
+from contactgraph.robot.perception.pose_fit import PoseFit, Seen, fit_pose
+from contactgraph.robot.perception.tagged_object import TaggedObject
+from contactgraph.robot.perception.tags import TagDetection
+
+CORNER_NOISE = 0.15
+"""px, standard deviation of a detected corner's coordinates."""
+_ROUNDS = 2
+"""Of looking for edges where the pose says they are."""
+_LEAST_EDGES = 4
+"""Fewer tell less than corners do."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPose:
+    """Where an object is, in the camera's frame, and how sure that is."""
+
+    pose: np.ndarray
+    """[4, 4]: object to camera."""
+    covariance: np.ndarray
+    """[6, 6]: the true pose is turned by a small vector [rad] about the object's origin, and moved
+    by another [m], both along the camera's axes; this is their covariance, the turn first."""
+    tags: tuple[int, ...]
+    """The ids that were seen."""
+    error: float
+    """How far what was seen lies from what the pose explains: root of the mean square, in standard
+    deviations. About 1 where all is well."""
+
+
+def object_pose(
+    detections: Sequence[TagDetection],
+    tagged: TaggedObject,
+    intrinsics: Intrinsics,
+    corner_noise: float = CORNER_NOISE,
+) -> ObjectPose | None:
+    """The object's pose from the corners of those detections that are its own; None without any.
+
+    ``corner_noise`` px is the standard deviation of a corner's coordinates. A plane tag that leans
+    to one side looks almost like one that leans to the other: both are tried, and the smaller error
+    over all corners of all tags tells them apart.
+    """
+    tags = tagged.by_id
+    own = [each for each in detections if each.id in tags]
+    if not own:
+        return None
+    rays = intrinsics.rays(np.concatenate([each.corners for each in own]))
+    points = np.concatenate([tags[each.id].corners for each in own])
+    scale = np.diag([intrinsics.fx, intrinsics.fy]) / corner_noise
+    seen = Seen(points.repeat(2, axis=0), rays.repeat(2, axis=0), np.tile(scale, (len(points), 1)))
+    largest = int(np.argmax([_area(each.corners) for each in own]))
+    corners = rays[4 * largest : 4 * largest + 4]
+    fits = [fit_pose(start, seen) for start in starts(tags[own[largest].id], corners)]
+    return _pose(min(fits, key=lambda fit: fit.loss), tuple(each.id for each in own))
+
+
+def refined_pose(
+    frame: CameraFrame, first: ObjectPose, tagged: TaggedObject, intrinsics: Intrinsics
+) -> ObjectPose:
+    """The pose from the edges of the tags in the picture, looked for where ``first`` says.
+
+    Several times as exact as corners from a detector. Edges that are hidden, or too narrow, count
+    for nothing; where fewer than four are left, ``first`` comes back.
+    """
+    tags = [tagged.by_id[each] for each in first.tags]
+    corners = np.stack([tag.corners for tag in tags])
+    ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+    best = first
+    for _ in range(_ROUNDS):
+        seen_from = corners @ best.pose[:3, :3].T + best.pose[:3, 3]
+        edges = find_edges(frame.image, intrinsics.project(seen_from))
+        found = edges.found
+        if found.sum() < _LEAST_EDGES:
+            return first
+        across = edges.normal * (intrinsics.fx, intrinsics.fy) / edges.noise[:, None]
+        seen = Seen(
+            ends[found].reshape(-1, 3),
+            intrinsics.rays(edges.ends[found].reshape(-1, 2)),
+            across[found].repeat(2, axis=0),
+        )
+        best = _pose(fit_pose(best.pose, seen), first.tags)
+    return best
+
+
+def _pose(fit: PoseFit, tags: tuple[int, ...]) -> ObjectPose:
+    error = float(np.sqrt((fit.residual**2).mean()))
+    # What fits worse than the noise allows is trusted less: blur, a bent print, a hidden edge.
+    covariance = np.linalg.inv(fit.information) * max(1.0, error**2)
+    return ObjectPose(fit.pose, covariance, tags, error)
+
+
+def _area(corners: np.ndarray) -> float:
+    """px^2, of a quadrangle: half the cross product of its diagonals."""
+    one, two = corners[2] - corners[0], corners[3] - corners[1]
+    return 0.5 * abs(float(one[0] * two[1] - one[1] * two[0]))
