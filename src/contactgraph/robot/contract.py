@@ -31,7 +31,8 @@ class RobotReading:
     variance: np.ndarray | None = None
     """[N, D] m^2, of ``position``; None where it is not known."""
     contact: np.ndarray | None = None
-    """[N, N] 0 or 1, symmetric, zero diagonal: measured contact; None without such a sensor."""
+    """[N, N] 0 to 1, symmetric, zero diagonal: how surely two nodes touch; NaN where that was not
+    measured. None without any such sensor."""
 
     def __post_init__(self) -> None:
         for name, kind in (("position", float), ("velocity", float), ("time", float)):
@@ -55,14 +56,15 @@ class RobotReading:
     def observation(self, goal: np.ndarray) -> dict[str, np.ndarray]:
         """As a task's observation, for policies: position, velocity, contact, and ``goal`` [D] m.
 
-        A robot without a contact sensor observes no contact.
+        ``contact`` [N, N] is NaN where it was not measured: "no contact" is news, too, and nobody
+        may be told it by a robot that cannot know.
         """
         count = len(self.position)
-        contact = np.zeros((count, count)) if self.contact is None else self.contact
+        contact = np.full((count, count), np.nan) if self.contact is None else self.contact
         return {
             "position": self.position,
             "velocity": self.velocity,
-            "contact": np.asarray(contact, dtype=np.int8),
+            "contact": np.asarray(contact, dtype=np.float64),
             "goal": np.asarray(goal, dtype=np.float64),
         }
 

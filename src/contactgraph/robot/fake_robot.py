@@ -119,7 +119,7 @@ class FakeRobot:
         self._remember()
 
     def _remember(self) -> None:
-        contact = np.zeros((2, 2), dtype=np.int8)
+        contact = np.zeros((2, 2))
         contact[0, 1] = contact[1, 0] = self.holding
         self._past.append(
             RobotReading(

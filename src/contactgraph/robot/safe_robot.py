@@ -7,7 +7,7 @@ import numpy as np
 from contactgraph.robot.contract import Command, Robot, RobotReading
 from contactgraph.robot.limits import SafetyLimits
 from contactgraph.robot.safety_filter import SafetyFilter
-from contactgraph.robot.stop import Stop
+from contactgraph.robot.stop import Stop, StopReason
 
 
 class SafeRobot:
@@ -32,6 +32,15 @@ class SafeRobot:
     def stop(self) -> Stop | None:
         """Why and when the robot was stopped; None while it may move."""
         return self._filter.stop
+
+    @property
+    def believed(self) -> RobotReading | None:
+        """The newest reading that the last `send` believed; None where it believed none."""
+        return self._filter.believed
+
+    def end(self, reason: StopReason) -> None:
+        """Stops the robot because somebody wants it: eased off, then braked, by the next calls."""
+        self._filter.halt(reason, self._clock())
 
     def reset(self) -> None:
         """Lets a stopped robot move again, and begins to count deadlines: call it before a loop."""

@@ -52,6 +52,8 @@ class SafetyFilter:
         self._sent_at = now
         self._sent_before = now
         self._asked_at: float | None = None
+        self.believed: RobotReading | None = None
+        """What the last call took for the truth: the newest reading, or the one before it."""
         self._reading: RobotReading | None = None
         self._command: np.ndarray | None = None
 
@@ -64,19 +66,19 @@ class SafetyFilter:
         """
         duration = now - self._now
         if not duration >= 0.0 or math.isinf(duration):
-            self._halt(StopReason.CLOCK_BROKEN, self._now)
+            self.halt(StopReason.CLOCK_BROKEN, self._now)
             # Without time there is no rate to keep: the robot's own brake must do.
             self.eased = True
             return self._force.copy()
         self._now = now
         if duration > self.limits.longest_gap + _JITTER:
-            self._halt(StopReason.LOOP_LATE, now)
-        believed = self._take_reading(reading, now)
+            self.halt(StopReason.LOOP_LATE, now)
+        self.believed = self._take_reading(reading, now)
         self._take_command(command, now)
         if now - self._sent_at > self.limits.longest_gap + _JITTER:
-            self._halt(StopReason.CONNECTION_LOST, now)
+            self.halt(StopReason.CONNECTION_LOST, now)
 
-        target = self._target(believed)
+        target = self._target(self.believed)
         # After a pause the force may not make up for all of the lost time at once.
         duration = min(duration, self.limits.longest_gap)
         self._before = self._force
@@ -84,6 +86,11 @@ class SafetyFilter:
         self.eased = self.eased or (self.stop is not None and not self._force.any())
         self._sent_before, self._sent_at = self._sent_at, now
         return self._force.copy()
+
+    def halt(self, reason: StopReason, now: float) -> None:
+        """Stops at ``now`` s; the first reason counts."""
+        if self.stop is None:
+            self.stop = Stop(reason, now)
 
     def sent(self, force: np.ndarray | None) -> None:
         """What the robot says was really sent, ``[D]`` N; None where it got lost.
@@ -108,16 +115,16 @@ class SafetyFilter:
         reason = doubt(reading, self._reading, now, self._hand, limits)
         if reason is not None:
             if now - self._believed_at > limits.longest_age + _JITTER:
-                self._halt(reason, now)
+                self.halt(reason, now)
             return self._reading if reason in _NO_NEWS else None
         assert reading is not None
         self._reading = reading
         self._believed_at = now
         position, velocity = reading.position[self._hand], reading.velocity[self._hand]
         if np.any(position < limits.workspace_low) or np.any(position > limits.workspace_high):
-            self._halt(StopReason.OUTSIDE_WORKSPACE, now)
+            self.halt(StopReason.OUTSIDE_WORKSPACE, now)
         elif math.hypot(*velocity) > limits.max_speed:
-            self._halt(StopReason.TOO_FAST, now)
+            self.halt(StopReason.TOO_FAST, now)
         return reading
 
     def _take_command(self, command: Command | None, now: float) -> None:
@@ -125,18 +132,14 @@ class SafetyFilter:
             force = np.array(command.force)
             usable = force.shape == self._force.shape and force.dtype.kind in "fiu"
             if not usable or not np.isfinite(force).all() or not command.time <= now:
-                self._halt(StopReason.COMMAND_UNUSABLE, now)
+                self.halt(StopReason.COMMAND_UNUSABLE, now)
                 return
             self._command = force
             self._asked_at = command.time
         asked = self._asked_at
         # A robot that nobody has moved yet waits for as long as it takes.
         if asked is not None and now - asked > self.limits.longest_gap + _JITTER:
-            self._halt(StopReason.COMMAND_LATE, now)
-
-    def _halt(self, reason: StopReason, now: float) -> None:
-        if self.stop is None:
-            self.stop = Stop(reason, now)
+            self.halt(StopReason.COMMAND_LATE, now)
 
 
 _NO_NEWS = (StopReason.CONNECTION_LOST, StopReason.READING_FROZEN)

@@ -7,6 +7,9 @@ from enum import Enum
 class StopReason(Enum):
     """What stopped the robot. The value is the sentence that a user reads."""
 
+    FINISHED = "the run is over"
+    ASKED = "somebody asked for it"
+    PLANNER_FAILED = "the planner broke down"
     COMMAND_UNUSABLE = "the controller's command is not a force of finite numbers"
     COMMAND_LATE = "no new command came from the controller in time"
     LOOP_LATE = "the control loop itself came too late"
@@ -20,6 +23,11 @@ class StopReason(Enum):
     OBJECT_LOST = "an object is no longer tracked"
     OUTSIDE_WORKSPACE = "the hand is outside its workspace"
     TOO_FAST = "the hand is faster than it may be"
+
+    @property
+    def wanted(self) -> bool:
+        """Whether the robot stopped because it should, and not because something was wrong."""
+        return self in (StopReason.FINISHED, StopReason.ASKED)
 
 
 @dataclass(frozen=True)

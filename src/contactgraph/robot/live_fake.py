@@ -1,0 +1,54 @@
+"""The fake robot in real time: an arm for whoever has none."""
+
+import numpy as np
+
+from contactgraph.robot.contract import RobotReading
+from contactgraph.robot.fake_robot import TICK, FakeRobot
+from contactgraph.robot.loop.clock import Clock
+from contactgraph.robot.stop import Stop
+
+
+class LiveFake:
+    """A `Robot`: a `FakeRobot` that goes on while nobody looks, as arms do.
+
+    Readings are stamped on ``clock``, and at most a tick old.
+    """
+
+    def __init__(self, robot: FakeRobot, clock: Clock) -> None:
+        self.robot = robot
+        self._clock = clock
+        self._began = clock() - robot.clock()
+        self._read_at = -1.0
+
+    def read(self) -> RobotReading | None:
+        """What the ticks that have passed have led to; None where none has."""
+        now = self._clock() - self._began
+        while self.robot.clock() + TICK <= now:
+            self.robot.advance()
+        if self.robot.clock() <= self._read_at:
+            return None
+        self._read_at = self.robot.clock()
+        reading = self.robot.read()
+        if reading is None:
+            return None
+        return RobotReading(
+            position=reading.position,
+            velocity=reading.velocity,
+            time=reading.time + self._began,
+            robot_time=reading.robot_time,
+            tracked=reading.tracked,
+            variance=reading.variance,
+            contact=reading.contact,
+        )
+
+    def send(self, force: np.ndarray, now: float) -> np.ndarray | None:
+        """From the next tick on."""
+        return self.robot.send(force, now)
+
+    def stop(self, stop: Stop) -> None:
+        """Brakes from now on."""
+        self.robot.stop(stop)
+
+    def resume(self) -> None:
+        """Ends `stop`."""
+        self.robot.resume()
