@@ -2,12 +2,13 @@
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
 from contactgraph.rehearsal.camera_settings import CameraSettings
+from contactgraph.rehearsal.frames import RehearsalCamera
 from contactgraph.rehearsal.orders import order_block
 from contactgraph.rehearsal.processes import Child
 from contactgraph.rehearsal.server_report import ServerReport, read_places, read_report
@@ -58,6 +59,15 @@ class RunningRehearsal:
             raise InvalidInputError(f"position must be [3] m, and yaw rad, found {position}, {yaw}")
         order_block(self._session.folder, index, place, yaw)
 
+    def camera(self) -> RehearsalCamera:
+        """The camera; raises `InvalidInputError` where the rehearsal has none."""
+        settings = self._session.camera
+        if settings is None:
+            raise InvalidInputError(f"the rehearsal at {self.address} has no camera")
+        return RehearsalCamera(
+            self._session.folder, settings.intrinsics, settings.depth_noise is not None
+        )
+
     def report(self) -> ServerReport:
         """How well the server has kept time."""
         report = read_report(self._session.folder)
@@ -105,6 +115,9 @@ class Rehearsal:
         try:
             arm = self._started("arm_server")
             arm.wait_until(lambda: read_report(folder) is not None)
+            if camera is not None:
+                eye = self._started("camera_process", {"MUJOCO_GL": "egl"})
+                eye.wait_until((folder / "newest-frame").exists)
             return RunningRehearsal(self._session)
         except BaseException:
             self.__exit__()
@@ -121,7 +134,7 @@ class Rehearsal:
         for child in self._children:
             child.check()
 
-    def _started(self, part: str) -> Child:
-        child = Child(f"{_PARTS}.{part}", self._session.folder)
+    def _started(self, part: str, environment: Mapping[str, str] | None = None) -> Child:
+        child = Child(f"{_PARTS}.{part}", self._session.folder, environment)
         self._children.append(child)
         return child
