@@ -13,9 +13,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control.cost_fields import CostFields
+from contactgraph.control.cost_fields import definite, semidefinite
 from contactgraph.control.learned_cost import LearnedCost, LearningHistory, Participant
 from contactgraph.data import InvalidInputError, replacing
+from contactgraph.data.json_fields import JsonFields
 from contactgraph.data.untrusted_json import check_version, parse_json
 
 FORMAT = "contactgraph-cost"
@@ -78,7 +79,7 @@ def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | No
             "smallest_r": _numbers(cost.history.smallest_r),
         },
     }
-    _summary(CostFields(str(path), content))
+    _summary(JsonFields(str(path), content))
     try:
         text = _text(content) + "\n"
     except (TypeError, ValueError, RecursionError) as error:
@@ -117,10 +118,10 @@ def describe_cost(path: str | Path) -> CostSummary:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InvalidInputError(f"{path}: must be a cost file, whose 'format' is {FORMAT!r}")
     check_version(f"{path}: field", content, VERSION)
-    return _summary(CostFields(str(path), content))
+    return _summary(JsonFields(str(path), content))
 
 
-def _summary(fields: CostFields) -> CostSummary:
+def _summary(fields: JsonFields) -> CostSummary:
     """The checked content. Fields that are not known are left alone."""
     names = fields.names("kept_nodes")
     dimension = fields.count("dimension", 1)
@@ -130,8 +131,8 @@ def _summary(fields: CostFields) -> CostSummary:
     steps = imitation.shape
     return CostSummary(
         cost=LearnedCost(
-            Q=jnp.asarray(fields.semidefinite("Q", 2 * dimension * len(names))),
-            R=jnp.asarray(fields.definite("R")),
+            Q=jnp.asarray(semidefinite(fields, "Q", 2 * dimension * len(names))),
+            R=jnp.asarray(definite(fields, "R")),
             goal=jnp.asarray(goal),
             nodes=jnp.asarray(fields.places("nodes", len(names)), jnp.int32),
             kept_nodes=names,
@@ -147,7 +148,7 @@ def _summary(fields: CostFields) -> CostSummary:
     )
 
 
-def _participant(fields: CostFields) -> Participant:
+def _participant(fields: JsonFields) -> Participant:
     runs = fields.count("runs", 0)
     active = fields.count("active_runs", 0)
     return Participant(

@@ -1,0 +1,131 @@
+"""What the fields of a JSON file must be like, checked one by one."""
+
+import reprlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactgraph.data.errors import InvalidInputError
+
+_LARGEST_COUNT = 2**31 - 1
+"""What 32 bits hold."""
+_LARGEST = 1e30
+"""Above it single precision is near its end, and products are infinite."""
+
+
+@dataclass(frozen=True)
+class JsonFields:
+    """A JSON object from a file; ``where`` names it in errors.
+
+    Every method gives one field's value, and raises `InvalidInputError` where it is missing or is
+    not of the kind that the method's name says.
+    """
+
+    where: str
+    content: dict[str, Any]
+
+    def inner(self, name: str) -> "JsonFields":
+        """An object."""
+        value = self._value(name)
+        if not isinstance(value, dict):
+            raise self._wrong(name, "an object", value)
+        return JsonFields(f"{self.where}: {name}", value)
+
+    def each(self, name: str) -> list["JsonFields"]:
+        """A list of objects."""
+        value = self._value(name)
+        if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
+            raise self._wrong(name, "a list of objects", value)
+        return [
+            JsonFields(f"{self.where}: {name}[{place}]", each) for place, each in enumerate(value)
+        ]
+
+    def text(self, name: str) -> str:
+        """A text that is not empty."""
+        value = self._value(name)
+        if not isinstance(value, str) or not value:
+            raise self._wrong(name, "a text", value)
+        return value
+
+    def truth(self, name: str) -> bool:
+        """True or false."""
+        value = self._value(name)
+        if not isinstance(value, bool):
+            raise self._wrong(name, "true or false", value)
+        return value
+
+    def count(self, name: str, least: int) -> int:
+        """A whole number."""
+        value = self._value(name)
+        if not _whole(value, least):
+            raise self._wrong(name, f"a whole number of at least {least}", value)
+        return value
+
+    def names(self, name: str) -> tuple[str, ...]:
+        """Different texts, at least one."""
+        value = self._value(name)
+        texts = isinstance(value, list) and all(isinstance(each, str) and each for each in value)
+        if not texts or not value or len(set(value)) != len(value):
+            raise self._wrong(name, "different names, at least one", value)
+        return tuple(value)
+
+    def places(self, name: str, count: int) -> np.ndarray:
+        """[count] different whole numbers from 0 on."""
+        value = self._value(name)
+        whole = isinstance(value, list) and all(_whole(each, 0) for each in value)
+        if not whole or len(value) != count or len(set(value)) != count:
+            raise self._wrong(name, f"{count} different whole numbers from 0 on", value)
+        return np.asarray(value)
+
+    def rows(self, name: str) -> int:
+        """How many rows a square table of any size has, at least one."""
+        value = self._value(name)
+        if not isinstance(value, list) or not value:
+            raise self._wrong(name, "rows of numbers, as many as columns", value)
+        return len(value)
+
+    def numbers(self, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+        """Finite numbers of a shape; None: any length of at least 1."""
+        value = self._value(name)
+        wanted = f"{_times(shape)} numbers" if shape else "a number"
+        try:
+            held = np.array(value, dtype=object)
+        except ValueError as error:  # rows of different lengths
+            raise self._wrong(name, wanted, value) from error
+        if held.ndim != len(shape) or not all(
+            found > 0 and found == (found if each is None else each)
+            for found, each in zip(held.shape, shape, strict=True)
+        ):
+            shown = reprlib.repr(value) if held.ndim == 0 else _times(held.shape)
+            raise InvalidInputError(f"{self.where}: field {name!r} must be {wanted}, found {shown}")
+        for place, each in np.ndenumerate(held):
+            if not _finite(each):
+                where = name + "".join(f"[{index}]" for index in place)
+                raise self._wrong(where, "a finite number", each)
+        return held.astype(np.float64)
+
+    def _value(self, name: str) -> Any:
+        if name not in self.content:
+            raise InvalidInputError(f"{self.where}: field {name!r} is missing")
+        return self.content[name]
+
+    def _wrong(self, name: str, wanted: str, found: Any) -> InvalidInputError:
+        return InvalidInputError(
+            f"{self.where}: field {name!r} must be {wanted}, found {reprlib.repr(found)}"
+        )
+
+
+def _whole(value: Any, least: int) -> bool:
+    return (
+        isinstance(value, int) and not isinstance(value, bool) and least <= value <= _LARGEST_COUNT
+    )
+
+
+def _times(shape: tuple[int | None, ...]) -> str:
+    return " x ".join("1 or more" if each is None else str(each) for each in shape)
+
+
+def _finite(value: Any) -> bool:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and abs(value) < _LARGEST
