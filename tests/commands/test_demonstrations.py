@@ -8,8 +8,15 @@ import pytest
 from contactgraph import cli
 from contactgraph.data import read_trajectories
 from contactgraph.data.dataset import Dataset
-from contactgraph.tasks import DoorExpert, DoorTask, MultiPickupTask, PickupExpert, PickupTask
-from contactgraph.tasks.mujoco import FrankaExpert, FrankaTask
+from contactgraph.tasks import (
+    DoorExpert,
+    DoorTask,
+    FrankaExpert,
+    MultiPickupTask,
+    PickupExpert,
+    PickupTask,
+)
+from contactgraph.tasks.mujoco import FrankaTask
 from contactgraph.tasks.run_episode import run_episode
 
 PARTS = {

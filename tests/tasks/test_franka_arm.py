@@ -6,8 +6,8 @@ import pytest
 from franka_runs import HIGH, LOW, TORQUE, Watched, push, tick, world_with_hand_at
 
 from contactgraph.data import InvalidInputError
+from contactgraph.tasks.franka_layout import sample_layout
 from contactgraph.tasks.mujoco import FrankaTask
-from contactgraph.tasks.mujoco.layout import sample_layout
 from contactgraph.tasks.mujoco.reach import joints_at
 
 POINTS = [(0.45, 0.0, 0.25), (0.35, -0.3, 0.2), (0.65, 0.3, 0.1)]

@@ -5,8 +5,9 @@ import pytest
 from franka_runs import HIGH, LOW, TORQUE, WatchedTask
 
 from contactgraph.data import InvalidInputError, Scene
+from contactgraph.tasks import FrankaExpert
 from contactgraph.tasks.collect import episode_seeds
-from contactgraph.tasks.mujoco import FrankaExpert, FrankaTask
+from contactgraph.tasks.mujoco import FrankaTask
 from contactgraph.tasks.run_episode import run_episode
 
 RUNS = 20

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from franka_runs import WatchedTask, pads_touching, push, tick, world_with_hand_at
 
-from contactgraph.tasks.mujoco import FrankaExpert, FrankaTask, Grasp
+from contactgraph.tasks import FrankaExpert
+from contactgraph.tasks.mujoco import FrankaTask, Grasp
 from contactgraph.tasks.mujoco.reflex import HALF_BLOCK, LAG, MISS, OPEN, REACH, SPEED, GraspReflex
 from contactgraph.tasks.run_episode import run_episode
 

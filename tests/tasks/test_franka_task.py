@@ -14,9 +14,8 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
-from contactgraph.tasks import check_task
-from contactgraph.tasks.mujoco import FrankaExpert, FrankaTask, Grasp
-from contactgraph.tasks.mujoco.layout import (
+from contactgraph.tasks import FrankaExpert, check_task
+from contactgraph.tasks.franka_layout import (
     CLEARANCE,
     CORRIDOR,
     HIGH,
@@ -24,12 +23,14 @@ from contactgraph.tasks.mujoco.layout import (
     RUN_UP,
     START_HEIGHT,
 )
+from contactgraph.tasks.mujoco import FrankaTask, Grasp
 from contactgraph.tasks.run_episode import run_episode
 
 SEEDS = range(40)
 FINGERPRINT = """
 import hashlib
-from contactgraph.tasks.mujoco import FrankaExpert, FrankaTask
+from contactgraph.tasks import FrankaExpert
+from contactgraph.tasks.mujoco import FrankaTask
 from contactgraph.tasks.run_episode import run_episode
 run = run_episode(FrankaTask(1), FrankaExpert(), 5)
 print(hashlib.sha256(run.position.tobytes() + run.velocity.tobytes()).hexdigest())

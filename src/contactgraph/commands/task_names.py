@@ -10,6 +10,7 @@ from contactgraph.tasks import (
     DoorExpert,
     DoorTask,
     ExplorationPolicy,
+    FrankaExpert,
     MultiPickupTask,
     PickupExpert,
     PickupTask,
@@ -74,18 +75,6 @@ def _franka(options: TaskOptions) -> TaskFactory:
     return partial(task, grasp=grasp)
 
 
-def _franka_expert() -> Policy:
-    from contactgraph.tasks.mujoco import FrankaExpert
-
-    return FrankaExpert()
-
-
-def _franka_demonstrator() -> Policy:
-    from contactgraph.tasks.mujoco import FrankaExpert
-
-    return FrankaExpert(noise=0.0)
-
-
 def _franka_explorer() -> Policy:
     # For a hand of 4 kg and steps of 0.01 s: it spreads by 0.1 m on each axis, within its reach.
     return ExplorationPolicy(deviation=2.0, correlation_steps=25.0, stiffness=20.0, damping=8.0)
@@ -113,8 +102,8 @@ TASKS = {
     "door": KnownTask(_door, DoorExpert, partial(DoorExpert, noise=0.0)),
     "franka": KnownTask(
         _franka,
-        _franka_expert,
-        _franka_demonstrator,
+        FrankaExpert,
+        partial(FrankaExpert, noise=0.0),
         _franka_explorer,
         horizon=50,
         max_force=_FRANKA_FORCE,

@@ -9,7 +9,7 @@ from contactgraph.data import InvalidInputError
 from contactgraph.rehearsal.tag_codes import CELLS, TAGS, black_cells
 from contactgraph.robot.perception.rigid import pose
 from contactgraph.robot.perception.tagged_object import Tag, TaggedObject
-from contactgraph.tasks.mujoco.arm_world import BLOCK
+from contactgraph.tasks.franka_pickup import BLOCK
 
 MASS = 0.83
 """kg, of the paper's block."""

@@ -11,6 +11,7 @@ from contactgraph.tasks.door_expert import DoorExpert as DoorExpert
 from contactgraph.tasks.excitation import ExplorationPolicy as ExplorationPolicy
 from contactgraph.tasks.excitation import RestPolicy as RestPolicy
 from contactgraph.tasks.expert import PickupExpert as PickupExpert
+from contactgraph.tasks.franka_expert import FrankaExpert as FrankaExpert
 from contactgraph.tasks.multi_pickup import MultiPickupTask as MultiPickupTask
 from contactgraph.tasks.pickup import PickupTask as PickupTask
 from contactgraph.tasks.pickup import pickup_success as pickup_success

@@ -2,5 +2,4 @@
 
 from contactgraph.tasks.mujoco.arm_world import ArmWorld as ArmWorld
 from contactgraph.tasks.mujoco.arm_world import Grasp as Grasp
-from contactgraph.tasks.mujoco.expert import FrankaExpert as FrankaExpert
 from contactgraph.tasks.mujoco.franka import FrankaTask as FrankaTask

@@ -12,8 +12,6 @@ from contactgraph.tasks.mujoco.impedance import Impedance
 from contactgraph.tasks.mujoco.reflex import GraspReflex
 from contactgraph.tasks.mujoco.touch import Touch
 
-BLOCK = np.array([0.04, 0.04, 0.1])
-"""Sides of a block, m."""
 BLOCK_MASS = 0.4
 """kg"""
 _BLOCK = """

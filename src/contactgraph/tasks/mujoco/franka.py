@@ -8,30 +8,27 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.tasks.contract import ChainCost, Feedback, Observation
 from contactgraph.tasks.fixed_goal import fixed_layout, fixed_metadata
+from contactgraph.tasks.franka_layout import HIGH, sample_layout
+from contactgraph.tasks.franka_pickup import (
+    APPARENT_MASS,
+    BLOCK,
+    CONTACT_DISTANCE,
+    GOAL_RADIUS,
+    TARGET,
+    pickup_cost,
+)
 from contactgraph.tasks.gripper_task import GRIPPER, GripperTask
-from contactgraph.tasks.mujoco.arm_world import BLOCK, BLOCK_MASS, ArmWorld, Grasp, arm_alone
+from contactgraph.tasks.mujoco.arm_world import BLOCK_MASS, ArmWorld, Grasp, arm_alone
 from contactgraph.tasks.mujoco.camera import Camera
 from contactgraph.tasks.mujoco.engine import SIMULATOR, mujoco
-from contactgraph.tasks.mujoco.impedance import APPARENT_MASS
-from contactgraph.tasks.mujoco.layout import HIGH, sample_layout
 from contactgraph.tasks.mujoco.reach import joints_at
 
-TARGET = 1
 DT = 0.01
 """s"""
 MAX_STEPS = 400
 MAX_DISTRACTORS = 5
 MAX_FORCE = 20.0
 """Bound of the control on each axis, N."""
-GOAL_RADIUS = 0.05
-"""The block must end within this distance of the goal, m."""
-CONTACT_DISTANCE = 0.0165
-"""How near the grasp point is to a block's centre when fingers touch it; hardly ever farther; m."""
-PICK_WEIGHTS = np.array([10.0, 10.0, 100.0, 0.1, 0.1, 5.0])
-"""The hand comes down before it arrives: it sweeps through the block at its height."""
-GOAL_WEIGHTS = np.array([30.0, 30.0, 30.0, 3.0, 3.0, 3.0])
-"""With 100 the way to the block bends towards the goal, and a finger strikes the block's corner."""
-CONTROL_WEIGHT = 0.01
 
 
 class FrankaTask(GripperTask):
@@ -130,7 +127,7 @@ class FrankaTask(GripperTask):
 
     def cost_terms(self) -> ChainCost:
         """Hand to block, block to goal."""
-        return ChainCost((GRIPPER, TARGET), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
+        return pickup_cost()
 
     def skeleton(self) -> np.ndarray:
         """[P, 3] m: the arm's joints, for drawing."""

@@ -4,10 +4,9 @@ import math
 
 import numpy as np
 
+from contactgraph.tasks.franka_pickup import APPARENT_MASS
 from contactgraph.tasks.mujoco.engine import JOINTS, mujoco
 
-APPARENT_MASS = 4.0
-"""What the hand feels like to a force, kg: about what the arm weighs there."""
 ROTATION_STIFFNESS = 8.0
 """N m/rad"""
 ROTATION_DAMPING = 2.0 * math.sqrt(ROTATION_STIFFNESS)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactgraph.tasks.mujoco.arm_world import BLOCK
+from contactgraph.tasks.franka_pickup import BLOCK
 from contactgraph.tasks.ways import distance_to_way
 
 LOW = np.array([0.3, -0.35, 0.05])

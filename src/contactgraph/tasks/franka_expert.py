@@ -5,7 +5,7 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.tasks.contract import Observation
 from contactgraph.tasks.excitation import CorrelatedNoise
-from contactgraph.tasks.mujoco.impedance import APPARENT_MASS
+from contactgraph.tasks.franka_pickup import APPARENT_MASS, HAND, TARGET
 
 STIFFNESS = np.array([600.0, 100.0, 600.0])
 """N/m"""
@@ -15,7 +15,6 @@ SWEEP_SPEED = 0.38
 """In the plane, as the hand passes the block, m/s."""
 RISE = 0.06
 """Upwards, as the hand passes the block, m/s: what is grasped leaves the table at once."""
-_HAND, _TARGET = 0, 1
 _MEAN = 0.55
 """Mean speed of a way on the way to and from the sweep, in sweep speeds."""
 LONGEST = 3.3
@@ -27,7 +26,8 @@ class FrankaExpert:
 
     The way is a minimum-jerk path (quintic in time) to the block, which it passes at speed
     and rising, and another to the goal; the force is that of a spring and a damper to the path. The
-    path is the hand's: the block is where it was grasped.
+    path is the hand's: the block is where it was grasped. The hand's mass is the scene's, or, where
+    that is not told, the one that arms are made to feel like.
 
     ``noise`` N as in `PickupExpert`.
     """
@@ -35,17 +35,19 @@ class FrankaExpert:
     def __init__(self, noise: float = 0.2, correlation_steps: float = 10.0) -> None:
         self._noise = CorrelatedNoise(noise, correlation_steps)
         self._scene: Scene | None = None
+        self._mass = APPARENT_MASS
         self._pieces: list[tuple[float, float, np.ndarray]] = []
         self._step = 0
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where ``scene`` is no such pickup."""
-        if scene.goal is None or scene.dimension != 3 or scene.node_count <= _TARGET:
+        if scene.goal is None or scene.dimension != 3 or scene.node_count <= TARGET:
             raise InvalidInputError(
                 "the arm's expert needs a goal, three dimensions and a block as node 1, found "
                 f"nodes {list(scene.node_name)} of dimension {scene.dimension}"
             )
         self._scene, self._pieces, self._step = scene, [], 0
+        self._mass = APPARENT_MASS if scene.mass is None else float(scene.mass[HAND])
         self._noise.reset(3, seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -55,9 +57,9 @@ class FrankaExpert:
             self._pieces = _plan(observation)
         position, velocity, acceleration = self._reference(self._step * self._scene.dt)
         self._step += 1
-        force = STIFFNESS * (position - observation["position"][_HAND])
-        force += DAMPING * (velocity - observation["velocity"][_HAND])
-        return force + APPARENT_MASS * acceleration + self._noise()
+        force = STIFFNESS * (position - observation["position"][HAND])
+        force += DAMPING * (velocity - observation["velocity"][HAND])
+        return force + self._mass * acceleration + self._noise()
 
     def _reference(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         due = [piece for piece in self._pieces if piece[0] <= time]
@@ -75,7 +77,7 @@ class FrankaExpert:
 
 def _plan(observation: Observation) -> list[tuple[float, float, np.ndarray]]:
     """Begin s, duration s and coefficients [6, 3] of the pieces of the path."""
-    start, block = observation["position"][[_HAND, _TARGET]]
+    start, block = observation["position"][[HAND, TARGET]]
     goal = observation["goal"]
     way = (block - start) * [1.0, 1.0, 0.0]
     sweep = SWEEP_SPEED * way / np.linalg.norm(way) + [0.0, 0.0, RISE]
