@@ -43,10 +43,10 @@ def test_the_expert_pushes_as_the_hand_is_heavy() -> None:
     ("hand", "block", "yes"),
     [
         (GOAL, GOAL, True),
-        (GOAL + [0.0, 0.0, 0.029], GOAL, True),
-        (GOAL + [0.0, 0.0, 0.031], GOAL, False),
-        (GOAL + [0.0, 0.049, 0.0], GOAL + [0.0, 0.049, 0.0], True),
-        (GOAL + [0.0, 0.051, 0.0], GOAL + [0.0, 0.051, 0.0], False),
+        (GOAL + np.array([0.0, 0.0, 0.029]), GOAL, True),
+        (GOAL + np.array([0.0, 0.0, 0.031]), GOAL, False),
+        (GOAL + np.array([0.0, 0.049, 0.0]), GOAL + np.array([0.0, 0.049, 0.0]), True),
+        (GOAL + np.array([0.0, 0.051, 0.0]), GOAL + np.array([0.0, 0.051, 0.0]), False),
     ],
 )
 def test_brought_is_near_the_goal_and_held(hand: np.ndarray, block: np.ndarray, yes: bool) -> None:
