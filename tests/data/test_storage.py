@@ -24,6 +24,8 @@ from contactgraph.data import (
     write_trajectories,
 )
 
+MEASURING = ("tracked", "measured_at")
+
 text = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=8)
 metadata = st.dictionaries(
     text.filter(bool),
@@ -80,6 +82,8 @@ def datasets(draw: st.DrawFn) -> Dataset:
             numbers(steps, control_size),
             contact | contact.swapaxes(1, 2) if draw(st.booleans()) else None,
             numbers(steps + 1, draw(st.integers(2, 4)), dimension) if draw(st.booleans()) else None,
+            draw(hnp.arrays(bool, (steps + 1, nodes))) if draw(st.booleans()) else None,
+            numbers(steps + 1, nodes) if draw(st.booleans()) else None,
         )
 
     return Dataset(tuple(run() for _ in range(draw(st.integers(1, 3)))), draw(metadata))
@@ -92,7 +96,7 @@ def assert_same(found: Dataset, expected: Dataset) -> None:
     }
     assert len(found) == len(expected)
     for ours, theirs in zip(found, expected, strict=True):
-        for name in ("position", "velocity", "control", "contact", "skeleton"):
+        for name in ("position", "velocity", "control", "contact", "skeleton", *MEASURING):
             assert_same_array(getattr(ours, name), getattr(theirs, name))
         for name in ("actuated", "anchor", "goal", "mass", "radius", "size", "candidate_edges"):
             assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))

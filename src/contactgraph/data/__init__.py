@@ -10,6 +10,7 @@ from contactgraph.data.events import event_steps as event_steps
 from contactgraph.data.graph import candidate_pairs as candidate_pairs
 from contactgraph.data.graph import joined as joined
 from contactgraph.data.graph import pair_indices as pair_indices
+from contactgraph.data.longer_steps import with_longer_steps as with_longer_steps
 from contactgraph.data.padding import PaddedRuns as PaddedRuns
 from contactgraph.data.padding import pad_runs as pad_runs
 from contactgraph.data.scene import Scene as Scene

@@ -33,6 +33,8 @@ ARRAYS = {
     "skeleton": Field(("T+1", "P", "D"), "fiu", "m"),
     "actuated": Field(("N",), "biu"),
     "contact": Field(("T+1", "N", "N"), "biu"),
+    "tracked": Field(("T+1", "N"), "biu"),
+    "measured_at": Field(("T+1", "N"), "fiu", "s"),
     "anchor": Field(("N", "D"), "fiu", "m"),
     "goal": Field(("D",), "fiu", "m"),
     "gravity": Field(("D",), "fiu", "m/s^2"),

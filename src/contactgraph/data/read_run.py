@@ -18,6 +18,7 @@ def read_run(group: UntrustedGroup) -> Trajectory:
     position = _array(group, "position")
     velocity, control = _array(group, "velocity"), _array(group, "control")
     contact, skeleton = _optional_array(group, "contact"), _optional_array(group, "skeleton")
+    tracked, measured_at = _optional_array(group, "tracked"), _optional_array(group, "measured_at")
     names, types = group.texts("node_name"), group.texts("node_type")
     actuated, dt, metadata = _array(group, "actuated"), read_dt(group), read_metadata(group)
     anchor, goal = _optional_array(group, "anchor"), _optional_array(group, "goal")
@@ -40,7 +41,9 @@ def read_run(group: UntrustedGroup) -> Trajectory:
             candidate_edges=edges,
             metadata=metadata,
         )
-        return Trajectory(scene, position, velocity, control, contact, skeleton)
+        return Trajectory(
+            scene, position, velocity, control, contact, skeleton, tracked, measured_at
+        )
 
 
 def read_dt(group: UntrustedGroup) -> float:

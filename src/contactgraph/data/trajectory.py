@@ -28,6 +28,12 @@ class Trajectory:
     skeleton: np.ndarray | None = None
     """[T+1, P, D] m: points, joined by lines in their order, of a body that is drawn but is no
     node, such as an arm from base to hand. None: there is none. Training never reads it."""
+    tracked: np.ndarray | None = None
+    """[T+1, N] bool: whether whoever measured a node still knew where it was. None: simulated, or
+    not told. Training never reads it."""
+    measured_at: np.ndarray | None = None
+    """[T+1, N] s from the first state on: when each node was last measured, as known at that step.
+    None: at that very time. Training never reads it."""
 
     def __post_init__(self) -> None:
         scene = self.scene
@@ -61,6 +67,7 @@ class Trajectory:
                 )
         if self.contact is not None:
             self._check_contact(steps)
+        self._check_measuring(state_shape[:2])
 
     def _check_skeleton(self, state_shape: tuple[int, ...]) -> None:
         skeleton = np.asarray(self.skeleton, dtype=np.float64)
@@ -83,6 +90,20 @@ class Trajectory:
             )
         if not np.array_equal(contact, contact.swapaxes(1, 2)):
             raise InvalidInputError("contact must be symmetric in its two node axes")
+
+    def _check_measuring(self, shape: tuple[int, ...]) -> None:
+        for name, kind in (("tracked", bool), ("measured_at", np.float64)):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            value = np.asarray(value, dtype=kind)
+            object.__setattr__(self, name, value)
+            if value.shape != shape:
+                raise InvalidInputError(
+                    f"{name} must have shape (T+1, N) = {shape}, found {value.shape}"
+                )
+            if not np.isfinite(value).all():
+                raise InvalidInputError(f"{name} must be finite")
 
     @property
     def steps(self) -> int:

@@ -1,0 +1,50 @@
+"""Runs in longer steps say the same of what happened."""
+
+import numpy as np
+import pytest
+
+from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory, with_longer_steps
+
+
+def thrown(steps: int, dt: float) -> Trajectory:
+    """A body under a force that changes in every step, and a second one that is touched once."""
+    random = np.random.default_rng(0)
+    control = random.standard_normal((steps, 2))
+    velocity = np.zeros((steps + 1, 2, 2))
+    velocity[1:, 0] = np.cumsum(control, axis=0) * dt
+    position = np.zeros((steps + 1, 2, 2))
+    position[1:] = np.cumsum(velocity[:-1], axis=0) * dt
+    contact = np.zeros((steps + 1, 2, 2), dtype=bool)
+    contact[7, 0, 1] = contact[7, 1, 0] = True
+    scene = Scene(("hand", "block"), ("hand", "block"), np.array([True, False]), dt)
+    tracked = random.random((steps + 1, 2)) > 0.5
+    measured_at = random.random((steps + 1, 2))
+    return Trajectory(scene, position, velocity, control, contact, None, tracked, measured_at)
+
+
+def test_every_fifth_state_and_the_mean_of_what_was_applied() -> None:
+    run = thrown(23, 0.001)
+    (longer,) = with_longer_steps(Dataset((run,), {"lab": "here"}), 5)
+    assert longer.scene.dt == pytest.approx(0.005) and longer.steps == 4
+    np.testing.assert_array_equal(longer.position, run.position[[0, 5, 10, 15, 20]])
+    np.testing.assert_array_equal(longer.tracked, run.tracked[[0, 5, 10, 15, 20]])
+    np.testing.assert_array_equal(longer.measured_at, run.measured_at[[0, 5, 10, 15, 20]])
+    # A mass of 1 kg: momentum is what the mean force gives in the longer step.
+    gained = longer.velocity[1:, 0] - longer.velocity[:-1, 0]
+    np.testing.assert_allclose(gained, longer.control * 0.005, atol=1e-12)
+
+
+def test_a_touch_between_two_states_is_one_at_the_second() -> None:
+    (longer,) = with_longer_steps(Dataset((thrown(20, 0.001),)), 5)
+    assert longer.contact is not None
+    np.testing.assert_array_equal(longer.contact[:, 0, 1], [False, False, True, False, False])
+
+
+def test_what_is_no_longer_step() -> None:
+    dataset = Dataset((thrown(20, 0.001),), {"lab": "here"})
+    assert with_longer_steps(dataset, 1) is dataset
+    assert with_longer_steps(dataset, 20).metadata == {"lab": "here"}
+    with pytest.raises(InvalidInputError, match="every must be at least 1, found 0"):
+        with_longer_steps(dataset, 0)
+    with pytest.raises(InvalidInputError, match="every must be 1 to 20, a run's steps, found 21"):
+        with_longer_steps(dataset, 21)
