@@ -14,6 +14,7 @@ class StopReason(Enum):
     COMMAND_LATE = "no new command came from the controller in time"
     LOOP_LATE = "the control loop itself came too late"
     CLOCK_BROKEN = "the clock ran backwards or gave no number"
+    ARM_STOPPED = "the arm stopped by itself: a reflex, a joint's limit, or its stop button"
     CONNECTION_LOST = "the robot sends no readings, or commands do not reach it"
     READING_NOT_FINITE = "a reading is not made of finite numbers"
     READING_UNFIT = "a reading has other nodes or dimensions than it should"

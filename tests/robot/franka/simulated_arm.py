@@ -14,10 +14,13 @@ LOAD = '<body pos="0 0 .1254"><inertial pos="0 0 0" mass="{}" diaginertia="1e-4 
 
 
 class SimulatedArm:
-    """The arm with drives of its own; torques act one tick late, as over a network."""
+    """The arm with drives of its own; torques act late, as over a network."""
 
-    def __init__(self, drives: JointDrives, load: float = 0.0) -> None:
-        """``load`` kg hangs at the grasp point, and is not in what the arm tells of itself."""
+    def __init__(self, drives: JointDrives, load: float = 0.0, delay: int = 1) -> None:
+        """``load`` kg hangs at the grasp point, and is not in what the arm tells of itself.
+
+        Torques act ``delay`` ticks late.
+        """
         bare = ArmWorld(POSTURE, np.zeros((0, 3)), np.zeros(0), 0.001)
         text = bare.description
         assert POINT in text
@@ -32,7 +35,7 @@ class SimulatedArm:
         self.data = mujoco.MjData(self._model)
         self.data.qpos[:] = bare.data.qpos
         self._site = self._model.site("grasp").id
-        self._next = self._sent = np.zeros(JOINTS)
+        self._sent = [np.zeros(JOINTS)] * (delay + 1)
         self.refresh()
 
     def state(self) -> ArmState:
@@ -47,7 +50,7 @@ class SimulatedArm:
             time=self.data.time,
             joints=data.qpos[:JOINTS].copy(),
             joint_velocity=data.qvel[:JOINTS].copy(),
-            torque=self._sent.copy(),
+            torque=self._sent[0].copy(),
             mass=mass[:JOINTS, :JOINTS],
             coriolis=(data.qfrc_bias - self._still.qfrc_bias)[:JOINTS],
             jacobian=jacobian[:, :JOINTS],
@@ -60,9 +63,9 @@ class SimulatedArm:
         return self._told.site_xpos[self._site].copy()
 
     def step(self, torque: np.ndarray) -> None:
-        """One tick; ``torque`` [7] N m acts in the next one. The arm bears its own weight."""
-        self.data.ctrl[:JOINTS] = self._next + self._still.qfrc_bias[:JOINTS]
-        self._sent, self._next = self._next, torque
+        """One tick; ``torque`` [7] N m acts in a later one. The arm bears its own weight."""
+        self._sent = [*self._sent[1:], torque]
+        self.data.ctrl[:JOINTS] = self._sent[0] + self._still.qfrc_bias[:JOINTS]
         mujoco.mj_step(self._model, self.data)
         self.refresh()
 

@@ -1,0 +1,71 @@
+"""The one file that imports franky, the arm's client, and how a connection is made."""
+
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+from contactgraph.data import InvalidInputError
+
+try:
+    import franky as franky
+except ModuleNotFoundError as error:
+    raise InvalidInputError("an arm needs franky: pip install 'contactgraph[robot]'") from error
+
+PORT = 1337
+"""Of the arm's real-time interface; the gripper's is the next one."""
+_PATIENCE = 5.0
+"""s: for so long a connection may take."""
+
+CLIENT_FAULTS = (franky.Exception, franky.TorqueSignalTimeoutException, RuntimeError)
+"""All that the client raises where the arm or the way to it is at fault, not a program. Bare
+network errors reach Python as `RuntimeError`."""
+
+
+Connection = TypeVar("Connection")
+
+
+def connected(address: str) -> franky.Robot:
+    """The arm at ``address``. Nothing moves.
+
+    Raises `InvalidInputError` where none answers, or one that speaks another protocol.
+    """
+    return _within_patience(
+        lambda: franky.Robot(address, realtime_config=franky.RealtimeConfig.Ignore), address, "arm"
+    )
+
+
+def connected_gripper(address: str) -> franky.Gripper:
+    """The gripper of the arm at ``address``; raises as `connected` does."""
+    return _within_patience(lambda: franky.Gripper(address), address, "gripper")
+
+
+def _within_patience(connect: Callable[[], Connection], address: str, what: str) -> Connection:
+    # In a thread: to an address that swallows packets the client waits for a minute.
+    found: list[Connection | Exception] = []
+
+    def attempt() -> None:
+        try:
+            found.append(connect())
+        except Exception as error:  # told below, in the caller's thread
+            found.append(error)
+
+    thread = threading.Thread(target=attempt, daemon=True)
+    thread.start()
+    thread.join(_PATIENCE)
+    if not found:
+        raise InvalidInputError(
+            f"no {what} answers at {address} within {_PATIENCE:.0f} s: is the cable in, the arm "
+            "on, and this the address of the arm itself?"
+        )
+    answer = found[0]
+    if isinstance(answer, franky.IncompatibleVersionException):
+        raise InvalidInputError(
+            f"the {what} at {address} speaks another version of the protocol than this client, "
+            f"which is made for the FR3: {answer}"
+        ) from answer
+    if isinstance(answer, Exception):
+        raise InvalidInputError(
+            f"no {what} answers at {address}: {answer} (the arm must be on, unlocked, and its FCI "
+            "activated in Desk)"
+        ) from answer
+    return answer

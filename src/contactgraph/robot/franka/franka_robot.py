@@ -1,0 +1,309 @@
+"""An arm of Franka's as a `Robot`, over the maker's protocol."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.robot.contract import RobotReading
+from contactgraph.robot.franka.arm import (
+    FR3_LIMITS,
+    NO_DRIVES,
+    ArmState,
+    JointDrives,
+    JointLimits,
+)
+from contactgraph.robot.franka.arm_clock import ArmClock
+from contactgraph.robot.franka.client import CLIENT_FAULTS, connected, franky
+from contactgraph.robot.franka.hand_impedance import HandImpedance
+from contactgraph.robot.stop import Stop, StopReason
+
+GRASP_POINT = (0.0, 0.0, 0.1254)
+"""m, from the flange: between the fingers where they hold a block, 22 mm beyond the middle of the
+pads of the maker's hand, so that a block 0.1 m high clears the palm."""
+SILENCE = 0.02
+"""s without a torque after which the arm's end of the loop stops the arm."""
+COLLISION_TORQUE = 20.0
+"""N m, in each joint: the arm's own reflex stops it beyond."""
+COLLISION_FORCE = 30.0
+"""N, and N m about each axis, on the hand: likewise."""
+_HAND_VARIANCE = 1e-8
+"""m^2: the maker states a repeatability of 0.1 mm."""
+_STOP_DAMPING = np.array([100.0, 100.0, 80.0, 80.0, 8.0, 8.0, 0.6])
+"""N m s/rad, of the arm's brake: as firm as a tick of delay allows."""
+_STOP_RAMP = 0.005
+"""s, in which the brake takes over from the last torques."""
+_RESTING = 1e-3
+"""rad/s: a joint that is slower rests."""
+_SETTLED_WITHIN = 2.0
+"""s"""
+_UNFILTERED = 1000.0
+"""Hz. The client's low-pass, 100 Hz if nobody says otherwise, would lag by two ticks."""
+
+
+class ObjectEstimate(Protocol):
+    """What whoever measures an object knows of it: see `contactgraph.robot.perception`."""
+
+    position: np.ndarray
+    """[3] m, in the frame of the base."""
+    velocity: np.ndarray
+    """[3] m/s."""
+    variance: np.ndarray
+    """[3] m^2, of the position."""
+    time: float
+    """s, of the last measurement, on the reader's clock."""
+    tracked: bool
+
+
+class ObjectSource(Protocol):
+    """Whoever measures objects."""
+
+    def estimates(self, now: float) -> Sequence[ObjectEstimate]:
+        """One for each object, at ``now`` s."""
+
+
+class FrankaRobot:
+    """The hand (node 0) of an arm, moved by forces, and the objects that ``objects`` tells of.
+
+    A `Robot`: `resume` takes control, `send` turns forces into torques (`HandImpedance`), `stop`
+    brakes. Whatever ends the arm's motion (a reflex, its stop button, a lost connection, silence)
+    is `ended`, never an exception. Use as a context manager. One thread reads and sends.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        objects: ObjectSource | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        limits: JointLimits = FR3_LIMITS,
+        drives: JointDrives = NO_DRIVES,
+    ) -> None:
+        """Connects to ``address``; nothing moves.
+
+        ``clock`` gives s, on which all is stamped. ``drives`` say what the joints' friction and
+        rotors are, where that is known: friction that is not there would push the hand on.
+        Raises `InvalidInputError` where no arm answers, or one of another generation.
+        """
+        self.address = address
+        self.limits = limits
+        self.ended: Stop | None = None
+        """Why and when the arm ended its motion by itself; None while it has not."""
+        self.last_error = ""
+        """What the arm's client said about that."""
+        self._objects = objects
+        self._clock = clock
+        self._arm = connected(address)
+        self._model = self._arm.model
+        self._law = HandImpedance(limits, drives)
+        self._arm_clock = ArmClock()
+        self._motion: franky.SimpleTorqueMotion | None = None
+        self._state: ArmState | None = None
+        self._milliseconds = -1
+        first = self._arm.state
+        flange_to_hand = first.F_T_EE
+        self._grasp_frame = franky.Affine(np.array(GRASP_POINT), flange_to_hand.quaternion)
+        self._beyond_hand = flange_to_hand.inverse * self._grasp_frame
+        self._stiffness_frame = first.EE_T_K
+        self._arm.set_collision_behavior(COLLISION_TORQUE, COLLISION_FORCE)
+
+    def __enter__(self) -> "FrankaRobot":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def moving(self) -> bool:
+        """Whether torques of ours move the arm now."""
+        return self._motion is not None and self._arm.is_in_control
+
+    def read(self) -> RobotReading | None:
+        """Hand and objects as the newest state of the arm tells; None where there is no newer.
+
+        Immediate while torques run; else it waits for a state, a tick.
+        """
+        now = self._clock()
+        if self._lost:
+            return None
+        try:
+            told = self._arm.state
+        except CLIENT_FAULTS as error:
+            self._end(StopReason.CONNECTION_LOST, error)
+            return None
+        now = self._clock()
+        milliseconds = told.time.to_msec()
+        if milliseconds == self._milliseconds:
+            self._arm_clock.unchanged(now)
+            return None
+        self._milliseconds = milliseconds
+        self._state = state = self._arm_state(told)
+        stamp = self._arm_clock.changed(state.time, now)
+        hand = self._model.pose(
+            franky.Frame.EndEffector, state.joints, self._grasp_frame, self._stiffness_frame
+        )
+        return self._reading(hand.translation, state, stamp, now)
+
+    def send(self, force: np.ndarray, now: float) -> np.ndarray | None:
+        """Torques for a ``force`` [3] N, from the last state that was read.
+
+        Returns as much of the force as joint limits left; None where no motion of ours runs.
+        """
+        motion, state = self._motion, self._state
+        if motion is None or state is None:
+            return None
+        if not self._arm.is_in_control:
+            self._note_end()
+            return None
+        told = self._law(force, state)
+        if not math.isfinite(told.torque.sum()):
+            return None
+        motion.set_torque(told.torque)
+        return told.force
+
+    def stop(self, stop: Stop) -> None:
+        """Brakes each joint until it rests; then the arm holds itself."""
+        if self._motion is None:
+            return
+        self._motion = None
+        if self._arm.is_in_control:
+            self._begin(franky.TorqueStopMotion(damping=_STOP_DAMPING, ramp_duration=_STOP_RAMP))
+
+    def resume(self) -> None:
+        """Takes control: the hand keeps its present orientation, and floats.
+
+        Where torques run already, nothing changes.
+        """
+        if self.moving:
+            return
+        self._note_end()
+        self.ended = None
+        try:
+            self._milliseconds = -1
+            self._state = state = self._arm_state(self._arm.state)
+        except CLIENT_FAULTS as error:
+            self._end(StopReason.CONNECTION_LOST, error)
+            return
+        self._law.hold(state)
+        motion = franky.SimpleTorqueMotion(
+            signal_timeout=SILENCE,
+            lower_joint_limits=self.limits.low,
+            upper_joint_limits=self.limits.high,
+        )
+        if self._begin(motion):
+            self._motion = motion
+
+    def recover(self) -> bool:
+        """After a reflex, or whatever `ended` the motion: whether the arm can move again."""
+        self._motion = None
+        try:
+            recovered = self._arm.recover_from_errors()
+        except CLIENT_FAULTS as error:
+            self._end(StopReason.CONNECTION_LOST, error)
+            return False
+        if recovered:
+            self.ended = None
+        return recovered
+
+    def move_to(self, position: np.ndarray, yaw: float = 0.0, speed: float = 0.1) -> Stop | None:
+        """Moves the grasp point to ``position`` [3] m, pointing down, turned by ``yaw`` rad.
+
+        ``speed`` is the share of the arm's own limits. Returns when it is there: None, or why the
+        arm stopped on the way. Raises `InvalidInputError` for arguments that are none.
+        """
+        place = np.asarray(position, dtype=np.float64)
+        if place.shape != (3,) or not np.isfinite([*place, yaw]).all():
+            raise InvalidInputError(f"position must be [3] m, and yaw rad, found {position}, {yaw}")
+        if not 0.0 < speed <= 1.0:
+            raise InvalidInputError(f"speed must be above 0 and at most 1, found {speed}")
+        if self.moving:
+            raise InvalidInputError("the arm is under control of forces: stop it before move_to")
+        down = np.array([math.cos(yaw / 2.0), math.sin(yaw / 2.0), 0.0, 0.0])
+        self.ended = None
+        motion = franky.CartesianMotion(
+            franky.Affine(place, down),
+            relative_dynamics_factor=speed,
+            ee_frame=self._beyond_hand,
+        )
+        try:
+            self._arm.join_motion()
+            self._arm.move(motion)
+            self._settle()
+        except CLIENT_FAULTS as error:
+            self._end(_reason(error), error)
+        return self.ended
+
+    def close(self) -> None:
+        """Brakes where the arm moves, and lets go of it."""
+        self.stop(Stop(StopReason.FINISHED, self._clock()))
+        try:
+            self._arm.join_motion(1.0)
+        except CLIENT_FAULTS as error:
+            self._end(_reason(error), error)
+
+    def _settle(self) -> None:
+        """Waits until the arm rests, since it follows what it is told with a lag."""
+        until = self._clock() + _SETTLED_WITHIN
+        while np.abs(self._arm.state.dq).max() > _RESTING and self._clock() < until:
+            pass  # a state takes its tick to come
+
+    @property
+    def _lost(self) -> bool:
+        return self.ended is not None and self.ended.reason is StopReason.CONNECTION_LOST
+
+    def _arm_state(self, told: "franky.RobotState") -> ArmState:
+        model, joints = self._model, told.q
+        return ArmState(
+            time=1e-3 * told.time.to_msec(),
+            joints=joints,
+            joint_velocity=told.dq,
+            torque=told.tau_J_d,
+            mass=model.mass(told),
+            coriolis=model.coriolis(told),
+            jacobian=model.zero_jacobian(
+                franky.Frame.EndEffector, joints, self._grasp_frame, self._stiffness_frame
+            ),
+            orientation=told.O_T_EE.quaternion,
+        )
+
+    def _reading(self, hand: np.ndarray, state: ArmState, stamp: float, now: float) -> RobotReading:
+        seen = () if self._objects is None else self._objects.estimates(now)
+        speed = state.jacobian[:3] @ state.joint_velocity
+        return RobotReading(
+            position=np.array([hand, *[one.position for one in seen]]),
+            velocity=np.array([speed, *[one.velocity for one in seen]]),
+            time=np.array([stamp, *[one.time for one in seen]]),
+            robot_time=state.time,
+            tracked=np.array([True, *[one.tracked for one in seen]]),
+            variance=np.array([(_HAND_VARIANCE,) * 3, *[one.variance for one in seen]]),
+        )
+
+    def _begin(self, motion: "franky.SimpleTorqueMotion | franky.TorqueStopMotion") -> bool:
+        try:
+            self._arm.move(motion, asynchronous=True, cutoff_frequency=_UNFILTERED)
+        except CLIENT_FAULTS as error:
+            self._end(_reason(error), error)
+            return False
+        return True
+
+    def _note_end(self) -> None:
+        """Takes in why the last motion ended, if it ended by itself."""
+        self._motion = None
+        try:
+            self._arm.join_motion(0.0)
+        except CLIENT_FAULTS as error:
+            self._end(_reason(error), error)
+
+    def _end(self, reason: StopReason, error: Exception) -> None:
+        self.last_error = str(error)
+        self.ended = Stop(reason, self._clock())
+
+
+def _reason(error: Exception) -> StopReason:
+    if isinstance(error, franky.TorqueSignalTimeoutException):
+        return StopReason.COMMAND_LATE
+    if isinstance(error, franky.ControlException | franky.CommandException):
+        return StopReason.ARM_STOPPED
+    return StopReason.CONNECTION_LOST
