@@ -1,6 +1,8 @@
 """What all tests share: where compiled programs are kept, and one small trained run."""
 
 import os
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -58,3 +60,13 @@ def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("trained") / "run"
     _done(["train", str(recorded), "--out", str(path), "--steps", str(STEPS)])
     return path
+
+
+@pytest.fixture(scope="module")
+def server_turn() -> Iterator[None]:
+    """For tests with a simulated arm's server: a module at a time, in whatever process they run."""
+    import fcntl
+
+    with (Path(tempfile.gettempdir()) / "contactgraph-server-turn.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

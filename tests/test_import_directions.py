@@ -20,7 +20,7 @@ ALLOWED = {
     "robot": {"data"},
     "rehearsal": {"data", "tasks", "robot"},
     "evaluate": LIBRARY,
-    "reproduce": LIBRARY | {"evaluate", "view"},
+    "reproduce": LIBRARY | {"evaluate", "view", "rehearsal"},
     "view": LIBRARY | {"evaluate"},
     "commands": LIBRARY | {"evaluate", "reproduce", "view", "rehearsal"},
     "cli": LIBRARY | {"evaluate", "reproduce", "view", "rehearsal", "commands"},
@@ -31,6 +31,7 @@ ALLOWED = {
 HEAVY = {
     "Box2D",
     "franky",
+    "franky_sim",
     "imageio_ffmpeg",
     "lerobot",
     "minari",

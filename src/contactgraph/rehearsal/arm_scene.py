@@ -8,7 +8,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.rehearsal.tagged_block import MASS, TaggedBlock, tagged_block
+from contactgraph.rehearsal.scene_blocks import CONTACT, WOOD_FRICTION, scene_blocks
+from contactgraph.rehearsal.tagged_block import MASS
 from contactgraph.tasks.mujoco.engine import JOINTS, mujoco
 
 try:
@@ -26,10 +27,6 @@ START = (0.0, -0.2849, 0.0, -2.3967, 0.0, 2.1118, np.pi / 4)
 GRASP_POINT = (0.0, 0.0, 0.1254)
 """m, in the hand's frame: where a block's centre is when the fingers hold it, 22 mm beyond the
 middle of their pads. A block 0.1 m high would meet the palm if they held its middle."""
-LARGEST_COUNT = 2
-"""Of blocks: as many as there are tags for."""
-_PLACES = ((0.5, -0.15, 0.05), (0.5, 0.15, 0.05))
-"""m: where blocks stand at first."""
 _STIFFNESS = (600.0, 600.0, 400.0, 400.0, 50.0, 50.0, 20.0)
 """N m/rad, of the arm's own joint controller, which holds it while nobody commands torques."""
 _DAMPING = (25.0, 40.0, 20.0, 20.0, 1.0, 1.0, 0.2)
@@ -37,10 +34,8 @@ _DAMPING = (25.0, 40.0, 20.0, 20.0, 1.0, 1.0, 0.2)
 _SPINDLE = "2"
 """kg, what a finger's drive feels like. With franky-sim's 0.2 its speed controller overshoots, and
 fingers close twice as fast as they are told."""
-_CONTACT = {"solref": ".003 1", "solimp": ".95 .99 .001", "condim": "4"}
 _SKIN_FRICTION = ".6 .01 .0001"
-_WOOD_FRICTION = ".5 .005 .0001"
-"""As in the arm's task: of pads on a block, and of a block on the table."""
+"""Of pads on a block, as in the arm's task."""
 # The hand's own mass, with the two fingers of 0.015 kg that MuJoCo's model adds to it. Its frame is
 # turned by an eighth against the flange's, in which the arm is told of it.
 _FINGERS = 0.03
@@ -63,9 +58,7 @@ class ArmScene:
     """
 
     def __init__(self, blocks: int = 1, mass: float = MASS) -> None:
-        if not 0 <= blocks <= LARGEST_COUNT:
-            raise InvalidInputError(f"blocks must be 0 to {LARGEST_COUNT}, found {blocks}")
-        self.blocks = _blocks(blocks, mass)
+        self.blocks = scene_blocks(blocks, mass)
         """Node 1 and on; node 0 is the hand."""
         self._simulator = MujocoSimulator()
 
@@ -127,17 +120,6 @@ class ArmScene:
         mujoco.mj_forward(self.model, self.data)
 
 
-def _blocks(count: int, mass: float) -> tuple[TaggedBlock, ...]:
-    made = tuple(
-        tagged_block(f"block{index}", np.array(_PLACES[index]), first_tag=9 * index, mass=mass)
-        for index in range(count)
-    )
-    for block in made:
-        for shape in block.body.findall("geom[@name]"):
-            shape.attrib.update(_CONTACT, friction=_WOOD_FRICTION)
-    return made
-
-
 def _hand_parameters() -> "RobotParameters":
     """So that the arm bears the weight of its hand, fingers included, to the last gram."""
     mass = _HAND + _FINGERS
@@ -171,8 +153,8 @@ def _as_in_the_task(scene: ElementTree.Element) -> None:
         hand, "site", name="grasp", pos=" ".join(str(number) for number in GRASP_POINT)
     )
     skin = _found(scene, "default//default[@class='collision']/geom")
-    skin.attrib.update(_CONTACT, friction=_SKIN_FRICTION)
-    _found(scene, "worldbody/geom[@name='ground']").attrib.update(_CONTACT, friction=_WOOD_FRICTION)
+    skin.attrib.update(CONTACT, friction=_SKIN_FRICTION)
+    _found(scene, "worldbody/geom[@name='ground']").attrib.update(CONTACT, friction=WOOD_FRICTION)
     for shape in scene.iterfind("worldbody//geom[@mesh]"):
         if "fr3_link" in shape.get("name", ""):
             shape.attrib.update(contype="0", conaffinity="0")

@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -11,10 +12,13 @@ from contactgraph.rehearsal.camera_settings import CameraSettings
 from contactgraph.rehearsal.frames import RehearsalCamera
 from contactgraph.rehearsal.orders import order_block
 from contactgraph.rehearsal.processes import Child
+from contactgraph.rehearsal.scene_blocks import block_names, scene_blocks
 from contactgraph.rehearsal.server_report import ServerReport, read_places, read_report
 from contactgraph.rehearsal.session import Session, attached, free_address
 from contactgraph.rehearsal.tagged_block import MASS
 from contactgraph.rehearsal.truth import Truth
+from contactgraph.robot.perception.calibration import CameraCalibration
+from contactgraph.robot.perception.rigid import pose, rotation_of
 
 ADDRESSES = tuple(f"127.0.0.{number}" for number in range(1, 10))
 """Where a rehearsal may listen: the first free one."""
@@ -61,12 +65,30 @@ class RunningRehearsal:
 
     def camera(self) -> RehearsalCamera:
         """The camera; raises `InvalidInputError` where the rehearsal has none."""
-        settings = self._session.camera
-        if settings is None:
-            raise InvalidInputError(f"the rehearsal at {self.address} has no camera")
+        settings = self._settings()
         return RehearsalCamera(
             self._session.folder, settings.intrinsics, settings.depth_noise is not None
         )
+
+    def calibration(
+        self, shift: Sequence[float] = (0.0, 0.0, 0.0), turn: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> CameraCalibration:
+        """Where the camera really is, and the tags of the blocks; or what one that errs would say.
+
+        ``shift`` [3] m is by how much it mistakes the camera's place, ``turn`` [3] rad by how much
+        its direction, as a rotation vector; both in the frame of the arm's base. Raises
+        `InvalidInputError` where the rehearsal has no camera.
+        """
+        settings = self._settings()
+        told = pose(
+            rotation_of(np.asarray(turn)) @ settings.pose[:3, :3],
+            settings.pose[:3, 3] + np.asarray(shift),
+        )
+        blocks = scene_blocks(self._session.blocks)
+        tagged = [block.tagged for block in blocks]
+        objects = dict(zip(block_names(len(blocks)), tagged, strict=True))
+        made = datetime.now(UTC).isoformat(timespec="seconds")
+        return CameraCalibration(settings.intrinsics, told, objects, made)
 
     def report(self) -> ServerReport:
         """How well the server has kept time."""
@@ -74,6 +96,11 @@ class RunningRehearsal:
         if report is None:
             raise InvalidInputError(f"the rehearsal at {self.address} has ended")
         return report
+
+    def _settings(self) -> CameraSettings:
+        if self._session.camera is None:
+            raise InvalidInputError(f"the rehearsal at {self.address} has no camera")
+        return self._session.camera
 
 
 def attach(address: str) -> RunningRehearsal:
