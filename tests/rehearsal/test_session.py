@@ -48,7 +48,5 @@ def test_where_nothing_runs_the_error_says_how_to_start() -> None:
 
 def test_addresses_of_other_machines_are_not_free() -> None:
     assert free_address(["192.0.2.1", ADDRESS]) == ADDRESS
-    with pytest.raises(
-        InvalidInputError, match=r"1337 and 1338 are not free at 192\.0\.2\.1"
-    ):
+    with pytest.raises(InvalidInputError, match=r"1337 and 1338 are not free at 192\.0\.2\.1"):
         free_address(["192.0.2.1"])
