@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactgraph.robot.perception.camera import CameraFrame, Intrinsics
+from contactgraph.robot.perception.camera import Intrinsics
 from contactgraph.robot.perception.edges import find_edges
 from contactgraph.robot.perception.planar_start import starts
 from contactgraph.robot.perception.pose_fit import PoseFit, Seen, fit_pose
@@ -63,9 +63,9 @@ def object_pose(
 
 
 def refined_pose(
-    frame: CameraFrame, first: ObjectPose, tagged: TaggedObject, intrinsics: Intrinsics
+    image: np.ndarray, first: ObjectPose, tagged: TaggedObject, intrinsics: Intrinsics
 ) -> ObjectPose:
-    """The pose from the edges of the tags in the picture, looked for where ``first`` says.
+    """The pose from the tags' edges in ``image`` [H, W] uint8, looked for where ``first`` says.
 
     Several times as exact as corners from a detector. Edges that are hidden, or too narrow, count
     for nothing; where fewer than four are left, ``first`` comes back.
@@ -76,7 +76,7 @@ def refined_pose(
     best = first
     for _ in range(_ROUNDS):
         seen_from = corners @ best.pose[:3, :3].T + best.pose[:3, 3]
-        edges = find_edges(frame.image, intrinsics.project(seen_from))
+        edges = find_edges(image, intrinsics.project(seen_from))
         found = edges.found
         if found.sum() < _LEAST_EDGES:
             return first

@@ -66,6 +66,10 @@ class FilterState:
     """[6]: m, m/s."""
     covariance: np.ndarray
     """[6, 6]"""
+    begun: float = -math.inf
+    """s: when the filter last started, knowing nothing of before."""
+    density: float = math.inf
+    """m^2/s^3, of the acceleration that explains the way here from the state before."""
 
     def estimate(self, now: float, density: float = ACCELERATION_DENSITY) -> Estimate:
         """The state at ``now`` s, which may be before its own time: then it is that time's."""
@@ -145,7 +149,7 @@ def _started(position: np.ndarray, covariance: np.ndarray, time: float) -> Filte
     spread = np.zeros((6, 6))
     spread[:3, :3] = covariance
     spread[3:, 3:] = _FIRST_SPEED**2 * np.eye(3)
-    return FilterState(time, np.concatenate([position, np.zeros(3)]), spread)
+    return FilterState(time, np.concatenate([position, np.zeros(3)]), spread, time, math.inf)
 
 
 def _updated(
@@ -164,7 +168,7 @@ def _updated(
     # A blow at a moment evenly spread over the step: cubic as white acceleration of density
     # blow / step is.
     for extra, gate in ((0.0, _SMOOTH), (blow / step, _GATE)):
-        spread = _predicted(state.covariance, step, density + extra)
+        spread = predicted(state.covariance, step, density + extra)
         seen = spread[:3, :3] + covariance
         gain = np.linalg.solve(seen, spread[:3]).T
         distance = float(innovation @ np.linalg.solve(seen, innovation))
@@ -173,11 +177,13 @@ def _updated(
             keep = np.eye(6)
             keep[:, :3] -= gain
             updated = keep @ spread @ keep.T + gain @ covariance @ gain.T
-            return FilterState(time, mean + gain @ innovation, updated)
+            mean = mean + gain @ innovation
+            return FilterState(time, mean, updated, state.begun, density + extra)
     return None
 
 
-def _predicted(covariance: np.ndarray, step: float, density: float) -> np.ndarray:
+def predicted(covariance: np.ndarray, step: float, density: float) -> np.ndarray:
+    """The covariance [6, 6] after ``step`` s under white acceleration of ``density`` m^2/s^3."""
     spread = covariance.copy()
     forward = step * covariance[3:]
     spread[:3] += forward
