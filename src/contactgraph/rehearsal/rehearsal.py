@@ -1,7 +1,6 @@
 """A rehearsal from start to end, and how other processes find one."""
 
 import os
-import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
@@ -17,6 +16,7 @@ from contactgraph.rehearsal.server_report import ServerReport, read_places, read
 from contactgraph.rehearsal.session import Session, attached, free_address
 from contactgraph.rehearsal.tagged_block import MASS
 from contactgraph.rehearsal.truth import Truth
+from contactgraph.robot.loop.clock import WallClock
 from contactgraph.robot.perception.calibration import CameraCalibration
 from contactgraph.robot.perception.rigid import pose, rotation_of
 
@@ -42,9 +42,10 @@ class RunningRehearsal:
         """Seconds on the wall for each simulated one."""
         return self._session.pace
 
-    def clock(self) -> float:
-        """s: the reader's clock, on which all is stamped. It goes slower by `pace`."""
-        return time.monotonic() / self._session.pace
+    @property
+    def clock(self) -> WallClock:
+        """The reader's clock, on which all is stamped. It goes slower by `pace`."""
+        return WallClock(self._session.pace)
 
     @property
     def truth(self) -> Truth:
@@ -106,6 +107,14 @@ class RunningRehearsal:
 def attach(address: str) -> RunningRehearsal:
     """The rehearsal at ``address``; raises `InvalidInputError` where there is none."""
     return RunningRehearsal(attached(address))
+
+
+def open_camera(address: str) -> RehearsalCamera:
+    """The camera of the rehearsal at ``address``, for a process that is told no more than that.
+
+    Raises `InvalidInputError` where there is none.
+    """
+    return attach(address).camera()
 
 
 class Rehearsal:

