@@ -14,7 +14,7 @@ from contactgraph.data import InvalidInputError
 from contactgraph.robot.perception.calibration import CameraCalibration
 from contactgraph.robot.perception.camera import Camera, Intrinsics
 from contactgraph.robot.perception.shared_tracks import SharedTracks, TrackCounts
-from contactgraph.robot.perception.tracker import NEVER_SEEN, Estimate
+from contactgraph.robot.perception.tracker import NEVER_SEEN, Estimate, FilterState
 from contactgraph.robot.perception.watch import Watch
 
 _PAUSE = 0.001
@@ -115,11 +115,14 @@ class Perception:
 
     def estimates(self, now: float) -> dict[str, Estimate]:
         """Where each object is at ``now`` s on the clock, by name. Takes microseconds."""
-        found = {}
-        for index, name in enumerate(self._names):
-            state = self._tracks.state(index)
-            found[name] = NEVER_SEEN if state is None else state.estimate(now)
-        return found
+        return {
+            name: NEVER_SEEN if state is None else state.estimate(now)
+            for name, state in self.states().items()
+        }
+
+    def states(self) -> dict[str, FilterState | None]:
+        """What each object's tracker found at the last frame that counted; None: not seen yet."""
+        return {name: self._tracks.state(index) for index, name in enumerate(self._names)}
 
     def report(self) -> PerceptionReport:
         """Frames, lost frames, and latency so far."""
