@@ -22,18 +22,7 @@ _TRACK = np.dtype(
         ("again", "i8"),  # the number once more: a row that is being written has two
     ]
 )
-_SIGHTING = np.dtype(
-    [
-        ("number", "i8"),
-        ("time", "f8"),  # s, of exposure
-        ("position", "f8", (3,)),  # m
-        ("covariance", "f8", (3, 3)),  # m^2
-        ("again", "i8"),
-    ]
-)
 _COUNTS = np.dtype([("frames", "i8"), ("latency_sum", "f8"), ("latency_most", "f8")])
-_KEPT = 4096
-"""Sightings of an object: two minutes at 30 Hz, so that a run can be read when it is over."""
 _TRIES = 100
 """Reads until one is whole; a write takes microseconds, thirty times a second."""
 
@@ -54,8 +43,7 @@ class SharedTracks:
 
     def __init__(self, count: int, context: BaseContext) -> None:
         self._count = count
-        each = _TRACK.itemsize + _KEPT * _SIGHTING.itemsize
-        self._memory: Any = context.RawArray("b", count * each + _COUNTS.itemsize)
+        self._memory: Any = context.RawArray("b", count * _TRACK.itemsize + _COUNTS.itemsize)
         self._map()
 
     def __getstate__(self) -> tuple[int, Any]:
@@ -69,12 +57,7 @@ class SharedTracks:
         # Each process has its own arrays over the one memory.
         held = memoryview(self._memory).cast("B")
         self._rows = np.frombuffer(held, _TRACK, self._count)
-        used = self._count * _TRACK.itemsize
-        flat = np.frombuffer(held, _SIGHTING, self._count * _KEPT, used)
-        self._sightings = flat.reshape(self._count, _KEPT)
-        self._counts = np.frombuffer(held, _COUNTS, 1, used + flat.nbytes)
-        # Numbers begin at 1, so that memory as it comes holds none.
-        self._next = np.ones(self._count, int)
+        self._counts = np.frombuffer(held, _COUNTS, 1, self._count * _TRACK.itemsize)
 
     def write(self, index: int, state: FilterState | None, counts: TrackCounts) -> None:
         """Shows an object's state and counts; None: not seen yet."""
@@ -90,25 +73,6 @@ class SharedTracks:
             row["time"] = -np.inf
         row["frames"], row["lost"], row["refused"] = counts.frames, counts.lost, counts.refused
         row["again"] = number
-
-    def keep(self, index: int, position: np.ndarray, covariance: np.ndarray, time: float) -> None:
-        """Keeps a sighting of an object as it was measured."""
-        number = int(self._next[index])
-        row = self._sightings[index, number % _KEPT]
-        row["number"] = number
-        row["time"], row["position"], row["covariance"] = time, position, covariance
-        row["again"] = number
-        self._next[index] = number + 1
-
-    def sightings(self, index: int, begin: float, end: float) -> np.ndarray:
-        """[F]: an object's kept sightings exposed from ``begin`` to ``end`` s, in order.
-
-        Fields: time, position [3], covariance [3, 3].
-        """
-        rows = self._sightings[index].copy()
-        whole = (rows["number"] == rows["again"]) & (rows["number"] > 0)
-        rows = rows[whole & (rows["time"] >= begin) & (rows["time"] <= end)]
-        return rows[np.argsort(rows["number"])][["time", "position", "covariance"]]
 
     def state(self, index: int) -> FilterState | None:
         """An object's newest state; None where no frame has shown it yet."""
