@@ -1,0 +1,71 @@
+"""Tours of a hand that is a mass of 4 kg, with and without something to pick up on the way."""
+
+import numpy as np
+import pytest
+
+from contactgraph.data import InvalidInputError
+from contactgraph.tasks.contract import Policy
+from contactgraph.tasks.franka_expert import FrankaExpert
+from contactgraph.tasks.franka_pickup import pickup_scene
+from contactgraph.tasks.franka_tour import FrankaTour
+from contactgraph.tasks.hand_path import HandPath
+
+START, BLOCK = np.array([0.4, -0.2, 0.3]), np.array([0.5, 0.0, 0.05])
+GOAL, NEXT, LAST = np.array([0.6, 0.2, 0.3]), np.array([0.4, 0.1, 0.2]), np.array([0.5, -0.2, 0.3])
+
+
+def places(policy: Policy, seconds: float) -> np.ndarray:
+    """[T, 3] m of a free mass of 4 kg at which a block is stuck as soon as it comes near."""
+    scene = pickup_scene(0.01, GOAL)
+    policy.reset(scene, seed=3)
+    hand, velocity, block = START.copy(), np.zeros(3), BLOCK.copy()
+    seen = []
+    for _ in range(round(seconds / 0.01)):
+        observation = {
+            "position": np.stack([hand, block]),
+            "velocity": np.stack([velocity, np.zeros(3)]),
+            "goal": GOAL,
+        }
+        velocity = velocity + policy(observation) / 4.0 * 0.01
+        hand = hand + velocity * 0.01
+        seen.append(hand)
+    return np.stack(seen)
+
+
+def test_a_path_goes_from_point_to_point_and_rests() -> None:
+    path = HandPath()
+    rest, speed = np.zeros(3), np.array([0.3, 0.0, 0.1])
+    path.go(START, rest, BLOCK, speed, 2.0)
+    path.go(BLOCK, speed, GOAL, rest, 1.0)
+    assert path.duration == 3.0
+    for time, place, pace in ((0.0, START, rest), (2.0, BLOCK, speed), (9.0, GOAL, rest)):
+        position, velocity, acceleration = path.at(time)
+        np.testing.assert_allclose(position, place, atol=1e-12)
+        np.testing.assert_allclose(velocity, pace, atol=1e-12)
+        np.testing.assert_allclose(acceleration, 0.0, atol=1e-12)
+    # Velocity and acceleration are those of the positions.
+    before, at, after = (path.at(1.2 + shift)[0] for shift in (-1e-4, 0.0, 1e-4))
+    np.testing.assert_allclose((after - before) / 2e-4, path.at(1.2)[1], atol=1e-6)
+    np.testing.assert_allclose((after - 2 * at + before) / 1e-8, path.at(1.2)[2], atol=1e-5)
+
+
+def test_the_expert_goes_on_from_the_goal_where_told() -> None:
+    seen = places(FrankaExpert(noise=0.0, further=[NEXT, LAST]), 10.0)
+    for point in (BLOCK, GOAL, NEXT, LAST):
+        assert np.linalg.norm(seen - point, axis=1).min() < 0.02
+    np.testing.assert_allclose(seen[-1], LAST, atol=5e-3)
+    # Without further points it stays at the goal.
+    np.testing.assert_allclose(places(FrankaExpert(noise=0.0), 10.0)[-1], GOAL, atol=5e-3)
+
+
+def test_a_tour_visits_its_points_and_no_block() -> None:
+    seen = places(FrankaTour([NEXT, LAST], noise=0.0), 6.0)
+    for point in (NEXT, LAST):
+        assert np.linalg.norm(seen - point, axis=1).min() < 0.01
+    assert np.linalg.norm(seen - BLOCK, axis=1).min() > 0.1
+    assert not np.array_equal(seen, places(FrankaTour([NEXT, LAST], noise=0.5), 6.0))
+
+
+def test_a_tour_of_nothing_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="at least one point"):
+        FrankaTour([])
