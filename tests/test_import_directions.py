@@ -10,13 +10,14 @@ import contactgraph
 
 ROOT = Path(contactgraph.__file__).parent
 
-LIBRARY = {"data", "model", "train", "control", "tasks", "robot"}
+LIBRARY = {"data", "model", "train", "control", "cluster", "tasks", "robot"}
 ALLOWED = {
     "data": set(),
     "model": {"data"},
     "train": {"data", "model"},
     "control": {"data", "model"},
-    "tasks": {"data"},
+    "cluster": {"data"},
+    "tasks": {"data", "cluster"},
     "robot": {"data"},
     "rehearsal": {"data", "tasks", "robot"},
     "evaluate": LIBRARY,
@@ -24,7 +25,7 @@ ALLOWED = {
     "view": LIBRARY | {"evaluate"},
     "commands": LIBRARY | {"evaluate", "reproduce", "view", "rehearsal"},
     "cli": LIBRARY | {"evaluate", "reproduce", "view", "rehearsal", "commands"},
-    "worker": {"cli"},
+    "worker": {"cli", "reproduce"},
 }
 """What each package may import besides itself."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from contactgraph.commands.cores import usable_cores
+from contactgraph.cluster import usable_cores
 
 pytestmark = pytest.mark.skipif(
     len(usable_cores()) == 1, reason="with one core there is one process"

@@ -1,35 +1,53 @@
 """A worker for tests: answers as the real one does, and writes what it was told to its output.
 
-``make OUT WORDS…`` writes WORDS to OUT; ``fail OUT`` exits with 2 and says why; ``die OUT`` takes
-the whole process with it; ``half OUT`` leaves a checkpoint and fails, unless it resumes.
+``make OUT WORDS…`` writes WORDS to OUT; ``both OUT`` writes OUT and OUT.more; ``join OUT IN…``
+writes what the files IN hold; ``fail OUT`` exits with 2 and says why; ``die OUT`` takes the whole
+process with it; ``half OUT`` leaves a checkpoint and fails, unless it resumes; ``slow OUT`` takes
+a second.
 """
 
-import json
 import os
-import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-
-def perform(arguments: list[str], log: Path) -> int:
-    verb, output = arguments[0], Path(arguments[1])
-    with Path("done.txt").open("a") as done:
-        done.write(" ".join(arguments) + "\n")
-    if verb == "die":
-        os._exit(9)
-    if verb == "fail":
-        log.write_text("first line\ncontactgraph: it cannot be\n\n")
-        return 2
-    if verb == "half":
-        output.mkdir(exist_ok=True)
-        (output / "checkpoint-1").write_text("")
-        return 0 if "--resume" in arguments else 130
-    output.write_text(" ".join(arguments[2:]))
-    return 0
+from contactgraph.reproduce.errand import CarriedErrand, Ended, Errand, carry_out
 
 
-with Path("started.txt").open("a") as started:
-    started.write("started\n")
-for line in sys.stdin:
-    told = json.loads(line)
-    code = perform(told["arguments"], Path(told["log"]))
-    print(json.dumps({"code": code, "seconds": 0.25}), flush=True)
+@dataclass(frozen=True)
+class FakeWorker:
+    """Tells in a folder what was done."""
+
+    diary: Path
+
+    def begin(self) -> Callable[[Errand | CarriedErrand], Ended]:
+        with (self.diary / "started.txt").open("a") as started:
+            started.write("started\n")
+        return self.work
+
+    def work(self, errand: Errand | CarriedErrand) -> Ended:
+        return replace(carry_out(errand, self.perform), seconds=0.25)
+
+    def perform(self, arguments: list[str], log: Path) -> int:
+        verb, output, *words = arguments
+        with (self.diary / "done.txt").open("a") as done:
+            done.write(" ".join(arguments) + "\n")
+        match verb:
+            case "die":
+                os._exit(9)
+            case "fail":
+                log.write_text("first line\ncontactgraph: it cannot be\n\n")
+                return 2
+            case "half":
+                Path(output).mkdir(exist_ok=True)
+                (Path(output) / "checkpoint-1").write_text("")
+                return 0 if "--resume" in arguments else 130
+            case "both":
+                Path(f"{output}.more").write_text("more")
+            case "join":
+                words = [Path(word).read_text() for word in words]
+            case "slow":
+                time.sleep(1.0)
+        Path(output).write_text(" ".join(words))
+        return 0

@@ -1,17 +1,17 @@
 """Cells of a study: made once, in order of need, and again when their command changes."""
 
 import json
-import sys
-import threading
+import multiprocessing
 from pathlib import Path
 
 import pytest
+from fake_worker import FakeWorker
 
+from contactgraph import worker
+from contactgraph.cluster import LocalProcesses
 from contactgraph.reproduce.cell import Cell, in_order
 from contactgraph.reproduce.record import Records
 from contactgraph.reproduce.runner import Failure, Standing, run_cells
-
-FAKE = [sys.executable, str(Path(__file__).with_name("fake_worker.py"))]
 
 
 def make(output: str, *words: str, needs: tuple[Cell, ...] = ()) -> Cell:
@@ -23,7 +23,8 @@ def run(
 ) -> tuple[list[Failure], list[Standing]]:
     steps: list[Standing] = []
     records = Records(folder, version)
-    return run_cells(in_order(cells), records, [FAKE] * workers, steps.append), steps
+    engine, begin = LocalProcesses(workers), FakeWorker(folder.absolute()).begin
+    return run_cells(in_order(cells), records, engine, begin, steps.append), steps
 
 
 def done(folder: Path) -> list[str]:
@@ -102,7 +103,7 @@ def test_an_input_made_anew_makes_its_results_anew(tmp_path: Path) -> None:
     ("verb", "reason"),
     [
         ("fail", "exit code 2; contactgraph: it cannot be"),
-        ("die", "its process died; it said noth"),
+        ("die", "its process died, exit code 9; it said noth"),
     ],
 )
 def test_a_failure_takes_only_what_needs_it(tmp_path: Path, verb: str, reason: str) -> None:
@@ -153,15 +154,20 @@ def test_a_process_goes_on_with_what_it_has_compiled_and_is_not_kept_for_ever(
 
 
 def test_interrupted_it_ends_its_workers_and_goes_on_later(tmp_path: Path) -> None:
-    before = threading.active_count()
     cells = [make("a"), make("b"), make("c")]
 
     def interrupted(standing: Standing) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_cells(cells, Records(tmp_path, "1"), [FAKE], interrupted)
-    assert threading.active_count() == before
+        run_cells(
+            cells,
+            Records(tmp_path, "1"),
+            LocalProcesses(1),
+            FakeWorker(tmp_path).begin,
+            interrupted,
+        )
+    assert multiprocessing.active_children() == []
     assert done(tmp_path) == ["make a"]
     run(tmp_path, cells)
     assert sorted(done(tmp_path)) == ["make b", "make c"]
@@ -172,8 +178,9 @@ def test_a_real_cell(tmp_path: Path) -> None:
     arguments = ("collect", "pickup", "--episodes", "2", "--out", "cells/data.h5")
     cell = Cell("cells/data.h5", arguments, "collect")
     wrong = Cell("cells/no.h5", ("collect", "pickup", "--episodes", "0", "--out", "no.h5"), "x")
-    worker = [sys.executable, "-m", "contactgraph.worker", "0"]
-    failures = run_cells([wrong, cell], Records(tmp_path, "1"), [worker], lambda standing: None)
+    failures = run_cells(
+        [wrong, cell], Records(tmp_path, "1"), LocalProcesses(1), worker.begin, lambda _: None
+    )
     assert [failure.reason for failure in failures] == [
         "exit code 2; contactgraph: --episodes must be 1 to 100000, found 0"
     ]

@@ -5,7 +5,7 @@ import os
 import pytest
 from test_run_episode import same
 
-from contactgraph.data import InvalidInputError
+from contactgraph.cluster import LocalProcesses
 from contactgraph.evaluate import collect
 from contactgraph.tasks import DoorExpert, DoorTask, ExplorationPolicy, PickupExpert, PickupTask
 from contactgraph.tasks import collect as collecting
@@ -32,7 +32,7 @@ def test_processes_record_what_one_would_bit_for_bit():
     # Runs follow other runs than they would in one process: nothing may be left of those.
     mix = [PickupExpert(), ExplorationPolicy()]
     told = []
-    runs = collect([Signed], mix, 7, 3, told.append, processes=2)
+    runs = collect([Signed], mix, 7, 3, told.append, engine=LocalProcesses(2))
     alone = collect([PickupTask], mix, 7, 3)
     assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
     assert all(one is other for one, other in zip(told, runs, strict=True))
@@ -42,19 +42,14 @@ def test_processes_record_what_one_would_bit_for_bit():
 
 @pytest.mark.usefixtures("at_once")
 def test_the_doors_expert_keeps_nothing_either():
-    runs = collect([DoorTask], [DoorExpert()], 4, 1, processes=2)
+    runs = collect([DoorTask], [DoorExpert()], 4, 1, engine=LocalProcesses(2))
     alone = collect([DoorTask], [DoorExpert()], 4, 1)
     assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
 
 
 def test_what_is_quickly_done_is_done_alone(monkeypatch):
-    def shared_out(*arguments):
+    def answers_in_order(*arguments):
         raise AssertionError("it does not pay")
 
-    monkeypatch.setattr(collecting, "shared_out", shared_out)
-    assert len(collect([PickupTask], [PickupExpert()], 5, 0, processes=64)) == 5
-
-
-def test_processes_out_of_range():
-    with pytest.raises(InvalidInputError, match="processes must be at least 1, found 0"):
-        collect([PickupTask], [PickupExpert()], 1, 0, processes=0)
+    monkeypatch.setattr(collecting, "answers_in_order", answers_in_order)
+    assert len(collect([PickupTask], [PickupExpert()], 5, 0, engine=LocalProcesses(64))) == 5

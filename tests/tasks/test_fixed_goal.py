@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from test_run_episode import same
 
+from contactgraph.cluster import LocalProcesses
 from contactgraph.data import InvalidInputError
 from contactgraph.tasks import (
     DoorExpert,
@@ -101,7 +102,7 @@ def test_processes_record_what_one_would_and_a_run_can_be_had_again(monkeypatch)
     monkeypatch.setattr(collecting, "_START_S", 0.0)
     task, demonstrator = partial(PickupTask, 2, fixed_seed=7), PickupExpert(noise=0.0)
     alone = collect([task], [demonstrator], 5, 3)
-    shared = collect([task], [demonstrator], 4, 3, processes=2)
+    shared = collect([task], [demonstrator], 4, 3, engine=LocalProcesses(2))
     assert all(same(one, other) for one, other in zip(alone, shared, strict=False))
     told = alone[4].scene.metadata
     again = PickupTask(told["distractors"], told["substeps"], told["fixed_seed"])

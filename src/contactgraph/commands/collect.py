@@ -36,10 +36,12 @@ class Collect:
     """Share of runs with random forces in place of the expert."""
     resting: float = 0.0
     """Share of runs without any force."""
+    cluster: Annotated[str, arg(metavar="WHERE")] = "local"
+    """local: one process a core. ray or ray:HOST:PORT: on the machines of a Ray cluster."""
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.commands.cores import usable_cores
+        from contactgraph.commands.engines import engine_of
         from contactgraph.commands.names import looked_up
         from contactgraph.commands.numbers import check_episodes, check_seed
         from contactgraph.commands.output import check_writable, progress, say
@@ -82,7 +84,7 @@ class Collect:
         policies = [expert() for _ in range(experts)]
         policies += [task.explorer() for _ in range(explores)]
         policies += [RestPolicy() for _ in range(rests)]
-        with progress("collecting", self.episodes) as steps:
+        with engine_of(self.cluster) as engine, progress("collecting", self.episodes) as steps:
             done = itertools.count(1)
             runs = collect(
                 factories,
@@ -90,7 +92,7 @@ class Collect:
                 self.episodes,
                 self.seed,
                 on_episode=lambda _: steps.advance(next(done)),
-                processes=len(usable_cores()),
+                engine=engine,
             )
         metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
         if self.mixed:

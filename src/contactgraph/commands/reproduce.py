@@ -22,9 +22,12 @@ class Reproduce:
     """One seed and few test scenes: half an hour on two cores for all tasks."""
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """The folder to write; results/study for all, results/STUDY for another, if not given."""
+    cluster: Annotated[str, arg(metavar="WHERE")] = "local"
+    """local: a cell a core. ray or ray:HOST:PORT: on the machines of a Ray cluster."""
 
     def run(self) -> None:
         """Run the study."""
+        from contactgraph.commands.engines import engine_of
         from contactgraph.commands.names import looked_up
         from contactgraph.commands.study import Study
         from contactgraph.data import InvalidInputError
@@ -50,8 +53,10 @@ class Reproduce:
             folder=folder,
             command=f"contactgraph reproduce {self.study}{option}",
         )
-        failures = study.measure()
-        study.write(failures)
+        with engine_of(self.cluster) as engine:
+            failures = study.measure(engine)
+            cores = engine.workers
+        study.write(failures, cores)
         if failures:
             # The page is written all the same; the exit code says that it is not whole.
             sys.exit(1)

@@ -1,15 +1,18 @@
 """A study's cells made, and the files that show what they say."""
 
+import importlib
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-from contactgraph.commands.cores import usable_cores
+from contactgraph.cluster import Engine
 from contactgraph.commands.output import progress, say, write_json, write_text
 from contactgraph.commands.provenance import provenance
+from contactgraph.reproduce.errand import Ended
 from contactgraph.reproduce.findings import Findings, StudyPlan
 from contactgraph.reproduce.number_table import csv_numbers, markdown_numbers
 from contactgraph.reproduce.record import Records
@@ -26,14 +29,10 @@ class Study:
     command: str
     """That makes the study."""
 
-    def measure(self) -> list[Failure]:
-        """Make the cells that are not there yet, one a core at a time; those that failed."""
+    def measure(self, engine: Engine) -> list[Failure]:
+        """Make the cells that are not there yet; those that failed."""
         self.folder.mkdir(parents=True, exist_ok=True)
         records = Records(self.folder, version("contactgraph"))
-        # One core a cell: trainings of this size gain nothing from a second one.
-        workers = [
-            [sys.executable, "-m", "contactgraph.worker", str(core)] for core in usable_cores()
-        ]
         with progress("cells", len(self.plan.cells)) as steps:
 
             def on_step(standing: Standing) -> None:
@@ -41,17 +40,17 @@ class Study:
                     _complain(standing.failure)
                 steps.advance(standing.done, f"{_left(standing.seconds_left)}{standing.last.kind}")
 
-            failures = run_cells(self.plan.cells, records, workers, on_step)
+            failures = run_cells(self.plan.cells, records, engine, _begin, on_step)
         for failure in failures:
             if failure.reason.startswith("not begun"):
                 _complain(failure)
         return failures
 
-    def write(self, failures: Sequence[Failure]) -> None:
-        """Claims, tables, figures and the page, from what is there."""
+    def write(self, failures: Sequence[Failure], cores: int) -> None:
+        """Claims, tables, figures and the page, from what is there; so many cores made it."""
         found = self.plan.findings(self.folder)
         lost = [(failure.cell.command, failure.reason) for failure in failures]
-        origin = self._origin(found, lost)
+        origin = self._origin(found, lost, cores)
         write_json(self.folder / "claims.json", {"claims": [one.to_json() for one in found.claims]})
         write_json(self.folder / "results.json", {**origin, "cells": found.readings})
         write_text(self.folder / "table.md", found.table_markdown)
@@ -72,15 +71,20 @@ class Study:
         say(markdown_numbers(found.targets))
         say(f"the page: {self.folder / 'index.html'}")
 
-    def _origin(self, found: Findings, lost: Sequence[tuple[str, str]]) -> dict:
+    def _origin(self, found: Findings, lost: Sequence[tuple[str, str]], cores: int) -> dict:
         return {
             "command": self.command,
             "date": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             **provenance(),
-            "cores": len(usable_cores()),
+            "cores": cores,
             **found.amounts,
             "failures": [{"command": command, "reason": reason} for command, reason in lost],
         }
+
+
+def _begin() -> Callable[[Any], Ended]:
+    """By its name, as from outside: a worker knows every command, and so this one."""
+    return importlib.import_module("contactgraph.worker").begin()
 
 
 _WORDS = {True: "holds", False: "does not hold", None: "not known"}

@@ -20,8 +20,15 @@ class Cell:
     """Cells of one kind take about as long as each other, and need the same compiled programs."""
     needs: tuple["Cell", ...] = ()
     """Cells whose outputs it reads."""
+    beside: tuple[str, ...] = ()
+    """Other files that the command leaves and cells that need it read."""
     checkpoints: str = ""
     """Files in the output, as a glob pattern, from which ``--resume`` goes on; "": it cannot."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """All that it leaves."""
+        return (self.output, *self.beside)
 
     @property
     def command(self) -> str:

@@ -175,7 +175,8 @@ def _control(
     save: bool = False,
 ) -> Cell:
     output = _beside(trained, f"{name}-{condition.slug}.json")
-    saved = ("--save", output.replace(".json", ".h5")) if save else ()
+    beside = (output.replace(".json", ".h5"),) if save else ()
+    saved = ("--save", *beside) if save else ()
     return Cell(
         output,
         (
@@ -187,6 +188,7 @@ def _control(
         ),
         f"{name} {condition.slug} after {trained.kind}",
         (trained,),
+        beside,
     )
 
 

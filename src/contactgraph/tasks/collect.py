@@ -1,4 +1,4 @@
-"""Recording many runs, in one process or in several."""
+"""Recording many runs, in this process or by an engine's workers."""
 
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from contactgraph.cluster import Engine, answers_in_order
 from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.tasks.contract import Policy, Task
-from contactgraph.tasks.processes import shared_out
 from contactgraph.tasks.run_episode import run_episode
 
 _ALONE_S = 1.0
 """For so long one process records, whatever there is to do: it tells how long a run takes."""
 _START_S = 1.0
-"""What starting processes takes, by measurement."""
+"""What starting workers takes, by measurement."""
 
 
 def collect(
@@ -24,7 +24,7 @@ def collect(
     episodes: int,
     seed: int,
     on_episode: Callable[[Trajectory], None] | None = None,
-    processes: int = 1,
+    engine: Engine | None = None,
 ) -> list[Trajectory]:
     """Records ``episodes`` runs; run ``i`` is by ``policies[i % len(policies)]``.
 
@@ -36,20 +36,18 @@ def collect(
     ``seed``, so that run ``i`` is the same however many are recorded, and by whom; its scene's
     metadata names it, and `run_episode` with it gives that run again.
 
-    ``on_episode`` is called with every run as it is done, in order. Up to ``processes`` processes
-    record at a time, where there is so much to do that starting them pays; then factories and
-    policies must be what `shared_out` can send, which a lambda is not. Raises `InvalidInputError`
+    ``on_episode`` is called with every run as it is done, in order. This process records, or, where
+    there is so much to do that starting them pays, an ``engine``'s workers; then factories and
+    policies must be what an `Engine` can send, which a lambda is not. Raises `InvalidInputError`
     where a count or the seed is out of range.
     """
     if not policies:
         raise InvalidInputError("policies must name at least one policy, found none")
     if not task_factories:
         raise InvalidInputError("task_factories must name at least one task, found none")
-    if processes < 1:
-        raise InvalidInputError(f"processes must be at least 1, found {processes}")
     wanted = _Runs(tuple(task_factories), tuple(policies), episode_seeds(episodes, seed))
     runs = []
-    with closing(_recorded(wanted, processes)) as recorded:
+    with closing(_recorded(wanted, engine)) as recorded:
         for run in recorded:
             runs.append(run)
             if on_episode is not None:
@@ -94,15 +92,15 @@ class _Runs:
         return record
 
 
-def _recorded(wanted: _Runs, processes: int) -> Generator[Trajectory, None, None]:
+def _recorded(wanted: _Runs, engine: Engine | None) -> Generator[Trajectory, None, None]:
     """All runs in order."""
     record, count = wanted.recorder(), len(wanted.seeds)
     began = time.perf_counter()
     for index in range(count):
         spent, left = time.perf_counter() - began, count - index
-        if index and processes > 1 and spent > _ALONE_S:
+        if index and engine is not None and spent > _ALONE_S:
             alone = spent / index * left
-            if alone * (1.0 - 1.0 / processes) > _START_S:
-                yield from shared_out(wanted.recorder, range(index, count), min(processes, left))
+            if alone * (1.0 - 1.0 / engine.workers) > _START_S:
+                yield from answers_in_order(engine, wanted.recorder, range(index, count))
                 return
         yield record(index)

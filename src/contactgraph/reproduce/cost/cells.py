@@ -74,14 +74,15 @@ def demonstrations(
     among = _distractors(demonstrator.distractors)
     if demonstrator.planned:
         output = f"{beginning}.json"
-        files = ("--json", output, "--save", f"{beginning}.h5")
+        recorded = f"{beginning}.h5"
+        files = ("--json", output, "--save", recorded)
         hidden = demonstrator.hidden
         known = () if hidden is None else (learning(task, hidden, seed, amounts),)
         # As far ahead as the learner looks: its answer is known only then.
         ahead = ("--horizon", str(LEARNED_AHEAD)) if known else ()
         cost = (*(word for cell in known for word in ("--cost", cell.output)), *ahead)
         arguments = ("control", task.name, task.name, *cost, *counts, *among, *files)
-        return Cell(output, arguments, f"control {task.name}", known)
+        return Cell(output, arguments, f"control {task.name}", known, (recorded,))
     output = f"{beginning}.h5"
     kind = ("--goal", "fixed", "--expert", "demo")
     arguments = ("collect", task.name, *kind, *counts, *among, "--out", output)
@@ -103,7 +104,8 @@ def _test(
 ) -> Cell:
     output = learned.output.replace("cost.json", f"control-{trial.distractors}-distractors.json")
     among = _distractors(trial.distractors)
-    saved = ("--save", output.replace(".json", ".h5")) if save else ()
+    beside = (output.replace(".json", ".h5"),) if save else ()
+    saved = ("--save", *beside) if save else ()
     return Cell(
         output,
         (
@@ -115,6 +117,7 @@ def _test(
         ),
         " ".join(("control", task.name, *among)),
         (learned,),
+        beside,
     )
 
 
