@@ -32,8 +32,9 @@ COLLISION_FORCE = 30.0
 """N, and N m about each axis, on the hand: likewise."""
 _HAND_VARIANCE = 1e-8
 """m^2: the maker states a repeatability of 0.1 mm."""
-_STOP_DAMPING = np.array([100.0, 100.0, 80.0, 80.0, 8.0, 8.0, 0.6])
-"""N m s/rad, of the arm's brake: as firm as a tick of delay allows."""
+_STOP_DAMPING = np.array([40.0, 40.0, 40.0, 40.0, 6.0, 6.0, 0.5])
+"""N m s/rad, of the arm's brake: as firm as torques that change by 1 N m a tick allow. Firmer ones
+throw the hand back."""
 _STOP_RAMP = 0.005
 """s, in which the brake takes over from the last torques."""
 _RESTING = 1e-3
@@ -65,6 +66,20 @@ class ObjectSource(Protocol):
         """One for each object, at ``now`` s."""
 
 
+class Fingers(Protocol):
+    """What opens and closes at the hand: see `FrankaGripper`."""
+
+    block: int
+    """The block that they close on, or closed on last."""
+
+    def follow(self, offset: np.ndarray, velocity: np.ndarray, tracked: np.ndarray) -> None:
+        """Closes or opens them: ``offset`` [M, 3] m to the blocks, ``velocity`` [M, 3] m/s of the
+        grasp point against them, ``tracked`` [M] bool."""
+
+    def contact(self) -> float:
+        """1, 0, or NaN where it cannot be told: whether they hold the block."""
+
+
 class FrankaRobot:
     """The hand (node 0) of an arm, moved by forces, and the objects that ``objects`` tells of.
 
@@ -80,9 +95,11 @@ class FrankaRobot:
         clock: Callable[[], float] = time.monotonic,
         limits: JointLimits = FR3_LIMITS,
         drives: JointDrives = NO_DRIVES,
+        fingers: Fingers | None = None,
     ) -> None:
         """Connects to ``address``; nothing moves.
 
+        ``fingers`` act while forces do, and are the contact sensor; None: they are left alone.
         ``clock`` gives s, on which all is stamped. ``drives`` say what the joints' friction and
         rotors are, where that is known: friction that is not there would push the hand on.
         Raises `InvalidInputError` where no arm answers, or one of another generation.
@@ -94,6 +111,7 @@ class FrankaRobot:
         self.last_error = ""
         """What the arm's client said about that."""
         self._objects = objects
+        self._fingers = fingers
         self._clock = clock
         self._arm = connected(address)
         self._model = self._arm.model
@@ -271,13 +289,25 @@ class FrankaRobot:
     def _reading(self, hand: np.ndarray, state: ArmState, stamp: float, now: float) -> RobotReading:
         seen = () if self._objects is None else self._objects.estimates(now)
         speed = state.jacobian[:3] @ state.joint_velocity
+        position = np.array([hand, *[one.position for one in seen]])
+        velocity = np.array([speed, *[one.velocity for one in seen]])
+        tracked = np.array([True, *[one.tracked for one in seen]])
+        contact = None
+        if self._fingers is not None and seen:
+            if self._motion is not None:
+                self._fingers.follow(position[1:] - hand, speed - velocity[1:], tracked[1:])
+            contact = np.full((len(position),) * 2, np.nan)
+            np.fill_diagonal(contact, 0.0)
+            block = 1 + self._fingers.block
+            contact[0, block] = contact[block, 0] = self._fingers.contact()
         return RobotReading(
-            position=np.array([hand, *[one.position for one in seen]]),
-            velocity=np.array([speed, *[one.velocity for one in seen]]),
+            position=position,
+            velocity=velocity,
             time=np.array([stamp, *[one.time for one in seen]]),
             robot_time=state.time,
-            tracked=np.array([True, *[one.tracked for one in seen]]),
+            tracked=tracked,
             variance=np.array([(_HAND_VARIANCE,) * 3, *[one.variance for one in seen]]),
+            contact=contact,
         )
 
     def _begin(self, motion: "franky.SimpleTorqueMotion | franky.TorqueStopMotion") -> bool:

@@ -1,0 +1,83 @@
+"""When fingers close: so that they meet on a block that passes, from what a camera tells of it."""
+
+import math
+
+import numpy as np
+
+OPEN_WIDTH = 0.06
+"""m, between the fingers while there is nothing to grasp: as they go in the simulated task."""
+_BLOCK = 0.04
+"""m, the width of a block."""
+_CLOSING = 0.1
+"""m/s, of the width."""
+_LAG = 0.03
+"""s, from the decision to when the fingers move."""
+_REACH = 0.01
+"""m: distance of the grasp point from a block's centre at which the fingers meet on it."""
+_MISS = 0.022
+"""m: a block that passes farther from the grasp point is not grasped."""
+_SLACK = 0.003
+"""m: fingers that are wider apart have not met the block yet."""
+_LOST = 0.06
+"""m: a block that is farther away is not between the fingers, however late it is seen."""
+_EMPTY = 0.005
+"""m: fingers this close to each other hold nothing."""
+
+
+class GraspReflex:
+    """Decides whether the fingers are to be open or closed.
+
+    They close as long before the grasp point comes to a block's centre as they need for the way,
+    hold what they meet, and open again where they met nothing or the block is seen elsewhere.
+    """
+
+    def __init__(self) -> None:
+        self.closed = False
+        """Whether the fingers are to be closed."""
+        self.block = 0
+        """The block that they close on, or closed on last."""
+
+    def release(self) -> None:
+        """The fingers are to open."""
+        self.closed = False
+
+    def step(
+        self, offset: np.ndarray, velocity: np.ndarray, tracked: np.ndarray, width: float
+    ) -> bool:
+        """Whether the fingers, now ``width`` m apart, are to be closed.
+
+        ``offset`` [M, 3] m from the grasp point to the blocks; ``velocity`` [M, 3] m/s of the grasp
+        point against them; ``tracked`` [M] bool: those that are not are let be.
+        """
+        if self.closed:
+            self.closed = width > _EMPTY and not self._gone(offset, tracked, width)
+            return self.closed
+        in_time = _LAG + max(width - _BLOCK, 0.0) / _CLOSING
+        for block, seen in enumerate(tracked.tolist()):
+            if seen and _time_to(offset[block].tolist(), velocity[block].tolist()) <= in_time:
+                self.closed, self.block = True, block
+        return self.closed
+
+    def _gone(self, offset: np.ndarray, tracked: np.ndarray, width: float) -> bool:
+        if width > _BLOCK + _SLACK or not tracked[self.block]:
+            return False
+        return math.hypot(*offset[self.block].tolist()) > _LOST
+
+
+def _time_to(offset: list[float], velocity: list[float]) -> float:
+    """s until the grasp point is within `_REACH` of a block, or, if it never comes as near, nearest
+    to it; 0 where it is, infinity where it passes too far off or moves away."""
+    # Plain numbers: at a kilohertz, arrays of three take longer than what they are asked.
+    (x, y, z), (u, v, w) = offset, velocity
+    square = x * x + y * y + z * z
+    closing = x * u + y * v + z * w
+    if square <= _REACH**2:
+        return 0.0
+    if closing <= 0.0:
+        return math.inf
+    speed_square = u * u + v * v + w * w
+    passing = max(square - closing * closing / speed_square, 0.0)
+    if passing > _MISS**2:
+        return math.inf
+    root = math.sqrt(max(_REACH**2 - passing, 0.0) * speed_square)
+    return (closing - root) / speed_square
