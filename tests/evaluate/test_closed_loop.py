@@ -17,6 +17,8 @@ JSON_KEYS = {
     *("constant_velocity_planned_rmse_m", "frozen_contact_planned_rmse_m"),
     *("edge_precision_planned", "edge_recall_planned", "edge_f1_planned"),
     "edge_accuracy_planned",
+    *("edge_precision_found", "edge_recall_found", "edge_f1_found", "onsets", "breaks"),
+    *("onset_delay_ms_p50", "onset_delay_ms_p95", "break_delay_ms_p50", "break_delay_ms_p95"),
 }
 
 

@@ -82,6 +82,10 @@ class Watched:
     cost: QuadraticCost
     belief: ContactBelief
 
+    @property
+    def seen(self):
+        return self
+
 
 class Watcher:
     """Plans nothing, believes the contacts that it is told of, and remembers the costs."""
@@ -92,7 +96,7 @@ class Watcher:
     def reset(self, observation, nodes, cost):
         return Watched(cost, two_type_belief(jnp.zeros(nodes.candidate.shape)))
 
-    def step(self, observation, contacts, state):
+    def step(self, observation, contacts, state, applied):
         self.costs.append(state.cost.quadratic(4))
         touching = contacts[tuple(pair_indices(len(contacts)).T)]
         held = replace(state, belief=two_type_belief(jnp.asarray(touching, float)))

@@ -28,7 +28,7 @@ def record_of(run, every, offset=0.0):
     # What is kept of a plan while it is followed must not count as one.
     plan[ticks % every != 0] += 7.0
     belief = np.where(run.contact[ahead[:, 1:]][:, :, first, second], 0.9, 0.1)
-    return EpisodeRecord(np.ones(run.steps), status, plan, belief)
+    return EpisodeRecord(np.ones(run.steps), status, plan, belief, belief[:, 0])
 
 
 def test_against_a_loop_over_windows():

@@ -47,6 +47,8 @@ class Control:
     """Steps by which the sensor is late."""
     unmeasured: bool = False
     """Keep all measured contacts from the controller."""
+    infer_contacts: bool = False
+    """Correct beliefs by how things are seen to move, too: contact without a sensor."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the measurements to this file."""
     video: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -71,6 +73,7 @@ class Control:
             write_trajectories,
         )
         from contactgraph.evaluate import EpisodeRecord, control_task, evaluate_open_loop
+        from contactgraph.model import MotionNoise
         from contactgraph.model.storage import load_model
         from contactgraph.reproduce.scenes import scene_run
         from contactgraph.view.animation import check_animation, write_animation
@@ -118,6 +121,7 @@ class Control:
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
                 faults=faults,
                 measured=not self.unmeasured,
+                motion_noise=MotionNoise() if self.infer_contacts else None,
                 on_episode=on_episode,
             )
         told: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
@@ -133,6 +137,7 @@ class Control:
             "misses": self.misses,
             "delay": self.delay,
             "unmeasured": self.unmeasured,
+            "infer_contacts": self.infer_contacts,
             **predicted.to_json(),
             **metrics.to_json(),
         }

@@ -14,9 +14,16 @@ from contactgraph.control.ilqr import ILQR
 from contactgraph.control.lqr import LQRPolicy
 from contactgraph.control.measurement import MeasurementReader, Observation
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.tick import Controller, MPCState
+from contactgraph.control.tick import Controller, MPCState, Seen
 from contactgraph.data import InvalidInputError
-from contactgraph.model import ContactBelief, ContactSensor, Nodes, StepModel
+from contactgraph.model import (
+    ContactBelief,
+    ContactDynamics,
+    ContactSensor,
+    MotionNoise,
+    Nodes,
+    StepModel,
+)
 
 _EXACT = ContactSensor()
 
@@ -34,7 +41,8 @@ class MPC:
 
     A tick corrects the belief about the step just made by the contacts measured now (the paper's
     posterior), plans from there with the last plan as the guess, and carries the belief that the
-    model predicts for the step it is about to make.
+    model predicts for the step it is about to make. With a ``motion_noise`` the motion observed
+    corrects the belief too, so that a contact is found without a sensor: see `judge_motion`.
 
     Goals, weights, poses, contacts and the number of nodes within the capacity are arguments of
     the compiled tick and do not recompile it; the horizon, the capacity and the number of nodes
@@ -58,11 +66,13 @@ class MPC:
         replan_every: int = 1,
         deadline: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
+        motion_noise: MotionNoise | None = None,
     ) -> None:
         """``deadline`` in seconds, from the call of `step` to the plan; ``clock`` measures it.
 
-        Raises `InvalidInputError` for a ``replan_every`` outside ``1 … horizon`` or a deadline
-        that is not positive.
+        ``motion_noise`` None: beliefs are corrected by measured contacts alone.
+        Raises `InvalidInputError` for a ``replan_every`` outside ``1 … horizon``, a deadline that
+        is not positive, or a ``motion_noise`` with a model that cannot judge motion.
         """
         if not 1 <= replan_every <= ilqr.horizon:
             raise InvalidInputError(
@@ -70,9 +80,14 @@ class MPC:
             )
         if deadline is not None and not deadline > 0:
             raise InvalidInputError(f"deadline must be positive seconds, found {deadline}")
+        if motion_noise is not None and not isinstance(model, ContactDynamics):
+            raise InvalidInputError(
+                "motion_noise: only a ContactDynamics says how things would move with an edge "
+                f"active and without; found {type(model).__name__}"
+            )
         self._deadline = deadline
         self._clock = clock
-        self._controller = Controller(model, ilqr, sensor, replan_every)
+        self._controller = Controller(model, ilqr, sensor, motion_noise, replan_every)
         # A flat tuple of arrays is dispatched faster than the tree they came from, and weights
         # that are arguments, not constants, are neither folded nor compiled in.
         dynamic, static = eqx.partition(self._controller, eqx.is_array)
@@ -114,6 +129,7 @@ class MPC:
         hidden = ~mask[:, None]
         position, velocity = np.where(hidden, 0, position), np.where(hidden, 0, velocity)
         belief = self._first_belief(self._weights, position, velocity, nodes)
+        nothing = jnp.full(position.shape, jnp.nan)
         state = _strongly_typed(
             MPCState(
                 nodes=nodes,
@@ -121,32 +137,43 @@ class MPC:
                 belief=belief,
                 plan=self._no_plan(size, quadratic, belief),
                 unplanned=jnp.asarray(self._controller.replan_every, jnp.int32),
+                seen=Seen(nothing, nothing, belief, jnp.zeros(quadratic.control_size)),
                 fresh=jnp.ones((), bool),
             ),
             self._dtype,
         )
-        plan, _ = self._tick(self._weights, state, position, velocity, reader.contact(None))
+        unknown = self._applied(None, quadratic.control_size)
+        inputs = position, velocity, reader.contact(None), unknown
+        plan, _ = self._tick(self._weights, state, *inputs)
         state = eqx.tree_at(lambda s: s.plan, state, plan)
         jax.block_until_ready(self._running(self._weights, state))
         return state
 
     def step(
-        self, observation: Observation, contacts: np.ndarray | None, state: MPCState
+        self,
+        observation: Observation,
+        contacts: np.ndarray | None,
+        state: MPCState,
+        applied: np.ndarray | None = None,
     ) -> tuple[Plan, MPCState]:
         """One tick: the plan whose ``controls[0]`` [N] to apply now, and the state to pass on.
 
         ``contacts``: [n, n], symmetric, 1 touching, 0 not, NaN not measured; None: nothing is.
+        ``applied``: [U] N, what was applied, on its mean, since the last tick, where feedback or a
+        robot's limits made it another control than the last plan's first; None: that one.
         Raises `InvalidInputError` where shapes do not fit, and never for a value.
         """
         begin = self._clock()
         reader = self._reader(state.nodes.mask.shape[0], state.plan.states.shape[-1])
         position, velocity = reader.motion(observation)
         contact = reader.contact(contacts)
-        plan, after = self._tick(self._weights, state, position, velocity, contact)
+        told = self._applied(applied, state.plan.controls.shape[-1])
+        plan, after = self._tick(self._weights, state, position, velocity, contact, told)
         if self._deadline is not None:
             jax.block_until_ready(plan.controls)
             if self._clock() - begin > self._deadline:
                 plan = self._running(self._weights, state).with_status(PlanStatus.LATE)
+                after = eqx.tree_at(lambda s: s.seen.control, after, plan.controls[0])
         return plan, after
 
     def control(self, plan: Plan, observation: Observation) -> np.ndarray:
@@ -164,6 +191,17 @@ class MPC:
         u = u if np.all(np.isfinite(u)) else np.asarray(plan.controls[0])
         limits = self._controller.ilqr.limits
         return u if limits is None else np.clip(u, limits.lower, limits.upper)
+
+    def _applied(self, applied: np.ndarray | None, control_size: int) -> np.ndarray:
+        """[U]; NaN where nobody said."""
+        if applied is None:
+            return np.full(control_size, np.nan, self._dtype)
+        told = np.asarray(applied, self._dtype)
+        if told.shape != (control_size,):
+            raise InvalidInputError(
+                f"applied must have shape ({control_size},), the control's, found {told.shape}"
+            )
+        return told
 
     def _reader(self, capacity: int, size: int) -> MeasurementReader:
         """For ``N`` nodes with ``size = 2ND``."""

@@ -10,13 +10,30 @@ from contactgraph.control.ilqr import ILQR
 from contactgraph.control.plan import Plan, PlanStatus, shift_plan
 from contactgraph.model import (
     ContactBelief,
+    ContactDynamics,
     ContactSensor,
     ModelState,
+    MotionNoise,
     Nodes,
     StepModel,
     correct,
+    in_types_of,
+    judge_motion,
     stack_state,
 )
+
+
+class Seen(eqx.Module):
+    """What a tick saw, believed and answered: the next one's view of the step between them."""
+
+    position: Float[Array, "N D"]
+    """m; NaN before the first tick."""
+    velocity: Float[Array, "N D"]
+    """m/s"""
+    belief: ContactBelief
+    """About the step that led there, corrected by all that was observed."""
+    control: Float[Array, " U"]
+    """N, of the plan that was handed over."""
 
 
 class MPCState(eqx.Module):
@@ -30,6 +47,8 @@ class MPCState(eqx.Module):
     """The running plan, as of the last observation."""
     unplanned: Int[Array, ""]
     """Ticks since a plan was made."""
+    seen: Seen
+    """By the last tick."""
     fresh: Bool[Array, ""]
     """True until the first tick: the plan starts at the coming observation, not before it."""
 
@@ -40,6 +59,8 @@ class Controller(eqx.Module):
     model: StepModel
     ilqr: ILQR
     sensor: ContactSensor
+    motion_noise: MotionNoise | None
+    """None: motion does not correct beliefs."""
     replan_every: int = eqx.field(static=True)
     """Ticks from plan to plan; in between the running plan's feedback acts."""
 
@@ -49,15 +70,20 @@ class Controller(eqx.Module):
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
         contact: Float[Array, " E"],
+        applied: Float[Array, " U"],
     ) -> tuple[Plan, MPCState]:
-        """Correct the belief, then plan, or follow the running plan where that is called for."""
+        """Correct the belief, then plan, or follow the running plan where that is called for.
+
+        ``applied``: the control [N] of the step just made; NaN where it was the last plan's.
+        """
         mask = state.nodes.mask[:, None]
         # What padding holds must not matter, not even where it is NaN.
         position = jnp.where(mask, position, 0.0)
         velocity = jnp.where(mask, velocity, 0.0)
         usable = jnp.all(jnp.isfinite(position)) & jnp.all(jnp.isfinite(velocity))
         running = self.running_plan(state)
-        belief = correct(state.belief, contact, self.sensor)
+        predicted = self._seen_to_move(state, position, velocity, applied)
+        belief = correct(predicted, contact, self.sensor)
         now = ModelState(position, velocity, belief)
         due = state.unplanned >= self.replan_every
 
@@ -85,6 +111,7 @@ class Controller(eqx.Module):
             belief=jax.tree.map(lambda value: value[0], plan.beliefs),
             plan=plan,
             unplanned=jnp.where(planned, 1, state.unplanned + 1),
+            seen=Seen(position, velocity, belief, plan.controls[0]),
             fresh=jnp.zeros((), bool),
         )
         return plan, after
@@ -97,6 +124,30 @@ class Controller(eqx.Module):
             return plan
         # Limits that exclude zero, or were tightened since, bind the old plan too.
         return eqx.tree_at(lambda p: p.controls, plan, self.ilqr.limits(plan.controls))
+
+    def _seen_to_move(
+        self,
+        state: MPCState,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        applied: Float[Array, " U"],
+    ) -> ContactBelief:
+        """The belief about the step just made, before contacts measured; as carried, or where
+        motion is to correct it, predicted anew under the control applied, and corrected."""
+        if self.motion_noise is None:
+            return state.belief
+        assert isinstance(self.model, ContactDynamics)  # checked by `MPC`
+        seen = state.seen
+        before = ModelState(seen.position, seen.velocity, seen.belief)
+        control = jnp.where(jnp.isfinite(applied), applied, seen.control)
+        evidence = judge_motion(
+            self.model, before, control, (position, velocity), state.nodes, self.motion_noise
+        )
+        found = in_types_of(evidence.corrected(self.motion_noise), state.belief)
+        # Two good observations make a step; the first tick and bad ones have none to judge.
+        whole = jnp.all(jnp.isfinite(seen.position)) & jnp.all(jnp.isfinite(seen.velocity))
+        whole = whole & jnp.all(jnp.isfinite(position)) & jnp.all(jnp.isfinite(velocity))
+        return jax.tree.map(lambda new, old: jnp.where(whole, new, old), found, state.belief)
 
     def _followed(self, running: Plan, now: ModelState, state: MPCState) -> Plan:
         """The running plan with its feedback on what was observed, and the belief it implies."""

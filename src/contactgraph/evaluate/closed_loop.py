@@ -7,10 +7,12 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.evaluate.found_contacts import FoundContacts
 from contactgraph.evaluate.planned_error import PlannedError
 from contactgraph.evaluate.statistics import wilson_interval
 
 _NOTHING_PLANNED = PlannedError()
+_NOTHING_FOUND = FoundContacts()
 _START_UP_S = 0.25
 """In which a gripper that starts at rest gains speed."""
 
@@ -42,13 +44,16 @@ class ClosedLoopMetrics:
     plan_ms_p99: float | None
     planned: PlannedError = field(default_factory=PlannedError)
     """Plans against what came of them; its keys stand beside the others in `to_json`."""
+    found: FoundContacts = field(default_factory=FoundContacts)
+    """Beliefs against contacts, as they were; as above."""
 
     def to_json(self) -> dict[str, float | int | list[float] | None]:
         """All numbers by name."""
         numbers = {each.name: getattr(self, each.name) for each in fields(self)}
-        del numbers["planned"]
+        del numbers["planned"], numbers["found"]
         interval = list(self.success_interval)
-        return {**numbers, "success_interval": interval, **self.planned.to_json()}
+        told = {**self.planned.to_json(), **self.found.to_json()}
+        return {**numbers, "success_interval": interval, **told}
 
 
 @dataclass(frozen=True)
@@ -68,12 +73,14 @@ def closed_loop_metrics(
     seed: int,
     plan_ms: Sequence[float] | np.ndarray = (),
     planned: PlannedError = _NOTHING_PLANNED,
+    found: FoundContacts = _NOTHING_FOUND,
 ) -> ClosedLoopMetrics:
     """Metrics of executed episodes.
 
     ``succeeded``: the task's own verdict on each. ``chain``: the task's nodes in order, gripper
     first. ``plan_ms``: the times of all control ticks of all episodes, ms; none: not measured.
-    ``planned``: the sum of the episodes' `planned_error`; none: not measured.
+    ``planned`` and ``found``: the sums of the episodes' `planned_error` and `found_contacts`; none:
+    not measured.
     Raises `InvalidInputError` where there is no episode, verdicts do not match the episodes, or
     an episode lacks a node of the chain.
     """
@@ -102,6 +109,7 @@ def closed_loop_metrics(
         plan_ms_p50=float(np.percentile(times, 50)) if times.size else None,
         plan_ms_p99=float(np.percentile(times, 99)) if times.size else None,
         planned=planned,
+        found=found,
     )
 
 

@@ -2,14 +2,16 @@
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from contactgraph.control import MPC, MPCState, Plan
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
+from contactgraph.evaluate.plan_feedback import plan_feedback
 from contactgraph.evaluate.scene_cost import SceneCost
 from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
-from contactgraph.model import scene_nodes
+from contactgraph.model import ContactBelief, scene_nodes
 from contactgraph.tasks.contract import Feedback, Observation
 
 _EXACT = SensorFaults()
@@ -27,6 +29,8 @@ class EpisodeRecord:
     """[T, H+1, N, D] m: where the plan made at each step puts every node."""
     plan_belief: np.ndarray
     """[T, H, E] probability that each edge is active in each step of that plan."""
+    found: np.ndarray
+    """[T, E] the same of the step that led to each observation, corrected by what was observed."""
 
     @property
     def belief(self) -> np.ndarray:
@@ -38,6 +42,7 @@ class EpisodeRecord:
 class _Tick:
     plan_ms: float
     plan: Plan
+    found: ContactBelief
 
 
 class MPCPolicy:
@@ -72,6 +77,7 @@ class MPCPolicy:
         self._scene: Scene | None = None
         self._state: MPCState | None = None
         self._ticks: list[_Tick] = []
+        self._applied: np.ndarray | None = None
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode in ``scene``; only the sensor's faults are random.
@@ -82,6 +88,7 @@ class MPCPolicy:
         self._chain = self._order = self._placed.order
         self._capacity = max(self._capacity, scene.node_count)
         self._scene, self._state, self._ticks = scene, None, []
+        self._applied = None
         self._sensor = self._faults.begin(scene, seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -91,27 +98,23 @@ class MPCPolicy:
         contacts = self._contacts(observation)
         begin = time.perf_counter()
         self._state = self._along_what_is_held(self._state)
-        plan, self._state = self._mpc.step(observation, contacts, self._state)
+        plan, self._state = self._mpc.step(observation, contacts, self._state, self._applied)
         control = np.asarray(plan.controls[0], dtype=np.float64)  # waits for the plan
-        self._ticks.append(_Tick(1e3 * (time.perf_counter() - begin), plan))
+        took = time.perf_counter() - begin
+        self._ticks.append(_Tick(1e3 * took, plan, self._state.seen.belief))
+        self._applied = None
         return control
+
+    def applied(self, control: np.ndarray) -> None:
+        """Told what the task applied ``[U]`` N, on its mean, in the step after the last call."""
+        self._applied = np.asarray(control)
 
     def feedback(self) -> Feedback:
         """The plan's feedback about where its first step leads; raises before the first tick."""
-        if not self._ticks:
+        if self._scene is None or not self._ticks:
             raise InvalidInputError("no feedback: the policy has made no step since reset")
-        plan = self._ticks[-1].plan
-        control, gain = np.asarray(plan.controls[0], float), np.asarray(plan.policy.K[0], float)
-        begin, end = np.asarray(plan.states[:2], float)
-        shape = self._capacity, 2, end.size // (2 * self._capacity)
-
-        def answer(part: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-            state = np.zeros(shape)
-            state[: len(position), 0], state[: len(position), 1] = position, velocity
-            astray = state.ravel() - (begin + part * (end - begin))
-            return control + gain @ astray
-
-        return answer
+        law = plan_feedback(self._ticks[-1].plan, self._scene.dt, self._capacity)
+        return partial(law.within, 0)
 
     def record(self) -> EpisodeRecord:
         """What was thought since `reset`. Raises `InvalidInputError` before the first tick."""
@@ -122,11 +125,13 @@ class MPCPolicy:
         states = np.stack([np.asarray(tick.plan.states) for tick in self._ticks])
         states = states.reshape(*states.shape[:2], self._capacity, 2, dimension)
         belief = [np.asarray(tick.plan.beliefs.probability) for tick in self._ticks]
+        found = [np.asarray(tick.found.probability) for tick in self._ticks]
         return EpisodeRecord(
             plan_ms=np.array([tick.plan_ms for tick in self._ticks]),
             status=np.array([int(tick.plan.status) for tick in self._ticks]),
             plan=states[:, :, :count, 0].astype(np.float64),
             plan_belief=np.stack(belief)[:, :, :edges].astype(np.float64),
+            found=np.stack(found)[:, :edges].astype(np.float64),
         )
 
     def _contacts(self, observation: Observation) -> np.ndarray | None:

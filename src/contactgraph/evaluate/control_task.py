@@ -11,10 +11,11 @@ from contactgraph.control import ILQR, MPC, ControlLimits
 from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
 from contactgraph.evaluate.control_policy import EpisodeRecord, MPCPolicy
+from contactgraph.evaluate.found_contacts import FoundContacts, found_contacts
 from contactgraph.evaluate.planned_error import PlannedError, planned_error
 from contactgraph.evaluate.scene_cost import SceneCost, TaskCost
 from contactgraph.evaluate.sensor_faults import SensorFaults
-from contactgraph.model import ContactSensor, StepModel
+from contactgraph.model import ContactSensor, MotionNoise, StepModel
 from contactgraph.model.model_fit import check_fit
 from contactgraph.tasks.collect import episode_seeds
 from contactgraph.tasks.contract import Task
@@ -37,6 +38,7 @@ def control_task(
     sensor: ContactSensor | None = None,
     faults: SensorFaults = _EXACT,
     measured: bool = True,
+    motion_noise: MotionNoise | None = None,
     node_capacity: int = 0,
     on_episode: Callable[[Trajectory, EpisodeRecord], None] | None = None,
 ) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
@@ -49,7 +51,8 @@ def control_task(
 
     ``faults`` spoils the contacts that the controller observes, and ``measured=False`` keeps all
     of them from it; the recorded episodes keep the truth. ``sensor`` is what the correction is
-    told of error rates, by default those of ``faults``.
+    told of error rates, by default those of ``faults``. ``motion_noise`` is `MPC`'s: with it,
+    beliefs are corrected by the motion observed, too.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal, or a number
     is out of range.
@@ -64,7 +67,14 @@ def control_task(
     terms = task.cost_terms()
     limits = ControlLimits(jnp.asarray(box.low), jnp.asarray(box.high))
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
-    mpc = MPC(model, ilqr, sensor or faults.sensor, replan_every, deadline)
+    mpc = MPC(
+        model,
+        ilqr,
+        sensor or faults.sensor,
+        replan_every,
+        deadline,
+        motion_noise=motion_noise,
+    )
     wanted = TaskCost.of(terms, control_size) if cost is None else cost
     _check_cost(wanted, task, control_size)
     policy = MPCPolicy(mpc, wanted, node_capacity, faults, measured)
@@ -72,17 +82,18 @@ def control_task(
     runs: list[Trajectory] = []
     succeeded: list[bool] = []
     plan_ms: list[np.ndarray] = []
-    planned = PlannedError()
+    planned, found = PlannedError(), FoundContacts()
     for episode_seed in seeds:
         runs.append(run_episode(task, policy, episode_seed))
         succeeded.append(task.success())
         record = policy.record()
         plan_ms.append(record.plan_ms)
         planned += planned_error(runs[-1], record)
+        found += found_contacts(runs[-1], record.found)
         if on_episode is not None:
             on_episode(runs[-1], record)
     metrics = closed_loop_metrics(
-        runs, succeeded, terms.chain, seed, np.concatenate(plan_ms), planned
+        runs, succeeded, terms.chain, seed, np.concatenate(plan_ms), planned, found
     )
     return metrics, runs
 

@@ -21,6 +21,9 @@ from contactgraph.model.local_dynamics import SpringMassDamperDynamics as Spring
 from contactgraph.model.message_passing import EdgeNetwork as EdgeNetwork
 from contactgraph.model.message_passing import MessagePassing as MessagePassing
 from contactgraph.model.message_passing import TypedMessagePassing as TypedMessagePassing
+from contactgraph.model.motion_evidence import MotionEvidence as MotionEvidence
+from contactgraph.model.motion_evidence import judge_motion as judge_motion
+from contactgraph.model.motion_noise import MotionNoise as MotionNoise
 from contactgraph.model.per_degree_head import PerDegreeHead as PerDegreeHead
 from contactgraph.model.presets import Preset as Preset
 from contactgraph.model.presets import full_ab as full_ab

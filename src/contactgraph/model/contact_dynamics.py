@@ -70,13 +70,17 @@ class ContactDynamics(eqx.Module):
         velocity: Float[Array, "N D"],
         nodes: Nodes,
         push: Float[Array, "N D"] | None = None,
+        touch_distance: Float[Array, " E"] | None = None,
     ) -> Percept:
-        """What does not depend on the belief: geometry, features and edge embeddings."""
+        """What does not depend on the belief: geometry, features and edge embeddings.
+
+        ``touch_distance`` [m]: at which the ends of each edge touch; None: as the model knows it.
+        """
         pairs = jnp.asarray(pair_indices(position.shape[0]))
-        touch_distance = self.features.touch_distance
-        seen = geometry(position, velocity, pairs, self.dt, touch_distance, push, nodes.anchor)
+        touch = self.features.touch_distance if touch_distance is None else touch_distance
+        seen = geometry(position, velocity, pairs, self.dt, touch, push, nodes.anchor)
         node_features = self.features.node(position, velocity, nodes)
-        edge_features = self.features.edge(seen)
+        edge_features = self.features.edge(seen, touch_distance)
         exists = nodes.candidate & nodes.mask[seen.first] & nodes.mask[seen.second]
         weight = jnp.where(exists, self.reach(seen), 0.0)
         ends = jnp.stack([seen.first, seen.second])

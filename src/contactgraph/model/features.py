@@ -74,10 +74,16 @@ class InvariantFeatures(eqx.Module):
         bounded = (speed / (1.0 + speed))[:, None]
         return jnp.concatenate([self.kind(nodes, speed.dtype), bounded], axis=-1)
 
-    def edge(self, geometry: Geometry) -> Float[Array, "2 E F"]:
-        """Features of every edge, for the message to its first and to its second node."""
+    def edge(
+        self, geometry: Geometry, touch_distance: Float[Array, " E"] | None = None
+    ) -> Float[Array, "2 E F"]:
+        """Features of every edge, for the message to its first and to its second node.
+
+        `touch_distance` [m] is each edge's own; None: that of all.
+        """
         # The distance of touch is learned from the impacts' timing alone.
         touch = jax.lax.stop_gradient(self.touch_distance)
+        touch = touch if touch_distance is None else touch_distance[:, None]
         gaps = jnp.stack([geometry.distance, geometry.nearest], axis=-1) / touch - 1.0
         # Touching or merely near: a few hundredths of the distance decide.
         close = gaps / (_NEAR + jnp.abs(gaps))
@@ -124,7 +130,9 @@ class AbsoluteFeatures(eqx.Module):
             features.append(jnp.zeros_like(position))
         return jnp.concatenate(features, axis=-1)
 
-    def edge(self, geometry: Geometry) -> Float[Array, "2 E F"]:
+    def edge(
+        self, geometry: Geometry, touch_distance: Float[Array, " E"] | None = None
+    ) -> Float[Array, "2 E F"]:
         """Features of every edge, for the message to its first and to its second node."""
         features = geometry.distance[:, None]
         return jnp.stack([features, features])

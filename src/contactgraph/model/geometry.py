@@ -54,15 +54,15 @@ def geometry(
     velocity: Float[Array, "N D"],
     pairs: Int[Array, "E 2"],
     dt: float,
-    touch_distance: Float[Array, ""] | float,
+    touch_distance: Float[Array, "*E"] | float,
     push: Float[Array, "N D"] | None = None,
     anchor: Float[Array, "N D"] | None = None,
 ) -> Geometry:
     """The geometry of the edges `pairs` at one step of `dt` [s]; finite where nodes coincide.
 
-    Bodies touch `touch_distance` [m] apart, centre to centre. `push` [m] is how far the
-    step's control alone moves the nodes, where it is known; what is coming depends on it.
-    `anchor` [m] is where nodes are hinged, NaN where they are not; see `Bars`.
+    Bodies touch `touch_distance` [m] apart, centre to centre: all of them, or each edge's. `push`
+    [m] is how far the step's control alone moves the nodes, where it is known; what is coming
+    depends on it. `anchor` [m] is where nodes are hinged, NaN where they are not; see `Bars`.
     """
     first, second = pairs[:, 0], pairs[:, 1]
     displacement, lever, slides = _meeting(position, pairs, anchor)
@@ -152,7 +152,7 @@ def _closest(
 def _touch(
     displacement: Float[Array, "E D"],
     way: Float[Array, "E D"],
-    touch_distance: Float[Array, ""] | float,
+    touch_distance: Float[Array, "*E"] | float,
 ) -> tuple[Float[Array, " E"], Bool[Array, " E"]]:
     """The part of the step until two nodes touch, and whether they do.
 

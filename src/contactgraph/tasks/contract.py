@@ -100,6 +100,14 @@ class FeedbackPolicy(Protocol):
         """For the step that its last control was for."""
 
 
+@runtime_checkable
+class InformedPolicy(Protocol):
+    """A policy that makes use of knowing what came of its control."""
+
+    def applied(self, control: np.ndarray) -> None:
+        """Told after every step which control ``[U]`` N the task applied, on its mean."""
+
+
 @dataclass(frozen=True, eq=False)
 class ChainCost:
     r"""A quadratic cost that ties nodes together, one after the other, and the last to the goal.

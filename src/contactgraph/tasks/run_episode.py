@@ -12,6 +12,7 @@ from contactgraph.tasks.contract import (
     Drawn,
     FeedbackPolicy,
     FeedbackTask,
+    InformedPolicy,
     Observation,
     Policy,
     Task,
@@ -50,6 +51,8 @@ def run_episode(
             control = info["control"]
         else:
             following, _, terminated, truncated, _ = task.step(control)
+        if isinstance(policy, InformedPolicy):
+            policy.applied(control)
         if on_step is not None:
             on_step(len(controls), observation, control)
         observation, done = following, terminated or truncated
