@@ -86,6 +86,10 @@ class Robot(Protocol):
     ticks must ease its force off by itself, as arms with a real-time interface do.
     """
 
+    @property
+    def ended(self) -> Stop | None:
+        """Why and when the robot stopped by itself: a reflex, a button. None while it did not."""
+
     def read(self) -> RobotReading | None:
         """The newest reading; None where none has come since the last call."""
 

@@ -51,6 +51,8 @@ class FakeRobot:
         """Whether the hand holds the object."""
         self.stopped: Stop | None = None
         """Why the robot was told to stop, if it was."""
+        self.ended: Stop | None = None
+        """Why it stopped by itself: for tests to set. Until `resume` it brakes and hears nothing."""
         self._tick = 0
         self._heard_tick = 0
         self._past: deque[RobotReading] = deque(maxlen=_MEMORY)
@@ -64,7 +66,8 @@ class FakeRobot:
     @property
     def braking(self) -> bool:
         """Whether it brakes by its own means: told to, or since it has heard nothing for 3 ms."""
-        return self.stopped is not None or self._tick - self._heard_tick > _SILENCE
+        told = self.stopped is not None or self.ended is not None
+        return told or self._tick - self._heard_tick > _SILENCE
 
     @property
     def late(self) -> bool:
@@ -83,7 +86,7 @@ class FakeRobot:
 
     def send(self, force: np.ndarray, now: float) -> np.ndarray | None:
         """The force, or None where a fault keeps it away."""
-        if self._deaf():
+        if self._deaf() or self.ended is not None:
             return None
         self._heard_tick = self._tick
         self.applied = np.array(force, dtype=np.float64)
@@ -96,8 +99,8 @@ class FakeRobot:
 
     def resume(self) -> None:
         """Ends `stop`, with no force."""
-        if self.stopped is not None:
-            self.stopped = None
+        if self.stopped is not None or self.ended is not None:
+            self.stopped = self.ended = None
             self.applied = np.zeros(3)
             self._heard_tick = self._tick
 

@@ -20,6 +20,11 @@ class LiveFake:
         self._began = clock() - robot.clock()
         self._read_at = -1.0
 
+    @property
+    def ended(self) -> Stop | None:
+        """Why the fake robot stopped by itself, if it did."""
+        return self.robot.ended
+
     def read(self) -> RobotReading | None:
         """What the ticks that have passed have led to; None where none has."""
         now = self._clock() - self._began

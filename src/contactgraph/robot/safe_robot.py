@@ -64,5 +64,7 @@ class SafeRobot:
             self._robot.stop(self._filter.stop)
             return None
         sent = self._robot.send(force, now)
+        if sent is None and self._robot.ended is not None:
+            self._filter.halt(self._robot.ended.reason, now)
         self._filter.sent(sent)
         return sent
