@@ -52,7 +52,7 @@ class FakeRobot:
         self.stopped: Stop | None = None
         """Why the robot was told to stop, if it was."""
         self.ended: Stop | None = None
-        """Why it stopped by itself: for tests to set. Until `resume` it brakes and hears nothing."""
+        """Why it stopped by itself, for tests to set. It brakes and is deaf until `resume`."""
         self._tick = 0
         self._heard_tick = 0
         self._past: deque[RobotReading] = deque(maxlen=_MEMORY)
