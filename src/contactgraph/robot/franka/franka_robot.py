@@ -18,7 +18,9 @@ from contactgraph.robot.franka.arm import (
 )
 from contactgraph.robot.franka.arm_clock import ArmClock
 from contactgraph.robot.franka.client import CLIENT_FAULTS, connected, franky
+from contactgraph.robot.franka.description import described_arm, described_limits
 from contactgraph.robot.franka.hand_impedance import HandImpedance
+from contactgraph.robot.limits import SafetyLimits
 from contactgraph.robot.stop import Stop, StopReason
 
 GRASP_POINT = (0.0, 0.0, 0.1254)
@@ -252,6 +254,20 @@ class FrankaRobot:
         except CLIENT_FAULTS as error:
             self._end(_reason(error), error)
         return self.ended
+
+    def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
+        """Versions, state and limits as names and words. Raises nothing of the arm's."""
+        reflex = (COLLISION_TORQUE, COLLISION_FORCE)
+        told = described_limits(limits, self.limits, reflex)
+        try:
+            return [
+                ("address", self.address),
+                *described_arm(self._arm.state, self.limits),
+                *told,
+            ]
+        except CLIENT_FAULTS as error:
+            self._end(StopReason.CONNECTION_LOST, error)
+            return [("address", self.address), ("connection", f"lost: {error}"), *told]
 
     def close(self) -> None:
         """Brakes where the arm moves, and lets go of it."""

@@ -17,6 +17,8 @@ GRASP_FORCE = 40.0
 """N. The maker grasps continuously with up to 70 N."""
 _ANY_WIDTH = 0.08
 """m: whatever the fingers meet is what they were to hold."""
+_LONGEST_COMMAND = 3.0
+"""s: the fingers need one for their whole way."""
 _LOOK = 0.01
 """s between looks at the fingers. Each waits for one of their states, without holding Python up."""
 
@@ -100,6 +102,9 @@ class FrankaGripper:
                 self._obey()
                 if self._news.wait(_LOOK):
                     self._news.clear()
+            # The client's own thread for the last command must not outlive this object.
+            if self._pending is not None:
+                self._pending.wait(_LONGEST_COMMAND)
         except (*CLIENT_FAULTS, franky.GripperException) as error:
             self.last_error = str(error)
             self._sensor.reset()
