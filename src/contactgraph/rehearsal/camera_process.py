@@ -12,6 +12,7 @@ from contactgraph.rehearsal.rendered_camera import RenderedCamera
 from contactgraph.rehearsal.server_report import read_places
 from contactgraph.rehearsal.session import read_session
 from contactgraph.rehearsal.truth import Truth
+from contactgraph.robot.loop.undisturbed import give_way
 from contactgraph.tasks.mujoco.engine import mujoco
 
 _BEHIND = 5
@@ -27,7 +28,7 @@ def main() -> None:
     settings = session.camera
     if settings is None:
         raise InvalidInputError("this rehearsal has no camera")
-    os.nice(_BEHIND)
+    give_way(_BEHIND)
     model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
     # The hand must hide what it hides; drawn with its maker's surfaces it takes twice as long.
     group = model.geom_group
@@ -39,6 +40,7 @@ def main() -> None:
         settings.intrinsics,
         grey_noise=settings.grey_noise,
         depth_noise=settings.depth_noise,
+        bodies=[f"block{index}" for index in range(session.blocks)],
         seed=settings.seed,
     )
     truth = Truth(folder, session.blocks, read_places(folder))

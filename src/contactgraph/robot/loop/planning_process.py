@@ -12,6 +12,7 @@ from typing import Any
 from contactgraph.data import InvalidInputError
 from contactgraph.robot.loop.planner import Moment, Planner, Start
 from contactgraph.robot.loop.planning import Planned
+from contactgraph.robot.loop.undisturbed import give_way
 
 _MOST_UNREAD = 20
 """Moments that may wait to be planned from: they are far from filling the connection, so that to
@@ -101,6 +102,7 @@ def _serve(connection: Connection, make_planner: Callable[[], Planner]) -> None:
     """The planner's process: reads `Start`s and `Moment`s, and answers."""
     # Ctrl-C is for the loop, which ends its run gently, and then this.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    give_way(0)
     with suppress(EOFError, ConnectionError):
         try:
             planner = make_planner()

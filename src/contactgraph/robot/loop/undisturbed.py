@@ -38,3 +38,14 @@ def undisturbed() -> Iterator[None]:
         sys.setswitchinterval(interval)
         if collecting:
             gc.enable()
+
+
+def give_way(nice: int) -> None:
+    """Makes this process yield to others, by ``nice`` of 0 to 19.
+
+    One that was begun by a thread with real-time priority would have that priority, too: a camera
+    that draws without pause would then stop all else on its core.
+    """
+    if hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.nice(nice)

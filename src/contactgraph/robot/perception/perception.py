@@ -1,7 +1,6 @@
 """Seeing in a process of its own, beside the robot's loop."""
 
 import multiprocessing
-import os
 import signal
 import time
 import traceback
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from contactgraph.data import InvalidInputError
+from contactgraph.robot.loop.undisturbed import give_way
 from contactgraph.robot.perception.calibration import CameraCalibration
 from contactgraph.robot.perception.camera import Camera, Intrinsics
 from contactgraph.robot.perception.shared_tracks import SharedTracks, TrackCounts
@@ -141,7 +141,7 @@ def _watch(
     """The camera's process: tells None when it begins, and the error that ends it."""
     # Ctrl-C is for the loop, which ends its run gently, and then this.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(_BEHIND)
+    give_way(_BEHIND)
     try:
         camera = open_camera()
         try:
