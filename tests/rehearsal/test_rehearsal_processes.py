@@ -17,8 +17,7 @@ from contactgraph.rehearsal.camera_settings import CameraSettings
 from contactgraph.rehearsal.rehearsal import Rehearsal, RunningRehearsal, attach
 from contactgraph.rehearsal.session import attached
 from contactgraph.robot.perception.camera import CameraFrame
-from contactgraph.robot.perception.object_pose import object_pose
-from contactgraph.robot.perception.tags import TagDetector
+from contactgraph.robot.perception.sight import Sight
 
 PACE = 2.0
 PATIENCE = 20.0
@@ -88,13 +87,10 @@ def check_frames(running: RunningRehearsal, settings: CameraSettings) -> None:
         assert now - frame.time >= settings.delay
     last = frames[-1][0]
     calibration = running.calibration()
-    tagged = calibration.objects["block"]
-    seen = TagDetector([list(tagged.by_id)]).detect(last.image)
-    pose = object_pose(seen, tagged, calibration.intrinsics)
-    assert pose is not None
+    seen = Sight(calibration).see(last)["block"]
     there = running.truth.between(last.time - 1e-6, last.time + 1e-6)
     assert len(there) == 1
-    error = (calibration.camera_pose @ pose.pose)[:3, 3] - there[0]["position"][1]
+    error = seen.position - there[0]["position"][1]
     assert np.linalg.norm(error) < 3e-3
     mistaken = running.calibration(shift=[0.01, 0.0, 0.0], turn=[0.0, 0.0, 0.02])
     off = mistaken.camera_pose[:3, 3] - calibration.camera_pose[:3, 3]
