@@ -2,8 +2,8 @@
 
 ``make OUT WORDS…`` writes WORDS to OUT; ``both OUT`` writes OUT and OUT.more; ``join OUT IN…``
 writes what the files IN hold; ``fail OUT`` exits with 2 and says why; ``die OUT`` takes the whole
-process with it; ``half OUT`` leaves a checkpoint and fails, unless it resumes; ``slow OUT`` takes
-a second.
+process with it; ``half OUT`` leaves a checkpoint and fails, unless it resumes; ``wait OUT`` waits
+for the file go.txt, having told in begun.txt who it is, and whose child.
 """
 
 import os
@@ -47,7 +47,11 @@ class FakeWorker:
                 Path(f"{output}.more").write_text("more")
             case "join":
                 words = [Path(word).read_text() for word in words]
-            case "slow":
-                time.sleep(1.0)
+            case "wait":
+                with (self.diary / "begun.txt").open("a") as begun:
+                    begun.write(f"{os.getppid()} {os.getpid()}\n")
+                until = time.monotonic() + 60.0
+                while not (self.diary / "go.txt").exists() and time.monotonic() < until:
+                    time.sleep(0.02)
         Path(output).write_text(" ".join(words))
         return 0

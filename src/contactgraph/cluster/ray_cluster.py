@@ -30,6 +30,11 @@ _AHEAD = 2
 _CORES_KNOWN_S = 1.0
 """For so long the number of cores is not asked for anew."""
 
+_ANSWER_S = 5.0
+_SETTINGS = bytes(3) + b"\x04" + bytes(5)
+_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _SETTINGS
+"""How HTTP/2 begins, on which Ray's servers speak; they answer with settings of their own."""
+
 
 class RayCluster:
     """The machines of a Ray cluster: one unit a core at a time. See `connected`.
@@ -83,13 +88,18 @@ def _check_answers(address: str) -> None:
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise InvalidInputError(f"a cluster's address must be HOST:PORT, found {address!r}")
+    # Asked first: Ray itself takes a quarter of an hour to give up on a silent port.
     try:
-        socket.create_connection((host, int(port)), timeout=5.0).close()
+        with socket.create_connection((host, int(port)), timeout=_ANSWER_S) as server:
+            server.sendall(_GREETING)
+            answer = server.recv(len(_SETTINGS))
     except OSError as error:
         raise InvalidInputError(
             f"no Ray cluster answers at {address} ({error.strerror or error}); "
             "one is started with: ray start --head"
         ) from error
+    if answer[3:4] != _SETTINGS[3:4]:
+        raise InvalidInputError(f"what answers at {address} is no Ray cluster")
 
 
 class _Places:
@@ -146,13 +156,19 @@ def _perform(begin: list[Any], wanted: str, unit: Any) -> Any:
 @lru_cache(maxsize=1)
 def _begun(begin: Any, wanted: str) -> Work:
     """The work of this process: it begins once."""
-    found = version("contactgraph")
+    found, host = version("contactgraph"), socket.gethostname()
     if found != wanted:
         raise InvalidInputError(
-            f"{socket.gethostname()} has contactgraph {found}, not {wanted} as here: all machines "
+            f"{host} has contactgraph {found}, not {wanted} as here: all machines "
             "of a cluster need the same"
         )
-    return ray.get(begin)()
+    try:
+        return ray.get(begin)()
+    except ray.exceptions.RaySystemError as error:
+        raise InvalidInputError(
+            f"{host} cannot read the work it was sent ({_first_line(error)}); it needs what is "
+            "installed here"
+        ) from error
 
 
 def _first_line(error: BaseException) -> str:
