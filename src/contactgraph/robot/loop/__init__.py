@@ -4,6 +4,8 @@ from contactgraph.robot.loop.clock import Clock as Clock
 from contactgraph.robot.loop.clock import WallClock as WallClock
 from contactgraph.robot.loop.control_loop import ControlLoop as ControlLoop
 from contactgraph.robot.loop.control_loop import OnTick as OnTick
+from contactgraph.robot.loop.laws import FeedbackLaw as FeedbackLaw
+from contactgraph.robot.loop.laws import HeldForce as HeldForce
 from contactgraph.robot.loop.planner import Law as Law
 from contactgraph.robot.loop.planner import Moment as Moment
 from contactgraph.robot.loop.planner import Planner as Planner

@@ -125,7 +125,8 @@ class ControlLoop:
             if planned is not None:
                 tally.planned(now, planned)
                 running = planned if planned.law is not None else running
-            tally.follows(now, running)
+            if robot.stop is None:
+                tally.follows(now, running)
             sent = robot.send(self._command(running, reading, now))
             if on_tick is not None:
                 on_tick(now, news, sent)

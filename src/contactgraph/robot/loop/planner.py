@@ -36,7 +36,8 @@ class Law(Protocol):
     """What to do while no newer plan is there: cheap, since it is asked a thousand times a second.
 
     A law that comes late still acts right, because it is asked by the time that has passed since
-    the moment it was made from, not since it came. It owns its numbers, and can be pickled.
+    the moment it was made from, not since it came. It owns its numbers, and can be pickled; whoever
+    runs the loop must have imported what it is made of: see `laws`.
     """
 
     @property
