@@ -39,7 +39,7 @@ _STOP_DAMPING = np.array([40.0, 40.0, 40.0, 40.0, 6.0, 6.0, 0.5])
 throw the hand back."""
 _STOP_RAMP = 0.005
 """s, in which the brake takes over from the last torques."""
-_RESTING = 1e-3
+_RESTING = 2e-4
 """rad/s: a joint that is slower rests."""
 _SETTLED_WITHIN = 2.0
 """s"""
