@@ -1,5 +1,7 @@
 """Depth as one more measurement: how far the planes of the tags are along the optical axis."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from contactgraph.robot.perception.camera import Intrinsics
@@ -45,7 +47,7 @@ def with_depth(
     step = gain * offset
     covariance = seen.covariance - np.outer(gain, spread)
     moved = pose(rotation_of(step[:3]) @ seen.pose[:3, :3], seen.pose[:3, 3] + step[3:])
-    return ObjectPose(moved, 0.5 * (covariance + covariance.T), seen.tags, seen.error)
+    return replace(seen, pose=moved, covariance=0.5 * (covariance + covariance.T))
 
 
 def _offsets(

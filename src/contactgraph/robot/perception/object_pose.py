@@ -14,8 +14,12 @@ from contactgraph.robot.perception.tags import TagDetection
 
 CORNER_NOISE = 0.15
 """px, standard deviation of a detected corner's coordinates."""
-_ROUNDS = 2
-"""Of looking for edges where the pose says they are."""
+_LEAST_FACING = 0.2
+"""Cosine of the angle between a tag's normal and the line of sight: seen flatter, edges blur."""
+_SAME = 1e-3
+"""Entries of two poses that differ by less are of one."""
+_UNLIKELY = 50.0
+"""Of the sum of squared errors in standard deviations: a pose that much worse is not the one."""
 _LEAST_EDGES = 4
 """Fewer tell less than corners do."""
 
@@ -34,24 +38,26 @@ class ObjectPose:
     error: float
     """How far what was seen lies from what the pose explains: root of the mean square, in standard
     deviations. About 1 where all is well."""
+    explained: int
+    """How many points, corners or ends of edges, lie within three standard deviations."""
 
 
-def object_pose(
+def object_poses(
     detections: Sequence[TagDetection],
     tagged: TaggedObject,
     intrinsics: Intrinsics,
     corner_noise: float = CORNER_NOISE,
-) -> ObjectPose | None:
-    """The object's pose from the corners of those detections that are its own; None without any.
+) -> list[ObjectPose]:
+    """The poses that the corners of those detections allow that are the object's own.
 
-    ``corner_noise`` px is the standard deviation of a corner's coordinates. A plane tag that leans
-    to one side looks almost like one that leans to the other: both are tried, and the smaller error
-    over all corners of all tags tells them apart.
+    None without any; else the likeliest first. A plane tag that leans to one side looks almost like
+    one that leans to the other: where all corners of all tags leave that open, there is a second
+    pose. ``corner_noise`` px is the standard deviation of a corner's coordinates.
     """
     tags = tagged.by_id
     own = [each for each in detections if each.id in tags]
     if not own:
-        return None
+        return []
     rays = intrinsics.rays(np.concatenate([each.corners for each in own]))
     points = np.concatenate([tags[each.id].corners for each in own])
     scale = np.diag([intrinsics.fx, intrinsics.fy]) / corner_noise
@@ -59,7 +65,12 @@ def object_pose(
     largest = int(np.argmax([_area(each.corners) for each in own]))
     corners = rays[4 * largest : 4 * largest + 4]
     fits = [fit_pose(start, seen) for start in starts(tags[own[largest].id], corners)]
-    return _pose(min(fits, key=lambda fit: fit.loss), tuple(each.id for each in own))
+    fits.sort(key=lambda fit: fit.loss)
+    best, other = fits
+    same = np.abs(best.pose - other.pose).max() < _SAME
+    if same or other.loss > best.loss + _UNLIKELY:
+        fits = [best]
+    return [_pose(fit, tuple(each.id for each in own)) for fit in fits]
 
 
 def refined_pose(
@@ -67,19 +78,20 @@ def refined_pose(
 ) -> ObjectPose:
     """The pose from the tags' edges in ``image`` [H, W] uint8, looked for where ``first`` says.
 
-    Several times as exact as corners from a detector. Edges that are hidden, or too narrow, count
-    for nothing; where fewer than four are left, ``first`` comes back.
+    Several times as exact as corners from a detector. First with the tags that were detected, then
+    with all that should be in sight: an edge is easier to find than a code to read. Edges that are
+    hidden, or too narrow, count for nothing; where fewer than four are left, ``first`` comes back.
     """
-    tags = [tagged.by_id[each] for each in first.tags]
-    corners = np.stack([tag.corners for tag in tags])
-    ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
     best = first
-    for _ in range(_ROUNDS):
+    for tags in (first.tags, None, None):
+        chosen = [tagged.by_id[each] for each in tags or _in_sight(best, tagged)]
+        corners = np.stack([tag.corners for tag in chosen])
+        ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
         seen_from = corners @ best.pose[:3, :3].T + best.pose[:3, 3]
         edges = find_edges(image, intrinsics.project(seen_from))
         found = edges.found
         if found.sum() < _LEAST_EDGES:
-            return first
+            return best
         across = edges.normal * (intrinsics.fx, intrinsics.fy) / edges.noise[:, None]
         seen = Seen(
             ends[found].reshape(-1, 3),
@@ -90,11 +102,23 @@ def refined_pose(
     return best
 
 
+def _in_sight(seen: ObjectPose, tagged: TaggedObject) -> list[int]:
+    """Ids of the tags that face the camera, those that were detected among them."""
+    turn, place = seen.pose[:3, :3], seen.pose[:3, 3]
+    facing = []
+    for tag in tagged.tags:
+        centre = turn @ tag.pose[:3, 3] + place
+        if -(turn @ tag.pose[:3, 2]) @ centre > _LEAST_FACING * np.linalg.norm(centre):
+            facing.append(tag.id)
+    return sorted({*facing, *seen.tags})
+
+
 def _pose(fit: PoseFit, tags: tuple[int, ...]) -> ObjectPose:
     error = float(np.sqrt((fit.residual**2).mean()))
     # What fits worse than the noise allows is trusted less: blur, a bent print, a hidden edge.
     covariance = np.linalg.inv(fit.information) * max(1.0, error**2)
-    return ObjectPose(fit.pose, covariance, tags, error)
+    explained = int((np.abs(fit.residual) < 3.0).sum())
+    return ObjectPose(fit.pose, covariance, tags, error, explained)
 
 
 def _area(corners: np.ndarray) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from contactgraph.robot.perception.calibration import CameraCalibration
 from contactgraph.robot.perception.camera import CameraFrame, Intrinsics
 from contactgraph.robot.perception.depth import with_depth
-from contactgraph.robot.perception.object_pose import ObjectPose, object_pose, refined_pose
+from contactgraph.robot.perception.object_pose import ObjectPose, object_poses, refined_pose
 from contactgraph.robot.perception.tagged_object import TaggedObject
 from contactgraph.robot.perception.tags import TagDetection, TagDetector
 
@@ -68,10 +68,14 @@ def located(
 
     ``detections`` are the tags that a `TagDetector` found in the frame, of whatever object.
     """
-    rough = object_pose(detections, tagged, intrinsics)
-    if rough is None or rough.error > _LARGEST_ERROR:
+    likely = [
+        refined_pose(frame.image, each, tagged, intrinsics)
+        for each in object_poses(detections, tagged, intrinsics)
+        if each.error < _LARGEST_ERROR
+    ]
+    if not likely:
         return None
-    found = refined_pose(frame.image, rough, tagged, intrinsics)
+    found = max(likely, key=lambda each: each.explained)
     if frame.depth is None:
         return found
     return with_depth(found, frame.depth, tagged, intrinsics)

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from PIL import Image
 
 from contactgraph.data import InvalidInputError
 
@@ -16,8 +17,14 @@ except ModuleNotFoundError as error:
 
 _CENTRE = 0.5
 """px: the library counts from a pixel's edge, `Intrinsics` from its centre."""
-_COARSE = 2.0
-"""By how much the picture is made smaller where all of it is searched: 4 times as fast."""
+_COARSE = (1.5, 1.0)
+"""By how much the picture is made smaller where all of it is searched, from one frame in which an
+object is lost to the next. The first is 4 times as fast; the second finds what it overlooks."""
+_LARGER, _FINE = 2, 1.5
+"""By how much a window is made larger, and smaller again by the library where it looks for squares.
+Between tag and edge of a block are few pixels, which the library's tiles of 4 px run together."""
+_SHARPENING = 0.25
+"""The library's own default, which its wrapper rounds to zero."""
 _LEAST_MARGIN = 20.0
 """Of a detection's decision. In pictures without tags false ones stay below, true ones of 20 px
 and more are above."""
@@ -53,15 +60,16 @@ class TagDetector:
     """Finds tags, in windows where they were last seen, and in all of the picture where not.
 
     ``objects`` are the ids that move together, as one object's do. All of the picture is searched
-    at half its resolution, since that takes a hundred milliseconds otherwise; what is found is then
-    looked at again in its window, in full.
+    at a lower resolution, since that takes more than a hundred milliseconds otherwise; what is
+    found is then looked at again in its window, enlarged.
     """
 
     def __init__(self, objects: Iterable[Sequence[int]]) -> None:
         self._objects = [frozenset(ids) for ids in objects]
         self._windows: list[Window | None] = [None] * len(self._objects)
-        self._fine = pyapriltags.Detector("tag36h11", quad_decimate=1.0)
-        self._coarse = pyapriltags.Detector("tag36h11", quad_decimate=_COARSE)
+        self._fine = _detector(_FINE)
+        self._coarse = [_detector(smaller) for smaller in _COARSE]
+        self._searches = 0
 
     def detect(self, image: np.ndarray) -> list[TagDetection]:
         """The tags of the objects in ``image`` [H, W] uint8, each at most once.
@@ -72,17 +80,25 @@ class TagDetector:
             raise InvalidInputError(
                 f"image must be [H, W] uint8 (grey), found {image.shape} {image.dtype}"
             )
-        found: list[list[TagDetection]] = [[] for _ in self._objects]
-        for index, ids in enumerate(self._objects):
-            found[index] = self._in_window(image, self._windows[index], ids)
-        if not all(found):
-            everywhere = _detected(self._coarse, image, 0, 0)
-            for index, ids in enumerate(self._objects):
-                if not found[index]:
-                    window = _around([each for each in everywhere if each.id in ids], image)
-                    found[index] = self._in_window(image, window, ids)
+        found = [
+            self._in_window(image, window, ids)
+            for window, ids in zip(self._windows, self._objects, strict=True)
+        ]
+        if all(found):
+            self._searches = 0
+        else:
+            self._search(image, found)
         self._windows = [_around(each, image) for each in found]
         return [each for some in found for each in some]
+
+    def _search(self, image: np.ndarray, found: list[list[TagDetection]]) -> None:
+        """Looks for what is not yet ``found`` in all of the picture."""
+        everywhere = _detected(self._coarse[self._searches % len(_COARSE)], image)
+        self._searches += 1
+        for index, ids in enumerate(self._objects):
+            if not found[index]:
+                coarse = _best(everywhere, ids)
+                found[index] = self._in_window(image, _around(coarse, image), ids) or coarse
 
     def _in_window(
         self, image: np.ndarray, window: Window | None, ids: frozenset[int]
@@ -90,26 +106,45 @@ class TagDetector:
         if window is None:
             return []
         part = image[window.top : window.bottom, window.left : window.right]
-        seen = _detected(self._fine, part, window.left, window.top)
-        best: dict[int, TagDetection] = {}
-        for each in seen:
-            if each.id in ids and (each.id not in best or each.margin > best[each.id].margin):
-                best[each.id] = each
-        return list(best.values())
+        height, width = part.shape
+        larger = Image.fromarray(part).resize(
+            (_LARGER * width, _LARGER * height), Image.Resampling.BICUBIC
+        )
+        seen = _detected(self._fine, np.asarray(larger), _LARGER, window.left, window.top)
+        return _best(seen, ids)
+
+
+def _detector(smaller: float) -> "pyapriltags.Detector":
+    made = pyapriltags.Detector("tag36h11", quad_decimate=smaller)
+    settings = made.tag_detector_ptr
+    assert settings is not None
+    settings.contents.decode_sharpening = _SHARPENING
+    return made
 
 
 def _detected(
-    detector: "pyapriltags.Detector", image: np.ndarray, left: int, top: int
+    detector: "pyapriltags.Detector",
+    image: np.ndarray,
+    larger: int = 1,
+    left: int = 0,
+    top: int = 0,
 ) -> list[TagDetection]:
+    """The tags in part of a picture, which was made ``larger``."""
+    origin = np.array([left - _CENTRE, top - _CENTRE])
     return [
-        TagDetection(
-            int(each.tag_id),
-            each.corners + np.array([left - _CENTRE, top - _CENTRE]),
-            float(each.decision_margin),
-        )
+        TagDetection(int(each.tag_id), each.corners / larger + origin, float(each.decision_margin))
         for each in detector.detect(image)
         if each.decision_margin >= _LEAST_MARGIN
     ]
+
+
+def _best(seen: Sequence[TagDetection], ids: frozenset[int]) -> list[TagDetection]:
+    """Of each of the ``ids`` the surest detection."""
+    best: dict[int, TagDetection] = {}
+    for each in seen:
+        if each.id in ids and (each.id not in best or each.margin > best[each.id].margin):
+            best[each.id] = each
+    return list(best.values())
 
 
 def _around(seen: Sequence[TagDetection], image: np.ndarray) -> Window | None:
@@ -120,8 +155,6 @@ def _around(seen: Sequence[TagDetection], image: np.ndarray) -> Window | None:
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = max(_LEAST_MARGIN_OF_WINDOW, _MARGIN_OF_WINDOW * float((high - low).max()))
     height, width = image.shape
-    left, top = np.clip(np.floor(low - margin), 0, (width - 1, height - 1)).astype(int)
-    right, bottom = np.clip(np.ceil(high + margin), (left + 1, top + 1), (width, height)).astype(
-        int
-    )
-    return Window(int(left), int(top), int(right), int(bottom))
+    left, top = np.floor(np.maximum(low - margin, 0)).astype(int).tolist()
+    right, bottom = np.ceil(np.minimum(high + margin, (width, height))).astype(int).tolist()
+    return Window(left, top, right, bottom)
