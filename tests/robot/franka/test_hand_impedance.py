@@ -165,5 +165,5 @@ def test_rotations_between() -> None:
 
 
 def test_a_mass_that_is_none() -> None:
-    with pytest.raises(InvalidInputError, match="mass must be a positive number of kg"):
+    with pytest.raises(InvalidInputError, match="mass must be a positive number, found 0"):
         HandImpedance(FR3_LIMITS, NO_DRIVES, mass=0.0)

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from contactgraph.data import InvalidInputError
 
@@ -11,8 +11,6 @@ try:
 except ModuleNotFoundError as error:
     raise InvalidInputError("an arm needs franky: pip install 'contactgraph[robot]'") from error
 
-PORT = 1337
-"""Of the arm's real-time interface; the gripper's is the next one."""
 _PATIENCE = 5.0
 """s: for so long a connection may take."""
 
@@ -32,6 +30,20 @@ def connected(address: str) -> franky.Robot:
     return _within_patience(
         lambda: franky.Robot(address, realtime_config=franky.RealtimeConfig.Ignore), address, "arm"
     )
+
+
+def first_state(arm: "franky.Robot | franky.Gripper", address: str) -> Any:
+    """The state of ``arm``, be it an arm or its gripper.
+
+    Raises `InvalidInputError` where it was there, but sends none.
+    """
+    try:
+        return arm.state
+    except CLIENT_FAULTS as error:
+        raise InvalidInputError(
+            f"{address} answers, but then sends no state: {error} (does something on the way, or "
+            "on this machine, keep UDP packets out?)"
+        ) from error
 
 
 def connected_gripper(address: str) -> franky.Gripper:

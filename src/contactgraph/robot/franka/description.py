@@ -6,7 +6,7 @@ import numpy as np
 
 from contactgraph.robot.franka.arm import JointLimits
 from contactgraph.robot.franka.client import franky
-from contactgraph.robot.franka.gripper import FrankaGripper
+from contactgraph.robot.franka.finger_contact import DELAY, FALSE_ALARM, MISS
 from contactgraph.robot.limits import SafetyLimits
 
 Lines = list[tuple[str, str]]
@@ -41,12 +41,17 @@ def described_arm(state: franky.RobotState, limits: JointLimits) -> Lines:
     ]
 
 
-def described_gripper(gripper: FrankaGripper) -> Lines:
-    """Version and state of the fingers."""
-    homed = f"of {1e3 * gripper.largest_width:.0f} mm" if gripper.largest_width else "not homed yet"
+def described_gripper(width: float, largest: float, protocol: int) -> Lines:
+    """State of the fingers: ``width`` m and ``largest`` m apart; 0 m before they were homed."""
+    homed = f"of {1e3 * largest:.0f} mm" if largest else "not homed yet: do that in Desk first"
     return [
-        ("gripper", f"version {gripper.version} of its protocol"),
-        ("fingers", f"{1e3 * gripper.width:.0f} mm apart, {homed}"),
+        ("gripper", f"version {protocol} of its protocol"),
+        ("fingers", f"{1e3 * width:.0f} mm apart, {homed}"),
+        (
+            "contact",
+            f"fingers that close and stop: {100 * FALSE_ALARM:.0f} % false alarms, "
+            f"{100 * MISS:.0f} % missed, within {1e3 * DELAY:.0f} ms",
+        ),
     ]
 
 

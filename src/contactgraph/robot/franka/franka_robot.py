@@ -2,8 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,9 +16,11 @@ from contactgraph.robot.franka.arm import (
     JointLimits,
 )
 from contactgraph.robot.franka.arm_clock import ArmClock
-from contactgraph.robot.franka.client import CLIENT_FAULTS, connected, franky
+from contactgraph.robot.franka.client import CLIENT_FAULTS, connected, first_state, franky
 from contactgraph.robot.franka.description import described_arm, described_limits
 from contactgraph.robot.franka.hand_impedance import HandImpedance
+from contactgraph.robot.franka.nodes import Fingers, Nodes, ObjectSource
+from contactgraph.robot.franka.transfer import settle, transfer
 from contactgraph.robot.limits import SafetyLimits
 from contactgraph.robot.stop import Stop, StopReason
 
@@ -32,54 +33,15 @@ COLLISION_TORQUE = 20.0
 """N m, in each joint: the arm's own reflex stops it beyond."""
 COLLISION_FORCE = 30.0
 """N, and N m about each axis, on the hand: likewise."""
-_HAND_VARIANCE = 1e-8
-"""m^2: the maker states a repeatability of 0.1 mm."""
 _STOP_DAMPING = np.array([40.0, 40.0, 40.0, 40.0, 6.0, 6.0, 0.5])
 """N m s/rad, of the arm's brake: as firm as torques that change by 1 N m a tick allow. Firmer ones
 throw the hand back."""
 _STOP_RAMP = 0.005
 """s, in which the brake takes over from the last torques."""
-_RESTING = 2e-4
-"""rad/s: a joint that is slower rests."""
-_SETTLED_WITHIN = 2.0
-"""s"""
+_LONGEST_BRAKE = 5.0
+"""Wall seconds that a motion is given to end."""
 _UNFILTERED = 1000.0
 """Hz. The client's low-pass, 100 Hz if nobody says otherwise, would lag by two ticks."""
-
-
-class ObjectEstimate(Protocol):
-    """What whoever measures an object knows of it: see `contactgraph.robot.perception`."""
-
-    position: np.ndarray
-    """[3] m, in the frame of the base."""
-    velocity: np.ndarray
-    """[3] m/s."""
-    variance: np.ndarray
-    """[3] m^2, of the position."""
-    time: float
-    """s, of the last measurement, on the reader's clock."""
-    tracked: bool
-
-
-class ObjectSource(Protocol):
-    """Whoever measures objects."""
-
-    def estimates(self, now: float) -> Sequence[ObjectEstimate]:
-        """One for each object, at ``now`` s."""
-
-
-class Fingers(Protocol):
-    """What opens and closes at the hand: see `FrankaGripper`."""
-
-    block: int
-    """The block that they close on, or closed on last."""
-
-    def follow(self, offset: np.ndarray, velocity: np.ndarray, tracked: np.ndarray) -> None:
-        """Closes or opens them: ``offset`` [M, 3] m to the blocks, ``velocity`` [M, 3] m/s of the
-        grasp point against them, ``tracked`` [M] bool."""
-
-    def contact(self) -> float:
-        """1, 0, or NaN where it cannot be told: whether they hold the block."""
 
 
 class FrankaRobot:
@@ -112,7 +74,7 @@ class FrankaRobot:
         """Why and when the arm ended its motion by itself; None while it has not."""
         self.last_error = ""
         """What the arm's client said about that."""
-        self._objects = objects
+        self._nodes = Nodes(objects, fingers)
         self._fingers = fingers
         self._clock = clock
         self._arm = connected(address)
@@ -120,9 +82,11 @@ class FrankaRobot:
         self._law = HandImpedance(limits, drives)
         self._arm_clock = ArmClock()
         self._motion: franky.SimpleTorqueMotion | None = None
+        self._running = False
+        """Whether a motion of ours was begun whose end has not been noted."""
         self._state: ArmState | None = None
         self._milliseconds = -1
-        first = self._arm.state
+        first = first_state(self._arm, address)
         flange_to_hand = first.F_T_EE
         self._grasp_frame = franky.Affine(np.array(GRASP_POINT), flange_to_hand.quaternion)
         self._beyond_hand = flange_to_hand.inverse * self._grasp_frame
@@ -145,7 +109,8 @@ class FrankaRobot:
 
         Immediate while torques run; else it waits for a state, a tick.
         """
-        now = self._clock()
+        if self._running and not self._arm.is_in_control:
+            self._note_end()
         if self._lost:
             return None
         try:
@@ -164,7 +129,10 @@ class FrankaRobot:
         hand = self._model.pose(
             franky.Frame.EndEffector, state.joints, self._grasp_frame, self._stiffness_frame
         )
-        return self._reading(hand.translation, state, stamp, now)
+        speed = state.jacobian[:3] @ state.joint_velocity
+        return self._nodes.reading(
+            hand.translation, speed, stamp, state.time, now, acting=self._motion is not None
+        )
 
     def send(self, force: np.ndarray, now: float) -> np.ndarray | None:
         """Torques for a ``force`` [3] N, from the last state that was read.
@@ -233,24 +201,14 @@ class FrankaRobot:
         ``speed`` is the share of the arm's own limits. Returns when it is there: None, or why the
         arm stopped on the way. Raises `InvalidInputError` for arguments that are none.
         """
-        place = np.asarray(position, dtype=np.float64)
-        if place.shape != (3,) or not np.isfinite([*place, yaw]).all():
-            raise InvalidInputError(f"position must be [3] m, and yaw rad, found {position}, {yaw}")
-        if not 0.0 < speed <= 1.0:
-            raise InvalidInputError(f"speed must be above 0 and at most 1, found {speed}")
+        motion = transfer(position, yaw, speed, self._beyond_hand)
         if self.moving:
             raise InvalidInputError("the arm is under control of forces: stop it before move_to")
-        down = np.array([math.cos(yaw / 2.0), math.sin(yaw / 2.0), 0.0, 0.0])
+        self._note_end(patience=_LONGEST_BRAKE)
         self.ended = None
-        motion = franky.CartesianMotion(
-            franky.Affine(place, down),
-            relative_dynamics_factor=speed,
-            ee_frame=self._beyond_hand,
-        )
         try:
-            self._arm.join_motion()
             self._arm.move(motion)
-            self._settle()
+            settle(self._arm, self._clock)
         except CLIENT_FAULTS as error:
             self._end(_reason(error), error)
         return self.ended
@@ -263,6 +221,7 @@ class FrankaRobot:
             return [
                 ("address", self.address),
                 *described_arm(self._arm.state, self.limits),
+                *([] if self._fingers is None else self._fingers.describe()),
                 *told,
             ]
         except CLIENT_FAULTS as error:
@@ -272,16 +231,7 @@ class FrankaRobot:
     def close(self) -> None:
         """Brakes where the arm moves, and lets go of it."""
         self.stop(Stop(StopReason.FINISHED, self._clock()))
-        try:
-            self._arm.join_motion(1.0)
-        except CLIENT_FAULTS as error:
-            self._end(_reason(error), error)
-
-    def _settle(self) -> None:
-        """Waits until the arm rests, since it follows what it is told with a lag."""
-        until = self._clock() + _SETTLED_WITHIN
-        while np.abs(self._arm.state.dq).max() > _RESTING and self._clock() < until:
-            pass  # a state takes its tick to come
+        self._note_end(patience=_LONGEST_BRAKE)
 
     @property
     def _lost(self) -> bool:
@@ -302,43 +252,21 @@ class FrankaRobot:
             orientation=told.O_T_EE.quaternion,
         )
 
-    def _reading(self, hand: np.ndarray, state: ArmState, stamp: float, now: float) -> RobotReading:
-        seen = () if self._objects is None else self._objects.estimates(now)
-        speed = state.jacobian[:3] @ state.joint_velocity
-        position = np.array([hand, *[one.position for one in seen]])
-        velocity = np.array([speed, *[one.velocity for one in seen]])
-        tracked = np.array([True, *[one.tracked for one in seen]])
-        contact = None
-        if self._fingers is not None and seen:
-            if self._motion is not None:
-                self._fingers.follow(position[1:] - hand, speed - velocity[1:], tracked[1:])
-            contact = np.full((len(position),) * 2, np.nan)
-            np.fill_diagonal(contact, 0.0)
-            block = 1 + self._fingers.block
-            contact[0, block] = contact[block, 0] = self._fingers.contact()
-        return RobotReading(
-            position=position,
-            velocity=velocity,
-            time=np.array([stamp, *[one.time for one in seen]]),
-            robot_time=state.time,
-            tracked=tracked,
-            variance=np.array([(_HAND_VARIANCE,) * 3, *[one.variance for one in seen]]),
-            contact=contact,
-        )
-
     def _begin(self, motion: "franky.SimpleTorqueMotion | franky.TorqueStopMotion") -> bool:
         try:
             self._arm.move(motion, asynchronous=True, cutoff_frequency=_UNFILTERED)
         except CLIENT_FAULTS as error:
             self._end(_reason(error), error)
             return False
+        self._running = True
         return True
 
-    def _note_end(self) -> None:
-        """Takes in why the last motion ended, if it ended by itself."""
+    def _note_end(self, patience: float = 0.0) -> None:
+        """Takes in why the last motion ended, if by itself; waits ``patience`` s for that."""
         self._motion = None
+        self._running = False
         try:
-            self._arm.join_motion(0.0)
+            self._arm.join_motion(patience)
         except CLIENT_FAULTS as error:
             self._end(_reason(error), error)
 

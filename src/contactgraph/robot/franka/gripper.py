@@ -7,7 +7,8 @@ from types import TracebackType
 
 import numpy as np
 
-from contactgraph.robot.franka.client import CLIENT_FAULTS, connected_gripper, franky
+from contactgraph.robot.franka.client import CLIENT_FAULTS, connected_gripper, first_state, franky
+from contactgraph.robot.franka.description import described_gripper
 from contactgraph.robot.franka.finger_contact import FingerContact
 from contactgraph.robot.franka.grasp_reflex import OPEN_WIDTH, GraspReflex
 
@@ -42,7 +43,7 @@ class FrankaGripper:
         self._ended = threading.Event()
         self.last_error = ""
         """What the client said when the gripper was lost; empty while it is not."""
-        first = self._gripper.state
+        first = first_state(self._gripper, address)
         self.width = first.width
         """m, between the fingers."""
         self.largest_width = first.max_width
@@ -87,6 +88,10 @@ class FrankaGripper:
         `FingerContact` says how often that is wrong, and how late it is.
         """
         return self._sensor.value
+
+    def describe(self) -> list[tuple[str, str]]:
+        """Versions and state as names and words."""
+        return described_gripper(self.width, self.largest_width, self.version)
 
     def close(self) -> None:
         """Leaves the fingers as they are, and lets go of the gripper."""

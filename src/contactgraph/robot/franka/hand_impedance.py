@@ -12,6 +12,8 @@ from contactgraph.robot.franka.outer_torque import OuterTorque
 
 APPARENT_MASS = 4.0
 """kg, what the hand feels like to a force: about what the arm weighs there."""
+FILTER_TIME = 0.004
+"""s, of what acts from outside. An arm whose joint velocities are noisy may need more."""
 ROTATION_STIFFNESS = 8.0
 """N m/rad"""
 ROTATION_DAMPING = 2.0 * math.sqrt(ROTATION_STIFFNESS)
@@ -54,16 +56,26 @@ class HandImpedance:
     it keeps its direction and the orientation stays held.
     """
 
-    def __init__(self, limits: JointLimits, drives: JointDrives, mass: float = APPARENT_MASS):
-        """``mass`` kg is what the hand feels like. Raises `InvalidInputError` if not above zero."""
-        if not (math.isfinite(mass) and mass > 0.0):
-            raise InvalidInputError(f"mass must be a positive number of kg, found {mass}")
+    def __init__(
+        self,
+        limits: JointLimits,
+        drives: JointDrives,
+        mass: float = APPARENT_MASS,
+        filter_time: float = FILTER_TIME,
+    ) -> None:
+        """``mass`` kg is what the hand feels like, ``filter_time`` s how late it feels a load.
+
+        Raises `InvalidInputError` where one is not above zero.
+        """
+        for name, value in (("mass", mass), ("filter_time", filter_time)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise InvalidInputError(f"{name} must be a positive number, found {value}")
         self._mass = mass
         self._limit = limits.torque
         self._torque_rate = limits.torque_rate
         self._damping = drives.damping
         self._drive_inertia = np.diag(drives.inertia)
-        self._outer = OuterTorque(drives.friction)
+        self._outer = OuterTorque(drives.friction, filter_time)
         self._home = np.zeros(JOINTS)
         self._orientation = (0.0, 0.0, 0.0, 1.0)
         self._last = HandCommand(np.zeros(JOINTS), np.zeros(3))

@@ -4,8 +4,6 @@ import numpy as np
 
 from contactgraph.robot.franka.arm import JOINTS, ArmState
 
-_FILTER = 0.004
-"""s, time constant of the estimates."""
 _SLIDING = 0.02
 """rad/s: well above it a joint slides, well below it sticks."""
 
@@ -22,9 +20,10 @@ class OuterTorque:
     :math:`\pm f`. The rest is load. So a load is felt, and friction, once known, cancelled.
     """
 
-    def __init__(self, friction: np.ndarray) -> None:
-        """``friction`` [7] N m, dry."""
+    def __init__(self, friction: np.ndarray, filter_time: float) -> None:
+        """``friction`` [7] N m, dry; ``filter_time`` s is the estimates' time constant."""
         self._friction = friction
+        self._filter_time = filter_time
         self.reset()
 
     def reset(self) -> None:
@@ -45,7 +44,7 @@ class OuterTorque:
         if last is None or state.time <= last.time:
             return
         duration = state.time - last.time
-        weight = duration / (_FILTER + duration)
+        weight = duration / (self._filter_time + duration)
         velocity = state.joint_velocity
         torque = inertia @ ((velocity - last.joint_velocity) / duration) + bias - state.torque
         self.total = self.total + weight * (torque - self.total)

@@ -1,0 +1,79 @@
+"""What a reading of an arm is made of: the hand, what is seen, and what the fingers tell."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from contactgraph.robot.contract import RobotReading
+from contactgraph.robot.perception.tracker import Estimate
+
+_HAND_VARIANCE = 1e-8
+"""m^2: the maker states a repeatability of 0.1 mm."""
+
+
+class ObjectSource(Protocol):
+    """Whoever measures objects: see `contactgraph.robot.perception`."""
+
+    def estimates(self, now: float) -> Sequence[Estimate]:
+        """One for each object, at ``now`` s."""
+
+
+class Fingers(Protocol):
+    """What opens and closes at the hand: see `FrankaGripper`."""
+
+    @property
+    def block(self) -> int:
+        """The block that they close on, or closed on last."""
+
+    def follow(self, offset: np.ndarray, velocity: np.ndarray, tracked: np.ndarray) -> None:
+        """Closes or opens them: ``offset`` [M, 3] m to the blocks, ``velocity`` [M, 3] m/s of the
+        grasp point against them, ``tracked`` [M] bool."""
+
+    def contact(self) -> float:
+        """1, 0, or NaN where it cannot be told: whether they hold the block."""
+
+    def describe(self) -> list[tuple[str, str]]:
+        """Versions and state as names and words."""
+
+
+class Nodes:
+    """Puts readings together. Node 0 is the hand."""
+
+    def __init__(self, objects: ObjectSource | None, fingers: Fingers | None) -> None:
+        self._objects, self._fingers = objects, fingers
+
+    def reading(
+        self,
+        hand: np.ndarray,
+        speed: np.ndarray,
+        stamp: float,
+        robot_time: float,
+        now: float,
+        acting: bool,
+    ) -> RobotReading:
+        """The hand at ``hand`` [3] m with ``speed`` [3] m/s at ``stamp`` s, and what is seen now.
+
+        ``acting``: whether the fingers may move.
+        """
+        seen = () if self._objects is None else self._objects.estimates(now)
+        position = np.array([hand, *[one.position for one in seen]])
+        velocity = np.array([speed, *[one.velocity for one in seen]])
+        tracked = np.array([True, *[one.tracked for one in seen]])
+        contact = None
+        if self._fingers is not None and seen:
+            if acting:
+                self._fingers.follow(position[1:] - hand, speed - velocity[1:], tracked[1:])
+            contact = np.full((len(position),) * 2, np.nan)
+            np.fill_diagonal(contact, 0.0)
+            block = 1 + self._fingers.block
+            contact[0, block] = contact[block, 0] = self._fingers.contact()
+        return RobotReading(
+            position=position,
+            velocity=velocity,
+            time=np.array([stamp, *[one.time for one in seen]]),
+            robot_time=robot_time,
+            tracked=tracked,
+            variance=np.array([(_HAND_VARIANCE,) * 3, *[one.variance for one in seen]]),
+            contact=contact,
+        )
