@@ -8,9 +8,10 @@ import numpy as np
 from contactgraph.robot.perception.camera import Intrinsics
 from contactgraph.robot.perception.rigid import pose
 
-_EYE = np.array([1.25, 0.0, 0.55])
+_EYE = np.array([1.35, 0.0, 0.3])
 _LOOK_AT = np.array([0.45, 0.0, 0.15])
-"""m, in the frame of the arm's base."""
+"""m, in the frame of the arm's base. So low that it sees the lower tags of a block below the hand
+that grasps it: from 0.55 m up, the hand hid the block for 0.4 s in one sweep of fourteen."""
 
 
 def looking_at(eye: np.ndarray, point: np.ndarray) -> np.ndarray:
