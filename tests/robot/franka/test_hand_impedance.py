@@ -52,6 +52,30 @@ def test_torques_that_come_three_ticks_late(drives: JointDrives) -> None:
     assert np.degrees(np.abs(turns).max()) < 0.2
 
 
+def test_noisy_velocities_shake_the_hand_but_do_not_lead_it_astray() -> None:
+    random = np.random.default_rng(0)
+    arm, law = SimulatedArm(NO_DRIVES, delay=2), HandImpedance(FR3_LIMITS, NO_DRIVES)
+    law.hold(arm.state())
+    force, positions, torques = np.array([0.0, 4.0, 0.0]), [], []
+    for _ in range(420):
+        state = arm.state()
+        state.joint_velocity = state.joint_velocity + 1e-3 * random.standard_normal(JOINTS)
+        torques.append(law(force, state).torque)
+        arm.step(torques[-1])
+        positions.append(arm.position)
+    np.testing.assert_allclose(acceleration(np.array(positions)), force / MASS, atol=0.02)
+    assert np.diff(torques, axis=0)[100:].std(axis=0).max() < 0.7
+
+
+def test_friction_that_is_not_there_pushes_the_hand_on() -> None:
+    """Why an arm's drives are not to be guessed: the test holds what `FR3_DRIVES` warns of."""
+    force = np.array([0.0, 0.5, 0.0])
+    positions, _ = pushed(
+        SimulatedArm(NO_DRIVES), HandImpedance(FR3_LIMITS, FR3_DRIVES), force, 420
+    )
+    assert np.linalg.norm(acceleration(positions)) > 3.0 * force[1] / MASS
+
+
 def test_drives_that_nobody_told_the_law_of_are_felt() -> None:
     positions, _ = pushed(
         SimulatedArm(FR3_DRIVES), HandImpedance(FR3_LIMITS, NO_DRIVES), np.array(FORCES[0]), 420

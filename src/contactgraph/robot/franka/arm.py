@@ -47,13 +47,15 @@ class JointDrives:
 
 
 NO_DRIVES = JointDrives(np.zeros(JOINTS), np.zeros(JOINTS), np.zeros(JOINTS))
-"""Of an arm whose torque control hides its motors altogether."""
+"""Of an arm whose torque control hides its motors altogether, as the maker says, and as the
+rehearsal's does. The safe choice: friction that is not known is felt, and brakes."""
 FR3_DRIVES = JointDrives(
     inertia=np.array([0.195] * 4 + [0.074] * 3),
     friction=np.array([1.137] * 4 + [0.763, 0.44, 0.248]),
     damping=np.full(JOINTS, 0.21),
 )
-"""Identified on an FR3 under torque control (MuJoCo Menagerie, franka_fr3, 2025-04-25)."""
+"""Identified on one FR3 under torque control (MuJoCo Menagerie, franka_fr3, 2025-04-25). Only for
+an arm that was seen to have them: friction that is not there pushes the hand on."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,7 +75,6 @@ class FrankaRobot:
         self.last_error = ""
         """What the arm's client said about that."""
         self._nodes = Nodes(objects, fingers)
-        self._fingers = fingers
         self._clock = clock
         self._arm = connected(address)
         self._model = self._arm.model
@@ -218,12 +217,7 @@ class FrankaRobot:
         reflex = (COLLISION_TORQUE, COLLISION_FORCE)
         told = described_limits(limits, self.limits, reflex)
         try:
-            return [
-                ("address", self.address),
-                *described_arm(self._arm.state, self.limits),
-                *([] if self._fingers is None else self._fingers.describe()),
-                *told,
-            ]
+            return [("address", self.address), *described_arm(self._arm.state, self.limits), *told]
         except CLIENT_FAULTS as error:
             self._end(StopReason.CONNECTION_LOST, error)
             return [("address", self.address), ("connection", f"lost: {error}"), *told]

@@ -8,7 +8,6 @@ from types import TracebackType
 import numpy as np
 
 from contactgraph.robot.franka.client import CLIENT_FAULTS, connected_gripper, first_state, franky
-from contactgraph.robot.franka.description import described_gripper
 from contactgraph.robot.franka.finger_contact import FingerContact
 from contactgraph.robot.franka.grasp_reflex import OPEN_WIDTH, GraspReflex
 
@@ -88,10 +87,6 @@ class FrankaGripper:
         `FingerContact` says how often that is wrong, and how late it is.
         """
         return self._sensor.value
-
-    def describe(self) -> list[tuple[str, str]]:
-        """Versions and state as names and words."""
-        return described_gripper(self.width, self.largest_width, self.version)
 
     def close(self) -> None:
         """Leaves the fingers as they are, and lets go of the gripper."""

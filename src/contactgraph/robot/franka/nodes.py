@@ -33,9 +33,6 @@ class Fingers(Protocol):
     def contact(self) -> float:
         """1, 0, or NaN where it cannot be told: whether they hold the block."""
 
-    def describe(self) -> list[tuple[str, str]]:
-        """Versions and state as names and words."""
-
 
 class Nodes:
     """Puts readings together. Node 0 is the hand."""
