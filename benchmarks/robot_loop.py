@@ -8,13 +8,12 @@ machine with two cores, anything else that runs is in the numbers.
 """
 
 import time
+from importlib.util import find_spec
 
 import numpy as np
 from measuring import arguments, report
 
-from contactgraph.rehearsal.rehearsal import Rehearsal
-from contactgraph.robot import RobotReading, SafetyLimits, Stop
-from contactgraph.robot.franka.franka_robot import FrankaRobot
+from contactgraph.robot import Robot, RobotReading, SafetyLimits, Stop
 from contactgraph.robot.franka.loop_timing import measure_loop
 from contactgraph.robot.loop import WallClock
 
@@ -25,7 +24,7 @@ LIMITS = SafetyLimits(max_force=14.0, longest_gap=0.1, longest_age=0.1, stop_wit
 class Timed:
     """A robot whose calls are timed."""
 
-    def __init__(self, robot: FrankaRobot) -> None:
+    def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self.read_s: list[float] = []
         self.send_s: list[float] = []
@@ -56,6 +55,9 @@ class Timed:
 
 def measured(seconds: float) -> dict[str, float | int | str]:
     """One row: one run."""
+    from contactgraph.rehearsal.rehearsal import Rehearsal
+    from contactgraph.robot.franka.franka_robot import FrankaRobot
+
     clock = WallClock()
     with Rehearsal(pace=1.0) as arm, FrankaRobot(arm.address, clock=clock) as robot:
         timed = Timed(robot)
@@ -81,6 +83,9 @@ def measured(seconds: float) -> dict[str, float | int | str]:
 def main() -> None:
     """Measure and say."""
     told = arguments("The feedback loop to an arm.")
+    if find_spec("franky_sim") is None:
+        print("robot_loop is left out: it needs pip install 'contactgraph[rehearsal]'")
+        return
     rows = [measured(3.0 if told.quick else 30.0) for _ in range(1 if told.quick else 2)]
     report("robot_loop", rows, told)
 
