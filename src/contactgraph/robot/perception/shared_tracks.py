@@ -8,23 +8,15 @@ import numpy as np
 
 from contactgraph.robot.perception.tracker import FilterState
 
-_TRACK = np.dtype(
-    [
-        ("number", "i8"),
-        ("time", "f8"),  # s
-        ("mean", "f8", (6,)),  # m, m/s
-        ("covariance", "f8", (6, 6)),
-        ("begun", "f8"),  # s
-        ("density", "f8"),  # m^2/s^3
-        ("frames", "i8"),  # in which it was looked for
-        ("lost", "i8"),  # of these, without it
-        ("refused", "i8"),  # measurements that did not count
-        ("again", "i8"),  # the number once more: a row that is being written has two
-    ]
-)
-_COUNTS = np.dtype([("frames", "i8"), ("latency_sum", "f8"), ("latency_most", "f8")])
-_TRIES = 100
-"""Reads until one is whole; a write takes microseconds, thirty times a second."""
+_TIME, _BEGUN, _DENSITY, _FRAMES, _LOST, _REFUSED = range(6)
+_MEAN, _COVARIANCE = slice(6, 12), slice(12, 48)
+_TRACK = 48
+"""Numbers in a slot, by the places above. Plain ones: fields take several times as long to read."""
+_SLOTS = 4
+"""Of an object. The newest is whole while the next is written, however long its writer must wait
+for a core; a reader has three frames' time to copy one."""
+_LATENCY = 3
+"""Numbers: frames, the sum of their latencies, the longest [s]."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +35,7 @@ class SharedTracks:
 
     def __init__(self, count: int, context: BaseContext) -> None:
         self._count = count
-        self._memory: Any = context.RawArray("b", count * _TRACK.itemsize + _COUNTS.itemsize)
+        self._memory: Any = context.RawArray("d", count * (_SLOTS * _TRACK + 1) + _LATENCY)
         self._map()
 
     def __getstate__(self) -> tuple[int, Any]:
@@ -55,56 +47,53 @@ class SharedTracks:
 
     def _map(self) -> None:
         # Each process has its own arrays over the one memory.
-        held = memoryview(self._memory).cast("B")
-        self._rows = np.frombuffer(held, _TRACK, self._count)
-        self._counts = np.frombuffer(held, _COUNTS, 1, self._count * _TRACK.itemsize)
+        numbers = np.frombuffer(self._memory)
+        used = self._count * _SLOTS * _TRACK
+        self._rows = numbers[:used].reshape(self._count, _SLOTS, _TRACK)
+        self._latency = numbers[used : used + _LATENCY]
+        # How often each was written.
+        self._written = numbers[used + _LATENCY :].view(np.int64)
 
     def write(self, index: int, state: FilterState | None, counts: TrackCounts) -> None:
         """Shows an object's state and counts; None: not seen yet."""
-        row = self._rows[index]
-        number = int(row["number"]) + 1
-        # In this order, which the processors that an arm's library runs on keep.
-        row["number"] = number
+        written = int(self._written[index]) + 1
+        row = self._rows[index, written % _SLOTS]
+        row[_TIME] = -np.inf
         if state is not None:
-            row["time"], row["mean"] = state.time, state.mean
-            row["covariance"] = state.covariance
-            row["begun"], row["density"] = state.begun, state.density
-        else:
-            row["time"] = -np.inf
-        row["frames"], row["lost"], row["refused"] = counts.frames, counts.lost, counts.refused
-        row["again"] = number
+            row[_TIME], row[_BEGUN], row[_DENSITY] = state.time, state.begun, state.density
+            row[_MEAN], row[_COVARIANCE] = state.mean, state.covariance.ravel()
+        row[_FRAMES], row[_LOST], row[_REFUSED] = counts.frames, counts.lost, counts.refused
+        # Last, and the processors that an arm's library runs on keep to that.
+        self._written[index] = written
 
     def state(self, index: int) -> FilterState | None:
         """An object's newest state; None where no frame has shown it yet."""
-        row = self._whole(index)
-        time = float(row["time"])
-        if row["number"] == 0 or time == -np.inf:
+        if not self._written[index]:
             return None
-        begun, density = float(row["begun"]), float(row["density"])
-        return FilterState(time, row["mean"], row["covariance"], begun, density)
+        row = self._newest(index)
+        time, begun, density = row[:_FRAMES].tolist()
+        if time == -np.inf:
+            return None
+        return FilterState(time, row[_MEAN], row[_COVARIANCE].reshape(6, 6), begun, density)
 
     def counts(self, index: int) -> TrackCounts:
         """An object's newest counts."""
-        row = self._whole(index)
-        return TrackCounts(int(row["frames"]), int(row["lost"]), int(row["refused"]))
+        row = self._newest(index)
+        return TrackCounts(*(int(row[each]) for each in (_FRAMES, _LOST, _REFUSED)))
 
     def add_frame(self, latency: float) -> None:
         """Counts a frame whose estimate came ``latency`` s after its exposure."""
-        counts = self._counts[0]
-        counts["latency_sum"] += latency
-        counts["latency_most"] = max(float(counts["latency_most"]), latency)
-        counts["frames"] += 1
+        frames, total, longest = self._latency
+        self._latency[:] = frames + 1, total + latency, max(longest, latency)
 
     def latency(self) -> tuple[int, float, float]:
         """Frames so far, and the mean and the longest time from exposure to estimate [s]."""
-        counts = self._counts[0]
-        frames = int(counts["frames"])
-        mean = float(counts["latency_sum"]) / frames if frames else float("nan")
-        return frames, mean, float(counts["latency_most"])
+        frames, total, longest = self._latency.tolist()
+        return int(frames), total / frames if frames else float("nan"), longest
 
-    def _whole(self, index: int) -> np.void:
-        for _ in range(_TRIES):
-            row = self._rows[index].copy()
-            if row["number"] == row["again"] and row["again"] == self._rows[index]["number"]:
+    def _newest(self, index: int) -> np.ndarray:
+        while True:
+            written = int(self._written[index])
+            row = self._rows[index, written % _SLOTS].copy()
+            if self._written[index] - written < _SLOTS - 1:
                 return row
-        raise RuntimeError("the camera's process died while it wrote an estimate")
