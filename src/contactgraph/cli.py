@@ -20,6 +20,8 @@ from contactgraph.commands.info import Info
 from contactgraph.commands.learn_cost import LearnCost
 from contactgraph.commands.report import Report
 from contactgraph.commands.reproduce import Reproduce
+from contactgraph.commands.robot import ACTIONS, Robot
+from contactgraph.commands.robot_fault import RobotFault
 from contactgraph.commands.train import Train
 from contactgraph.commands.usage import one_line
 from contactgraph.data import InvalidInputError
@@ -31,6 +33,7 @@ Command = (
     | Annotated[Control, subcommand("control")]
     | Annotated[LearnCost, subcommand("learn-cost")]
     | Annotated[Reproduce, subcommand("reproduce")]
+    | Annotated[Robot, subcommand("robot")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Info, subcommand("info")]
 )
@@ -42,6 +45,7 @@ _COMMANDS = (
     "control",
     "learn-cost",
     "reproduce",
+    *(f"robot {action}" for action in ACTIONS),
     "report",
     "info",
 )
@@ -63,6 +67,9 @@ def run(arguments: list[str]) -> int:
     except InvalidInputError as error:
         print(f"contactgraph: {error}", file=sys.stderr)
         return 2
+    except RobotFault as error:
+        print(f"contactgraph: {error}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("contactgraph: interrupted", file=sys.stderr)
         return 130
@@ -94,7 +101,8 @@ def _parse(arguments: list[str]) -> Command | int:
         if exit.code in (0, None):
             sys.stdout.flush()
             return 0
-        mistake = one_line(said.getvalue(), arguments[0], _COMMANDS)
+        words = 2 if arguments[0] == "robot" else 1
+        mistake = one_line(said.getvalue(), " ".join(arguments[:words]), _COMMANDS)
         print(f"contactgraph: {mistake}", file=sys.stderr)
         return 2
 

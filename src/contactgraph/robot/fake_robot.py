@@ -15,7 +15,7 @@ _HAND_MASS = 4.0
 """kg, as heavy as an arm's hand feels."""
 _OBJECT_MASS = 0.4
 """kg."""
-_GRASP = 0.03
+_GRASP = 0.015
 """m: where the hand comes as near as this, it holds the object from then on."""
 _NOISE = 1e-5
 """m, standard deviation of a read position."""
@@ -103,6 +103,12 @@ class FakeRobot:
             self.stopped = self.ended = None
             self.applied = np.zeros(3)
             self._heard_tick = self._tick
+
+    def place(self, hand: np.ndarray, thing: np.ndarray) -> None:
+        """Puts hand and object at rest at ``hand`` and ``thing`` [3] m, apart from each other."""
+        self.position = np.array([hand, thing], dtype=np.float64)
+        self.velocity = np.zeros((2, 3))
+        self.holding = False
 
     def advance(self) -> None:
         """Moves on by one tick."""

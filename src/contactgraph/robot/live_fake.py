@@ -7,6 +7,9 @@ from contactgraph.robot.fake_robot import TICK, FakeRobot
 from contactgraph.robot.loop.clock import Clock
 from contactgraph.robot.stop import Stop
 
+_LONGEST_UNSEEN = 0.02
+"""s"""
+
 
 class LiveFake:
     """A `Robot`: a `FakeRobot` that goes on while nobody looks, as arms do.
@@ -27,9 +30,7 @@ class LiveFake:
 
     def read(self) -> RobotReading | None:
         """What the ticks that have passed have led to; None where none has."""
-        now = self._clock() - self._began
-        while self.robot.clock() + TICK <= now:
-            self.robot.advance()
+        self._catch_up()
         if self.robot.clock() <= self._read_at:
             return None
         self._read_at = self.robot.clock()
@@ -56,4 +57,12 @@ class LiveFake:
 
     def resume(self) -> None:
         """Ends `stop`."""
+        self._catch_up()
         self.robot.resume()
+
+    def _catch_up(self) -> None:
+        now = self._clock()
+        # While nobody looks for long, nothing happens: a second to make up for takes its time.
+        self._began = max(self._began, now - self.robot.clock() - _LONGEST_UNSEEN)
+        while self.robot.clock() + TICK <= now - self._began:
+            self.robot.advance()

@@ -71,12 +71,48 @@ def sample_layout(
         if others is None:
             continue
         blocks = np.concatenate([target[None], others])
-        # Sweeping forth and back are alike to the fingers; the last joint's range is not endless.
-        turned = np.arctan2(way[1], way[0]) - np.arctan2(target[1], target[0]) - np.pi / 4
-        bearing = float(np.arctan2(target[1], target[0])) + np.pi / 4
-        yaw = bearing + float((turned + np.pi / 2) % np.pi - np.pi / 2)
+        yaw = sweep_yaw(hand, target)
         block_yaw = np.concatenate([[yaw], rng.uniform(-np.pi / 4, np.pi / 4, distractors)])
         return ArmLayout(hand, yaw, blocks, block_yaw, goal)
+
+
+def sweep_yaw(hand: np.ndarray, target: np.ndarray) -> float:
+    """rad: with the fingers' line across the way from ``hand`` to ``target``, each [3] m."""
+    way = target - hand
+    # Sweeping forth and back are alike to the fingers; the last joint's range is not endless.
+    turned = np.arctan2(way[1], way[0]) - np.arctan2(target[1], target[0]) - np.pi / 4
+    bearing = float(np.arctan2(target[1], target[0])) + np.pi / 4
+    return bearing + float((turned + np.pi / 2) % np.pi - np.pi / 2)
+
+
+def sweep_fits(hand: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether a sweep from ``hand`` through ``target`` stays in a box, and where the arm reaches.
+
+    All [3] m. Guards slow a hand down before a wall: ends of the way keep `OVERSHOOT` from it.
+    """
+    way = (target - hand)[:2]
+    beyond = target[:2] + OVERSHOOT * way / np.hypot(*way)
+    inside = np.all(beyond >= low[:2] + EDGE) and np.all(beyond <= high[:2] - EDGE)
+    began = np.all(hand >= low + EDGE) and np.all(hand <= high - EDGE)
+    reached = all(NEAR <= np.hypot(*point[:2]) <= REACH for point in (hand, target, beyond))
+    return bool(inside and began and reached)
+
+
+def sweep_start(
+    target: np.ndarray, goal: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray | None:
+    """[3] m: from where a hand sweeps through ``target`` towards ``goal``, or most nearly so.
+
+    ``low`` and ``high`` [3] m are the box that it must stay in. None where there is no such place.
+    """
+    onward = np.arctan2(goal[1] - target[1], goal[0] - target[0])
+    for turn in np.pi * np.arange(13) / 12.0:
+        for bearing in (onward + turn, onward - turn):
+            along = np.array([np.cos(bearing), np.sin(bearing)])
+            hand = np.array([*(target[:2] - 1.2 * RUN_UP * along), START_HEIGHT + EDGE])
+            if sweep_fits(hand, target, low, high):
+                return hand
+    return None
 
 
 def _place(rng: np.random.Generator, stops: np.ndarray, count: int) -> np.ndarray | None:

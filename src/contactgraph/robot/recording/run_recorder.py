@@ -39,6 +39,8 @@ class RunRecorder:
         self._time = np.empty((ticks, nodes))
         self._tracked = np.empty((ticks, nodes), dtype=bool)
         self._contact = np.empty((ticks, nodes, nodes))
+        self.began = math.nan
+        """s, on the loop's clock: when the first state of the last `run` was."""
         self.begin()
 
     def begin(self) -> None:
@@ -78,7 +80,7 @@ class RunRecorder:
             )
         if not (self._reads and self._sends):
             return None
-        first = max(self._sent_at[0], self._read_at[0])
+        self.began = first = float(max(self._sent_at[0], self._read_at[0]))
         steps = round((self._sent_at[self._sends - 1] - first) / self._period)
         if steps < 1:
             return None

@@ -1,0 +1,29 @@
+"""``contactgraph robot``: a real arm, a rehearsed one, or a fake one."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from tyro.conf import subcommand
+
+from contactgraph.commands.robot_check import Check
+from contactgraph.commands.robot_record import Record
+from contactgraph.commands.robot_rehearse import Rehearse
+from contactgraph.commands.robot_run import Run
+
+ACTIONS = ("check", "run", "record", "rehearse")
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Check, control, record or rehearse an arm."""
+
+    action: (
+        Annotated[Check, subcommand("check")]
+        | Annotated[Run, subcommand("run")]
+        | Annotated[Record, subcommand("record")]
+        | Annotated[Rehearse, subcommand("rehearse")]
+    )
+
+    def run(self) -> None:
+        """Do it."""
+        self.action.run()

@@ -1,0 +1,44 @@
+"""Planners that commands run in a process of their own: made there, from what is sent there."""
+
+from pathlib import Path
+
+import numpy as np
+
+from contactgraph.robot.loop import Planner
+
+_NOWHERE = np.zeros(3)
+"""m: each run has its own goal."""
+
+
+def mpc_planner(path: Path, max_force: float, horizon: int, infer_contacts: bool) -> Planner:
+    """MPC with the model in the file ``path``, for the arm's pickup; forces up to ``max_force`` N.
+
+    Raises `InvalidInputError` where there is no such model, or it is for something else.
+    """
+    from contactgraph.data import InvalidInputError
+    from contactgraph.evaluate.mpc_planner import MPCPlanner
+    from contactgraph.evaluate.scene_cost import TaskCost
+    from contactgraph.model import ContactDynamics, MotionNoise
+    from contactgraph.model.storage import load_model
+    from contactgraph.tasks.franka_pickup import pickup_cost, pickup_scene
+
+    model = load_model(path).model
+    if not isinstance(model, ContactDynamics):
+        raise InvalidInputError(f"{path}: must be a model of contacts to control an arm with")
+    return MPCPlanner(
+        model,
+        pickup_scene(model.dt, _NOWHERE),
+        TaskCost.of(pickup_cost(), len(_NOWHERE)),
+        max_force,
+        horizon=horizon,
+        motion_noise=MotionNoise() if infer_contacts else None,
+    )
+
+
+def expert_planner(noise: float) -> Planner:
+    """The scripted expert of the arm's pickup, with ``noise`` N on its force."""
+    from contactgraph.evaluate.policy_planner import PolicyPlanner
+    from contactgraph.tasks import FrankaExpert
+    from contactgraph.tasks.franka_pickup import pickup_scene
+
+    return PolicyPlanner(FrankaExpert(noise=noise), pickup_scene(0.01, _NOWHERE))

@@ -1,0 +1,65 @@
+"""What stands between a person and an arm: words before it moves, and Ctrl-C while it does."""
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from contactgraph.commands.output import say
+
+if TYPE_CHECKING:
+    from contactgraph.commands.robot_arms import Arm
+
+_COUNT = 3
+"""s, in which a person can still say no."""
+_SIGHT_S = 5.0
+"""Wall seconds in which a camera should have seen the block."""
+
+
+@contextmanager
+def ctrl_c() -> Iterator[Callable[[], bool]]:
+    """Within, Ctrl-C interrupts nothing: the function tells whether it was pressed.
+
+    A second one does interrupt, for whoever cannot wait: the arm brakes by itself then.
+    """
+    pressed: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        pressed.append(number)
+        if len(pressed) > 1:
+            raise KeyboardInterrupt
+
+    usual = signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, usual)
+
+
+def count_down(arm: "Arm", what: str) -> None:
+    """Says what will happen, and leaves a real arm's person time to prevent it."""
+    say(f"{arm.words}: {what}")
+    if not arm.real:
+        return
+    say("Keep a hand on its stop button, and nobody in its reach. Ctrl-C stops it gently.")
+    for left in range(_COUNT, 0, -1):
+        say(f"in {left} s ...")
+        time.sleep(1.0)
+
+
+def wait_for_block(arm: "Arm") -> None:
+    """Returns when the block is seen. Raises `RobotFault` where the camera does not see it."""
+    from contactgraph.commands.robot_fault import RobotFault
+
+    until = time.monotonic() + _SIGHT_S * arm.clock.pace
+    while arm.seen is not None:
+        if all(each.tracked for each in arm.seen.estimates(arm.clock())):
+            return
+        if time.monotonic() > until:
+            raise RobotFault(
+                "the camera does not see the block: is it in the picture, lit, its tags towards "
+                "the camera, and the calibration this camera's?"
+            )
+        time.sleep(0.02)
