@@ -1,0 +1,78 @@
+"""What an arm does while runs are recorded to learn from: with a grasp, and without."""
+
+import numpy as np
+
+from contactgraph.data import Scene
+from contactgraph.tasks.contract import Observation
+from contactgraph.tasks.franka_expert import FrankaExpert
+from contactgraph.tasks.franka_layout import EDGE, HIGH, LOW, NEAR, REACH, START_HEIGHT
+from contactgraph.tasks.franka_pickup import HAND, TARGET
+from contactgraph.tasks.franka_tour import FrankaTour
+from contactgraph.tasks.ways import distance_to_way
+
+GRASPING = 0.7
+"""Of the runs, the share in which the block is picked up."""
+_FURTHER = 3
+"""Points to carry it to after the goal: more than there is time for."""
+_POINTS = 6
+"""Points of a tour."""
+_ROOM = 0.16
+"""m: how far from the block in the plane a tour goes by where it is low."""
+_OVER = 0.2
+"""m: how high the grasp point is where a tour may cross the block."""
+_GRASPING_NOISE = 0.4
+_TOURING_NOISE = 1.0
+"""N; what is free may be shaken more than what must hit a block."""
+
+
+class FrankaRecording:
+    """By each run's seed, either sweeps the block up, to the goal and on, or tours beside it.
+
+    All of it under noise that tells masses from drags. What carries the block shows what is held;
+    a tour, what a free hand does and that a block by itself stays.
+    """
+
+    def __init__(self) -> None:
+        self._scene: Scene | None = None
+        self._seed = 0
+        self._policy: FrankaExpert | FrankaTour | None = None
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode."""
+        self._scene, self._seed, self._policy = scene, seed, None
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control [3] N."""
+        if self._policy is None:
+            assert self._scene is not None
+            self._policy = _policy(observation, np.random.default_rng(self._seed))
+            self._policy.reset(self._scene, self._seed)
+        return self._policy(observation)
+
+
+def grasps(seed: int) -> bool:
+    """Whether the run of ``seed`` is one with a grasp."""
+    return bool(np.random.default_rng(seed).random() < GRASPING)
+
+
+def _policy(observation: Observation, random: np.random.Generator) -> FrankaExpert | FrankaTour:
+    if random.random() < GRASPING:
+        further = [_point(random, START_HEIGHT) for _ in range(_FURTHER)]
+        return FrankaExpert(noise=_GRASPING_NOISE, further=further)
+    at, block = observation["position"][[HAND, TARGET]]
+    points: list[np.ndarray] = []
+    while len(points) < _POINTS:
+        point = _point(random, LOW[2] + EDGE)
+        low = min(at[2], point[2]) < _OVER
+        if not low or distance_to_way(block[:2], at[:2], point[:2], 0.0) >= _ROOM:
+            points.append(point)
+            at = point
+    return FrankaTour(points, noise=_TOURING_NOISE)
+
+
+def _point(random: np.random.Generator, height: float) -> np.ndarray:
+    """[3] m, within the region and the arm's reach, at least ``height`` m up."""
+    while True:
+        point = random.uniform([*(LOW[:2] + EDGE), height], HIGH - EDGE)
+        if NEAR <= np.hypot(*point[:2]) <= REACH:
+            return point
