@@ -20,6 +20,9 @@ JSON_KEYS = {
     *("edge_accuracy_unmeasured", "switch_time_error_unmeasured_s", "edge_false_alarm_rate"),
     *("constant_velocity_rmse_free_m", "constant_velocity_rmse_contact_m"),
     *("frozen_contact_rmse_free_m", "frozen_contact_rmse_contact_m"),
+    *("n_step_rmse_inferred_m", "edge_precision_inferred", "edge_recall_inferred"),
+    *("edge_f1_inferred", "edge_accuracy_inferred", "switch_time_error_inferred_s"),
+    "edge_on_time_inferred",
     *("edge_on_time", "edge_on_time_unmeasured", "runs", "windows", "diverged_windows"),
 }
 

@@ -31,6 +31,8 @@ class Control:
     """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
     grasp: Annotated[str | None, arg(metavar="HOW")] = None
     """How fingers hold, where the task has some: friction or weld."""
+    radius: Annotated[float | None, arg(metavar="M")] = None
+    """Of every body of pickup, m, in place of the 0.04 m that its models are trained with."""
     cost: Annotated[Path | None, arg(metavar="FILE")] = None
     """Plan with the cost in this file, as learn-cost writes it, in place of the task's own."""
     horizon: Annotated[int | None, arg(metavar="INT")] = None
@@ -47,6 +49,10 @@ class Control:
     """Steps by which the sensor is late."""
     unmeasured: bool = False
     """Keep all measured contacts from the controller."""
+    position_noise: Annotated[float, arg(metavar="M")] = 0.0
+    """Noise on every position that the controller observes: standard deviation, m."""
+    velocity_noise: Annotated[float, arg(metavar="M/S")] = 0.0
+    """The same on velocities, m/s."""
     infer_contacts: bool = False
     """Correct beliefs by how things are seen to move, too: contact without a sensor."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -72,7 +78,12 @@ class Control:
             Trajectory,
             write_trajectories,
         )
-        from contactgraph.evaluate import EpisodeRecord, control_task, evaluate_open_loop
+        from contactgraph.evaluate import (
+            EpisodeRecord,
+            ObservationNoise,
+            control_task,
+            evaluate_open_loop,
+        )
         from contactgraph.model import MotionNoise
         from contactgraph.model.storage import load_model
         from contactgraph.reproduce.scenes import scene_run
@@ -96,7 +107,11 @@ class Control:
                 "--unmeasured: no contact is measured, so --false-alarms, --misses and --delay "
                 "must be left out"
             )
-        options = TaskOptions(self.distractors, self.objects, self.grasp)
+        noise = ObservationNoise(self.position_noise, self.velocity_noise, self.seed)
+        motion_noise = None
+        if self.infer_contacts:
+            motion_noise = MotionNoise(noise.position, noise.velocity)
+        options = TaskOptions(self.distractors, self.objects, self.grasp, radius=self.radius)
         factory = task_factory(self.task, options)
         cost = None if self.cost is None else read_cost(self.cost)
         model = load_model(model_path(self.run_name)).model
@@ -121,12 +136,13 @@ class Control:
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
                 faults=faults,
                 measured=not self.unmeasured,
-                motion_noise=MotionNoise() if self.infer_contacts else None,
+                noise=noise,
+                motion_noise=motion_noise,
                 on_episode=on_episode,
             )
         told: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
         dataset = Dataset(tuple(runs), told)
-        predicted = evaluate_open_loop(model, dataset, faults=faults)
+        predicted = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)
         values = {
             "run": self.run_name,
             **told,
@@ -137,6 +153,8 @@ class Control:
             "misses": self.misses,
             "delay": self.delay,
             "unmeasured": self.unmeasured,
+            "position_noise": self.position_noise,
+            "velocity_noise": self.velocity_noise,
             "infer_contacts": self.infer_contacts,
             **predicted.to_json(),
             **metrics.to_json(),
@@ -159,6 +177,8 @@ class Control:
             f"control tick               {metrics.plan_ms_p50:.2f} ms median, "
             f"{metrics.plan_ms_p99:.2f} ms 99 %"
         )
+        f1 = metrics.found.edges.f1
+        say(f"contacts known, F1          {'no contact' if f1 is None else f'{f1:.4f}'}")
         error = f"{100 * predicted.n_step_rmse_m:.3f} cm"
         say(f"predicted, over {predicted.n_steps} steps   {error}")
         planned = metrics.planned.planned.rmse

@@ -24,6 +24,8 @@ class Evaluate:
     """Share of touching edges that it reports as free."""
     delay: Annotated[int, arg(metavar="STEPS")] = 0
     """Steps by which the sensor is late."""
+    infer_contacts: bool = False
+    """Predict by beliefs, too, that are corrected by the motion seen and by no measured contact."""
     growth_steps: Annotated[int | None, arg(metavar="STEPS")] = None
     """Roll the model out so many steps from the start of every run too: does it stay bounded?"""
 
@@ -35,6 +37,7 @@ class Evaluate:
         from contactgraph.commands.sensor import sensor_faults
         from contactgraph.data import read_trajectories
         from contactgraph.evaluate import evaluate_open_loop, rollout_growth
+        from contactgraph.model import MotionNoise
         from contactgraph.model.storage import load_model
 
         check_writable(self.json)
@@ -43,7 +46,9 @@ class Evaluate:
             check_range("--growth-steps", self.growth_steps, 1, 100_000)
         model = load_model(model_path(self.run_name)).model
         dataset = read_trajectories(self.data)
-        metrics = evaluate_open_loop(model, dataset, faults=faults).to_json()
+        motion_noise = MotionNoise() if self.infer_contacts else None
+        measured = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)
+        metrics = measured.to_json()
         values = {
             "run": self.run_name,
             "data": str(self.data),
@@ -52,6 +57,7 @@ class Evaluate:
             "false_alarms": self.false_alarms,
             "misses": self.misses,
             "delay": self.delay,
+            "infer_contacts": self.infer_contacts,
             **metrics,
         }
         if self.growth_steps is not None:
@@ -97,6 +103,11 @@ def _lines(values: dict) -> list[str]:
         f"edges: precision {share('edge_precision')}, recall {share('edge_recall')}, "
         f"F1 {share('edge_f1')}",
         f"edges without measured contacts: F1 {share('edge_f1_unmeasured')}",
+        *(
+            [f"edges inferred from motion: F1 {share('edge_f1_inferred')}"]
+            if values["infer_contacts"]
+            else []
+        ),
         "contact begins             "
         + ("unknown" if switch is None else f"{1000 * switch:.1f} ms off, mean"),
     ]

@@ -31,12 +31,19 @@ class TaskOptions:
     grasp: str | None = None
     fixed_seed: int | None = None
     """Of the scene whose targets and goal all runs share."""
+    radius: float | None = None
+    """Of every body, m."""
 
     @property
-    def metadata(self) -> dict[str, str | int]:
+    def metadata(self) -> dict[str, str | int | float]:
         """What was said, for the files that are made."""
         goal = None if self.fixed_seed is None else "fixed"
-        told = {"objects": self.objects, "grasp": self.grasp, "goal": goal}
+        told = {
+            "objects": self.objects,
+            "grasp": self.grasp,
+            "goal": goal,
+            "radius": self.radius,
+        }
         given = {name: value for name, value in told.items() if value is not None}
         return {"distractors": self.distractors, **given}
 
@@ -47,7 +54,8 @@ TaskFactory = Callable[[], Task]
 def _pickup(options: TaskOptions) -> TaskFactory:
     _refuse_grasp("pickup", options)
     _check_one_object("pickup", options)
-    return partial(PickupTask, options.distractors, fixed_seed=options.fixed_seed)
+    task = partial(PickupTask, options.distractors, fixed_seed=options.fixed_seed)
+    return task if options.radius is None else partial(task, radius=options.radius)
 
 
 def _multi_pickup(options: TaskOptions) -> TaskFactory:
@@ -117,6 +125,8 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
     Raises `InvalidInputError` for names and options that no task has.
     """
     factory = looked_up("task", name, TASKS).factory(options)
+    if options.radius is not None and name != "pickup":
+        raise InvalidInputError(f"--radius: only pickup has bodies of another size, found {name}")
     factory()  # a wrong count is refused before anything is begun
     return factory
 

@@ -18,11 +18,11 @@ from contactgraph.control.tick import Controller, MPCState, Seen
 from contactgraph.data import InvalidInputError
 from contactgraph.model import (
     ContactBelief,
-    ContactDynamics,
     ContactSensor,
     MotionNoise,
     Nodes,
     StepModel,
+    judging_motion,
 )
 
 _EXACT = ContactSensor()
@@ -80,11 +80,8 @@ class MPC:
             )
         if deadline is not None and not deadline > 0:
             raise InvalidInputError(f"deadline must be positive seconds, found {deadline}")
-        if motion_noise is not None and not isinstance(model, ContactDynamics):
-            raise InvalidInputError(
-                "motion_noise: only a ContactDynamics says how things would move with an edge "
-                f"active and without; found {type(model).__name__}"
-            )
+        if motion_noise is not None:
+            judging_motion(model)
         self._deadline = deadline
         self._clock = clock
         self._controller = Controller(model, ilqr, sensor, motion_noise, replan_every)
@@ -137,7 +134,13 @@ class MPC:
                 belief=belief,
                 plan=self._no_plan(size, quadratic, belief),
                 unplanned=jnp.asarray(self._controller.replan_every, jnp.int32),
-                seen=Seen(nothing, nothing, belief, jnp.zeros(quadratic.control_size)),
+                seen=Seen(
+                    position=nothing,
+                    velocity=nothing,
+                    belief=belief,
+                    told=jnp.zeros(nodes.candidate.shape),
+                    control=jnp.zeros(quadratic.control_size),
+                ),
                 fresh=jnp.ones((), bool),
             ),
             self._dtype,

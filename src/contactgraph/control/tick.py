@@ -10,15 +10,14 @@ from contactgraph.control.ilqr import ILQR
 from contactgraph.control.plan import Plan, PlanStatus, shift_plan
 from contactgraph.model import (
     ContactBelief,
-    ContactDynamics,
     ContactSensor,
     ModelState,
     MotionNoise,
     Nodes,
     StepModel,
     correct,
-    in_types_of,
-    judge_motion,
+    correct_by_motion,
+    judging_motion,
     stack_state,
 )
 
@@ -32,6 +31,8 @@ class Seen(eqx.Module):
     """m/s"""
     belief: ContactBelief
     """About the step that led there, corrected by all that was observed."""
+    told: Float[Array, " E"]
+    """See `MotionEvidence`."""
     control: Float[Array, " U"]
     """N, of the plan that was handed over."""
 
@@ -82,7 +83,7 @@ class Controller(eqx.Module):
         velocity = jnp.where(mask, velocity, 0.0)
         usable = jnp.all(jnp.isfinite(position)) & jnp.all(jnp.isfinite(velocity))
         running = self.running_plan(state)
-        predicted = self._seen_to_move(state, position, velocity, applied)
+        predicted, told = self._seen_to_move(state, position, velocity, applied)
         belief = correct(predicted, contact, self.sensor)
         now = ModelState(position, velocity, belief)
         due = state.unplanned >= self.replan_every
@@ -111,7 +112,7 @@ class Controller(eqx.Module):
             belief=jax.tree.map(lambda value: value[0], plan.beliefs),
             plan=plan,
             unplanned=jnp.where(planned, 1, state.unplanned + 1),
-            seen=Seen(position, velocity, belief, plan.controls[0]),
+            seen=Seen(position, velocity, belief, told, plan.controls[0]),
             fresh=jnp.zeros((), bool),
         )
         return plan, after
@@ -131,23 +132,23 @@ class Controller(eqx.Module):
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
         applied: Float[Array, " U"],
-    ) -> ContactBelief:
-        """The belief about the step just made, before contacts measured; as carried, or where
-        motion is to correct it, predicted anew under the control applied, and corrected."""
+    ) -> tuple[ContactBelief, Float[Array, " E"]]:
+        """The belief about the step just made, before contacts measured: as carried, or, where
+        motion is to correct it, predicted anew under the control applied, and corrected. And what
+        motion has told."""
         if self.motion_noise is None:
-            return state.belief
-        assert isinstance(self.model, ContactDynamics)  # checked by `MPC`
+            return state.belief, state.seen.told
         seen = state.seen
-        before = ModelState(seen.position, seen.velocity, seen.belief)
-        control = jnp.where(jnp.isfinite(applied), applied, seen.control)
-        evidence = judge_motion(
-            self.model, before, control, (position, velocity), state.nodes, self.motion_noise
+        return correct_by_motion(
+            judging_motion(self.model),
+            state.belief,
+            ModelState(seen.position, seen.velocity, seen.belief),
+            seen.told,
+            jnp.where(jnp.isfinite(applied), applied, seen.control),
+            (position, velocity),
+            state.nodes,
+            self.motion_noise,
         )
-        found = in_types_of(evidence.corrected(self.motion_noise), state.belief)
-        # Two good observations make a step; the first tick and bad ones have none to judge.
-        whole = jnp.all(jnp.isfinite(seen.position)) & jnp.all(jnp.isfinite(seen.velocity))
-        whole = whole & jnp.all(jnp.isfinite(position)) & jnp.all(jnp.isfinite(velocity))
-        return jax.tree.map(lambda new, old: jnp.where(whole, new, old), found, state.belief)
 
     def _followed(self, running: Plan, now: ModelState, state: MPCState) -> Plan:
         """The running plan with its feedback on what was observed, and the belief it implies."""

@@ -5,10 +5,13 @@ from contactgraph.evaluate.closed_loop import closed_loop_metrics as closed_loop
 from contactgraph.evaluate.control_policy import EpisodeRecord as EpisodeRecord
 from contactgraph.evaluate.control_policy import MPCPolicy as MPCPolicy
 from contactgraph.evaluate.control_task import control_task as control_task
+from contactgraph.evaluate.found_contacts import FoundContacts as FoundContacts
+from contactgraph.evaluate.found_contacts import found_contacts as found_contacts
 from contactgraph.evaluate.growth import RolloutGrowth as RolloutGrowth
 from contactgraph.evaluate.growth import rollout_growth as rollout_growth
 from contactgraph.evaluate.inspect_run import RunInsight as RunInsight
 from contactgraph.evaluate.inspect_run import inspect_run as inspect_run
+from contactgraph.evaluate.observation_noise import ObservationNoise as ObservationNoise
 from contactgraph.evaluate.open_loop import OpenLoopMetrics as OpenLoopMetrics
 from contactgraph.evaluate.open_loop import evaluate_open_loop as evaluate_open_loop
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail as OpenLoopDetail

@@ -8,6 +8,7 @@ import numpy as np
 
 from contactgraph.control import MPC, MPCState, Plan
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
+from contactgraph.evaluate.observation_noise import ObservationNoise
 from contactgraph.evaluate.plan_feedback import plan_feedback
 from contactgraph.evaluate.scene_cost import SceneCost
 from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
@@ -15,6 +16,7 @@ from contactgraph.model import ContactBelief, scene_nodes
 from contactgraph.tasks.contract import Feedback, Observation
 
 _EXACT = SensorFaults()
+_CLEAR = ObservationNoise()
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +62,13 @@ class MPCPolicy:
         node_capacity: int = 0,
         faults: SensorFaults = _EXACT,
         measured: bool = True,
+        noise: ObservationNoise = _CLEAR,
     ) -> None:
         """``node_capacity``: 0 for the first scene's.
 
         ``faults``: how the observed contacts are spoiled before the controller sees them. Without
-        ``measured`` it sees none.
+        ``measured`` it sees none. ``noise`` is on the motion that it plans from; feedback within a
+        step is about motion as it is.
         """
         self._mpc = mpc
         self._cost = cost
@@ -73,6 +77,8 @@ class MPCPolicy:
         self._capacity = node_capacity
         self._faults = faults
         self._measured = measured
+        self._noise = noise
+        self._noise_rng = noise.begin(0)
         self._sensor: FaultySensor | None = None
         self._scene: Scene | None = None
         self._state: MPCState | None = None
@@ -80,7 +86,7 @@ class MPCPolicy:
         self._applied: np.ndarray | None = None
 
     def reset(self, scene: Scene, seed: int) -> None:
-        """Prepares for an episode in ``scene``; only the sensor's faults are random.
+        """Prepares for an episode in ``scene``; only the sensors' faults are random.
 
         Raises `InvalidInputError` where cost and scene do not fit, for want of a goal, say.
         """
@@ -90,9 +96,11 @@ class MPCPolicy:
         self._scene, self._state, self._ticks = scene, None, []
         self._applied = None
         self._sensor = self._faults.begin(scene, seed)
+        self._noise_rng = self._noise.begin(seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[U]`` N for the coming step."""
+        observation = self._noise.observed(observation, self._noise_rng)
         if self._state is None:
             self._state = self._begin(observation)
         contacts = self._contacts(observation)

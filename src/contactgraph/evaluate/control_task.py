@@ -12,6 +12,7 @@ from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
 from contactgraph.evaluate.control_policy import EpisodeRecord, MPCPolicy
 from contactgraph.evaluate.found_contacts import FoundContacts, found_contacts
+from contactgraph.evaluate.observation_noise import ObservationNoise
 from contactgraph.evaluate.planned_error import PlannedError, planned_error
 from contactgraph.evaluate.scene_cost import SceneCost, TaskCost
 from contactgraph.evaluate.sensor_faults import SensorFaults
@@ -22,6 +23,7 @@ from contactgraph.tasks.contract import Task
 from contactgraph.tasks.run_episode import run_episode
 
 _EXACT = SensorFaults()
+_CLEAR = ObservationNoise()
 
 
 def control_task(
@@ -38,6 +40,7 @@ def control_task(
     sensor: ContactSensor | None = None,
     faults: SensorFaults = _EXACT,
     measured: bool = True,
+    noise: ObservationNoise = _CLEAR,
     motion_noise: MotionNoise | None = None,
     node_capacity: int = 0,
     on_episode: Callable[[Trajectory, EpisodeRecord], None] | None = None,
@@ -52,7 +55,7 @@ def control_task(
     ``faults`` spoils the contacts that the controller observes, and ``measured=False`` keeps all
     of them from it; the recorded episodes keep the truth. ``sensor`` is what the correction is
     told of error rates, by default those of ``faults``. ``motion_noise`` is `MPC`'s: with it,
-    beliefs are corrected by the motion observed, too.
+    beliefs are corrected by the motion observed, too, on which there is ``noise``.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal, or a number
     is out of range.
@@ -77,7 +80,7 @@ def control_task(
     )
     wanted = TaskCost.of(terms, control_size) if cost is None else cost
     _check_cost(wanted, task, control_size)
-    policy = MPCPolicy(mpc, wanted, node_capacity, faults, measured)
+    policy = MPCPolicy(mpc, wanted, node_capacity, faults, measured, noise)
 
     runs: list[Trajectory] = []
     succeeded: list[bool] = []

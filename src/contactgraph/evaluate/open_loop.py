@@ -10,10 +10,11 @@ from contactgraph.evaluate.edge_scores import EdgeScores, edge_scores
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
 from contactgraph.evaluate.run_windows import detail_of_run, joined_details
 from contactgraph.evaluate.sensor_faults import SensorFaults
-from contactgraph.model import ContactSensor, StepModel
+from contactgraph.model import ContactSensor, MotionNoise, StepModel, judging_motion
 from contactgraph.model.model_fit import check_fit
 
 _EXACT = SensorFaults()
+_NOT_SCORED = EdgeScores(None, None, None, None, None, None, None)
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,9 @@ class OpenLoopMetrics:
 
     Errors are over the same windows: from every start of every run, ``n_steps`` ahead. The names
     are the keys of `to_json`. ``…_unmeasured`` is the same prediction by beliefs that no measured
-    contact has corrected; where contacts were not recorded the two are equal.
+    contact has corrected; where contacts were not recorded the two are equal. ``…_inferred`` is the
+    same by beliefs that no measured contact but the motion seen has corrected; None where they were
+    not asked for.
     """
 
     runs: int
@@ -67,6 +70,13 @@ class OpenLoopMetrics:
     edge_accuracy_unmeasured: float | None
     switch_time_error_unmeasured_s: float | None
     edge_on_time_unmeasured: float | None
+    n_step_rmse_inferred_m: float | None
+    edge_precision_inferred: float | None
+    edge_recall_inferred: float | None
+    edge_f1_inferred: float | None
+    edge_accuracy_inferred: float | None
+    switch_time_error_inferred_s: float | None
+    edge_on_time_inferred: float | None
 
     detail: OpenLoopDetail = field(repr=False, compare=False)
     """Every window on its own; not part of `to_json`."""
@@ -88,6 +98,7 @@ def evaluate_open_loop(
     horizon_s: float = 0.5,
     sensor: ContactSensor | None = None,
     faults: SensorFaults = _EXACT,
+    motion_noise: MotionNoise | None = None,
 ) -> OpenLoopMetrics:
     """Predicts ``horizon_s`` [s] ahead from every state of every run that is long enough.
 
@@ -99,12 +110,16 @@ def evaluate_open_loop(
     ``faults`` spoils the contacts that the belief is corrected by; what is scored stays the
     recorded truth. ``sensor`` is by default told of the same rates.
 
+    ``motion_noise``: with it, what contacts inferred from motion alone are worth is measured, too.
+
     The runs may differ in steps and nodes. Contacts, where any run lacks them, are known of none.
     Raises `InvalidInputError` where the horizon is shorter than half a step or longer than every
     run, where model and data do not fit, or where there are no contacts for faults to spoil.
     """
     for run in dataset:
         check_fit(model, run.scene, run.control_size, "the data")
+    if motion_noise is not None:
+        judging_motion(model)
     steps = _steps(dataset, horizon_s)
     known = all(run.contact is not None for run in dataset)
     if not (known or faults.exact):
@@ -122,6 +137,7 @@ def evaluate_open_loop(
                 steps,
                 sensor or faults.sensor,
                 _reported(run, faults, number) if known else None,
+                motion_noise,
             )
             for number, run in enumerate(dataset)
             if run.steps >= steps
@@ -135,6 +151,10 @@ def evaluate_open_loop(
         frozen_free, frozen_contact = _without_and_with_change(detail, detail.frozen_contact)
     measured = _scores(detail, detail.edge_active, detail.touch_on_time)
     unmeasured = _scores(detail, detail.edge_active_unmeasured, detail.touch_on_time_unmeasured)
+    inferred, inferred_error = _NOT_SCORED, None
+    if detail.inferred is not None:
+        inferred = _scores(detail, detail.inferred.edge_active, detail.inferred.touch_on_time)
+        inferred_error = detail.rmse(detail.inferred.squared_error)
     finite = np.isfinite(detail.squared_error).all(axis=(1, 2))
     return OpenLoopMetrics(
         runs=len(dataset),
@@ -165,6 +185,13 @@ def evaluate_open_loop(
         edge_accuracy_unmeasured=unmeasured.accuracy,
         switch_time_error_unmeasured_s=unmeasured.switch_time_error_s,
         edge_on_time_unmeasured=unmeasured.on_time,
+        n_step_rmse_inferred_m=inferred_error,
+        edge_precision_inferred=inferred.precision,
+        edge_recall_inferred=inferred.recall,
+        edge_f1_inferred=inferred.f1,
+        edge_accuracy_inferred=inferred.accuracy,
+        switch_time_error_inferred_s=inferred.switch_time_error_s,
+        edge_on_time_inferred=inferred.on_time,
         detail=detail,
     )
 
@@ -198,7 +225,7 @@ def _reported(run: Trajectory, faults: SensorFaults, number: int) -> np.ndarray 
 
 def _scores(detail: OpenLoopDetail, active: np.ndarray, on_time: np.ndarray) -> EdgeScores:
     if detail.contact is None:
-        return EdgeScores(None, None, None, None, None, None, None)
+        return _NOT_SCORED
     return edge_scores(active, detail.contact, detail.edge_exists, on_time, detail.dt)
 
 

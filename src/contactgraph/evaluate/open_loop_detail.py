@@ -6,6 +6,18 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
+class InferredDetail:
+    """The same windows, by beliefs that the motion seen has corrected, and no measured contact."""
+
+    squared_error: np.ndarray
+    """[W, H, N] m^2"""
+    edge_active: np.ndarray
+    """[W, H, E] bool"""
+    touch_on_time: np.ndarray
+    """[touches] bool"""
+
+
+@dataclass(frozen=True, eq=False)
 class OpenLoopDetail:
     """``W`` windows of ``H`` steps of all runs; nodes and edges padded to the largest run.
 
@@ -42,6 +54,8 @@ class OpenLoopDetail:
     """[touches] bool: of all touches in all runs, those predicted for their very step."""
     touch_on_time_unmeasured: np.ndarray
     """[touches] bool"""
+    inferred: InferredDetail | None = None
+    """None: contacts were not to be inferred."""
     contact_changes: np.ndarray | None = field(init=False)
     """[W] bool: whether any contact begins or ends within the window."""
 

@@ -5,7 +5,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.model import ContactSensor, ModelState, StepModel, advance, held_response
+from contactgraph.model import (
+    ContactSensor,
+    ModelState,
+    MotionNoise,
+    StepModel,
+    advance,
+    held_response,
+)
 from contactgraph.model.follow import follow_run
 from contactgraph.model.recording import Recording
 
@@ -28,10 +35,15 @@ class RunPrediction(eqx.Module):
 
 @eqx.filter_jit
 def predict_run(
-    model: StepModel, run: Recording, starts: Int[Array, " S"], steps: int, sensor: ContactSensor
+    model: StepModel,
+    run: Recording,
+    starts: Int[Array, " S"],
+    steps: int,
+    sensor: ContactSensor,
+    motion_noise: MotionNoise | None = None,
 ) -> RunPrediction:
     """Rolls the model out for ``steps`` from each of the states ``starts``."""
-    carried = follow_run(model, run, sensor)
+    carried = follow_run(model, run, sensor, motion_noise)
 
     def from_state(start: Array) -> tuple[Array, Array]:
         belief = jax.tree.map(lambda leaf: leaf[start], carried.now)

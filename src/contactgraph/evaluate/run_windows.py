@@ -8,9 +8,9 @@ import numpy as np
 
 from contactgraph.data import Dataset, Trajectory, pair_indices
 from contactgraph.evaluate.floors import constant_velocity, frozen_contact
-from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
+from contactgraph.evaluate.open_loop_detail import InferredDetail, OpenLoopDetail
 from contactgraph.evaluate.rollouts import RunPrediction, predict_run
-from contactgraph.model import ContactSensor, StepModel
+from contactgraph.model import ContactSensor, MotionNoise, StepModel
 from contactgraph.model.recording import number_type, recording
 
 _MOVES_M = 1e-3
@@ -23,17 +23,23 @@ def detail_of_run(
     steps: int,
     sensor: ContactSensor,
     reported: np.ndarray | None,
+    motion_noise: MotionNoise | None = None,
 ) -> OpenLoopDetail:
     """The windows of run ``number``, which must have at least ``steps`` steps.
 
     ``reported``: [T+1, N, N] bool, what a contact sensor said; None: contacts are known of no run.
+    ``motion_noise``: by which contacts are inferred; None: they are not.
     Arrays are padded to the dataset's largest run, so that all runs share one compiled function.
     """
     run = dataset.trajectories[number]
     count = run.scene.node_count
     nodes = _capacity(dataset)
     starts = run.steps - steps + 1
-    unmeasured = _predicted(model, dataset, replace(run, contact=None), steps, sensor)
+    bare = replace(run, contact=None)
+    unmeasured = _predicted(model, dataset, bare, steps, sensor)
+    inferred = None
+    if motion_noise is not None:
+        inferred = _predicted(model, dataset, bare, steps, sensor, motion_noise)
     measured = unmeasured
     if reported is not None:
         measured = _predicted(model, dataset, replace(run, contact=reported), steps, sensor)
@@ -69,6 +75,13 @@ def detail_of_run(
         edge_exists=np.logical_and(exists[:, pairs[:, 0]], exists[:, pairs[:, 1]]),
         touch_on_time=np.asarray(measured.coming_active)[: run.steps][touches],
         touch_on_time_unmeasured=np.asarray(unmeasured.coming_active)[: run.steps][touches],
+        inferred=None
+        if inferred is None
+        else InferredDetail(
+            squared_error=error(np.asarray(inferred.position, np.float64)),
+            edge_active=np.asarray(inferred.edge_active)[:starts],
+            touch_on_time=np.asarray(inferred.coming_active)[: run.steps][touches],
+        ),
     )
 
 
@@ -77,6 +90,8 @@ def joined_details(parts: Sequence[OpenLoopDetail]) -> OpenLoopDetail:
 
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(part, name) for part in parts])
+
+    inferred = [part.inferred for part in parts if part.inferred is not None]
 
     known = all(part.contact is not None for part in parts)
     frozen = all(part.frozen_contact is not None for part in parts)
@@ -96,6 +111,13 @@ def joined_details(parts: Sequence[OpenLoopDetail]) -> OpenLoopDetail:
         edge_exists=joined("edge_exists"),
         touch_on_time=joined("touch_on_time"),
         touch_on_time_unmeasured=joined("touch_on_time_unmeasured"),
+        inferred=InferredDetail(
+            squared_error=np.concatenate([part.squared_error for part in inferred]),
+            edge_active=np.concatenate([part.edge_active for part in inferred]),
+            touch_on_time=np.concatenate([part.touch_on_time for part in inferred]),
+        )
+        if inferred
+        else None,
     )
 
 
@@ -105,10 +127,12 @@ def _predicted(
     run: Trajectory,
     steps: int,
     sensor: ContactSensor,
+    motion_noise: MotionNoise | None = None,
 ) -> RunPrediction:
     longest = max(each.steps for each in dataset)
     padded = recording(run, longest, _capacity(dataset), number_type(model), True)
-    return predict_run(model, padded, jnp.arange(longest - steps + 1), steps, sensor)
+    starts = jnp.arange(longest - steps + 1)
+    return predict_run(model, padded, starts, steps, sensor, motion_noise)
 
 
 def _capacity(dataset: Dataset) -> int:

@@ -22,7 +22,9 @@ from contactgraph.model.message_passing import EdgeNetwork as EdgeNetwork
 from contactgraph.model.message_passing import MessagePassing as MessagePassing
 from contactgraph.model.message_passing import TypedMessagePassing as TypedMessagePassing
 from contactgraph.model.motion_evidence import MotionEvidence as MotionEvidence
+from contactgraph.model.motion_evidence import correct_by_motion as correct_by_motion
 from contactgraph.model.motion_evidence import judge_motion as judge_motion
+from contactgraph.model.motion_evidence import judging_motion as judging_motion
 from contactgraph.model.motion_noise import MotionNoise as MotionNoise
 from contactgraph.model.per_degree_head import PerDegreeHead as PerDegreeHead
 from contactgraph.model.presets import Preset as Preset

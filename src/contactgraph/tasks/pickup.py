@@ -12,6 +12,8 @@ from contactgraph.tasks.pickup_layout import HALF_WIDTH, RADIUS, PickupLayout, s
 TARGET = 1
 MAX_STEPS = 200
 MAX_DISTRACTORS = 20
+MAX_RADIUS = 0.06
+"""Of a body, m: above it those of a crowd would begin within each other."""
 GOAL_RADIUS = 0.1
 """The target must end within this distance of the goal, m."""
 PICK_WEIGHTS = np.array([3.0, 3.0, 0.2, 0.2])
@@ -29,17 +31,25 @@ class PickupTask(GripperTask):
     ``fixed_seed`` is the seed of a scene whose target and goal every episode shares, so that only
     gripper and distractors begin elsewhere; None: each episode has its own.
 
-    Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
+    ``radius`` m is every body's. Raises `InvalidInputError` where ``distractors`` is not in 0 to
+    20, or the radius not above 0 and at most 0.06 m.
     """
 
     def __init__(
-        self, distractors: int = 0, substeps: int = 10, fixed_seed: int | None = None
+        self,
+        distractors: int = 0,
+        substeps: int = 10,
+        fixed_seed: int | None = None,
+        radius: float = RADIUS,
     ) -> None:
         check_counts(distractors, substeps)
+        if not 0.0 < radius <= MAX_RADIUS:
+            raise InvalidInputError(f"radius must be above 0, to {MAX_RADIUS} m, found {radius}")
         super().__init__(2 + distractors, MAX_STEPS, HALF_WIDTH)
         self._distractors = distractors
         self._substeps = substeps
         self._fixed_seed = fixed_seed
+        self._radius = radius
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, 1, MAX_DISTRACTORS))
 
     def begin(self, seed: int) -> tuple[Scene, CircleWorld]:
@@ -54,7 +64,8 @@ class PickupTask(GripperTask):
             "substeps": self._substeps,
             **fixed_metadata(self._fixed_seed),
         }
-        return circle_scene(layout, ("target",), told), circle_world(layout, self._substeps)
+        scene = circle_scene(layout, ("target",), told, self._radius)
+        return scene, circle_world(layout, self._substeps, self._radius)
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the target is within 0.1 m of the goal."""
@@ -74,9 +85,13 @@ def check_counts(distractors: int, substeps: int) -> None:
 
 
 def circle_scene(
-    layout: PickupLayout, targets: tuple[str, ...], told: dict[str, str | int | float | bool]
+    layout: PickupLayout,
+    targets: tuple[str, ...],
+    told: dict[str, str | int | float | bool],
+    size: float = RADIUS,
 ) -> Scene:
-    """The scene of a layout whose targets have these names; ``told`` is its metadata."""
+    """The scene of a layout whose targets have these names; ``told`` is its metadata, and ``size``
+    m the radius of every body."""
     count = len(layout.position)
     distractors = tuple(f"distractor-{index}" for index in range(len(layout.distractors)))
     return Scene(
@@ -86,15 +101,15 @@ def circle_scene(
         dt=DT,
         goal=layout.goal,
         mass=np.full(count, MASS),
-        radius=np.full(count, RADIUS),
+        radius=np.full(count, size),
         metadata=told,
     )
 
 
-def circle_world(layout: PickupLayout, substeps: int) -> CircleWorld:
-    """The world of a layout."""
+def circle_world(layout: PickupLayout, substeps: int, size: float = RADIUS) -> CircleWorld:
+    """The world of a layout; ``size`` m is the radius of every body."""
     count = len(layout.position)
-    mass, radius = np.full(count, MASS), np.full(count, RADIUS)
+    mass, radius = np.full(count, MASS), np.full(count, size)
     return CircleWorld(layout.position, mass, radius, DT, substeps)
 
 
