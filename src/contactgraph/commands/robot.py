@@ -8,9 +8,11 @@ from tyro.conf import subcommand
 from contactgraph.commands.robot_check import Check
 from contactgraph.commands.robot_record import Record
 from contactgraph.commands.robot_rehearse import Rehearse
+from contactgraph.commands.robot_rehearse_control import RehearseControl
+from contactgraph.commands.robot_rehearse_record import RehearseRecord
 from contactgraph.commands.robot_run import Run
 
-ACTIONS = ("check", "run", "record", "rehearse")
+ACTIONS = ("check", "run", "record", "rehearse", "rehearse-record", "rehearse-control")
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,8 @@ class Robot:
         | Annotated[Run, subcommand("run")]
         | Annotated[Record, subcommand("record")]
         | Annotated[Rehearse, subcommand("rehearse")]
+        | Annotated[RehearseRecord, subcommand("rehearse-record")]
+        | Annotated[RehearseControl, subcommand("rehearse-control")]
     )
 
     def run(self) -> None:
