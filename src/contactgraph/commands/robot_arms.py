@@ -1,6 +1,6 @@
 """Arms by their addresses: a real one, one in a rehearsal, or the fake one."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
@@ -43,6 +43,9 @@ class Arm(Protocol):
     assumed: AssumedBlock | None
     """The block that nobody sees; None where somebody does."""
 
+    block_yaw: float
+    """rad: how the block was turned when the arm was opened; 0 where nobody saw it."""
+
     def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
         """Names and words."""
 
@@ -60,6 +63,7 @@ class FakeArm:
     """`FakeRobot` in real time."""
 
     real = False
+    block_yaw = 0.0
     seen: SeenObjects | None = None
     assumed: AssumedBlock | None = None
     words = "a fake arm: a point mass and an object without weight"
@@ -105,8 +109,10 @@ class FrankaArm:
         rehearsal: "RunningRehearsal | None",
         seen: SeenObjects | None,
         assumed: AssumedBlock | None,
+        block_yaw: float,
     ) -> None:
         self.robot: Robot = robot
+        self.block_yaw = block_yaw
         self.clock, self.seen, self.assumed = clock, seen, assumed
         self.real = rehearsal is None
         self.words = f"the arm at {robot.address}"
@@ -164,7 +170,7 @@ def opened(address: str, options: ArmOptions) -> Iterator[Arm]:
     rehearsal = _rehearsal(address)
     clock = WallClock() if rehearsal is None else rehearsal.clock
     with ExitStack() as stack:
-        seen, assumed = _objects(address, options, clock, rehearsal, stack)
+        seen, assumed, yaw = _objects(address, options, clock, rehearsal, stack)
         gripper = stack.enter_context(FrankaGripper(address, clock))
         robot = FrankaRobot(
             address,
@@ -173,7 +179,7 @@ def opened(address: str, options: ArmOptions) -> Iterator[Arm]:
             fingers=gripper,
         )
         stack.enter_context(robot)
-        yield FrankaArm(robot, gripper, clock, rehearsal, seen, assumed)
+        yield FrankaArm(robot, gripper, clock, rehearsal, seen, assumed, yaw)
 
 
 def _rehearsal(address: str) -> "RunningRehearsal | None":
@@ -192,20 +198,22 @@ def _objects(
     clock: WallClock,
     rehearsal: "RunningRehearsal | None",
     stack: ExitStack,
-) -> tuple[SeenObjects | None, AssumedBlock | None]:
-    """Who tells where the block is: a camera, or the user."""
+) -> tuple[SeenObjects | None, AssumedBlock | None, float]:
+    """Who tells where the block is, a camera or the user; and how it is turned, rad."""
     from contactgraph.commands.names import looked_up
 
     looked_up("--camera", options.camera, dict.fromkeys(("none", "realsense", "rendered")))
     if options.camera == "none":
         if options.block is None:
             raise InvalidInputError("without a --camera, --block X Y Z must say where the block is")
-        return None, AssumedBlock(np.array(options.block, dtype=float))
+        return None, AssumedBlock(np.array(options.block, dtype=float)), 0.0
     if options.block is not None:
         raise InvalidInputError("--block: the camera sees it, so one of the two must be left out")
-    from contactgraph.robot.perception import read_calibration
+    from contactgraph.commands.robot_glimpse import glimpsed_yaw
+    from contactgraph.robot.perception import Camera, read_calibration
     from contactgraph.robot.perception.perception import Perception
 
+    open_eye: Callable[[], Camera]
     told = None if options.calibration is None else read_calibration(options.calibration)
     if options.camera == "rendered":
         from contactgraph.rehearsal.rehearsal import open_camera
@@ -215,7 +223,7 @@ def _objects(
                 f"--camera rendered: no rehearsal runs at {address}; an arm has a realsense"
             )
         told = rehearsal.calibration() if told is None else told
-        perception = Perception(partial(open_camera, address), told, clock)
+        open_eye = partial(open_camera, address)
     else:
         from contactgraph.robot.perception.realsense import RealSenseCamera
 
@@ -224,10 +232,12 @@ def _objects(
                 "--camera realsense needs --calibration FILE, as `contactgraph robot calibrate` "
                 "writes it"
             )
-        perception = Perception(RealSenseCamera, told, clock)
+        open_eye = RealSenseCamera
     missing = [name for name in _NODES if name not in told.objects]
     if missing:
         raise InvalidInputError(
             f"the calibration knows {', '.join(told.objects) or 'no objects'}; it must know block"
         )
-    return SeenObjects(stack.enter_context(perception), _NODES), None
+    yaw = glimpsed_yaw(open_eye, told, *_NODES)
+    perception = stack.enter_context(Perception(open_eye, told, clock))
+    return SeenObjects(perception, _NODES), None, yaw

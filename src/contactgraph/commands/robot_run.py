@@ -120,7 +120,7 @@ class Run:
 
         block = seen_block(arm)
         low, high = np.array(limits.workspace_low), np.array(limits.workspace_high)
-        hand = sweep_start(block, goal, low, high)
+        hand = sweep_start(block, arm.block_yaw, goal, low, high)
         where = ", ".join(f"{number:.3f}" for number in block)
         if hand is None:
             raise RobotFault(

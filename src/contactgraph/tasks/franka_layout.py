@@ -99,19 +99,21 @@ def sweep_fits(hand: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.n
 
 
 def sweep_start(
-    target: np.ndarray, goal: np.ndarray, low: np.ndarray, high: np.ndarray
+    target: np.ndarray, yaw: float, goal: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray | None:
     """[3] m: from where a hand sweeps through ``target`` towards ``goal``, or most nearly so.
 
-    ``low`` and ``high`` [3] m are the box that it must stay in. None where there is no such place.
+    The way is across a side of the target, which is turned by ``yaw`` rad: between open fingers
+    there is no room for its corners. ``low`` and ``high`` [3] m are the box that the hand must stay
+    in. None where there is no such place.
     """
     onward = np.arctan2(goal[1] - target[1], goal[0] - target[0])
-    for turn in np.pi * np.arange(13) / 12.0:
-        for bearing in (onward + turn, onward - turn):
-            along = np.array([np.cos(bearing), np.sin(bearing)])
-            hand = np.array([*(target[:2] - 1.2 * RUN_UP * along), START_HEIGHT + EDGE])
-            if sweep_fits(hand, target, low, high):
-                return hand
+    sides = [yaw + side * np.pi / 2.0 for side in range(4)]
+    for bearing in sorted(sides, key=lambda each: -np.cos(each - onward)):
+        along = np.array([np.cos(bearing), np.sin(bearing)])
+        hand = np.array([*(target[:2] - 1.2 * RUN_UP * along), START_HEIGHT + EDGE])
+        if sweep_fits(hand, target, low, high):
+            return hand
     return None
 
 
