@@ -34,6 +34,7 @@ class Evaluate:
         from contactgraph.commands.model_names import model_path
         from contactgraph.commands.numbers import check_range
         from contactgraph.commands.output import check_writable, say, write_json
+        from contactgraph.commands.recorded_runs import in_steps_of
         from contactgraph.commands.sensor import sensor_faults
         from contactgraph.data import read_trajectories
         from contactgraph.evaluate import evaluate_open_loop, rollout_growth
@@ -45,7 +46,7 @@ class Evaluate:
         if self.growth_steps is not None:
             check_range("--growth-steps", self.growth_steps, 1, 100_000)
         model = load_model(model_path(self.run_name)).model
-        dataset = read_trajectories(self.data)
+        dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
         motion_noise = MotionNoise() if self.infer_contacts else None
         measured = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)
         metrics = measured.to_json()

@@ -48,6 +48,7 @@ class LearnCost:
         from contactgraph.commands.numbers import check_range, check_seed, check_weight
         from contactgraph.commands.output import check_suffix, check_writable, progress, say
         from contactgraph.commands.provenance import provenance, sha256
+        from contactgraph.commands.recorded_runs import in_steps_of
         from contactgraph.control import CostRecipe, learn_cost, write_cost
         from contactgraph.data import InvalidInputError
         from contactgraph.model.storage import load_model
@@ -72,6 +73,7 @@ class LearnCost:
             prior_weight=self.prior_weight,
         )
         model = load_model(model_file).model
+        dataset = in_steps_of(model, dataset, str(self.demonstrations))
         began = time.perf_counter()
         with progress("learning", recipe.steps) as steps:
             try:

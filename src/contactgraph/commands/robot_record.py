@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from contactgraph.robot import SafetyLimits
     from contactgraph.tasks.franka_layout import ArmLayout
 
+_SHORTEST_S = 1.0
+"""What was recorded before a stop is kept where it lasted so long."""
+
 
 @dataclass(frozen=True)
 class Record:
@@ -69,28 +72,28 @@ class Record:
             opened(self.address, self.arm) as arm,
             PlanningProcess(make) as planning,
             progress("recording", self.runs) as steps,
-            ctrl_c() as pressed,
         ):
             session = Session(arm, limits, planning, self.seconds)
             for number in range(len(done), self.runs):
-                if pressed():
-                    break
                 layout = self._layout(number, limits)
                 self._arrange(arm, layout)
-                report = session.run(layout.goal, _run_seed(self.seed, number), pressed)
+                with ctrl_c() as pressed:
+                    report = session.run(layout.goal, _run_seed(self.seed, number), pressed)
                 run = session.recorded(
                     layout.goal, {"number": number, "policy": "FrankaExpert", "seed": self.seed}
                 )
-                if run is not None and not pressed():
+                if run is not None and run.steps * run.scene.dt >= _SHORTEST_S:
                     done.append(run)
                     write_trajectories(self.out, done, told)
                 if not report.completed:
                     reason = f"{report.stop.reason.value}. {arm.said()}".strip()
                     raise RobotFault(
-                        f"run {number} stopped: {reason} What was recorded is in {self.out}; the "
-                        "same command goes on from there"
+                        f"run {number} stopped: {reason} {self.out} has {len(done)} runs; the same "
+                        "command goes on from there"
                     )
                 held = "held at the goal" if session.ended(layout.goal).success else "not brought"
+                if pressed():
+                    break
                 steps.advance(number + 1, f"{held}, {report.rate_hz:.0f} Hz")
         say(f"{self.out}: {len(done)} runs of {self.runs}")
         if done:

@@ -71,12 +71,13 @@ class Run:
         )
         with opened(self.address, self.arm) as arm:
             wait_for_block(arm)
-            with PlanningProcess(make) as planning, ctrl_c() as pressed:
+            with PlanningProcess(make) as planning:
                 session = Session(arm, limits, planning, self.seconds, self.dry_run)
                 if not (self.dry_run or self.stay):
                     self._move_to_start(arm, goal, limits)
                 count_down(arm, self._words(goal))
-                report = session.run(goal, 0, pressed)
+                with ctrl_c() as pressed:
+                    report = session.run(goal, 0, pressed)
                 said = "" if report.completed else arm.said()
             run = session.recorded(goal, {"model": self.run_name, "address": self.address})
         if run is not None and self.save is not None:

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 _COUNT = 3
 """s, in which a person can still say no."""
 _SIGHT_S = 5.0
-"""Wall seconds in which a camera should have seen the block."""
+"""s in which a camera should have seen the block."""
+_STEADY_S = 0.5
+"""s for which it must be seen without a break: longer than a tracker believes what is no more."""
 
 
 @contextmanager
@@ -50,14 +52,17 @@ def count_down(arm: "Arm", what: str) -> None:
 
 
 def wait_for_block(arm: "Arm") -> None:
-    """Returns when the block is seen. Raises `RobotFault` where the camera does not see it."""
+    """Returns when the block is steadily seen; raises `RobotFault` where it is not."""
     from contactgraph.commands.robot_fault import RobotFault
 
-    until = time.monotonic() + _SIGHT_S * arm.clock.pace
+    since = began = arm.clock()
     while arm.seen is not None:
-        if all(each.tracked for each in arm.seen.estimates(arm.clock())):
+        now = arm.clock()
+        if not all(each.tracked for each in arm.seen.estimates(now)):
+            since = now
+        if now - since > _STEADY_S:
             return
-        if time.monotonic() > until:
+        if now - began > _SIGHT_S:
             raise RobotFault(
                 "the camera does not see the block: is it in the picture, lit, its tags towards "
                 "the camera, and the calibration this camera's?"
