@@ -10,10 +10,16 @@ _BLOCK = 0.04
 """m, the width of a block."""
 _CLOSING = 0.1
 """m/s, of the width."""
-_LAG = 0.03
-"""s, from the decision to when the fingers move."""
-_REACH = 0.01
-"""m: distance of the grasp point from a block's centre at which the fingers meet on it."""
+LAG = 0.005
+"""s, from the decision to when the fingers move, as the rehearsal's do."""
+_PAST = 0.01
+"""m: how far the grasp point has passed a block's centre when the fingers meet on it. Before it,
+they would be too narrow as they come to the block: a camera is wrong by some millimetres, and a
+finger that hits the block's front pushes it away."""
+_AT = 0.012
+"""m: nearer than this, a hand that rests is at the block."""
+_RESTS = 0.03
+"""m/s"""
 _MISS = 0.022
 """m: a block that passes farther from the grasp point is not grasped."""
 _SLACK = 0.003
@@ -27,11 +33,13 @@ _EMPTY = 0.005
 class GraspReflex:
     """Decides whether the fingers are to be open or closed.
 
-    They close as long before the grasp point comes to a block's centre as they need for the way,
-    hold what they meet, and open again where they met nothing or the block is seen elsewhere.
+    They close as long before they are to meet on a block as they need for the way, hold what they
+    meet, and open again where they met nothing or the block is seen elsewhere.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, lag: float = LAG) -> None:
+        """``lag`` s from the decision to when the fingers move."""
+        self._lag = lag
         self.closed = False
         """Whether the fingers are to be closed."""
         self.block = 0
@@ -52,7 +60,7 @@ class GraspReflex:
         if self.closed:
             self.closed = width > _EMPTY and not self._gone(offset, tracked, width)
             return self.closed
-        in_time = _LAG + max(width - _BLOCK, 0.0) / _CLOSING
+        in_time = self._lag + max(width - _BLOCK, 0.0) / _CLOSING
         for block, seen in enumerate(tracked.tolist()):
             if seen and _time_to(offset[block].tolist(), velocity[block].tolist()) <= in_time:
                 self.closed, self.block = True, block
@@ -65,19 +73,18 @@ class GraspReflex:
 
 
 def _time_to(offset: list[float], velocity: list[float]) -> float:
-    """s until the grasp point is within `_REACH` of a block, or, if it never comes as near, nearest
-    to it; 0 where it is, infinity where it passes too far off or moves away."""
+    """s until the fingers are to meet on a block; infinity where the grasp point passes it too far
+    off or moves away. May be negative: then it is late."""
     # Plain numbers: at a kilohertz, arrays of three take longer than what they are asked.
     (x, y, z), (u, v, w) = offset, velocity
     square = x * x + y * y + z * z
-    closing = x * u + y * v + z * w
-    if square <= _REACH**2:
-        return 0.0
-    if closing <= 0.0:
-        return math.inf
     speed_square = u * u + v * v + w * w
-    passing = max(square - closing * closing / speed_square, 0.0)
-    if passing > _MISS**2:
+    if speed_square <= _RESTS**2:
+        return 0.0 if square <= _AT**2 else math.inf
+    closing = x * u + y * v + z * w
+    speed = math.sqrt(speed_square)
+    if closing < -_PAST * speed:
         return math.inf
-    root = math.sqrt(max(_REACH**2 - passing, 0.0) * speed_square)
-    return (closing - root) / speed_square
+    if square - closing * closing / speed_square > _MISS**2:
+        return math.inf
+    return closing / speed_square + _PAST / speed

@@ -9,7 +9,7 @@ import numpy as np
 
 from contactgraph.robot.franka.client import CLIENT_FAULTS, connected_gripper, first_state, franky
 from contactgraph.robot.franka.finger_contact import FingerContact
-from contactgraph.robot.franka.grasp_reflex import OPEN_WIDTH, GraspReflex
+from contactgraph.robot.franka.grasp_reflex import LAG, OPEN_WIDTH, GraspReflex
 
 SPEED = 0.1
 """m/s, of the width: 0.05 m/s for each finger, the maker's largest."""
@@ -30,11 +30,14 @@ class FrankaGripper:
     command ends before the next begins: an arm's gripper takes no other. Use as a context manager.
     """
 
-    def __init__(self, address: str, clock: Callable[[], float] = time.monotonic) -> None:
-        """``clock`` gives s. Raises `InvalidInputError` where no gripper answers at ``address``."""
+    def __init__(
+        self, address: str, clock: Callable[[], float] = time.monotonic, lag: float = LAG
+    ) -> None:
+        """``clock`` gives s; ``lag`` s is how late the fingers begin to move, an arm's own to be
+        measured. Raises `InvalidInputError` where no gripper answers at ``address``."""
         self._gripper = connected_gripper(address)
         self._clock = clock
-        self._reflex = GraspReflex()
+        self._reflex = GraspReflex(lag)
         self._sensor = FingerContact()
         self._pending: franky.BoolFuture | None = None
         self._closing = False
