@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
@@ -24,7 +24,8 @@ class RehearseRecord:
 
     In some runs the block is picked up and carried from place to place, in others the hand moves
     beside it. Contacts are the simulation's, for judging what is found without a sensor: training
-    reads none. Beside FILE.h5 it writes FILE.truth.h5: the same runs as they really were.
+    reads none. Beside FILE.h5 it writes FILE.truth.h5, the same runs as they really were, and
+    FILE.live.h5, as they were known while they went on: not smoothed by what was seen later.
     """
 
     out: Annotated[Path, arg(metavar="FILE")]
@@ -37,28 +38,44 @@ class RehearseRecord:
     """The same seed has the same starts, goals and noise."""
     pace: float = 4.0
     """Wall seconds to a simulated one."""
+    json: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Write how well the block was seen, and what the loop held, to this file."""
 
     def run(self) -> None:
         """Record and write."""
         from contactgraph.commands.numbers import check_range, check_seed
-        from contactgraph.commands.output import check_writable, progress, say
-        from contactgraph.commands.rehearsed_arm import rehearsed_arm
+        from contactgraph.commands.output import check_writable, say, write_json
         from contactgraph.commands.robot_options import check_seconds
+
+        for path in (self.out, self.json):
+            check_writable(path)
+        check_range("--runs", self.runs, 1, 1000)
+        check_seed(self.seed)
+        check_seconds("--seconds", self.seconds, 25.0)
+        paths = [self.out, *(self.out.with_suffix(f".{name}.h5") for name in ("truth", "live"))]
+        kept = [self._done(path) for path in paths]
+        # A process that was ended between two files has one run more in one of them.
+        count = min(map(len, kept))
+        kept = [runs[:count] for runs in kept]
+        if count < self.runs:
+            self._record(paths, kept)
+        done, true, _ = kept
+        values = _summary(done, true)
+        write_json(self.json, {"data": str(self.out), "seed": self.seed, **values})
+        say(
+            f"{self.out}: {len(done)} runs, {values['completed']} of them to their end; the block "
+            f"is off by {1e3 * values['position_error_m']:.2f} mm (median), "
+            f"{1e3 * values['position_error_worst_m']:.1f} mm (worst)"
+        )
+
+    def _record(self, paths: list[Path], kept: "list[list[Trajectory]]") -> None:
+        """Records what is missing, and writes after every run."""
+        from contactgraph.commands.output import progress
+        from contactgraph.commands.rehearsed_arm import rehearsed_arm
         from contactgraph.commands.robot_session import Session
         from contactgraph.data import Metadata, write_trajectories
         from contactgraph.robot.loop import PlanningProcess
 
-        check_writable(self.out)
-        check_range("--runs", self.runs, 1, 1000)
-        check_seed(self.seed)
-        check_seconds("--seconds", self.seconds, 25.0)
-        done, true = self._done(self.out), self._done(self._truth)
-        # A process that was ended between the two files has one run more in one of them.
-        count = min(len(done), len(true))
-        done, true = done[:count], true[:count]
-        if count >= self.runs:
-            say(f"{self.out}: has its {count} runs already")
-            return
         told: Metadata = {"task": "franka", "seed": self.seed}
         with (
             rehearsed_arm(self.pace) as stage,
@@ -66,19 +83,12 @@ class RehearseRecord:
             progress("recording", self.runs) as steps,
         ):
             session = Session(stage.arm, stage.limits, planning, self.seconds)
-            for number in range(count, self.runs):
-                run, truth = self._recorded(stage, session, number)
-                done.append(run)
-                true.append(truth)
-                write_trajectories(self.out, done, told)
-                write_trajectories(self._truth, true, told)
-                steps.advance(number + 1, f"{run.steps} steps")
-            report = stage.rehearsal.report()
-        say(f"{self.out}: {len(done)} runs; the server held {report.rate:.0f} ticks a second")
-
-    @property
-    def _truth(self) -> Path:
-        return self.out.with_suffix(".truth.h5")
+            for number in range(len(kept[0]), self.runs):
+                made = self._recorded(stage, session, number)
+                for path, runs, run in zip(paths, kept, made, strict=True):
+                    runs.append(run)
+                    write_trajectories(path, runs, told)
+                steps.advance(number + 1, f"{made[0].steps} steps")
 
     def _done(self, path: Path) -> "list[Trajectory]":
         """What the file holds already."""
@@ -96,8 +106,8 @@ class RehearseRecord:
 
     def _recorded(
         self, stage: "RehearsedArm", session: "Session", number: int
-    ) -> "tuple[Trajectory, Trajectory]":
-        """A run, and its truth."""
+    ) -> "tuple[Trajectory, Trajectory, Trajectory]":
+        """A run, how it really was, and as it was known while it went on."""
         from contactgraph.commands.rehearsed_arm import run_layout, run_seed
         from contactgraph.commands.robot_fault import RobotFault
         from contactgraph.data import Metadata
@@ -114,16 +124,50 @@ class RehearseRecord:
                 "policy": "FrankaRecording",
                 "grasp": grasps(seed),
                 "attempt": attempt,
+                "completed": report.completed,
                 "end": report.stop.reason.value,
                 "rate_hz": report.rate_hz,
             }
             run = session.recorded(layout.goal, told)
-            if run is not None and run.steps >= _SHORTEST * self.seconds / run.scene.dt:
+            live = session.recorded(layout.goal, told, smooth=False)
+            if run is None or live is None:
+                continue
+            if run.steps >= _SHORTEST * self.seconds / run.scene.dt:
                 truth = true_run(stage.rehearsal.truth, run, session.began)
-                return replace(run, contact=truth.contact), truth
+                labelled = [replace(each, contact=truth.contact) for each in (run, live)]
+                return labelled[0], truth, labelled[1]
         raise RobotFault(
             f"run {number} stopped {_AGAIN} times, at last: {report.stop.reason.value}"
         )
+
+
+def _summary(done: "list[Trajectory]", true: "list[Trajectory]") -> dict[str, Any]:
+    """What recording came to, all runs together."""
+    import numpy as np
+
+    from contactgraph.tasks.franka_pickup import HAND, TARGET
+
+    off = [run.position - truth.position for run, truth in zip(done, true, strict=True)]
+    error = np.concatenate([np.linalg.norm(each, axis=2) for each in off])
+    told = [run.scene.metadata for run in done]
+    return {
+        "runs": len(done),
+        "steps": sum(run.steps for run in done),
+        "completed": sum(bool(one["completed"]) for one in told),
+        "with_grasp": sum(bool(one["grasp"]) for one in told),
+        "held_at_some_time": sum(
+            bool(truth.contact[:, HAND, TARGET].any())
+            for truth in true
+            if truth.contact is not None
+        ),
+        "pace": [float(one["pace"]) for one in told],
+        "rate_hz": min(float(one["rate_hz"]) for one in told),
+        "position_error_m": float(np.median(error[:, TARGET])),
+        "position_error_p95_m": float(np.percentile(error[:, TARGET], 95.0)),
+        "position_error_worst_m": float(error[:, TARGET].max()),
+        "hand_error_worst_m": float(error[:, HAND].max()),
+        "each": told,
+    }
 
 
 def recording_planner() -> "Planner":

@@ -78,15 +78,18 @@ class Session:
         """s, on the arm's clock: the first state of what `recorded` gave last."""
         return self._recorder.began
 
-    def recorded(self, goal: np.ndarray, told: Metadata) -> Trajectory | None:
-        """The last run, with what is ``told`` of it; None where no force was sent."""
+    def recorded(self, goal: np.ndarray, told: Metadata, smooth: bool = True) -> Trajectory | None:
+        """The last run, with what is ``told`` of it; None where no force was sent.
+
+        Where the block was is smoothed by what was seen later, or else as it was known then.
+        """
         seen = self._arm.seen
         scene = pickup_scene(_PERIOD, goal)
         ended = self.ended(goal)
         metadata = {**scene.metadata, **told, "pace": self._arm.clock.pace}
         if ended.success is not None:
             metadata["success"] = ended.success
-        tracks = None if seen is None else seen.tracks
+        tracks = seen.tracks if smooth and seen is not None else None
         return self._recorder.run(replace(scene, metadata=metadata), tracks)
 
     def ended(self, goal: np.ndarray) -> Ended:

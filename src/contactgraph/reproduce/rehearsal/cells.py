@@ -1,0 +1,99 @@
+"""The cells of the rehearsed experiment: record, learn, follow, control."""
+
+from dataclasses import dataclass
+
+from contactgraph.reproduce.cell import Cell
+from contactgraph.reproduce.measurement import Measurement
+from contactgraph.reproduce.rehearsal.declared import (
+    CONTROL_SEED,
+    EVERY,
+    TRAINED_SEED,
+    TRAINING_SEED,
+    VALIDATION_SEED,
+    WAYS,
+    Knowing,
+    RehearsalAmounts,
+)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a number is of: recorded runs."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What a number is of: predictions of the validation runs."""
+
+
+@dataclass(frozen=True)
+class Controlled:
+    """What a number is of: pickups by MPC."""
+
+    way: Knowing
+
+
+_ENDS = (".json", ".h5", ".truth.h5", ".live.h5")
+
+Place = Recorded | Followed | Controlled
+
+TRAINING, VALIDATION = Recorded("training"), Recorded("validation")
+
+
+def rehearsal_measurements(amounts: RehearsalAmounts) -> list[Measurement[Place]]:
+    """All of the study."""
+    training = recording(TRAINING, TRAINING_SEED, amounts.training_runs, amounts)
+    validation = recording(VALIDATION, VALIDATION_SEED, amounts.validation_runs, amounts)
+    model = learning(training, amounts)
+    found: list[Measurement[Place]] = [
+        Measurement(TRAINING, TRAINING_SEED, training),
+        Measurement(VALIDATION, VALIDATION_SEED, validation),
+        Measurement(Followed(), VALIDATION_SEED, following(model, validation)),
+    ]
+    for way in WAYS:
+        found.append(Measurement(Controlled(way), CONTROL_SEED, control(model, way, amounts)))
+    return found
+
+
+def recording(what: Recorded, seed: int, runs: int, amounts: RehearsalAmounts) -> Cell:
+    """Runs through server and camera, in a file beside their numbers."""
+    output, *files = (f"cells/{what.name}{end}" for end in _ENDS)
+    arguments = (
+        *("robot", "rehearse-record", "--out", files[0], "--json", output),
+        *("--runs", str(runs), "--seconds", f"{amounts.seconds:g}"),
+        *("--seed", str(seed), "--pace", f"{amounts.pace:g}"),
+    )
+    return Cell(output, arguments, "rehearse-record", beside=tuple(files))
+
+
+def learning(data: Cell, amounts: RehearsalAmounts) -> Cell:
+    """The model."""
+    output = "cells/model"
+    arguments = (
+        *("train", data.beside[0], "--every", str(EVERY), "--out", output),
+        *("--seed", str(TRAINED_SEED), *amounts.training_options),
+    )
+    return Cell(output, arguments, "train", (data,), checkpoints="checkpoint-*.safetensors")
+
+
+def following(model: Cell, data: Cell) -> Cell:
+    """Predictions of runs that the model has not seen, with and without contacts known."""
+    output = "cells/followed.json"
+    arguments = (
+        *("evaluate", model.output, data.beside[0], "--every", str(EVERY)),
+        *("--infer-contacts", "--json", output),
+    )
+    return Cell(output, arguments, "evaluate", (model, data))
+
+
+def control(model: Cell, way: Knowing, amounts: RehearsalAmounts) -> Cell:
+    """Pickups."""
+    output, runs = (f"cells/control-{way.slug}{end}" for end in (".json", ".h5"))
+    arguments = (
+        *("robot", "rehearse-control", model.output, *way.options),
+        *("--episodes", str(amounts.episodes), "--seed", str(CONTROL_SEED)),
+        *("--pace", f"{amounts.pace:g}", "--save", runs, "--json", output),
+    )
+    return Cell(output, arguments, "rehearse-control", (model,), beside=(runs,))
