@@ -18,6 +18,9 @@ class Train:
     """The folder of the run; new, or with --resume the one to go on with."""
     model: str = "gim-temp"
     """gim-temp, gim-non-temp, no-gim, full-ab, paper-literal or paper-literal-no-gim."""
+    every: Annotated[int, arg(metavar="K")] = 1
+    """Take every K-th step of the runs, with controls averaged: robots record in steps of 0.001 s,
+    and models of 0.01 s are quicker and see as much."""
     seed: int = 0
     """One seed makes one result."""
     resume: bool = False
@@ -44,6 +47,9 @@ class Train:
     """Resting bodies put into every window; none where what can be touched hangs on hinges."""
     prior_weight: float = 0.05
     """Weight of the KL divergence of beliefs from the distance prior; 0 leaves it out."""
+    devices: Annotated[int | None, arg(metavar="INT")] = None
+    """Split every batch over so many devices of this machine. (default: as many as there are and
+    BATCH_SIZE divides by)"""
 
     def run(self) -> None:
         """Train, saving checkpoints on the way."""
@@ -51,7 +57,7 @@ class Train:
 
         from contactgraph.commands.model_names import MODELS
         from contactgraph.commands.names import looked_up
-        from contactgraph.commands.numbers import check_seed, check_weight
+        from contactgraph.commands.numbers import check_range, check_seed, check_weight
         from contactgraph.commands.output import progress, say
         from contactgraph.commands.provenance import provenance, sha256
         from contactgraph.data import (
@@ -60,6 +66,7 @@ class Train:
             read_trajectories,
             split_by_run,
             window_weights,
+            with_longer_steps,
         )
         from contactgraph.model.storage import save_model
         from contactgraph.train import (
@@ -87,7 +94,8 @@ class Train:
             rollout_from=0.0 if told.rollout_from is None else told.rollout_from,
             weights=LossTerms(prior=told.prior_weight),
         )
-        dataset = read_trajectories(self.data)
+        check_range("--every", told.every, 1, 100_000)
+        dataset = with_longer_steps(read_trajectories(self.data), told.every)
         suited = suited_to(dataset)
         if told.rollout_from is None:
             recipe = replace(recipe, rollout_from=suited.rollout_from)
@@ -95,6 +103,7 @@ class Train:
         train, held_out = split_by_run(dataset, told.held_out, told.seed)
         for runs in (train, held_out):  # too short for a window: refused before a folder is made
             window_weights(pad_runs(runs), recipe.window_length, recipe.event_fraction)
+        devices = jax.local_devices()[: self._devices(len(jax.local_devices()), told.batch_size)]
         model = build(
             dataset.dimension,
             dataset.control_size,
@@ -118,7 +127,7 @@ class Train:
         options = f"--model {told.model} --seed {told.seed}"
         options += "".join(
             f" --{name.replace('_', '-')} {getattr(told, name)}"
-            for name in ("bystanders", "prior_weight")
+            for name in ("every", "bystanders", "prior_weight")
             if getattr(told, name) != getattr(type(told), name)
         )
         summary = {
@@ -151,7 +160,7 @@ class Train:
                 best = float(check.state.best_error)
                 steps.advance(check.step, f"held-out error {100 * best:.3f} cm")
 
-            result = fit(state, train, held_out, recipe, on_check)
+            result = fit(state, train, held_out, recipe, on_check, devices)
         if result.status is FitStatus.not_finite:
             raise InvalidInputError(f"{self.out}: {result.status.value}")
         say(
@@ -159,13 +168,28 @@ class Train:
             f"{recipe.window_length} steps; {result.status.value}"
         )
 
+    def _devices(self, there: int, batch_size: int) -> int:
+        """How many devices share a batch."""
+        from contactgraph.data import InvalidInputError
+
+        even = [count for count in range(1, there + 1) if batch_size % count == 0]
+        if self.devices is None:
+            return even[-1]
+        if self.devices not in even:
+            counts = ", ".join(map(str, even))
+            raise InvalidInputError(
+                f"--devices must be one of {counts} (there are {there}, and each takes a like part "
+                f"of {batch_size} windows), found {self.devices}"
+            )
+        return self.devices
+
     def _settled(self, config: dict) -> "Train":
         """The settings the run was begun with."""
         from contactgraph.data import InvalidInputError
 
         told: dict[str, Any] = {}
         for setting in fields(self):
-            if setting.name in ("data", "out", "resume"):
+            if setting.name in ("data", "out", "resume", "devices"):
                 continue
             found, default = config.get(setting.name), setting.default
             # Without a default it is a number, or the data's choice.

@@ -3,7 +3,7 @@
 import dataclasses
 import enum
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -18,6 +18,7 @@ from contactgraph.data.padding import pad_runs
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.train.batch import Window, WindowSource, window_source
+from contactgraph.train.batch_split import BatchSplit, batch_split
 from contactgraph.train.bystanders import add_bystander, bodies_rest
 from contactgraph.train.loss import LossTerms, rollout_rmse, window_loss
 from contactgraph.train.recipe import Recipe
@@ -93,14 +94,19 @@ def fit(
     held_out: Dataset,
     recipe: Recipe,
     on_check: Callable[[FitProgress], None] = lambda progress: None,
+    devices: Sequence[jax.Device] = (),
 ) -> FitResult:
     """Train from `state` to the recipe's last step, or until the held-out error stops falling.
 
     Contact labels in the data are not read. `on_check` sees every check and may save its state;
-    an exception it raises (Ctrl-C, say) ends the training there. Raises `InvalidInputError` where
-    runs are shorter than a window.
+    an exception it raises (Ctrl-C, say) ends the training there. Each of several `devices` takes a
+    like part of every batch: the same result but for rounding. Raises `InvalidInputError` where
+    runs are shorter than a window, or a batch cannot be split.
     """
+    split = batch_split(devices, recipe.batch_size)
     source, checked = training_windows(train, recipe), held_out_windows(held_out, recipe)
+    if split is not None:
+        state, source, checked = split.everywhere((state, source, checked))
     bystanders = recipe.bystanders if bodies_rest(pad_runs(train)) else 0
     began = time.monotonic()
     status = FitStatus.finished
@@ -110,7 +116,9 @@ def fit(
             break
         count = min(recipe.check_every, recipe.steps - int(state.step))
         with_rollout = int(state.step) >= recipe.rollout_from * recipe.steps
-        state, arrays = _advance(state, source, checked, recipe, count, bystanders, with_rollout)
+        state, arrays = _advance(
+            state, source, checked, recipe, count, bystanders, with_rollout, split
+        )
         terms = {name: float(value) for name, value in arrays.items()}
         if not all(np.isfinite(value) for value in terms.values()):
             status = FitStatus.not_finite
@@ -161,6 +169,7 @@ def _advance(
     count: int,
     bystanders: int,
     with_rollout: bool,
+    split: BatchSplit | None,
 ) -> tuple[FitState, dict[str, Array]]:
     """`count` optimiser steps in one scan, then the held-out error."""
     optimiser = _optimiser(recipe)
@@ -171,6 +180,8 @@ def _advance(
     def loss(params: ContactDynamics, key: PRNGKeyArray) -> tuple[Array, LossTerms]:
         draw_key, place_key, sample_key = jax.random.split(key, 3)
         windows = source.draw(recipe.batch_size, draw_key)
+        if split is not None:
+            windows = split.parted(windows)
         for bystander_key in jax.random.split(place_key, bystanders):
             windows = add_bystander(windows, nearest, 3.0 * nearest, bystander_key)
         terms = window_loss(eqx.combine(params, static), windows, sample_key, with_rollout)
@@ -205,6 +216,8 @@ def _advance(
         best_error=jnp.where(better, error, state.best_error),
         checks_without_gain=jnp.where(better, 0, state.checks_without_gain + 1),
     )
+    if split is not None:  # as it came: else the next call would be compiled anew
+        state = split.everywhere(state)
     return state, {**{name: getattr(means, name) for name in _TERM_NAMES}, "held_out": error}
 
 
