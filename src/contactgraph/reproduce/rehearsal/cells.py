@@ -27,6 +27,9 @@ class Recorded:
 class Followed:
     """What a number is of: predictions of the validation runs."""
 
+    live: bool
+    """From states as they were known then; else smoothed by what was seen later."""
+
 
 @dataclass(frozen=True)
 class Controlled:
@@ -50,8 +53,10 @@ def rehearsal_measurements(amounts: RehearsalAmounts) -> list[Measurement[Place]
     found: list[Measurement[Place]] = [
         Measurement(TRAINING, TRAINING_SEED, training),
         Measurement(VALIDATION, VALIDATION_SEED, validation),
-        Measurement(Followed(), VALIDATION_SEED, following(model, validation)),
     ]
+    for live in (False, True):
+        cell = following(model, validation, live)
+        found.append(Measurement(Followed(live), VALIDATION_SEED, cell))
     for way in WAYS:
         found.append(Measurement(Controlled(way), CONTROL_SEED, control(model, way, amounts)))
     return found
@@ -78,14 +83,12 @@ def learning(data: Cell, amounts: RehearsalAmounts) -> Cell:
     return Cell(output, arguments, "train", (data,), checkpoints="checkpoint-*.safetensors")
 
 
-def following(model: Cell, data: Cell) -> Cell:
+def following(model: Cell, data: Cell, live: bool) -> Cell:
     """Predictions of runs that the model has not seen, with and without contacts known."""
-    output = "cells/followed.json"
-    arguments = (
-        *("evaluate", model.output, data.beside[0], "--every", str(EVERY)),
-        *("--infer-contacts", "--json", output),
-    )
-    return Cell(output, arguments, "evaluate", (model, data))
+    runs, _, as_known = data.beside
+    output = f"cells/followed{'-live' if live else ''}.json"
+    arguments = ("evaluate", model.output, as_known if live else runs, "--infer-contacts")
+    return Cell(output, (*arguments, "--json", output), "evaluate", (model, data))
 
 
 def control(model: Cell, way: Knowing, amounts: RehearsalAmounts) -> Cell:

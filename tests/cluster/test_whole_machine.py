@@ -1,0 +1,58 @@
+"""Work that needs all of a machine: one unit at a time, each in a new process."""
+
+import multiprocessing
+import os
+from dataclasses import dataclass
+
+import pytest
+
+from contactgraph.cluster import WholeMachine, answers_in_order
+from contactgraph.data import InvalidInputError
+
+
+def shout(connection) -> None:
+    connection.send(os.getppid())
+
+
+@dataclass(frozen=True)
+class Errand:
+    refused: int = -1
+    deadly: int = -1
+
+    def begin(self):
+        def work(index: int):
+            if index == self.refused:
+                raise InvalidInputError(f"errand {index}: nobody is in")
+            if index == self.deadly:
+                os._exit(7)
+            # A process of its own, which those of other engines may not have.
+            ours, theirs = multiprocessing.Pipe()
+            child = multiprocessing.get_context("spawn").Process(target=shout, args=(theirs,))
+            child.start()
+            parent = ours.recv()
+            child.join()
+            return index, parent, os.getpid(), len(os.sched_getaffinity(0))
+
+        return work
+
+
+def test_every_unit_has_a_new_process_all_cores_and_children():
+    answers = list(answers_in_order(WholeMachine(), Errand().begin, range(2)))
+    assert [index for index, *_ in answers] == [0, 1]
+    assert all(parent == process for _, parent, process, _ in answers)
+    assert len({process for _, _, process, _ in answers}) == 2
+    assert {cores for *_, cores in answers} == {len(os.sched_getaffinity(0))}
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize(
+    ("errand", "error", "said"),
+    [
+        (Errand(refused=0), InvalidInputError, "^errand 0: nobody is in$"),
+        (Errand(deadly=0), RuntimeError, "^0: its process died, exit code 7$"),
+    ],
+)
+def test_what_goes_wrong_in_a_process_is_told(errand, error, said):
+    with pytest.raises(error, match=said):
+        list(answers_in_order(WholeMachine(), errand.begin, range(2)))
+    assert multiprocessing.active_children() == []
