@@ -5,6 +5,7 @@ from typing import Annotated
 
 from tyro.conf import subcommand
 
+from contactgraph.commands.robot_calibrate import Calibrate
 from contactgraph.commands.robot_check import Check
 from contactgraph.commands.robot_record import Record
 from contactgraph.commands.robot_rehearse import Rehearse
@@ -12,7 +13,7 @@ from contactgraph.commands.robot_rehearse_control import RehearseControl
 from contactgraph.commands.robot_rehearse_record import RehearseRecord
 from contactgraph.commands.robot_run import Run
 
-ACTIONS = ("check", "run", "record", "rehearse", "rehearse-record", "rehearse-control")
+ACTIONS = ("check", "run", "record", "calibrate", "rehearse", "rehearse-record", "rehearse-control")
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class Robot:
         Annotated[Check, subcommand("check")]
         | Annotated[Run, subcommand("run")]
         | Annotated[Record, subcommand("record")]
+        | Annotated[Calibrate, subcommand("calibrate")]
         | Annotated[Rehearse, subcommand("rehearse")]
         | Annotated[RehearseRecord, subcommand("rehearse-record")]
         | Annotated[RehearseControl, subcommand("rehearse-control")]
