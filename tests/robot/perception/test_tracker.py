@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from contactgraph.robot.perception import ObjectTracker
-from contactgraph.robot.perception.tracker import ACCELERATION_DENSITY, predicted
+from contactgraph.robot.perception.tracker import ACCELERATION_DENSITY, FilterState, predicted
 
 NOISE = 5e-4
 COVARIANCE = NOISE**2 * np.eye(3)
@@ -83,7 +83,7 @@ def test_before_the_first_frame_nothing_is_known():
 
 def test_an_uncertain_position_is_not_tracked():
     tracker = ObjectTracker()
-    tracker.measure(np.zeros(3), 0.03**2 * np.eye(3), 0.0)
+    tracker.measure(np.zeros(3), 0.06**2 * np.eye(3), 0.0)
     assert not tracker.estimate(0.0).tracked
 
 
@@ -155,3 +155,17 @@ def test_the_predicted_covariance_is_the_textbooks():
     process = np.kron([[step**3 / 3, step**2 / 2], [step**2 / 2, step]], np.eye(3))
     expected = forward @ (root @ root.T) @ forward.T + 0.7 * process
     np.testing.assert_allclose(predicted(root @ root.T, step, 0.7), expected, atol=1e-12)
+    estimate = FilterState(2.0, np.zeros(6), root @ root.T).estimate(2.0 + step, 0.7)
+    np.testing.assert_allclose(estimate.variance, np.diag(expected)[:3], atol=1e-12)
+
+
+def test_a_block_that_was_just_struck_is_not_lost():
+    """Frames come every 0.033 s and are told 0.04 s later: what was struck is 0.07 s ahead."""
+    tracker = ObjectTracker()
+    for frame in range(10):
+        tracker.measure(
+            np.array([0.4 * max(0.0, frame - 7.5) / 30.0, 0.0, 0.0]),
+            2.5e-7 * np.eye(3),
+            frame / 30.0,
+        )
+        assert tracker.estimate(frame / 30.0 + 0.08).tracked or frame < 2
