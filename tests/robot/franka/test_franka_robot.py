@@ -3,7 +3,9 @@
 import signal
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +15,11 @@ pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehear
 from contactgraph.data import InvalidInputError
 from contactgraph.rehearsal.rehearsal import Rehearsal, RunningRehearsal
 from contactgraph.robot import Command, SafeRobot, SafetyLimits, Stop, StopReason
+from contactgraph.robot.franka.client import franky
 from contactgraph.robot.franka.franka_robot import SILENCE, FrankaRobot
 from contactgraph.robot.franka.gripper import FrankaGripper
 from contactgraph.robot.franka.loop_timing import measure_loop
+from contactgraph.robot.franka.transfer import transfer
 from contactgraph.robot.loop import WallClock
 from contactgraph.robot.loop.undisturbed import undisturbed
 
@@ -53,7 +57,7 @@ def patiently(attempt: Callable[[], None], robot: FrankaRobot) -> None:
     attempt()
 
 
-def pushed(robot: FrankaRobot, force: np.ndarray, seconds: float) -> np.ndarray:
+def pushed(robot: FrankaRobot, force: np.ndarray, seconds: float, stop: bool = True) -> np.ndarray:
     """[K, 8]: the robot's time s, position [3] m, velocity [3] m/s of the hand, and its stamp s."""
     rows: list[list[float]] = []
     with undisturbed():
@@ -68,13 +72,15 @@ def pushed(robot: FrankaRobot, force: np.ndarray, seconds: float) -> np.ndarray:
                 robot.send(force, 0.0)
             if robot.ended is not None:
                 raise InterruptedRun(robot.last_error)
+        if stop:
+            robot.stop(Stop(StopReason.ASKED, 0.0))
     return np.array(rows)
 
 
 def at_rest(robot: FrankaRobot, within: float) -> bool:
     """Reads until the hand rests, for ``within`` s of the robot's time."""
-    began = None
-    while True:
+    began, patience = None, time.monotonic() + 10.0 * PACE
+    while time.monotonic() < patience:
         reading = robot.read()
         if reading is None:
             continue
@@ -83,6 +89,7 @@ def at_rest(robot: FrankaRobot, within: float) -> bool:
             return True
         if reading.robot_time - began > within:
             return False
+    return False
 
 
 def test_what_is_read_is_true(arm: RunningRehearsal, robot: FrankaRobot) -> None:
@@ -97,7 +104,6 @@ def test_a_hand_without_force_stays(robot: FrankaRobot) -> None:
     def attempt() -> None:
         rows = pushed(robot, np.zeros(3), 2.0)
         assert np.linalg.norm(rows[:, 1:4] - rows[0, 1:4], axis=1).max() < 1e-3
-        robot.stop(Stop(StopReason.ASKED, 0.0))
         # Stamps follow the robot's clock, without the jitter of who reads.
         drift = (rows[:, 7] - rows[0, 7]) - (rows[:, 0] - rows[0, 0])
         assert np.abs(drift).max() < 0.1 and np.abs(np.diff(drift)).max() < 0.02
@@ -109,7 +115,6 @@ def test_a_hand_without_force_stays(robot: FrankaRobot) -> None:
 def test_a_hand_under_force_is_a_mass(robot: FrankaRobot, force: list[float]) -> None:
     def attempt() -> None:
         rows = pushed(robot, np.array(force), 0.3)
-        robot.stop(Stop(StopReason.ASKED, 0.0))
         late = rows[:, 0] > rows[0, 0] + 0.1
         found = np.polyfit(rows[late, 0], rows[late, 4:7], 1)[0]
         np.testing.assert_allclose(found, np.array(force) / MASS, atol=0.02)
@@ -121,23 +126,23 @@ def test_a_hand_under_force_is_a_mass(robot: FrankaRobot, force: list[float]) ->
 def test_a_stop_brakes_at_once(arm: RunningRehearsal, robot: FrankaRobot) -> None:
     def attempt() -> None:
         rows = pushed(robot, np.array([0.0, 8.0, 0.0]), 0.2)
-        assert rows[-1, 5] > 0.3
-        robot.stop(Stop(StopReason.ASKED, 0.0))
-        assert robot.send(np.array([0.0, 8.0, 0.0]), 0.0) is None
         stopped = arm.truth.newest()["tick"]
+        assert rows[-1, 5] > 0.3
+        assert robot.send(np.array([0.0, 8.0, 0.0]), 0.0) is None
         assert at_rest(robot, 1.0)
+        if robot.ended is not None:
+            raise InterruptedRun(robot.last_error)
         speed = arm.truth.since(int(stopped))["velocity"][:, 0, 1]
         # Torques change by 1 N m a tick at most: after 20 ms there is no push any more.
         assert np.argmax(speed) <= 20
         assert speed[100] < 0.5 * speed[0]
-        assert robot.ended is None
 
     patiently(attempt, robot)
 
 
 def test_silence_stops_the_arm(arm: RunningRehearsal, robot: FrankaRobot) -> None:
     def attempt() -> None:
-        pushed(robot, np.array([0.0, 6.0, 0.0]), 0.1)
+        pushed(robot, np.array([0.0, 6.0, 0.0]), 0.1, stop=False)
         silent = arm.truth.newest()
         time.sleep(PACE * (SILENCE + 0.05))
         assert robot.send(np.zeros(3), 0.0) is None
@@ -252,6 +257,28 @@ def held(safe: SafeRobot, clock: Callable[[], float], seconds: float) -> Stop | 
         safe.send(Command(np.zeros(3), clock()))
         time.sleep(5e-4)
     return safe.stop
+
+
+class Planless:
+    """An arm that rests, and whose client finds no motion a few times."""
+
+    def __init__(self, times: int) -> None:
+        self.left, self.moved = times, 0
+        self.state = SimpleNamespace(dq=np.zeros(7))
+
+    def move(self, motion: object) -> None:
+        self.left -= 1
+        if self.left >= 0:
+            raise RuntimeError("Motion planner failed with error code -111")
+        self.moved += 1
+
+
+@pytest.mark.parametrize(("times", "moved"), [(0, 1), (2, 1), (3, 0)])
+def test_a_motion_that_was_not_found_is_tried_again(times: int, moved: int) -> None:
+    arm = Planless(times)
+    with nullcontext() if moved else pytest.raises(RuntimeError, match="Motion planner failed"):
+        transfer(arm, PLACE, 0.0, 0.1, franky.Affine(), time.monotonic)
+    assert arm.moved == moved
 
 
 @pytest.mark.parametrize("address", ["127.0.0.99", "no-such-arm.invalid"])

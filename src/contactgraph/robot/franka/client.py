@@ -17,6 +17,9 @@ _PATIENCE = 5.0
 CLIENT_FAULTS = (franky.Exception, franky.TorqueSignalTimeoutException, RuntimeError)
 """All that the client raises where the arm or the way to it is at fault, not a program. Bare
 network errors reach Python as `RuntimeError`."""
+PLANNER_FAULT = "Motion planner failed"
+"""Words of the one such error that is no network's: no motion was found from where the arm is. It
+comes once in 20 motions, and another try, some milliseconds later, finds one."""
 
 
 Connection = TypeVar("Connection")

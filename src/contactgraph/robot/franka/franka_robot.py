@@ -16,11 +16,17 @@ from contactgraph.robot.franka.arm import (
     JointLimits,
 )
 from contactgraph.robot.franka.arm_clock import ArmClock
-from contactgraph.robot.franka.client import CLIENT_FAULTS, connected, first_state, franky
+from contactgraph.robot.franka.client import (
+    CLIENT_FAULTS,
+    PLANNER_FAULT,
+    connected,
+    first_state,
+    franky,
+)
 from contactgraph.robot.franka.description import described_arm, described_limits
 from contactgraph.robot.franka.hand_impedance import HandImpedance
 from contactgraph.robot.franka.nodes import Fingers, Nodes, ObjectSource
-from contactgraph.robot.franka.transfer import settle, transfer
+from contactgraph.robot.franka.transfer import check_transfer, transfer
 from contactgraph.robot.limits import SafetyLimits
 from contactgraph.robot.stop import Stop, StopReason
 
@@ -200,17 +206,26 @@ class FrankaRobot:
         ``speed`` is the share of the arm's own limits. Returns when it is there: None, or why the
         arm stopped on the way. Raises `InvalidInputError` for arguments that are none.
         """
-        motion = transfer(position, yaw, speed, self._beyond_hand)
+        check_transfer(position, yaw, speed)
         if self.moving:
             raise InvalidInputError("the arm is under control of forces: stop it before move_to")
         self._note_end(patience=_LONGEST_BRAKE)
         self.ended = None
         try:
-            self._arm.move(motion)
-            settle(self._arm, self._clock)
+            transfer(self._arm, position, yaw, speed, self._beyond_hand, self._clock)
         except CLIENT_FAULTS as error:
             self._end(_reason(error), error)
         return self.ended
+
+    def hand_pose(self) -> np.ndarray:
+        """[4, 4]: the hand's frame in that of the base, now; also while a person guides it.
+
+        Raises `InvalidInputError` where the arm does not answer any more.
+        """
+        try:
+            return np.asarray(self._arm.state.O_T_EE.matrix)
+        except CLIENT_FAULTS as error:
+            raise InvalidInputError(f"the arm at {self.address} is lost: {error}") from error
 
     def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
         """Versions, state and limits as names and words. Raises nothing of the arm's."""
@@ -273,5 +288,7 @@ def _reason(error: Exception) -> StopReason:
     if isinstance(error, franky.TorqueSignalTimeoutException):
         return StopReason.COMMAND_LATE
     if isinstance(error, franky.ControlException | franky.CommandException):
+        return StopReason.ARM_STOPPED
+    if PLANNER_FAULT in str(error):
         return StopReason.ARM_STOPPED
     return StopReason.CONNECTION_LOST
