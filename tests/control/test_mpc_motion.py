@@ -1,0 +1,103 @@
+"""MPC that learns of contacts from motion: with what was applied, and only where it is asked to."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from control_models import StickyBodies, nodes_of
+
+from contactgraph.control import ILQR, MPC, chain_cost
+from contactgraph.data import InvalidInputError
+from contactgraph.model import MotionNoise, load_model, shipped_model
+
+COST = chain_cost((0, 1), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, (0.5, 0.4), node_count=2)
+PUSH = np.array([4.0, 0.0])
+DT = 0.05
+WIDER = 0.09  # m; 1 cm farther than the model thinks bodies touch
+
+
+def seen(speeds, position=(0.0, WIDER)) -> dict[str, np.ndarray]:
+    place, velocity = np.zeros((2, 2)), np.zeros((2, 2))
+    place[:, 0], velocity[:, 0] = position, speeds
+    return {"position": place, "velocity": velocity}
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(shipped_model("pickup")).model
+
+
+@pytest.fixture(scope="module")
+def inferring(model) -> MPC:
+    return MPC(model, ILQR(3, 1), motion_noise=MotionNoise())
+
+
+def after_a_push(mpc: MPC, speeds, applied, contacts=None):
+    """State after 4 N for a step, along the row, have left the bodies with these speeds."""
+    state = mpc.reset(seen([0.0, 0.0]), nodes_of(2, 2), COST)
+    _, state = mpc.step(seen([0.0, 0.0]), None, state)
+    moved = np.array([0.0, WIDER]) + 0.6 * DT * np.array(speeds)
+    return mpc.step(seen(speeds, moved), contacts, state, applied)[1]
+
+
+def test_a_load_is_a_contact_though_it_is_too_far_for_one(inferring, model) -> None:
+    loaded, free = [0.1, 0.1], [0.2, 0.0]
+    assert after_a_push(inferring, loaded, PUSH).seen.belief.probability[0] > 0.9
+    assert after_a_push(inferring, free, PUSH).seen.belief.probability[0] < 0.05
+    without = MPC(model, ILQR(3, 1))
+    assert after_a_push(without, loaded, PUSH).seen.belief.probability[0] < 0.5
+
+
+def test_it_matters_what_was_applied(inferring) -> None:
+    # Half the plan's force on one body, or all of it on two: the same motion of the first.
+    state = inferring.reset(seen([0.0, 0.0]), nodes_of(2, 2), COST)
+    plan, state = inferring.step(seen([0.0, 0.0]), None, state)
+    planned = np.asarray(plan.controls[0], float)
+    told = inferring.step(seen([0.1, 0.1]), None, state, planned)[1]
+    untold = inferring.step(seen([0.1, 0.1]), None, state)[1]
+    np.testing.assert_array_equal(told.seen.belief.probability, untold.seen.belief.probability)
+    other = inferring.step(seen([0.1, 0.1]), None, state, planned + 3.0)[1]
+    assert other.seen.belief.probability[0] != told.seen.belief.probability[0]
+
+
+def test_both_sources_count(inferring) -> None:
+    half_sure = [0.115, 0.085]  # m/s; neither one body moved nor two
+    contact, none = np.ones((2, 2)), np.zeros((2, 2))
+    by_motion, up, down = (
+        float(after_a_push(inferring, half_sure, PUSH, said).seen.belief.probability[0])
+        for said in (None, contact, none)
+    )
+    assert down < by_motion < up
+
+
+def test_a_bad_observation_judges_neither_of_its_steps(inferring) -> None:
+    state = after_a_push(inferring, [0.1, 0.1], PUSH)
+    blind = seen([np.nan, 0.1])
+    for observation in (blind, seen([0.5, 0.0])):
+        carried = state.belief.probability
+        _, state = inferring.step(observation, None, state, PUSH)
+        np.testing.assert_array_equal(state.seen.belief.probability, carried)
+    _, state = inferring.step(seen([0.7, 0.0]), None, state, PUSH)
+    assert np.all(np.isfinite(state.seen.belief.probability))
+
+
+def test_without_it_nothing_but_measured_contacts_counts(model) -> None:
+    mpc = MPC(model, ILQR(3, 1))
+    state = mpc.reset(seen([0.0, 0.0]), nodes_of(2, 2), COST)
+    _, state = mpc.step(seen([0.0, 0.0]), None, state)
+    plan, after = mpc.step(seen([0.1, 0.1]), None, state)
+    # Whatever was seen and applied before.
+    forgetful = eqx.tree_at(
+        lambda s: (s.seen.position, s.seen.told), state, replace_fn=jnp.ones_like
+    )
+    other, _ = mpc.step(seen([0.1, 0.1]), None, forgetful, PUSH)
+    assert eqx.tree_equal(plan, other)
+    np.testing.assert_array_equal(after.seen.belief.probability, state.belief.probability)
+
+
+def test_arguments(inferring) -> None:
+    state = inferring.reset(seen([0.0, 0.0]), nodes_of(2, 2), COST)
+    with pytest.raises(InvalidInputError, match=r"applied must have shape \(2,\).*found \(3,\)"):
+        inferring.step(seen([0.0, 0.0]), None, state, np.zeros(3))
+    with pytest.raises(InvalidInputError, match=r"motion_noise: only a Contact.*StickyBodies"):
+        MPC(StickyBodies(), ILQR(3, 1), motion_noise=MotionNoise())

@@ -1,0 +1,70 @@
+"""Delays and scores of beliefs by hand, and noisy observations."""
+
+import numpy as np
+import pytest
+from evaluation_worlds import DT, random_run, scene_of
+
+from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.evaluate import FoundContacts, ObservationNoise, found_contacts
+
+
+def run_of(contact) -> Trajectory:
+    """Two bodies at rest whose contact is this at every state."""
+    matrix = np.zeros((len(contact), 2, 2), bool)
+    matrix[:, 0, 1] = matrix[:, 1, 0] = contact
+    still = np.zeros((len(contact), 2, 2))
+    return Trajectory(scene_of(2), still, still, np.zeros((len(contact) - 1, 2)), matrix)
+
+
+@pytest.mark.parametrize(
+    ("true", "belief", "onsets", "breaks"),
+    [
+        ([0, 0, 1, 1, 1, 0], [0, 0, 1, 1, 1, 0], [0], [0]),
+        ([0, 0, 1, 1, 1, 0], [0, 1, 1, 1, 1, 1], [0], [np.inf]),
+        ([0, 0, 1, 1, 1, 0, 0], [0, 0, 0, 0, 1, 1, 0], [2 * DT], [DT]),
+        ([0, 1, 0, 1, 1], [0, 0, 0, 0, 1], [np.inf, DT], [0]),
+        ([1, 1, 0, 0], [0, 1, 1, 0], [], [DT]),
+    ],
+)
+def test_delays_by_hand(true, belief, onsets, breaks) -> None:
+    # The last state has no tick, hence no belief.
+    found = found_contacts(run_of([*true, 0]), np.array(belief)[:, None] * 0.8 + 0.1)
+    assert found.onset_delays == pytest.approx(onsets)
+    assert found.break_delays == pytest.approx(breaks)
+    counts = found.edges
+    assert counts.hits == np.sum(np.logical_and(true, belief))
+    assert counts.misses + counts.false_alarms == np.sum(np.not_equal(true, belief))
+    assert counts.total == len(true)
+
+
+def test_episodes_add_up() -> None:
+    quick = found_contacts(run_of([0, 1, 1, 1]), np.array([[0], [1], [1]]))
+    late = found_contacts(run_of([0, 1, 1, 1, 1]), np.array([[0], [0], [0], [1]]))
+    never = found_contacts(run_of([0, 1, 1]), np.zeros((2, 1)))
+    both = (quick + late).to_json()
+    assert both["onsets"] == 2 and both["breaks"] == 0
+    assert both["onset_delay_ms_p95"] == pytest.approx(2e3 * DT)
+    assert both["edge_recall_found"] == 3 / 5 and both["break_delay_ms_p50"] is None
+    # What was never found has no delay, and hides no other.
+    lost = (quick + late + never).to_json()
+    assert lost["onset_delay_ms_p95"] is None and lost["onset_delay_ms_p50"] == pytest.approx(100)
+    unknown = random_run(2, 4, 0)
+    unknown = Trajectory(unknown.scene, unknown.position, unknown.velocity, unknown.control)
+    assert found_contacts(unknown, np.ones((4, 1))) == FoundContacts()
+
+
+def test_noise_is_what_it_says_and_the_same_each_time() -> None:
+    noise = ObservationNoise(position=0.001, velocity=0.02, seed=3)
+    true = {"position": np.ones((2000, 2)), "velocity": np.zeros((2000, 2)), "goal": np.ones(2)}
+    seen = noise.observed(true, noise.begin(1))
+    assert np.std(seen["position"]) == pytest.approx(0.001, rel=0.05)
+    assert np.std(seen["velocity"]) == pytest.approx(0.02, rel=0.05)
+    assert np.mean(seen["position"]) == pytest.approx(1.0, abs=1e-4)
+    assert seen["goal"] is true["goal"] and np.all(true["position"] == 1.0)
+    again, other = (noise.observed(true, noise.begin(number)) for number in (1, 2))
+    assert np.array_equal(seen["position"], again["position"])
+    assert not np.array_equal(seen["position"], other["position"])
+    clear = ObservationNoise()
+    assert clear.observed(true, clear.begin(0)) is true
+    with pytest.raises(InvalidInputError, match="velocity must be at least 0 and finite, found -1"):
+        ObservationNoise(velocity=-1)

@@ -1,0 +1,89 @@
+"""A world whose contacts are exact, as a model whose edges can be forced: known by hand."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from model_scenes import DT, preset
+
+from contactgraph.data.graph import pair_indices
+from contactgraph.model import (
+    ContactBelief,
+    ContactDynamics,
+    LinearDynamics,
+    ModelState,
+    two_type_belief,
+)
+
+
+class _NoMessages(eqx.Module):
+    types: tuple = (None,)
+
+
+class RigidGroups(eqx.Module):
+    """Bodies of 1 kg: those joined by active edges take their common velocity, then share forces.
+
+    Positions move with the velocity after the step.
+    """
+
+    message_passing: _NoMessages = dataclasses.field(default_factory=_NoMessages)
+
+    def __call__(self, local, dt, control_size):
+        N, D = local.position.shape
+        first, second = pair_indices(N).T
+        active = jnp.sum(local.weight, axis=-1) > 0.5
+        group = jnp.eye(N).at[first, second].set(active).at[second, first].set(active)
+        group = group.at[jnp.arange(N), jnp.arange(N)].set(1.0)
+        for _ in range(N):
+            group = jnp.minimum(group @ group, 1.0)
+        share = group / jnp.sum(group, axis=1, keepdims=True)
+        jump = share @ local.velocity - local.velocity
+        inverse = jnp.broadcast_to((share @ local.actuated)[:, None], (N, D))
+        one, zero = jnp.ones((N, D)), jnp.zeros((N, D))
+        A = jnp.stack([jnp.stack([one, dt * one], -1), jnp.stack([zero, one], -1)], -2)
+        push = jnp.stack([dt**2 * inverse, dt * inverse], -1)
+        B = push[..., None] * jnp.eye(D, control_size)[:, None, :]
+        offset = jnp.stack([dt * jump, jump], -1)
+        kind = local.position.dtype
+        return LinearDynamics(A.astype(kind), B.astype(kind), offset.astype(kind))
+
+
+class Keeps(eqx.Module):
+    """Believes of the coming step what it believed of the last, times a factor."""
+
+    factor: float = 1.0
+    edge_types: int = eqx.field(static=True, default=2)
+
+    def embed(self, node, edge, weight, ends):
+        return jnp.zeros((weight.shape[0], 0), node.dtype)
+
+    def predict(self, belief: ContactBelief, embedding) -> ContactBelief:
+        return two_type_belief(self.factor * belief.probability)
+
+
+def rigid_world(factor: float = 1.0) -> ContactDynamics:
+    """In which nothing but motion tells of contacts."""
+    return dataclasses.replace(
+        preset("gim_temp"), local_dynamics=RigidGroups(), inference=Keeps(factor)
+    )
+
+
+def in_a_row(count: int, velocity, probability, gap: float = 0.08) -> ModelState:
+    """Bodies ``gap`` [m] apart along the first axis; ``velocity`` [N] is along it."""
+    position = np.zeros((count, 2))
+    position[:, 0] = gap * np.arange(count)
+    speeds = np.zeros((count, 2))
+    speeds[:, 0] = velocity
+    edges = len(pair_indices(count))
+    return ModelState(
+        jnp.asarray(position),
+        jnp.asarray(speeds),
+        two_type_belief(jnp.full(edges, float(probability))),
+    )
+
+
+def seen_after(state: ModelState, velocity) -> tuple:
+    """Position and velocity one step on, if bodies go on with ``velocity`` [N] along the row."""
+    speeds = jnp.zeros_like(state.velocity).at[:, 0].set(jnp.asarray(velocity))
+    return state.position + DT * speeds, speeds
