@@ -128,7 +128,7 @@ def test_depth_moves_the_pose_by_as_much_as_it_is_surer():
     wrong = pose(best.pose[:3, :3], best.pose[:3, 3] + [0.0, 0.0, 0.01])
     off = type(best)(wrong, best.covariance, best.tags, best.error, best.explained)
     depth = plane_depth(tagged, place, (720, 1280))
-    holes = rng.random(depth.shape) < 0.3
+    holes = rng.random(depth.shape) < 0.6
     depth[holes] = 0.0
     corrected = with_depth(off, depth, tagged, STRAIGHT)
     before, noise = best.covariance[5, 5], (DEPTH_NOISE * 1.01**2) ** 2

@@ -18,8 +18,9 @@ _LEAST_FACING = 0.2
 """Cosine of the angle between a tag's normal and the line of sight: seen flatter, edges blur."""
 _SAME = 1e-3
 """Entries of two poses that differ by less are of one."""
-_UNLIKELY = 50.0
-"""Of the sum of squared errors in standard deviations: a pose that much worse is not the one."""
+_UNLIKELY = 500.0
+"""Of the sum of squared errors in standard deviations: a pose that much worse is not the one. Edges
+tell two poses apart much better than corners, some of which are a pixel off."""
 _LEAST_EDGES = 4
 """Fewer tell less than corners do."""
 

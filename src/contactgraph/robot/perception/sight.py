@@ -14,8 +14,9 @@ from contactgraph.robot.perception.tags import TagDetection, TagDetector
 
 _FLOOR = 2e-4
 """m: no position is believed to be surer, whatever the pixels say."""
-_LARGEST_ERROR = 20.0
-"""Standard deviations: a pose that explains its corners worse is none."""
+_LARGEST_CORNER_ERROR, _LARGEST_ERROR = 30.0, 10.0
+"""Standard deviations: a pose that explains its corners, and then the edges, worse is none. What
+leans the wrong way is 17 off, and centimetres away."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +72,11 @@ def located(
     likely = [
         refined_pose(frame.image, each, tagged, intrinsics)
         for each in object_poses(detections, tagged, intrinsics)
-        if each.error < _LARGEST_ERROR
+        if each.error < _LARGEST_CORNER_ERROR
     ]
-    if not likely:
+    found = max(likely, key=lambda each: each.explained, default=None)
+    if found is None or found.error > _LARGEST_ERROR:
         return None
-    found = max(likely, key=lambda each: each.explained)
     if frame.depth is None:
         return found
     return with_depth(found, frame.depth, tagged, intrinsics)
