@@ -100,7 +100,7 @@ def test_make_targets_and_files_exist(page: Path) -> None:
 def test_the_commands_of_the_documents_are_found() -> None:
     """Were the pattern to lose sight of them, nothing above would be tested."""
     found = {words[0] for page in PAGES for words in commands(page)}
-    others = {"reproduce", "report", "info"}
+    others = {"reproduce", "report", "robot", "info"}
     assert found == {"collect", "train", "evaluate", "control", "learn-cost", *others}
 
 

@@ -40,7 +40,7 @@ CLOSED_LOOP = {
 }
 COMMANDS = (
     *("collect", "train", "evaluate", "control"),
-    *("learn-cost", "reproduce", "report", "info"),
+    *("learn-cost", "reproduce", "robot", "report", "info"),
 )
 
 

@@ -23,8 +23,9 @@ class PlanningProcess:
     """A `Planning` whose planner cannot disturb the loop's process, and need not be quick.
 
     A thread would: while it runs Python, or is itself kept waiting for a core in the midst of it,
-    the loop waits (measured: with a planner of plain Python in a thread, two of three ticks a
-    second come more than 3 ms late on a busy machine; beside a process, none does).
+    the loop waits. Measured on a busy machine, with a loop of real-time priority: beside a planner
+    of plain Python in a thread, 99 % of ticks came within 2.7 ms and eight a second later than 3
+    ms; by itself, 99 % within 0.12 ms and one a second, when the machine itself stood still.
 
     ``with PlanningProcess(make) as planning`` serves one run after another. Ends with its context
     and with the process that made it.
