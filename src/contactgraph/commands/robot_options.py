@@ -21,6 +21,9 @@ FAKE = "fake"
 """The address of the arm for whoever has none."""
 LONGEST_TRACK_AGE = 0.2
 """s: what a tracker calls lost."""
+LARGEST_JUMP = 0.05
+"""m: a tracker that sees a block struck corrects itself by centimetres from one frame to the next;
+so it is with one that sees a single tag of a held block, and takes its leaning for another."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class ArmOptions:
             longest_age=gap,
             longest_track_age=LONGEST_TRACK_AGE,
             longest_gap=gap,
+            largest_jump=LARGEST_JUMP,
             stop_within=_FAKE_STOP if address == FAKE else usual.stop_within,
         )
 
