@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from contactgraph.data import Trajectory
     from contactgraph.robot.loop import Planner
 
-_AGAIN = 3
+_AGAIN = 6
 """Times that a run that was stopped is begun, before the whole is given up."""
 _SHORTEST = 0.5
 """Of a run's time, what must have been recorded for it to count."""
