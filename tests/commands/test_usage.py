@@ -173,7 +173,7 @@ def run_of(dimension: int, control_size: int, dt: float, steps: int = 40) -> Tra
     [
         (run_of(3, 2, 0.05), "the model is for dimension D 2, but the data has 3; they must agree"),
         (run_of(2, 3, 0.05), "the model is for control size U 2, but the data has 3; they must"),
-        (run_of(2, 2, 0.01), "the model is for dt 0.05 s, but the data has 0.01 s; they must"),
+        (run_of(2, 2, 0.03), "the model is for dt 0.05 s, but the data has 0.03 s; they must"),
     ],
 )
 def test_a_model_and_data_that_do_not_fit(
