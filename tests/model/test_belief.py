@@ -55,6 +55,14 @@ def test_measurements_out_of_range_count_as_the_nearest_possible() -> None:
     np.testing.assert_array_equal(corrected(0.3, -1.0), corrected(0.3, 0.0))
 
 
+def test_every_edge_may_have_a_sensor_of_its_own() -> None:
+    sensor = ContactSensor(jnp.array([0.01, 0.2]), jnp.array([0.3, 0.1]))
+    for edge, one in enumerate((ContactSensor(0.01, 0.3), ContactSensor(0.2, 0.1))):
+        for said in (0.0, 1.0):
+            together = corrected([0.4, 0.4], jnp.full(2, said), sensor)
+            assert together[edge] == corrected(0.4, said, one)
+
+
 EDGES = 8
 probabilities = hnp.arrays(np.float32, (EDGES, 3), elements=st.floats(0, 1, width=32))
 measurements = hnp.arrays(

@@ -8,11 +8,11 @@ _SMALLEST = 1e-6
 
 
 class ContactSensor(eqx.Module):
-    """How often a contact sensor lies."""
+    """How often a contact sensor lies: on every edge alike, or each edge's own rates."""
 
-    false_alarm: float = 0.01
+    false_alarm: float | Float[Array, " E"] = 0.01
     """Probability that it reports contact where there is none."""
-    miss: float = 0.01
+    miss: float | Float[Array, " E"] = 0.01
     """Probability that it reports none where there is contact."""
 
 
