@@ -22,7 +22,9 @@ _UNLIKELY = 500.0
 """Of the sum of squared errors in standard deviations: a pose that much worse is not the one. Edges
 tell two poses apart much better than corners, some of which are a pixel off."""
 _LEAST_EDGES = 4
-"""Fewer tell less than corners do."""
+"""Fewer do not tell a pose."""
+_MEDIAN = 0.6745
+"""Of the sizes of what is normally distributed with a standard deviation of 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +39,8 @@ class ObjectPose:
     tags: tuple[int, ...]
     """The ids that were seen."""
     error: float
-    """How far what was seen lies from what the pose explains: root of the mean square, in standard
-    deviations. About 1 where all is well."""
+    """How far what was seen lies from what the pose explains: the median, in standard deviations;
+    half of the edges may be those of fingers. About 1 where all is well."""
     explained: int
     """How many points, corners or ends of edges, lie within three standard deviations."""
 
@@ -76,12 +78,13 @@ def object_poses(
 
 def refined_pose(
     image: np.ndarray, first: ObjectPose, tagged: TaggedObject, intrinsics: Intrinsics
-) -> ObjectPose:
+) -> ObjectPose | None:
     """The pose from the tags' edges in ``image`` [H, W] uint8, looked for where ``first`` says.
 
     Several times as exact as corners from a detector. First with the tags that were detected, then
     with all that should be in sight: an edge is easier to find than a code to read. Edges that are
-    hidden, or too narrow, count for nothing; where fewer than four are left, ``first`` comes back.
+    hidden, or too narrow, count for nothing. None where fewer than four are found: the corners of
+    one tag fit some pose even where no tag is.
     """
     best = first
     for tags in (first.tags, None, None):
@@ -92,7 +95,7 @@ def refined_pose(
         edges = find_edges(image, intrinsics.project(seen_from))
         found = edges.found
         if found.sum() < _LEAST_EDGES:
-            return best
+            return None
         across = edges.normal * (intrinsics.fx, intrinsics.fy) / edges.noise[:, None]
         seen = Seen(
             ends[found].reshape(-1, 3),
@@ -115,7 +118,7 @@ def _in_sight(seen: ObjectPose, tagged: TaggedObject) -> list[int]:
 
 
 def _pose(fit: PoseFit, tags: tuple[int, ...]) -> ObjectPose:
-    error = float(np.sqrt((fit.residual**2).mean()))
+    error = float(np.median(np.abs(fit.residual)) / _MEDIAN)
     # What fits worse than the noise allows is trusted less: blur, a bent print, a hidden edge.
     covariance = np.linalg.inv(fit.information) * max(1.0, error**2)
     explained = int((np.abs(fit.residual) < 3.0).sum())

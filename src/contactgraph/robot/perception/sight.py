@@ -14,9 +14,8 @@ from contactgraph.robot.perception.tags import TagDetection, TagDetector
 
 _FLOOR = 2e-4
 """m: no position is believed to be surer, whatever the pixels say."""
-_LARGEST_CORNER_ERROR, _LARGEST_ERROR = 30.0, 10.0
-"""Standard deviations: a pose that explains its corners, and then the edges, worse is none. What
-leans the wrong way is 17 off, and centimetres away."""
+_LARGEST_CORNER_ERROR, _LARGEST_ERROR = 30.0, 6.0
+"""Standard deviations: a pose that explains its corners, and then the edges, worse is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +68,12 @@ def located(
 
     ``detections`` are the tags that a `TagDetector` found in the frame, of whatever object.
     """
-    likely = [
-        refined_pose(frame.image, each, tagged, intrinsics)
-        for each in object_poses(detections, tagged, intrinsics)
-        if each.error < _LARGEST_CORNER_ERROR
-    ]
-    found = max(likely, key=lambda each: each.explained, default=None)
+    found = None
+    for rough in object_poses(detections, tagged, intrinsics):
+        if rough.error < _LARGEST_CORNER_ERROR:
+            exact = refined_pose(frame.image, rough, tagged, intrinsics)
+            if exact is not None and (found is None or exact.explained > found.explained):
+                found = exact
     if found is None or found.error > _LARGEST_ERROR:
         return None
     if frame.depth is None:
