@@ -1,0 +1,77 @@
+"""Contacts inferred from motion along runs of bodies that are wider than their model knows."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from evaluation_worlds import GluedBodies
+
+from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.evaluate import MPCPolicy, collect, control_task, evaluate_open_loop, run_episode
+from contactgraph.model import MotionNoise, load_model, shipped_model
+from contactgraph.tasks import PickupExpert, PickupTask
+
+WIDER = partial(PickupTask, radius=0.042)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(shipped_model("pickup")).model
+
+
+@pytest.fixture(scope="module")
+def runs() -> Dataset:
+    return Dataset(tuple(collect([WIDER], [PickupExpert()], 2, 7100)))
+
+
+def test_motion_finds_on_recorded_runs_what_distance_denies(model, runs) -> None:
+    found = evaluate_open_loop(model, runs, motion_noise=MotionNoise())
+    # Nearly all that measured contacts gain; no more, for the rollouts themselves forget.
+    gain = found.edge_f1 - found.edge_f1_unmeasured
+    assert gain > 0.05 and found.edge_f1_inferred - found.edge_f1_unmeasured > 0.5 * gain
+    assert found.n_step_rmse_inferred_m != found.n_step_rmse_unmeasured_m
+    # Contacts that were recorded have no part in it.
+    bare = Dataset(tuple(replace(run, contact=None) for run in runs))
+    again = evaluate_open_loop(model, bare, motion_noise=MotionNoise())
+    assert again.n_step_rmse_inferred_m == found.n_step_rmse_inferred_m
+    assert again.edge_f1_inferred is None
+    unasked = evaluate_open_loop(model, runs)
+    assert unasked.edge_f1_inferred is unasked.n_step_rmse_inferred_m is None
+    assert unasked.edge_f1_unmeasured == found.edge_f1_unmeasured
+
+
+def test_motion_finds_in_closed_loop_what_distance_denies(model) -> None:
+    without, _ = control_task(model, WIDER, 1, 7100, measured=False, replan_every=10)
+    noise = MotionNoise()
+    inferred, _ = control_task(
+        model, WIDER, 1, 7100, measured=False, replan_every=10, motion_noise=noise
+    )
+    assert without.found.edges.recall < 0.5 and inferred.found.edges.f1 > 0.95
+    assert inferred.found.onset_delays == (0.0,)
+
+
+def test_policies_are_told_what_was_applied() -> None:
+    told = []
+
+    class Strong:
+        def reset(self, scene, seed):
+            pass
+
+        def __call__(self, observation):
+            return np.array([30.0, -1.0])
+
+        def applied(self, control):
+            told.append(control)
+
+    run = run_episode(PickupTask(), Strong(), 0)
+    # The task's limit is 10 N.
+    assert np.array_equal(told, run.control) and np.all(run.control == [10.0, -1.0])
+    assert hasattr(MPCPolicy, "applied")
+
+
+def test_arguments(runs) -> None:
+    with pytest.raises(InvalidInputError, match=r"only a ContactDynamics.*found GluedBodies"):
+        evaluate_open_loop(GluedBodies(), runs, motion_noise=MotionNoise())
+    with pytest.raises(InvalidInputError, match=r"radius must be above 0, to 0.06 m, found 0.1"):
+        PickupTask(radius=0.1)
