@@ -15,8 +15,13 @@ beside a thread that watches a camera of 30 Hz, and beside a process that does.
 """
 
 import os
+import sys
+from importlib.util import find_spec
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # MuJoCo takes its OpenGL as it is imported
+if find_spec("mujoco") is None or find_spec("pyapriltags") is None:
+    print("tag_pose is left out: it needs pip install 'contactgraph[mujoco,robot]'")
+    sys.exit()
 
 import multiprocessing
 import threading
