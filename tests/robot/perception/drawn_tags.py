@@ -46,22 +46,23 @@ def calibration(tag=3):
 
 
 class SlidingTag:
-    """A camera that sees tag 3 go to the right by 3 px a frame, at 50 Hz."""
+    """A camera at 50 Hz that sees tag 3 go to the right by a pixel a frame, up to column 240."""
 
     intrinsics = LENS
 
-    def __init__(self, frames=None):
-        self._began, self._number, self._frames = time.monotonic(), 0, frames
+    def __init__(self, last=None):
+        self._began, self._number, self._last = time.monotonic(), -1, last
 
     def read(self):
-        due = self._began + 0.02 * self._number
-        if time.monotonic() < due:
+        # The newest frame: a busy machine misses some.
+        number = int((time.monotonic() - self._began) / 0.02)
+        if number == self._number:
             return None
-        if self._frames is not None and self._number >= self._frames:
+        if self._last is not None and number > self._last:
             raise OSError("the cable is out")
-        image = drawn([(3, 40 + 3 * min(self._number, 40), 80)])
-        self._number += 1
-        return CameraFrame(image, None, due)
+        self._number = number
+        image = drawn([(3, min(40 + number, 240), 80)])
+        return CameraFrame(image, None, self._began + 0.02 * number)
 
     def close(self):
         pass
