@@ -25,8 +25,8 @@ TRAINING_SEED, VALIDATION_SEED, CONTROL_SEED = 0, 1, 2
 TRAINED_SEED = 0
 """Of the weights."""
 
-FULL_REHEARSAL = RehearsalAmounts(25, 5, 10.0, 20, 5.0)
-QUICK_REHEARSAL = RehearsalAmounts(4, 1, 5.0, 1, 5.0, ("--steps", "600"))
+FULL_REHEARSAL = RehearsalAmounts(25, 5, 10.0, 20, 4.0)
+QUICK_REHEARSAL = RehearsalAmounts(4, 1, 5.0, 1, 4.0, ("--steps", "600"))
 
 
 @dataclass(frozen=True)
