@@ -2,7 +2,12 @@
 
 import multiprocessing
 import os
+import subprocess
+import sys
+import tempfile
+import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -43,6 +48,32 @@ def test_every_unit_has_a_new_process_all_cores_and_children():
     assert len({process for _, _, process, _ in answers}) == 2
     assert {cores for *_, cores in answers} == {len(os.sched_getaffinity(0))}
     assert multiprocessing.active_children() == []
+
+
+def test_nobody_outlives_the_owner():
+    script = (
+        "import os, sys, time\n"
+        "from contactgraph.cluster import WholeMachine\n"
+        "def begin():\n"
+        "    return lambda unit: (print(os.getpid(), flush=True), time.sleep(60))\n"
+        "if __name__ == '__main__':\n"
+        "    with WholeMachine().crew(begin, 1) as crew:\n"
+        "        crew.give(0, 0)\n"
+        "        crew.wait()\n"
+    )
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "owner.py"
+        path.write_text(script)
+        owner = subprocess.Popen([sys.executable, path], stdout=subprocess.PIPE, text=True)
+        assert owner.stdout is not None
+        worker = int(owner.stdout.readline())
+        owner.kill()
+        owner.wait()
+        owner.stdout.close()
+    until = time.monotonic() + 10.0
+    while Path(f"/proc/{worker}").exists():
+        assert time.monotonic() < until, "the worker is still there"
+        time.sleep(0.05)
 
 
 @pytest.mark.parametrize(

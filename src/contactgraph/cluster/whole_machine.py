@@ -1,6 +1,8 @@
 """The engine of work that needs all of a machine: one unit at a time, in a new process."""
 
 import multiprocessing
+import os
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -74,4 +76,13 @@ class _OneAtATime:
 
 
 def _do(connection: Connection, begin: Begin, unit: Any) -> None:
+    threading.Thread(target=_end_with_owner, daemon=True).start()
     connection.send(attempt(begin, unit))
+
+
+def _end_with_owner() -> None:
+    """Daemons end with their owner by themselves, but may not start processes."""
+    owner = multiprocessing.parent_process()
+    if owner is not None:
+        owner.join()
+        os._exit(1)
