@@ -261,8 +261,8 @@ def in_space(run: Trajectory) -> Trajectory:
         ),
         (in_space, "demos.h5: the model is for dimension D 2, but run 0 has 3; they must agree"),
         (
-            lambda run: with_scene(run, dt=0.01),
-            "demos.h5: the model is for dt 0.05 s, but run 0 has 0.01 s; they must agree",
+            lambda run: with_scene(run, dt=0.02),
+            "demos.h5: the model is for dt 0.05 s, but run 0 has 0.02 s; they must agree",
         ),
         (
             lambda run: with_scene(run, goal=None),
