@@ -11,6 +11,8 @@ from contactgraph.data import read_trajectories
 from contactgraph.tasks.franka_recording import FrankaRecording, grasps
 
 SEED = 7100
+PACE = 12
+"""Slow enough for two cores that run other tests, too."""
 
 
 def told(*arguments: object) -> int:
@@ -23,7 +25,7 @@ def recorded(path: Path) -> dict:
     pytest.importorskip("franky", reason="needs pip install 'contactgraph[robot]'")
     numbers = path.with_suffix(".json")
     files = ("--out", path, "--json", numbers)
-    options = ("--runs", 1, "--seconds", 2, "--seed", SEED, "--pace", 4)
+    options = ("--runs", 1, "--seconds", 2, "--seed", SEED, "--pace", PACE)
     assert told("robot", "rehearse-record", *files, *options) == 0
     return json.loads(numbers.read_text())
 
