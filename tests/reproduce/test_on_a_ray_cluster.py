@@ -28,13 +28,13 @@ pytest.importorskip("ray", reason="Ray is not installed: pip install 'contactgra
 from ray.cluster_utils import Cluster
 
 from contactgraph.cluster import ray_cluster
+from contactgraph.cluster.ray_cluster import RayCluster, connected
 
 # Ray starts its processes by fork, of which JAX warns where tests before used it.
 pytestmark = [
     pytest.mark.filterwarnings("ignore:os.fork"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
-from contactgraph.cluster.ray_cluster import RayCluster, connected
 
 
 @pytest.fixture(scope="module")
