@@ -47,7 +47,8 @@ from contactgraph.robot.perception.hand_eye import HandEye, calibrate
 from contactgraph.robot.perception.object_pose import ObjectPose
 from contactgraph.robot.perception.perception import Perception
 from contactgraph.robot.perception.rigid import inverse, pose, rotation_of
-from contactgraph.robot.perception.shared_tracks import SharedTracks
+from contactgraph.robot.perception.seen_objects import SeenObjects
+from contactgraph.robot.perception.shared_sightings import SharedSightings
 from contactgraph.robot.perception.sight import located
 from contactgraph.robot.perception.tags import TagDetector
 from contactgraph.robot.perception.watch import Watch
@@ -256,16 +257,17 @@ def beside(bench: Bench, ticks: int) -> Iterator[dict[str, Any]]:
         LENS, bench.camera.pose, {"block": bench.tagged}, "2026-01-01T00:00:00+00:00"
     )
     yield _lateness("alone", loop(ticks, lambda: None))
-    tracks = SharedTracks(1, multiprocessing.get_context("spawn"))
-    watch = Watch(Replay(taken.image), known, tracks, time.monotonic)
+    shared = SharedSightings(1, multiprocessing.get_context("spawn"))
+    watch = Watch(Replay(taken.image), known, shared, time.monotonic)
     ended = threading.Event()
     thread = threading.Thread(target=_watching, args=(watch, ended))
     thread.start()
-    yield _lateness("a thread", loop(ticks, lambda: tracks.state(0)))
+    yield _lateness("a thread", loop(ticks, lambda: shared.since(0)))
     ended.set()
     thread.join()
     with Perception(partial(Replay, taken.image), known) as seeing:
-        yield _lateness("a process", loop(ticks, lambda: seeing.estimates(time.monotonic())))
+        seen = SeenObjects(seeing, ("block",))
+        yield _lateness("a process", loop(ticks, lambda: seen.estimates(time.monotonic())))
 
 
 def _watching(watch: Watch, ended: threading.Event) -> None:

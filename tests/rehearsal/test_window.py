@@ -18,7 +18,7 @@ def test_all_of_a_block_is_in_its_window() -> None:
         column = lens.fx * corners[:, 0] / corners[:, 2] + lens.cx
         row = lens.fy * corners[:, 1] / corners[:, 2] + lens.cy
         part = window_around(point, pose, lens)
-        assert part is not None and part.width == part.height and part.width <= 320
+        assert part is not None and part.width == part.height and part.width <= 512
         inside = (column >= 0) & (column < lens.width) & (row >= 0) & (row < lens.height)
         assert inside.all()
         assert part.left <= column.min() and column.max() < part.left + part.width

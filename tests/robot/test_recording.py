@@ -11,8 +11,10 @@ from contactgraph.data import InvalidInputError, Scene, read_trajectories, write
 from contactgraph.robot import FakeRobot, RobotReading, SafeRobot, SafetyLimits
 from contactgraph.robot.faults import Fault, lost_packet_fault
 from contactgraph.robot.loop import ControlLoop
+from contactgraph.robot.perception.carried_path import CarriedPath
+from contactgraph.robot.perception.seen_objects import Track
 from contactgraph.robot.perception.tracker import FilterState, ObjectTracker
-from contactgraph.robot.recording import RunRecorder, SeenObjects, smoothed
+from contactgraph.robot.recording import RunRecorder, smoothed
 
 SCENE = Scene(("hand", "block"), ("hand", "block"), np.array([True, False]), 0.01, 3)
 GOAL = np.array([0.5, 0.0, 0.3])
@@ -126,13 +128,18 @@ def tracked(noise: float, seed: int) -> list[FilterState]:
     return states
 
 
+def track_of(states: list[FilterState]) -> Track:
+    """Of an object that nothing carries."""
+    return Track(CarriedPath(1), 0, states)
+
+
 def test_what_was_seen_later_takes_the_lag_away() -> None:
     at = np.arange(0.5, 2.5, 0.001)
     truth, speed = swept(at)
     errors = []
     for seed in range(5):
         states = tracked(0.001, seed)
-        position, velocity = smoothed(states, at)
+        position, velocity = smoothed(track_of(states), at)
         live = [next(s for s in reversed(states) if s.time <= t - 0.03) for t in at]
         guess = np.stack([s.estimate(t).velocity for s, t in zip(live, at, strict=True)])
         errors.append(
@@ -154,7 +161,7 @@ def test_straight_motion_is_found_exactly() -> None:
         assert tracker.state is not None
         states.append(tracker.state)
     at = np.array([-0.1, 0.0, 0.25, 0.31, 0.9])
-    position, velocity = smoothed(states, at)
+    position, velocity = smoothed(track_of(states), at)
     np.testing.assert_allclose(velocity[:, 0], 0.1, atol=1e-3)
     np.testing.assert_allclose(position[:, 0], 0.1 * at, atol=3e-4)
 
@@ -166,35 +173,11 @@ def test_a_block_that_somebody_moved_is_not_smoothed_over() -> None:
         if tracker.measure(np.array([x, 0.0, 0.0]), 1e-6 * np.eye(3), frame / 30.0):
             assert tracker.state is not None
             states.append(tracker.state)
-    position, _ = smoothed(states, np.array([0.5, 0.6, 0.75, 1.0]))
+    position, _ = smoothed(track_of(states), np.array([0.5, 0.6, 0.75, 1.0]))
     np.testing.assert_allclose(position[:2, 0], 0.0, atol=1e-3)
     np.testing.assert_allclose(position[2:, 0], 0.4, atol=1e-3)
 
 
 def test_an_object_in_no_frame() -> None:
     with pytest.raises(InvalidInputError, match="the object was in no frame"):
-        smoothed([], np.zeros(3))
-
-
-class Told:
-    def __init__(self) -> None:
-        self.told: dict[str, FilterState | None] = {"other": None, "block": None}
-
-    def states(self) -> dict[str, FilterState | None]:
-        return self.told
-
-
-def test_seen_objects_are_told_in_the_order_of_nodes_and_kept() -> None:
-    source = Told()
-    seen = SeenObjects(source, ("block", "other"))
-    assert [one.tracked for one in seen.estimates(0.0)] == [False, False]
-    first, second = tracked(0.001, 0)[:2]
-    source.told["block"] = first
-    assert [one.tracked for one in seen.estimates(first.time)] == [True, False]
-    source.told["block"] = second
-    for _ in range(3):
-        block, _ = seen.estimates(second.time)
-    np.testing.assert_array_equal(block.position, second.mean[:3])
-    assert seen.tracks == {1: [first, second], 2: []}
-    seen.begin()
-    assert seen.tracks == {1: [], 2: []}
+        smoothed(track_of([]), np.zeros(3))

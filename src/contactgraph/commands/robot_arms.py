@@ -13,7 +13,8 @@ from contactgraph.data import InvalidInputError
 from contactgraph.robot import FakeRobot, Robot, SafetyLimits, Stop
 from contactgraph.robot.live_fake import LiveFake
 from contactgraph.robot.loop import WallClock
-from contactgraph.robot.recording import AssumedBlock, SeenObjects
+from contactgraph.robot.perception.seen_objects import SeenObjects
+from contactgraph.robot.recording import AssumedBlock
 from contactgraph.tasks.franka_layout import ArmLayout
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ class RehearseControl:
     """For how long each goes on."""
     pace: float = 4.0
     """Wall seconds to a simulated one."""
-    horizon: Annotated[int, arg(metavar="INT")] = 50
+    horizon: Annotated[int, arg(metavar="INT")] = 100
     """Steps to plan ahead."""
     infer_contacts: bool = False
     """Find contacts by how things move, besides what the fingers tell."""

@@ -29,7 +29,7 @@ class Run:
     arm: ArmOptions = field(default_factory=ArmOptions)
     seconds: float = 5.0
     """For how long."""
-    horizon: Annotated[int, arg(metavar="INT")] = 50
+    horizon: Annotated[int, arg(metavar="INT")] = 100
     """Steps to plan ahead."""
     infer_contacts: bool = False
     """Find contacts by how things move, besides what the fingers tell."""

@@ -102,8 +102,6 @@ class Session:
 
     def _tick(self, now: float, reading: RobotReading | None, sent: np.ndarray | None) -> None:
         self._recorder(now, reading, sent)
-        if self._arm.assumed is not None:
-            self._arm.assumed.note(reading)
         self._last = reading or self._last
 
 

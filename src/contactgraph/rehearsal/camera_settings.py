@@ -8,10 +8,11 @@ import numpy as np
 from contactgraph.robot.perception.camera import Intrinsics
 from contactgraph.robot.perception.rigid import pose
 
-_EYE = np.array([1.35, 0.0, 0.3])
+_EYE = np.array([1.3, 0.0, 0.4])
 _LOOK_AT = np.array([0.45, 0.0, 0.15])
-"""m, in the frame of the arm's base. So low that it sees the lower tags of a block below the hand
-that grasps it: from 0.55 m up, the hand hid the block for 0.4 s in one sweep of fourteen."""
+"""m, in the frame of the arm's base. From higher up the hand hides the block before it grasps it
+(0.4 s in one sweep of fourteen from 0.55 m); from lower, a held block shows one tag alone, whose
+leaning is uncertain (1 cm of error, and more)."""
 
 
 def looking_at(eye: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -24,9 +25,9 @@ def looking_at(eye: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """A camera on a stand opposite the arm."""
+    """A camera on a stand opposite the arm; lens and pixels are those of a RealSense D435."""
 
-    intrinsics: Intrinsics = Intrinsics(900.0, 900.0, 639.5, 359.5, 1280, 720)  # noqa: RUF009
+    intrinsics: Intrinsics = Intrinsics(1386.0, 1386.0, 959.5, 539.5, 1920, 1080)  # noqa: RUF009
     place: tuple[tuple[float, ...], ...] = tuple(
         tuple(row) for row in looking_at(_EYE, _LOOK_AT).tolist()
     )

@@ -12,8 +12,12 @@ from drawn_tags import CAMERA, LENS, SIZE, SlidingTag, calibration, drawn
 
 from contactgraph.data import InvalidInputError
 from contactgraph.robot.perception import CameraCalibration, CameraFrame
-from contactgraph.robot.perception.shared_tracks import SharedTracks, TrackCounts
-from contactgraph.robot.perception.tracker import FilterState
+from contactgraph.robot.perception.seen_objects import SeenObjects
+from contactgraph.robot.perception.shared_sightings import (
+    Measured,
+    SharedSightings,
+    SightCounts,
+)
 
 pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
 from contactgraph.robot.perception.perception import Perception
@@ -58,27 +62,28 @@ class Frames:
         return next(self._frames, None)
 
 
-def test_frames_are_counted_and_only_what_counts_moves_the_track():
+def test_frames_are_counted_and_the_newest_that_shows_the_object_is_told():
     at = [CameraFrame(drawn([(3, 100, 80)]), None, 0.01 * number) for number in range(3)]
     empty = CameraFrame(drawn([]), None, 0.03)
-    frames = [*at, empty, at[2], CameraFrame(drawn([(3, 220, 80)]), None, 0.04)]
-    tracks = SharedTracks(1, multiprocessing.get_context("spawn"))
-    watch = Watch(Frames(frames), calibration(), tracks, lambda: 0.05)
-    assert [watch.look() for _ in range(7)] == [True] * 6 + [False]
-    # Of the last three: not there, seen before, and too far away to be true.
-    assert tracks.counts(0) == TrackCounts(frames=6, lost=1, refused=2)
-    assert tracks.state(0).time == pytest.approx(0.02)
-    count, mean, longest = tracks.latency()
-    assert count == 6 and mean == pytest.approx(0.03) and longest == pytest.approx(0.05)
+    shared = SharedSightings(1, multiprocessing.get_context("spawn"))
+    watch = Watch(Frames([*at, empty]), calibration(), shared, lambda: 0.05)
+    assert [watch.look() for _ in range(5)] == [True] * 4 + [False]
+    assert shared.counts(0) == SightCounts(frames=4, lost=1)
+    seen = shared.since(0)[-1]
+    assert seen.time == pytest.approx(0.02)
+    np.testing.assert_allclose(seen.position, expected(100), atol=3e-4)
+    count, mean, longest = shared.latency()
+    assert count == 4 and mean == pytest.approx(0.035) and longest == pytest.approx(0.05)
 
 
 def test_a_process_tells_where_the_object_is_and_how_fast():
     with Perception(SlidingTag, calibration()) as seeing:
+        seen = SeenObjects(seeing, ("block",))
         until = time.monotonic() + 20.0
         while time.monotonic() < until:
             seeing.check()
             now = time.monotonic()
-            estimate = seeing.estimates(now)["block"]
+            (estimate,) = seen.estimates(now)
             if seeing.report().frames > 12 and estimate.tracked:
                 break
             time.sleep(0.005)
@@ -126,17 +131,23 @@ def test_the_users_mistakes_are_told_as_such():
         Perception(SlidingTag, other).start()
 
 
-def test_states_come_whole_through_shared_memory():
-    tracks = SharedTracks(2, multiprocessing.get_context("spawn"))
-    assert tracks.state(1) is None and tracks.counts(1) == TrackCounts(0, 0, 0)
+def test_sightings_come_whole_through_shared_memory():
+    shared = SharedSightings(2, multiprocessing.get_context("spawn"))
+    assert shared.since(1) == [] and shared.counts(1) == SightCounts(0, 0)
     rng = np.random.default_rng(0)
-    for number in range(9):
-        covariance = rng.normal(size=(6, 6))
-        told = FilterState(float(number), rng.normal(size=6), covariance, -1.0, 0.5)
-        tracks.write(1, told, TrackCounts(number, 2, 3))
-        found = tracks.state(1)
-        assert (found.time, found.begun, found.density) == (float(number), -1.0, 0.5)
-        np.testing.assert_array_equal(found.mean, told.mean)
-        np.testing.assert_array_equal(found.covariance, told.covariance)
-        assert tracks.counts(1) == TrackCounts(number, 2, 3)
-    assert tracks.state(0) is None
+    told = []
+    for number in range(19):
+        # Every third frame does not show it.
+        if number % 3:
+            told.append(Measured(rng.normal(size=3), rng.normal(size=(3, 3)), float(number)))
+        shared.write(1, told[-1] if told else None, SightCounts(number, 2))
+        found = shared.since(1, number - 2.5)
+        assert [each.time for each in found] == [t.time for t in told if t.time > number - 2.5]
+        for each, true in zip(found, told[-len(found) :] if found else [], strict=True):
+            np.testing.assert_array_equal(each.position, true.position)
+            np.testing.assert_array_equal(each.covariance, true.covariance)
+        assert shared.since(1, float(number)) == []  # nothing newer
+        assert shared.counts(1) == SightCounts(number, 2)
+    assert [each.time for each in shared.since(1)] == [14.0, 16.0, 17.0]
+    shared.write(0, None, SightCounts(1, 1))
+    assert shared.since(0) == [] and shared.counts(0) == SightCounts(1, 1)

@@ -8,14 +8,15 @@ OPEN_WIDTH = 0.06
 """m, between the fingers while there is nothing to grasp: as they go in the simulated task."""
 _BLOCK = 0.04
 """m, the width of a block."""
-_CLOSING = 0.1
-"""m/s, of the width."""
+_CLOSING = 0.11
+"""m/s, of the width: what fingers do that are told 0.1, as the rehearsal's are."""
 LAG = 0.005
 """s, from the decision to when the fingers move, as the rehearsal's do."""
-_PAST = 0.01
+_PAST = 0.012
 """m: how far the grasp point has passed a block's centre when the fingers meet on it. Before it,
-they would be too narrow as they come to the block: a camera is wrong by some millimetres, and a
-finger that hits the block's front pushes it away."""
+they would be too narrow as they come to the block: a hand on a curved way is off by some
+millimetres, and a finger that hits the block's front pushes it away. Later, they would hold it
+where a model does not know that they can."""
 _AT = 0.012
 """m: nearer than this, a hand that rests is at the block."""
 _RESTS = 0.03

@@ -1,5 +1,6 @@
 """What a reading of an arm is made of: the hand, what is seen, and what the fingers tell."""
 
+import math
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -14,6 +15,12 @@ _HAND_VARIANCE = 1e-8
 
 class ObjectSource(Protocol):
     """Whoever measures objects: see `contactgraph.robot.perception`."""
+
+    def follow(
+        self, hand: np.ndarray, speed: np.ndarray, stamp: float, block: int, contact: float
+    ) -> None:
+        """Is told the hand's place [3] m and speed [3] m/s at ``stamp`` s, and whether its fingers
+        hold ``block``: 1, 0, or NaN where that is not known."""
 
     def estimates(self, now: float) -> Sequence[Estimate]:
         """One for each object, at ``now`` s."""
@@ -53,18 +60,24 @@ class Nodes:
 
         ``acting``: whether the fingers may move.
         """
-        seen = () if self._objects is None else self._objects.estimates(now)
+        seen: Sequence[Estimate] = ()
+        fingers, touch = self._fingers, math.nan
+        if self._objects is not None:
+            if fingers is not None:
+                touch = fingers.contact()
+                self._objects.follow(hand, speed, stamp, fingers.block, touch)
+            seen = self._objects.estimates(now)
         position = np.array([hand, *[one.position for one in seen]])
         velocity = np.array([speed, *[one.velocity for one in seen]])
         tracked = np.array([True, *[one.tracked for one in seen]])
         contact = None
-        if self._fingers is not None and seen:
-            if acting:
-                self._fingers.follow(position[1:] - hand, speed - velocity[1:], tracked[1:])
+        if fingers is not None and seen:
             contact = np.full((len(position),) * 2, np.nan)
             np.fill_diagonal(contact, 0.0)
-            block = 1 + self._fingers.block
-            contact[0, block] = contact[block, 0] = self._fingers.contact()
+            block = 1 + fingers.block
+            contact[0, block] = contact[block, 0] = touch
+            if acting:
+                fingers.follow(position[1:] - hand, speed - velocity[1:], tracked[1:])
         return RobotReading(
             position=position,
             velocity=velocity,

@@ -1,5 +1,6 @@
 """Seeing in a process of its own, beside the robot's loop."""
 
+import math
 import multiprocessing
 import signal
 import time
@@ -13,8 +14,11 @@ from contactgraph.data import InvalidInputError
 from contactgraph.robot.loop.undisturbed import give_way
 from contactgraph.robot.perception.calibration import CameraCalibration
 from contactgraph.robot.perception.camera import Camera, Intrinsics
-from contactgraph.robot.perception.shared_tracks import SharedTracks, TrackCounts
-from contactgraph.robot.perception.tracker import NEVER_SEEN, Estimate, FilterState
+from contactgraph.robot.perception.shared_sightings import (
+    Measured,
+    SharedSightings,
+    SightCounts,
+)
 from contactgraph.robot.perception.watch import Watch
 
 _PAUSE = 0.001
@@ -31,10 +35,10 @@ class PerceptionReport:
 
     frames: int
     latency: float
-    """s, mean, from the exposure of a frame to when its estimate can be had."""
+    """s, mean, from the exposure of a frame to when what it shows can be had."""
     longest_latency: float
     """s"""
-    objects: Mapping[str, TrackCounts]
+    objects: Mapping[str, SightCounts]
 
 
 class Perception:
@@ -44,8 +48,8 @@ class Perception:
     one. ``clock`` is the one that frames are stamped with, likewise; it must be the same in all
     processes, as `time.monotonic` is.
 
-    A process, not a thread: the library that finds tags lets other threads run, but poses and
-    tracks are Python, and a loop of 1 ms beside them in one process waits for them
+    A process, not a thread: the library that finds tags lets other threads run, but poses
+    are Python, and a loop of 1 ms beside them in one process waits for them
     (benchmarks/tag_pose.py measures both). Raises what ``open_camera`` raises if that is
     `InvalidInputError`, and `InvalidInputError` where the camera's size is not that of the
     calibration, or nothing is to be watched.
@@ -61,12 +65,12 @@ class Perception:
             raise InvalidInputError("the calibration names no objects: nothing can be watched")
         self._names = tuple(calibration.objects)
         context = multiprocessing.get_context("spawn")
-        self._tracks = SharedTracks(len(self._names), context)
+        self._shared = SharedSightings(len(self._names), context)
         self._connection, theirs = context.Pipe()
         self._theirs: Connection | None = theirs
         self._process = context.Process(
             target=_watch,
-            args=(theirs, self._tracks, open_camera, calibration, clock),
+            args=(theirs, self._shared, open_camera, calibration, clock),
             daemon=True,
             name="perception",
         )
@@ -113,27 +117,22 @@ class Perception:
         if isinstance(answer, BaseException):
             raise answer
 
-    def estimates(self, now: float) -> dict[str, Estimate]:
-        """Where each object is at ``now`` s on the clock, by name. Takes microseconds."""
-        return {
-            name: NEVER_SEEN if state is None else state.estimate(now)
-            for name, state in self.states().items()
-        }
+    def since(self, name: str, after: float = -math.inf) -> list[Measured]:
+        """Where frames exposed after ``after`` s show an object: the newest five at most, in order.
 
-    def states(self) -> dict[str, FilterState | None]:
-        """What each object's tracker found at the last frame that counted; None: not seen yet."""
-        return {name: self._tracks.state(index) for index, name in enumerate(self._names)}
+        Takes a microsecond where there is nothing new."""
+        return self._shared.since(self._names.index(name), after)
 
     def report(self) -> PerceptionReport:
         """Frames, lost frames, and latency so far."""
-        frames, mean, longest = self._tracks.latency()
-        objects = {name: self._tracks.counts(index) for index, name in enumerate(self._names)}
+        frames, mean, longest = self._shared.latency()
+        objects = {name: self._shared.counts(index) for index, name in enumerate(self._names)}
         return PerceptionReport(frames, mean, longest, objects)
 
 
 def _watch(
     connection: Connection,
-    tracks: SharedTracks,
+    shared: SharedSightings,
     open_camera: Callable[[], Camera],
     calibration: CameraCalibration,
     clock: Callable[[], float],
@@ -146,7 +145,7 @@ def _watch(
         camera = open_camera()
         try:
             _check_size(camera.intrinsics, calibration.intrinsics)
-            watch = Watch(camera, calibration, tracks, clock)
+            watch = Watch(camera, calibration, shared, clock)
             connection.send(None)
             # Whatever is said, or that nobody is there any more, ends it.
             while not connection.poll():

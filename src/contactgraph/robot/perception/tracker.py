@@ -36,6 +36,8 @@ _FIRST_SPEED = 0.5
 """m/s, standard deviation of the velocity at a start."""
 _LOST_AFTER = 0.2
 """s without a measurement."""
+_FORGOTTEN_AFTER = 1.0
+"""s without a measurement after which nothing is known of how it moves: the filter starts anew."""
 _LOST_ABOVE = 0.05
 """m: standard deviation along the worst axis. Where a block that was just struck is now, 0.07 s
 after the last frame, is known to 0.02 m only: that must not stop the hand that grasps it."""
@@ -72,8 +74,13 @@ class FilterState:
     density: float = math.inf
     """m^2/s^3, of the acceleration that explains the way here from the state before."""
 
-    def estimate(self, now: float, density: float = ACCELERATION_DENSITY) -> Estimate:
-        """The state at ``now`` s, which may be before its own time: then it is that time's."""
+    def estimate(
+        self, now: float, density: float = ACCELERATION_DENSITY, lost_after: float = _LOST_AFTER
+    ) -> Estimate:
+        """The state at ``now`` s, which may be before its own time: then it is that time's.
+
+        It is tracked up to ``lost_after`` s later.
+        """
         ahead = now - self.time
         if not ahead > 0.0:
             ahead = 0.0
@@ -86,7 +93,7 @@ class FilterState:
             + (ahead * ahead) * diagonal[3:]
             + (density * ahead * ahead * ahead / 3.0)
         )
-        tracked = ahead <= _LOST_AFTER and max(variance.tolist()) <= _LOST_ABOVE**2
+        tracked = ahead <= lost_after and max(variance.tolist()) <= _LOST_ABOVE**2
         return Estimate(p + ahead * v, v.copy(), variance, self.time, tracked)
 
 
@@ -95,31 +102,38 @@ NEVER_SEEN = Estimate(np.zeros(3), np.zeros(3), np.full(3, np.inf), -math.inf, F
 
 
 class ObjectTracker:
-    """Tracks one object. ``density`` m^2/s^3 is that of the white acceleration."""
+    """Tracks one object."""
 
-    def __init__(self, density: float = ACCELERATION_DENSITY) -> None:
-        self._density = density
+    def __init__(self) -> None:
         self.state: FilterState | None = None
         """At the last frame that counted; None before the first."""
         self._newest = -math.inf
         self._doubtful: list[FilterState] = []
 
-    def measure(self, position: np.ndarray, covariance: np.ndarray, time: float) -> bool:
+    def measure(
+        self,
+        position: np.ndarray,
+        covariance: np.ndarray,
+        time: float,
+        density: float = ACCELERATION_DENSITY,
+    ) -> bool:
         """A frame exposed at ``time`` s showed the object at ``position`` [3] m.
 
-        ``covariance`` [3, 3] m^2. True where it counts; frames no newer than the last, and
-        measurements that are not finite, change nothing.
+        ``covariance`` [3, 3] m^2; ``density`` m^2/s^3 of the white acceleration since the last.
+        True where it counts; frames no newer than the last, and measurements that are not finite,
+        change nothing.
         """
         finite = np.isfinite(position).all() and np.isfinite(covariance).all()
         if not (finite and math.isfinite(time) and time > self._newest):
             return False
         self._newest = time
-        if self.state is None:
+        if self.state is None or time - self.state.time > _FORGOTTEN_AFTER:
+            self._doubtful = []
             self.state = _started(position, covariance, time)
             return True
-        updated = _updated(self.state, position, covariance, time, self._density)
+        updated = _updated(self.state, position, covariance, time, density)
         if updated is None:
-            updated = self._agreed(position, covariance, time)
+            updated = self._agreed(position, covariance, time, density)
         if updated is None:
             return False
         self.state, self._doubtful = updated, []
@@ -129,16 +143,16 @@ class ObjectTracker:
         """Where the object is at ``now`` s, as far as known."""
         if self.state is None:
             return NEVER_SEEN
-        return self.state.estimate(now, self._density)
+        return self.state.estimate(now)
 
     def _agreed(
-        self, position: np.ndarray, covariance: np.ndarray, time: float
+        self, position: np.ndarray, covariance: np.ndarray, time: float, density: float
     ) -> FilterState | None:
         """What the doubtful measurements in a row say, once they are enough and agree."""
         last = self._doubtful[-1] if self._doubtful else None
         agreed = None
         if last is not None:
-            agreed = _updated(last, position, covariance, time, self._density)
+            agreed = _updated(last, position, covariance, time, density)
         if agreed is None:
             self._doubtful = [_started(position, covariance, time)]
             return None

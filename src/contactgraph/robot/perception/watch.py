@@ -5,25 +5,24 @@ from dataclasses import replace
 
 from contactgraph.robot.perception.calibration import CameraCalibration
 from contactgraph.robot.perception.camera import Camera
-from contactgraph.robot.perception.shared_tracks import SharedTracks, TrackCounts
+from contactgraph.robot.perception.shared_sightings import Measured, SharedSightings, SightCounts
 from contactgraph.robot.perception.sight import Sight
-from contactgraph.robot.perception.tracker import ObjectTracker
 
 
 class Watch:
-    """Camera to tags to poses to tracks; ``clock`` tells the time that frames are stamped with."""
+    """Camera to tags to poses to places; ``clock`` tells the time that frames are stamped with."""
 
     def __init__(
         self,
         camera: Camera,
         calibration: CameraCalibration,
-        tracks: SharedTracks,
+        shared: SharedSightings,
         clock: Callable[[], float],
     ) -> None:
-        self._camera, self._tracks, self._clock = camera, tracks, clock
+        self._camera, self._shared, self._clock = camera, shared, clock
         self._sight = Sight(calibration)
-        self._trackers = {name: ObjectTracker() for name in calibration.objects}
-        self._counts = {name: TrackCounts(0, 0, 0) for name in calibration.objects}
+        self._newest: dict[str, Measured | None] = dict.fromkeys(calibration.objects)
+        self._counts = {name: SightCounts(0, 0) for name in calibration.objects}
 
     def look(self) -> bool:
         """Takes the newest frame into account; False where there is none."""
@@ -31,19 +30,14 @@ class Watch:
         if frame is None:
             return False
         seen = self._sight.see(frame)
-        for index, (name, tracker) in enumerate(self._trackers.items()):
+        for index, name in enumerate(self._newest):
+            found = seen.get(name)
+            if found is not None:
+                self._newest[name] = Measured(found.position, found.covariance, frame.time)
             count = self._counts[name]
-            lost = refused = 0
-            if name not in seen:
-                lost = 1
-            elif not tracker.measure(seen[name].position, seen[name].covariance, frame.time):
-                refused = 1
             self._counts[name] = replace(
-                count,
-                frames=count.frames + 1,
-                lost=count.lost + lost,
-                refused=count.refused + refused,
+                count, frames=count.frames + 1, lost=count.lost + (found is None)
             )
-            self._tracks.write(index, tracker.state, self._counts[name])
-        self._tracks.add_frame(self._clock() - frame.time)
+            self._shared.write(index, self._newest[name], self._counts[name])
+        self._shared.add_frame(self._clock() - frame.time)
         return True

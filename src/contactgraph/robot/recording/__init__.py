@@ -2,6 +2,4 @@
 
 from contactgraph.robot.recording.assumed_block import AssumedBlock as AssumedBlock
 from contactgraph.robot.recording.run_recorder import RunRecorder as RunRecorder
-from contactgraph.robot.recording.seen_objects import SeenObjects as SeenObjects
-from contactgraph.robot.recording.seen_objects import TrackSource as TrackSource
 from contactgraph.robot.recording.smoothing import smoothed as smoothed

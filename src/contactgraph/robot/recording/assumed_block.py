@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from contactgraph.robot.contract import RobotReading
 from contactgraph.robot.perception.tracker import Estimate
 
 _UNSURE = 1e-6
@@ -24,14 +23,17 @@ class AssumedBlock:
         """It stands where it was said to stand."""
         self._place, self._velocity = self._said.copy(), np.zeros(3)
 
-    def note(self, reading: RobotReading | None) -> None:
-        """What the arm has read: the hand, and what its fingers touch."""
-        if reading is None or reading.contact is None:
-            return
-        # Not measured is neither touched nor let go.
-        if reading.contact[0, 1] > 0.5:
-            self._place, self._velocity = reading.position[0].copy(), reading.velocity[0].copy()
-        elif reading.contact[0, 1] <= 0.5:
+    def follow(
+        self, hand: np.ndarray, speed: np.ndarray, stamp: float, block: int, contact: float
+    ) -> None:
+        """What an arm has read: the hand at ``hand`` [3] m with ``speed`` [3] m/s.
+
+        ``contact``: 1 where its fingers hold something, 0 where not, NaN where that is not known.
+        """
+        # Not known is neither touched nor let go.
+        if contact > 0.5:
+            self._place, self._velocity = hand.copy(), speed.copy()
+        elif contact <= 0.5:
             self._velocity = np.zeros(3)
 
     def estimates(self, now: float) -> list[Estimate]:

@@ -1,14 +1,14 @@
 """Writes down what a loop reads and sends, and makes a run of it."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
 from contactgraph.robot.contract import RobotReading
-from contactgraph.robot.perception.tracker import FilterState
+from contactgraph.robot.perception.seen_objects import Track
 from contactgraph.robot.recording.smoothing import smoothed
 
 _SPARE_TICKS = 100
@@ -63,14 +63,12 @@ class RunRecorder:
             self._sent[self._sends] = sent
             self._sends += 1
 
-    def run(
-        self, scene: Scene, tracks: Mapping[int, Sequence[FilterState]] | None = None
-    ) -> Trajectory | None:
+    def run(self, scene: Scene, tracks: Mapping[int, Track] | None = None) -> Trajectory | None:
         """The run, in steps of the loop's period, from the first force sent to the last.
 
-        ``scene`` is that of the run; its ``dt`` is set. ``tracks`` are the states of objects'
-        trackers, by their nodes (`SeenObjects`): where they were is smoothed from that; states of
-        other nodes are as they were read. Contact is recorded where it was measured throughout.
+        ``scene`` is that of the run; its ``dt`` is set. ``tracks`` are those of objects by
+        their nodes (`SeenObjects`): where they were is smoothed from that; states of other nodes
+        are as they were read. Contact is recorded where it was measured throughout.
         None where there is no step. Raises `InvalidInputError` where an object was in no frame, or
         where the scene has other nodes.
         """
@@ -86,8 +84,8 @@ class RunRecorder:
             return None
         at = first + self._period * np.arange(steps + 1)
         position, velocity = self._as_read(scene, at)
-        for node, states in (tracks or {}).items():
-            position[:, node], velocity[:, node] = smoothed(states, at)
+        for node, track in (tracks or {}).items():
+            position[:, node], velocity[:, node] = smoothed(track, at)
         # The tick nearest to each state: its force acts in the step from there.
         sent = np.searchsorted(self._sent_at[: self._sends], at[:-1] + self._period / 2.0) - 1
         last = np.searchsorted(self._read_at[: self._reads], at + self._period / 2.0) - 1

@@ -7,24 +7,24 @@ are those of the Rauch-Tung-Striebel smoother over the tracker's own filter,
 
 backwards over the frames, with the tracker's explanation of each (smooth motion, or a blow).
 Between two frames the expected motion under white acceleration is the cubic that has the frames'
-positions and velocities at its ends.
+positions and velocities at its ends. All of that is seen from what carried the object, whose motion
+is known, and added.
 """
-
-from collections.abc import Sequence
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.robot.perception.tracker import FilterState, predicted
+from contactgraph.robot.perception.seen_objects import Track
+from contactgraph.robot.perception.tracker import predicted
 
 
-def smoothed(states: Sequence[FilterState], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def smoothed(track: Track, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Position and velocity, each [T, 3] m and m/s, at the times ``at`` [T] s.
 
-    ``states`` are those of an `ObjectTracker` at the frames that counted, one after the other.
-    Before the first and after the last of them, the object goes on as it did there.
-    Raises `InvalidInputError` where there are none.
+    Before the first frame that counted, and after the last, the object goes on as it did there.
+    Raises `InvalidInputError` where there was none.
     """
+    states = track.states
     if not states:
         raise InvalidInputError("the object was in no frame: it cannot be said where it was")
     means = [state.mean for state in states]
@@ -38,7 +38,9 @@ def smoothed(states: Sequence[FilterState], at: np.ndarray) -> tuple[np.ndarray,
         ahead = predicted(here.covariance, step, after.density)
         gain = np.linalg.solve(ahead, forward @ here.covariance).T
         means[index] = here.mean + gain @ (means[index + 1] - forward @ here.mean)
-    return _between(np.array([state.time for state in states]), np.stack(means), at)
+    position, velocity = _between(np.array([state.time for state in states]), np.stack(means), at)
+    moved, speed = track.carried.motion(track.index, at)
+    return position + moved, velocity + speed
 
 
 def _between(frame: np.ndarray, mean: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
