@@ -3,55 +3,25 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
-from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.ilqr import ILQR
+from contactgraph.control.lqr import LQRPolicy
+from contactgraph.control.mpc_state import MPCState, Seen
 from contactgraph.control.plan import Plan, PlanStatus, shift_plan
+from contactgraph.control.swept import Swept
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,
+    Locality,
     ModelState,
     MotionNoise,
-    Nodes,
     StepModel,
     correct,
     correct_by_motion,
     judging_motion,
     stack_state,
 )
-
-
-class Seen(eqx.Module):
-    """What a tick saw, believed and answered: the next one's view of the step between them."""
-
-    position: Float[Array, "N D"]
-    """m; NaN before the first tick."""
-    velocity: Float[Array, "N D"]
-    """m/s"""
-    belief: ContactBelief
-    """About the step that led there, corrected by all that was observed."""
-    told: Float[Array, " E"]
-    """See `MotionEvidence`."""
-    control: Float[Array, " U"]
-    """N, of the plan that was handed over."""
-
-
-class MPCState(eqx.Module):
-    """What is carried from tick to tick. `dataclasses.replace` it to change cost or nodes."""
-
-    nodes: Nodes
-    cost: QuadraticCost
-    belief: ContactBelief
-    """About the step that leads to the next observation, not yet corrected by its contacts."""
-    plan: Plan
-    """The running plan, as of the last observation."""
-    unplanned: Int[Array, ""]
-    """Ticks since a plan was made."""
-    seen: Seen
-    """By the last tick."""
-    fresh: Bool[Array, ""]
-    """True until the first tick: the plan starts at the coming observation, not before it."""
 
 
 class Controller(eqx.Module):
@@ -64,6 +34,8 @@ class Controller(eqx.Module):
     """None: motion does not correct beliefs."""
     replan_every: int = eqx.field(static=True)
     """Ticks from plan to plan; in between the running plan's feedback acts."""
+    locality: Locality | None = eqx.field(static=True)
+    """None: everyone may matter to everyone, so where plans lead is not looked at."""
 
     def tick(
         self,
@@ -88,23 +60,26 @@ class Controller(eqx.Module):
         now = ModelState(position, velocity, belief)
         due = state.unplanned >= self.replan_every
 
-        def keep() -> Plan:
-            return running.with_status(PlanStatus.BAD_OBSERVATION)
+        def keep() -> tuple[Plan, Swept | None]:
+            return running.with_status(PlanStatus.BAD_OBSERVATION), state.swept
 
-        def follow() -> Plan:
-            return self._followed(running, now, state)
+        def follow() -> tuple[Plan, Swept | None]:
+            swept = state.swept
+            if swept is not None:
+                swept = swept.and_at([position], state.nodes)
+            return self._followed(running, now, state), swept
 
-        def replan() -> Plan:
-            plan = self.ilqr.solve(self.model, now, state.nodes, state.cost, running.policy)
+        def replan() -> tuple[Plan, Swept | None]:
+            plan, swept = self._planned(now, state, running.policy)
             kept = running.with_status(PlanStatus.NOT_FINITE)
             failed = plan.status == PlanStatus.NOT_FINITE
-            return jax.tree.map(lambda new, old: jnp.where(failed, old, new), plan, kept)
+            return jax.tree.map(lambda new, old: jnp.where(failed, old, new), plan, kept), swept
 
         if self.replan_every == 1:
-            plan = jax.lax.cond(usable, replan, keep)
+            plan, swept = jax.lax.cond(usable, replan, keep)
         else:
             branch = jnp.where(usable, jnp.where(due, 2, 1), 0)
-            plan = jax.lax.switch(branch, [keep, follow, replan])
+            plan, swept = jax.lax.switch(branch, [keep, follow, replan])
         planned = plan.status <= PlanStatus.NO_DESCENT
         after = MPCState(
             nodes=state.nodes,
@@ -114,6 +89,7 @@ class Controller(eqx.Module):
             unplanned=jnp.where(planned, 1, state.unplanned + 1),
             seen=Seen(position, velocity, belief, told, plan.controls[0]),
             fresh=jnp.zeros((), bool),
+            swept=swept,
         )
         return plan, after
 
@@ -125,6 +101,17 @@ class Controller(eqx.Module):
             return plan
         # Limits that exclude zero, or were tightened since, bind the old plan too.
         return eqx.tree_at(lambda p: p.controls, plan, self.ilqr.limits(plan.controls))
+
+    def _planned(
+        self, now: ModelState, state: MPCState, guess: LQRPolicy
+    ) -> tuple[Plan, Swept | None]:
+        """A new plan, and where the search for it led, if that is of interest."""
+        problem = self.model, now, state.nodes, state.cost, guess
+        if self.locality is None:
+            plan, swept = self.ilqr.solve(*problem), None
+        else:
+            plan, swept = self.ilqr.search(*problem, self.locality.dt)
+        return eqx.tree_at(lambda p: p.who, plan, state.plan.who), swept
 
     def _seen_to_move(
         self,

@@ -1,0 +1,115 @@
+"""Who is in play: which nodes of a scene can matter to a plan. Numpy, on the host, once a tick.
+
+Who is always in play: what the control acts on, what the cost is about, what hangs on a hinge (its
+body is longer than its node says), and what moves so fast that it may come from anywhere. Who else
+is in play depends on where the search for a plan has been (`Swept`): a node that no rollout brought
+within the model's reach of one in play has not mattered, to the bit. For want of a prediction of
+their own, nodes left out are taken to get no farther than the fastest of them would: they are slowed
+down by the ground and pushed by each other, by nothing else.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.measurement import Motion
+from contactgraph.control.swept import Swept
+from contactgraph.model import Locality, Nodes
+
+_SLACK = 0.05
+"""Of the reach, by which it is taken to be longer: springs and controls hardly move bystanders."""
+_LEAVES = 0.5
+"""Of the reach, beyond it, from which on a node is no longer in play: nobody comes and goes."""
+_SMALL = 4
+"""Scenes of up to so many nodes are planned as a whole."""
+
+
+def room_for(count: int, capacity: int) -> int:
+    """For how many nodes the tick is compiled in which ``count`` are in play: a power of two."""
+    return min(max(2, 1 << (count - 1).bit_length()), capacity)
+
+
+def rooms(least: int, most: int, capacity: int) -> list[int]:
+    """All that there are for ``least`` to ``most`` nodes."""
+    counts = range(least, max(least, most) + 1)
+    return sorted({room_for(count, capacity) for count in counts})
+
+
+def padded(nodes: np.ndarray, room: int) -> np.ndarray:
+    """[room] The numbers of the nodes in their order, then -1."""
+    return np.concatenate([np.sort(nodes), np.full(room - len(nodes), -1)]).astype(np.int64)
+
+
+def always_in_play(nodes: Nodes, cost: QuadraticCost) -> np.ndarray | None:
+    """[m] Nodes that matter wherever things are. None: all do, or there are too few to choose."""
+    mask = np.asarray(nodes.mask)
+    if cost.involved is None or len(mask) <= _SMALL:
+        return None
+    needed = np.asarray(nodes.actuated) | np.asarray(nodes.hinged)
+    needed[np.asarray(cost.involved)] = True
+    return np.flatnonzero(needed & mask)
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What a tick has seen of the nodes that were not in play."""
+
+    nodes: np.ndarray
+    """[r] Their numbers."""
+    position: np.ndarray
+    """[r, D] m"""
+    speed: np.ndarray
+    """[r] m/s"""
+
+    @classmethod
+    def seen(cls, nodes: np.ndarray, motion: Motion) -> "Surroundings":
+        """From the motion of all nodes."""
+        position, velocity = motion
+        return cls(nodes, position[nodes], _length(velocity[nodes]))
+
+    def missing(self, swept: Swept, count: int, locality: Locality) -> np.ndarray:
+        """Those who should have been in play with the ``count`` that were, most urgent first."""
+        lower, upper = np.asarray(swept.lower)[:, :count], np.asarray(swept.upper)[:, :count]
+        reach = (1.0 + _SLACK) * locality.far
+        until = locality.dt * np.arange(1, len(lower) + 1)
+        fast = _is_fast(self.speed, len(lower), locality)
+        radius = reach + np.max(self.speed, where=~fast, initial=0.0) * until
+        margin = np.where(fast, -np.inf, np.inf)
+        # Nearly all are far from everything: told by one box around all that was swept.
+        low, high = lower.min(axis=(0, 1)) - radius[-1], upper.max(axis=(0, 1)) + radius[-1]
+        near = np.all((self.position > low) & (self.position < high), axis=1)
+        near = np.flatnonzero(near & ~fast)
+        if len(near):
+            place = self.position[near, None, None]
+            distance = _length(np.maximum(np.maximum(lower - place, place - upper), 0.0))
+            margin[near] = np.min(distance - radius[:, None], axis=(1, 2))
+        found = np.flatnonzero(margin < 0.0)
+        return self.nodes[found[np.argsort(margin[found], kind="stable")]]
+
+
+def _is_fast(speed: np.ndarray, horizon: int, locality: Locality) -> np.ndarray:
+    """Whether nodes of such a speed, m/s, may get farther in a plan than the model reaches."""
+    return speed * locality.dt * horizon > locality.far
+
+
+def staying(
+    swept: Swept, who: np.ndarray, always: np.ndarray, motion: Motion, locality: Locality
+) -> np.ndarray:
+    """Those in play who matter still: whom the search brought near others who do.
+
+    ``who`` [n]: nodes in play, without padding; ``motion`` is of all nodes.
+    """
+    lower, upper = np.asarray(swept.lower)[:, : len(who)], np.asarray(swept.upper)[:, : len(who)]
+    one_way = lower[:, :, None] - upper[:, None]
+    gap = np.maximum(np.maximum(one_way, np.swapaxes(one_way, 1, 2)), 0.0)
+    linked = np.any(_length(gap) < (1.0 + _LEAVES) * locality.far, axis=0)
+    matter = np.isin(who, always) | _is_fast(_length(motion[1][who]), len(lower), locality)
+    for _ in who:
+        matter = matter | linked[matter].any(axis=0)
+    return who[matter]
+
+
+def _length(vector: np.ndarray) -> np.ndarray:
+    with np.errstate(over="ignore"):  # What is told of may be anywhere.
+        return np.sqrt(np.sum(vector**2, axis=-1))
