@@ -68,6 +68,11 @@ class CoupledHead(eqx.Module):
         self.kinds = kinds
         self.length = length
 
+    @property
+    def lone_response(self) -> Float[Array, " kinds"]:
+        """Acceleration of a node that touches nothing for each newton of control, 1/kg."""
+        return (_PACE * self.gain_root) ** 2 * jnp.exp(-_PACE * self.log_mass)
+
     def __call__(
         self,
         local: LocalInput,

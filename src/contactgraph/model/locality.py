@@ -1,12 +1,14 @@
 """How far a model's edges reach: what tells who can matter to whom."""
 
-import math
 from dataclasses import dataclass
 
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.coupled_head import CoupledHead
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.reach import Reach
+
+_UNDRIVEN = 1e-3
+"""1/kg; a control of 10 N then moves a bystander by 5 mm in a second."""
 
 
 @dataclass(frozen=True)
@@ -24,13 +26,18 @@ class Locality:
 
 
 def locality(model: object) -> Locality | None:
-    """None where edges have no end, or where a node may move of itself (free matrices, the paper's
-    head with its free equilibria), or where nobody knows: any object can be planned with."""
+    """None where it is not so, or nobody knows: any object can be planned with.
+
+    Edges may have no end; nodes may move of themselves (free matrices, the paper's head with its
+    free equilibria); or the model has not learned that controls do not act on bystanders.
+    """
     if not isinstance(model, ContactDynamics) or not isinstance(model.reach, Reach):
         return None
     dynamics = model.local_dynamics
     if not isinstance(dynamics, SpringMassDamperDynamics):
         return None
-    if not isinstance(dynamics.head, CoupledHead) or not math.isfinite(model.reach.far):
+    head = dynamics.head
+    # The first kind of node is neither actuated nor hinged.
+    if not isinstance(head, CoupledHead) or not head.lone_response[0] <= _UNDRIVEN:
         return None
     return Locality(model.reach.far, model.dt)
