@@ -12,13 +12,12 @@ from control_models import nodes_of
 
 from contactgraph.control import ILQR, MPC, ControlLimits, PlanStatus, chain_cost
 from contactgraph.data import InvalidInputError, pair_indices
-from contactgraph.model import ContactSensor, load_model, shipped_model
+from contactgraph.model import ContactSensor, MotionNoise, load_model, shipped_model
 
 CAPACITY, HORIZON = 30, 12
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
 GOAL = np.array([0.5, 0.6])
 GRIPPER, TARGET = np.array([-0.7, -0.5]), np.array([0.1, 0.0])
-SEVERAL = (3, 7, 9)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -126,3 +125,136 @@ def test_a_bystander_in_the_way_is_in_play_and_matters(local, whole):
         plans.append(plan)
         assert 2 in plan.who.tolist() or others[0][0] > 3.0
     assert np.max(np.abs(plans[0].controls - plans[1].controls)) > 0.1
+
+
+ALONG, ACROSS = TARGET - GRIPPER, np.array([-0.053, 0.085])
+CROWDED = [
+    GRIPPER + part * ALONG + side * ACROSS
+    for part in (0.15, 0.27, 0.39, 0.51, 0.63)
+    for side in (-1, 1)
+]
+"""Beside the way to the target, on both sides, 2 cm from being touched."""
+
+
+@pytest.fixture
+def compilations():
+    """Counts what XLA compiles."""
+    counted = []
+
+    def heard(event: str, seconds: float, **_) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            counted.append(seconds)
+
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    return counted
+
+
+def test_bystanders_far_away_compile_nothing(local, compilations):
+    state = local.reset(scene(4), nodes_of(4, CAPACITY), cost())
+    _, state = local.step(scene(4), None, state)
+    before = len(compilations)
+    for count in (11, 30):
+        state = local.reset(scene(count), nodes_of(count, CAPACITY), cost())
+        for seed in range(3):
+            plan, state = local.step(scene(count, seed=seed), np.eye(count), state)
+            assert plan.outcome.solved and plan.who.tolist() == [0, 1]
+    # Up to eight in play, too: `reset` has seen to that.
+    joining = scene(30, others=CROWDED[:4])
+    plan, state = local.step(joining, None, state)
+    assert set(range(6)) <= set(state.who.tolist()) and len(state.who) == 8
+    assert len(compilations) == before
+
+
+def test_room_for_more_is_made_once_and_logged(model, caplog):
+    mpc = MPC(model, ILQR(HORIZON, 5, LIMITS))
+    crowded = scene(30, others=CROWDED)
+    with caplog.at_level(logging.WARNING, logger="contactgraph"):
+        state = mpc.reset(scene(30), nodes_of(30, CAPACITY), cost())
+        assert not caplog.messages
+        for seen in (crowded, scene(30), crowded, scene(30)):
+            plan, state = mpc.step(seen, None, state)
+            assert plan.outcome.solved
+    (message,) = caplog.messages
+    assert "up to 16 nodes in play; so far there was room for 8" in message
+
+
+def test_with_a_limit_there_is_never_more_in_play(model):
+    mpc = MPC(model, ILQR(HORIZON, 5, LIMITS), most_in_play=2)
+    nodes, near = nodes_of(11, CAPACITY), scene(11, others=[0.5 * (GRIPPER + TARGET)])
+    state = mpc.reset(scene(11), nodes, cost())
+    plan, state = mpc.step(scene(11), None, state)
+    crowded, after = mpc.step(near, None, state)
+    assert crowded.outcome == PlanStatus.CROWDED and "limit" in crowded.outcome.message
+    np.testing.assert_array_equal(crowded.controls[:-1], plan.controls[1:])
+    np.testing.assert_array_equal(after.seen.control, crowded.controls[0])
+    assert mpc.step(scene(11), None, after)[0].outcome.solved
+    with pytest.raises(InvalidInputError, match=r"most_in_play must be at least 3 .* found 2"):
+        mpc.reset(near, nodes, cost())
+    with pytest.raises(InvalidInputError, match="most_in_play must be at least 1, found 0"):
+        MPC(model, ILQR(HORIZON), most_in_play=0)
+
+
+def test_whoever_is_left_out_must_be_seen_all_the_same(local):
+    state = local.reset(scene(11), nodes_of(11, CAPACITY), cost())
+    plan, state = local.step(scene(11), None, state)
+    lost = scene(11)
+    lost["position"][7, 1] = np.nan
+    kept, state = local.step(lost, None, state)
+    assert kept.outcome == PlanStatus.BAD_OBSERVATION
+    np.testing.assert_array_equal(kept.controls[:-1], plan.controls[1:])
+    assert local.step(scene(11), None, state)[0].outcome.solved
+
+
+def test_what_comes_near_on_its_own_is_in_play(local):
+    nodes = nodes_of(11, CAPACITY)
+    state = local.reset(scene(11, others=[[-0.7, 1.5]]), nodes, cost())
+    assert 2 not in state.who
+    coming = scene(11, others=[[-0.7, 1.5]])
+    coming["velocity"][2] = [0.0, -2.0]
+    plan, state = local.step(coming, None, state)
+    assert 2 in plan.who
+    plan, state = local.step(scene(11), None, state)
+    assert state.who.tolist() == [0, 1]
+
+
+def test_another_cost_is_about_others(local, whole):
+    seen, nodes = scene(11, others=[[0.9, -0.8]]), nodes_of(11, CAPACITY)
+    other = chain_cost((0, 2), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, GOAL, CAPACITY)
+    controls = []
+    for mpc in (local, whole):
+        state = mpc.reset(seen, nodes, cost())
+        _, state = mpc.step(seen, None, state)
+        plan, _ = mpc.step(seen, None, replace(state, cost=other))
+        controls.append(plan.controls)
+    assert {0, 2} <= set(plan.who.tolist())
+    np.testing.assert_allclose(*controls, atol=1e-7)
+
+
+def test_feedback_acts_on_whoever_is_in_play(local, whole):
+    seen, nodes = crowd(11, seed=3), nodes_of(11, CAPACITY)
+    moved = {**seen, "position": seen["position"] + 0.01}
+    controls = []
+    for mpc in (local, whole):
+        plan, _ = mpc.step(seen, None, mpc.reset(seen, nodes, cost()))
+        controls.append(mpc.control(plan, moved))
+    np.testing.assert_allclose(*controls, atol=1e-7)
+    assert np.max(np.abs(controls[0] - plan.controls[0])) > 1e-3
+
+
+@pytest.mark.parametrize("noise", [None, MotionNoise()])
+def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
+    rate = jnp.full(len(pair_indices(5)), 0.01)
+    answers = []
+    for sensor in (ContactSensor(), ContactSensor(rate, rate)):
+        mpc = MPC(model, ILQR(3, 1), sensor, replan_every=2, motion_noise=noise, most_in_play=5)
+        about = chain_cost((0, 1), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, GOAL, 5)
+        seen = scene(5, others=[[-0.4, -0.5]])
+        state = mpc.reset(seen, nodes_of(5, 5), about)
+        for speed in (0.0, 1.5, 1.5, 1.2, 0.7):
+            seen["position"][0, 0] += 0.05 * speed
+            seen["velocity"][0, 0] = speed
+            plan, state = mpc.step(seen, None, state, np.array([4.0, 0.0]))
+        answers.append((plan.controls, state.seen.belief.probability[:3], state.seen.told[:3]))
+    assert len(state.who) == 5
+    for ours, wanted in zip(*answers, strict=True):
+        np.testing.assert_allclose(ours, wanted, atol=1e-6)

@@ -44,6 +44,7 @@ class CompiledTick:
             lambda weights, *inputs: rebuilt(weights).model.initial_belief(*inputs)
         )
         self._most = 0
+        self._warm: set[tuple] = set()
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
 
     def tick(
@@ -58,8 +59,13 @@ class CompiledTick:
         plan, after = self._tick(self._weights, _in_play(state), position, velocity, contact, applied)
         if state.part is None:
             return plan, after
-        kept = {"part": state.part, "last_seen": state.last_seen}
-        return plan, replace(after, nodes=state.nodes, cost=state.cost, **kept)
+        return plan, replace(
+            after,
+            nodes=state.nodes,
+            cost=state.cost,
+            part=state.part,
+            last_seen=state.last_seen,
+        )
 
     def running(self, state: MPCState, status: PlanStatus) -> Plan:
         """The last plan from the present on, under this status."""
@@ -83,6 +89,11 @@ class CompiledTick:
 
     def warm_up(self, state: MPCState, *inputs: np.ndarray) -> None:
         """Compile for states like this one, where that has not been done."""
+        leaves = jax.tree.leaves(_in_play(state))
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        if shapes in self._warm:
+            return
+        self._warm.add(shapes)
         self.make_room(len(state.who))
         self.tick(state, *inputs)
         jax.block_until_ready(self._running(self._weights, _in_play(state)))

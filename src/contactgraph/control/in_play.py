@@ -1,11 +1,11 @@
 """Who is in play: which nodes of a scene can matter to a plan. Numpy, on the host, once a tick.
 
-Who is always in play: what the control acts on, what the cost is about, what hangs on a hinge (its
-body is longer than its node says), and what moves so fast that it may come from anywhere. Who else
-is in play depends on where the search for a plan has been (`Swept`): a node that no rollout brought
-within the model's reach of one in play has not mattered, to the bit. For want of a prediction of
-their own, nodes left out are taken to get no farther than the fastest of them would: they are slowed
-down by the ground and pushed by each other, by nothing else.
+Always in play is what the control acts on, what the cost is about, what hangs on a hinge (its body
+is longer than its node says), and what moves so fast that it may come from anywhere. Who else is in
+play depends on where the search for a plan has been (`Swept`). What comes near nobody who moves, in
+any rollout, stays as it is, and has not mattered, to the bit. For want of a prediction of their own,
+nodes left out are taken to get no farther than the fastest of them would: they are slowed down by
+the ground and pushed by each other, by nothing else.
 """
 
 from dataclasses import dataclass
@@ -68,13 +68,16 @@ class Surroundings:
         position, velocity = motion
         return cls(nodes, position[nodes], _length(velocity[nodes]))
 
-    def missing(self, swept: Swept, count: int, locality: Locality) -> np.ndarray:
-        """Those who should have been in play with the ``count`` that were, most urgent first."""
-        lower, upper = np.asarray(swept.lower)[:, :count], np.asarray(swept.upper)[:, :count]
-        reach = (1.0 + _SLACK) * locality.far
+    def missing(
+        self, swept: Swept, who: np.ndarray, always: np.ndarray, locality: Locality
+    ) -> np.ndarray:
+        """Those who should have been in play with ``who`` [n] were, most urgent first."""
+        movers = np.flatnonzero(_matter(swept, who, always, locality))
+        lower, upper = np.asarray(swept.lower)[:, movers], np.asarray(swept.upper)[:, movers]
         until = locality.dt * np.arange(1, len(lower) + 1)
         fast = _is_fast(self.speed, len(lower), locality)
-        radius = reach + np.max(self.speed, where=~fast, initial=0.0) * until
+        radius = (1.0 + _SLACK) * locality.far
+        radius = radius + np.max(self.speed, where=~fast, initial=0.0) * until
         margin = np.where(fast, -np.inf, np.inf)
         # Nearly all are far from everything: told by one box around all that was swept.
         low, high = lower.min(axis=(0, 1)) - radius[-1], upper.max(axis=(0, 1)) + radius[-1]
@@ -86,6 +89,35 @@ class Surroundings:
             margin[near] = np.min(distance - radius[:, None], axis=(1, 2))
         found = np.flatnonzero(margin < 0.0)
         return self.nodes[found[np.argsort(margin[found], kind="stable")]]
+
+
+def staying(
+    swept: Swept, who: np.ndarray, always: np.ndarray, motion: Motion, locality: Locality
+) -> np.ndarray:
+    """Those of ``who`` [n] in play who matter still: whom something that moves came near.
+
+    ``motion`` is of all nodes.
+    """
+    lower, upper = np.asarray(swept.lower), np.asarray(swept.upper)
+    one_way = lower[:, :, None] - upper[:, None]
+    gap = np.maximum(np.maximum(one_way, np.swapaxes(one_way, 1, 2)), 0.0)
+    near = np.any(_length(gap) < (1.0 + _LEAVES) * locality.far, axis=0)
+    movers = _matter(swept, who, always, locality)
+    fast = _is_fast(_length(motion[1][who]), len(lower), locality)
+    stays = (np.isin(who, always) | fast) & (who >= 0)
+    for _ in who:
+        stays = stays | (near[stays & movers].any(axis=0) & (who >= 0))
+    return who[stays]
+
+
+def _matter(
+    swept: Swept, who: np.ndarray, always: np.ndarray, locality: Locality
+) -> np.ndarray:
+    """[n] Which of those in play others must not be near without being in play: all but those
+    at rest, whatever was tried, who are in play because they were near themselves."""
+    extent = np.asarray(swept.upper).max(axis=0) - np.asarray(swept.lower).min(axis=0)
+    moves = np.max(extent, axis=-1) > _SLACK * locality.far
+    return (moves | np.isin(who, always)) & (who >= 0)
 
 
 def _is_fast(speed: np.ndarray, horizon: int, locality: Locality) -> np.ndarray:

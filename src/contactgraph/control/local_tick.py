@@ -99,17 +99,19 @@ class LocalTick:
         still missing, for want of room."""
         known = all(np.isfinite(values).all() for values in motion)
         if not known:  # Nobody can tell who matters; to the tick it is a bad observation.
-            motion = tuple(np.full_like(values, np.nan) for values in motion)
+            motion = np.full_like(motion[0], np.nan), np.full_like(motion[1], np.nan)
         while True:
             part, who = state.part, state.who
+            assert part is not None
             seen = _of(who, motion)
             plan, after = self._compiled.tick(state, *seen, reader.contact(contacts, who), applied)
             if not known:
                 return state, plan, after, part.left_out[:0]
             after = replace(after, last_seen=motion)
+            assert after.swept is not None
             inside = who[who >= 0]
             around = Surroundings.seen(part.left_out, motion)
-            missing = around.missing(after.swept, len(inside), self._locality)
+            missing = around.missing(after.swept, who, part.always, self._locality)
             joining = missing
             if self._most is not None:
                 joining = missing[: max(0, self._most - len(inside))]
@@ -124,8 +126,7 @@ class LocalTick:
         capacity = len(state.last_seen[0])
         if room_for(len(part.always), capacity) >= len(who):
             return state
-        inside = who[who >= 0]
-        stay = staying(state.swept, inside, part.always, state.last_seen, self._locality)
+        stay = staying(state.swept, who, part.always, state.last_seen, self._locality)
         return state if room_for(len(stay), capacity) >= len(who) else self._about(state, stay)
 
     def _of_its_scene(self, state: MPCState) -> MPCState:
