@@ -33,7 +33,7 @@ def missing(position, velocity=None, swept=None) -> list[int]:
     around = Surroundings.seen(np.arange(5, len(place)), (place, speed))
     way = swept_of([(0.0, 0.0), (1.0, 0.0)]) if swept is None else swept
     who = np.array([0, -1])[: np.asarray(way.lower).shape[1]]
-    return around.missing(way, who, np.array([0]), NEAR).tolist()
+    return around.missing(way, who, who == 0, NEAR).tolist()
 
 
 def test_whoever_is_near_the_way_is_missing_and_the_nearest_comes_first():
@@ -68,18 +68,20 @@ def still(x, y=0.25):
 def test_neighbours_of_one_in_play_matter_once_it_moves():
     around = np.array([(0.0, 0.0), (1.4, 0.25)])
     around = Surroundings(np.array([5, 6]), around, np.zeros(2))
-    way, who, always = [(0.0, 1.0), (1.0, 0.3)], np.array([0, 2]), np.array([0])
+    way, who, always = [(0.0, 1.0), (1.0, 0.3)], np.array([0, 2]), np.array([True, False])
     assert around.missing(swept_of(way, still(1.2)), who, always, NEAR).tolist() == []
     moved = (1.2, 0.25), (1.22, 0.25)
     assert around.missing(swept_of(way, moved), who, always, NEAR).tolist() == [6]
-    assert around.missing(swept_of(way, still(1.2)), who, who, NEAR).tolist() == [6]
+    both = np.array([True, True])
+    assert around.missing(swept_of(way, still(1.2)), who, both, NEAR).tolist() == [6]
 
 
 def test_who_stays_is_near_one_that_moves_and_stays():
     motion = np.zeros((9, 2)), np.zeros((9, 2))
     others = [still(1.1), still(1.35), still(4.0), still(0.0)]
     swept = swept_of([(0.0, 0.0), (1.0, 0.0)], *others)
-    who, always = np.array([0, 2, 3, 8, -1]), np.array([0])
+    who = np.array([0, 2, 3, 8, -1])
+    always = who == 0
     assert staying(swept, who, always, motion, NEAR).tolist() == [0, 2]
     motion[1][8] = 1.0
     assert staying(swept, who, always, motion, NEAR).tolist() == [0, 2, 8]
@@ -113,6 +115,7 @@ def test_a_part_has_the_edges_and_the_costs_of_its_nodes():
     edges = pair_indices(5)[np.asarray(part.nodes.candidate)].tolist()
     assert edges == [[0, 2], [1, 2], [1, 3]]
     assert part.left_out.tolist() == [1, 3] and part.cost.involved.tolist() == [2, 0]
+    assert part.always.tolist() == [True, False, True, False, False]
     rng = np.random.default_rng(0)
     state = rng.normal(size=(3, 8, 4))
     ours = np.where(who[:, None] >= 0, state[:, who], 0.0).reshape(3, -1)

@@ -11,6 +11,7 @@ import numpy as np
 
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.lqr import LQRPolicy
+from contactgraph.control.measurement import Motion
 from contactgraph.control.mpc_state import MPCState, Seen
 from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.swept import Swept
@@ -54,8 +55,12 @@ class CompiledTick:
         velocity: np.ndarray,
         contact: np.ndarray,
         applied: np.ndarray,
+        last_seen: Motion | None = None,
     ) -> tuple[Plan, MPCState]:
-        """See `Controller.tick`; ``position``, … are of the nodes in play."""
+        """See `Controller.tick`; ``position``, … are of the nodes in play.
+
+        ``last_seen``: of all nodes, to be remembered where only a part of them is in play.
+        """
         plan, after = self._tick(self._weights, _in_play(state), position, velocity, contact, applied)
         if state.part is None:
             return plan, after
@@ -64,7 +69,7 @@ class CompiledTick:
             nodes=state.nodes,
             cost=state.cost,
             part=state.part,
-            last_seen=state.last_seen,
+            last_seen=last_seen,
         )
 
     def running(self, state: MPCState, status: PlanStatus) -> Plan:

@@ -71,7 +71,10 @@ class Surroundings:
     def missing(
         self, swept: Swept, who: np.ndarray, always: np.ndarray, locality: Locality
     ) -> np.ndarray:
-        """Those who should have been in play with ``who`` [n] were, most urgent first."""
+        """Those who should have been in play with ``who`` [n], most urgent first.
+
+        ``always`` [n] bool: who of these is in play wherever things are.
+        """
         movers = np.flatnonzero(_matter(swept, who, always, locality))
         lower, upper = np.asarray(swept.lower)[:, movers], np.asarray(swept.upper)[:, movers]
         until = locality.dt * np.arange(1, len(lower) + 1)
@@ -82,6 +85,8 @@ class Surroundings:
         # Nearly all are far from everything: told by one box around all that was swept.
         low, high = lower.min(axis=(0, 1)) - radius[-1], upper.max(axis=(0, 1)) + radius[-1]
         near = np.all((self.position > low) & (self.position < high), axis=1)
+        if not (near.any() or fast.any()):
+            return self.nodes[:0]
         near = np.flatnonzero(near & ~fast)
         if len(near):
             place = self.position[near, None, None]
@@ -96,7 +101,7 @@ def staying(
 ) -> np.ndarray:
     """Those of ``who`` [n] in play who matter still: whom something that moves came near.
 
-    ``motion`` is of all nodes.
+    ``always`` [n] bool: who of these always matters. ``motion`` is of all nodes.
     """
     lower, upper = np.asarray(swept.lower), np.asarray(swept.upper)
     one_way = lower[:, :, None] - upper[:, None]
@@ -104,7 +109,7 @@ def staying(
     near = np.any(_length(gap) < (1.0 + _LEAVES) * locality.far, axis=0)
     movers = _matter(swept, who, always, locality)
     fast = _is_fast(_length(motion[1][who]), len(lower), locality)
-    stays = (np.isin(who, always) | fast) & (who >= 0)
+    stays = (always | fast) & (who >= 0)
     for _ in who:
         stays = stays | (near[stays & movers].any(axis=0) & (who >= 0))
     return who[stays]
@@ -117,7 +122,7 @@ def _matter(
     at rest, whatever was tried, who are in play because they were near themselves."""
     extent = np.asarray(swept.upper).max(axis=0) - np.asarray(swept.lower).min(axis=0)
     moves = np.max(extent, axis=-1) > _SLACK * locality.far
-    return (moves | np.isin(who, always)) & (who >= 0)
+    return (moves | always) & (who >= 0)
 
 
 def _is_fast(speed: np.ndarray, horizon: int, locality: Locality) -> np.ndarray:

@@ -104,10 +104,11 @@ class LocalTick:
             part, who = state.part, state.who
             assert part is not None
             seen = _of(who, motion)
-            plan, after = self._compiled.tick(state, *seen, reader.contact(contacts, who), applied)
+            contact = reader.contact(contacts, who)
+            remember = motion if known else state.last_seen
+            plan, after = self._compiled.tick(state, *seen, contact, applied, remember)
             if not known:
                 return state, plan, after, part.left_out[:0]
-            after = replace(after, last_seen=motion)
             assert after.swept is not None
             inside = who[who >= 0]
             around = Surroundings.seen(part.left_out, motion)
@@ -124,7 +125,7 @@ class LocalTick:
         part, who = state.part, state.who
         assert part is not None and state.last_seen is not None and state.swept is not None
         capacity = len(state.last_seen[0])
-        if room_for(len(part.always), capacity) >= len(who):
+        if room_for(np.count_nonzero(part.always), capacity) >= len(who):
             return state
         stay = staying(state.swept, who, part.always, state.last_seen, self._locality)
         return state if room_for(len(stay), capacity) >= len(who) else self._about(state, stay)
@@ -146,7 +147,7 @@ class LocalTick:
     ) -> MPCState:
         """The state with the nodes ``inside`` in play."""
         assert state.part is not None and state.last_seen is not None
-        always = state.part.always if always is None else always
+        always = state.who[state.part.always] if always is None else always
         capacity, dimension = state.last_seen[0].shape
         who = padded(inside, room_for(len(inside), capacity))
         self._compiled.make_room(len(who))

@@ -33,7 +33,7 @@ class Part(eqx.Module):
     cost: QuadraticCost
     """[2nD] About them."""
     always: np.ndarray
-    """[m] Nodes of the scene that are in play wherever things are."""
+    """[n] bool: who of them is in play wherever things are."""
     left_out: np.ndarray
     """[r] Nodes of the scene that are not in play."""
     of: tuple[Nodes, QuadraticCost]

@@ -14,12 +14,13 @@ def part_of(
 ) -> Part:
     """The nodes ``who`` [n] of a whole scene, in their order and then -1 for padding.
 
-    All nodes that the cost is about must be among them. ``always``: see `Part`; ``dimension``: D.
+    All nodes that the cost is about must be among them, and those who are ``always`` [m] in play.
+    ``dimension``: D.
     """
     # On the device at once: many ticks will read them.
     taken = jax.device_put((_nodes_of(nodes, who), _cost_of(cost, who, 2 * dimension)))
     rest = np.setdiff1d(np.flatnonzero(np.asarray(nodes.mask)), who)
-    return Part(*taken, always, rest, (nodes, cost))
+    return Part(*taken, np.isin(who, always), rest, (nodes, cost))
 
 
 def _nodes_of(nodes: Nodes, who: np.ndarray) -> Nodes:
