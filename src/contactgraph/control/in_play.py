@@ -130,23 +130,6 @@ def _is_fast(speed: np.ndarray, horizon: int, locality: Locality) -> np.ndarray:
     return speed * locality.dt * horizon > locality.far
 
 
-def staying(
-    swept: Swept, who: np.ndarray, always: np.ndarray, motion: Motion, locality: Locality
-) -> np.ndarray:
-    """Those in play who matter still: whom the search brought near others who do.
-
-    ``who`` [n]: nodes in play, without padding; ``motion`` is of all nodes.
-    """
-    lower, upper = np.asarray(swept.lower)[:, : len(who)], np.asarray(swept.upper)[:, : len(who)]
-    one_way = lower[:, :, None] - upper[:, None]
-    gap = np.maximum(np.maximum(one_way, np.swapaxes(one_way, 1, 2)), 0.0)
-    linked = np.any(_length(gap) < (1.0 + _LEAVES) * locality.far, axis=0)
-    matter = np.isin(who, always) | _is_fast(_length(motion[1][who]), len(lower), locality)
-    for _ in who:
-        matter = matter | linked[matter].any(axis=0)
-    return who[matter]
-
-
 def _length(vector: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore"):  # What is told of may be anywhere.
         return np.sqrt(np.sum(vector**2, axis=-1))
