@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.control.mpc_state import MPCState, Part, Seen
@@ -34,7 +35,7 @@ def carried_over(
             states=move.stacked(plan.states, motion),
             policy=replace(plan.policy, K=move.stacked(plan.policy.K, np.zeros_like(motion))),
             beliefs=move.belief(plan.beliefs, belief),
-            who=who.astype(np.int32),
+            who=jnp.asarray(who.astype(np.int32)),
         ),
         seen=Seen(
             position=move.nodes(seen.position, np.where(state.fresh, np.nan, position)),
@@ -60,28 +61,28 @@ class _Move:
         stays = (first >= 0) & (second >= 0)
         self._edge = np.where(stays, second * (second - 1) // 2 + first, -1)
 
-    def nodes(self, known: np.ndarray, new: np.ndarray) -> np.ndarray:
+    def nodes(self, known: jax.Array, new: np.ndarray) -> jax.Array:
         """``known`` […, m, D] and, of newcomers, ``new`` [n, D]."""
-        return _chosen(known, self._node, new, -2)
+        return jnp.asarray(_chosen(np.asarray(known), self._node, new, -2))
 
-    def stacked(self, known: np.ndarray, new: np.ndarray) -> np.ndarray:
+    def stacked(self, known: jax.Array, new: np.ndarray) -> jax.Array:
         """``known`` […, 2mD], in `stack_state`'s order, and of newcomers ``new`` [n, 2, D]."""
-        values = np.asarray(known)
-        by_node = values.reshape(*values.shape[:-1], -1, *new.shape[1:])
-        return _chosen(by_node, self._node, new, -3).reshape(*values.shape[:-1], -1)
+        by_node = np.asarray(known).reshape(*known.shape[:-1], -1, *new.shape[1:])
+        chosen = _chosen(by_node, self._node, new, -3)
+        return jnp.asarray(chosen.reshape(*known.shape[:-1], -1))
 
-    def edges(self, known: np.ndarray, new: np.ndarray) -> np.ndarray:
+    def edges(self, known: jax.Array, new: np.ndarray) -> jax.Array:
         """``known`` [e] and, where an edge has a newcomer, ``new`` [1]."""
-        return _chosen(known, self._edge, new, -1)
+        return jnp.asarray(_chosen(np.asarray(known), self._edge, new, -1))
 
     def belief(self, known: ContactBelief, new: ContactBelief) -> ContactBelief:
         """``known`` […, e, K] and, where an edge has a newcomer, ``new`` [e, K]."""
-        return jax.tree.map(lambda old, other: _chosen(old, self._edge, other, -2), known, new)
+        types, others = np.asarray(known.type_probability), np.asarray(new.type_probability)
+        return ContactBelief(jnp.asarray(_chosen(types, self._edge, others, -2)))
 
 
 def _chosen(known: np.ndarray, index: np.ndarray, new: np.ndarray, axis: int) -> np.ndarray:
-    """``known`` at ``index`` along ``axis``; ``new`` where that is -1."""
-    values = np.asarray(known)
-    kept = np.take(values, np.maximum(index, 0), axis)
+    """``known`` at ``index`` along ``axis``, a negative one; ``new`` where the index is -1."""
+    kept = np.take(known, np.maximum(index, 0), axis)
     stays = (index >= 0).reshape(-1, *[1] * (-1 - axis))
-    return np.where(stays, kept, np.asarray(new)).astype(values.dtype)
+    return np.where(stays, kept, new).astype(known.dtype)

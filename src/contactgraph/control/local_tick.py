@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.control.carry_over import carried_over
@@ -57,7 +58,7 @@ class LocalTick:
             who = padded(always, room)
             part = part_of(nodes, cost, who, always, dimension)
             state = self._compiled.first_state(*_of(who, motion), part.nodes, part.cost)
-            plan = replace(state.plan, who=who.astype(np.int32))
+            plan = replace(state.plan, who=jnp.asarray(who.astype(np.int32)))
             return replace(state, nodes=nodes, cost=cost, plan=plan, part=part, last_seen=motion)
 
         unknown = reader.applied(None, cost.control_size)

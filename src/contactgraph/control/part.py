@@ -1,6 +1,6 @@
 """A scene cut down to the nodes in play."""
 
-import jax
+import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.control.cost import QuadraticCost
@@ -17,10 +17,13 @@ def part_of(
     All nodes that the cost is about must be among them, and those who are ``always`` [m] in play.
     ``dimension``: D.
     """
-    # On the device at once: many ticks will read them.
-    taken = jax.device_put((_nodes_of(nodes, who), _cost_of(cost, who, 2 * dimension)))
-    rest = np.setdiff1d(np.flatnonzero(np.asarray(nodes.mask)), who)
-    return Part(*taken, np.isin(who, always), rest, (nodes, cost))
+    return Part(
+        nodes=_nodes_of(nodes, who),
+        cost=_cost_of(cost, who, 2 * dimension),
+        always=np.isin(who, always),
+        left_out=np.setdiff1d(np.flatnonzero(np.asarray(nodes.mask)), who),
+        of=(nodes, cost),
+    )
 
 
 def _nodes_of(nodes: Nodes, who: np.ndarray) -> Nodes:
@@ -32,10 +35,10 @@ def _nodes_of(nodes: Nodes, who: np.ndarray) -> Nodes:
     candidate = np.asarray(nodes.candidate)[np.where(exists, edge, 0)] & exists
     anchor = None if nodes.anchor is None else np.asarray(nodes.anchor)[there]
     return Nodes(
-        actuated=np.asarray(nodes.actuated)[there] & real,
-        mask=np.asarray(nodes.mask)[there] & real,
-        candidate=candidate,
-        anchor=None if anchor is None else np.where(real[:, None], anchor, np.nan),
+        actuated=jnp.asarray(np.asarray(nodes.actuated)[there] & real),
+        mask=jnp.asarray(np.asarray(nodes.mask)[there] & real),
+        candidate=jnp.asarray(candidate),
+        anchor=None if anchor is None else jnp.asarray(np.where(real[:, None], anchor, np.nan)),
     )
 
 
@@ -52,8 +55,13 @@ def _cost_of(cost: QuadraticCost, who: np.ndarray, size: int) -> QuadraticCost:
     part[..., after[:, None], after] = Q[..., before[:, None], before]
     there = np.zeros((*goal.shape[:-1], count), goal.dtype)
     there[..., after] = goal[..., before]
-    R, last = np.asarray(cost.R), np.asarray(cost.terminal_weight)
-    return QuadraticCost(part, R, there, last, slots.astype(np.int32))
+    return QuadraticCost(
+        Q=jnp.asarray(part),
+        R=jnp.asarray(np.asarray(cost.R)),
+        goal=jnp.asarray(there),
+        terminal_weight=jnp.asarray(np.asarray(cost.terminal_weight)),
+        involved=jnp.asarray(slots.astype(np.int32)),
+    )
 
 
 def _rows(nodes: np.ndarray, size: int) -> np.ndarray:
