@@ -159,7 +159,7 @@ class MPC:
         reader = self._reader(len(mask), state.cost.goal.shape[-1])
         motion = reader.motion(observation)
         told = reader.applied(applied, state.plan.controls.shape[-1])
-        status = None
+        status: PlanStatus | None = None
         if state.part is None or self._local is None:
             contact = reader.contact(contacts, state.who)
             plan, after = self._compiled.tick(state, *motion, contact, told)

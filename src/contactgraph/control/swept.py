@@ -45,6 +45,7 @@ class Swept(eqx.Module):
             ]
         lower, upper = self.lower, self.upper
         for place in places:
+            place = place.astype(lower.dtype)
             known = jnp.isfinite(place)
             lower = jnp.minimum(lower, jnp.where(known, place, jnp.inf))
             upper = jnp.maximum(upper, jnp.where(known, place, -jnp.inf))

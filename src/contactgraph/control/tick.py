@@ -107,8 +107,9 @@ class Controller(eqx.Module):
     ) -> tuple[Plan, Swept | None]:
         """A new plan, and where the search for it led, if that is of interest."""
         problem = self.model, now, state.nodes, state.cost, guess
+        swept: Swept | None = None
         if self.locality is None:
-            plan, swept = self.ilqr.solve(*problem), None
+            plan = self.ilqr.solve(*problem)
         else:
             plan, swept = self.ilqr.search(*problem, self.locality.dt)
         return eqx.tree_at(lambda p: p.who, plan, state.plan.who), swept
