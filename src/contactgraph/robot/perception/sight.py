@@ -72,13 +72,18 @@ def located(
     for rough in object_poses(detections, tagged, intrinsics):
         if rough.error < _LARGEST_CORNER_ERROR:
             exact = refined_pose(frame.image, rough, tagged, intrinsics)
-            if exact is not None and (found is None or exact.explained > found.explained):
+            if exact is not None and (found is None or _worth(exact) > _worth(found)):
                 found = exact
     if found is None or found.error > _LARGEST_ERROR:
         return None
     if frame.depth is None:
         return found
     return with_depth(found, frame.depth, tagged, intrinsics)
+
+
+def _worth(found: ObjectPose) -> float:
+    """Of two leanings the true one explains more points, and those better: either alone errs."""
+    return found.explained / max(found.error, 1.0)
 
 
 def _in_base(found: ObjectPose, camera: np.ndarray, time: float) -> Sighting:
