@@ -12,6 +12,11 @@ from contactgraph.tasks.ways import distance_to_way
 
 GRASPING = 0.7
 """Of the runs, the share in which the block is picked up."""
+_STOPPING = 0.5
+"""Of those, the share in which the hand stops for it."""
+_OFF = 0.007
+"""m: how far from the block's centre it then stops at most, along each axis. A model that has seen
+blocks held in one place of the hand alone does not know that they are held in another."""
 _FURTHER = 3
 """Points to carry it to after the goal: more than there is time for."""
 _POINTS = 6
@@ -26,7 +31,8 @@ _TOURING_NOISE = 1.0
 
 
 class FrankaRecording:
-    """By each run's seed, either sweeps the block up, to the goal and on, or tours beside it.
+    """By each run's seed, takes the block up, in passing or at rest, to the goal and on, or tours
+    beside it.
 
     All of it under noise that tells masses from drags. What carries the block shows what is held;
     a tour, what a free hand does and that a block by itself stays.
@@ -58,7 +64,9 @@ def grasps(seed: int) -> bool:
 def _policy(observation: Observation, random: np.random.Generator) -> FrankaExpert | FrankaTour:
     if random.random() < GRASPING:
         further = [_point(random, START_HEIGHT) for _ in range(_FURTHER)]
-        return FrankaExpert(noise=_GRASPING_NOISE, further=further)
+        stops = random.random() < _STOPPING
+        stop = random.uniform(-_OFF, _OFF, 3) if stops else None
+        return FrankaExpert(noise=_GRASPING_NOISE, further=further, stop=stop)
     at, block = observation["position"][[HAND, TARGET]]
     points: list[np.ndarray] = []
     while len(points) < _POINTS:
