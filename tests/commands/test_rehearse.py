@@ -68,6 +68,7 @@ def test_a_rehearsed_run_is_recorded_as_it_was(
         (("rehearse-record", "--out", "x.h5", "--runs", "0"), "--runs"),
         (("rehearse-record", "--out", "x.h5", "--seconds", "60"), "--seconds"),
         (("rehearse-record", "--out", "x.h5", "--pace", "0"), "pace must be 0.1 to 100"),
+        (("rehearse-record", "--out", "x.h5", "--stopping", "1.5"), "--stopping must be 0 to 1"),
         (("rehearse-control", "franka", "--episodes", "0"), "--episodes"),
         (("rehearse-control", "nobody"), "nobody"),
     ],
@@ -92,22 +93,40 @@ def test_most_runs_grasp_and_the_seed_says_which() -> None:
     assert grasps(3) == grasps(3)
 
 
-@pytest.mark.parametrize("wanted", [True, False])
-def test_a_tour_keeps_away_from_the_block_and_a_grasp_goes_through_it(wanted: bool) -> None:
+def passes(policy: FrankaRecording, seed: int) -> tuple[float, float]:
+    """How near, m, the hand comes to the block, and its slowest speed, m/s, as it is there."""
     from contactgraph.tasks.franka_pickup import pickup_scene
 
+    goal = np.array([0.6, 0.2, 0.3])
+    policy.reset(pickup_scene(0.01, goal), seed)
+    hand, velocity, block = np.array([0.4, -0.2, 0.3]), np.zeros(3), np.array([0.5, 0.0, 0.05])
+    nearest, slowest = np.inf, np.inf
+    for _ in range(1000):
+        observation = {
+            "position": np.stack([hand, block]),
+            "velocity": np.stack([velocity, np.zeros(3)]),
+            "goal": goal,
+        }
+        velocity = velocity + policy(observation) / 4.0 * 0.01
+        hand = hand + velocity * 0.01
+        distance = float(np.linalg.norm(hand - block))
+        nearest = min(nearest, distance)
+        if distance < 0.02:
+            slowest = min(slowest, float(np.linalg.norm(velocity)))
+    return nearest, slowest
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_a_tour_keeps_away_from_the_block_and_a_grasp_goes_to_it(wanted: bool) -> None:
     policy = FrankaRecording()
     for seed in [seed for seed in range(20) if grasps(seed) is wanted]:
-        policy.reset(pickup_scene(0.01, np.array([0.6, 0.2, 0.3])), seed)
-        hand, velocity, block = np.array([0.4, -0.2, 0.3]), np.zeros(3), np.array([0.5, 0.0, 0.05])
-        nearest = np.inf
-        for _ in range(1000):
-            observation = {
-                "position": np.stack([hand, block]),
-                "velocity": np.stack([velocity, np.zeros(3)]),
-                "goal": np.array([0.6, 0.2, 0.3]),
-            }
-            velocity = velocity + policy(observation) / 4.0 * 0.01
-            hand = hand + velocity * 0.01
-            nearest = min(nearest, float(np.linalg.norm(hand - block)))
+        nearest, _ = passes(policy, seed)
         assert (nearest < 0.03) if wanted else (nearest > 0.08)
+
+
+def test_some_grasps_are_made_at_rest_and_none_where_none_are_wanted() -> None:
+    seeds = [seed for seed in range(20) if grasps(seed)]
+    assert all(passes(FrankaRecording(0.0), seed)[1] > 0.2 for seed in seeds)
+    assert all(passes(FrankaRecording(1.0), seed)[1] < 0.1 for seed in seeds)
+    rest = [passes(FrankaRecording(), seed)[1] < 0.1 for seed in seeds]
+    assert 0.2 < np.mean(rest) < 0.8
