@@ -8,7 +8,6 @@ import pytest
 
 from contactgraph import cli
 from contactgraph.data import read_trajectories
-from contactgraph.tasks.franka_recording import FrankaRecording, grasps
 
 SEED = 7100
 PACE = 12
@@ -85,48 +84,3 @@ def test_mistakes_are_told_in_one_line(
     assert told("robot", *arguments) == 2
     said = capsys.readouterr().err
     assert words in said and said.count("\n") == 1
-
-
-def test_most_runs_grasp_and_the_seed_says_which() -> None:
-    seeds = range(300)
-    assert 0.6 < np.mean([grasps(seed) for seed in seeds]) < 0.8
-    assert grasps(3) == grasps(3)
-
-
-def passes(policy: FrankaRecording, seed: int) -> tuple[float, float]:
-    """How near, m, the hand comes to the block, and its slowest speed, m/s, as it is there."""
-    from contactgraph.tasks.franka_pickup import pickup_scene
-
-    goal = np.array([0.6, 0.2, 0.3])
-    policy.reset(pickup_scene(0.01, goal), seed)
-    hand, velocity, block = np.array([0.4, -0.2, 0.3]), np.zeros(3), np.array([0.5, 0.0, 0.05])
-    nearest, slowest = np.inf, np.inf
-    for _ in range(1000):
-        observation = {
-            "position": np.stack([hand, block]),
-            "velocity": np.stack([velocity, np.zeros(3)]),
-            "goal": goal,
-        }
-        velocity = velocity + policy(observation) / 4.0 * 0.01
-        hand = hand + velocity * 0.01
-        distance = float(np.linalg.norm(hand - block))
-        nearest = min(nearest, distance)
-        if distance < 0.02:
-            slowest = min(slowest, float(np.linalg.norm(velocity)))
-    return nearest, slowest
-
-
-@pytest.mark.parametrize("wanted", [True, False])
-def test_a_tour_keeps_away_from_the_block_and_a_grasp_goes_to_it(wanted: bool) -> None:
-    policy = FrankaRecording()
-    for seed in [seed for seed in range(20) if grasps(seed) is wanted]:
-        nearest, _ = passes(policy, seed)
-        assert (nearest < 0.03) if wanted else (nearest > 0.08)
-
-
-def test_some_grasps_are_made_at_rest_and_none_where_none_are_wanted() -> None:
-    seeds = [seed for seed in range(20) if grasps(seed)]
-    assert all(passes(FrankaRecording(0.0), seed)[1] > 0.2 for seed in seeds)
-    assert all(passes(FrankaRecording(1.0), seed)[1] < 0.1 for seed in seeds)
-    rest = [passes(FrankaRecording(), seed)[1] < 0.1 for seed in seeds]
-    assert 0.2 < np.mean(rest) < 0.8

@@ -48,18 +48,16 @@ class RehearseRecord:
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.commands.numbers import check_range, check_seed
+        from contactgraph.commands.numbers import check_range, check_seed, check_share
         from contactgraph.commands.output import check_writable, say, write_json
         from contactgraph.commands.robot_options import check_seconds
-        from contactgraph.data import InvalidInputError
 
         for path in (self.out, self.json):
             check_writable(path)
         check_range("--runs", self.runs, 1, _MOST_RUNS)
         check_seed(self.seed)
         check_seconds("--seconds", self.seconds, 25.0)
-        if not 0.0 <= self.stopping <= 1.0:
-            raise InvalidInputError(f"--stopping must be 0 to 1, found {self.stopping:g}")
+        check_share("--stopping", self.stopping)
         paths = [self.out, *(self.out.with_suffix(f".{name}.h5") for name in ("truth", "live"))]
         kept = [self._done(path) for path in paths]
         # A process that was ended between two files has one run more in one of them.

@@ -66,7 +66,8 @@ class Estimate:
     variance: np.ndarray
     """[3] m^2, of ``position``."""
     time: float
-    """s: the exposure of the last frame that counted; minus infinity where there was none."""
+    """s: the exposure of the last frame that counted; minus infinity where there was none. Of what
+    a hand holds, when it was asked: the hand is measured then."""
     tracked: bool
     """Whether a frame counted not long ago (`Motion`), and no axis is less sure than 0.05 m."""
 
