@@ -85,7 +85,7 @@ def test_who_stays_is_near_one_that_moves_and_stays():
     assert staying(swept, who, always, motion, NEAR).tolist() == [0, 2]
     motion[1][8] = 1.0
     assert staying(swept, who, always, motion, NEAR).tolist() == [0, 2, 8]
-    others[0] = [(1.1, 0.25), (1.2, 0.25)]
+    others[0] = [(1.05, 0.25), (1.15, 0.25)]
     swept = swept_of([(0.0, 0.0), (1.0, 0.0)], *others)
     assert staying(swept, who, always, motion, NEAR).tolist() == [0, 2, 3, 8]
 

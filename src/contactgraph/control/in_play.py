@@ -27,7 +27,7 @@ _SMALL = 4
 
 def room_for(count: int, capacity: int) -> int:
     """For how many nodes the tick is compiled in which ``count`` are in play: a power of two."""
-    return min(max(2, 1 << (count - 1).bit_length()), capacity)
+    return min(max(2, 1 << (int(count) - 1).bit_length()), capacity)
 
 
 def rooms(least: int, most: int, capacity: int) -> list[int]:
