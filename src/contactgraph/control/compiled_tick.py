@@ -6,17 +6,12 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.lqr import LQRPolicy
 from contactgraph.control.measurement import Motion
-from contactgraph.control.mpc_state import MPCState, Seen
+from contactgraph.control.mpc_state import MPCState
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.swept import Swept
 from contactgraph.control.tick import Controller
-from contactgraph.model import ContactBelief, Nodes
 
 _log = logging.getLogger(__name__)
 _Tree = TypeVar("_Tree")
@@ -39,11 +34,15 @@ class CompiledTick:
         def tick(weights: tuple, *inputs: Any) -> tuple[Plan, MPCState]:
             return rebuilt(weights).tick(*inputs)
 
+        def first_state(weights: tuple, *inputs: Any) -> MPCState:
+            return rebuilt(weights).first_state(*inputs)
+
+        def running(weights: tuple, state: MPCState, status: jax.Array) -> Plan:
+            return replace(rebuilt(weights).running_plan(state), status=status)
+
         self._tick = jax.jit(tick)
-        self._running = jax.jit(lambda weights, state: rebuilt(weights).running_plan(state))
-        self._first_belief = jax.jit(
-            lambda weights, *inputs: rebuilt(weights).model.initial_belief(*inputs)
-        )
+        self._running = jax.jit(running)
+        self._first_state = jax.jit(first_state)
         self._most = 0
         self._warm: set[tuple] = set()
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
@@ -55,13 +54,15 @@ class CompiledTick:
         velocity: np.ndarray,
         contact: np.ndarray,
         applied: np.ndarray,
+        *,
         last_seen: Motion | None = None,
     ) -> tuple[Plan, MPCState]:
         """See `Controller.tick`; ``position``, … are of the nodes in play.
 
         ``last_seen``: of all nodes, to be remembered where only a part of them is in play.
         """
-        plan, after = self._tick(self._weights, _in_play(state), position, velocity, contact, applied)
+        inputs = position, velocity, contact, applied
+        plan, after = self._tick(self._weights, _in_play(state), *inputs)
         if state.part is None:
             return plan, after
         return plan, replace(
@@ -74,13 +75,7 @@ class CompiledTick:
 
     def running(self, state: MPCState, status: PlanStatus) -> Plan:
         """The last plan from the present on, under this status."""
-        return self._running(self._weights, _in_play(state)).with_status(status)
-
-    def first_belief(
-        self, position: np.ndarray, velocity: np.ndarray, nodes: Nodes
-    ) -> ContactBelief:
-        """See `StepModel.initial_belief`."""
-        return self._first_belief(self._weights, position, velocity, nodes)
+        return self._running(self._weights, _in_play(state), np.asarray(status, np.int32))
 
     def make_room(self, count: int) -> None:
         """Says so in the log where the coming tick compiles for more nodes in play than before."""
@@ -101,59 +96,22 @@ class CompiledTick:
         self._warm.add(shapes)
         self.make_room(len(state.who))
         self.tick(state, *inputs)
-        jax.block_until_ready(self._running(self._weights, _in_play(state)))
+        jax.block_until_ready(self.running(state, PlanStatus.LATE))
 
-    def first_state(
-        self, position: np.ndarray, velocity: np.ndarray, nodes: Nodes, cost: QuadraticCost
-    ) -> MPCState:
-        """Before any tick, without a plan, all of these nodes in play."""
-        belief = self.first_belief(position, velocity, nodes)
-        horizon, control_size = self.controller.ilqr.horizon, cost.control_size
-        count, size = len(position), cost.goal.shape[-1]
-        nothing = jnp.full(position.shape, jnp.nan)
-        plan = Plan(
-            states=jnp.zeros((horizon + 1, size)),
-            controls=jnp.zeros((horizon, control_size)),
-            policy=LQRPolicy(
-                jnp.zeros((horizon, control_size, size)), jnp.zeros((horizon, control_size))
-            ),
-            beliefs=jax.tree.map(lambda v: jnp.broadcast_to(v, (horizon, *v.shape)), belief),
-            cost=jnp.zeros(()),
-            status=jnp.asarray(PlanStatus.NOT_FINITE, jnp.int32),
-            iterations=jnp.zeros((), jnp.int32),
-            who=jnp.arange(count, dtype=jnp.int32),
-        )
-        swept = None
-        if self.controller.locality is not None:
-            swept = Swept.nowhere(horizon, jnp.asarray(position))
-        state = MPCState(
-            nodes=nodes,
-            cost=cost,
-            belief=belief,
-            plan=plan,
-            unplanned=jnp.asarray(self.controller.replan_every, jnp.int32),
-            seen=Seen(
-                position=nothing,
-                velocity=nothing,
-                belief=belief,
-                told=jnp.zeros(nodes.candidate.shape),
-                control=jnp.zeros(control_size),
-            ),
-            fresh=jnp.ones((), bool),
-            swept=swept,
-        )
-        return self.strongly_typed(state)
+    def first_state(self, *inputs: Any) -> MPCState:
+        """See `Controller.first_state`."""
+        return self._first_state(self._weights, *inputs)
 
     def strongly_typed(self, values: _Tree) -> _Tree:
         """Every float of one type and none of them weak: else the second tick would compile
         again."""
 
-        def typed(value: Any) -> jax.Array:
-            array = jnp.asarray(value)
-            kind = self.dtype if jnp.issubdtype(array.dtype, jnp.floating) else array.dtype
-            return jnp.asarray(np.asarray(array), kind)
+        def typed(value: Any) -> np.ndarray:
+            array = np.asarray(value)
+            return array.astype(self.dtype) if np.issubdtype(array.dtype, np.floating) else array
 
-        return jax.tree.map(typed, values)
+        # Made by NumPy and moved: each `jax.numpy` call would compile a little program.
+        return jax.device_put(jax.tree.map(typed, values))
 
 
 def _in_play(state: MPCState) -> MPCState:

@@ -3,9 +3,9 @@
 Always in play is what the control acts on, what the cost is about, what hangs on a hinge (its body
 is longer than its node says), and what moves so fast that it may come from anywhere. Who else is in
 play depends on where the search for a plan has been (`Swept`). What comes near nobody who moves, in
-any rollout, stays as it is, and has not mattered, to the bit. For want of a prediction of their own,
-nodes left out are taken to get no farther than the fastest of them would: they are slowed down by
-the ground and pushed by each other, by nothing else.
+any rollout, stays as it is and has not mattered. For want of a prediction of their own, nodes left
+out are taken to get no farther than the fastest of them would: they are slowed down by the ground
+and pushed by each other, by nothing else.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,8 @@ from contactgraph.control.measurement import Motion
 from contactgraph.control.swept import Swept
 from contactgraph.model import Locality, Nodes
 
+_STILL = 0.005
+"""Of the reach: who moves by less in every rollout was struck by nobody."""
 _SLACK = 0.05
 """Of the reach, by which it is taken to be longer: springs and controls hardly move bystanders."""
 _LEAVES = 0.5
@@ -27,7 +29,7 @@ _SMALL = 4
 
 def room_for(count: int, capacity: int) -> int:
     """For how many nodes the tick is compiled in which ``count`` are in play: a power of two."""
-    return min(max(2, 1 << (int(count) - 1).bit_length()), capacity)
+    return min(max(2, 1 << (count - 1).bit_length()), capacity)
 
 
 def rooms(least: int, most: int, capacity: int) -> list[int]:
@@ -46,7 +48,9 @@ def always_in_play(nodes: Nodes, cost: QuadraticCost) -> np.ndarray | None:
     mask = np.asarray(nodes.mask)
     if cost.involved is None or len(mask) <= _SMALL:
         return None
-    needed = np.asarray(nodes.actuated) | np.asarray(nodes.hinged)
+    needed = np.array(nodes.actuated)
+    if nodes.anchor is not None:
+        needed |= np.isfinite(np.asarray(nodes.anchor)[:, 0])
     needed[np.asarray(cost.involved)] = True
     return np.flatnonzero(needed & mask)
 
@@ -115,13 +119,11 @@ def staying(
     return who[stays]
 
 
-def _matter(
-    swept: Swept, who: np.ndarray, always: np.ndarray, locality: Locality
-) -> np.ndarray:
+def _matter(swept: Swept, who: np.ndarray, always: np.ndarray, locality: Locality) -> np.ndarray:
     """[n] Which of those in play others must not be near without being in play: all but those
     at rest, whatever was tried, who are in play because they were near themselves."""
     extent = np.asarray(swept.upper).max(axis=0) - np.asarray(swept.lower).min(axis=0)
-    moves = np.max(extent, axis=-1) > _SLACK * locality.far
+    moves = np.max(extent, axis=-1) > _STILL * locality.far
     return (moves | always) & (who >= 0)
 
 

@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
-from contactgraph.control.carry_over import carried_over
 from contactgraph.control.compiled_tick import CompiledTick
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.in_play import (
@@ -18,7 +17,7 @@ from contactgraph.control.in_play import (
 )
 from contactgraph.control.measurement import MeasurementReader, Motion
 from contactgraph.control.mpc_state import MPCState
-from contactgraph.control.part import part_of
+from contactgraph.control.part import carried_over, part_of
 from contactgraph.control.plan import Plan
 from contactgraph.data import InvalidInputError
 from contactgraph.model import Locality, Nodes
@@ -58,7 +57,7 @@ class LocalTick:
             who = padded(always, room)
             part = part_of(nodes, cost, who, always, dimension)
             state = self._compiled.first_state(*_of(who, motion), part.nodes, part.cost)
-            plan = replace(state.plan, who=jnp.asarray(who.astype(np.int32)))
+            plan = replace(state.plan, who=jax.device_put(who.astype(np.int32)))
             return replace(state, nodes=nodes, cost=cost, plan=plan, part=part, last_seen=motion)
 
         unknown = reader.applied(None, cost.control_size)
@@ -107,7 +106,7 @@ class LocalTick:
             seen = _of(who, motion)
             contact = reader.contact(contacts, who)
             remember = motion if known else state.last_seen
-            plan, after = self._compiled.tick(state, *seen, contact, applied, remember)
+            plan, after = self._compiled.tick(state, *seen, contact, applied, last_seen=remember)
             if not known:
                 return state, plan, after, part.left_out[:0]
             assert after.swept is not None
@@ -126,7 +125,7 @@ class LocalTick:
         part, who = state.part, state.who
         assert part is not None and state.last_seen is not None and state.swept is not None
         capacity = len(state.last_seen[0])
-        if room_for(np.count_nonzero(part.always), capacity) >= len(who):
+        if room_for(int(part.always.sum()), capacity) >= len(who):
             return state
         stay = staying(state.swept, who, part.always, state.last_seen, self._locality)
         return state if room_for(len(stay), capacity) >= len(who) else self._about(state, stay)
@@ -153,8 +152,8 @@ class LocalTick:
         who = padded(inside, room_for(len(inside), capacity))
         self._compiled.make_room(len(who))
         part = part_of(state.nodes, state.cost, who, always, dimension)
-        belief = self._compiled.first_belief(*_of(who, state.last_seen), part.nodes)
-        return carried_over(state, who, part, belief)
+        new = self._compiled.first_state(*_of(who, state.last_seen), part.nodes, part.cost)
+        return carried_over(state, who, part, new.belief)
 
 
 def _of(who: np.ndarray, motion: Motion) -> Motion:

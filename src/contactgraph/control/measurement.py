@@ -62,7 +62,7 @@ class MeasurementReader:
         """[U] N; NaN where nobody said."""
         if applied is None:
             return np.full(control_size, np.nan, self.dtype)
-        told = np.asarray(applied, self.dtype)
+        told = np.array(applied, self.dtype)
         if told.shape != (control_size,):
             raise InvalidInputError(
                 f"applied must have shape ({control_size},), the control's, found {told.shape}"
@@ -74,7 +74,8 @@ class MeasurementReader:
             raise InvalidInputError(
                 f"observation must have position and velocity, found {sorted(observation)}"
             )
-        value = np.asarray(observation[name], self.dtype)
+        # A copy: a robot may write its next observation where this one is while the tick runs.
+        value = np.array(observation[name], self.dtype)
         if value.ndim != 2 or value.shape[1] != self.dimension or len(value) > self.capacity:
             raise InvalidInputError(
                 f"observation's {name} must have shape (n, {self.dimension}) with "

@@ -133,7 +133,8 @@ class MPC:
                 f"most_in_play must be at least {capacity}, found {self._most}: in this scene, "
                 "with this model, all nodes are in play"
             )
-        state = self._compiled.first_state(*motion, nodes, quadratic)
+        known = self._compiled.strongly_typed((nodes, quadratic))
+        state = self._compiled.first_state(*motion, *known)
         unknown = reader.applied(None, quadratic.control_size)
         inputs = *motion, reader.contact(None, state.who), unknown
         self._compiled.warm_up(state, *inputs)
@@ -172,7 +173,8 @@ class MPC:
             status = PlanStatus.LATE if self._clock() - begin > self._deadline else status
         if status is not None:
             plan = self._compiled.running(state, status)
-            after = eqx.tree_at(lambda s: s.seen.control, after, plan.controls[0])
+            control = jax.device_put(np.asarray(plan.controls)[0])
+            after = eqx.tree_at(lambda s: s.seen.control, after, control)
         return plan, after
 
     def control(self, plan: Plan, observation: Observation) -> np.ndarray:

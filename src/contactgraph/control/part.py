@@ -1,12 +1,15 @@
-"""A scene cut down to the nodes in play."""
+"""A scene cut down to the nodes in play, and what is known carried from some of them to others."""
 
-import jax.numpy as jnp
+from dataclasses import replace
+
+import jax
 import numpy as np
 
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.mpc_state import Part
-from contactgraph.data.graph import pair_indices
-from contactgraph.model import Nodes
+from contactgraph.control.mpc_state import MPCState, Part, Seen
+from contactgraph.control.swept import Swept
+from contactgraph.data.graph import edge_index, pair_indices
+from contactgraph.model import ContactBelief, Nodes
 
 
 def part_of(
@@ -26,19 +29,50 @@ def part_of(
     )
 
 
+def carried_over(state: MPCState, who: np.ndarray, part: Part, belief: ContactBelief) -> MPCState:
+    """The state about the nodes ``who`` [n] of its scene, of which this is the ``part``.
+
+    Newcomers begin where they were last seen, at rest or going on as they did then, and are no
+    reason for any force; ``belief`` [e, K] is about their edges. Runs on the host.
+    """
+    assert state.last_seen is not None and state.swept is not None
+    move = _Move(state.who, who)
+    position, velocity = (values[who] for values in state.last_seen)
+    motion = np.stack([position, velocity], axis=1)
+    seen, plan, swept = state.seen, state.plan, state.swept
+    swept = Swept(move.nodes(swept.lower, position), move.nodes(swept.upper, position))
+    plan = replace(
+        plan,
+        states=move.stacked(plan.states, motion),
+        policy=replace(plan.policy, K=move.stacked(plan.policy.K, np.zeros_like(motion))),
+        beliefs=move.belief(plan.beliefs, belief),
+        who=jax.device_put(who.astype(np.int32)),
+    )
+    seen = Seen(
+        position=move.nodes(seen.position, np.where(state.fresh, np.nan, position)),
+        velocity=move.nodes(seen.velocity, velocity),
+        belief=move.belief(seen.belief, belief),
+        told=move.edges(seen.told, np.zeros(1)),
+        control=seen.control,
+    )
+    kept = move.belief(state.belief, belief)
+    return replace(state, belief=kept, plan=plan, seen=seen, swept=swept, part=part)
+
+
 def _nodes_of(nodes: Nodes, who: np.ndarray) -> Nodes:
-    real, there = who >= 0, np.maximum(who, 0)
+    real = who >= 0
     first, second = who[pair_indices(len(who))].T
-    # The order of edges is that of `pair_indices`, whatever the number of nodes.
-    edge = second * (second - 1) // 2 + first
     exists = (first >= 0) & (second >= 0)
-    candidate = np.asarray(nodes.candidate)[np.where(exists, edge, 0)] & exists
-    anchor = None if nodes.anchor is None else np.asarray(nodes.anchor)[there]
+    edge = np.where(exists, edge_index(first, second), 0)
+    anchor = None
+    if nodes.anchor is not None:
+        anchors = np.asarray(nodes.anchor)
+        anchor = jax.device_put(np.where(real[:, None], anchors[who], anchors.dtype.type(np.nan)))
     return Nodes(
-        actuated=jnp.asarray(np.asarray(nodes.actuated)[there] & real),
-        mask=jnp.asarray(np.asarray(nodes.mask)[there] & real),
-        candidate=jnp.asarray(candidate),
-        anchor=None if anchor is None else jnp.asarray(np.where(real[:, None], anchor, np.nan)),
+        actuated=jax.device_put(np.asarray(nodes.actuated)[who] & real),
+        mask=jax.device_put(np.asarray(nodes.mask)[who] & real),
+        candidate=jax.device_put(np.asarray(nodes.candidate)[edge] & exists),
+        anchor=anchor,
     )
 
 
@@ -46,8 +80,7 @@ def _cost_of(cost: QuadraticCost, who: np.ndarray, size: int) -> QuadraticCost:
     """``size``: 2D, entries a node."""
     everyone = np.arange(cost.goal.shape[-1] // size)
     involved = everyone if cost.involved is None else np.asarray(cost.involved)
-    real = who[who >= 0]
-    slots = np.searchsorted(real, involved)
+    slots = np.searchsorted(who[who >= 0], involved)
     before, after = _rows(involved, size), _rows(slots, size)
     Q, goal = np.asarray(cost.Q), np.asarray(cost.goal)
     count = len(who) * size
@@ -55,14 +88,48 @@ def _cost_of(cost: QuadraticCost, who: np.ndarray, size: int) -> QuadraticCost:
     part[..., after[:, None], after] = Q[..., before[:, None], before]
     there = np.zeros((*goal.shape[:-1], count), goal.dtype)
     there[..., after] = goal[..., before]
-    return QuadraticCost(
-        Q=jnp.asarray(part),
-        R=jnp.asarray(np.asarray(cost.R)),
-        goal=jnp.asarray(there),
-        terminal_weight=jnp.asarray(np.asarray(cost.terminal_weight)),
-        involved=jnp.asarray(slots.astype(np.int32)),
-    )
+    own = jax.device_put((part, there, slots.astype(np.int32)))
+    return replace(cost, Q=own[0], goal=own[1], involved=own[2])
 
 
 def _rows(nodes: np.ndarray, size: int) -> np.ndarray:
     return (nodes[:, None] * size + np.arange(size)).ravel()
+
+
+class _Move:
+    """Where what is known of nodes and edges goes when others are in play."""
+
+    def __init__(self, before: np.ndarray, after: np.ndarray) -> None:
+        """Nodes in play, in their order and then -1 for padding: [m] and [n]."""
+        slot = {node: index for index, node in enumerate(before.tolist()) if node >= 0}
+        self._node = np.array([slot.get(node, -1) for node in after.tolist()])
+        # Nodes keep their order, so the smaller slot still comes first.
+        first, second = self._node[pair_indices(len(after))].T
+        stays = (first >= 0) & (second >= 0)
+        self._edge = np.where(stays, edge_index(first, second), -1)
+
+    def nodes(self, known: jax.Array, new: np.ndarray) -> jax.Array:
+        """``known`` […, m, D] and, of newcomers, ``new`` [n, D]."""
+        return jax.device_put(_chosen(np.asarray(known), self._node, new, -2))
+
+    def stacked(self, known: jax.Array, new: np.ndarray) -> jax.Array:
+        """``known`` […, 2mD], in `stack_state`'s order, and of newcomers ``new`` [n, 2, D]."""
+        by_node = np.asarray(known).reshape(*known.shape[:-1], -1, *new.shape[1:])
+        chosen = _chosen(by_node, self._node, new, -3)
+        return jax.device_put(chosen.reshape(*known.shape[:-1], -1))
+
+    def edges(self, known: jax.Array, new: np.ndarray) -> jax.Array:
+        """``known`` [e] and, where an edge has a newcomer, ``new`` [1]."""
+        return jax.device_put(_chosen(np.asarray(known), self._edge, new, -1))
+
+    def belief(self, known: ContactBelief, new: ContactBelief) -> ContactBelief:
+        """``known`` […, e, K] and, where an edge has a newcomer, ``new`` [e, K]."""
+        types, others = np.asarray(known.type_probability), np.asarray(new.type_probability)
+        return ContactBelief(jax.device_put(_chosen(types, self._edge, others, -2)))
+
+
+def _chosen(known: np.ndarray, index: np.ndarray, new: np.ndarray, axis: int) -> np.ndarray:
+    """``known`` at ``index`` along ``axis``, a negative one; ``new`` where the index is -1."""
+    kept = np.take(known, np.maximum(index, 0), axis)
+    stays = (index >= 0).reshape(-1, *[1] * (-1 - axis))
+    return np.where(stays, kept, new).astype(known.dtype)

@@ -12,8 +12,8 @@ class Swept(eqx.Module):
     """Boxes, one a step and node, around all the places where any rollout had the node then.
 
     A step's places are those on the way that `contactgraph.model.geometry` looks at: from where
-    the node is to where it would get in the step if nothing hindered it. Of a body on a hinge they
-    are those of the whole bar.
+    the node is to where it would get in the step if nothing hindered it; and where it gets. Of a
+    body on a hinge they are those of the whole bar.
     """
 
     lower: Float[Array, "H N D"]
@@ -33,7 +33,7 @@ class Swept(eqx.Module):
         drifted = position + dt * rollout.velocity[:-1]
         # A parabola lies within its ends and where its tangents meet.
         middle = position + 0.5 * dt * rollout.velocity[:-1]
-        return self.and_at([position, middle, drifted + rollout.push], nodes)
+        return self.and_at([position, middle, drifted + rollout.push, rollout.position[1:]], nodes)
 
     def and_at(self, places: list[Float[Array, "*H N D"]], nodes: Nodes) -> "Swept":
         """With these places [m] as well; what is not finite is no place."""

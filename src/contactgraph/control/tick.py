@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.lqr import LQRPolicy
 from contactgraph.control.mpc_state import MPCState, Seen
@@ -16,6 +17,7 @@ from contactgraph.model import (
     Locality,
     ModelState,
     MotionNoise,
+    Nodes,
     StepModel,
     correct,
     correct_by_motion,
@@ -36,6 +38,47 @@ class Controller(eqx.Module):
     """Ticks from plan to plan; in between the running plan's feedback acts."""
     locality: Locality | None = eqx.field(static=True)
     """None: everyone may matter to everyone, so where plans lead is not looked at."""
+
+    def first_state(
+        self,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        nodes: Nodes,
+        cost: QuadraticCost,
+    ) -> MPCState:
+        """Before any tick, without a plan."""
+        belief = self.model.initial_belief(position, velocity, nodes)
+        horizon, control_size = self.ilqr.horizon, cost.control_size
+        plan = Plan(
+            states=jnp.zeros((horizon + 1, 2 * position.size)),
+            controls=jnp.zeros((horizon, control_size)),
+            policy=LQRPolicy(
+                jnp.zeros((horizon, control_size, 2 * position.size)),
+                jnp.zeros((horizon, control_size)),
+            ),
+            beliefs=jax.tree.map(lambda v: jnp.broadcast_to(v, (horizon, *v.shape)), belief),
+            cost=jnp.zeros(()),
+            status=jnp.asarray(PlanStatus.NOT_FINITE, jnp.int32),
+            iterations=jnp.zeros((), jnp.int32),
+            who=jnp.arange(len(position), dtype=jnp.int32),
+        )
+        nothing = jnp.full(position.shape, jnp.nan)
+        return MPCState(
+            nodes=nodes,
+            cost=cost,
+            belief=belief,
+            plan=plan,
+            unplanned=jnp.asarray(self.replan_every, jnp.int32),
+            seen=Seen(
+                position=nothing,
+                velocity=nothing,
+                belief=belief,
+                told=jnp.zeros(nodes.candidate.shape),
+                control=jnp.zeros(control_size),
+            ),
+            fresh=jnp.ones((), bool),
+            swept=None if self.locality is None else Swept.nowhere(horizon, position),
+        )
 
     def tick(
         self,

@@ -139,7 +139,10 @@ class MPCPolicy:
             plan_ms=np.array([tick.plan_ms for tick in self._ticks]),
             status=np.array([int(tick.plan.status) for tick in self._ticks]),
             plan=np.stack(
-                [planned_positions(each.plan, each.position, each.velocity, dt) for each in self._ticks]
+                [
+                    planned_positions(each.plan, each.position, each.velocity, dt)
+                    for each in self._ticks
+                ]
             ),
             plan_belief=np.stack(
                 [

@@ -3,7 +3,7 @@
 import numpy as np
 
 from contactgraph.control import Plan
-from contactgraph.data import pair_indices
+from contactgraph.data import edge_index, pair_indices
 from contactgraph.model import ContactBelief
 
 
@@ -35,8 +35,7 @@ def edge_probabilities(belief: ContactBelief, who: np.ndarray, count: int) -> np
     known = (first >= 0) & (second >= 0) & (first < count) & (second < count)
     first, second = first[known], second[known]
     whole = np.zeros((*probability.shape[:-1], count * (count - 1) // 2))
-    # An edge's place in the order of `pair_indices`.
-    whole[..., second * (second - 1) // 2 + first] = probability[..., known]
+    whole[..., edge_index(first, second)] = probability[..., known]
     return whole
 
 
