@@ -62,7 +62,7 @@ class Controller(eqx.Module):
             iterations=jnp.zeros((), jnp.int32),
             who=jnp.arange(len(position), dtype=jnp.int32),
         )
-        nothing = jnp.full(position.shape, jnp.nan)
+        nothing = jnp.full_like(position, jnp.nan)
         return MPCState(
             nodes=nodes,
             cost=cost,
