@@ -1,7 +1,6 @@
 """The tick, compiled: once for each room that nodes in play are given."""
 
 import logging
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -9,7 +8,7 @@ import jax
 import numpy as np
 
 from contactgraph.control.measurement import Motion
-from contactgraph.control.mpc_state import MPCState
+from contactgraph.control.mpc_state import Memory, Part
 from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.tick import Controller
 
@@ -31,51 +30,43 @@ class CompiledTick:
         def rebuilt(weights: tuple) -> Controller:
             return eqx.combine(jax.tree.unflatten(treedef, weights), static)
 
-        def tick(weights: tuple, *inputs: Any) -> tuple[Plan, MPCState]:
+        def first(weights: tuple, *inputs: Any) -> Memory:
+            return rebuilt(weights).first_memory(*inputs)
+
+        def tick(weights: tuple, *inputs: Any) -> Memory:
             return rebuilt(weights).tick(*inputs)
 
-        def first_state(weights: tuple, *inputs: Any) -> MPCState:
-            return rebuilt(weights).first_state(*inputs)
+        def running(weights: tuple, memory: Memory, status: jax.Array) -> Plan:
+            plan = rebuilt(weights).running_plan(memory)
+            return eqx.tree_at(lambda p: p.status, plan, status)
 
-        def running(weights: tuple, state: MPCState, status: jax.Array) -> Plan:
-            return replace(rebuilt(weights).running_plan(state), status=status)
-
-        self._tick = jax.jit(tick)
-        self._running = jax.jit(running)
-        self._first_state = jax.jit(first_state)
+        self._first, self._tick, self._running = jax.jit(first), jax.jit(tick), jax.jit(running)
         self._most = 0
         self._warm: set[tuple] = set()
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
 
-    def tick(
+    def first(self, part: Part, motion: Motion) -> Memory:
+        """Before any tick; ``motion`` is of all nodes."""
+        position, velocity = motion
+        inputs = position[part.who], velocity[part.who], part.nodes, part.cost
+        return self._first(self._weights, *inputs, part.who.astype(np.int32))
+
+    def __call__(
         self,
-        state: MPCState,
-        position: np.ndarray,
-        velocity: np.ndarray,
+        part: Part,
+        memory: Memory,
+        motion: Motion,
         contact: np.ndarray,
         applied: np.ndarray,
-        *,
-        last_seen: Motion | None = None,
-    ) -> tuple[Plan, MPCState]:
-        """See `Controller.tick`; ``position``, … are of the nodes in play.
+    ) -> Memory:
+        """See `Controller.tick`; ``motion`` is of all nodes, ``contact`` [e] of those in play."""
+        position, velocity = motion
+        inputs = position[part.who], velocity[part.who], contact, applied
+        return self._tick(self._weights, part.nodes, part.cost, memory, *inputs)
 
-        ``last_seen``: of all nodes, to be remembered where only a part of them is in play.
-        """
-        inputs = position, velocity, contact, applied
-        plan, after = self._tick(self._weights, _in_play(state), *inputs)
-        if state.part is None:
-            return plan, after
-        return plan, replace(
-            after,
-            nodes=state.nodes,
-            cost=state.cost,
-            part=state.part,
-            last_seen=last_seen,
-        )
-
-    def running(self, state: MPCState, status: PlanStatus) -> Plan:
+    def running(self, memory: Memory, status: PlanStatus) -> Plan:
         """The last plan from the present on, under this status."""
-        return self._running(self._weights, _in_play(state), np.asarray(status, np.int32))
+        return self._running(self._weights, memory, np.asarray(status, np.int32))
 
     def make_room(self, count: int) -> None:
         """Says so in the log where the coming tick compiles for more nodes in play than before."""
@@ -87,20 +78,16 @@ class CompiledTick:
             )
         self._most = max(self._most, count)
 
-    def warm_up(self, state: MPCState, *inputs: np.ndarray) -> None:
-        """Compile for states like this one, where that has not been done."""
-        leaves = jax.tree.leaves(_in_play(state))
+    def warm_up(self, part: Part, motion: Motion, contact: np.ndarray, applied: np.ndarray) -> None:
+        """Compile for parts like this one, where that has not been done."""
+        leaves = jax.tree.leaves((part.nodes, part.cost))
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         if shapes in self._warm:
             return
         self._warm.add(shapes)
-        self.make_room(len(state.who))
-        self.tick(state, *inputs)
-        jax.block_until_ready(self.running(state, PlanStatus.LATE))
-
-    def first_state(self, *inputs: Any) -> MPCState:
-        """See `Controller.first_state`."""
-        return self._first_state(self._weights, *inputs)
+        self.make_room(len(part.who))
+        memory = self(part, self.first(part, motion), motion, contact, applied)
+        jax.block_until_ready(self.running(memory, PlanStatus.LATE))
 
     def strongly_typed(self, values: _Tree) -> _Tree:
         """Every float of one type and none of them weak: else the second tick would compile
@@ -112,11 +99,3 @@ class CompiledTick:
 
         # Made by NumPy and moved: each `jax.numpy` call would compile a little program.
         return jax.device_put(jax.tree.map(typed, values))
-
-
-def _in_play(state: MPCState) -> MPCState:
-    """The state as the compiled functions take it, in which those in play are all there are."""
-    part = state.part
-    if part is None:
-        return state
-    return replace(state, nodes=part.nodes, cost=part.cost, part=None, last_seen=None)

@@ -43,11 +43,11 @@ def padded(nodes: np.ndarray, room: int) -> np.ndarray:
     return np.concatenate([np.sort(nodes), np.full(room - len(nodes), -1)]).astype(np.int64)
 
 
-def always_in_play(nodes: Nodes, cost: QuadraticCost) -> np.ndarray | None:
-    """[m] Nodes that matter wherever things are. None: all do, or there are too few to choose."""
+def always_in_play(nodes: Nodes, cost: QuadraticCost) -> np.ndarray:
+    """[m] Nodes that matter wherever things are. Of few it is not worth while to choose."""
     mask = np.asarray(nodes.mask)
     if cost.involved is None or len(mask) <= _SMALL:
-        return None
+        return np.arange(len(mask))
     needed = np.array(nodes.actuated)
     if nodes.anchor is not None:
         needed |= np.isfinite(np.asarray(nodes.anchor)[:, 0])

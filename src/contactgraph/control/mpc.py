@@ -4,14 +4,12 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import numpy as np
 
 from contactgraph.control.compiled_tick import CompiledTick
 from contactgraph.control.cost import Cost
 from contactgraph.control.ilqr import ILQR
-from contactgraph.control.in_play import always_in_play
 from contactgraph.control.local_tick import LocalTick
 from contactgraph.control.measurement import MeasurementReader, Motion, Observation
 from contactgraph.control.mpc_state import MPCState
@@ -96,13 +94,12 @@ class MPC:
             raise InvalidInputError(f"most_in_play must be at least 1, found {most_in_play}")
         self._deadline = deadline
         self._clock = clock
-        self._most = most_in_play
         # Rates by edge are about the scene as a whole.
         near = locality(model) if np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) == 0 else None
         self._compiled = CompiledTick(
             Controller(model, ilqr, sensor, motion_noise, replan_every, near)
         )
-        self._local = None if near is None else LocalTick(self._compiled, near, most_in_play)
+        self._local = LocalTick(self._compiled, near, most_in_play)
         self._readers: dict[tuple[int, int], MeasurementReader] = {}
 
     def reset(self, observation: Observation, nodes: Nodes, cost: Cost) -> MPCState:
@@ -124,22 +121,7 @@ class MPC:
         for name, value in (("position", position), ("velocity", velocity)):
             if not np.all(np.isfinite(value[mask])):
                 raise InvalidInputError(f"observation's {name} must be finite to begin with")
-        motion = _shown(mask, position, velocity)
-        always = always_in_play(nodes, quadratic)
-        if self._local is not None and always is not None:
-            return self._local.begin(reader, motion, nodes, quadratic, always)
-        if self._most is not None and self._most < capacity:
-            raise InvalidInputError(
-                f"most_in_play must be at least {capacity}, found {self._most}: in this scene, "
-                "with this model, all nodes are in play"
-            )
-        known = self._compiled.strongly_typed((nodes, quadratic))
-        state = self._compiled.first_state(*motion, *known)
-        unknown = reader.applied(None, quadratic.control_size)
-        inputs = *motion, reader.contact(None, state.who), unknown
-        self._compiled.warm_up(state, *inputs)
-        plan, after = self._compiled.tick(state, *inputs)
-        return replace(state, plan=plan, swept=after.swept)
+        return self._local.begin(reader, _shown(mask, position, velocity), nodes, quadratic)
 
     def step(
         self,
@@ -153,29 +135,25 @@ class MPC:
         ``contacts``: [n, n], symmetric, 1 touching, 0 not, NaN not measured; None: nothing is.
         ``applied``: [U] N, what was applied, on its mean, since the last tick, where feedback or a
         robot's limits made it another control than the last plan's first; None: that one.
-        Raises `InvalidInputError` where shapes do not fit, and never for a value.
+        Raises `InvalidInputError` where shapes do not fit, or a cost that was replaced is about
+        more nodes than may be in play; and never for a value.
         """
         begin = self._clock()
         mask = np.asarray(state.nodes.mask)
         reader = self._reader(len(mask), state.cost.goal.shape[-1])
-        motion = reader.motion(observation)
+        motion = _shown(mask, *reader.motion(observation))
         told = reader.applied(applied, state.plan.controls.shape[-1])
-        status: PlanStatus | None = None
-        if state.part is None or self._local is None:
-            contact = reader.contact(contacts, state.who)
-            plan, after = self._compiled.tick(state, *motion, contact, told)
-        else:
-            seen = _shown(mask, *motion)
-            plan, after, crowded = self._local(state, reader, seen, contacts, told)
-            status = PlanStatus.CROWDED if crowded else None
+        plan, after, crowded = self._local(state, reader, motion, contacts, told)
+        status = PlanStatus.CROWDED if crowded else None
         if self._deadline is not None:
             jax.block_until_ready(plan.controls)
             status = PlanStatus.LATE if self._clock() - begin > self._deadline else status
-        if status is not None:
-            plan = self._compiled.running(state, status)
-            control = jax.device_put(np.asarray(plan.controls)[0])
-            after = eqx.tree_at(lambda s: s.seen.control, after, control)
-        return plan, after
+        if status is None:
+            return plan, after
+        plan = self._compiled.running(state.memory, status)
+        control = jax.device_put(np.asarray(plan.controls)[0])
+        seen = replace(after.seen, control=control)
+        return plan, replace(after, memory=replace(after.memory, seen=seen))
 
     def control(self, plan: Plan, observation: Observation) -> np.ndarray:
         """[U] N: the plan's first control with its feedback on a later observation.

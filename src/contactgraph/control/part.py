@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.mpc_state import MPCState, Part, Seen
+from contactgraph.control.mpc_state import Memory, MPCState, Part, Seen
 from contactgraph.control.swept import Swept
 from contactgraph.data.graph import edge_index, pair_indices
 from contactgraph.model import ContactBelief, Nodes
@@ -20,43 +20,53 @@ def part_of(
     All nodes that the cost is about must be among them, and those who are ``always`` [m] in play.
     ``dimension``: D.
     """
+    mask = np.asarray(nodes.mask)
+    whole = np.array_equal(who, np.arange(len(mask)))
     return Part(
-        nodes=_nodes_of(nodes, who),
-        cost=_cost_of(cost, who, 2 * dimension),
+        who=who,
+        nodes=nodes if whole else _nodes_of(nodes, who),
+        cost=cost if whole else _cost_of(cost, who, 2 * dimension),
         always=np.isin(who, always),
-        left_out=np.setdiff1d(np.flatnonzero(np.asarray(nodes.mask)), who),
+        left_out=np.setdiff1d(np.flatnonzero(mask), who),
         of=(nodes, cost),
     )
 
 
-def carried_over(state: MPCState, who: np.ndarray, part: Part, belief: ContactBelief) -> MPCState:
-    """The state about the nodes ``who`` [n] of its scene, of which this is the ``part``.
+def carried_over(state: MPCState, part: Part, new: Memory) -> MPCState:
+    """The state about another ``part`` of its scene.
 
     Newcomers begin where they were last seen, at rest or going on as they did then, and are no
-    reason for any force; ``belief`` [e, K] is about their edges. Runs on the host.
+    reason for any force; ``new``, as of then, has the beliefs about their edges. Runs on the host.
     """
-    assert state.last_seen is not None and state.swept is not None
-    move = _Move(state.who, who)
-    position, velocity = (values[who] for values in state.last_seen)
+    known = state.memory
+    assert known.swept is not None and new.swept is not None
+    move = _Move(state.who, part.who)
+    position, velocity = (values[part.who] for values in state.last_seen)
     motion = np.stack([position, velocity], axis=1)
-    seen, plan, swept = state.seen, state.plan, state.swept
-    swept = Swept(move.nodes(swept.lower, position), move.nodes(swept.upper, position))
-    plan = replace(
-        plan,
-        states=move.stacked(plan.states, motion),
-        policy=replace(plan.policy, K=move.stacked(plan.policy.K, np.zeros_like(motion))),
-        beliefs=move.belief(plan.beliefs, belief),
-        who=jax.device_put(who.astype(np.int32)),
+    seen, plan = known.seen, known.plan
+    memory = Memory(
+        belief=move.belief(known.belief, new.belief),
+        plan=replace(
+            plan,
+            states=move.stacked(plan.states, motion),
+            policy=replace(plan.policy, K=move.stacked(plan.policy.K, np.zeros_like(motion))),
+            beliefs=move.belief(plan.beliefs, new.belief),
+            who=new.plan.who,
+        ),
+        unplanned=known.unplanned,
+        seen=Seen(
+            position=move.nodes(seen.position, np.where(known.fresh, np.nan, position)),
+            velocity=move.nodes(seen.velocity, velocity),
+            belief=move.belief(seen.belief, new.belief),
+            told=move.edges(seen.told, np.zeros(1)),
+            control=seen.control,
+        ),
+        fresh=known.fresh,
+        swept=Swept(
+            move.nodes(known.swept.lower, position), move.nodes(known.swept.upper, position)
+        ),
     )
-    seen = Seen(
-        position=move.nodes(seen.position, np.where(state.fresh, np.nan, position)),
-        velocity=move.nodes(seen.velocity, velocity),
-        belief=move.belief(seen.belief, belief),
-        told=move.edges(seen.told, np.zeros(1)),
-        control=seen.control,
-    )
-    kept = move.belief(state.belief, belief)
-    return replace(state, belief=kept, plan=plan, seen=seen, swept=swept, part=part)
+    return replace(state, part=part, memory=memory)
 
 
 def _nodes_of(nodes: Nodes, who: np.ndarray) -> Nodes:

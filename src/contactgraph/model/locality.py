@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.coupled_head import CoupledHead
+from contactgraph.model.inference import AllEdges
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
+from contactgraph.model.message_passing import EdgeNetwork
 from contactgraph.model.reach import Reach
 
 _UNDRIVEN = 1e-3
@@ -28,13 +30,20 @@ class Locality:
 def locality(model: object) -> Locality | None:
     """None where it is not so, or nobody knows: any object can be planned with.
 
-    Edges may have no end; nodes may move of themselves (free matrices, the paper's head with its
-    free equilibria); or the model has not learned that controls do not act on bystanders.
+    Edges may have no end; what an edge does may depend on its ends' other neighbours (messages in
+    rounds), so that there is no telling how far it reaches; nodes may move of themselves (free
+    matrices, the paper's head with its free equilibria); or the model has not learned that controls
+    do not act on bystanders.
     """
     if not isinstance(model, ContactDynamics) or not isinstance(model.reach, Reach):
         return None
-    dynamics = model.local_dynamics
+    dynamics, inference = model.local_dynamics, model.inference
     if not isinstance(dynamics, SpringMassDamperDynamics):
+        return None
+    networks = list(dynamics.message_passing.types)
+    if not isinstance(inference, AllEdges):
+        networks.append(inference.message_passing)
+    if not all(isinstance(network, EdgeNetwork) for network in networks):
         return None
     head = dynamics.head
     # The first kind of node is neither actuated nor hinged.
