@@ -79,25 +79,26 @@ class Surroundings:
 
         ``always`` [n] bool: who of these is in play wherever things are.
         """
-        movers = np.flatnonzero(_matter(swept, who, always, locality))
-        lower, upper = np.asarray(swept.lower)[:, movers], np.asarray(swept.upper)[:, movers]
-        until = locality.dt * np.arange(1, len(lower) + 1)
-        fast = _is_fast(self.speed, len(lower), locality)
+        lower, upper = np.asarray(swept.lower), np.asarray(swept.upper)
+        horizon = len(lower)
+        fast = _is_fast(self.speed, horizon, locality)
         radius = (1.0 + _SLACK) * locality.far
-        radius = radius + np.max(self.speed, where=~fast, initial=0.0) * until
-        margin = np.where(fast, -np.inf, np.inf)
+        drift = locality.dt * np.max(self.speed, where=~fast, initial=0.0)
         # Nearly all are far from everything: told by one box around all that was swept.
-        low, high = lower.min(axis=(0, 1)) - radius[-1], upper.max(axis=(0, 1)) + radius[-1]
-        near = np.all((self.position > low) & (self.position < high), axis=1)
-        if not (near.any() or fast.any()):
-            return self.nodes[:0]
-        near = np.flatnonzero(near & ~fast)
-        if len(near):
-            place = self.position[near, None, None]
-            distance = _length(np.maximum(np.maximum(lower - place, place - upper), 0.0))
-            margin[near] = np.min(distance - radius[:, None], axis=(1, 2))
-        found = np.flatnonzero(margin < 0.0)
-        return self.nodes[found[np.argsort(margin[found], kind="stable")]]
+        margin = radius + drift * horizon
+        low, high = lower.min(axis=(0, 1)) - margin, upper.max(axis=(0, 1)) + margin
+        near = np.all((self.position > low) & (self.position < high), axis=1) & ~fast
+        if not near.any():
+            return self.nodes[fast]
+        movers = np.flatnonzero(_matter(swept, who, always, locality))
+        place = self.position[near, None, None]
+        outside = np.maximum(np.maximum(lower[:, movers] - place, place - upper[:, movers]), 0.0)
+        radii = radius + drift * np.arange(1, horizon + 1)[:, None]
+        margins = np.full(len(self.nodes), np.inf)
+        margins[near] = np.min(_length(outside) - radii, axis=(1, 2))
+        margins[fast] = -np.inf
+        found = np.flatnonzero(margins < 0.0)
+        return self.nodes[found[np.argsort(margins[found], kind="stable")]]
 
 
 def staying(
@@ -133,5 +134,5 @@ def _is_fast(speed: np.ndarray, horizon: int, locality: Locality) -> np.ndarray:
 
 
 def _length(vector: np.ndarray) -> np.ndarray:
-    with np.errstate(over="ignore"):  # What is told of may be anywhere.
-        return np.sqrt(np.sum(vector**2, axis=-1))
+    # What is told of may be anywhere: unlike a power, this overflows without a warning.
+    return np.sqrt(np.einsum("...d,...d->...", vector, vector))
