@@ -17,11 +17,13 @@ HORIZON = 10
 
 
 def swept_of(*ways) -> Swept:
-    """Of nodes that go from one place to another at an even pace."""
+    """Of nodes that go from one place to another at an even pace; and of no other rollout."""
     part = np.linspace(0.0, 1.0, HORIZON + 1)[:, None, None]
     ways = np.array(ways, float)
     path = ways[:, 0] + part * (ways[:, 1] - ways[:, 0])
-    return Swept(np.minimum(path[1:], path[:-1]), np.maximum(path[1:], path[:-1]))
+    lower, upper = np.minimum(path[1:], path[:-1]), np.maximum(path[1:], path[:-1])
+    nothing = np.full_like(lower, np.inf)
+    return Swept(np.stack([lower, nothing]), np.stack([upper, -nothing]))
 
 
 def missing(position, velocity=None, swept=None) -> list[int]:
@@ -32,7 +34,7 @@ def missing(position, velocity=None, swept=None) -> list[int]:
     speed[5:] = 0.0 if velocity is None else velocity
     around = Surroundings.seen(np.arange(5, len(place)), (place, speed))
     way = swept_of([(0.0, 0.0), (1.0, 0.0)]) if swept is None else swept
-    who = np.array([0, -1])[: np.asarray(way.lower).shape[1]]
+    who = np.array([0, -1])[: np.asarray(way.lower).shape[2]]
     return around.missing(way, who, who == 0, NEAR).tolist()
 
 
@@ -45,10 +47,16 @@ def test_the_box_around_a_way_across_is_not_the_way():
     assert missing([(0.9, 0.1), (0.6, 0.5)], swept=across) == [6]
 
 
+def test_each_rollout_has_a_way_of_its_own():
+    one, other = swept_of([(0.0, 0.0), (1.0, 1.0)]), swept_of([(0.0, 0.0), (1.0, -1.0)])
+    both = Swept(np.concatenate([one.lower, other.lower]), np.concatenate([one.upper, other.upper]))
+    assert missing([(0.9, 0.0), (0.9, -0.9)], swept=both) == [6]
+
+
 def test_padding_of_those_in_play_has_been_nowhere():
     with_padding = swept_of([(0.0, 0.0), (1.0, 0.0)], [(0.0, 2.0), (0.0, 2.0)])
     assert missing([(0.0, 2.0)], swept=with_padding) == []
-    nowhere = Swept.nowhere(HORIZON, jnp.zeros((1, 2)))
+    nowhere = Swept.nowhere(2, HORIZON, jnp.zeros((1, 2)))
     assert missing([(0.0, 0.0)], swept=nowhere) == []
 
 

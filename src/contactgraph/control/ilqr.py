@@ -107,13 +107,14 @@ class ILQR(eqx.Module):
         def advance(carry: Carry) -> Carry:
             search, swept = carry
             rollout = roll_out(model, state, nodes, search.trial, self.limits, involved)
-            return self._judge(search, rollout, part), swept.and_by(rollout, nodes, dt)
+            told = swept.with_rollout(search.iteration, rollout, nodes, dt)
+            return self._judge(search, rollout, part), told
 
         def running(carry: Carry) -> Bool[Array, ""]:
             search, _ = carry
             return (search.status == _RUNNING) & (search.iteration < self.iterations)
 
-        begin = search, Swept.nowhere(self.horizon, state.position)
+        begin = search, Swept.nowhere(self.iterations, self.horizon, state.position)
         search, swept = jax.lax.while_loop(running, advance, begin)
         return self._plan(search, index, 2 * state.position.size), swept
 

@@ -80,22 +80,22 @@ class Surroundings:
         ``always`` [n] bool: who of these is in play wherever things are.
         """
         lower, upper = np.asarray(swept.lower), np.asarray(swept.upper)
-        horizon = len(lower)
+        horizon = lower.shape[1]
         fast = _is_fast(self.speed, horizon, locality)
         radius = (1.0 + _SLACK) * locality.far
         drift = locality.dt * np.max(self.speed, where=~fast, initial=0.0)
         # Nearly all are far from everything: told by one box around all that was swept.
         margin = radius + drift * horizon
-        low, high = lower.min(axis=(0, 1)) - margin, upper.max(axis=(0, 1)) + margin
+        low, high = lower.min(axis=(0, 1, 2)) - margin, upper.max(axis=(0, 1, 2)) + margin
         near = np.all((self.position > low) & (self.position < high), axis=1) & ~fast
         if not near.any():
             return self.nodes[fast]
         movers = np.flatnonzero(_matter(swept, who, always, locality))
-        place = self.position[near, None, None]
-        outside = np.maximum(np.maximum(lower[:, movers] - place, place - upper[:, movers]), 0.0)
+        place = self.position[near, None, None, None]
+        outside = np.maximum(lower[..., movers, :] - place, place - upper[..., movers, :])
         radii = radius + drift * np.arange(1, horizon + 1)[:, None]
         margins = np.full(len(self.nodes), np.inf)
-        margins[near] = np.min(_length(outside) - radii, axis=(1, 2))
+        margins[near] = np.min(_length(np.maximum(outside, 0.0)) - radii, axis=(1, 2, 3))
         margins[fast] = -np.inf
         found = np.flatnonzero(margins < 0.0)
         return self.nodes[found[np.argsort(margins[found], kind="stable")]]
@@ -109,11 +109,11 @@ def staying(
     ``always`` [n] bool: who of these always matters. ``motion`` is of all nodes.
     """
     lower, upper = np.asarray(swept.lower), np.asarray(swept.upper)
-    one_way = lower[:, :, None] - upper[:, None]
-    gap = np.maximum(np.maximum(one_way, np.swapaxes(one_way, 1, 2)), 0.0)
-    near = np.any(_length(gap) < (1.0 + _LEAVES) * locality.far, axis=0)
+    one_way = lower[..., :, None, :] - upper[..., None, :, :]
+    gap = np.maximum(np.maximum(one_way, np.swapaxes(one_way, -3, -2)), 0.0)
+    near = np.any(_length(gap) < (1.0 + _LEAVES) * locality.far, axis=(0, 1))
     movers = _matter(swept, who, always, locality)
-    fast = _is_fast(_length(motion[1][who]), len(lower), locality)
+    fast = _is_fast(_length(motion[1][who]), lower.shape[1], locality)
     stays = (always | fast) & (who >= 0)
     for _ in who:
         stays = stays | (near[stays & movers].any(axis=0) & (who >= 0))
@@ -123,7 +123,7 @@ def staying(
 def _matter(swept: Swept, who: np.ndarray, always: np.ndarray, locality: Locality) -> np.ndarray:
     """[n] Which of those in play others must not be near without being in play: all but those
     at rest, whatever was tried, who are in play because they were near themselves."""
-    extent = np.asarray(swept.upper).max(axis=0) - np.asarray(swept.lower).min(axis=0)
+    extent = np.asarray(swept.upper).max(axis=(0, 1)) - np.asarray(swept.lower).min(axis=(0, 1))
     moves = np.max(extent, axis=-1) > _STILL * locality.far
     return (moves | always) & (who >= 0)
 

@@ -73,7 +73,9 @@ class Controller(eqx.Module):
                 control=jnp.zeros(control_size),
             ),
             fresh=jnp.ones((), bool),
-            swept=None if self.locality is None else Swept.nowhere(horizon, position),
+            swept=None
+            if self.locality is None
+            else Swept.nowhere(self.ilqr.iterations, horizon, position),
         )
 
     def tick(
@@ -108,7 +110,7 @@ class Controller(eqx.Module):
             swept = memory.swept
             if swept is not None and self.locality is not None:
                 drifted = position + self.locality.dt * velocity
-                swept = swept.and_at([position, drifted], nodes)
+                swept = swept.also_at([position, drifted], nodes)
             return self._followed(running, now, nodes), swept
 
         def replan() -> tuple[Plan, Swept | None]:
