@@ -21,7 +21,7 @@ from contactgraph.control.plan import Plan
 from contactgraph.data import InvalidInputError
 from contactgraph.model import Locality, Nodes
 
-_READY = 8
+_READY = 16
 """Nodes in play that are compiled for before a run, where no limit is given."""
 
 
