@@ -28,6 +28,8 @@ class Rollout(eqx.Module):
     x: Float[Array, "H+1 m"]
     """`block_state` of the M nodes, ``m = 2MD``."""
     controls: Float[Array, "H U"]
+    push: Float[Array, "H N D"]
+    """m; how far each step's control alone moves each node: see `pushed`."""
     dynamics: LinearDynamics
     """[H, M, D, …]"""
 
@@ -86,9 +88,10 @@ def roll_out(
         # A sum rather than a product with K: it fuses with what is around it.
         u = jnp.sum(stage.K * x, axis=-1) + stage.k
         u = u if limits is None else limits(u)
+        push = jnp.sum(response * u, axis=-1)
         after, response, linear = advance(model, state, response, u, nodes)
         part = jax.tree.map(lambda block: block[involved].astype(x.dtype), linear)
-        told = Rollout(after.position, after.velocity, after.belief, x, u, part)
+        told = Rollout(after.position, after.velocity, after.belief, x, u, push, part)
         return (after, response), told
 
     (last, _), steps = jax.lax.scan(step, (start, response), policy)
@@ -98,5 +101,6 @@ def roll_out(
         beliefs=steps.beliefs,
         x=jnp.concatenate([steps.x, block_state(last.position, last.velocity, involved)[None]]),
         controls=steps.controls,
+        push=steps.push,
         dynamics=steps.dynamics,
     )

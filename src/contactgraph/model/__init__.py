@@ -18,6 +18,8 @@ from contactgraph.model.linear_dynamics import stack_state as stack_state
 from contactgraph.model.linear_dynamics import unstack_state as unstack_state
 from contactgraph.model.local_dynamics import FreeLinearDynamics as FreeLinearDynamics
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics as SpringMassDamperDynamics
+from contactgraph.model.locality import Locality as Locality
+from contactgraph.model.locality import locality as locality
 from contactgraph.model.message_passing import EdgeNetwork as EdgeNetwork
 from contactgraph.model.message_passing import MessagePassing as MessagePassing
 from contactgraph.model.message_passing import TypedMessagePassing as TypedMessagePassing
