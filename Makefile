@@ -1,7 +1,7 @@
 # make demo    from nothing to a report: environment, data, training, closed loop, page
 # make test    what CI runs: lint, format, types, tests
 # make bench   times of training, control tick and robot loop, and exactness of tags, on this machine
-# make bench-peers   the differentiable LQR beside mpc.pytorch, in an environment of its own
+# make bench-peers   LQR solves beside crocoddyl and mpc.pytorch, in an environment of their own
 # make clean   remove what was made here (the environment too)
 #
 # make demo PYTHON=python3.12   another interpreter, 3.11 or newer
@@ -60,6 +60,7 @@ bench: $(PACKAGE)
 	$(BIN)/python benchmarks/tag_pose.py
 
 bench-peers: $(PEERS)/.installed
+	$(PEERS)/bin/python benchmarks/lqr_solve.py
 	$(PEERS)/bin/python benchmarks/differentiable_lqr.py
 
 clean:
@@ -84,7 +85,7 @@ TORCH ?= torch
 $(PEERS)/.installed: pyproject.toml benchmarks/requirements-peers.txt
 	@echo "== making $(PEERS): this package, torch and mpc"
 	@$(PYTHON) -m venv $(PEERS)
-	@$(PEERS)/bin/python -m pip --disable-pip-version-check --quiet install -e . '$(TORCH)'
+	@$(PEERS)/bin/python -m pip --disable-pip-version-check --quiet install -e . '$(TORCH)' 'crocoddyl>=3.2'
 	@$(PEERS)/bin/python -m pip --disable-pip-version-check --quiet install --no-deps \
 		-r benchmarks/requirements-peers.txt
 	@touch $@

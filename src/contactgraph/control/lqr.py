@@ -39,6 +39,12 @@ TransposeProduct = Callable[[Array, Float[Array, "n m"]], Float[Array, "n m"]]
 """``A^T X`` from one step's A, however that is stored, and ``X``."""
 
 
+_SUMMED_SIZE = 16
+"""Up to so many states a matrix product is written as a sum of products: inside a scan XLA then
+makes one kernel of it and of what is around it, while a call of a matrix product costs more than
+all the rest of a step."""
+
+
 class LQRPolicy(eqx.Module):
     """``u = K x + k``: affine in the state itself, not in a deviation from a reference."""
 
@@ -101,7 +107,15 @@ class _ControlProblem(eqx.Module):
 
 def dense_product(A: Float[Array, "n n"], X: Float[Array, "n m"]) -> Float[Array, "n m"]:
     """``A^T X`` for a dense A."""
-    return A.T @ X
+    if A.shape[0] > _SUMMED_SIZE:
+        return A.T @ X
+    return jnp.sum(A[:, :, None] * X[:, None, :], axis=0)
+
+
+def _product(X: Float[Array, "n k"], Y: Float[Array, "k m"]) -> Float[Array, "n m"]:
+    if X.shape[1] > _SUMMED_SIZE:
+        return X @ Y
+    return jnp.sum(X[:, :, None] * Y, axis=1)
 
 
 def solve_lqr(
@@ -183,11 +197,11 @@ def _control_problem(
     size = P.shape[0]
     # Products with the same matrix are taken together: in a scan of small steps it is the
     # number of operations that costs, not their size.
-    onward = P @ jnp.concatenate([stage.B, stage.offset[:, None]], axis=1)
+    onward = _product(P, jnp.concatenate([stage.B, stage.offset[:, None]], axis=1))
     PB, w = onward[:, :-1], onward[:, -1] + p
     onward = jnp.concatenate([PB, w[:, None]], axis=1)
     pulled = transpose_product(stage.A, jnp.concatenate([P, onward], axis=1))
-    slopes = stage.B.T @ onward
+    slopes = dense_product(stage.B, onward)
     return _ControlProblem(
         S=stage.R + slopes[:, :-1],
         G=pulled[:, size:-1].T,
@@ -200,5 +214,5 @@ def _control_problem(
 
 def _before(now: _ControlProblem, policy: LQRPolicy) -> tuple[Array, Array]:
     """P and p of this step, P symmetric to the last bit."""
-    P = now.P + now.G.T @ policy.K
-    return 0.5 * (P + P.T), now.p + now.G.T @ policy.k
+    P = now.P + dense_product(now.G, policy.K)
+    return 0.5 * (P + P.T), now.p + jnp.sum(now.G * policy.k[:, None], axis=0)
