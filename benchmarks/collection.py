@@ -17,7 +17,7 @@ from contactgraph.data import Trajectory
 from contactgraph.evaluate import collect
 from contactgraph.tasks import PickupExpert, PickupTask
 
-RUNS = 1500
+RUNS = 4000
 
 
 def recorded(runs: int, engine: LocalProcesses | None) -> tuple[float, list[Trajectory]]:
@@ -32,7 +32,7 @@ def main() -> None:
     told = arguments("Recording by two processes, beside one.")
     count = 40 if told.quick else RUNS
     alone, both, ratios = [], [], []
-    for _ in range(1 if told.quick else 3):
+    for _ in range(1 if told.quick else 2):
         seconds_one, by_one = recorded(count, None)
         seconds_two, by_two = recorded(count, LocalProcesses(2))
         alone.append(seconds_one)

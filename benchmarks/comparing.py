@@ -74,7 +74,7 @@ def difference(answer: Any, reference: Any) -> float:
 
     def apart(ours: np.ndarray, theirs: np.ndarray) -> float:
         gap = np.abs(np.asarray(ours, np.float64) - theirs)
-        return float(np.max(gap) / np.max(np.abs(theirs)))
+        return float(np.max(gap) / (np.max(np.abs(theirs)) or 1.0))
 
     return max(jax.tree.leaves(jax.tree.map(apart, answer, reference)))
 

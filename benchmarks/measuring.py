@@ -1,4 +1,4 @@
-"""What both benchmarks share: the machine, counting compilations, the table, the JSON file."""
+"""What the benchmarks share: the machine, counting compilations, the table, the JSON file."""
 
 import argparse
 import json
