@@ -9,7 +9,7 @@ from a start; ours are float32, crocoddyl's double. One core.
 """
 
 import one_core  # noqa: F401, I001  before JAX
-import dataclasses
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -19,34 +19,56 @@ from lqr_sample import sample, with_crocoddyl
 from measuring import arguments, report
 
 from contactgraph.control import LQRProblem, solve_lqr
-from contactgraph.control.lqr import dense_product
-from contactgraph.control.rollout import block_product
+from contactgraph.control.riccati_form import Form, block_form, dense_form
 
 STATES = (8, 48, 400)
 MOST_FOR_PEERS = 100
 """400 states take crocoddyl seconds; there only our two forms are compared."""
 
 
-def ours(problem: LQRProblem, start: np.ndarray, blocks: np.ndarray | None) -> Way:
-    """Controls [H, U]; by the form that knows of ``blocks``, where they are given."""
-    product = dense_product if blocks is None else block_product
-    given = problem if blocks is None else dataclasses.replace(problem, A=blocks)
-    placed = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (given, start))
+def dense(problem: LQRProblem, start: np.ndarray) -> Way:
+    """Controls [H, U]; A is a matrix."""
+    few = len(start) <= 16
+
+    def moved(A: jax.Array, x: jax.Array) -> jax.Array:
+        return jnp.sum(A * x, axis=-1) if few else A @ x
+
+    return _ours("our dense form", problem, start, dense_form, moved)
+
+
+def in_blocks(problem: LQRProblem, start: np.ndarray, blocks: np.ndarray) -> Way:
+    """The same; all positions before all velocities, A its blocks."""
+    order = np.arange(len(start)).reshape(-1, 2).T.reshape(-1)
+    given = LQRProblem(
+        A=np.moveaxis(blocks, 1, -1),
+        B=problem.B[:, order],
+        offset=problem.offset[:, order],
+        Q=problem.Q[:, order[:, None], order],
+        R=problem.R,
+        q=problem.q[:, order],
+        r=problem.r,
+    )
+
+    def moved(A: jax.Array, x: jax.Array) -> jax.Array:
+        return jnp.sum(A * x.reshape(2, -1), axis=1).reshape(-1)
+
+    return _ours("our block form", given, start[order], block_form, moved)
+
+
+def _ours(name: str, problem: LQRProblem, start: np.ndarray, form: Form, moved: Callable) -> Way:
+    placed = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (problem, start))
 
     @jax.jit
     def solve(problem: LQRProblem, start: jax.Array) -> tuple[jax.Array, jax.Array]:
-        policy, _ = solve_lqr(problem, product)
+        policy, _ = solve_lqr(problem, form)
 
         def step(x: jax.Array, stage: tuple) -> tuple[jax.Array, tuple]:
             A, B, offset, policy = stage
             u = policy(x)
-            rows = x if blocks is None else x.reshape(-1, 1, 2)
-            moved = jnp.sum(A * rows, axis=-1).reshape(-1)
-            return moved + jnp.sum(B * u, axis=-1) + offset, (x, u)
+            return moved(A, x) + jnp.sum(B * u, axis=-1) + offset, (x, u)
 
         return jax.lax.scan(step, start, (problem.A, problem.B, problem.offset, policy))[1]
 
-    name = "our dense form" if blocks is None else "our block form"
     return Way(name, lambda: jax.block_until_ready(solve(*placed))[1])
 
 
@@ -56,12 +78,12 @@ def main() -> None:
     rows = []
     for states in STATES[:2] if told.quick else STATES:
         problem, blocks, start = sample(states)
-        dense = ours(problem, start, None)
+        without = dense(problem, start)
         what = f"LQR, T = 200, U = 2, n = {states}"
         if states < MOST_FOR_PEERS:
             peers = [with_crocoddyl(problem, start)]
-            rows += compared(f"{what}, dense", dense, peers, told.quick)
-        rows += compared(f"{what}, blocks", ours(problem, start, blocks), [dense], told.quick)
+            rows += compared(f"{what}, dense", without, peers, told.quick)
+        rows += compared(f"{what}, blocks", in_blocks(problem, start, blocks), [without], told.quick)
     report("lqr_solve", rows, told)
 
 

@@ -17,16 +17,16 @@ Notation, at one step (t is left out; a dash marks the step after)::
 With controls held at a limit, their rows of K are zero and the same two last lines hold, since
 ``K^T (S K + G) = 0`` and ``K^T (S k + g) = 0`` still do.
 
-The only product with A is ``A^T X`` (P is symmetric), so one function argument makes the pass
-dense or block diagonal.
+How P is kept and multiplied is a `RiccatiForm`: one function argument makes the pass dense or block
+diagonal.
 """
 
-from collections.abc import Callable
+import dataclasses
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from contactgraph.control.control_step import (
     ControlLimits,
@@ -34,15 +34,14 @@ from contactgraph.control.control_step import (
     free_part,
     solve_small,
 )
-
-TransposeProduct = Callable[[Array, Float[Array, "n m"]], Float[Array, "n m"]]
-"""``A^T X`` from one step's A, however that is stored, and ``X``."""
-
-
-_SUMMED_SIZE = 16
-"""Up to so many states a matrix product is written as a sum of products: inside a scan XLA then
-makes one kernel of it and of what is around it, while a call of a matrix product costs more than
-all the rest of a step."""
+from contactgraph.control.riccati_form import (
+    Ahead,
+    Curvature,
+    Form,
+    RiccatiForm,
+    dense_form,
+    dense_product,
+)
 
 
 class LQRPolicy(eqx.Module):
@@ -74,7 +73,7 @@ class LQRProblem(eqx.Module):
     """Dynamics and cost of all steps, in the notation at the head of this file."""
 
     A: Float[Array, "H ..."]
-    """[H, n, n], or whatever the `TransposeProduct` in use understands."""
+    """[H, n, n], or whatever the `RiccatiForm` in use understands."""
     B: Float[Array, "H n U"]
     offset: Float[Array, "H n"]
     Q: Float[Array, "H+1 n n"]
@@ -97,42 +96,27 @@ class _ControlProblem(eqx.Module):
     """Cost-to-go of one step as a function of u and x."""
 
     S: Float[Array, "U U"]
-    G: Float[Array, "U n"]
     g: Float[Array, " U"]
-    P: Float[Array, "n n"]
-    """``Q + A^T P' A``: before the control's part is taken off."""
-    p: Float[Array, " n"]
-    w: Float[Array, " n"]
+    ahead: Ahead
 
 
-def dense_product(A: Float[Array, "n n"], X: Float[Array, "n m"]) -> Float[Array, "n m"]:
-    """``A^T X`` for a dense A."""
-    if A.shape[0] > _SUMMED_SIZE:
-        return A.T @ X
-    return jnp.sum(A[:, :, None] * X[:, None, :], axis=0)
-
-
-def _product(X: Float[Array, "n k"], Y: Float[Array, "k m"]) -> Float[Array, "n m"]:
-    if X.shape[1] > _SUMMED_SIZE:
-        return X @ Y
-    return jnp.sum(X[:, :, None] * Y, axis=1)
-
-
-def solve_lqr(
-    problem: LQRProblem, transpose_product: TransposeProduct = dense_product
-) -> tuple[LQRPolicy, QuadraticValue]:
+def solve_lqr(problem: LQRProblem, form: Form = dense_form) -> tuple[LQRPolicy, QuadraticValue]:
     """The optimal policy, and the value of every state at every step ``0 … H``."""
+    riccati = form(problem.B.shape[1])
 
-    def back(value: QuadraticValue, stage: LQRProblem) -> tuple[QuadraticValue, tuple]:
-        now = _control_problem(value.P, value.p, stage, transpose_product)
-        both = -solve_small(now.S, jnp.concatenate([now.G, now.g[:, None]], axis=1))
+    def back(carry: tuple[Curvature, Array, Array], inputs: tuple) -> tuple[tuple, tuple]:
+        P, p, constant = carry
+        stage, step = inputs
+        now = _control_problem(P, p, stage, riccati)
+        both = -solve_small(now.S, jnp.concatenate([now.ahead.G, now.g[:, None]], axis=1))
         policy = LQRPolicy(both[:, :-1], both[:, -1])
-        constant = value.constant + stage.offset @ (now.w + value.p) + now.g @ policy.k
-        before = QuadraticValue(*_before(now, policy), constant)
-        return before, (policy, before)
+        constant = constant + stage.offset @ (now.ahead.w + p) + now.g @ policy.k
+        P, p = _before(now, stage, policy, step, riccati)
+        return (P, p, constant), (policy, QuadraticValue(riccati.matrix(P), p, constant))
 
     final = QuadraticValue(problem.Q[-1], problem.q[-1], jnp.zeros((), problem.Q.dtype))
-    _, (policy, values) = jax.lax.scan(back, final, _stages(problem), reverse=True)
+    carry = (riccati.curvature(final.P), final.p, final.constant)
+    _, (policy, values) = jax.lax.scan(back, carry, _stages(problem), reverse=True)
     appended = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), values, final)
     return policy, appended
 
@@ -143,7 +127,7 @@ def improve_policy(
     controls: Float[Array, "H U"],
     damping: Float[Array, ""],
     limits: ControlLimits | None,
-    transpose_product: TransposeProduct = dense_product,
+    form: Form = dense_form,
 ) -> Improvement:
     """The optimal policy near a reference: limits are judged at its states.
 
@@ -151,68 +135,56 @@ def improve_policy(
     ``damping * trace(S)/U * |u - reference|^2`` to each step's cost, so that a larger one answers
     with a smaller step and the reference itself costs what it did.
     """
+    riccati = form(problem.B.shape[1])
 
-    def back(value: tuple[Array, Array], inputs: tuple) -> tuple[tuple[Array, Array], tuple]:
-        stage, x, u = inputs
-        now = _control_problem(*value, stage, transpose_product)
+    def back(carry: tuple[Curvature, Array], inputs: tuple) -> tuple[tuple, tuple]:
+        (stage, index), x, u = inputs
+        now = _control_problem(*carry, stage, riccati)
+        G = now.ahead.G
         weight = damping * jnp.trace(now.S) / u.shape[0]
         S = now.S + weight * jnp.eye(u.shape[0], dtype=u.dtype)
-        slope = now.G @ x + now.g - weight * u
+        slope = G @ x + now.g - weight * u
         if limits is None:
-            both = -solve_small(S, jnp.concatenate([now.G, slope[:, None]], axis=1))
+            both = -solve_small(S, jnp.concatenate([G, slope[:, None]], axis=1))
             K, target = both[:, :-1], both[:, -1]
         else:
             target, free = bounded_minimum(S, slope, limits)
-            K = -solve_small(free_part(S, free), jnp.where(free[:, None], now.G, 0.0))
+            K = -solve_small(free_part(S, free), jnp.where(free[:, None], G, 0.0))
         policy = LQRPolicy(K, target - K @ x)
         step = target - u
         # V(reference) - V(target) of a quadratic with curvature S and slope at the target.
         half_slope = jnp.sum(S * target, axis=-1) + slope
         decrease = jnp.sum(step * (jnp.sum(S * step, axis=-1) - 2.0 * half_slope))
-        return _before(now, policy), (policy, step, decrease)
+        return _before(now, stage, policy, index, riccati), (policy, step, decrease)
 
-    final = (problem.Q[-1], problem.q[-1])
+    carry = (riccati.curvature(problem.Q[-1]), problem.q[-1])
     _, (policy, step, decrease) = jax.lax.scan(
-        back, final, (_stages(problem), states, controls), reverse=True
+        back, carry, (_stages(problem), states, controls), reverse=True
     )
     return Improvement(policy, step, jnp.maximum(jnp.sum(decrease), 0.0))
 
 
-def _stages(problem: LQRProblem) -> LQRProblem:
-    """The problem without its last state cost: H stages."""
-    return LQRProblem(
-        problem.A,
-        problem.B,
-        problem.offset,
-        problem.Q[:-1],
-        problem.R,
-        problem.q[:-1],
-        problem.r,
-    )
+def _stages(problem: LQRProblem) -> tuple[LQRProblem, Int[Array, " H"]]:
+    """The problem without its last state cost: H stages, and their numbers."""
+    stages = dataclasses.replace(problem, Q=problem.Q[:-1], q=problem.q[:-1])
+    return stages, jnp.arange(problem.B.shape[0])
 
 
 def _control_problem(
-    P: Array, p: Array, stage: LQRProblem, transpose_product: TransposeProduct
+    P: Curvature, p: Array, stage: LQRProblem, form: RiccatiForm
 ) -> _ControlProblem:
-    size = P.shape[0]
-    # Products with the same matrix are taken together: in a scan of small steps it is the
-    # number of operations that costs, not their size.
-    onward = _product(P, jnp.concatenate([stage.B, stage.offset[:, None]], axis=1))
-    PB, w = onward[:, :-1], onward[:, -1] + p
-    onward = jnp.concatenate([PB, w[:, None]], axis=1)
-    pulled = transpose_product(stage.A, jnp.concatenate([P, onward], axis=1))
-    slopes = dense_product(stage.B, onward)
-    return _ControlProblem(
-        S=stage.R + slopes[:, :-1],
-        G=pulled[:, size:-1].T,
-        g=stage.r + slopes[:, -1],
-        P=stage.Q + transpose_product(stage.A, pulled[:, :size].T),
-        p=stage.q + pulled[:, -1],
-        w=w,
-    )
+    ahead = form.ahead(P, p, stage.A, stage.B, stage.offset)
+    slopes = dense_product(stage.B, jnp.concatenate([ahead.PB, ahead.w[:, None]], axis=1))
+    return _ControlProblem(stage.R + slopes[:, :-1], stage.r + slopes[:, -1], ahead)
 
 
-def _before(now: _ControlProblem, policy: LQRPolicy) -> tuple[Array, Array]:
-    """P and p of this step, P symmetric to the last bit."""
-    P = now.P + dense_product(now.G, policy.K)
-    return 0.5 * (P + P.T), now.p + jnp.sum(now.G * policy.k[:, None], axis=0)
+def _before(
+    now: _ControlProblem,
+    stage: LQRProblem,
+    policy: LQRPolicy,
+    step: Int[Array, ""],
+    form: RiccatiForm,
+) -> tuple[Curvature, Array]:
+    """P and p of this step."""
+    P = form.before(now.ahead, stage.A, stage.Q, policy.K, step)
+    return P, stage.q + now.ahead.slope + jnp.sum(now.ahead.G * policy.k[:, None], axis=0)
