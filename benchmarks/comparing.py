@@ -79,9 +79,7 @@ def difference(answer: Any, reference: Any) -> float:
     return max(jax.tree.leaves(jax.tree.map(apart, answer, reference)))
 
 
-def _row(
-    what: str, ours: np.ndarray, peer: str, theirs: np.ndarray | None, agreement: str
-) -> Row:
+def _row(what: str, ours: np.ndarray, peer: str, theirs: np.ndarray | None, agreement: str) -> Row:
     return {
         "what": what,
         "ours ms": 1e3 * float(np.median(ours)),

@@ -5,8 +5,8 @@ Usage: python benchmarks/differentiable_lqr.py [--quick] [--json FILE]
 One forward pass and one backward pass, for given slopes of the loss, through 200 steps of 40
 problems with 8 states and 2 controls, on one core: by the adjoint rule of `lqr_trajectory` (the
 batch in the last axis, and in the first), by autodiff through the same Riccati scan, and by
-mpc.pytorch (package ``mpc``) with its own implicit rule, told that one LQR step is enough. Gradients
-are with respect to dynamics, cost and start; trajectories and gradients are compared.
+mpc.pytorch (package ``mpc``) with its own implicit rule, told that one LQR step is enough.
+Gradients are with respect to dynamics, cost and start; trajectories and gradients are compared.
 """
 
 import one_core  # noqa: F401, I001  before JAX
@@ -105,8 +105,7 @@ def with_mpc(data: tuple) -> Way | Missing:
     def answer(returned: Any) -> Answer:
         n = STATES
         states, controls, dC, dc, dF, df = (
-            array.detach().numpy().swapaxes(0, 1)
-            for array in (*returned[:2], *returned[2][:4])
+            array.detach().numpy().swapaxes(0, 1) for array in (*returned[:2], *returned[2][:4])
         )
         gradients = LQRProblem(
             A=dF[..., :n],

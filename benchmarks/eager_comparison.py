@@ -2,8 +2,8 @@
 
 Usage: python benchmarks/eager_comparison.py [--quick] [--json FILE]
 
-The shipped pickup model and a re-implementation of its equations with the same weights (`eager`), on
-recorded pickup runs, on one core in float32: predicted positions over 200 steps with 2 and 12
+The shipped pickup model and a re-implementation of its equations with the same weights (`eager`),
+on recorded pickup runs, on one core in float32: predicted positions over 200 steps with 2 and 12
 bodies; loss and gradients of a training step (2 bodies: 64 runs of 200 steps; 12 bodies: 8 runs);
 and a whole iLQR plan, 20 steps ahead with 2 bodies, by the same rules.
 """

@@ -4,8 +4,8 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-
 from comparing import Missing, Way
+
 from contactgraph.control import LQRProblem
 
 HORIZON, CONTROLS = 200, 2

@@ -83,7 +83,9 @@ def main() -> None:
         if states < MOST_FOR_PEERS:
             peers = [with_crocoddyl(problem, start)]
             rows += compared(f"{what}, dense", without, peers, told.quick)
-        rows += compared(f"{what}, blocks", in_blocks(problem, start, blocks), [without], told.quick)
+        rows += compared(
+            f"{what}, blocks", in_blocks(problem, start, blocks), [without], told.quick
+        )
     report("lqr_solve", rows, told)
 
 

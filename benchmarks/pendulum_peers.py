@@ -136,9 +136,15 @@ def with_crocoddyl() -> list[Solver | Missing]:
 
             return run
 
-        return Solver(name, prepared, lambda answer: np.array([np.array(list(us))[:, 0] for us in answer]))
+        return Solver(
+            name, prepared, lambda answer: np.array([np.array(list(us))[:, 0] for us in answer])
+        )
 
     return [
-        solver(f"{name}, C++ model", lambda: compiled(1.0, CONTROL_WEIGHT, DT), compiled(LAST, 0.0, 0.0)),
+        solver(
+            f"{name}, C++ model",
+            lambda: compiled(1.0, CONTROL_WEIGHT, DT),
+            compiled(LAST, 0.0, 0.0),
+        ),
         solver(f"{name}, Python model", lambda: Action(1.0, CONTROL_WEIGHT), Action(LAST, 0.0)),
     ]

@@ -3,8 +3,8 @@
 Usage: python benchmarks/table.py [--quick] [--python PYTHON] [--out FOLDER]
 
 Runs every comparison in a process of its own, with ``--python`` (that of the environment with the
-peers; else this one), prints the table and writes it as ``table.json`` and ``table.md``. ``--quick``
-takes little time and shows that all of it runs; its figures are worth nothing.
+peers; else this one), prints the table and writes it as ``table.json`` and ``table.md``.
+``--quick`` takes little time and shows that all of it runs; its figures are worth nothing.
 """
 
 import argparse
@@ -56,8 +56,10 @@ def markdown(parts: list[dict[str, Any]]) -> str:
 def _text(value: Any) -> str:
     if value is None:
         return ""
-    return f"{value:,.3g}" if isinstance(value, float) and value < 100 else (
-        f"{value:,.0f}" if isinstance(value, float) else str(value)
+    return (
+        f"{value:,.3g}"
+        if isinstance(value, float) and value < 100
+        else (f"{value:,.0f}" if isinstance(value, float) else str(value))
     )
 
 

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from eager.geometry import Geometry, geometry
 from torch import Tensor, nn
 from torch.nn.functional import one_hot, softplus
 
 from contactgraph.data import pair_indices
 from contactgraph.model import ContactDynamics
 from contactgraph.model.arrays import module_arrays
+from eager.geometry import Geometry, geometry
 
 MOST_HELD = 1.0 - 1e-3
 PACE, IMPACT_SPEED, SMALLEST = 5.0, 0.1, 1e-6
@@ -37,7 +37,9 @@ class Linear:
     B: Tensor
     offset: Tensor
 
-    def __call__(self, position: Tensor, velocity: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
+    def __call__(
+        self, position: Tensor, velocity: Tensor, control: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """``control`` [..., U]."""
         state = torch.stack([position, velocity], dim=-1)
         moved = (self.A @ state[..., None])[..., 0] + self.offset

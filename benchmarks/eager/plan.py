@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from eager.model import EagerModel
 from torch import Tensor
+
+from eager.model import EagerModel
 
 STEP_SIZES = (1.0, 0.5, 0.2)
 ARMIJO, FIRST_DAMPING, LAST_DAMPING = 1e-4, 0.1, 1e6
@@ -104,7 +105,7 @@ def plan(
     K, k = np.zeros((horizon, controls, size)), np.zeros((horizon, controls))
     best, reference, expected = np.inf, None, 0.0
     damping, attempt = 0.0, 0
-    for iteration in range(iterations):
+    for rollouts in range(1, iterations + 1):
         trial = roll_out(model, start, K, k)
         total = cost(trial.states, trial.controls)
         promised = 0.0 if reference is None else ARMIJO * STEP_SIZES[attempt] * expected
@@ -122,4 +123,4 @@ def plan(
             break
         k = reference.controls + STEP_SIZES[attempt] * step
         k = k - np.einsum("tij,tj->ti", K, reference.states[:-1])
-    return reference.controls, best, iteration + 1
+    return reference.controls, best, rollouts

@@ -1,14 +1,18 @@
 """A training step: one-step errors and divergence from the prior over whole runs, then Adam."""
 
 import torch
-from eager.model import EagerModel, Linear, Percept
 from torch import Tensor
+
+from eager.model import EagerModel, Linear, Percept
 
 SMALLEST = 1e-6
 
 
 class Training:
-    """Steps of Adam on a batch: ``position``, ``velocity`` [B, T+1, N, D], ``control`` [B, T, U]."""
+    """Steps of Adam on a batch.
+
+    ``position`` and ``velocity`` [B, T+1, N, D], ``control`` [B, T, U].
+    """
 
     def __init__(
         self, model: EagerModel, position: Tensor, velocity: Tensor, control: Tensor

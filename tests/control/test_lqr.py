@@ -74,7 +74,9 @@ def kkt_solution(problem: LQRProblem, start: np.ndarray) -> tuple[np.ndarray, np
     return answer[:xs].reshape(-1, n), answer[xs : xs + us].reshape(-1, U)
 
 
-@pytest.mark.parametrize(("seed", "n", "U"), [(0, 6, 2), (1, 4, 1), (2, 8, 3), (3, 5, 7), (4, 20, 2)])
+@pytest.mark.parametrize(
+    ("seed", "n", "U"), [(0, 6, 2), (1, 4, 1), (2, 8, 3), (3, 5, 7), (4, 20, 2)]
+)
 def test_equals_the_dense_kkt_solution(seed, n, U):
     problem = random_problem(seed, n=n, U=U)
     start = np.random.default_rng(seed).normal(size=n)
