@@ -104,8 +104,9 @@ def plan(
     size, controls = len(cost.goal), len(cost.R)
     K, k = np.zeros((horizon, controls, size)), np.zeros((horizon, controls))
     best, reference, expected = np.inf, None, 0.0
-    damping, attempt = 0.0, 0
-    for rollouts in range(1, iterations + 1):
+    damping, attempt, rollouts = 0.0, 0, 0
+    while rollouts < iterations:
+        rollouts += 1
         trial = roll_out(model, start, K, k)
         total = cost(trial.states, trial.controls)
         promised = 0.0 if reference is None else ARMIJO * STEP_SIZES[attempt] * expected
