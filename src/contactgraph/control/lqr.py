@@ -21,7 +21,8 @@ How P is kept and multiplied is a `RiccatiForm`: one function argument makes the
 diagonal.
 """
 
-import dataclasses
+from collections.abc import Callable
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -42,6 +43,8 @@ from contactgraph.control.riccati_form import (
     dense_form,
     dense_product,
 )
+
+_Arrays = TypeVar("_Arrays")
 
 
 class LQRPolicy(eqx.Module):
@@ -104,9 +107,8 @@ def solve_lqr(problem: LQRProblem, form: Form = dense_form) -> tuple[LQRPolicy, 
     """The optimal policy, and the value of every state at every step ``0 … H``."""
     riccati = form(problem.B.shape[1])
 
-    def back(carry: tuple[Curvature, Array, Array], inputs: tuple) -> tuple[tuple, tuple]:
+    def back(carry: tuple, stage: LQRProblem, step: Array) -> tuple[tuple, tuple]:
         P, p, constant = carry
-        stage, step = inputs
         now = _control_problem(P, p, stage, riccati)
         both = -solve_small(now.S, jnp.concatenate([now.ahead.G, now.g[:, None]], axis=1))
         policy = LQRPolicy(both[:, :-1], both[:, -1])
@@ -116,7 +118,7 @@ def solve_lqr(problem: LQRProblem, form: Form = dense_form) -> tuple[LQRPolicy, 
 
     final = QuadraticValue(problem.Q[-1], problem.q[-1], jnp.zeros((), problem.Q.dtype))
     carry = (riccati.curvature(final.P), final.p, final.constant)
-    _, (policy, values) = jax.lax.scan(back, carry, _stages(problem), reverse=True)
+    policy, values = _backwards(back, carry, problem, riccati)
     appended = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), values, final)
     return policy, appended
 
@@ -137,8 +139,8 @@ def improve_policy(
     """
     riccati = form(problem.B.shape[1])
 
-    def back(carry: tuple[Curvature, Array], inputs: tuple) -> tuple[tuple, tuple]:
-        (stage, index), x, u = inputs
+    def back(carry: tuple, stage: LQRProblem, index: Array) -> tuple[tuple, tuple]:
+        x, u = _at((states, controls), index)
         now = _control_problem(*carry, stage, riccati)
         G = now.ahead.G
         weight = damping * jnp.trace(now.S) / u.shape[0]
@@ -158,16 +160,42 @@ def improve_policy(
         return _before(now, stage, policy, index, riccati), (policy, step, decrease)
 
     carry = (riccati.curvature(problem.Q[-1]), problem.q[-1])
-    _, (policy, step, decrease) = jax.lax.scan(
-        back, carry, (_stages(problem), states, controls), reverse=True
-    )
+    policy, step, decrease = _backwards(back, carry, problem, riccati)
     return Improvement(policy, step, jnp.maximum(jnp.sum(decrease), 0.0))
 
 
-def _stages(problem: LQRProblem) -> tuple[LQRProblem, Int[Array, " H"]]:
-    """The problem without its last state cost: H stages, and their numbers."""
-    stages = dataclasses.replace(problem, Q=problem.Q[:-1], q=problem.q[:-1])
-    return stages, jnp.arange(problem.B.shape[0])
+def _backwards(
+    back: Callable[[tuple, LQRProblem, Array], tuple[tuple, tuple]],
+    carry: tuple,
+    problem: LQRProblem,
+    form: RiccatiForm,
+) -> tuple:
+    """``back`` from the last step to the first; what it gave beside the carry, [H, …].
+
+    The carry begins with P, which is made symmetric after every few steps: in a loop of its own,
+    since a conditional around P would copy it in every step. Steps are read out of the problem's
+    own arrays, of which a slice without the last state's cost would be a copy.
+    """
+    horizon = problem.B.shape[0]
+    few = max(size for size in range(1, form.symmetric_every + 1) if horizon % size == 0)
+
+    def step(carry: tuple, index: Array) -> tuple[tuple, tuple]:
+        return back(carry, _at(problem, index), index)
+
+    def steps(carry: tuple, indices: Array) -> tuple[tuple, tuple]:
+        (P, *rest), told = jax.lax.scan(step, carry, indices, reverse=True)
+        return (form.symmetric(P), *rest), told
+
+    indices = jnp.arange(horizon).reshape(-1, few)
+    told = jax.lax.scan(steps, carry, indices, reverse=True)[1]
+    return jax.tree.map(lambda leaf: leaf.reshape(horizon, *leaf.shape[2:]), told)
+
+
+def _at(arrays: _Arrays, index: Array) -> _Arrays:
+    """One step's part of arrays of all steps."""
+    return jax.tree.map(
+        lambda leaf: jax.lax.dynamic_index_in_dim(leaf, index, keepdims=False), arrays
+    )
 
 
 def _control_problem(
