@@ -140,8 +140,9 @@ def improve_policy(
     riccati = form(problem.B.shape[1])
 
     def back(carry: tuple, stage: LQRProblem, index: Array) -> tuple[tuple, tuple]:
+        P, p = carry
         x, u = _at((states, controls), index)
-        now = _control_problem(*carry, stage, riccati)
+        now = _control_problem(P, p, stage, riccati)
         G = now.ahead.G
         weight = damping * jnp.trace(now.S) / u.shape[0]
         S = now.S + weight * jnp.eye(u.shape[0], dtype=u.dtype)
