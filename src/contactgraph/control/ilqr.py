@@ -9,7 +9,8 @@ from contactgraph.control.control_step import ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.lqr import Improvement, LQRPolicy, LQRProblem, improve_policy
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.rollout import Rollout, block_index, block_product, roll_out
+from contactgraph.control.riccati_form import block_form
+from contactgraph.control.rollout import Rollout, block_index, in_blocks, roll_out
 from contactgraph.control.swept import Swept
 from contactgraph.model import ModelState, Nodes, StepModel, stack_state
 
@@ -164,19 +165,18 @@ class ILQR(eqx.Module):
         self, reference: Rollout, part: QuadraticCost, damping: Float[Array, ""]
     ) -> Improvement:
         Q, R, goal = part.over(self.horizon)
-        dynamics = reference.dynamics
-        size = goal.shape[-1]
+        A, B, offset = in_blocks(reference.dynamics)
         problem = LQRProblem(
-            A=dynamics.A,
-            B=dynamics.B.reshape(self.horizon, size, -1),
-            offset=dynamics.offset.reshape(self.horizon, size),
+            A=A,
+            B=B,
+            offset=offset,
             Q=Q,
             R=R,
             q=-jnp.einsum("tij,tj->ti", Q, goal),
             r=jnp.zeros(R.shape[:-1], R.dtype),
         )
         return improve_policy(
-            problem, reference.x[:-1], reference.controls, damping, self.limits, block_product
+            problem, reference.x[:-1], reference.controls, damping, self.limits, block_form
         )
 
     def _plan(self, search: "_Search", index: Int[Array, " m"], size: int) -> Plan:
