@@ -26,6 +26,7 @@ from contactgraph.model.motion_evidence import correct_by_motion as correct_by_m
 from contactgraph.model.motion_evidence import judge_motion as judge_motion
 from contactgraph.model.motion_evidence import judging_motion as judging_motion
 from contactgraph.model.motion_noise import MotionNoise as MotionNoise
+from contactgraph.model.neighbours import NeighbourLists as NeighbourLists
 from contactgraph.model.per_degree_head import PerDegreeHead as PerDegreeHead
 from contactgraph.model.presets import Preset as Preset
 from contactgraph.model.presets import full_ab as full_ab

@@ -27,7 +27,8 @@ class _LinearModel(Protocol):
 
 def held_response(model: _LinearModel, state: ModelState, nodes: Nodes) -> Float[Array, "N D U"]:
     """[m/N] How far each node is moved by the control, if only the present contacts hold."""
-    holds = nodes.candidate & (state.belief.probability > 0.5)
+    believed = state.belief.over(None, nodes.candidate.shape[0])
+    holds = nodes.candidate & (believed.probability > 0.5)
     linear, _ = model.linear_step(state, dataclasses.replace(nodes, candidate=holds))
     return response_of(linear, state.position)
 
