@@ -60,7 +60,7 @@ def crowd(count: int, seed: int = 0) -> tuple[jax.Array, jax.Array, Nodes]:
 
 def listing(model: ContactDynamics, count: int) -> ContactDynamics:
     """The same model with lists that have room for scenes of this density."""
-    return replace(model, neighbours=NeighbourLists(edges=8 * count, cell=20))
+    return replace(model, neighbours=NeighbourLists(edges=5 * count, cell=12))
 
 
 def medians(calls: dict[str, Call], rounds: int) -> dict[str, float]:

@@ -16,6 +16,9 @@ from contactgraph.model.geometry import Geometry
 from contactgraph.model.groups import Groups, find_groups
 
 
+_UNROLLED_SIZE = 6
+
+
 class Inertia(eqx.Module):
     """What makes up the matrix. Its rows are `d` for each node: 1 where no lever turns anything."""
 
@@ -71,10 +74,18 @@ def whole_inertia(inertia: Inertia, vectors: Float[Array, "N d c"]) -> Solved:
     count, size = inertia.node.shape[0], inertia.size
     jacobian = _jacobian(inertia.geometry, count)
     stiff, node = jnp.repeat(inertia.stiff, size), jnp.repeat(inertia.node, size)
-    inverse = jnp.linalg.inv(jacobian.T @ (stiff[:, None] * jacobian) + jnp.diag(node))
-    solution = (inverse @ vectors.reshape(count * size, -1)).reshape(vectors.shape)
+    matrix = product(jacobian.T, stiff[:, None] * jacobian) + jnp.diag(node)
+    inverse = _whole_inverse(matrix)
+    solution = product(inverse, vectors.reshape(count * size, -1)).reshape(vectors.shape)
     own = jnp.mean(jnp.diagonal(inverse).reshape(count, size), axis=1)
     return Solved(solution, own)
+
+
+def product(one: Float[Array, "n m"], other: Float[Array, "m c"]) -> Float[Array, "n c"]:
+    """The matrix product; of small ones as a sum, which fuses with what is around it."""
+    if max(one.shape) > _UNROLLED_SIZE:
+        return one @ other
+    return jnp.sum(one[:, :, None] * other[None], axis=1)
 
 
 def _jacobian(geometry: Geometry, count: int) -> Float[Array, "Ed Nd"]:
@@ -94,7 +105,8 @@ def grouped_inertia(inertia: Inertia, vectors: Float[Array, "N d c"], room: int)
     ends = jnp.stack([inertia.geometry.first, inertia.geometry.second])
     groups = find_groups(fixed.stiff > 0, ends, count)
     blocks = jnp.where(groups.largest <= room, _blocks(fixed, groups, room), jnp.nan)
-    inverse = spd_inverse(blocks).reshape(count, room, size, room, size)
+    rows = size * jnp.minimum(groups.largest, room)
+    inverse = spd_inverse(blocks, rows).reshape(count, room, size, room, size)
     row = groups.group * room + jnp.minimum(groups.slot, room - 1)
 
     def solve(_: object, right: Float[Array, "N d c"]) -> Float[Array, "N d c"]:
@@ -136,20 +148,40 @@ def _blocks(inertia: Inertia, groups: Groups, room: int) -> Float[Array, "N s s"
     return blocks.reshape(count, room * size, room * size)
 
 
-def spd_inverse(matrix: Float[Array, "*B n n"]) -> Float[Array, "*B n n"]:
-    """Inverses of many small, symmetric positive definite matrices, side by side."""
+def spd_inverse(matrix: Float[Array, "*B n n"], rows: Int[Array, ""]) -> Float[Array, "*B n n"]:
+    """Inverses of many small, symmetric positive definite matrices, side by side.
+
+    Only the first `rows` of a matrix are other than the identity's.
+    """
+    return jax.lax.fori_loop(0, rows, _eliminated, matrix)
+
+
+def _eliminated(pivot: Int[Array, ""] | int, matrix: Float[Array, "*B n n"]) -> Array:
+    """One round of Gauss and Jordan; positive definite matrices need no exchange of rows."""
     index = jnp.arange(matrix.shape[-1])
+    row = jax.lax.dynamic_slice_in_dim(matrix, pivot, 1, -2)
+    column = jax.lax.dynamic_slice_in_dim(matrix, pivot, 1, -1)
+    scale = 1.0 / jax.lax.dynamic_slice_in_dim(row, pivot, 1, -1)
+    in_row, in_column = index[:, None] == pivot, index[None, :] == pivot
+    rest = matrix - column * (row * scale)
+    rest = jnp.where(in_row, row * scale, jnp.where(in_column, -column * scale, rest))
+    return jnp.where(in_row & in_column, scale, rest)
 
-    def eliminate(pivot: Int[Array, ""], matrix: Float[Array, "*B n n"]) -> Float[Array, "*B n n"]:
-        row = jax.lax.dynamic_slice_in_dim(matrix, pivot, 1, -2)
-        column = jax.lax.dynamic_slice_in_dim(matrix, pivot, 1, -1)
-        scale = 1.0 / jax.lax.dynamic_slice_in_dim(row, pivot, 1, -1)
-        in_row, in_column = index[:, None] == pivot, index[None, :] == pivot
-        rest = matrix - column * (row * scale)
-        rest = jnp.where(in_row, row * scale, jnp.where(in_column, -column * scale, rest))
-        return jnp.where(in_row & in_column, scale, rest)
 
-    return jax.lax.fori_loop(0, matrix.shape[-1], eliminate, matrix)
+@jax.custom_jvp
+def _whole_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    # Of scenes side by side, a library inverts one after the other.
+    if matrix.shape[0] > _UNROLLED_SIZE:
+        return jnp.linalg.inv(matrix)
+    for pivot in range(matrix.shape[0]):
+        matrix = _eliminated(pivot, matrix)
+    return matrix
+
+
+@_whole_inverse.defjvp
+def _whole_inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    inverse = _whole_inverse(*primals)
+    return inverse, -inverse @ tangents[0] @ inverse
 
 
 @jax.custom_jvp

@@ -56,6 +56,11 @@ def judging_motion(model: object) -> ContactDynamics:
             "motion_noise: only a ContactDynamics says how things would move with an edge active "
             f"and without; found {type(model).__name__}"
         )
+    if model.neighbours is not None:
+        raise InvalidInputError(
+            "motion_noise: what motion has told of each pair is kept for all of them, so the model "
+            "must have no neighbour lists (neighbours=None)"
+        )
     return model
 
 

@@ -21,7 +21,7 @@ class NeighbourLists(eqx.Module):
     Found by cells: space is cut into cubes as long as the reach and twice the longest way of a
     node, so that who is near is in the same one or next to it. What such a list leaves out is out of
     reach, and inactive for sure, so predictions are those of all pairs. Sizes are fixed when a
-    model is made; a step that needs more has no prediction but NaN. `needed` says what it needs.
+    model is made; a step that needs more has no prediction but NaN. See `with_neighbour_lists`.
     """
 
     edges: int = eqx.field(static=True)
@@ -54,7 +54,8 @@ class NeighbourLists(eqx.Module):
         count = position.shape[0]
         if count > _MOST_NODES:
             raise InvalidInputError(f"lists are for at most {_MOST_NODES} nodes, found {count}")
-        number, near, fullest = _candidates(position, way, mask, far, self.cell)
+        all_found = candidates(position, way, mask, far, self.cell)
+        number, near = all_found.number, all_found.near
         rank = jnp.cumsum(near, axis=1)
         before = jnp.cumsum(rank[:, -1])
         found = before[-1]
@@ -63,7 +64,7 @@ class NeighbourLists(eqx.Module):
         slot = jnp.where(near, slot, self.edges)
         listed = jnp.full(self.edges, pair_count(count), number.dtype)
         listed = jnp.sort(listed.at[slot.reshape(-1)].set(number.reshape(-1), mode="drop"))
-        fits = (fullest <= self.cell) & (found <= self.edges)
+        fits = (all_found.fullest <= self.cell) & (found <= self.edges)
         return Edges(numbered(listed, count), listed, fits)
 
 
@@ -86,17 +87,27 @@ def longest_ways(
     return jnp.where(jnp.isfinite(arm), arm + 2.0 * way, way)
 
 
-def _candidates(
+class Candidates(eqx.Module):
+    """Pairs of nodes in the same cell or in adjacent ones, each once."""
+
+    number: Int[Array, "N C"]
+    """The pairs' places in `pair_indices`' order."""
+    near: Bool[Array, "N C"]
+    """Whether there is such a pair, and its nodes may come into reach within the step."""
+    fullest: Int[Array, ""]
+    """How many nodes are in the fullest cell."""
+
+
+def candidates(
     position: Float[Array, "N D"],
     way: Float[Array, " N"],
     mask: Bool[Array, " N"],
     far: float,
     room: int,
-) -> tuple[Int[Array, "N C"], Bool[Array, "N C"], Int[Array, ""]]:
-    """Pairs of nodes in the same cell or in adjacent ones: their places, and whether they are near.
+) -> Candidates:
+    """Pairs to choose from; of more than `room` nodes in a cell, the others' are missing.
 
-    Each pair appears once. Also how many nodes are in the fullest cell; of more than `room` in one
-    the others are missing.
+    Arguments as of `NeighbourLists`.
     """
     count, dimension = position.shape
     # Cells repeat after `side` of them: two that share a number are told apart by distance.
@@ -128,7 +139,7 @@ def _candidates(
     # The first of the cells is the node's own, in which each pair is met from both its ends.
     own = jnp.arange(other.shape[1]) < room
     near = near & (~own | (other > node))
-    return place(node, other), near, jnp.max(held[:cells])
+    return Candidates(place(node, other), near, jnp.max(held[:cells]))
 
 
 def _half_around(dimension: int) -> np.ndarray:
