@@ -1,6 +1,6 @@
 # make demo    from nothing to a report: environment, data, training, closed loop, page
 # make test    what CI runs: lint, format, types, tests
-# make bench   times of training, control tick and robot loop, and exactness of tags, on this machine
+# make bench   times of training, model, control tick and robot loop, exactness of tags, on this machine
 # make bench-peers   the differentiable LQR beside mpc.pytorch, in an environment of its own
 # make clean   remove what was made here (the environment too)
 #
@@ -55,6 +55,9 @@ test: $(DEVELOPMENT)
 
 bench: $(PACKAGE)
 	$(BIN)/python benchmarks/training_throughput.py
+	$(BIN)/python benchmarks/training_memory.py
+	$(BIN)/python benchmarks/model_at_scale.py
+	$(BIN)/python benchmarks/batched_rollouts.py
 	$(BIN)/python benchmarks/control_tick.py
 	$(BIN)/python benchmarks/robot_loop.py
 	$(BIN)/python benchmarks/tag_pose.py

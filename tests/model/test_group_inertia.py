@@ -1,5 +1,7 @@
 """The inertia by groups: the numbers and the derivatives of the whole."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,18 +24,11 @@ def scene(hinges: bool) -> tuple[Inertia, jnp.ndarray]:
     position, velocity = rng.normal(size=(2, COUNT, 2))
     anchor = None
     if hinges:
-        anchor = np.full((COUNT, 2), np.nan)
-        anchor[[1, 4]] = rng.normal(size=(2, 2))
-    seen = geometry(*map(jnp.asarray, (position, velocity)), jnp.asarray(pairs), 0.05, 0.08)
-    if anchor is not None:
-        seen = geometry(
-            *map(jnp.asarray, (position, velocity)),
-            jnp.asarray(pairs),
-            0.05,
-            0.08,
-            None,
-            jnp.asarray(anchor),
-        )
+        hung = np.full((COUNT, 2), np.nan)
+        hung[[1, 4]] = rng.normal(size=(2, 2))
+        anchor = jnp.asarray(hung)
+    states = map(jnp.asarray, (position, velocity, pairs))
+    seen = geometry(*states, 0.05, 0.08, None, anchor)
     holding = {(0, 4), (2, 4), (1, 6)}
     holds = np.array([tuple(pair) in holding for pair in pairs.tolist()])
     stiff = jnp.asarray(np.where(holds, rng.uniform(1, 9, len(pairs)), 0.0))
@@ -49,9 +44,7 @@ def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
 
     def by(solve):
         def total(node, stiff, lever, vectors):
-            seen = inertia.geometry.__class__(
-                **{**vars(inertia.geometry), "lever": lever}
-            )
+            seen = dataclasses.replace(inertia.geometry, lever=lever)
             solved = solve(Inertia(node, stiff, seen), vectors)
             weights = jnp.arange(1.0, 1.0 + solved.solution.size).reshape(solved.solution.shape)
             share = jnp.arange(1.0, COUNT + 1.0)

@@ -64,7 +64,8 @@ Description = dict[str, Any]
 def describe(model: ContactDynamics) -> Description:
     """The model's construction as data that JSON can hold, weights left out.
 
-    Neighbour lists are left out too: they are made for a scene, and change no prediction. Raises `InvalidInputError` for parts that are not of this package.
+    Neighbour lists are left out too: they are made for a scene, and change no prediction. Raises
+    `InvalidInputError` for parts that are not of this package.
     """
     if isinstance(model, ContactDynamics):
         model = dataclasses.replace(model, neighbours=None)

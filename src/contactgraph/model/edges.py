@@ -60,8 +60,8 @@ def _below(node: Int[Array, " E"]) -> Int[Array, " E"]:
 
 
 def at_nodes(
-    arriving: Float[Array, "2 E *F"], ends: Int[Array, "2 E"], count: int
-) -> Float[Array, "N *F"]:
+    arriving: Float[Array, "2 E ..."], ends: Int[Array, "2 E"], count: int
+) -> Float[Array, "N ..."]:
     """Sum at each of `count` nodes of what arrives at the first and second ends of the edges."""
     flat = arriving.reshape(-1, *arriving.shape[2:])
     if count > _PRODUCT_NODES:

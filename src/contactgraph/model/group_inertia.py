@@ -15,8 +15,8 @@ from contactgraph.model.edges import at_nodes
 from contactgraph.model.geometry import Geometry
 from contactgraph.model.groups import Groups, find_groups
 
-
 _UNROLLED_SIZE = 6
+"""Rows up to which matrices are inverted, and multiplied, in written out operations that fuse."""
 
 
 class Inertia(eqx.Module):
@@ -205,7 +205,7 @@ def _own_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 
     def square(node: Array, stiff: Array, lever: Array) -> Float[Array, " N"]:
         """c^T H c of every node's own columns, which are zero outside of its group."""
-        room, size = inverse.shape[1:3]
+        size = inverse.shape[2]
         inside = jnp.zeros(inverse.shape[:2], node.dtype).at[groups.group, groups.slot].set(node)
         total = jnp.einsum("gm,gmisk->gs", inside, inverse**2)
         # [2, E, d, s, d]: what columns of its group each end sees.

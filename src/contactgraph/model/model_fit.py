@@ -16,8 +16,8 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
         return
     if model.neighbours is not None:
         raise InvalidInputError(
-            f"beliefs about {other} are asked for over all pairs, so the model must have no neighbour "
-            "lists (neighbours=None)"
+            f"beliefs about {other} are asked for over all pairs, so the model must have no "
+            "neighbour lists (neighbours=None)"
         )
     for what, found, wanted in (
         ("dimension D", scene.dimension, model.dimension),

@@ -19,8 +19,8 @@ class NeighbourLists(eqx.Module):
     """Only pairs that may come into reach within a step are edges of it.
 
     Found by cells: space is cut into cubes as long as the reach and twice the longest way of a
-    node, so that who is near is in the same one or next to it. What such a list leaves out is out of
-    reach, and inactive for sure, so predictions are those of all pairs. Sizes are fixed when a
+    node, so that who is near is in the same one or next to it. What such a list leaves out is out
+    of reach, and inactive for sure, so predictions are those of all pairs. Sizes are fixed when a
     model is made; a step that needs more has no prediction but NaN. See `with_neighbour_lists`.
     """
 
