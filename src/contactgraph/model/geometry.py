@@ -143,10 +143,10 @@ def _closest(
     begin, way = path[:-1], path[1:] - path[:-1]
     square = jnp.maximum(jnp.sum(way**2, axis=-1), _SMALLEST)
     along = jnp.clip(-jnp.sum(begin * way, axis=-1) / square, 0.0, 1.0)
-    distance = _norm(begin + along[..., None] * way)
-    chord = jnp.argmin(distance, axis=0)
+    apart = jnp.sum((begin + along[..., None] * way) ** 2, axis=-1)
+    chord = jnp.argmin(apart, axis=0)
     part = jnp.take_along_axis(along, chord[None], axis=0)[0]
-    return (chord + part) / chords, jnp.min(distance, axis=0)
+    return (chord + part) / chords, jnp.sqrt(jnp.min(apart, axis=0) + _SMALLEST)
 
 
 def _touch(
