@@ -182,6 +182,8 @@ class ContactDynamics(eqx.Module):
             after, response, _ = advance(self, *carry, control, nodes)
             return (after, response), after
 
+        if self.neighbours is not None:  # of large scenes, gradients recompute what they need
+            step = jax.checkpoint(step)
         first = dataclasses.replace(state, push=None)
         return jax.lax.scan(step, (first, held_response(self, state, nodes)), controls)[1]
 
