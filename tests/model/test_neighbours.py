@@ -16,9 +16,9 @@ from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
     ContactSensor,
-    ModelState,
     NeighbourLists,
     Nodes,
+    Reach,
     correct,
     judging_motion,
     load_model,
@@ -51,7 +51,8 @@ def listed(position, way=None, mask=None, edges=400, cell=30):
 def test_a_list_has_the_near_pairs_each_once(dimension: int) -> None:
     rng = np.random.default_rng(dimension)
     # Wider than the numbered cells, so that some of them share a number.
-    position = rng.uniform(-2.0, 2.0, (60, dimension)).astype(np.float32)
+    size = {2: 3.0, 3: 1.4}[dimension]
+    position = rng.uniform(-size, size, (60, dimension)).astype(np.float32)
     way = rng.uniform(0.0, 0.1, 60).astype(np.float32)
     mask = rng.random(60) < 0.9
     distance = np.linalg.norm(position[:, None] - position[None], axis=-1)
@@ -68,7 +69,7 @@ def test_padding_in_one_place_fills_no_cell() -> None:
 
 
 def test_what_does_not_fit_is_told() -> None:
-    position = np.random.default_rng(0).uniform(0, 0.2, (10, 2)).astype(np.float32)
+    position = np.random.default_rng(0).uniform(0, 0.15, (10, 2)).astype(np.float32)
     assert listed(position, edges=45, cell=10)[1]
     assert not listed(position, edges=44, cell=10)[1]
     assert not listed(position, edges=45, cell=3)[1]
@@ -116,8 +117,8 @@ def test_predictions_and_gradients_are_those_of_all_pairs(name: str, hinges: boo
         nodes = hinged(nodes, (0.1, 0.2), (-0.3, 0.1))
     model = preset(name, hinges=hinges)
     near = dataclasses.replace(model, neighbours=NeighbourLists(edges=60, cell=12, group=12))
-    gradient, every = rolled(model, nodes, size=0.35)
-    near_gradient, states = rolled(near, nodes, size=0.35)
+    gradient, every = rolled(model, nodes, size=0.6)
+    near_gradient, states = rolled(near, nodes, size=0.6)
     pairs = len(pair_indices(14))
     listed_edges = np.asarray(states.belief.edge)
     # Lists are short, and change: beliefs are carried over from one to the next.
@@ -152,17 +153,17 @@ def test_what_outgrows_a_list_has_no_prediction() -> None:
 
 def test_lists_are_made_with_room_for_a_scene() -> None:
     nodes = nodes_of(20, 23)
-    model = preset("gim_temp")
+    model = dataclasses.replace(preset("gim_temp"), reach=Reach(near=0.1, far=FAR))
     state = crowd(model, nodes, size=0.4)
     way = longest_ways(state.position, state.velocity, None, None, DT)
     pairs, _ = listed(state.position, way, nodes.mask)
-    near = with_neighbour_lists(model, state.position, state.velocity, nodes, spare=1.0)
-    assert near.neighbours.edges >= len(pairs) > 20  # with a little more reach than FAR
-    tight = dataclasses.replace(model, reach=dataclasses.replace(model.reach, near=0.1, far=FAR))
-    tight = with_neighbour_lists(tight, state.position, state.velocity, nodes, spare=1.0)
-    assert tight.neighbours.edges == len(pairs)
-    assert listed(state.position, way, nodes.mask, len(pairs), tight.neighbours.cell)[1]
-    assert not listed(state.position, way, nodes.mask, len(pairs), tight.neighbours.cell - 1)[1]
+    given = state.position, state.velocity, nodes
+    tight = with_neighbour_lists(model, *given, spare=1.0).neighbours
+    assert tight.edges == len(pairs) > 20
+    assert listed(state.position, way, nodes.mask, len(pairs), tight.cell)[1]
+    assert not listed(state.position, way, nodes.mask, len(pairs), tight.cell - 1)[1]
+    roomy = with_neighbour_lists(model, *given).neighbours
+    assert (roomy.edges, roomy.cell) == (-(-3 * tight.edges // 2), -(-3 * tight.cell // 2))
 
 
 def test_a_bar_is_near_as_far_as_it_reaches() -> None:
@@ -227,7 +228,7 @@ def test_a_step_takes_beliefs_of_all_pairs_too() -> None:
     model = preset("gim_temp")
     near = dataclasses.replace(model, neighbours=NeighbourLists(edges=20, cell=6))
     state = crowd(model, nodes)
-    after = eqx.filter_jit(near.step)(state, jnp.ones(2), nodes)
-    expected = eqx.filter_jit(model.step)(state, jnp.ones(2), nodes)
-    np.testing.assert_allclose(after.velocity, expected.velocity, rtol=1e-4, atol=1e-5)
-    assert isinstance(after, ModelState) and after.belief.edge.shape == (20,)
+    linear, belief = eqx.filter_jit(near.linear_step)(state, nodes)
+    expected, every = eqx.filter_jit(model.linear_step)(state, nodes)
+    np.testing.assert_allclose(linear.A, expected.A, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(belief.over(None, 15).probability, every.probability, atol=1e-5)

@@ -20,7 +20,7 @@ def windows() -> Window:
     """Two windows of bodies that move through each other, some in reach and some not."""
     rng = np.random.default_rng(0)
     velocity = np.repeat(rng.normal(size=(2, 1, COUNT, 2)), STEPS + 1, axis=1)
-    position = rng.uniform(-0.25, 0.25, (2, 1, COUNT, 2)) + 0.05 * np.cumsum(velocity, axis=1)
+    position = rng.uniform(-0.4, 0.4, (2, 1, COUNT, 2)) + 0.05 * np.cumsum(velocity, axis=1)
     pairs = len(pair_indices(COUNT))
     return Window(
         position=jnp.asarray(position, jnp.float32),

@@ -182,10 +182,10 @@ class ContactDynamics(eqx.Module):
             after, response, _ = advance(self, *carry, control, nodes)
             return (after, response), after
 
-        if self.neighbours is not None:  # of large scenes, gradients recompute what they need
-            step = jax.checkpoint(step)
+        # Of large scenes gradients compute anew what they need: it would fill the memory.
+        each = step if self.neighbours is None else jax.checkpoint(step)
         first = dataclasses.replace(state, push=None)
-        return jax.lax.scan(step, (first, held_response(self, state, nodes)), controls)[1]
+        return jax.lax.scan(each, (first, held_response(self, state, nodes)), controls)[1]
 
     def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
         """The spring-mass-damper parameters of the coming step, each [N, D].
