@@ -7,6 +7,7 @@ from contactgraph.data import InvalidInputError
 from contactgraph.tasks.contract import Policy
 from contactgraph.tasks.franka_expert import FrankaExpert
 from contactgraph.tasks.franka_pickup import pickup_scene
+from contactgraph.tasks.franka_recording import FrankaRecording, grasps
 from contactgraph.tasks.franka_tour import FrankaTour
 from contactgraph.tasks.hand_path import HandPath
 
@@ -14,10 +15,10 @@ START, BLOCK = np.array([0.4, -0.2, 0.3]), np.array([0.5, 0.0, 0.05])
 GOAL, NEXT, LAST = np.array([0.6, 0.2, 0.3]), np.array([0.4, 0.1, 0.2]), np.array([0.5, -0.2, 0.3])
 
 
-def places(policy: Policy, seconds: float) -> np.ndarray:
+def places(policy: Policy, seconds: float, seed: int = 3) -> np.ndarray:
     """[T, 3] m of a free mass of 4 kg at which a block is stuck as soon as it comes near."""
     scene = pickup_scene(0.01, GOAL)
-    policy.reset(scene, seed=3)
+    policy.reset(scene, seed)
     hand, velocity, block = START.copy(), np.zeros(3), BLOCK.copy()
     seen = []
     for _ in range(round(seconds / 0.01)):
@@ -69,3 +70,33 @@ def test_a_tour_visits_its_points_and_no_block() -> None:
 def test_a_tour_of_nothing_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="at least one point"):
         FrankaTour([])
+
+
+def passes(policy: FrankaRecording, seed: int) -> tuple[float, float]:
+    """How near, m, the hand comes to the block, and its slowest speed, m/s, as it is there."""
+    seen = places(policy, 10.0, seed)
+    distance = np.linalg.norm(seen - BLOCK, axis=1)
+    speed = np.linalg.norm(np.diff(seen, axis=0, prepend=START[None]), axis=1) / 0.01
+    return float(distance.min()), float(speed[distance < 0.02].min(initial=np.inf))
+
+
+def test_most_runs_grasp_and_the_seed_says_which() -> None:
+    seeds = range(300)
+    assert 0.6 < np.mean([grasps(seed) for seed in seeds]) < 0.8
+    assert grasps(3) == grasps(3)
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_a_tour_keeps_away_from_the_block_and_a_grasp_goes_to_it(wanted: bool) -> None:
+    policy = FrankaRecording()
+    for seed in [seed for seed in range(20) if grasps(seed) is wanted]:
+        nearest, _ = passes(policy, seed)
+        assert (nearest < 0.03) if wanted else (nearest > 0.08)
+
+
+def test_some_grasps_are_made_at_rest_and_none_where_none_are_wanted() -> None:
+    seeds = [seed for seed in range(20) if grasps(seed)]
+    assert all(passes(FrankaRecording(0.0), seed)[1] > 0.2 for seed in seeds)
+    assert all(passes(FrankaRecording(1.0), seed)[1] < 0.1 for seed in seeds)
+    rest = [passes(FrankaRecording(), seed)[1] < 0.1 for seed in seeds]
+    assert 0.2 < np.mean(rest) < 0.8

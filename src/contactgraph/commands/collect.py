@@ -43,7 +43,7 @@ class Collect:
         """Record and write."""
         from contactgraph.commands.engines import engine_of
         from contactgraph.commands.names import looked_up
-        from contactgraph.commands.numbers import check_episodes, check_seed
+        from contactgraph.commands.numbers import check_episodes, check_seed, check_share
         from contactgraph.commands.output import check_writable, progress, say
         from contactgraph.commands.task_names import (
             TASKS,
@@ -66,10 +66,8 @@ class Collect:
         task = looked_up("task", self.task, TASKS)
         demonstrates = looked_up("--expert", self.expert, {"train": False, "demo": True})
         expert = task.demonstrator if demonstrates else task.expert
-        shares = {"--exploration": self.exploration, "--resting": self.resting}
-        for name, share in shares.items():
-            if not 0.0 <= share <= 1.0:
-                raise InvalidInputError(f"{name} must be 0 to 1, found {share}")
+        check_share("--exploration", self.exploration)
+        check_share("--resting", self.resting)
         if self.exploration + self.resting > 1.0:
             raise InvalidInputError("--exploration and --resting together must not exceed 1")
         if demonstrates and self.exploration + self.resting > 0.0:

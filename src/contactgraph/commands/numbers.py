@@ -25,6 +25,12 @@ def check_weight(flag: str, weight: float) -> None:
         raise InvalidInputError(f"{flag} must be a number of at least 0, found {weight}")
 
 
+def check_share(flag: str, share: float) -> None:
+    """Raises `InvalidInputError` for what is no part of a whole."""
+    if not 0.0 <= share <= 1.0:
+        raise InvalidInputError(f"{flag} must be 0 to 1, found {share}")
+
+
 def check_episodes(episodes: int) -> None:
     """Raises `InvalidInputError` for no episodes, or more than memory could hold."""
     check_range("--episodes", episodes, 1, 100_000)

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from contactgraph.robot.loop import Planner
 
 _AGAIN = 6
-"""Times that a run that was stopped is begun, before the whole is given up."""
+"""Times that another run is begun where one was stopped, before the whole is given up."""
+_MOST_RUNS = 1000
+"""In a file."""
 _SHORTEST = 0.5
 """Of a run's time, what must have been recorded for it to count."""
 
@@ -22,10 +24,11 @@ _SHORTEST = 0.5
 class RehearseRecord:
     """Rehearse an arm and record runs of it, seen by its camera; goes on where it was stopped.
 
-    In some runs the block is picked up and carried from place to place, in others the hand moves
-    beside it. Contacts are the simulation's, for judging what is found without a sensor: training
-    reads none. Beside FILE.h5 it writes FILE.truth.h5, the same runs as they really were, and
-    FILE.live.h5, as they were known while they went on: not smoothed by what was seen later.
+    In some runs the block is picked up, at rest or in passing, and carried from place to place, in
+    others the hand moves beside it. Contacts are the simulation's, for judging what is found
+    without a sensor: training reads none. Beside FILE.h5 it writes FILE.truth.h5, the same runs as
+    they really were, and FILE.live.h5, as they were known while they went on: not smoothed by what
+    was seen later.
     """
 
     out: Annotated[Path, arg(metavar="FILE")]
@@ -38,20 +41,23 @@ class RehearseRecord:
     """The same seed has the same starts, goals and noise."""
     pace: float = 4.0
     """Wall seconds to a simulated one."""
+    stopping: float = 0.5
+    """The share of grasps at rest; the others are in passing, as all of the paper's are."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write how well the block was seen, and what the loop held, to this file."""
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.commands.numbers import check_range, check_seed
+        from contactgraph.commands.numbers import check_range, check_seed, check_share
         from contactgraph.commands.output import check_writable, say, write_json
         from contactgraph.commands.robot_options import check_seconds
 
         for path in (self.out, self.json):
             check_writable(path)
-        check_range("--runs", self.runs, 1, 1000)
+        check_range("--runs", self.runs, 1, _MOST_RUNS)
         check_seed(self.seed)
         check_seconds("--seconds", self.seconds, 25.0)
+        check_share("--stopping", self.stopping)
         paths = [self.out, *(self.out.with_suffix(f".{name}.h5") for name in ("truth", "live"))]
         kept = [self._done(path) for path in paths]
         # A process that was ended between two files has one run more in one of them.
@@ -70,6 +76,8 @@ class RehearseRecord:
 
     def _record(self, paths: list[Path], kept: "list[list[Trajectory]]") -> None:
         """Records what is missing, and writes after every run."""
+        from functools import partial
+
         from contactgraph.commands.output import progress
         from contactgraph.commands.rehearsed_arm import rehearsed_arm
         from contactgraph.commands.robot_session import Session
@@ -79,7 +87,7 @@ class RehearseRecord:
         told: Metadata = {"task": "franka", "seed": self.seed}
         with (
             rehearsed_arm(self.pace) as stage,
-            PlanningProcess(recording_planner) as planning,
+            PlanningProcess(partial(recording_planner, self.stopping)) as planning,
             progress("recording", self.runs) as steps,
         ):
             session = Session(stage.arm, stage.limits, planning, self.seconds)
@@ -114,9 +122,11 @@ class RehearseRecord:
         from contactgraph.rehearsal.true_run import true_run
         from contactgraph.tasks.franka_recording import grasps
 
-        seed = run_seed(self.seed, number)
-        layout = run_layout(self.seed, number, stage.limits)
         for attempt in range(_AGAIN):
+            # Where the arm hides the block for too long, it does so each time: another one then.
+            draw = number + attempt * _MOST_RUNS
+            seed = run_seed(self.seed, draw)
+            layout = run_layout(self.seed, draw, stage.limits)
             stage.arrange(layout)
             report = session.run(layout.goal, seed, lambda: False)
             told: Metadata = {
@@ -170,12 +180,12 @@ def _summary(done: "list[Trajectory]", true: "list[Trajectory]") -> dict[str, An
     }
 
 
-def recording_planner() -> "Planner":
-    """What `FrankaRecording` asks for, in steps of 0.01 s."""
+def recording_planner(stopping: float) -> "Planner":
+    """What `FrankaRecording` asks for, in steps of 0.01 s; ``stopping`` is its share of stops."""
     import numpy as np
 
     from contactgraph.evaluate.policy_planner import PolicyPlanner
     from contactgraph.tasks.franka_pickup import pickup_scene
     from contactgraph.tasks.franka_recording import FrankaRecording
 
-    return PolicyPlanner(FrankaRecording(), pickup_scene(0.01, np.zeros(3)))
+    return PolicyPlanner(FrankaRecording(stopping), pickup_scene(0.01, np.zeros(3)))

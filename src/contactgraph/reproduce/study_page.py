@@ -1,7 +1,7 @@
 """The study as one page that opens from disk: claims first, then what they rest on."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
@@ -35,17 +35,23 @@ def study_page(data: StudyPage) -> str:
         title=escape(found.title),
         summary=escape(found.summary),
         style=_asset("page.css") + _asset("study.css"),
-        claims="".join(_claim(claim) for claim in found.claims),
+        claims=_section("claims", "What the paper claims", map(_claim, found.claims)),
         failures=_failures(data.failures),
-        figures="".join(_picture(picture) for picture in found.figures),
+        figures=_section("figures", "Figures", map(_picture, found.figures)),
         asked=escape(found.asked),
         targets=numbers_table(tuple(found.targets)),
         tables="".join(table_section(table) for table in found.tables),
-        scenes="".join(_picture(picture) for picture in found.scenes),
+        scenes=_section("scenes", "Scenes", map(_picture, found.scenes)),
         commands="\n".join(escape(command) for command in data.commands),
         versions=", ".join(f"{escape(name)} {escape(v)}" for name, v in data.versions.items()),
         date=escape(data.date),
     )
+
+
+def _section(slug: str, heading: str, parts: Iterable[str]) -> str:
+    """Nothing where there are no parts."""
+    inside = "".join(parts)
+    return f'<section id="{slug}"><h2>{heading}</h2>\n{inside}\n</section>\n' if inside else ""
 
 
 def _asset(name: str) -> str:

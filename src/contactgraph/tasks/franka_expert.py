@@ -20,6 +20,8 @@ _SHORTEST = 0.5
 """Of a way from rest to rest, s."""
 LONGEST = 3.3
 """Of the whole way, s; longer ones are done faster."""
+_GRASP_S = 0.6
+"""s for fingers to close, where the hand stops for it."""
 
 
 class FrankaExpert:
@@ -28,7 +30,8 @@ class FrankaExpert:
     The way is a minimum-jerk path (quintic in time) to the block, which it passes at speed
     and rising, and another to the goal; the force is that of a spring and a damper to the path. The
     path is the hand's: the block is where it was grasped. The hand's mass is the scene's, or, where
-    that is not told, the one that arms are made to feel like.
+    that is not told, the one that arms are made to feel like. With a ``stop`` [3] m it rests so
+    far from the block's centre until the fingers have closed, instead of passing.
 
     ``noise`` N as in `PickupExpert`. With ``further`` [K, 3] m it goes on from the goal to these
     points, one after the other, resting at each.
@@ -39,7 +42,9 @@ class FrankaExpert:
         noise: float = 0.2,
         correlation_steps: float = 10.0,
         further: Sequence[np.ndarray] = (),
+        stop: np.ndarray | None = None,
     ) -> None:
+        self._stop = stop
         self._noise = CorrelatedNoise(noise, correlation_steps)
         self._further = tuple(further)
         self._scene: Scene | None = None
@@ -62,7 +67,8 @@ class FrankaExpert:
         """The control [3] N."""
         assert self._scene is not None
         if self._path is None:
-            self._path = _plan(observation)
+            stop = self._stop
+            self._path = _plan(observation) if stop is None else _stopping(observation, stop)
             for start, end in zip(
                 (observation["goal"], *self._further), self._further, strict=False
             ):
@@ -93,4 +99,14 @@ def _plan(observation: Observation) -> HandPath:
     path = HandPath()
     path.go(start, rest, block, sweep, hurry * first)
     path.go(block, sweep, goal, rest, hurry * second)
+    return path
+
+
+def _stopping(observation: Observation, stop: np.ndarray) -> HandPath:
+    """To ``stop`` [3] m from the block's centre, and from there to the goal."""
+    hand, block = observation["position"][[HAND, TARGET]]
+    path, rest, there = HandPath(), np.zeros(3), block + stop
+    visit(path, hand, there)
+    path.go(there, rest, there, rest, _GRASP_S)
+    visit(path, there, observation["goal"])
     return path

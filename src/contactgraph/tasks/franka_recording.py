@@ -12,6 +12,11 @@ from contactgraph.tasks.ways import distance_to_way
 
 GRASPING = 0.7
 """Of the runs, the share in which the block is picked up."""
+STOPPING = 0.5
+"""Of those, the share in which the hand stops for it."""
+_OFF = 0.007
+"""m: how far from the block's centre it then stops at most, along each axis. A model that has seen
+blocks held in one place of the hand alone does not know that they are held in another."""
 _FURTHER = 3
 """Points to carry it to after the goal: more than there is time for."""
 _POINTS = 6
@@ -26,13 +31,16 @@ _TOURING_NOISE = 1.0
 
 
 class FrankaRecording:
-    """By each run's seed, either sweeps the block up, to the goal and on, or tours beside it.
+    """By each run's seed, takes the block up, in passing or at rest, to the goal and on, or tours
+    beside it.
 
     All of it under noise that tells masses from drags. What carries the block shows what is held;
     a tour, what a free hand does and that a block by itself stays.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, stopping: float = STOPPING) -> None:
+        """``stopping`` is the share of grasps at rest."""
+        self._stopping = stopping
         self._scene: Scene | None = None
         self._seed = 0
         self._policy: FrankaExpert | FrankaTour | None = None
@@ -45,7 +53,8 @@ class FrankaRecording:
         """The control [3] N."""
         if self._policy is None:
             assert self._scene is not None
-            self._policy = _policy(observation, np.random.default_rng(self._seed))
+            random = np.random.default_rng(self._seed)
+            self._policy = _policy(observation, random, self._stopping)
             self._policy.reset(self._scene, self._seed)
         return self._policy(observation)
 
@@ -55,10 +64,14 @@ def grasps(seed: int) -> bool:
     return bool(np.random.default_rng(seed).random() < GRASPING)
 
 
-def _policy(observation: Observation, random: np.random.Generator) -> FrankaExpert | FrankaTour:
+def _policy(
+    observation: Observation, random: np.random.Generator, stopping: float
+) -> FrankaExpert | FrankaTour:
     if random.random() < GRASPING:
         further = [_point(random, START_HEIGHT) for _ in range(_FURTHER)]
-        return FrankaExpert(noise=_GRASPING_NOISE, further=further)
+        stops = random.random() < stopping
+        stop = random.uniform(-_OFF, _OFF, 3) if stops else None
+        return FrankaExpert(noise=_GRASPING_NOISE, further=further, stop=stop)
     at, block = observation["position"][[HAND, TARGET]]
     points: list[np.ndarray] = []
     while len(points) < _POINTS:

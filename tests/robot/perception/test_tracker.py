@@ -1,10 +1,12 @@
 """Known answers of the tracker: motion, delay, lost, wrong and doubled frames, blows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from contactgraph.robot.perception import ObjectTracker
-from contactgraph.robot.perception.tracker import ACCELERATION_DENSITY, FilterState, predicted
+from contactgraph.robot.perception.tracker import FREE, HELD, FilterState, predicted
 
 NOISE = 5e-4
 COVARIANCE = NOISE**2 * np.eye(3)
@@ -46,7 +48,7 @@ def test_errors_are_as_large_as_the_variance_says():
         for _ in range(20):
             # The very motion the filter assumes: white acceleration, integrated exactly.
             root = np.linalg.cholesky([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
-            moved, faster = np.sqrt(ACCELERATION_DENSITY) * root @ rng.normal(size=(2, 3))
+            moved, faster = np.sqrt(FREE.density) * root @ rng.normal(size=(2, 3))
             position = position + step * velocity + moved
             velocity = velocity + faster
             places.append(position)
@@ -155,7 +157,9 @@ def test_the_predicted_covariance_is_the_textbooks():
     process = np.kron([[step**3 / 3, step**2 / 2], [step**2 / 2, step]], np.eye(3))
     expected = forward @ (root @ root.T) @ forward.T + 0.7 * process
     np.testing.assert_allclose(predicted(root @ root.T, step, 0.7), expected, atol=1e-12)
-    estimate = FilterState(2.0, np.zeros(6), root @ root.T).estimate(2.0 + step, 0.7)
+    estimate = FilterState(2.0, np.zeros(6), root @ root.T).estimate(
+        2.0 + step, replace(FREE, density=0.7)
+    )
     np.testing.assert_allclose(estimate.variance, np.diag(expected)[:3], atol=1e-12)
 
 
@@ -169,3 +173,28 @@ def test_a_block_that_was_just_struck_is_not_lost():
             frame / 30.0,
         )
         assert tracker.estimate(frame / 30.0 + 0.08).tracked or frame < 2
+
+
+def test_what_is_held_is_not_struck_and_a_wrong_leaning_counts_for_nothing():
+    free, held = ObjectTracker(), ObjectTracker()
+    for frame in range(40):
+        seen = np.zeros(3)
+        if frame in (20, 21, 22, 30):
+            seen = np.array([0.028, 0.0, 0.028])  # as a lone tag that leans to the other side
+        free.measure(seen, 1e-6 * np.eye(3), frame / 30.0)
+        counts = held.measure(seen, 1e-6 * np.eye(3), frame / 30.0, HELD)
+        assert counts == (not seen.any())
+        if frame == 22:
+            assert np.linalg.norm(free.estimate(frame / 30.0 + 0.05).position) > 0.02
+    estimate = held.estimate(40 / 30.0)
+    np.testing.assert_allclose(estimate.position, 0.0, atol=1e-3)
+    np.testing.assert_allclose(estimate.velocity, 0.0, atol=1e-2)
+
+
+def test_a_gap_of_seconds_is_a_new_start():
+    tracker = ObjectTracker()
+    for frame in range(30):
+        tracker.measure(np.array([0.5 * frame / 30.0, 0.0, 0.0]), 1e-6 * np.eye(3), frame / 30.0)
+    tracker.measure(np.zeros(3), 1e-6 * np.eye(3), 3.0)
+    assert tracker.state.begun == 3.0
+    np.testing.assert_array_equal(tracker.state.mean, np.zeros(6))

@@ -7,6 +7,7 @@ from contactgraph.reproduce.measurement import Measurement
 from contactgraph.reproduce.rehearsal.declared import (
     CONTROL_SEED,
     EVERY,
+    IN_PASSING,
     TRAINED_SEED,
     TRAINING_SEED,
     VALIDATION_SEED,
@@ -48,7 +49,9 @@ TRAINING, VALIDATION = Recorded("training"), Recorded("validation")
 def rehearsal_measurements(amounts: RehearsalAmounts) -> list[Measurement[Place]]:
     """All of the study."""
     training = recording(TRAINING, TRAINING_SEED, amounts.training_runs, amounts)
-    validation = recording(VALIDATION, VALIDATION_SEED, amounts.validation_runs, amounts)
+    validation = recording(
+        VALIDATION, VALIDATION_SEED, amounts.validation_runs, amounts, IN_PASSING
+    )
     model = learning(training, amounts)
     found: list[Measurement[Place]] = [
         Measurement(TRAINING, TRAINING_SEED, training),
@@ -62,13 +65,20 @@ def rehearsal_measurements(amounts: RehearsalAmounts) -> list[Measurement[Place]
     return found
 
 
-def recording(what: Recorded, seed: int, runs: int, amounts: RehearsalAmounts) -> Cell:
+def recording(
+    what: Recorded,
+    seed: int,
+    runs: int,
+    amounts: RehearsalAmounts,
+    options: tuple[str, ...] = (),
+) -> Cell:
     """Runs through server and camera, in a file beside their numbers."""
     output, *files = (f"cells/{what.name}{end}" for end in _ENDS)
     arguments = (
         *("robot", "rehearse-record", "--out", files[0], "--json", output),
         *("--runs", str(runs), "--seconds", f"{amounts.seconds:g}"),
         *("--seed", str(seed), "--pace", f"{amounts.pace:g}"),
+        *options,
     )
     return Cell(output, arguments, "rehearse-record", beside=tuple(files))
 

@@ -73,11 +73,16 @@ class CarriedPath:
         """[3] m: how far object ``index`` had been carried at ``time`` s."""
         if not self._notes:
             return self._still[index]
-        at = int(np.searchsorted(self._time[: self._notes], time, side="right")) - 1
+        at = self._note_at(time)
         moved = self._moved[max(at, 0), index]
         if at == self._notes - 1 and time - self._time[at] < _PAUSE:
             moved = moved + (time - self._time[at]) * self.speed(index)
         return moved
+
+    def held(self, index: int, time: float) -> bool:
+        """Whether the hand held object ``index`` at ``time`` s, as far as is known by now."""
+        at = self._note_at(time)
+        return at >= 0 and bool(self._held[at] == index)
 
     def holds(self, index: int) -> bool:
         """Whether the hand held object ``index`` at the last note."""
@@ -98,6 +103,10 @@ class CarriedPath:
         path = np.stack([np.interp(at, time, moved[:, axis]) for axis in range(3)], axis=1)
         held = self._held[tick] == index
         return path, np.where(held[:, None], self._hand[tick, 1], 0.0)
+
+    def _note_at(self, time: float) -> int:
+        """The last note at ``time`` s; -1 where there is none before."""
+        return int(np.searchsorted(self._time[: self._notes], time, side="right")) - 1
 
     def _grow(self) -> None:
         self._time, self._held, self._hand, self._moved = (

@@ -9,17 +9,13 @@ import numpy as np
 from contactgraph.robot.perception.carried_path import CarriedPath
 from contactgraph.robot.perception.shared_sightings import Measured
 from contactgraph.robot.perception.tracker import (
+    FREE,
+    HELD,
     NEVER_SEEN,
     Estimate,
     FilterState,
     ObjectTracker,
 )
-
-_SLIP_DENSITY = 1e-3
-"""m^2/s^3: white acceleration of what is held, against the hand: 0.2 m/s^2 from frame to frame at
-30 Hz. So a lone tag's leaning, uncertain by 1 cm, averages out."""
-_HIDDEN = 1.0
-"""s without a frame after which even what is held is lost."""
 
 
 class SightSource(Protocol):
@@ -80,20 +76,19 @@ class SeenObjects:
         for seen in self._source.since(self._names[index], self._asked[index]):
             self._asked[index] = seen.time
             there = seen.position - carried.moved(index, seen.time)
-            calm = (_SLIP_DENSITY,) if held else ()
-            if tracker.measure(there, seen.covariance, seen.time, *calm):
+            since = seen.time if tracker.state is None else tracker.state.time
+            motion = HELD if carried.held(index, since) and carried.held(index, seen.time) else FREE
+            if tracker.measure(there, seen.covariance, seen.time, motion):
                 assert tracker.state is not None
                 self.tracks[1 + index].states.append(tracker.state)
         if tracker.state is None:
             return NEVER_SEEN
         moved, speed = carried.moved(index, now), carried.speed(index)
-        if not held:
-            found = tracker.state.estimate(now)
-            return Estimate(
-                found.position + moved, found.velocity, found.variance, found.time, found.tracked
-            )
-        found = tracker.state.estimate(now, _SLIP_DENSITY, _HIDDEN)
-        # The hand is measured now, and what it holds with it.
+        found = tracker.state.estimate(now, HELD if held else FREE)
         return Estimate(
-            found.position + moved, found.velocity + speed, found.variance, now, found.tracked
+            found.position + moved,
+            found.velocity + speed,
+            found.variance,
+            now if held else found.time,  # the hand is measured now, and what it holds with it
+            found.tracked,
         )

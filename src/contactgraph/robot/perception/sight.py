@@ -68,17 +68,23 @@ def located(
 
     ``detections`` are the tags that a `TagDetector` found in the frame, of whatever object.
     """
-    found = None
+    found, worth = None, 0.0
     for rough in object_poses(detections, tagged, intrinsics):
         if rough.error < _LARGEST_CORNER_ERROR:
             exact = refined_pose(frame.image, rough, tagged, intrinsics)
-            if exact is not None and (found is None or exact.explained > found.explained):
-                found = exact
+            if exact is not None and _worth(rough, exact) > worth:
+                found, worth = exact, _worth(rough, exact)
     if found is None or found.error > _LARGEST_ERROR:
         return None
     if frame.depth is None:
         return found
     return with_depth(found, frame.depth, tagged, intrinsics)
+
+
+def _worth(rough: ObjectPose, exact: ObjectPose) -> float:
+    """Of two leanings, the true one explains the corners better, and more of the edges, and those
+    better: any of it alone errs, where fingers hide half of a lone tag."""
+    return exact.explained / (max(rough.error, 1.0) * max(exact.error, 1.0))
 
 
 def _in_base(found: ObjectPose, camera: np.ndarray, time: float) -> Sighting:

@@ -10,9 +10,8 @@ to now. So a delay costs certainty, and nothing has to be undone.
 
 An object that is struck changes its velocity at once, which white acceleration does not explain.
 So each measurement has three explanations, tried in this order: the object moved on smoothly; it
-was struck since the last frame (:math:`v` is uncertain by `_BLOW`, from a moment in between); or
-the measurement is wrong. Wrong ones are left out, until `_CONSISTENT` in a row agree with each
-other.
+was struck since the last frame (:math:`v` is uncertain by `Motion.blow`, from a moment in between);
+or the measurement is wrong. Wrong ones are left out, until several in a row agree with each other.
 """
 
 import math
@@ -20,27 +19,40 @@ from dataclasses import dataclass
 
 import numpy as np
 
-ACCELERATION_DENSITY = 0.1
-"""m^2/s^3: white acceleration of 1.7 m/s^2 from frame to frame at 30 Hz (its square times 1/30 s):
-as much as an arm needs that picks a block up in one sweep, from rest to 0.5 m/s in 0.3 s. Less lags
-behind; more lets what rests jitter."""
-_BLOW = 0.6
-"""m/s, standard deviation of the change when an object is struck by a hand that moves so fast."""
 _SMOOTH = 11.3
 """Squared Mahalanobis distance (3 degrees of freedom) that 99 % of smooth motion stays below."""
 _GATE = 16.3
 """The same for 99.9 %: beyond it, a measurement is wrong."""
-_CONSISTENT = 3
-"""Measurements in a row that agree with each other, not with the filter: then it starts anew."""
 _FIRST_SPEED = 0.5
 """m/s, standard deviation of the velocity at a start."""
-_LOST_AFTER = 0.2
-"""s without a measurement."""
 _FORGOTTEN_AFTER = 1.0
 """s without a measurement after which nothing is known of how it moves: the filter starts anew."""
 _LOST_ABOVE = 0.05
 """m: standard deviation along the worst axis. Where a block that was just struck is now, 0.07 s
 after the last frame, is known to 0.02 m only: that must not stop the hand that grasps it."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How an object may move, seen from what carries it."""
+
+    density: float
+    """m^2/s^3: of white acceleration."""
+    blow: float
+    """m/s, standard deviation of the change of its velocity when it is struck."""
+    consistent: int
+    """Measurements in a row that agree with each other, not with the filter: it starts anew."""
+    lost_after: float
+    """s without a measurement."""
+
+
+FREE = Motion(density=0.1, blow=0.6, consistent=3, lost_after=0.2)
+"""White acceleration of 1.7 m/s^2 from frame to frame at 30 Hz (its square times 1/30 s): as much
+as an arm needs that picks a block up in one sweep, from rest to 0.5 m/s in 0.3 s. Less lags behind;
+more lets what rests jitter. A hand that strikes it moves about as fast as it does then."""
+HELD = Motion(density=1e-3, blow=0.05, consistent=15, lost_after=1.0)
+"""In a hand it slips and tilts, by 0.2 m/s^2 from frame to frame. So a lone tag's leaning, which is
+uncertain by 1 cm, averages out, and one that is taken for another counts for nothing."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -54,9 +66,10 @@ class Estimate:
     variance: np.ndarray
     """[3] m^2, of ``position``."""
     time: float
-    """s: the exposure of the last frame that counted; minus infinity where there was none."""
+    """s: the exposure of the last frame that counted; minus infinity where there was none. Of what
+    a hand holds, when it was asked: the hand is measured then."""
     tracked: bool
-    """Whether a frame counted within 0.2 s, and no axis is less sure than 0.05 m."""
+    """Whether a frame counted not long ago (`Motion`), and no axis is less sure than 0.05 m."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -74,13 +87,8 @@ class FilterState:
     density: float = math.inf
     """m^2/s^3, of the acceleration that explains the way here from the state before."""
 
-    def estimate(
-        self, now: float, density: float = ACCELERATION_DENSITY, lost_after: float = _LOST_AFTER
-    ) -> Estimate:
-        """The state at ``now`` s, which may be before its own time: then it is that time's.
-
-        It is tracked up to ``lost_after`` s later.
-        """
+    def estimate(self, now: float, motion: Motion = FREE) -> Estimate:
+        """The state at ``now`` s, which may be before its own time: then it is that time's."""
         ahead = now - self.time
         if not ahead > 0.0:
             ahead = 0.0
@@ -91,9 +99,9 @@ class FilterState:
             diagonal[:3]
             + (2.0 * ahead) * cross
             + (ahead * ahead) * diagonal[3:]
-            + (density * ahead * ahead * ahead / 3.0)
+            + (motion.density * ahead * ahead * ahead / 3.0)
         )
-        tracked = ahead <= lost_after and max(variance.tolist()) <= _LOST_ABOVE**2
+        tracked = ahead <= motion.lost_after and max(variance.tolist()) <= _LOST_ABOVE**2
         return Estimate(p + ahead * v, v.copy(), variance, self.time, tracked)
 
 
@@ -111,17 +119,13 @@ class ObjectTracker:
         self._doubtful: list[FilterState] = []
 
     def measure(
-        self,
-        position: np.ndarray,
-        covariance: np.ndarray,
-        time: float,
-        density: float = ACCELERATION_DENSITY,
+        self, position: np.ndarray, covariance: np.ndarray, time: float, motion: Motion = FREE
     ) -> bool:
         """A frame exposed at ``time`` s showed the object at ``position`` [3] m.
 
-        ``covariance`` [3, 3] m^2; ``density`` m^2/s^3 of the white acceleration since the last.
-        True where it counts; frames no newer than the last, and measurements that are not finite,
-        change nothing.
+        ``covariance`` [3, 3] m^2; ``motion`` is how it may have moved since the last. True where
+        it counts; frames no newer than the last, and measurements that are not finite, change
+        nothing.
         """
         finite = np.isfinite(position).all() and np.isfinite(covariance).all()
         if not (finite and math.isfinite(time) and time > self._newest):
@@ -131,9 +135,9 @@ class ObjectTracker:
             self._doubtful = []
             self.state = _started(position, covariance, time)
             return True
-        updated = _updated(self.state, position, covariance, time, density)
+        updated = _updated(self.state, position, covariance, time, motion)
         if updated is None:
-            updated = self._agreed(position, covariance, time, density)
+            updated = self._agreed(position, covariance, time, motion)
         if updated is None:
             return False
         self.state, self._doubtful = updated, []
@@ -146,18 +150,18 @@ class ObjectTracker:
         return self.state.estimate(now)
 
     def _agreed(
-        self, position: np.ndarray, covariance: np.ndarray, time: float, density: float
+        self, position: np.ndarray, covariance: np.ndarray, time: float, motion: Motion
     ) -> FilterState | None:
         """What the doubtful measurements in a row say, once they are enough and agree."""
         last = self._doubtful[-1] if self._doubtful else None
         agreed = None
         if last is not None:
-            agreed = _updated(last, position, covariance, time, density)
+            agreed = _updated(last, position, covariance, time, motion)
         if agreed is None:
             self._doubtful = [_started(position, covariance, time)]
             return None
         self._doubtful.append(agreed)
-        return agreed if len(self._doubtful) >= _CONSISTENT else None
+        return agreed if len(self._doubtful) >= motion.consistent else None
 
 
 def _started(position: np.ndarray, covariance: np.ndarray, time: float) -> FilterState:
@@ -172,14 +176,14 @@ def _updated(
     position: np.ndarray,
     covariance: np.ndarray,
     time: float,
-    density: float,
+    motion: Motion,
 ) -> FilterState | None:
     """The state after a measurement; None where it is wrong, whatever happened to the object."""
     step = time - state.time
     mean = state.mean.copy()
     mean[:3] += step * mean[3:]
     innovation = position - mean[:3]
-    blow = _BLOW**2
+    density, blow = motion.density, motion.blow**2
     # A blow at a moment evenly spread over the step: cubic as white acceleration of density
     # blow / step is.
     for extra, gate in ((0.0, _SMOOTH), (blow / step, _GATE)):
