@@ -40,7 +40,7 @@ from contactgraph.model.prior import DistancePrior as DistancePrior
 from contactgraph.model.prior import TouchPrior as TouchPrior
 from contactgraph.model.push import advance as advance
 from contactgraph.model.push import held_response as held_response
-from contactgraph.model.push import in_types_of as in_types_of
+from contactgraph.model.push import in_type_of as in_type_of
 from contactgraph.model.push import pushed as pushed
 from contactgraph.model.push import response_of as response_of
 from contactgraph.model.reach import Everywhere as Everywhere

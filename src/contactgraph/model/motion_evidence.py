@@ -25,7 +25,7 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics, Percept
 from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.push import held_response, in_types_of, pushed
+from contactgraph.model.push import held_response, in_type_of, pushed
 from contactgraph.model.state import ModelState, Nodes
 
 _CONSIDERED = 8
@@ -82,7 +82,7 @@ def correct_by_motion(
     evidence = judge_motion(model, before, told, control, seen, nodes, noise)
     observed = (before.position, before.velocity, *seen)
     whole = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in observed]))
-    found = in_types_of(evidence.corrected, carried), evidence.told
+    found = in_type_of(evidence.corrected, carried), evidence.told
     return jax.tree.map(lambda new, old: jnp.where(whole, new, old), found, (carried, told))
 
 
