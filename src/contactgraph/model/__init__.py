@@ -16,6 +16,7 @@ from contactgraph.model.inference import RecurrentEdges as RecurrentEdges
 from contactgraph.model.linear_dynamics import LinearDynamics as LinearDynamics
 from contactgraph.model.linear_dynamics import stack_state as stack_state
 from contactgraph.model.linear_dynamics import unstack_state as unstack_state
+from contactgraph.model.listed import GrowingLists as GrowingLists
 from contactgraph.model.listed import with_neighbour_lists as with_neighbour_lists
 from contactgraph.model.local_dynamics import FreeLinearDynamics as FreeLinearDynamics
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics as SpringMassDamperDynamics

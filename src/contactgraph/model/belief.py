@@ -67,10 +67,9 @@ def correct(
     are each edge's own, are of all pairs; what is measured of an edge that is not listed is lost.
     """
     if belief.edge is not None:
-        contact_measurement = contact_measurement.at[belief.edge].get(
-            mode="fill", fill_value=jnp.nan
-        )
-        sensor = jax.tree.map(lambda rate: _listed(rate, belief.edge), sensor)
+        edge = belief.edge
+        contact_measurement = contact_measurement.at[edge].get(mode="fill", fill_value=jnp.nan)
+        sensor = jax.tree.map(lambda rate: _listed(rate, edge), sensor)
     measured = jnp.isfinite(contact_measurement)
     contact = jnp.clip(jnp.where(measured, contact_measurement, 0.5), 0.0, 1.0)
     likelihood_active = contact * (1.0 - sensor.miss) + (1.0 - contact) * sensor.miss

@@ -15,6 +15,7 @@ from contactgraph.model.belief import ContactBelief
 from contactgraph.model.linear_dynamics import LinearDynamics
 from contactgraph.model.state import ModelState, Nodes
 
+
 class _LinearModel(Protocol):
     def linear_step(
         self, state: ModelState, nodes: Nodes

@@ -52,12 +52,12 @@ def window_loss(
     pass through time; without it the term is 0.
     """
     keys = jax.random.split(key, windows.control.shape[0])
-    error, nodes, divergence, edges = jax.vmap(lambda w, k: _teacher_forced(model, w, k))(
-        windows, keys
+    error, nodes, divergence, edges = _each(
+        model, lambda w, k: _teacher_forced(model, w, k), windows, keys
     )
     rollout = jnp.zeros(())
     if with_rollout:
-        rollout = _mean(jax.vmap(lambda w: _rolled_out(model, w))(windows), nodes)
+        rollout = _mean(_each(model, lambda w: _rolled_out(model, w), windows), nodes)
     return LossTerms(
         prediction=_mean(jnp.sqrt(error + _SMALLEST), nodes),
         squared=_mean(error, nodes),
@@ -83,7 +83,7 @@ def _teacher_forced(
         return _linear(model, window, percept, belief, x, v, key)(x, v, u)
 
     keys = jax.random.split(key, window.control.shape[0])
-    next_position, next_velocity = _each_step(
+    next_position, next_velocity = _each(
         model, predict, percept, belief, position[:-1], velocity[:-1], window.control, keys
     )
     error = jnp.sum(((next_position - position[1:]) / model.dt) ** 2, axis=-1)
@@ -102,7 +102,7 @@ def _pushes(model: ContactDynamics, window: Window) -> Float[Array, "L N D"]:
     """
     position, velocity = window.position[:-1], window.velocity[:-1]
     percept, _, belief = _believed(model, window, None)
-    response = _each_step(
+    response = _each(
         model,
         lambda *step: _linear(model, window, *step).B[..., 0, :],
         *(percept, belief, position, velocity),
@@ -116,7 +116,7 @@ def _believed(
     model: ContactDynamics, window: Window, push: Float[Array, "L N D"] | None
 ) -> tuple[Percept, ContactBelief, ContactBelief]:
     """Percept, prior and belief about every step of a window, from the recorded states."""
-    percept = _each_step(
+    percept = _each(
         model,
         lambda x, v, p: model.perceive(x, v, window.nodes, p),
         *(window.position[:-1], window.velocity[:-1], push),
@@ -131,17 +131,15 @@ def _believed(
     return percept, prior, jax.lax.scan(advance, first, percept)[1]
 
 
-def _each_step(
-    model: ContactDynamics, function: Callable[..., _Result], *steps: PyTree
-) -> _Result:
-    """The function of every step of a window, stacked.
+def _each(model: ContactDynamics, function: Callable[..., _Result], *given: PyTree) -> _Result:
+    """The function of every window, or of every step of a window, stacked.
 
-    In scenes large enough for neighbour lists one step after the other, and anew for the gradient:
-    a step is work enough then, and its temporaries for all steps at once would fill the memory.
+    In scenes large enough for neighbour lists one after the other, and anew for the gradient: a
+    step is work enough then, and the temporaries of all of them at once would fill the memory.
     """
     if model.neighbours is None:
-        return jax.vmap(function)(*steps)
-    return jax.lax.map(jax.checkpoint(lambda step: function(*step)), steps)
+        return jax.vmap(function)(*given)
+    return jax.lax.map(jax.checkpoint(lambda one: function(*one)), given)
 
 
 def _linear(
@@ -184,4 +182,4 @@ def rollout_rmse(model: ContactDynamics, windows: Window) -> Float[Array, ""]:
         counts = jnp.broadcast_to(window.nodes.mask, squared.shape)
         return jnp.sqrt(_mean(squared, counts))
 
-    return jnp.mean(jax.vmap(rmse)(windows))
+    return jnp.mean(_each(model, rmse, windows))
