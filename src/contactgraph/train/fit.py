@@ -152,10 +152,15 @@ def fit(
 
 
 def _with_lists(state: FitState, lists: NeighbourLists | None) -> FitState:
-    return dataclasses.replace(
+    """The state with these lists in the models, and in the optimiser's averages that mirror them."""
+
+    def is_model(part: object) -> bool:
+        return isinstance(part, ContactDynamics)
+
+    return jax.tree.map(
+        lambda part: dataclasses.replace(part, neighbours=lists) if is_model(part) else part,
         state,
-        model=dataclasses.replace(state.model, neighbours=lists),
-        best_model=dataclasses.replace(state.best_model, neighbours=lists),
+        is_leaf=is_model,
     )
 
 
