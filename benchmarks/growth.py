@@ -131,6 +131,10 @@ def _panel(axes: Axes, rows: list[dict[str, str]], unit: str) -> None:
         axes.legend(frameon=False, fontsize="small")
 
 
+def _rounded(value: float | int | str) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
 def main() -> None:
     """Measure, write, draw."""
     parser = argparse.ArgumentParser(description="Growth curves.")
@@ -147,10 +151,7 @@ def main() -> None:
         with (told.out / f"{name}.csv").open("w", newline="") as file:
             writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
             writer.writeheader()
-            for row in rows:
-                writer.writerow(
-                    {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()}
-                )
+            writer.writerows({key: _rounded(row[key]) for key in row} for row in rows)
         print(told.out / f"{name}.csv")
     draw(told.out)
 

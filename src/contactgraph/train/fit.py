@@ -152,7 +152,7 @@ def fit(
 
 
 def _with_lists(state: FitState, lists: NeighbourLists | None) -> FitState:
-    """The state with these lists in the models, and in the optimiser's averages that mirror them."""
+    """The state with these lists in the models, and in the averages that mirror them."""
 
     def is_model(part: object) -> bool:
         return isinstance(part, ContactDynamics)
