@@ -14,7 +14,7 @@ memory   a step of training on a window of 50 steps: see training_memory.py
 import argparse
 import csv
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -33,35 +33,33 @@ from contactgraph.model import ContactDynamics, load_model, scene_nodes, shipped
 from contactgraph.tasks import PickupTask
 
 Row = dict[str, float | int | str]
-Curve = Callable[[ContactDynamics, bool], list[Row]]
+Curve = Callable[[ContactDynamics, bool], Iterator[Row]]
 
 _DOCS = Path(__file__).resolve().parents[1] / "docs" / "growth"
 _MOST_PLANNED = 400
 """iLQR stops after five rollouts, so the horizon is what grows."""
 
 
-def objects(model: ContactDynamics, quick: bool) -> list[Row]:
+def objects(model: ContactDynamics, quick: bool) -> Iterator[Row]:
     """Milliseconds of a step."""
-    counts = (12, 25) if quick else (12, 25, 50, 100, 300, 1000, 3000, 10_000)
-    found = [step_of(model, count, 3 if quick else 11) for count in counts]
-    names = ("list", "step", "all pairs", "by groups")
-    return [{"objects": row["objects"]} | {name: row[name] for name in names} for row in found]
+    counts = (12, 25) if quick else (12, 25, 50, 100, 300, 1000, 3000)
+    for count in counts:
+        found = step_of(model, count, 3 if quick else 11)
+        names = ("list", "step", "all pairs", "by groups")
+        yield {"objects": count} | {name: found[name] for name in names}
 
 
-def batch(model: ContactDynamics, quick: bool) -> list[Row]:
+def batch(model: ContactDynamics, quick: bool) -> Iterator[Row]:
     """Microseconds of a step of one scene."""
     steps = 200
-    rows: list[Row] = []
     for scenes in (1, 16) if quick else (1, 2, 4, 8, 16, 32, 64, 128, 250):
         found = rollouts_of(model, 2, scenes, steps, scenes, 3 if quick else 11)
         each = 1e3 * float(found["together ms"]) / (scenes * steps)
-        rows.append({"scenes": scenes, "us a step of a scene": each})
-    return rows
+        yield {"scenes": scenes, "us a step of a scene": each}
 
 
-def horizon(model: ContactDynamics, quick: bool) -> list[Row]:
+def horizon(model: ContactDynamics, quick: bool) -> Iterator[Row]:
     """Milliseconds of a tick, the median over an episode's first ones."""
-    rows: list[Row] = []
     task = PickupTask()
     limits = ControlLimits(jnp.asarray(task.action_space.low), jnp.asarray(task.action_space.high))
     for ahead in (5, 10) if quick else (5, 10, 20, 50, 100, 200, _MOST_PLANNED):
@@ -79,19 +77,16 @@ def horizon(model: ContactDynamics, quick: bool) -> list[Row]:
             force = np.asarray(plan.controls)[0]  # waits for the plan
             taken.append(1e3 * (time.perf_counter() - began))
             observation, *_ = task.step(force)
-        rows.append({"steps ahead": ahead, "tick": float(np.median(taken))})
-    return rows
+        yield {"steps ahead": ahead, "tick": float(np.median(taken))}
 
 
-def memory(model: ContactDynamics, quick: bool) -> list[Row]:
+def memory(model: ContactDynamics, quick: bool) -> Iterator[Row]:
     """GiB that XLA plans for; nothing is run."""
-    rows: list[Row] = []
     for count in (12,) if quick else (12, 30, 100, 300, 1000):
         near = memory_of(listing(model, count), count, True)
         # Lists for all pairs of a thousand take a minute to compile, and more than there is.
         every = memory_of(model, count, True)["memory GiB"] if count <= 300 else ""
-        rows.append({"objects": count, "listed": near["memory GiB"], "all pairs": every})
-    return rows
+        yield {"objects": count, "listed": near["memory GiB"], "all pairs": every}
 
 
 CURVES: dict[str, Curve] = {
@@ -147,11 +142,14 @@ def main() -> None:
     about = machine()
     print(f"{about['processor']}, {about['cores']} cores, load {about['load_1min']}")
     for name in told.curves or CURVES:
-        rows = CURVES[name](model, told.quick)
         with (told.out / f"{name}.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows({key: _rounded(row[key]) for key in row} for row in rows)
+            for number, row in enumerate(CURVES[name](model, told.quick)):
+                writer = csv.DictWriter(file, list(row), lineterminator="\n")
+                if number == 0:
+                    writer.writeheader()
+                writer.writerow({key: _rounded(row[key]) for key in row})
+                # What is measured is kept, whatever becomes of the rest.
+                file.flush()
         print(told.out / f"{name}.csv")
     draw(told.out)
 
