@@ -105,6 +105,9 @@ def test_carried_is_the_best_chain_to_an_actuated_node() -> None:
     seen = geometry(position, 0.0 * position, pairs, DT, 0.05)
     share = carried(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen)
     assert np.allclose(share, [1.0, 0.9, 0.45, 0.0])
+    # Found along the edges, where no more than so many hold each other.
+    assert np.array_equal(carried(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen, 3), share)
+    assert not np.array_equal(carried(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen, 2), share)
 
 
 def test_a_model_with_weight_is_stored_and_loaded(tmp_path) -> None:

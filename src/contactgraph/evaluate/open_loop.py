@@ -10,7 +10,7 @@ from contactgraph.evaluate.edge_scores import EdgeScores, edge_scores
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
 from contactgraph.evaluate.run_windows import detail_of_run, joined_details
 from contactgraph.evaluate.sensor_faults import SensorFaults
-from contactgraph.model import ContactSensor, MotionNoise, StepModel, judging_motion
+from contactgraph.model import ContactSensor, GrowingLists, MotionNoise, StepModel, judging_motion
 from contactgraph.model.model_fit import check_fit
 
 _EXACT = SensorFaults()
@@ -128,10 +128,11 @@ def evaluate_open_loop(
             f"faults spoil measured contacts, but {lacking} of {len(dataset)} runs have no contact "
             f"field; it must be in every run"
         )
+    lists = GrowingLists(model, dataset)
     detail = joined_details(
         [
             detail_of_run(
-                model,
+                lists,
                 dataset,
                 number,
                 steps,

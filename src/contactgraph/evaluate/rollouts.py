@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.model import (
+    ContactBelief,
     ContactSensor,
     ModelState,
     MotionNoise,
@@ -44,6 +45,10 @@ def predict_run(
 ) -> RunPrediction:
     """Rolls the model out for ``steps`` from each of the states ``starts``."""
     carried = follow_run(model, run, sensor, motion_noise)
+    edges = run.contact.shape[-1]
+
+    def likely(belief: ContactBelief) -> Array:
+        return belief.over(None, edges).probability > 0.5
 
     def from_state(start: Array) -> tuple[Array, Array]:
         belief = jax.tree.map(lambda leaf: leaf[start], carried.now)
@@ -54,14 +59,14 @@ def predict_run(
 
         def step(carry: Carry, control: Array) -> tuple[Carry, tuple[Array, Array]]:
             after, response, _ = advance(model, *carry, control, run.nodes)
-            return (after, response), (after.position, after.belief.probability > 0.5)
+            return (after, response), (after.position, likely(after.belief))
 
         response = held_response(model, state, run.nodes)
         return jax.lax.scan(step, (state, response), controls)[1]
 
-    count, edges = starts.shape[0], run.contact.shape[-1]
+    count = starts.shape[0]
     batch = min(_BATCH, count) if edges <= _SMALL_GRAPH else 1
     # A last batch of another size would compile the rollout a second time.
     padded = jnp.pad(starts, (0, -count % batch), mode="edge")
     position, active = jax.lax.map(from_state, padded, batch_size=batch if batch > 1 else None)
-    return RunPrediction(position[:count], active[:count], carried.coming.probability > 0.5)
+    return RunPrediction(position[:count], active[:count], jax.lax.map(likely, carried.coming))

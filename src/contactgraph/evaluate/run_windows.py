@@ -10,14 +10,14 @@ from contactgraph.data import Dataset, Trajectory, pair_indices
 from contactgraph.evaluate.floors import constant_velocity, frozen_contact
 from contactgraph.evaluate.open_loop_detail import InferredDetail, OpenLoopDetail
 from contactgraph.evaluate.rollouts import RunPrediction, predict_run
-from contactgraph.model import ContactSensor, MotionNoise, StepModel
+from contactgraph.model import ContactSensor, GrowingLists, MotionNoise, StepModel
 from contactgraph.model.recording import number_type, recording
 
 _MOVES_M = 1e-3
 
 
 def detail_of_run(
-    model: StepModel,
+    lists: GrowingLists[StepModel],
     dataset: Dataset,
     number: int,
     steps: int,
@@ -36,13 +36,14 @@ def detail_of_run(
     nodes = _capacity(dataset)
     starts = run.steps - steps + 1
     bare = replace(run, contact=None)
-    unmeasured = _predicted(model, dataset, bare, steps, sensor)
+    unmeasured = _predicted(lists, dataset, bare, steps, sensor)
     inferred = None
     if motion_noise is not None:
-        inferred = _predicted(model, dataset, bare, steps, sensor, motion_noise)
+        # Motion is judged over all pairs.
+        inferred = _from_every_state(lists.given, dataset, bare, steps, sensor, motion_noise)
     measured = unmeasured
     if reported is not None:
-        measured = _predicted(model, dataset, replace(run, contact=reported), steps, sensor)
+        measured = _predicted(lists, dataset, replace(run, contact=reported), steps, sensor)
 
     recorded = _windows(run.position, steps)
     exists = np.broadcast_to(np.arange(nodes) < count, (starts, nodes))
@@ -122,12 +123,29 @@ def joined_details(parts: Sequence[OpenLoopDetail]) -> OpenLoopDetail:
 
 
 def _predicted(
+    lists: GrowingLists[StepModel],
+    dataset: Dataset,
+    run: Trajectory,
+    steps: int,
+    sensor: ContactSensor,
+) -> RunPrediction:
+    starts, count = run.steps - steps + 1, run.scene.node_count
+
+    def finite(found: RunPrediction) -> bool:
+        return bool(jnp.all(jnp.isfinite(found.position[:starts, :, :count])))
+
+    return lists.until_finite(
+        lambda model: _from_every_state(model, dataset, run, steps, sensor, None), finite
+    )
+
+
+def _from_every_state(
     model: StepModel,
     dataset: Dataset,
     run: Trajectory,
     steps: int,
     sensor: ContactSensor,
-    motion_noise: MotionNoise | None = None,
+    motion_noise: MotionNoise | None,
 ) -> RunPrediction:
     longest = max(each.steps for each in dataset)
     padded = recording(run, longest, _capacity(dataset), number_type(model), True)

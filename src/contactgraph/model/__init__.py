@@ -16,6 +16,8 @@ from contactgraph.model.inference import RecurrentEdges as RecurrentEdges
 from contactgraph.model.linear_dynamics import LinearDynamics as LinearDynamics
 from contactgraph.model.linear_dynamics import stack_state as stack_state
 from contactgraph.model.linear_dynamics import unstack_state as unstack_state
+from contactgraph.model.listed import GrowingLists as GrowingLists
+from contactgraph.model.listed import with_neighbour_lists as with_neighbour_lists
 from contactgraph.model.local_dynamics import FreeLinearDynamics as FreeLinearDynamics
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics as SpringMassDamperDynamics
 from contactgraph.model.locality import Locality as Locality
@@ -28,6 +30,7 @@ from contactgraph.model.motion_evidence import correct_by_motion as correct_by_m
 from contactgraph.model.motion_evidence import judge_motion as judge_motion
 from contactgraph.model.motion_evidence import judging_motion as judging_motion
 from contactgraph.model.motion_noise import MotionNoise as MotionNoise
+from contactgraph.model.neighbours import NeighbourLists as NeighbourLists
 from contactgraph.model.per_degree_head import PerDegreeHead as PerDegreeHead
 from contactgraph.model.presets import Preset as Preset
 from contactgraph.model.presets import full_ab as full_ab
@@ -40,7 +43,7 @@ from contactgraph.model.prior import DistancePrior as DistancePrior
 from contactgraph.model.prior import TouchPrior as TouchPrior
 from contactgraph.model.push import advance as advance
 from contactgraph.model.push import held_response as held_response
-from contactgraph.model.push import in_types_of as in_types_of
+from contactgraph.model.push import in_type_of as in_type_of
 from contactgraph.model.push import pushed as pushed
 from contactgraph.model.push import response_of as response_of
 from contactgraph.model.reach import Everywhere as Everywhere

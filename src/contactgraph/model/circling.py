@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from contactgraph.model.edges import at_nodes
 from contactgraph.model.geometry import Geometry
 from contactgraph.model.hinges import Bars
 
@@ -54,24 +55,19 @@ def circling(
     weight = jnp.where(passes, hold, 0.0)
     square = jnp.sum(geometry.relative_velocity**2, axis=-1)
     rests = weight * _RESTING_SPEED**2 / (square + _RESTING_SPEED**2)
-    arrives = (jnp.arange(count)[:, None] == ends.reshape(-1)).astype(position.dtype)
-    other = ends[::-1].reshape(-1)
-
-    def at_nodes(on_edges: Float[Array, "2E F"]) -> Float[Array, "N F"]:
-        return arrives @ on_edges
-
-    total = at_nodes(weight.reshape(-1, 1))
+    other = ends[::-1]
+    total = at_nodes(weight, ends, count)
     share = jnp.minimum(1.0, 1.0 / jnp.maximum(total, _SMALLEST))
-    rate = (share * at_nodes(weight.reshape(-1, 1) * turning[other][:, None]))[:, 0]
-    held_centre = at_nodes(weight.reshape(-1, 1) * bars.anchor[other])
-    held_centre = held_centre / jnp.maximum(total, _SMALLEST)
-    tied = total[:, 0] > _SMALLEST
+    rate = share * at_nodes(weight * turning[other], ends, count)
+    held_centre = at_nodes(weight[..., None] * bars.anchor[other], ends, count)
+    held_centre = held_centre / jnp.maximum(total, _SMALLEST)[:, None]
+    tied = total > _SMALLEST
     hinged = bars.hinged
     centre = jnp.where(
         hinged[:, None], bars.anchor, jnp.where(tied[:, None], held_centre, position)
     )
     radius = jnp.sqrt(jnp.sum((position - centre) ** 2, axis=-1) + _SMALLEST)
-    keeps = (share * at_nodes(rests.reshape(-1, 1)))[:, 0]
+    keeps = share * at_nodes(rests, ends, count)
     return Circling(
         rate=jnp.where(hinged, turning, rate),
         centre=centre,

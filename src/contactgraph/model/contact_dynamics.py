@@ -5,17 +5,18 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.graph import pair_indices
 from contactgraph.model.belief import ContactBelief
+from contactgraph.model.edges import Edges, all_pairs, pair_count
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
 from contactgraph.model.geometry import Geometry, geometry
 from contactgraph.model.inference import AllEdges, MemorylessEdges, RecurrentEdges
 from contactgraph.model.linear_dynamics import LinearDynamics
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
 from contactgraph.model.local_input import LocalInput
+from contactgraph.model.neighbours import NeighbourLists, longest_ways
 from contactgraph.model.prior import DistancePrior, TouchPrior
 from contactgraph.model.push import advance, held_response
 from contactgraph.model.reach import Everywhere, Reach
@@ -28,6 +29,8 @@ class Percept(eqx.Module):
     """One step's graph as the model sees it, before anything is inferred."""
 
     geometry: Geometry
+    number: Int[Array, " E"] | None
+    """Which pairs these edges are: `Edges.number`."""
     node_features: Float[Array, "N F"]
     edge_features: Float[Array, "2 E G"]
     weight: Float[Array, " E"]
@@ -52,6 +55,8 @@ class ContactDynamics(eqx.Module):
     """s"""
     dimension: int = eqx.field(static=True)
     control_size: int = eqx.field(static=True)
+    neighbours: NeighbourLists | None = None
+    """How near pairs are found; None: every pair is an edge, near or far."""
 
     def __check_init__(self) -> None:
         if not self.dt > 0:
@@ -62,6 +67,11 @@ class ContactDynamics(eqx.Module):
             raise InvalidInputError(
                 f"local_dynamics must have one message network for each of the {active_types} "
                 f"active edge types (edge_types less the inactive one), found {networks}"
+            )
+        if self.neighbours is not None and not isinstance(self.reach, Reach):
+            raise InvalidInputError(
+                "neighbours: lists of near pairs need a Reach, beyond which no edge is active; "
+                f"found {type(self.reach).__name__}"
             )
 
     def perceive(
@@ -76,23 +86,40 @@ class ContactDynamics(eqx.Module):
 
         ``touch_distance`` [m]: at which the ends of each edge touch; None: as the model knows it.
         """
-        pairs = jnp.asarray(pair_indices(position.shape[0]))
+        edges = self._edges(position, velocity, nodes, push)
+        if edges.number is not None:
+            # What outgrows a list has no prediction, for anybody.
+            velocity = jnp.where(edges.fits, velocity, jnp.nan)
         touch = self.features.touch_distance if touch_distance is None else touch_distance
-        seen = geometry(position, velocity, pairs, self.dt, touch, push, nodes.anchor)
+        seen = geometry(position, velocity, edges.pairs, self.dt, touch, push, nodes.anchor)
         node_features = self.features.node(position, velocity, nodes)
         edge_features = self.features.edge(seen, touch_distance)
-        exists = nodes.candidate & nodes.mask[seen.first] & nodes.mask[seen.second]
+        exists = edges.candidate(nodes.candidate) & nodes.mask[seen.first] & nodes.mask[seen.second]
         weight = jnp.where(exists, self.reach(seen), 0.0)
         ends = jnp.stack([seen.first, seen.second])
         embedding = self.inference.embed(node_features, edge_features, weight, ends)
-        return Percept(seen, node_features, edge_features, weight, embedding)
+        return Percept(seen, edges.number, node_features, edge_features, weight, embedding)
+
+    def _edges(
+        self,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        nodes: Nodes,
+        push: Float[Array, "N D"] | None,
+    ) -> Edges:
+        if self.neighbours is None:
+            return all_pairs(position.shape[0])
+        assert isinstance(self.reach, Reach)
+        way = longest_ways(position, velocity, push, nodes.anchor, self.dt)
+        return self.neighbours(position, way, nodes.mask, self.reach.far)
 
     def prior_belief(self, percept: Percept) -> ContactBelief:
         """What distance alone says, the active part spread evenly over the active types."""
         active = self.prior(percept.geometry, self.features.touch_distance) * percept.weight
-        types = self.inference.edge_types - 1
-        spread = jnp.repeat(active[:, None] / types, types, axis=-1)
-        return ContactBelief(jnp.concatenate([1.0 - active[:, None], spread], axis=-1))
+        active_types = self.inference.edge_types - 1
+        spread = jnp.repeat(active[:, None] / active_types, active_types, axis=-1)
+        types = jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
+        return ContactBelief(types, percept.number)
 
     def initial_belief(
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
@@ -102,10 +129,12 @@ class ContactDynamics(eqx.Module):
 
     def predict_belief(self, belief: ContactBelief, percept: Percept) -> ContactBelief:
         """The belief about the coming step. An edge out of reach is inactive, surely."""
-        free = self.inference.predict(belief, percept.embedding)
+        count = pair_count(percept.node_features.shape[0])
+        before = belief.over(percept.number, count)
+        free = self.inference.predict(before, percept.embedding)
         active = free.type_probability[:, 1:] * percept.weight[:, None]
         inactive = 1.0 - jnp.sum(active, axis=-1, keepdims=True)
-        return ContactBelief(jnp.concatenate([inactive, active], axis=-1))
+        return ContactBelief(jnp.concatenate([inactive, active], axis=-1), percept.number)
 
     def local_input(
         self,
@@ -128,6 +157,7 @@ class ContactDynamics(eqx.Module):
             weight=edge_active[:, 1:] * percept.weight[:, None],
             geometry=percept.geometry,
             anchor=nodes.anchor,
+            room=None if self.neighbours is None else self.neighbours.group,
         )
 
     def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
@@ -152,8 +182,10 @@ class ContactDynamics(eqx.Module):
             after, response, _ = advance(self, *carry, control, nodes)
             return (after, response), after
 
+        # Of large scenes gradients compute anew what they need: it would fill the memory.
+        each = step if self.neighbours is None else jax.checkpoint(step)
         first = dataclasses.replace(state, push=None)
-        return jax.lax.scan(step, (first, held_response(self, state, nodes)), controls)[1]
+        return jax.lax.scan(each, (first, held_response(self, state, nodes)), controls)[1]
 
     def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
         """The spring-mass-damper parameters of the coming step, each [N, D].

@@ -2,9 +2,16 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from contactgraph.model.geometry import Geometry
+from contactgraph.model.group_inertia import (
+    Inertia,
+    grouped_inertia,
+    to_nodes,
+    whole_inertia,
+)
 
 
 class GroupMotion(eqx.Module):
@@ -61,50 +68,49 @@ class ContactNetwork(eqx.Module):
         dt: float,
         control_size: int,
         weight: Float[Array, "N D"] | None = None,
+        room: int | None = None,
     ) -> GroupMotion:
         """One step of `dt` [s]; `gain` is the force on a node for each newton of control, `weight`
-        [N] a force that always acts."""
+        [N] a force that always acts. `room`: for so many nodes that hold each other; None: all."""
         count, dimension = velocity.shape
-        jacobian = _jacobian(geometry, count)
-        size = geometry.lever.shape[-1]
+        inertia = Inertia(self.mass + self.ground, self.hold + self.spring, geometry)
+        size = inertia.size
 
-        def at_nodes(on_edges: Float[Array, "E D"]) -> Float[Array, "N D"]:
-            flat = on_edges.reshape(jacobian.shape[0], -1)
-            return (jacobian.T @ flat).reshape(count, dimension)
+        def columns(momentum: Float[Array, "N D"]) -> Float[Array, "N d c"]:
+            return momentum.reshape(count, size, -1)
 
-        def moved(momentum: Float[Array, "N D"]) -> Float[Array, "N D"]:
-            return (inverse @ momentum.reshape(count * size, -1)).reshape(count, dimension)
+        def at_nodes(on_edges: Float[Array, "E D"]) -> Float[Array, "N d c"]:
+            on_edges = on_edges.reshape(on_edges.shape[0], size, -1)
+            return to_nodes(on_edges, geometry, count)
 
-        stiff = jnp.repeat(self.hold + self.spring, size)
-        inertia = jnp.repeat(self.mass + self.ground, size)
-        inverse = jnp.linalg.inv(jacobian.T @ (stiff[:, None] * jacobian) + jnp.diag(inertia))
         relative = geometry.relative_velocity
         stretch = geometry.displacement - self.rest[:, None] * geometry.direction
         impulse = (self.hold + self.spring)[:, None] * relative
         impulse = impulse + self.spring[:, None] * stretch / dt
         displacing = (self.displaces * self.hold)[:, None] * relative
-
-        blocks = inverse.reshape(count, size, count, size)
-        response = jnp.einsum("ndmk,m->ndk", blocks, gain)
+        each = jnp.eye(size, dtype=velocity.dtype)
+        right = [
+            at_nodes(impulse) + columns(self.ground[:, None] * velocity),
+            at_nodes(displacing),
+            gain[:, None, None] * each,
+            self.ground[:, None, None] * each,
+        ]
+        if weight is not None:
+            right.append(columns(weight))
+        vectors = jnp.concatenate(right, axis=-1)
+        if room is None:
+            solved = whole_inertia(inertia, vectors)
+        else:
+            solved = grouped_inertia(inertia, vectors, room)
+        ends = np.cumsum([part.shape[-1] for part in right])[:-1].tolist()
+        change, shift, response, ground, *weighed = jnp.split(solved.solution, ends, axis=-1)
         if size == 1:
             response = response * jnp.eye(dimension)
-        own = jnp.einsum("ndnd->n", blocks) / size
-        ground = jnp.einsum("ndmd,m->n", blocks, self.ground) / size
         return GroupMotion(
-            change=-moved(at_nodes(impulse) + self.ground[:, None] * velocity),
-            shift=-dt * moved(at_nodes(displacing)),
+            change=-change.reshape(count, dimension),
+            shift=-dt * shift.reshape(count, dimension),
             response=response @ jnp.eye(dimension, control_size),
-            own_share=own * self.mass,
-            ground_share=ground,
-            acceleration=None if weight is None else moved(weight),
+            own_share=solved.own * self.mass,
+            ground_share=jnp.trace(ground, axis1=1, axis2=2) / size,
+            acceleration=weighed[0].reshape(count, dimension) if weighed else None,
         )
-
-
-def _jacobian(geometry: Geometry, count: int) -> Float[Array, "Ed Nd"]:
-    """From all velocities to the relative velocities along all edges."""
-    lever = geometry.lever
-    size = lever.shape[-1]
-    first, second = geometry.ends(count)
-    blocks = second[:, None, :, None] * lever[1][:, :, None, :]
-    blocks = blocks - first[:, None, :, None] * lever[0][:, :, None, :]
-    return blocks.reshape(-1, count * size)

@@ -87,10 +87,12 @@ class CoupledHead(eqx.Module):
         network, gain, hold = self._network(local, message, theta)
         weight = None
         if self.support is not None:
-            share = carried(local.actuated, hold, local.geometry)
+            share = carried(local.actuated, hold, local.geometry, local.room)
             weight = share[:, None] * self.support.weight(local.kind)
             network = dataclasses.replace(network, ground=(1.0 - share) * network.ground)
-        motion = network.step(local.velocity, gain, local.geometry, dt, step.control_size, weight)
+        motion = network.step(
+            local.velocity, gain, local.geometry, dt, step.control_size, weight, local.room
+        )
         # A damper whose other end moves, such that the discrete step makes `change` of it.
         size = jnp.sqrt(jnp.sum(motion.change**2, axis=-1) + _SMALLEST**2)
         impact = (1.0 - motion.own_share) * size / (size + _IMPACT_SPEED)

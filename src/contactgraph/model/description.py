@@ -5,6 +5,7 @@ far=0.25)``. Names from outside are only ever looked up in the table below, and 
 against the constructors' annotations before anything is called.
 """
 
+import dataclasses
 import inspect
 import math
 import types
@@ -63,8 +64,11 @@ Description = dict[str, Any]
 def describe(model: ContactDynamics) -> Description:
     """The model's construction as data that JSON can hold, weights left out.
 
-    Raises `InvalidInputError` for parts that are not of this package.
+    Neighbour lists are left out too: they are made for a scene, and change no prediction. Raises
+    `InvalidInputError` for parts that are not of this package.
     """
+    if isinstance(model, ContactDynamics):
+        model = dataclasses.replace(model, neighbours=None)
     return _describe(model, (ContactDynamics,), "model")
 
 

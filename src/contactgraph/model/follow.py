@@ -11,7 +11,7 @@ from contactgraph.model.belief import ContactBelief, ContactSensor, correct
 from contactgraph.model.linear_dynamics import LinearDynamics
 from contactgraph.model.motion_evidence import correct_by_motion, judging_motion
 from contactgraph.model.motion_noise import MotionNoise
-from contactgraph.model.push import held_response, in_types_of, pushed, response_of
+from contactgraph.model.push import held_response, in_type_of, pushed, response_of
 from contactgraph.model.recording import Recording
 from contactgraph.model.state import ModelState
 from contactgraph.model.step_model import StepModel
@@ -73,7 +73,7 @@ def follow_run(
         now = correct(predicted, contact, sensor)
         here = ModelState(position, velocity, now)
         linear, coming = model.linear_step(pushed(here, carry.response, control), run.nodes)
-        coming = in_types_of(coming, predicted)
+        coming = in_type_of(coming, predicted)
         response = response_of(linear, carry.response)
         after = _Carry(here, control, told, coming, response)
         return after, FollowedRun(now, coming, linear)

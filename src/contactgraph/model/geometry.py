@@ -143,10 +143,11 @@ def _closest(
     begin, way = path[:-1], path[1:] - path[:-1]
     square = jnp.maximum(_dot(way, way), _SMALLEST)
     along = jnp.clip(-_dot(begin, way) / square, 0.0, 1.0)
-    distance = _norm(begin + along[..., None] * way)
-    chord = jnp.argmin(distance, axis=0)
+    nearest = begin + along[..., None] * way
+    apart = _dot(nearest, nearest)
+    chord = jnp.argmin(apart, axis=0)
     part = jnp.take_along_axis(along, chord[None], axis=0)[0]
-    return (chord + part) / chords, jnp.min(distance, axis=0)
+    return (chord + part) / chords, jnp.sqrt(jnp.min(apart, axis=0) + _SMALLEST)
 
 
 def _touch(

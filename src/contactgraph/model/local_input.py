@@ -24,6 +24,8 @@ class LocalInput(eqx.Module):
     geometry: Geometry
     anchor: Float[Array, "N D"] | None
     """m; where a node is hinged, NaN where it is not. None: nobody is."""
+    room: int | None = eqx.field(static=True, default=None)
+    """For so many nodes that hold each other, directly or through others; None: for all."""
 
 
 class Step(eqx.Module):

@@ -5,6 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from contactgraph.model.edges import at_nodes
+
 
 class _Round(eqx.Module):
     """One round: a message each way along every edge, then an update of every node.
@@ -37,9 +39,7 @@ class _Round(eqx.Module):
         received, sent = jax.vmap(self.receiver)(node), jax.vmap(self.sender)(node)
         hidden = jax.nn.relu(received[ends] + sent[ends[::-1]] + _along_edges(self.edge, edge))
         message = jax.nn.relu(_along_edges(self.message, hidden)) * weight[:, None]
-        # A one-hot product, not a scatter: faster on CPU for scenes of this size.
-        arrives = (jnp.arange(node.shape[0])[:, None] == ends.reshape(-1)).astype(node.dtype)
-        total = arrives @ message.reshape(-1, message.shape[-1])
+        total = at_nodes(message, ends, node.shape[0])
         return jax.vmap(self.update)(jnp.concatenate([node, total], axis=-1)), message
 
 

@@ -14,6 +14,11 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
     """
     if not isinstance(model, ContactDynamics):
         return
+    if model.neighbours is not None:
+        raise InvalidInputError(
+            f"beliefs about {other} are asked for over all pairs, so the model must have no "
+            "neighbour lists (neighbours=None)"
+        )
     for what, found, wanted in (
         ("dimension D", scene.dimension, model.dimension),
         ("control size U", control_size, model.control_size),

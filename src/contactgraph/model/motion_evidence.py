@@ -25,7 +25,7 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics, Percept
 from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.push import held_response, in_types_of, pushed
+from contactgraph.model.push import held_response, in_type_of, pushed
 from contactgraph.model.state import ModelState, Nodes
 
 _CONSIDERED = 8
@@ -56,6 +56,11 @@ def judging_motion(model: object) -> ContactDynamics:
             "motion_noise: only a ContactDynamics says how things would move with an edge active "
             f"and without; found {type(model).__name__}"
         )
+    if model.neighbours is not None:
+        raise InvalidInputError(
+            "motion_noise: what motion has told of each pair is kept for all of them, so the model "
+            "must have no neighbour lists (neighbours=None)"
+        )
     return model
 
 
@@ -77,7 +82,7 @@ def correct_by_motion(
     evidence = judge_motion(model, before, told, control, seen, nodes, noise)
     observed = (before.position, before.velocity, *seen)
     whole = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in observed]))
-    found = in_types_of(evidence.corrected, carried), evidence.told
+    found = in_type_of(evidence.corrected, carried), evidence.told
     return jax.tree.map(lambda new, old: jnp.where(whole, new, old), found, (carried, told))
 
 

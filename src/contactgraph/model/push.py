@@ -6,17 +6,14 @@ it did to positions in the step before: contacts that come about in a step do no
 """
 
 import dataclasses
-from typing import Protocol, TypeVar
+from typing import Protocol
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from contactgraph.model.belief import ContactBelief
 from contactgraph.model.linear_dynamics import LinearDynamics
 from contactgraph.model.state import ModelState, Nodes
-
-_Tree = TypeVar("_Tree", ModelState, ContactBelief)
 
 
 class _LinearModel(Protocol):
@@ -27,7 +24,8 @@ class _LinearModel(Protocol):
 
 def held_response(model: _LinearModel, state: ModelState, nodes: Nodes) -> Float[Array, "N D U"]:
     """[m/N] How far each node is moved by the control, if only the present contacts hold."""
-    holds = nodes.candidate & (state.belief.probability > 0.5)
+    believed = state.belief.over(None, nodes.candidate.shape[0])
+    holds = nodes.candidate & (believed.probability > 0.5)
     linear, _ = model.linear_step(state, dataclasses.replace(nodes, candidate=holds))
     return response_of(linear, state.position)
 
@@ -58,10 +56,15 @@ def advance(
     """
     linear, belief = model.linear_step(pushed(state, response, control), nodes)
     position, velocity = linear(state.position, state.velocity, control)
-    after = in_types_of(ModelState(position, velocity, belief), state)
+    after = ModelState(
+        position=position.astype(state.position.dtype),
+        velocity=velocity.astype(state.velocity.dtype),
+        belief=in_type_of(belief, state.belief),
+    )
     return after, response_of(linear, response), linear
 
 
-def in_types_of(value: _Tree, other: _Tree) -> _Tree:
-    """The value in the number types of another that is built alike."""
-    return jax.tree.map(lambda new, old: new.astype(old.dtype), value, other)
+def in_type_of(belief: ContactBelief, other: ContactBelief) -> ContactBelief:
+    """The belief in the number type of another, which may be about other edges."""
+    types = belief.type_probability.astype(other.type_probability.dtype)
+    return dataclasses.replace(belief, type_probability=types)

@@ -1,6 +1,7 @@
 """What rests until something that is driven carries it."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -37,17 +38,28 @@ class Support(eqx.Module):
 
 
 def carried(
-    actuated: Float[Array, " N"], hold: Float[Array, " E"], geometry: Geometry
+    actuated: Float[Array, " N"],
+    hold: Float[Array, " E"],
+    geometry: Geometry,
+    room: int | None = None,
 ) -> Float[Array, " N"]:
     """How far each node is carried, in [0, 1]: the best chain of holding edges to an actuated one.
 
-    `actuated`: 1 or 0; `hold`: how far each edge holds, in [0, 1).
+    `actuated`: 1 or 0; `hold`: how far each edge holds, in [0, 1). `room`: no more nodes than so
+    many hold each other; None: all may.
     """
     count = actuated.shape[0]
+    share = actuated.astype(hold.dtype)
+    if room is not None:
+        ends = jnp.stack([geometry.first, geometry.second])
+        for _ in range(room - 1):
+            arriving = (hold * share[ends[::-1]]).reshape(-1)
+            best = jax.ops.segment_max(arriving, ends.reshape(-1), count)
+            share = jnp.maximum(share, best)
+        return share
     first, second = geometry.ends(count)
     holds = first.T @ (hold[:, None] * second)
     holds = holds + holds.T
-    share = actuated.astype(hold.dtype)
     for _ in range(count - 1):
         share = jnp.maximum(share, jnp.max(holds * share, axis=1))
     return share

@@ -17,6 +17,8 @@ from contactgraph.data.dataset import Dataset
 from contactgraph.data.padding import pad_runs
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.listed import GrowingLists
+from contactgraph.model.neighbours import NeighbourLists
 from contactgraph.train.batch import Window, WindowSource, window_source
 from contactgraph.train.batch_split import BatchSplit, batch_split
 from contactgraph.train.bystanders import add_bystander, bodies_rest
@@ -98,16 +100,31 @@ def fit(
 ) -> FitResult:
     """Train from `state` to the recipe's last step, or until the held-out error stops falling.
 
-    Contact labels in the data are not read. `on_check` sees every check and may save its state;
-    an exception it raises (Ctrl-C, say) ends the training there. Each of several `devices` takes a
-    like part of every batch: the same result but for rounding. Raises `InvalidInputError` where
-    runs are shorter than a window, or a batch cannot be split.
+    Large scenes are trained on by lists of near pairs: see `GrowingLists`. Contact labels in the
+    data are not read. `on_check` sees every check and may save its state; an exception it raises
+    (Ctrl-C, say) ends the training there. Each of several `devices` takes a like part of every
+    batch: the same result but for rounding. Raises `InvalidInputError` where runs are shorter than
+    a window, or a batch cannot be split.
     """
     split = batch_split(devices, recipe.batch_size)
     source, checked = training_windows(train, recipe), held_out_windows(held_out, recipe)
     if split is not None:
         state, source, checked = split.everywhere((state, source, checked))
     bystanders = recipe.bystanders if bodies_rest(pad_runs(train)) else 0
+    lists = GrowingLists(state.model, train)
+
+    def advance(
+        state: FitState, count: int, with_rollout: bool
+    ) -> tuple[FitState, dict[str, Array]]:
+        after, arrays = lists.until_finite(
+            lambda model: _advance(
+                _with_lists(state, model.neighbours),
+                *(source, checked, recipe, count, bystanders, with_rollout, split),
+            ),
+            lambda found: _finite(found[1]),
+        )
+        return _with_lists(after, lists.given.neighbours), arrays
+
     began = time.monotonic()
     status = FitStatus.finished
     while int(state.step) < recipe.steps:
@@ -116,11 +133,9 @@ def fit(
             break
         count = min(recipe.check_every, recipe.steps - int(state.step))
         with_rollout = int(state.step) >= recipe.rollout_from * recipe.steps
-        state, arrays = _advance(
-            state, source, checked, recipe, count, bystanders, with_rollout, split
-        )
+        state, arrays = advance(state, count, with_rollout)
         terms = {name: float(value) for name, value in arrays.items()}
-        if not all(np.isfinite(value) for value in terms.values()):
+        if not _finite(arrays):
             status = FitStatus.not_finite
             break
         on_check(
@@ -134,6 +149,23 @@ def fit(
             )
         )
     return FitResult(state.best_model, float(state.best_error), status, state)
+
+
+def _with_lists(state: FitState, lists: NeighbourLists | None) -> FitState:
+    """The state with these lists in the models, and in the averages that mirror them."""
+
+    def is_model(part: object) -> bool:
+        return isinstance(part, ContactDynamics)
+
+    return jax.tree.map(
+        lambda part: dataclasses.replace(part, neighbours=lists) if is_model(part) else part,
+        state,
+        is_leaf=is_model,
+    )
+
+
+def _finite(terms: dict[str, Array]) -> bool:
+    return all(np.isfinite(value) for value in terms.values())
 
 
 def training_windows(train: Dataset, recipe: Recipe) -> WindowSource:

@@ -1,9 +1,12 @@
 """What training minimises: the terms by name."""
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from contactgraph.model.belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics, Percept
@@ -11,6 +14,7 @@ from contactgraph.model.linear_dynamics import LinearDynamics
 from contactgraph.model.state import ModelState
 from contactgraph.train.batch import Window
 
+_Result = TypeVar("_Result")
 _SMALLEST = 1e-6
 _ROLLOUT_POSITION = 0.5
 """Weight of a rollout's position errors: they add up over its steps, velocity errors do not."""
@@ -48,12 +52,12 @@ def window_loss(
     pass through time; without it the term is 0.
     """
     keys = jax.random.split(key, windows.control.shape[0])
-    error, nodes, divergence, edges = jax.vmap(lambda w, k: _teacher_forced(model, w, k))(
-        windows, keys
+    error, nodes, divergence, edges = _each(
+        model, lambda w, k: _teacher_forced(model, w, k), windows, keys
     )
     rollout = jnp.zeros(())
     if with_rollout:
-        rollout = _mean(jax.vmap(lambda w: _rolled_out(model, w))(windows), nodes)
+        rollout = _mean(_each(model, lambda w: _rolled_out(model, w), windows), nodes)
     return LossTerms(
         prediction=_mean(jnp.sqrt(error + _SMALLEST), nodes),
         squared=_mean(error, nodes),
@@ -79,8 +83,8 @@ def _teacher_forced(
         return _linear(model, window, percept, belief, x, v, key)(x, v, u)
 
     keys = jax.random.split(key, window.control.shape[0])
-    next_position, next_velocity = jax.vmap(predict)(
-        percept, belief, position[:-1], velocity[:-1], window.control, keys
+    next_position, next_velocity = _each(
+        model, predict, percept, belief, position[:-1], velocity[:-1], window.control, keys
     )
     error = jnp.sum(((next_position - position[1:]) / model.dt) ** 2, axis=-1)
     error = error + jnp.sum((next_velocity - velocity[1:]) ** 2, axis=-1)
@@ -98,10 +102,11 @@ def _pushes(model: ContactDynamics, window: Window) -> Float[Array, "L N D"]:
     """
     position, velocity = window.position[:-1], window.velocity[:-1]
     percept, _, belief = _believed(model, window, None)
-    linear = jax.vmap(lambda *step: _linear(model, window, *step))(
-        percept, belief, position, velocity
+    response = _each(
+        model,
+        lambda *step: _linear(model, window, *step).B[..., 0, :],
+        *(percept, belief, position, velocity),
     )
-    response = linear.B[..., 0, :]
     before = jnp.concatenate([response[:1], response[:-1]])
     push = jnp.sum(before * window.control[:, None, None, :], axis=-1)
     return jax.lax.stop_gradient(push)
@@ -111,8 +116,10 @@ def _believed(
     model: ContactDynamics, window: Window, push: Float[Array, "L N D"] | None
 ) -> tuple[Percept, ContactBelief, ContactBelief]:
     """Percept, prior and belief about every step of a window, from the recorded states."""
-    percept = jax.vmap(lambda x, v, p: model.perceive(x, v, window.nodes, p))(
-        window.position[:-1], window.velocity[:-1], push
+    percept = _each(
+        model,
+        lambda x, v, p: model.perceive(x, v, window.nodes, p),
+        *(window.position[:-1], window.velocity[:-1], push),
     )
     prior = jax.vmap(model.prior_belief)(percept)
 
@@ -122,6 +129,17 @@ def _believed(
 
     first = jax.tree.map(lambda leaf: leaf[0], prior)
     return percept, prior, jax.lax.scan(advance, first, percept)[1]
+
+
+def _each(model: ContactDynamics, function: Callable[..., _Result], *given: PyTree) -> _Result:
+    """The function of every window, or of every step of a window, stacked.
+
+    In scenes large enough for neighbour lists one after the other, and anew for the gradient: a
+    step is work enough then, and the temporaries of all of them at once would fill the memory.
+    """
+    if model.neighbours is None:
+        return jax.vmap(function)(*given)
+    return jax.lax.map(jax.checkpoint(lambda one: function(*one)), given)
 
 
 def _linear(
@@ -164,4 +182,4 @@ def rollout_rmse(model: ContactDynamics, windows: Window) -> Float[Array, ""]:
         counts = jnp.broadcast_to(window.nodes.mask, squared.shape)
         return jnp.sqrt(_mean(squared, counts))
 
-    return jnp.mean(jax.vmap(rmse)(windows))
+    return jnp.mean(_each(model, rmse, windows))

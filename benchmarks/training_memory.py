@@ -1,0 +1,72 @@
+"""What memory a step of training takes in large scenes, as XLA plans it for the compiled step.
+
+Usage: python benchmarks/training_memory.py [--quick] [--json FILE]
+
+Loss and gradient on one window of 50 steps. Nothing is run: it is compiled, for shapes alone, and
+XLA says how much it will ask for.
+"""
+
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from crowds import crowd, listing
+from measuring import arguments, report
+
+from contactgraph.model import ContactDynamics, load_model, shipped_model
+from contactgraph.train import LossTerms
+from contactgraph.train.batch import Window
+from contactgraph.train.loss import window_loss
+
+_STEPS = 50
+
+
+def measured(
+    model: ContactDynamics, count: int, with_rollout: bool
+) -> dict[str, float | int | str]:
+    """One row."""
+    position, _, nodes = crowd(count)
+    states = jax.ShapeDtypeStruct((1, _STEPS + 1, *position.shape), jnp.float32)
+    windows = Window(
+        position=states,
+        velocity=states,
+        control=jax.ShapeDtypeStruct((1, _STEPS, model.control_size), jnp.float32),
+        nodes=jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((1, *leaf.shape), leaf.dtype), nodes),
+    )
+    arrays, static = eqx.partition(model, eqx.is_inexact_array)
+
+    def loss(arrays: ContactDynamics, windows: Window) -> jax.Array:
+        whole = eqx.combine(arrays, static)
+        return window_loss(whole, windows, jax.random.key(0), with_rollout).total(LossTerms())
+
+    began = time.perf_counter()
+    compiled = jax.jit(jax.value_and_grad(loss)).lower(arrays, windows).compile()
+    planned = compiled.memory_analysis()
+    asked = planned.temp_size_in_bytes + planned.argument_size_in_bytes
+    return {
+        "objects": count,
+        "steps": _STEPS,
+        "edges": "all pairs" if model.neighbours is None else "listed",
+        "rollout term": "yes" if with_rollout else "no",
+        "memory GiB": (asked + planned.output_size_in_bytes) / 2**30,
+        "compile s": time.perf_counter() - began,
+    }
+
+
+def main() -> None:
+    """Measure and say."""
+    told = arguments("Memory of a step of training.")
+    model = load_model(shipped_model("pickup")).model
+    counts = (100,) if told.quick else (100, 300, 1000)
+    rows = [measured(model, count, False) for count in counts]
+    rows += [
+        measured(listing(model, count), count, rollout)
+        for count in counts
+        for rollout in (False, True)
+    ]
+    report("training_memory", rows, told)
+
+
+if __name__ == "__main__":
+    main()

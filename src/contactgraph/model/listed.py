@@ -1,0 +1,151 @@
+"""Models for large scenes: the same ones, with room for the near pairs of such scenes."""
+
+import dataclasses
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import Generic, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from contactgraph.data.dataset import Dataset
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.neighbours import NeighbourLists, candidates, longest_ways
+from contactgraph.model.reach import Reach
+from contactgraph.model.state import Nodes
+from contactgraph.model.step_model import StepModel
+
+LISTED_FROM = 32
+"""Nodes from which a step with lists is surely the faster one: it is from about 20, by
+measurement."""
+
+_LOOKED_AT = 200
+"""States of a dataset, evenly spread, that say how much room its scenes need."""
+_SPARE = 1.5
+_GROWTH = 4
+
+_log = logging.getLogger(__name__)
+_Result = TypeVar("_Result")
+_Model = TypeVar("_Model", bound=StepModel)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Seen:
+    """One state of a scene."""
+
+    position: Float[Array, "N D"]
+    velocity: Float[Array, "N D"]
+    mask: Bool[Array, " N"]
+    anchor: Float[Array, "N D"] | None
+
+
+def with_neighbour_lists(
+    model: ContactDynamics,
+    position: Float[Array, "N D"],
+    velocity: Float[Array, "N D"],
+    nodes: Nodes,
+    spare: float = _SPARE,
+    group: int | None = 16,
+) -> ContactDynamics:
+    """The model with lists that have room for `spare` times what this scene needs.
+
+    Its predictions are those of `model`, but for rounding, as long as the scene does not get much
+    denser or faster; then they are NaN, and lists must be made anew. `group`: see
+    `NeighbourLists`. Raises `InvalidInputError` where the model's reach has no end.
+    """
+    # Refuses what has no end before that is asked for.
+    listed = dataclasses.replace(model, neighbours=NeighbourLists(1, 1, group))
+    edges, cell = _room(model, [_Seen(position, velocity, nodes.mask, nodes.anchor)], spare)
+    return dataclasses.replace(listed, neighbours=NeighbourLists(edges, cell, group))
+
+
+class GrowingLists(Generic[_Model]):
+    """A model with lists where scenes are large, whose room grows once where it is too small.
+
+    A scene is large from `LISTED_FROM` nodes on. A model that has lists already keeps to them: the
+    room it was given is the limit. A model without end to its reach looks at all pairs as ever, and
+    so does one that is no `ContactDynamics`.
+    """
+
+    def __init__(self, model: _Model, dataset: Dataset) -> None:
+        """`dataset`: recorded runs like those that are to be predicted."""
+        self.given = self.model = model
+        self._may_grow = False
+        count = max(run.scene.node_count for run in dataset)
+        if not isinstance(model, ContactDynamics) or count < LISTED_FROM:
+            return
+        if model.neighbours is None and isinstance(model.reach, Reach):
+            self._may_grow = True
+            edges, cell = _room(model, list(_states(dataset, count)), _SPARE)
+            self.model = dataclasses.replace(model, neighbours=NeighbourLists(edges, cell))
+
+    def until_finite(
+        self,
+        predict: Callable[[_Model], _Result],
+        finite: Callable[[_Result], bool],
+    ) -> _Result:
+        """What `predict` makes of the model; where that is not `finite`, of one with more room.
+
+        Room grows once for all calls: what is not finite with four times of it is so for another
+        reason.
+        """
+        found = predict(self.model)
+        if finite(found) or not self._may_grow:
+            return found
+        assert isinstance(self.model, ContactDynamics) and self.model.neighbours is not None
+        self._may_grow = False
+        before = self.model.neighbours
+        after = NeighbourLists(
+            edges=_GROWTH * before.edges,
+            cell=_GROWTH * before.cell,
+            group=None if before.group is None else _GROWTH * before.group,
+        )
+        _log.warning(
+            "a prediction is not finite: lists of near pairs grow from %s to %s, compiled anew",
+            before,
+            after,
+        )
+        self.model = dataclasses.replace(self.model, neighbours=after)
+        return predict(self.model)
+
+
+def _room(model: ContactDynamics, states: Iterable[_Seen], spare: float) -> tuple[int, int]:
+    """Room for `spare` times the most near pairs, and the most nodes in a cell, of these states."""
+    assert isinstance(model.reach, Reach)
+    far, dt = model.reach.far, model.dt
+
+    @partial(jax.jit, static_argnums=4)
+    def needed(
+        position: Array, velocity: Array, mask: Array, anchor: Array | None, room: int
+    ) -> tuple[Array, Array]:
+        way = longest_ways(position, velocity, None, anchor, dt)
+        found = candidates(position, way, mask, far, room)
+        return jnp.sum(found.near), found.fullest
+
+    def most(room: int) -> tuple[int, int]:
+        sizes = [needed(s.position, s.velocity, s.mask, s.anchor, room) for s in states]
+        near, fullest = np.max(np.asarray(sizes), axis=0)
+        return max(1, int(near)), max(1, int(fullest))
+
+    fullest = most(1)[1]
+    near = most(fullest)[0]
+    return int(np.ceil(spare * near)), int(np.ceil(spare * fullest))
+
+
+def _states(dataset: Dataset, count: int) -> Iterator[_Seen]:
+    """States of the runs, padded to `count` nodes."""
+    every = [(run, step) for run in dataset for step in range(run.steps + 1)]
+    for run, step in every[:: -(-len(every) // _LOOKED_AT)]:
+        more = ((0, count - run.scene.node_count), (0, 0))
+        anchor = None
+        if run.scene.anchor is not None:
+            anchor = jnp.asarray(np.pad(run.scene.anchor, more, constant_values=np.nan))
+        yield _Seen(
+            position=jnp.asarray(np.pad(run.position[step], more)),
+            velocity=jnp.asarray(np.pad(run.velocity[step], more)),
+            mask=jnp.arange(count) < run.scene.node_count,
+            anchor=anchor,
+        )

@@ -1,0 +1,102 @@
+"""Lists are chosen where scenes are large, and grow once where they are too small."""
+
+import dataclasses
+import logging
+import math
+
+import jax
+import numpy as np
+import pytest
+from evaluation_worlds import DT, GluedBodies, random_run
+
+from contactgraph.data import Dataset
+from contactgraph.evaluate import evaluate_open_loop
+from contactgraph.model import GrowingLists, NeighbourLists, gim_temp, listed, no_gim
+from contactgraph.train import FitStatus, Recipe, fit, initial_state
+
+COUNT = 6
+
+
+@pytest.fixture(scope="module")
+def apart() -> Dataset:
+    """A row of bodies, of which only neighbours are in reach of each other."""
+    run = random_run(COUNT, 4, 0)
+    row = 0.15 * np.arange(COUNT)[:, None] * np.array([1.0, 0.2])
+    return Dataset((dataclasses.replace(run, position=0.3 * run.position + row),))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return gim_temp(2, 2, DT, width=4, key=jax.random.key(0))
+
+
+@pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few bodies are many."""
+    monkeypatch.setattr(listed, "LISTED_FROM", COUNT)
+
+
+def test_small_scenes_have_no_lists(model, apart) -> None:
+    assert GrowingLists(model, apart).model is model
+
+
+@pytest.mark.usefixtures("large")
+def test_who_has_lists_in_large_scenes(model, apart) -> None:
+    lists = GrowingLists(model, apart)
+    assert lists.given is model
+    assert lists.model.neighbours is not None
+    assert COUNT - 1 < lists.model.neighbours.edges < 1.5 * COUNT * (COUNT - 1) / 2
+    given = dataclasses.replace(model, neighbours=NeighbourLists(3, 4))
+    for other in (given, no_gim(2, 2, DT, width=4, key=jax.random.key(0)), GluedBodies()):
+        assert GrowingLists(other, apart).model is other
+
+
+@pytest.mark.usefixtures("large")
+def test_room_grows_once_and_the_log_says_so(model, apart, caplog) -> None:
+    lists = GrowingLists(model, apart)
+    rooms = []
+
+    def predict(model) -> int:
+        rooms.append(model.neighbours)
+        return len(rooms)
+
+    assert lists.until_finite(predict, lambda found: found != 1) == 2
+    first, grown = rooms
+    assert (grown.edges, grown.cell, grown.group) == (4 * first.edges, 4 * first.cell, 64)
+    assert caplog.text.count("compiled anew") == 1
+    assert lists.until_finite(predict, lambda found: False) == 3
+    assert rooms[2] == grown
+    assert caplog.text.count("compiled anew") == 1
+
+
+@pytest.mark.usefixtures("large")
+def test_the_room_given_is_the_limit(model, apart) -> None:
+    given = dataclasses.replace(model, neighbours=NeighbourLists(3, 4))
+    calls = []
+    GrowingLists(given, apart).until_finite(calls.append, lambda found: False)
+    assert calls == [given]
+
+
+def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, caplog) -> None:
+    every = evaluate_open_loop(model, apart, horizon_s=2 * DT)
+    monkeypatch.setattr(listed, "LISTED_FROM", COUNT)
+    monkeypatch.setattr(listed, "_SPARE", 0.3)
+    with caplog.at_level(logging.WARNING):
+        near = evaluate_open_loop(model, apart, horizon_s=2 * DT)
+    assert caplog.text.count("compiled anew") == 1
+    assert near.diverged_windows == every.diverged_windows == 0
+    for name, value in every.to_json().items():
+        expected = value if value is None else pytest.approx(value, rel=1e-3)
+        assert near.to_json()[name] == expected, name
+
+
+@pytest.mark.usefixtures("large")
+def test_training_in_large_scenes_uses_lists(model, apart) -> None:
+    recipe = Recipe(steps=1, batch_size=2, window_length=2, rollout_from=1.0, bystanders=0)
+    state = initial_state(model, recipe, 0)
+    result = fit(state, apart, apart, recipe)
+    assert result.status is FitStatus.finished
+    assert math.isfinite(result.held_out_rmse_m)
+    # What was learned is a model for scenes of any size.
+    assert result.model.neighbours is None and result.state.model.neighbours is None
+    assert jax.tree.structure(result.state) == jax.tree.structure(state)
