@@ -1,7 +1,8 @@
 # make demo    from nothing to a report: environment, data, training, closed loop, page
 # make test    what CI runs: lint, format, types, tests
-# make bench   times of training, model, control tick and robot loop, exactness of tags, on this machine
-# make bench-peers   the differentiable LQR beside mpc.pytorch, in an environment of its own
+# make bench   times on this machine, and one table of ours beside its peers, where `make peers` was
+# make bench-quick   a few minutes: that all of the table runs; its figures are worth nothing
+# make peers   what the table compares with (torch, crocoddyl, mpc), in an environment of its own
 # make clean   remove what was made here (the environment too)
 #
 # make demo PYTHON=python3.12   another interpreter, 3.11 or newer
@@ -19,7 +20,7 @@ RUN := $(DEMO)/run
 TRAINED := $(DEMO)/.trained
 REPORT := report/index.html
 
-.PHONY: help demo test bench bench-peers clean
+.PHONY: help demo test bench bench-quick peers clean
 .DELETE_ON_ERROR:
 
 help:
@@ -61,9 +62,15 @@ bench: $(PACKAGE)
 	$(BIN)/python benchmarks/control_tick.py
 	$(BIN)/python benchmarks/robot_loop.py
 	$(BIN)/python benchmarks/tag_pose.py
+	$(COMPARE) --out results/performance
 
-bench-peers: $(PEERS)/.installed
-	$(PEERS)/bin/python benchmarks/differentiable_lqr.py
+bench-quick: $(PACKAGE)
+	$(COMPARE) --quick
+
+# With the peers where they are installed; else the table says which are missing.
+COMPARE = $(if $(wildcard $(PEERS)/.installed),$(PEERS),$(VENV))/bin/python benchmarks/table.py
+
+peers: $(PEERS)/.installed
 
 clean:
 	rm -rf $(VENV) $(PEERS) $(DEMO) report build src/contactgraph.egg-info
@@ -82,12 +89,13 @@ $(PACKAGE): pyproject.toml | $(BIN)/python
 	@touch $@
 
 # mpc asks for numpy below 2, but runs with newer ones: hence --no-deps. Where pip would choose a
-# torch for graphics cards, gigabytes large, name another: make bench-peers TORCH=torch==2.13.0+cpu
+# torch for graphics cards, gigabytes large, name another: make peers TORCH=torch==2.13.0+cpu
 TORCH ?= torch
 $(PEERS)/.installed: pyproject.toml benchmarks/requirements-peers.txt
-	@echo "== making $(PEERS): this package, torch and mpc"
+	@echo "== making $(PEERS): this package, torch, crocoddyl and mpc"
 	@$(PYTHON) -m venv $(PEERS)
-	@$(PEERS)/bin/python -m pip --disable-pip-version-check --quiet install -e . '$(TORCH)'
+	@$(PEERS)/bin/python -m pip --disable-pip-version-check --quiet install -e . '$(TORCH)' \
+		'crocoddyl>=3.2'
 	@$(PEERS)/bin/python -m pip --disable-pip-version-check --quiet install --no-deps \
 		-r benchmarks/requirements-peers.txt
 	@touch $@

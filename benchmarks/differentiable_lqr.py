@@ -3,27 +3,22 @@
 Usage: python benchmarks/differentiable_lqr.py [--quick] [--json FILE]
 
 One forward pass and one backward pass, for given slopes of the loss, through 200 steps of 40
-problems with 8 states and 2 controls, on one core: by the adjoint rule of `lqr_trajectory`, by
-autodiff through the same Riccati scan, and by mpc.pytorch (package ``mpc``) with its own implicit
-rule, told that one LQR step is enough. Gradients are with respect to dynamics, cost and start.
-The ways take turns, so that whatever else the machine does meets all of them. ``mpc`` needs an
-environment of its own: ``make bench-peers``; without it its row is left out.
+problems with 8 states and 2 controls, on one core: by the adjoint rule of `lqr_trajectory` (the
+batch in the last axis, and in the first), by autodiff through the same Riccati scan, and by
+mpc.pytorch (package ``mpc``) with its own implicit rule, told that one LQR step is enough.
+Gradients are with respect to dynamics, cost and start; trajectories and gradients are compared.
 """
 
-import os
-
-if hasattr(os, "sched_setaffinity"):  # Before JAX and torch count the cores.
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-
-import time
+import one_core  # noqa: F401, I001  before JAX
 from collections.abc import Callable
-from importlib.metadata import version
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from comparing import Missing, Way, compared
+from lqr_sample import MPCTorch
 from measuring import arguments, report
 
 from contactgraph.control import LQRProblem, LQRTrajectory, lqr_trajectory, solve_lqr
@@ -71,8 +66,10 @@ def through_the_scan(problem: LQRProblem, start: jax.Array) -> LQRTrajectory:
     return LQRTrajectory(jnp.concatenate([states, last[None]]), controls)
 
 
-def with_jax(solver: Callable, axis: int, data: tuple) -> Callable[[], Answer]:
-    """One run of a solver, the batch kept in this axis of every array."""
+def with_jax(
+    name: str, solver: Callable, axis: int, data: tuple, answer: Callable[[Answer], Answer]
+) -> Way:
+    """A solver of ours, the batch kept in this axis of every array."""
     placed = jax.tree.map(lambda leaf: jnp.asarray(np.moveaxis(leaf, 0, axis)), data)
 
     @jax.jit
@@ -81,53 +78,34 @@ def with_jax(solver: Callable, axis: int, data: tuple) -> Callable[[], Answer]:
         trajectory, pull = jax.vjp(batched, problem, start)
         return trajectory, pull(slopes)
 
-    return lambda: jax.block_until_ready(both(*placed))
+    return Way(name, lambda: jax.block_until_ready(both(*placed)), answer)
 
 
-def with_mpc(data: tuple) -> tuple[str, Callable[[], Any], Callable[[Any], Answer]] | None:
-    """Its name, one run, and what a run returned as an `Answer`; None if it is not installed."""
-    try:
-        import torch
-        from mpc import mpc
-    except ImportError as missing:
-        print(f"mpc.pytorch is left out: {missing} (make bench-peers installs it apart)")
-        return None
-    torch.set_num_threads(1)
+def with_mpc(data: tuple) -> Way | Missing:
+    """mpc.pytorch."""
     problem, start, slopes = data
-    n, steps = STATES, HORIZON + 1  # It has a control after the last step, too: ours is zero.
-    cost = np.zeros((BATCH, steps, n + CONTROLS, n + CONTROLS), np.float32)
-    cost[..., :n, :n], cost[:, :-1, n:, n:] = problem.Q, problem.R
-    cost[:, -1, n:, n:] = np.eye(CONTROLS)
-    linear = np.zeros((BATCH, steps, n + CONTROLS), np.float32)
-    linear[..., :n], linear[:, :-1, n:] = problem.q, problem.r
-    dynamics = np.concatenate([problem.A, problem.B], axis=-1)
-    x_slope, u_slope = slopes.states, np.pad(slopes.controls, ((0, 0), (0, 1), (0, 0)))
+    try:
+        peer = MPCTorch(problem, start)
+    except ImportError as missing:
+        return Missing("mpc", str(missing))
+    import torch
 
-    def tensor(array: np.ndarray) -> Any:
-        return torch.tensor(np.ascontiguousarray(array.swapaxes(0, 1)), requires_grad=True)
-
-    C, c, F, f = (tensor(array) for array in (cost, linear, dynamics, problem.offset))
-    first = torch.tensor(start, requires_grad=True)
-    along = [tensor(x_slope).detach(), tensor(u_slope).detach()]
-    solver = mpc.MPC(
-        n,
-        CONTROLS,
-        steps,
-        lqr_iter=1,
-        max_linesearch_iter=1,
-        verbose=-1,
-        exit_unconverged=False,
-        detach_unconverged=False,
-    )
+    leaves = [peer.C, peer.c, peer.F, peer.f, peer.start]
+    for leaf in leaves:
+        leaf.requires_grad_()
+    along = [
+        torch.tensor(np.ascontiguousarray(slope.swapaxes(0, 1)))
+        for slope in (slopes.states, np.pad(slopes.controls, ((0, 0), (0, 1), (0, 0))))
+    ]
 
     def run() -> Any:
-        states, controls, _ = solver(first, mpc.QuadCost(C, c), mpc.LinDx(F, f))
-        return states, controls, torch.autograd.grad([states, controls], [C, c, F, f, first], along)
+        states, controls = peer.solve()
+        return states, controls, torch.autograd.grad([states, controls], leaves, along)
 
     def answer(returned: Any) -> Answer:
-        states, controls, slopes = returned
+        n = STATES
         states, controls, dC, dc, dF, df = (
-            array.detach().numpy().swapaxes(0, 1) for array in (states, controls, *slopes[:4])
+            array.detach().numpy().swapaxes(0, 1) for array in (*returned[:2], *returned[2][:4])
         )
         gradients = LQRProblem(
             A=dF[..., :n],
@@ -138,16 +116,9 @@ def with_mpc(data: tuple) -> tuple[str, Callable[[], Any], Callable[[Any], Answe
             q=dc[..., :n],
             r=dc[:, :-1, n:],
         )
-        return LQRTrajectory(states, controls[:, :-1]), (gradients, slopes[4].numpy())
+        return LQRTrajectory(states, controls[:, :-1]), (gradients, returned[2][4].numpy())
 
-    name = f"mpc {version('mpc')}, torch {torch.__version__}, {torch.get_num_threads()} thread"
-    return name, run, answer
-
-
-def difference(answer: Any, reference: Any) -> float:
-    """The largest over all leaves, as a fraction of the leaf's largest entry."""
-    parts = jax.tree.map(lambda a, b: np.max(np.abs(a - b)) / np.max(np.abs(b)), answer, reference)
-    return float(max(jax.tree.leaves(parts)))
+    return Way(peer.name, run, answer)
 
 
 def symmetric(answer: Answer) -> Answer:
@@ -159,44 +130,23 @@ def symmetric(answer: Answer) -> Answer:
     )
 
 
+def batch_first(answer: Answer) -> Answer:
+    """From the batch in the last axis."""
+    return jax.tree.map(lambda leaf: np.moveaxis(leaf, -1, 0), answer)
+
+
 def main() -> None:
     """Measure and say."""
     told = arguments("Time of a differentiable LQR, forwards and backwards.")
     data = sample()
-    ours, first = "adjoint rule", "adjoint rule, batch first"
-    runs: dict[str, Callable[[], Any]] = {
-        ours: with_jax(lqr_trajectory, -1, data),
-        first: with_jax(lqr_trajectory, 0, data),
-        "autodiff of the scan": with_jax(through_the_scan, 0, data),
-    }
-    to_answer: dict[str, Callable[[Any], Answer]] = {
-        ours: lambda given: jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), given),
-        first: lambda given: given,
-        "autodiff of the scan": symmetric,
-    }
-    if (peer := with_mpc(data)) is not None:
-        runs[peer[0]], to_answer[peer[0]] = peer[1], peer[2]
-
-    answers = {name: to_answer[name](run()) for name, run in runs.items()}  # compiles, too
-    seconds: dict[str, list[float]] = {name: [] for name in runs}
-    for _ in range(3 if told.quick else 30):
-        for name, run in runs.items():
-            run()  # With its own data and code in the caches again.
-            began = time.perf_counter()
-            run()
-            seconds[name].append(time.perf_counter() - began)
-    rows = [
-        {
-            "way": name,
-            "median ms": 1e3 * float(np.median(seconds[name])),
-            "fastest ms": 1e3 * min(seconds[name]),
-            "times as long": float(np.median(np.divide(seconds[name], seconds[ours]))),
-            "trajectory differs by": f"{difference(answer[0], answers[ours][0]):.0e}",
-            "gradients differ by": f"{difference(answer[1], answers[ours][1]):.0e}",
-        }
-        for name, answer in answers.items()
+    ours = with_jax("adjoint rule", lqr_trajectory, -1, data, batch_first)
+    others = [
+        with_jax("the same, batch first", lqr_trajectory, 0, data, lambda given: given),
+        with_jax("autodiff of the scan", through_the_scan, 0, data, symmetric),
+        with_mpc(data),
     ]
-    report("differentiable_lqr", rows, told)
+    what = f"LQR and gradient, T = {HORIZON}, U = {CONTROLS}, n = {STATES}, batch {BATCH}"
+    report("differentiable_lqr", compared(what, ours, others, told.quick), told)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What both benchmarks share: the machine, counting compilations, the table, the JSON file."""
+"""What the benchmarks share: the machine, counting compilations, the table, the JSON file."""
 
 import argparse
 import json
@@ -65,6 +65,8 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _text(value: Any) -> str:
+    if value is None:
+        return "-"
     if not isinstance(value, float):
         return str(value)
     return f"{value:.2f}" if abs(value) < 100 else f"{value:,.0f}"

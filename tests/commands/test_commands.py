@@ -49,7 +49,7 @@ def done(*arguments: object) -> None:
 
 
 def test_the_real_entry_point() -> None:
-    command = [sys.executable, "-c", "from contactgraph.cli import main; main()"]
+    command = [sys.executable, "-m", "contactgraph"]
     told = subprocess.run([*command, "info", "pickup"], capture_output=True, text=True)
     assert told.returncode == 0
     assert told.stderr == ""

@@ -2,6 +2,7 @@
 
 import itertools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +12,8 @@ from control_models import blocks
 from contactgraph.control import ControlLimits, LQRProblem, solve_lqr
 from contactgraph.control.control_step import bounded_minimum, solve_small
 from contactgraph.control.lqr import improve_policy
-from contactgraph.control.rollout import block_index, block_product
+from contactgraph.control.riccati_form import block_form, dense_form
+from contactgraph.control.rollout import block_index, in_blocks
 
 
 @pytest.fixture(autouse=True)
@@ -72,7 +74,9 @@ def kkt_solution(problem: LQRProblem, start: np.ndarray) -> tuple[np.ndarray, np
     return answer[:xs].reshape(-1, n), answer[xs : xs + us].reshape(-1, U)
 
 
-@pytest.mark.parametrize(("seed", "n", "U"), [(0, 6, 2), (1, 4, 1), (2, 8, 3), (3, 5, 7)])
+@pytest.mark.parametrize(
+    ("seed", "n", "U"), [(0, 6, 2), (1, 4, 1), (2, 8, 3), (3, 5, 7), (4, 20, 2)]
+)
 def test_equals_the_dense_kkt_solution(seed, n, U):
     problem = random_problem(seed, n=n, U=U)
     start = np.random.default_rng(seed).normal(size=n)
@@ -127,9 +131,11 @@ def test_no_step_is_left_at_the_optimum():
         np.testing.assert_allclose(again.expected_decrease, 0.0, atol=1e-12)
 
 
-def test_block_diagonal_form_equals_the_dense_one():
+@pytest.mark.parametrize(("N", "U"), [(3, 2), (5, 2), (6, 1), (7, 3)])
+def test_block_diagonal_form_equals_the_dense_one(N, U):
+    """Up to 16 states in sums, above in quadrants."""
     rng = np.random.default_rng(8)
-    horizon, N, D, U = 10, 5, 2, 2
+    horizon, D = 10, 2
     shape = (horizon, N, D)
     linear = blocks(
         *(jnp.asarray(rng.normal(size=shape)) for _ in range(2)),
@@ -141,20 +147,40 @@ def test_block_diagonal_form_equals_the_dense_one():
     dense = LQRProblem(A, B, offset, dense.Q, dense.R, dense.q, dense.r)
     index = block_index(jnp.arange(N), D)
     assert sorted(np.asarray(index).tolist()) == list(range(2 * N * D))
+    np.testing.assert_array_equal(in_blocks(linear)[1], B[:, index])
     block = LQRProblem(
-        linear.A,
-        B[:, index],
-        offset[:, index],
+        *in_blocks(linear),
         dense.Q[:, index[:, None], index],
         dense.R,
         dense.q[:, index],
         dense.r,
     )
     expected, value = solve_lqr(dense)
-    found, block_value = solve_lqr(block, block_product)
+    found, block_value = solve_lqr(block, block_form)
     np.testing.assert_allclose(found.K, expected.K[:, :, index], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.k, expected.k, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(block_value.constant, value.constant, rtol=1e-9, atol=1e-9)
+    matrix = value.P[:, index[:, None], index]
+    np.testing.assert_allclose(block_value.P, matrix, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("form", [dense_form, block_form])
+def test_rounding_does_not_grow_where_the_dynamics_are_unstable(form):
+    """Without feedback a state doubles in every step; what is antisymmetric in P would, too."""
+    rng = np.random.default_rng(9)
+    horizon, half = 60, 10
+    n = 2 * half
+    blocks = 1.8 * np.eye(2)[:, :, None] + 0.3 * rng.normal(size=(horizon, 2, 2, half))
+    dense = np.block([[blocks[:, i, j][:, :, None] * np.eye(half) for j in (0, 1)] for i in (0, 1)])
+    given = random_problem(9, horizon, n, n // 2)
+    exact = solve_lqr(eqx.tree_at(lambda p: p.A, given, jnp.asarray(dense)))[0]
+    A = jnp.asarray(blocks if form is block_form else dense)
+    single = jax.tree.map(
+        lambda leaf: leaf.astype(jnp.float32), eqx.tree_at(lambda p: p.A, given, A)
+    )
+    found = solve_lqr(single, form)[0]
+    scale = np.max(np.abs(exact.K))
+    np.testing.assert_allclose(found.K, exact.K, atol=1e-3 * scale)
 
 
 @pytest.mark.parametrize("size", range(1, 9))

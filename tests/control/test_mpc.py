@@ -130,7 +130,8 @@ def test_a_measured_contact_corrects_the_belief_and_changes_the_plan(mpc, start)
     observation["position"][0] = [-0.05, 0.1]
     touching = np.zeros((3, 3))
     touching[0, 1] = touching[1, 0] = 1.0
-    believing = dataclasses.replace(start, belief=two_type_belief(jnp.full(6, 0.3)))
+    half_sure = dataclasses.replace(start.memory, belief=two_type_belief(jnp.full(6, 0.3)))
+    believing = dataclasses.replace(start, memory=half_sure)
     plans = {}
     for name, contacts in (("none", np.zeros((3, 3))), ("touch", touching), ("unknown", None)):
         plans[name], after = mpc.step(observation, contacts, believing)
@@ -148,7 +149,8 @@ def test_the_belief_is_corrected_by_bayes_rule():
 
 
 def test_contacts_may_be_measured_in_part(mpc, start):
-    believing = dataclasses.replace(start, belief=two_type_belief(jnp.full(6, 0.3)))
+    half_sure = dataclasses.replace(start.memory, belief=two_type_belief(jnp.full(6, 0.3)))
+    believing = dataclasses.replace(start, memory=half_sure)
     contacts = np.full((3, 3), np.nan)
     contacts[0, 1] = 1.0  # the other direction stays unmeasured
     plan, _ = mpc.step(scene(), contacts, believing)
@@ -217,9 +219,8 @@ def test_the_last_plan_is_the_guess(mpc, start):
     motion = {k: v for k, v in scene(CAPACITY).items() if k != "goal"}
     moved, _ = advance(motion, first.controls[0], nodes_of(3, CAPACITY), jnp.zeros(6))
     warm, _ = mpc.step(moved, None, state)
-    cold = dataclasses.replace(
-        state, plan=jax.tree.map(lambda leaf: jnp.zeros_like(leaf), state.plan)
-    )
+    nothing = jax.tree.map(lambda leaf: jnp.zeros_like(leaf), state.plan)
+    cold = dataclasses.replace(state, memory=dataclasses.replace(state.memory, plan=nothing))
     again, _ = mpc.step(moved, None, cold)
     assert int(warm.iterations) < int(again.iterations)
 

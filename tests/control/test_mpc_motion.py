@@ -1,5 +1,7 @@
 """MPC that learns of contacts from motion: with what was applied, and only where it is asked to."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -87,9 +89,10 @@ def test_without_it_nothing_but_measured_contacts_counts(model) -> None:
     _, state = mpc.step(seen([0.0, 0.0]), None, state)
     plan, after = mpc.step(seen([0.1, 0.1]), None, state)
     # Whatever was seen and applied before.
-    forgetful = eqx.tree_at(
-        lambda s: (s.seen.position, s.seen.told), state, replace_fn=jnp.ones_like
+    memory = eqx.tree_at(
+        lambda m: (m.seen.position, m.seen.told), state.memory, replace_fn=jnp.ones_like
     )
+    forgetful = replace(state, memory=memory)
     other, _ = mpc.step(seen([0.1, 0.1]), None, forgetful, PUSH)
     assert eqx.tree_equal(plan, other)
     np.testing.assert_array_equal(after.seen.belief.probability, state.belief.probability)

@@ -1,16 +1,18 @@
 """``contactgraph collect``: record runs of a task."""
 
-import itertools
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
 
 @dataclass(frozen=True)
 class Collect:
-    """Record runs of a task by its scripted expert, and write them to a dataset file."""
+    """Record runs of a task by its scripted expert, and write them to a dataset file.
+
+    Where it was interrupted, the same command goes on.
+    """
 
     task: Positional[Annotated[str, arg(metavar="TASK")]]
     """The task: pickup, multi-pickup, door or franka (an arm; needs the extra mujoco)."""
@@ -51,6 +53,7 @@ class Collect:
             mixed_factories,
             task_factory,
         )
+        from contactgraph.commands.unfinished_runs import UnfinishedRuns
         from contactgraph.data import InvalidInputError, Metadata, write_trajectories
         from contactgraph.tasks import RestPolicy
         from contactgraph.tasks.collect import collect, fixed_seed
@@ -82,15 +85,22 @@ class Collect:
         policies = [expert() for _ in range(experts)]
         policies += [task.explorer() for _ in range(explores)]
         policies += [RestPolicy() for _ in range(rests)]
-        with engine_of(self.cluster) as engine, progress("collecting", self.episodes) as steps:
-            done = itertools.count(1)
+        unfinished = UnfinishedRuns(self.out, self._inputs())
+        if unfinished.found:
+            say(f"{self.out}: goes on after {len(unfinished.found)} of {self.episodes} runs")
+        with (
+            engine_of(self.cluster) as engine,
+            progress("collecting", self.episodes) as steps,
+            unfinished,
+        ):
             runs = collect(
                 factories,
                 policies,
                 self.episodes,
                 self.seed,
-                on_episode=lambda _: steps.advance(next(done)),
+                on_episode=lambda run: steps.advance(unfinished.add(run)),
                 engine=engine,
+                recorded=unfinished.found,
             )
         metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
         if self.mixed:
@@ -98,7 +108,14 @@ class Collect:
         if demonstrates:
             metadata["expert"] = self.expert
         write_trajectories(self.out, runs, metadata)
+        unfinished.remove()
         say(f"{self.out}: {len(runs)} runs of {self.task}, seed {self.seed}")
         if experts:
             succeeded = sum(bool(run.scene.metadata["success"]) for run in runs[:experts])
             say(f"the expert succeeded in {succeeded} of {experts} runs")
+
+    def _inputs(self) -> dict[str, Any]:
+        """All on which the runs depend; not where they are written, nor by whom."""
+        inputs = asdict(self)
+        del inputs["out"], inputs["cluster"]
+        return inputs

@@ -9,7 +9,9 @@ from contactgraph.control.control_step import ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.lqr import Improvement, LQRPolicy, LQRProblem, improve_policy
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.rollout import Rollout, block_index, block_product, roll_out
+from contactgraph.control.riccati_form import block_form
+from contactgraph.control.rollout import Rollout, block_index, in_blocks, roll_out
+from contactgraph.control.swept import Swept
 from contactgraph.model import ModelState, Nodes, StepModel, stack_state
 
 _RUNNING = -1
@@ -64,6 +66,21 @@ class ILQR(eqx.Module):
         ITERATION_LIMIT, NO_DESCENT or NOT_FINITE; with NOT_FINITE neither the guess nor zero
         control could be rolled out, and the controls are zero (or the nearest within limits).
         """
+        return self.search(model, state, nodes, cost, guess)[0]
+
+    def search(
+        self,
+        model: StepModel,
+        state: ModelState,
+        nodes: Nodes,
+        cost: Cost,
+        guess: LQRPolicy | None = None,
+        dt: float = 0.0,
+    ) -> tuple[Plan, Swept]:
+        """As `solve`, and where all that was tried on the way to the plan led.
+
+        ``dt`` [s] is the model's step, in which bodies are told to meet.
+        """
         count, dimension = state.position.shape
         quadratic = cost.quadratic(count)
         involved = jnp.arange(count) if quadratic.involved is None else quadratic.involved
@@ -86,16 +103,21 @@ class ILQR(eqx.Module):
             iteration=jnp.zeros((), jnp.int32),
             status=jnp.full((), _RUNNING, jnp.int32),
         )
+        Carry = tuple[_Search, Swept]
 
-        def advance(search: _Search) -> _Search:
+        def advance(carry: Carry) -> Carry:
+            search, swept = carry
             rollout = roll_out(model, state, nodes, search.trial, self.limits, involved)
-            return self._judge(search, rollout, part)
+            told = swept.with_rollout(search.iteration, rollout, nodes, dt)
+            return self._judge(search, rollout, part), told
 
-        def running(search: _Search) -> Bool[Array, ""]:
+        def running(carry: Carry) -> Bool[Array, ""]:
+            search, _ = carry
             return (search.status == _RUNNING) & (search.iteration < self.iterations)
 
-        search = jax.lax.while_loop(running, advance, search)
-        return self._plan(search, index, 2 * state.position.size)
+        begin = search, Swept.nowhere(self.iterations, self.horizon, state.position)
+        search, swept = jax.lax.while_loop(running, advance, begin)
+        return self._plan(search, index, 2 * state.position.size), swept
 
     def _judge(self, search: "_Search", rollout: Rollout, part: QuadraticCost) -> "_Search":
         """Accept or reject what the trial led to, and choose the next trial."""
@@ -143,19 +165,18 @@ class ILQR(eqx.Module):
         self, reference: Rollout, part: QuadraticCost, damping: Float[Array, ""]
     ) -> Improvement:
         Q, R, goal = part.over(self.horizon)
-        dynamics = reference.dynamics
-        size = goal.shape[-1]
+        A, B, offset = in_blocks(reference.dynamics)
         problem = LQRProblem(
-            A=dynamics.A,
-            B=dynamics.B.reshape(self.horizon, size, -1),
-            offset=dynamics.offset.reshape(self.horizon, size),
+            A=A,
+            B=B,
+            offset=offset,
             Q=Q,
             R=R,
             q=-jnp.einsum("tij,tj->ti", Q, goal),
             r=jnp.zeros(R.shape[:-1], R.dtype),
         )
         return improve_policy(
-            problem, reference.x[:-1], reference.controls, damping, self.limits, block_product
+            problem, reference.x[:-1], reference.controls, damping, self.limits, block_form
         )
 
     def _plan(self, search: "_Search", index: Int[Array, " m"], size: int) -> Plan:
@@ -176,6 +197,7 @@ class ILQR(eqx.Module):
             cost=search.cost,
             status=jnp.where(out_of_time, PlanStatus.ITERATION_LIMIT, search.status),
             iterations=search.iteration,
+            who=jnp.arange(size // (2 * reference.position.shape[-1]), dtype=jnp.int32),
         )
 
     def _nothing(self, control_size: int, dtype: jnp.dtype) -> Float[Array, "H U"]:

@@ -17,16 +17,17 @@ Notation, at one step (t is left out; a dash marks the step after)::
 With controls held at a limit, their rows of K are zero and the same two last lines hold, since
 ``K^T (S K + G) = 0`` and ``K^T (S k + g) = 0`` still do.
 
-The only product with A is ``A^T X`` (P is symmetric), so one function argument makes the pass
-dense or block diagonal.
+How P is kept and multiplied is a `RiccatiForm`: one function argument makes the pass dense or block
+diagonal.
 """
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from contactgraph.control.control_step import (
     ControlLimits,
@@ -34,9 +35,16 @@ from contactgraph.control.control_step import (
     free_part,
     solve_small,
 )
+from contactgraph.control.riccati_form import (
+    Ahead,
+    Curvature,
+    Form,
+    RiccatiForm,
+    dense_form,
+    dense_product,
+)
 
-TransposeProduct = Callable[[Array, Float[Array, "n m"]], Float[Array, "n m"]]
-"""``A^T X`` from one step's A, however that is stored, and ``X``."""
+_Arrays = TypeVar("_Arrays")
 
 
 class LQRPolicy(eqx.Module):
@@ -68,7 +76,7 @@ class LQRProblem(eqx.Module):
     """Dynamics and cost of all steps, in the notation at the head of this file."""
 
     A: Float[Array, "H ..."]
-    """[H, n, n], or whatever the `TransposeProduct` in use understands."""
+    """[H, n, n], or whatever the `RiccatiForm` in use understands."""
     B: Float[Array, "H n U"]
     offset: Float[Array, "H n"]
     Q: Float[Array, "H+1 n n"]
@@ -91,34 +99,26 @@ class _ControlProblem(eqx.Module):
     """Cost-to-go of one step as a function of u and x."""
 
     S: Float[Array, "U U"]
-    G: Float[Array, "U n"]
     g: Float[Array, " U"]
-    P: Float[Array, "n n"]
-    """``Q + A^T P' A``: before the control's part is taken off."""
-    p: Float[Array, " n"]
-    w: Float[Array, " n"]
+    ahead: Ahead
 
 
-def dense_product(A: Float[Array, "n n"], X: Float[Array, "n m"]) -> Float[Array, "n m"]:
-    """``A^T X`` for a dense A."""
-    return A.T @ X
-
-
-def solve_lqr(
-    problem: LQRProblem, transpose_product: TransposeProduct = dense_product
-) -> tuple[LQRPolicy, QuadraticValue]:
+def solve_lqr(problem: LQRProblem, form: Form = dense_form) -> tuple[LQRPolicy, QuadraticValue]:
     """The optimal policy, and the value of every state at every step ``0 … H``."""
+    riccati = form(problem.B.shape[1])
 
-    def back(value: QuadraticValue, stage: LQRProblem) -> tuple[QuadraticValue, tuple]:
-        now = _control_problem(value.P, value.p, stage, transpose_product)
-        both = -solve_small(now.S, jnp.concatenate([now.G, now.g[:, None]], axis=1))
+    def back(carry: tuple, stage: LQRProblem, step: Array) -> tuple[tuple, tuple]:
+        P, p, constant = carry
+        now = _control_problem(P, p, stage, riccati)
+        both = -solve_small(now.S, jnp.concatenate([now.ahead.G, now.g[:, None]], axis=1))
         policy = LQRPolicy(both[:, :-1], both[:, -1])
-        constant = value.constant + stage.offset @ (now.w + value.p) + now.g @ policy.k
-        before = QuadraticValue(*_before(now, policy), constant)
-        return before, (policy, before)
+        constant = constant + stage.offset @ (now.ahead.w + p) + now.g @ policy.k
+        P, p = _before(now, stage, policy, step, riccati)
+        return (P, p, constant), (policy, QuadraticValue(riccati.matrix(P), p, constant))
 
     final = QuadraticValue(problem.Q[-1], problem.q[-1], jnp.zeros((), problem.Q.dtype))
-    _, (policy, values) = jax.lax.scan(back, final, _stages(problem), reverse=True)
+    carry = (riccati.curvature(final.P), final.p, final.constant)
+    policy, values = _backwards(back, carry, problem, riccati)
     appended = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), values, final)
     return policy, appended
 
@@ -129,7 +129,7 @@ def improve_policy(
     controls: Float[Array, "H U"],
     damping: Float[Array, ""],
     limits: ControlLimits | None,
-    transpose_product: TransposeProduct = dense_product,
+    form: Form = dense_form,
 ) -> Improvement:
     """The optimal policy near a reference: limits are judged at its states.
 
@@ -137,68 +137,83 @@ def improve_policy(
     ``damping * trace(S)/U * |u - reference|^2`` to each step's cost, so that a larger one answers
     with a smaller step and the reference itself costs what it did.
     """
+    riccati = form(problem.B.shape[1])
 
-    def back(value: tuple[Array, Array], inputs: tuple) -> tuple[tuple[Array, Array], tuple]:
-        stage, x, u = inputs
-        now = _control_problem(*value, stage, transpose_product)
+    def back(carry: tuple, stage: LQRProblem, index: Array) -> tuple[tuple, tuple]:
+        P, p = carry
+        x, u = _at((states, controls), index)
+        now = _control_problem(P, p, stage, riccati)
+        G = now.ahead.G
         weight = damping * jnp.trace(now.S) / u.shape[0]
         S = now.S + weight * jnp.eye(u.shape[0], dtype=u.dtype)
-        slope = now.G @ x + now.g - weight * u
+        slope = G @ x + now.g - weight * u
         if limits is None:
-            both = -solve_small(S, jnp.concatenate([now.G, slope[:, None]], axis=1))
+            both = -solve_small(S, jnp.concatenate([G, slope[:, None]], axis=1))
             K, target = both[:, :-1], both[:, -1]
         else:
             target, free = bounded_minimum(S, slope, limits)
-            K = -solve_small(free_part(S, free), jnp.where(free[:, None], now.G, 0.0))
+            K = -solve_small(free_part(S, free), jnp.where(free[:, None], G, 0.0))
         policy = LQRPolicy(K, target - K @ x)
         step = target - u
         # V(reference) - V(target) of a quadratic with curvature S and slope at the target.
         half_slope = jnp.sum(S * target, axis=-1) + slope
         decrease = jnp.sum(step * (jnp.sum(S * step, axis=-1) - 2.0 * half_slope))
-        return _before(now, policy), (policy, step, decrease)
+        return _before(now, stage, policy, index, riccati), (policy, step, decrease)
 
-    final = (problem.Q[-1], problem.q[-1])
-    _, (policy, step, decrease) = jax.lax.scan(
-        back, final, (_stages(problem), states, controls), reverse=True
-    )
+    carry = (riccati.curvature(problem.Q[-1]), problem.q[-1])
+    policy, step, decrease = _backwards(back, carry, problem, riccati)
     return Improvement(policy, step, jnp.maximum(jnp.sum(decrease), 0.0))
 
 
-def _stages(problem: LQRProblem) -> LQRProblem:
-    """The problem without its last state cost: H stages."""
-    return LQRProblem(
-        problem.A,
-        problem.B,
-        problem.offset,
-        problem.Q[:-1],
-        problem.R,
-        problem.q[:-1],
-        problem.r,
+def _backwards(
+    back: Callable[[tuple, LQRProblem, Array], tuple[tuple, tuple]],
+    carry: tuple,
+    problem: LQRProblem,
+    form: RiccatiForm,
+) -> tuple:
+    """``back`` from the last step to the first; what it gave beside the carry, [H, …].
+
+    The carry begins with P, which is made symmetric after every few steps: in a loop of its own,
+    since a conditional around P would copy it in every step. Steps are read out of the problem's
+    own arrays, of which a slice without the last state's cost would be a copy.
+    """
+    horizon = problem.B.shape[0]
+    few = max(size for size in range(1, form.symmetric_every + 1) if horizon % size == 0)
+
+    def step(carry: tuple, index: Array) -> tuple[tuple, tuple]:
+        return back(carry, _at(problem, index), index)
+
+    def steps(carry: tuple, indices: Array) -> tuple[tuple, tuple]:
+        (P, *rest), told = jax.lax.scan(step, carry, indices, reverse=True)
+        return (form.symmetric(P), *rest), told
+
+    indices = jnp.arange(horizon).reshape(-1, few)
+    told = jax.lax.scan(steps, carry, indices, reverse=True)[1]
+    return jax.tree.map(lambda leaf: leaf.reshape(horizon, *leaf.shape[2:]), told)
+
+
+def _at(arrays: _Arrays, index: Array) -> _Arrays:
+    """One step's part of arrays of all steps."""
+    return jax.tree.map(
+        lambda leaf: jax.lax.dynamic_index_in_dim(leaf, index, keepdims=False), arrays
     )
 
 
 def _control_problem(
-    P: Array, p: Array, stage: LQRProblem, transpose_product: TransposeProduct
+    P: Curvature, p: Array, stage: LQRProblem, form: RiccatiForm
 ) -> _ControlProblem:
-    size = P.shape[0]
-    # Products with the same matrix are taken together: in a scan of small steps it is the
-    # number of operations that costs, not their size.
-    onward = P @ jnp.concatenate([stage.B, stage.offset[:, None]], axis=1)
-    PB, w = onward[:, :-1], onward[:, -1] + p
-    onward = jnp.concatenate([PB, w[:, None]], axis=1)
-    pulled = transpose_product(stage.A, jnp.concatenate([P, onward], axis=1))
-    slopes = stage.B.T @ onward
-    return _ControlProblem(
-        S=stage.R + slopes[:, :-1],
-        G=pulled[:, size:-1].T,
-        g=stage.r + slopes[:, -1],
-        P=stage.Q + transpose_product(stage.A, pulled[:, :size].T),
-        p=stage.q + pulled[:, -1],
-        w=w,
-    )
+    ahead = form.ahead(P, p, stage.A, stage.B, stage.offset)
+    slopes = dense_product(stage.B, jnp.concatenate([ahead.PB, ahead.w[:, None]], axis=1))
+    return _ControlProblem(stage.R + slopes[:, :-1], stage.r + slopes[:, -1], ahead)
 
 
-def _before(now: _ControlProblem, policy: LQRPolicy) -> tuple[Array, Array]:
-    """P and p of this step, P symmetric to the last bit."""
-    P = now.P + now.G.T @ policy.K
-    return 0.5 * (P + P.T), now.p + now.G.T @ policy.k
+def _before(
+    now: _ControlProblem,
+    stage: LQRProblem,
+    policy: LQRPolicy,
+    step: Int[Array, ""],
+    form: RiccatiForm,
+) -> tuple[Curvature, Array]:
+    """P and p of this step."""
+    P = form.before(now.ahead, stage.A, stage.Q, policy.K, step)
+    return P, stage.q + now.ahead.slope + jnp.sum(now.ahead.G * policy.k[:, None], axis=0)

@@ -12,6 +12,10 @@ Observation = Mapping[str, np.ndarray]
 so that a task's observation can be handed over as it is."""
 
 
+Motion = tuple[np.ndarray, np.ndarray]
+"""Position m and velocity m/s of all nodes, each [N, D]."""
+
+
 class MeasurementReader:
     """Pads measurements to the capacity of ``N`` nodes and lists contacts by edge."""
 
@@ -19,44 +23,59 @@ class MeasurementReader:
         self.capacity = capacity
         self.dimension = dimension
         self.dtype = dtype
-        pairs = pair_indices(capacity)
-        self._first, self._second = pairs[:, 0], pairs[:, 1]
-        self._unmeasured = np.full(len(pairs), np.nan, dtype)
+        self._pairs: dict[int, np.ndarray] = {}
 
-    def motion(self, observation: Observation) -> tuple[np.ndarray, np.ndarray]:
-        """Position and velocity, each [N, D]. Numbers may be non-finite; shapes must fit."""
+    def motion(self, observation: Observation) -> Motion:
+        """Numbers may be non-finite; shapes must fit."""
         position = self._padded(observation, "position")
         velocity = self._padded(observation, "velocity")
         return position, velocity
 
-    def contact(self, contacts: np.ndarray | None) -> np.ndarray:
-        """[E] from a matrix [n, n]; NaN, here as there, is not measured. None: nothing is.
+    def contact(self, contacts: np.ndarray | None, who: np.ndarray) -> np.ndarray:
+        """[e] between the nodes ``who`` [n], of which -1 is padding, from a matrix [m, m] of all.
 
-        Where only one of ``[i, j]`` and ``[j, i]`` was measured, that one counts.
+        NaN, here as there, is not measured. None: nothing is. Where only one of ``[i, j]`` and
+        ``[j, i]`` was measured, that one counts.
         """
+        count = len(who)
+        if count not in self._pairs:
+            self._pairs[count] = pair_indices(count).T
+        first, second = who[self._pairs[count]]
+        measured = np.full(len(first), np.nan, self.dtype)
         if contacts is None:
-            return self._unmeasured
-        matrix = np.asarray(contacts, self.dtype)
-        count = matrix.shape[0] if matrix.ndim == 2 else -1
-        if matrix.ndim != 2 or matrix.shape[1] != count or count > self.capacity:
+            return measured
+        matrix = np.asarray(contacts)
+        size = matrix.shape[0] if matrix.ndim == 2 else -1
+        if matrix.ndim != 2 or matrix.shape[1] != size or size > self.capacity:
             raise InvalidInputError(
                 f"contacts must have shape (n, n) with n <= {self.capacity}, the capacity; "
                 f"found {matrix.shape}"
             )
-        edges = count * (count - 1) // 2
-        # The edges of fewer nodes come first in the order of any capacity.
-        first, second = self._first[:edges], self._second[:edges]
-        one, other = matrix[first, second], matrix[second, first]
-        measured = self._unmeasured.copy()
-        measured[:edges] = np.where(np.isfinite(one), one, other)
+        there = np.flatnonzero((first >= 0) & (second >= 0) & (first < size) & (second < size))
+        first, second = first[there], second[there]
+        one = matrix[first, second].astype(self.dtype)
+        other = matrix[second, first].astype(self.dtype)
+        measured[there] = np.where(np.isfinite(one), one, other)
         return measured
+
+    def applied(self, applied: np.ndarray | None, control_size: int) -> np.ndarray:
+        """[U] N; NaN where nobody said."""
+        if applied is None:
+            return np.full(control_size, np.nan, self.dtype)
+        told = np.array(applied, self.dtype)
+        if told.shape != (control_size,):
+            raise InvalidInputError(
+                f"applied must have shape ({control_size},), the control's, found {told.shape}"
+            )
+        return told
 
     def _padded(self, observation: Observation, name: str) -> np.ndarray:
         if name not in observation:
             raise InvalidInputError(
                 f"observation must have position and velocity, found {sorted(observation)}"
             )
-        value = np.asarray(observation[name], self.dtype)
+        # A copy: a robot may write its next observation where this one is while the tick runs.
+        value = np.array(observation[name], self.dtype)
         if value.ndim != 2 or value.shape[1] != self.dimension or len(value) > self.capacity:
             raise InvalidInputError(
                 f"observation's {name} must have shape (n, {self.dimension}) with "

@@ -21,6 +21,7 @@ class PlanStatus(IntEnum):
     FOLLOWED = 4
     LATE = 5
     BAD_OBSERVATION = 6
+    CROWDED = 7
 
     @property
     def message(self) -> str:
@@ -41,6 +42,7 @@ _MESSAGES = {
     PlanStatus.FOLLOWED: "Not replanned in this tick: the running plan's feedback was used.",
     PlanStatus.LATE: "Planning missed the deadline; the previous plan is used.",
     PlanStatus.BAD_OBSERVATION: "The observation was not finite; the previous plan is used.",
+    PlanStatus.CROWDED: "More nodes are in play than the limit allows; the previous plan is used.",
 }
 
 
@@ -61,6 +63,8 @@ class Plan(eqx.Module):
     """A `PlanStatus`; see `outcome`."""
     iterations: Int[Array, ""]
     """Rollouts of the model that the plan took."""
+    who: Int[Array, " N"]
+    """Which of the scene's nodes the plan is about, in their order; -1 for padding."""
 
     @property
     def outcome(self) -> PlanStatus:
@@ -96,4 +100,5 @@ def shift_plan(plan: Plan) -> Plan:
         cost=plan.cost,
         status=plan.status,
         iterations=plan.iterations,
+        who=plan.who,
     )

@@ -28,6 +28,8 @@ class Rollout(eqx.Module):
     x: Float[Array, "H+1 m"]
     """`block_state` of the M nodes, ``m = 2MD``."""
     controls: Float[Array, "H U"]
+    push: Float[Array, "H N D"]
+    """m; how far each step's control alone moves each node: see `pushed`."""
     dynamics: LinearDynamics
     """[H, M, D, …]"""
 
@@ -40,27 +42,28 @@ class Rollout(eqx.Module):
 def block_state(
     position: Float[Array, "N D"], velocity: Float[Array, "N D"], involved: Int[Array, " M"]
 ) -> Float[Array, " m"]:
-    """[position, velocity] of each degree of freedom of the M nodes, one after the other.
+    """All positions of the M nodes, then all their velocities: `block_form`'s order of states.
 
-    The order in which the dynamics are block diagonal; `block_index` leads back to `stack_state`.
+    `block_index` leads back to `stack_state`.
     """
-    return jnp.stack([position[involved], velocity[involved]], axis=-1).reshape(-1)
+    return jnp.stack([position[involved], velocity[involved]]).reshape(-1)
 
 
 def block_index(involved: Int[Array, " M"], dimension: int) -> Int[Array, " m"]:
     """Where the entries of `block_state` are in `stack_state`'s vector of all nodes."""
-    dof = jnp.arange(dimension)[None, :, None]
-    part = jnp.arange(2)[None, None, :]
-    return ((involved[:, None, None] * 2 + part) * dimension + dof).reshape(-1)
+    part = jnp.arange(2)[:, None, None]
+    return ((2 * involved[:, None] + part) * dimension + jnp.arange(dimension)).reshape(-1)
 
 
-def block_product(A: Float[Array, "M D 2 2"], X: Float[Array, "m c"]) -> Float[Array, "m c"]:
-    """``A^T X`` for block diagonal A: 2 m c products, where the dense form takes m^2 c."""
-    blocks = A.reshape(-1, 2, 2)
-    rows = X.reshape(blocks.shape[0], 2, -1)
-    first = blocks[:, 0, :, None] * rows[:, 0, None, :]
-    second = blocks[:, 1, :, None] * rows[:, 1, None, :]
-    return (first + second).reshape(X.shape)
+def in_blocks(
+    dynamics: LinearDynamics,
+) -> tuple[Float[Array, "H 2 2 k"], Float[Array, "H m U"], Float[Array, "H m"]]:
+    """``A, B, offset`` of [H, M, D, …] dynamics, as `block_form` takes them; ``k = MD``."""
+    horizon, U = dynamics.B.shape[0], dynamics.B.shape[-1]
+    A = jnp.moveaxis(dynamics.A.reshape(horizon, -1, 2, 2), 1, -1)
+    B = jnp.moveaxis(dynamics.B.reshape(horizon, -1, 2, U), 2, 1)
+    offset = jnp.moveaxis(dynamics.offset.reshape(horizon, -1, 2), 2, 1)
+    return A, B.reshape(horizon, -1, U), offset.reshape(horizon, -1)
 
 
 def roll_out(
@@ -86,9 +89,10 @@ def roll_out(
         # A sum rather than a product with K: it fuses with what is around it.
         u = jnp.sum(stage.K * x, axis=-1) + stage.k
         u = u if limits is None else limits(u)
+        push = jnp.sum(response * u, axis=-1)
         after, response, linear = advance(model, state, response, u, nodes)
         part = jax.tree.map(lambda block: block[involved].astype(x.dtype), linear)
-        told = Rollout(after.position, after.velocity, after.belief, x, u, part)
+        told = Rollout(after.position, after.velocity, after.belief, x, u, push, part)
         return (after, response), told
 
     (last, _), steps = jax.lax.scan(step, (start, response), policy)
@@ -98,5 +102,6 @@ def roll_out(
         beliefs=steps.beliefs,
         x=jnp.concatenate([steps.x, block_state(last.position, last.velocity, involved)[None]]),
         controls=steps.controls,
+        push=steps.push,
         dynamics=steps.dynamics,
     )

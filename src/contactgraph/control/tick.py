@@ -3,14 +3,18 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.ilqr import ILQR
+from contactgraph.control.lqr import LQRPolicy
+from contactgraph.control.mpc_state import Memory, Seen
 from contactgraph.control.plan import Plan, PlanStatus, shift_plan
+from contactgraph.control.swept import Swept
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,
+    Locality,
     ModelState,
     MotionNoise,
     Nodes,
@@ -20,38 +24,6 @@ from contactgraph.model import (
     judging_motion,
     stack_state,
 )
-
-
-class Seen(eqx.Module):
-    """What a tick saw, believed and answered: the next one's view of the step between them."""
-
-    position: Float[Array, "N D"]
-    """m; NaN before the first tick."""
-    velocity: Float[Array, "N D"]
-    """m/s"""
-    belief: ContactBelief
-    """About the step that led there, corrected by all that was observed."""
-    told: Float[Array, " E"]
-    """See `MotionEvidence`."""
-    control: Float[Array, " U"]
-    """N, of the plan that was handed over."""
-
-
-class MPCState(eqx.Module):
-    """What is carried from tick to tick. `dataclasses.replace` it to change cost or nodes."""
-
-    nodes: Nodes
-    cost: QuadraticCost
-    belief: ContactBelief
-    """About the step that leads to the next observation, not yet corrected by its contacts."""
-    plan: Plan
-    """The running plan, as of the last observation."""
-    unplanned: Int[Array, ""]
-    """Ticks since a plan was made."""
-    seen: Seen
-    """By the last tick."""
-    fresh: Bool[Array, ""]
-    """True until the first tick: the plan starts at the coming observation, not before it."""
 
 
 class Controller(eqx.Module):
@@ -64,71 +36,129 @@ class Controller(eqx.Module):
     """None: motion does not correct beliefs."""
     replan_every: int = eqx.field(static=True)
     """Ticks from plan to plan; in between the running plan's feedback acts."""
+    locality: Locality | None = eqx.field(static=True)
+    """None: everyone may matter to everyone, so where plans lead is not looked at."""
+
+    def first_memory(
+        self,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        nodes: Nodes,
+        cost: QuadraticCost,
+        who: Int[Array, " N"],
+    ) -> Memory:
+        """Before any tick, without a plan. ``who``: see `Plan`."""
+        belief = self.model.initial_belief(position, velocity, nodes)
+        horizon, control_size, size = self.ilqr.horizon, cost.control_size, 2 * position.size
+        no_controls = jnp.zeros((horizon, control_size))
+        nothing = jnp.full_like(position, jnp.nan)
+        return Memory(
+            belief=belief,
+            plan=Plan(
+                states=jnp.zeros((horizon + 1, size)),
+                controls=no_controls,
+                policy=LQRPolicy(jnp.zeros((horizon, control_size, size)), no_controls),
+                beliefs=jax.tree.map(lambda v: jnp.broadcast_to(v, (horizon, *v.shape)), belief),
+                cost=jnp.zeros(()),
+                status=jnp.asarray(PlanStatus.NOT_FINITE, jnp.int32),
+                iterations=jnp.zeros((), jnp.int32),
+                who=who,
+            ),
+            unplanned=jnp.asarray(self.replan_every, jnp.int32),
+            seen=Seen(
+                position=nothing,
+                velocity=nothing,
+                belief=belief,
+                told=jnp.zeros(nodes.candidate.shape),
+                control=jnp.zeros(control_size),
+            ),
+            fresh=jnp.ones((), bool),
+            swept=None
+            if self.locality is None
+            else Swept.nowhere(self.ilqr.iterations, horizon, position),
+        )
 
     def tick(
         self,
-        state: MPCState,
+        nodes: Nodes,
+        cost: QuadraticCost,
+        memory: Memory,
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
         contact: Float[Array, " E"],
         applied: Float[Array, " U"],
-    ) -> tuple[Plan, MPCState]:
+    ) -> Memory:
         """Correct the belief, then plan, or follow the running plan where that is called for.
 
         ``applied``: the control [N] of the step just made; NaN where it was the last plan's.
         """
-        mask = state.nodes.mask[:, None]
+        mask = nodes.mask[:, None]
         # What padding holds must not matter, not even where it is NaN.
         position = jnp.where(mask, position, 0.0)
         velocity = jnp.where(mask, velocity, 0.0)
         usable = jnp.all(jnp.isfinite(position)) & jnp.all(jnp.isfinite(velocity))
-        running = self.running_plan(state)
-        predicted, told = self._seen_to_move(state, position, velocity, applied)
+        running = self.running_plan(memory)
+        predicted, told = self._seen_to_move(nodes, memory, position, velocity, applied)
         belief = correct(predicted, contact, self.sensor)
         now = ModelState(position, velocity, belief)
-        due = state.unplanned >= self.replan_every
+        due = memory.unplanned >= self.replan_every
 
-        def keep() -> Plan:
-            return running.with_status(PlanStatus.BAD_OBSERVATION)
+        def keep() -> tuple[Plan, Swept | None]:
+            return running.with_status(PlanStatus.BAD_OBSERVATION), memory.swept
 
-        def follow() -> Plan:
-            return self._followed(running, now, state)
+        def follow() -> tuple[Plan, Swept | None]:
+            swept = memory.swept
+            if swept is not None and self.locality is not None:
+                drifted = position + self.locality.dt * velocity
+                swept = swept.also_at([position, drifted], nodes)
+            return self._followed(running, now, nodes), swept
 
-        def replan() -> Plan:
-            plan = self.ilqr.solve(self.model, now, state.nodes, state.cost, running.policy)
+        def replan() -> tuple[Plan, Swept | None]:
+            plan, swept = self._planned(now, nodes, cost, running)
             kept = running.with_status(PlanStatus.NOT_FINITE)
             failed = plan.status == PlanStatus.NOT_FINITE
-            return jax.tree.map(lambda new, old: jnp.where(failed, old, new), plan, kept)
+            return jax.tree.map(lambda new, old: jnp.where(failed, old, new), plan, kept), swept
 
         if self.replan_every == 1:
-            plan = jax.lax.cond(usable, replan, keep)
+            plan, swept = jax.lax.cond(usable, replan, keep)
         else:
             branch = jnp.where(usable, jnp.where(due, 2, 1), 0)
-            plan = jax.lax.switch(branch, [keep, follow, replan])
+            plan, swept = jax.lax.switch(branch, [keep, follow, replan])
         planned = plan.status <= PlanStatus.NO_DESCENT
-        after = MPCState(
-            nodes=state.nodes,
-            cost=state.cost,
+        return Memory(
             belief=jax.tree.map(lambda value: value[0], plan.beliefs),
             plan=plan,
-            unplanned=jnp.where(planned, 1, state.unplanned + 1),
+            unplanned=jnp.where(planned, 1, memory.unplanned + 1),
             seen=Seen(position, velocity, belief, told, plan.controls[0]),
             fresh=jnp.zeros((), bool),
+            swept=swept,
         )
-        return plan, after
 
-    def running_plan(self, state: MPCState) -> Plan:
+    def running_plan(self, memory: Memory) -> Plan:
         """The last plan, from the present on."""
-        shifted = shift_plan(state.plan)
-        plan = jax.tree.map(lambda old, new: jnp.where(state.fresh, old, new), state.plan, shifted)
+        last, fresh = memory.plan, memory.fresh
+        plan = jax.tree.map(lambda old, new: jnp.where(fresh, old, new), last, shift_plan(last))
         if self.ilqr.limits is None:
             return plan
         # Limits that exclude zero, or were tightened since, bind the old plan too.
         return eqx.tree_at(lambda p: p.controls, plan, self.ilqr.limits(plan.controls))
 
+    def _planned(
+        self, now: ModelState, nodes: Nodes, cost: QuadraticCost, running: Plan
+    ) -> tuple[Plan, Swept | None]:
+        """A new plan, and where the search for it led, if that is of interest."""
+        problem = self.model, now, nodes, cost, running.policy
+        swept: Swept | None = None
+        if self.locality is None:
+            plan = self.ilqr.solve(*problem)
+        else:
+            plan, swept = self.ilqr.search(*problem, self.locality.dt)
+        return eqx.tree_at(lambda p: p.who, plan, running.who), swept
+
     def _seen_to_move(
         self,
-        state: MPCState,
+        nodes: Nodes,
+        memory: Memory,
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
         applied: Float[Array, " U"],
@@ -137,26 +167,26 @@ class Controller(eqx.Module):
         motion is to correct it, predicted anew under the control applied, and corrected. And what
         motion has told."""
         if self.motion_noise is None:
-            return state.belief, state.seen.told
-        seen = state.seen
+            return memory.belief, memory.seen.told
+        seen = memory.seen
         return correct_by_motion(
             judging_motion(self.model),
-            state.belief,
+            memory.belief,
             ModelState(seen.position, seen.velocity, seen.belief),
             seen.told,
             jnp.where(jnp.isfinite(applied), applied, seen.control),
             (position, velocity),
-            state.nodes,
+            nodes,
             self.motion_noise,
         )
 
-    def _followed(self, running: Plan, now: ModelState, state: MPCState) -> Plan:
+    def _followed(self, running: Plan, now: ModelState, nodes: Nodes) -> Plan:
         """The running plan with its feedback on what was observed, and the belief it implies."""
         x = stack_state(now.position, now.velocity)
         control = running.policy.K[0] @ x + running.policy.k[0]
         control = jnp.where(jnp.isfinite(control), control, running.controls[0])
         control = control if self.ilqr.limits is None else self.ilqr.limits(control)
-        _, belief = self.model.linear_step(now, state.nodes)
+        _, belief = self.model.linear_step(now, nodes)
         beliefs = jax.tree.map(
             lambda old, new: old.at[0].set(jnp.where(jnp.isfinite(new), new, old[0])),
             running.beliefs,

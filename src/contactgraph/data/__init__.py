@@ -8,6 +8,7 @@ from contactgraph.data.dataset import strip_contacts as strip_contacts
 from contactgraph.data.errors import InvalidInputError as InvalidInputError
 from contactgraph.data.events import event_steps as event_steps
 from contactgraph.data.graph import candidate_pairs as candidate_pairs
+from contactgraph.data.graph import edge_index as edge_index
 from contactgraph.data.graph import joined as joined
 from contactgraph.data.graph import pair_indices as pair_indices
 from contactgraph.data.longer_steps import with_longer_steps as with_longer_steps

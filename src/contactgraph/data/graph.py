@@ -16,6 +16,12 @@ def pair_indices(node_count: int) -> np.ndarray:
     return np.stack([first, second], axis=1)
 
 
+def edge_index(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Which edge joins the nodes ``first < second``: its place in the order of `pair_indices`,
+    whatever the number of nodes."""
+    return second * (second - 1) // 2 + first
+
+
 def candidate_pairs(scene: Scene, node_capacity: int) -> np.ndarray:
     """[E] bool: which of the pairs of ``node_capacity`` nodes are candidate edges of a scene.
 

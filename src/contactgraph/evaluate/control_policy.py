@@ -12,6 +12,7 @@ from contactgraph.evaluate.observation_noise import ObservationNoise
 from contactgraph.evaluate.plan_feedback import plan_feedback
 from contactgraph.evaluate.scene_cost import SceneCost
 from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
+from contactgraph.evaluate.whole_plan import edge_probabilities, planned_positions
 from contactgraph.model import ContactBelief, scene_nodes
 from contactgraph.tasks.contract import Feedback, Observation
 
@@ -44,15 +45,18 @@ class EpisodeRecord:
 class _Tick:
     plan_ms: float
     plan: Plan
+    position: np.ndarray
+    velocity: np.ndarray
     found: ContactBelief
+    found_among: np.ndarray
 
 
 class MPCPolicy:
     """A `contactgraph.tasks.Policy`: plans with a cost about some nodes and the scene's goal.
 
     Scenes are padded to a capacity of nodes, so that another number of objects recompiles
-    nothing; a scene above it raises the capacity, and compiles once more. Compiling is done
-    before an episode's first tick and is not part of its time.
+    nothing; a scene above it raises the capacity, and compiles once more, unless only part of it is
+    in play (`MPC`). Compiling is done before an episode's first tick and is not part of its time.
     """
 
     def __init__(
@@ -109,7 +113,9 @@ class MPCPolicy:
         plan, self._state = self._mpc.step(observation, contacts, self._state, self._applied)
         control = np.asarray(plan.controls[0], dtype=np.float64)  # waits for the plan
         took = time.perf_counter() - begin
-        self._ticks.append(_Tick(1e3 * took, plan, self._state.seen.belief))
+        seen = np.array(observation["position"]), np.array(observation["velocity"])
+        found = self._state.seen.belief, self._state.who
+        self._ticks.append(_Tick(1e3 * took, plan, *seen, *found))
         self._applied = None
         return control
 
@@ -128,18 +134,25 @@ class MPCPolicy:
         """What was thought since `reset`. Raises `InvalidInputError` before the first tick."""
         if self._scene is None or not self._ticks:
             raise InvalidInputError("nothing to record: the policy has made no step since reset")
-        count, dimension = self._scene.node_count, self._scene.dimension
-        edges = count * (count - 1) // 2
-        states = np.stack([np.asarray(tick.plan.states) for tick in self._ticks])
-        states = states.reshape(*states.shape[:2], self._capacity, 2, dimension)
-        belief = [np.asarray(tick.plan.beliefs.probability) for tick in self._ticks]
-        found = [np.asarray(tick.found.probability) for tick in self._ticks]
+        count, dt = self._scene.node_count, self._scene.dt
         return EpisodeRecord(
             plan_ms=np.array([tick.plan_ms for tick in self._ticks]),
             status=np.array([int(tick.plan.status) for tick in self._ticks]),
-            plan=states[:, :, :count, 0].astype(np.float64),
-            plan_belief=np.stack(belief)[:, :, :edges].astype(np.float64),
-            found=np.stack(found)[:, :edges].astype(np.float64),
+            plan=np.stack(
+                [
+                    planned_positions(each.plan, each.position, each.velocity, dt)
+                    for each in self._ticks
+                ]
+            ),
+            plan_belief=np.stack(
+                [
+                    edge_probabilities(each.plan.beliefs, np.asarray(each.plan.who), count)
+                    for each in self._ticks
+                ]
+            ),
+            found=np.stack(
+                [edge_probabilities(each.found, each.found_among, count) for each in self._ticks]
+            ),
         )
 
     def _contacts(self, observation: Observation) -> np.ndarray | None:
@@ -162,12 +175,14 @@ class MPCPolicy:
         order = self._chain
         if len(order) < 3:
             return state
-        pairs = pair_indices(self._capacity)
-        active = pairs[np.asarray(state.belief.probability) > 0.5]
-        contact = np.zeros((self._capacity, self._capacity), dtype=bool)
+        who = state.who.tolist()
+        active = pair_indices(len(who))[np.asarray(state.belief.probability) > 0.5]
+        contact = np.zeros((len(who), len(who)), dtype=bool)
         contact[active[:, 0], active[:, 1]] = contact[active[:, 1], active[:, 0]] = True
-        held = joined(contact[None])[0, order[0]] > 0
-        onward = tuple(sorted(order, key=lambda node: (not held[node], order.index(node))))
+        held = joined(contact[None])[0, who.index(order[0])] > 0
+        onward = tuple(
+            sorted(order, key=lambda node: (not held[who.index(node)], order.index(node)))
+        )
         if onward == self._order:
             return state
         self._order = onward

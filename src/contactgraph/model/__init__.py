@@ -20,6 +20,8 @@ from contactgraph.model.listed import GrowingLists as GrowingLists
 from contactgraph.model.listed import with_neighbour_lists as with_neighbour_lists
 from contactgraph.model.local_dynamics import FreeLinearDynamics as FreeLinearDynamics
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics as SpringMassDamperDynamics
+from contactgraph.model.locality import Locality as Locality
+from contactgraph.model.locality import locality as locality
 from contactgraph.model.message_passing import EdgeNetwork as EdgeNetwork
 from contactgraph.model.message_passing import MessagePassing as MessagePassing
 from contactgraph.model.message_passing import TypedMessagePassing as TypedMessagePassing

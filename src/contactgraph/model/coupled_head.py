@@ -5,6 +5,7 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.model.circling import circling
@@ -67,6 +68,12 @@ class CoupledHead(eqx.Module):
         self.width = width
         self.kinds = kinds
         self.length = length
+
+    @property
+    def lone_response(self) -> np.ndarray:
+        """[kinds] Acceleration of a node that touches nothing for each newton of control, 1/kg."""
+        gain_root, log_mass = np.asarray(self.gain_root), np.asarray(self.log_mass)
+        return (_PACE * gain_root) ** 2 * np.exp(-_PACE * log_mass)
 
     def __call__(
         self,

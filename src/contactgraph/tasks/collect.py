@@ -25,6 +25,7 @@ def collect(
     seed: int,
     on_episode: Callable[[Trajectory], None] | None = None,
     engine: Engine | None = None,
+    recorded: Sequence[Trajectory] = (),
 ) -> list[Trajectory]:
     """Records ``episodes`` runs; run ``i`` is by ``policies[i % len(policies)]``.
 
@@ -38,7 +39,8 @@ def collect(
 
     ``on_episode`` is called with every run as it is done, in order. This process records, or, where
     there is so much to do that starting them pays, an ``engine``'s workers; then factories and
-    policies must be what an `Engine` can send, which a lambda is not. Raises `InvalidInputError`
+    policies must be what an `Engine` can send, which a lambda is not. ``recorded`` are the first
+    runs where an earlier call had come so far; they are not made again. Raises `InvalidInputError`
     where a count or the seed is out of range.
     """
     if not policies:
@@ -46,9 +48,9 @@ def collect(
     if not task_factories:
         raise InvalidInputError("task_factories must name at least one task, found none")
     wanted = _Runs(tuple(task_factories), tuple(policies), episode_seeds(episodes, seed))
-    runs = []
-    with closing(_recorded(wanted, engine)) as recorded:
-        for run in recorded:
+    runs = list(recorded[:episodes])
+    with closing(_made(wanted, range(len(runs), episodes), engine)) as made:
+        for run in made:
             runs.append(run)
             if on_episode is not None:
                 on_episode(run)
@@ -92,15 +94,16 @@ class _Runs:
         return record
 
 
-def _recorded(wanted: _Runs, engine: Engine | None) -> Generator[Trajectory, None, None]:
-    """All runs in order."""
-    record, count = wanted.recorder(), len(wanted.seeds)
-    began = time.perf_counter()
-    for index in range(count):
-        spent, left = time.perf_counter() - began, count - index
-        if index and engine is not None and spent > _ALONE_S:
-            alone = spent / index * left
+def _made(
+    wanted: _Runs, numbers: range, engine: Engine | None
+) -> Generator[Trajectory, None, None]:
+    """The runs of these numbers, in order."""
+    record, began = wanted.recorder(), time.perf_counter()
+    for done, index in enumerate(numbers):
+        spent, left = time.perf_counter() - began, len(numbers) - done
+        if done and engine is not None and spent > _ALONE_S:
+            alone = spent / done * left
             if alone * (1.0 - 1.0 / engine.workers) > _START_S:
-                yield from answers_in_order(engine, wanted.recorder, range(index, count))
+                yield from answers_in_order(engine, wanted.recorder, numbers[done:])
                 return
         yield record(index)

@@ -1,0 +1,74 @@
+"""How long a new process takes to its first control tick, with programs compiled before.
+
+Usage: python benchmarks/first_tick.py [--quick] [--json FILE]
+
+A process is started that imports the package, loads the shipped pickup model, resets the controller
+on a scene of 11 objects and makes one tick, planned 20 steps ahead; timed from outside, from the
+process's start to the answer, import and interpreter included. JAX keeps compiled programs in a
+folder: the first process finds it empty (the peer here), the ones after it find all they need. The
+forces are compared.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+
+import numpy as np
+from comparing import difference
+from measuring import arguments, report
+
+TICK = """
+import sys, jax
+jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+import numpy as np
+from contactgraph.control import ILQR, MPC, chain_cost
+from contactgraph.model import load_model, scene_nodes, shipped_model
+from contactgraph.tasks import PickupTask
+
+task = PickupTask(distractors=9)
+observation, _ = task.reset(seed=0)
+terms = task.cost_terms()
+cost = chain_cost(terms.chain, terms.pick_weights, terms.goal_weights, terms.control_weight,
+                  observation["goal"], task.scene.node_count)
+mpc = MPC(load_model(shipped_model("pickup")).model, ILQR(horizon=20, iterations=5))
+state = mpc.reset(observation, scene_nodes(task.scene), cost)
+plan, state = mpc.step(observation, observation["contact"], state)
+print(*np.asarray(plan.controls[0], float))
+"""
+
+
+def first_tick(folder: str) -> tuple[float, np.ndarray]:
+    """Seconds from the process's start to its end, and the first force, N."""
+    began = time.perf_counter()
+    command = [sys.executable, "-c", TICK, folder]
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return time.perf_counter() - began, np.array([float(word) for word in said.split()])
+
+
+def main() -> None:
+    """Measure and say."""
+    told = arguments("Time to the first control tick of a new process.")
+    cold, warm = [], []
+    for _ in range(1 if told.quick else 3):
+        with tempfile.TemporaryDirectory() as folder:
+            seconds, force = first_tick(folder)
+            cold.append(seconds)
+            seconds, again = first_tick(folder)
+            warm.append(seconds)
+    row = {
+        "what": "first control tick of a new process, programs compiled before",
+        "ours ms": 1e3 * float(np.median(warm)),
+        "peer": "nothing compiled before",
+        "peer ms": 1e3 * float(np.median(cold)),
+        "ratio": float(np.median(np.divide(cold, warm))),
+        "agreement": f"{difference(again, force):.0e}",
+        "rounds": len(warm),
+    }
+    report("first_tick", [row], told)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""How long a batch of 64 LQR problems takes to solve, beside mpc.pytorch.
+
+Usage: python benchmarks/lqr_batch.py [--quick] [--json FILE]
+
+200 steps, 2 controls, 8 and 48 states, float32, one core: optimal states and controls from a start
+each. Ours are `lqr_trajectory` with the batch in the last axis (8 states) and our dense solve, one
+problem after the other (48 states, of which a batch fills the caches).
+"""
+
+import one_core  # noqa: F401, I001  before JAX
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from comparing import Missing, Way, compared
+from lqr_sample import MPCTorch, sample
+from measuring import arguments, report
+
+from contactgraph.control import LQRProblem, LQRTrajectory, lqr_trajectory, solve_lqr
+
+BATCH = 64
+Problems = tuple[LQRProblem, np.ndarray]
+"""With a leading axis, the batch."""
+
+
+def problems(states: int) -> Problems:
+    """The batch; float64."""
+    samples = [(problem, start) for problem, _, start in (sample(states, i) for i in range(BATCH))]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *samples)
+
+
+def side_by_side(given: Problems) -> Way:
+    """All at once, the batch last."""
+    problem, start = jax.tree.map(
+        lambda leaf: jnp.asarray(np.moveaxis(leaf, 0, -1), jnp.float32), given
+    )
+    solve = jax.jit(jax.vmap(lqr_trajectory, in_axes=-1, out_axes=-1))
+    return Way(
+        "ours",
+        lambda: jax.block_until_ready(solve(problem, start)),
+        lambda trajectory: np.moveaxis(trajectory.controls, -1, 0),
+    )
+
+
+def one_by_one(given: Problems) -> Way:
+    """One after the other in one compiled call."""
+    problem, start = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), given)
+
+    def trajectory(each: tuple[LQRProblem, jax.Array]) -> LQRTrajectory:
+        problem, start = each
+        policy, _ = solve_lqr(problem)
+
+        def step(x: jax.Array, stage: tuple) -> tuple[jax.Array, tuple]:
+            A, B, offset, policy = stage
+            u = policy(x)
+            return A @ x + B @ u + offset, (x, u)
+
+        stages = (problem.A, problem.B, problem.offset, policy)
+        last, (states, controls) = jax.lax.scan(step, start, stages)
+        return LQRTrajectory(jnp.concatenate([states, last[None]]), controls)
+
+    solve = jax.jit(lambda *each: jax.lax.map(trajectory, each))
+    return Way(
+        "ours",
+        lambda: jax.block_until_ready(solve(problem, start)),
+        lambda trajectory: np.asarray(trajectory.controls),
+    )
+
+
+def with_mpc(given: Problems) -> Way | Missing:
+    """mpc.pytorch; gives the controls."""
+    try:
+        peer = MPCTorch(*given)
+    except ImportError as missing:
+        return Missing("mpc", str(missing))
+    return Way(peer.name, peer.solve, lambda both: both[1].numpy().swapaxes(0, 1)[:, :-1])
+
+
+def main() -> None:
+    """Measure and say."""
+    told = arguments("Time of a batch of LQR solves, beside mpc.pytorch.")
+    rows = []
+    for states, way in ((8, side_by_side), (48, one_by_one)):
+        given = problems(states)
+        what = f"{BATCH} LQR problems, T = 200, U = 2, n = {states}"
+        rows += compared(what, way(given), [with_mpc(given)], told.quick)
+    report("lqr_batch", rows, told)
+
+
+if __name__ == "__main__":
+    main()
