@@ -4,7 +4,8 @@ Usage: python benchmarks/model_at_scale.py [--quick] [--json FILE]
 
 A step as a rollout makes it, from crowds of one density. Lists are made anew in each step; the
 time of that alone stands beside it. "By groups": every pair an edge, but solved by groups, as
-lists are: what the lists alone are worth. Medians of interleaved calls, milliseconds; a single
+lists are: what the lists alone are worth. Medians of calls in turns, milliseconds, those with lists
+apart from the others, which leave nothing of them in the caches; a single
 call of the largest scene with every pair an edge. The difference is that of predicted positions.
 """
 
@@ -105,7 +106,7 @@ def measured(model: ContactDynamics, count: int, rounds: int) -> dict[str, float
     lists = NeighbourLists(edges=pairs, cell=near.neighbours.cell)
     groups = step_call(replace(model, neighbours=lists), count)
     if count < _ALL_PAIRS:
-        taken |= medians({"listed": listed, "by groups": groups, "every": every}, rounds)
+        taken |= medians({"by groups": groups, "every": every}, rounds)
     else:
         taken |= medians({"by groups": groups}, 3) | medians({"every": every}, 1)
     apart = jnp.max(jnp.abs(every().position - listed().position))

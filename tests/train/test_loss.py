@@ -26,6 +26,7 @@ class Still(eqx.Module):
 
     dt: float = DT
     control_size: int = 2
+    neighbours: None = None
 
     def perceive(self, position, velocity, nodes, push=None):
         exists = nodes.mask[:1] & nodes.mask[1:2] & nodes.candidate[:1]
