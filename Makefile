@@ -56,6 +56,7 @@ test: $(DEVELOPMENT)
 
 bench: $(PACKAGE)
 	$(BIN)/python benchmarks/training_throughput.py
+	$(BIN)/python benchmarks/matrix_share.py
 	$(BIN)/python benchmarks/control_tick.py
 	$(BIN)/python benchmarks/robot_loop.py
 	$(BIN)/python benchmarks/tag_pose.py
