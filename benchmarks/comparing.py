@@ -15,9 +15,9 @@ import jax
 import numpy as np
 
 Row = dict[str, Any]
-FULL_S, QUICK_S = 15.0, 0.2
+FULL_S, QUICK_S = 10.0, 0.2
 """For so long the rounds of a comparison go on."""
-MOST_ROUNDS = 50
+MOST_ROUNDS = 1000
 
 
 @dataclass(frozen=True)

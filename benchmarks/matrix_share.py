@@ -1,0 +1,90 @@
+"""How much of the core's own matrix-product rate a training step reaches.
+
+Usage: python benchmarks/matrix_share.py [--quick] [--json FILE]
+
+The training steps of `eager_comparison`, on one core in float32. Counted are the products of the
+dense layers alone: one pass to learn how controls push, one forwards, and backwards two products
+for each one of the pass (the slope of its input, and of its weights). The core's rate is that of
+one product of two large square matrices.
+"""
+
+import one_core  # noqa: F401, I001  before JAX
+import time
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from eager_comparison import sample, training
+from measuring import arguments, report
+
+from contactgraph.model import ContactDynamics
+
+PASSES = 4
+SIZE = 2048
+
+
+def operations(model: ContactDynamics, edges: int, nodes: int) -> int:
+    """Of the dense layers' products in one training step; so many edges and nodes in all steps."""
+    parts = (
+        (edges, (model.inference, model.local_dynamics.message_passing)),
+        (edges, model.local_dynamics.head.edge),
+        (nodes, model.local_dynamics.head.ground),
+    )
+
+    def layers(part: object) -> list[eqx.nn.Linear]:
+        leaves = jax.tree.leaves(part, is_leaf=lambda leaf: isinstance(leaf, eqx.nn.Linear))
+        return [leaf for leaf in leaves if isinstance(leaf, eqx.nn.Linear)]
+
+    return sum(
+        2 * PASSES * count * layer.weight.size for count, part in parts for layer in layers(part)
+    )
+
+
+def median_seconds(run: Callable[[], object], rounds: int) -> float:
+    """Of so many runs, after one that compiles."""
+    run()
+    spent = []
+    for _ in range(rounds):
+        began = time.perf_counter()
+        run()
+        spent.append(time.perf_counter() - began)
+    return float(np.median(spent))
+
+
+def core_rate(rounds: int) -> float:
+    """Operations a second."""
+    square = jnp.ones((SIZE, SIZE), jnp.float32)
+    product = jax.jit(jnp.matmul)
+    seconds = median_seconds(lambda: jax.block_until_ready(product(square, square)), rounds)
+    return 2 * SIZE**3 / seconds
+
+
+def main() -> None:
+    """Measure and say."""
+    told = arguments("Share of the core's matrix-product rate in a training step.")
+    rounds = 1 if told.quick else 10
+    rows = []
+    for bodies, runs in ((2, 4 if told.quick else 64), (12, 2 if told.quick else 8)):
+        given = sample(bodies, runs)
+        ours, _ = training(given)
+        steps = sum(run.steps for run in given[1])
+        pairs = bodies * (bodies - 1) // 2
+        count = operations(given[0], steps * pairs, steps * bodies)
+        rate, seconds = core_rate(rounds), median_seconds(ours.run, rounds)
+        rows.append(
+            {
+                "training step": f"{bodies} bodies, {runs} x {steps // runs}",
+                "ms": 1e3 * seconds,
+                "products, Gop": count / 1e9,
+                "Gop/s": count / seconds / 1e9,
+                "core's Gop/s": rate / 1e9,
+                "share, %": 100 * count / seconds / rate,
+            }
+        )
+    report("matrix_share", rows, told)
+
+
+if __name__ == "__main__":
+    main()
