@@ -6,10 +6,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from contactgraph.data import pair_indices
 from contactgraph.model import ContactDynamics, NeighbourLists, Nodes, gim_temp
 from contactgraph.train import LossTerms
+from contactgraph.train import loss as training_loss
 from contactgraph.train.batch import Window
 from contactgraph.train.loss import window_loss
 
@@ -53,3 +55,27 @@ def test_loss_and_gradient_are_those_of_all_pairs() -> None:
     ):
         scale = float(np.abs(expected).max())
         np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-5 + 1e-3 * scale)
+
+
+def test_large_windows_in_turn_are_windows_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = gim_temp(2, 2, 0.05, width=8, key=jax.random.key(1))
+    pair = windows()
+    drawn = jax.tree.map(lambda leaf: jnp.concatenate([leaf, 0.9 * leaf]).astype(leaf.dtype), pair)
+
+    def loss(devices: int) -> tuple[jax.Array, ContactDynamics]:
+        @eqx.filter_jit
+        @eqx.filter_value_and_grad
+        def total(model: ContactDynamics) -> jax.Array:
+            terms = window_loss(model, drawn, jax.random.key(0), True, devices)
+            return terms.total(LossTerms())
+
+        return total(model)
+
+    at_once, gradient = loss(1)
+    monkeypatch.setattr(training_loss, "_LARGE", 1)
+    for devices in (1, 2):
+        value, found = loss(devices)
+        np.testing.assert_allclose(value, at_once, rtol=1e-5)
+        for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(gradient), strict=True):
+            scale = float(np.abs(other).max())
+            np.testing.assert_allclose(one, other, rtol=2e-3, atol=1e-5 + 1e-3 * scale)

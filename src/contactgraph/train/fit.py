@@ -216,7 +216,9 @@ def _advance(
             windows = split.parted(windows)
         for bystander_key in jax.random.split(place_key, bystanders):
             windows = add_bystander(windows, nearest, 3.0 * nearest, bystander_key)
-        terms = window_loss(eqx.combine(params, static), windows, sample_key, with_rollout)
+        devices = 1 if split is None else split.mesh.size
+        model = eqx.combine(params, static)
+        terms = window_loss(model, windows, sample_key, with_rollout, devices)
         return terms.total(recipe.weights), terms
 
     Carry = tuple[ContactDynamics, optax.OptState, PRNGKeyArray]

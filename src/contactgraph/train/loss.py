@@ -16,6 +16,8 @@ from contactgraph.train.batch import Window
 
 _Result = TypeVar("_Result")
 _SMALLEST = 1e-6
+_LARGE = 200
+"""Edges times steps from which on a window is work enough by itself: one fits a core's cache."""
 _ROLLOUT_POSITION = 0.5
 """Weight of a rollout's position errors: they add up over its steps, velocity errors do not."""
 
@@ -43,21 +45,26 @@ class LossTerms(eqx.Module):
 
 
 def window_loss(
-    model: ContactDynamics, windows: Window, key: PRNGKeyArray, with_rollout: bool
+    model: ContactDynamics,
+    windows: Window,
+    key: PRNGKeyArray,
+    with_rollout: bool,
+    devices: int = 1,
 ) -> LossTerms:
     """Loss terms over a batch of windows (every leaf of `windows` has a leading axis B).
 
     One-step prediction from every recorded state and KL to the prior: paper, eq. (3). Position
     errors are divided by dt, so that both halves of a state weigh alike. The rollout term costs a
-    pass through time; without it the term is 0.
+    pass through time; without it the term is 0. ``devices`` is over how many the windows are split.
     """
     keys = jax.random.split(key, windows.control.shape[0])
-    error, nodes, divergence, edges = _each(
-        model, lambda w, k: _teacher_forced(model, w, k), windows, keys
+    error, nodes, divergence, edges = _each_window(
+        model, lambda w, k: _teacher_forced(model, w, k), devices, windows, keys
     )
     rollout = jnp.zeros(())
     if with_rollout:
-        rollout = _mean(_each(model, lambda w: _rolled_out(model, w), windows), nodes)
+        moved = _each_window(model, lambda w: _rolled_out(model, w), devices, windows)
+        rollout = _mean(moved, nodes)
     return LossTerms(
         prediction=_mean(jnp.sqrt(error + _SMALLEST), nodes),
         squared=_mean(error, nodes),
@@ -132,13 +139,39 @@ def _believed(
 
 
 def _each(model: ContactDynamics, function: Callable[..., _Result], *given: PyTree) -> _Result:
-    """The function of every window, or of every step of a window, stacked.
+    """The function of every step of a window, stacked.
 
     In scenes large enough for neighbour lists one after the other, and anew for the gradient: a
     step is work enough then, and the temporaries of all of them at once would fill the memory.
     """
     if model.neighbours is None:
         return jax.vmap(function)(*given)
+    return _in_turn(function, given)
+
+
+def _each_window(
+    model: ContactDynamics,
+    function: Callable[..., _Result],
+    devices: int,
+    windows: Window,
+    *given: PyTree,
+) -> _Result:
+    """The function of every window, stacked; of large windows one after the other on a device."""
+    nodes, steps = windows.position.shape[-2], windows.control.shape[1]
+    if model.neighbours is None and steps * nodes * (nodes - 1) // 2 < _LARGE:
+        return jax.vmap(function)(windows, *given)
+    if devices == 1:
+        return _in_turn(function, (windows, *given))
+    rounds = jax.tree.map(
+        lambda leaf: jnp.swapaxes(leaf.reshape(devices, -1, *leaf.shape[1:]), 0, 1),
+        (windows, *given),
+    )
+    found = _in_turn(jax.vmap(function), rounds)
+    return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1).reshape(-1, *leaf.shape[2:]), found)
+
+
+def _in_turn(function: Callable[..., _Result], given: PyTree) -> _Result:
+    """One after the other, and anew for the gradient, so that nothing large is kept for it."""
     return jax.lax.map(jax.checkpoint(lambda one: function(*one)), given)
 
 
