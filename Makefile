@@ -55,6 +55,7 @@ test: $(DEVELOPMENT)
 	$(BIN)/pytest -n 2
 
 bench: $(PACKAGE)
+	$(BIN)/python benchmarks/training_time.py
 	$(BIN)/python benchmarks/training_throughput.py
 	$(BIN)/python benchmarks/training_memory.py
 	$(BIN)/python benchmarks/model_at_scale.py

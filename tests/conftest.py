@@ -13,6 +13,10 @@ _CACHE = Path(__file__).resolve().parents[1] / ".cache" / "jax"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
+import jax  # noqa: E402  after what it goes by
+
+_MOST_MAPS = 20_000
+
 STEPS = 300
 """Of the shared training; with checks every 125 it ends in the second stage, on a short chunk."""
 
@@ -22,6 +26,15 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
         "filterwarnings", "ignore:Error (reading|writing) persistent:UserWarning"
     )
+
+
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    # Every compiled program maps some memory, of which Linux lets a process have 65,530 pieces; one
+    # that has used them up dies at the next.
+    if nextitem is None or nextitem.path != item.path:
+        maps = Path("/proc/self/maps")
+        if maps.exists() and maps.read_bytes().count(b"\n") > _MOST_MAPS:
+            jax.clear_caches()
 
 
 def _done(arguments: list[str]) -> None:

@@ -26,6 +26,7 @@ ALLOWED = {
     "commands": LIBRARY | {"evaluate", "reproduce", "view", "rehearsal"},
     "cli": LIBRARY | {"evaluate", "reproduce", "view", "rehearsal", "commands"},
     "worker": {"cli", "reproduce"},
+    "__main__": {"cli"},
 }
 """What each package may import besides itself."""
 

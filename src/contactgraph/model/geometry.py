@@ -88,7 +88,7 @@ def geometry(
     for _ in range(1 if push is None else _REFINEMENTS):
         until, meets = _touch(displacement, _way(drifted, driven, until), touch_distance)
     # Bodies that hold together have relative velocities of rounding size, and no impact.
-    square = _dot(drifted + driven, drifted + driven)
+    square = jnp.sum((drifted + driven) ** 2, axis=-1)
     impact = meets * square / (square + (_RESTING_SPEED * dt) ** 2)
     distance = _norm(displacement)
     return Geometry(
@@ -141,10 +141,9 @@ def _closest(
     ends = jnp.linspace(0.0, 1.0, chords + 1, dtype=displacement.dtype)[:, None, None]
     path = displacement + ends * (drifted + ends * driven)
     begin, way = path[:-1], path[1:] - path[:-1]
-    square = jnp.maximum(_dot(way, way), _SMALLEST)
-    along = jnp.clip(-_dot(begin, way) / square, 0.0, 1.0)
-    nearest = begin + along[..., None] * way
-    apart = _dot(nearest, nearest)
+    square = jnp.maximum(jnp.sum(way**2, axis=-1), _SMALLEST)
+    along = jnp.clip(-jnp.sum(begin * way, axis=-1) / square, 0.0, 1.0)
+    apart = jnp.sum((begin + along[..., None] * way) ** 2, axis=-1)
     chord = jnp.argmin(apart, axis=0)
     part = jnp.take_along_axis(along, chord[None], axis=0)[0]
     return (chord + part) / chords, jnp.sqrt(jnp.min(apart, axis=0) + _SMALLEST)
@@ -160,9 +159,9 @@ def _touch(
     The earlier root of |r + w s| = touch distance, where the two approach each other; where they
     do not come as near, the part until they are closest.
     """
-    square = jnp.maximum(_dot(way, way), _SMALLEST)
-    closing = -_dot(displacement, way)
-    gap = _dot(displacement, displacement) - touch_distance**2
+    square = jnp.maximum(jnp.sum(way**2, axis=-1), _SMALLEST)
+    closing = -jnp.sum(displacement * way, axis=-1)
+    gap = jnp.sum(displacement**2, axis=-1) - touch_distance**2
     discriminant = closing**2 - square * gap
     meets = (discriminant > 0) & (closing > 0)
     root = jnp.sqrt(jnp.where(meets, discriminant, 1.0))
@@ -171,12 +170,4 @@ def _touch(
 
 
 def _norm(vector: Float[Array, "*C E D"]) -> Float[Array, "*C E"]:
-    return jnp.sqrt(_dot(vector, vector) + _SMALLEST)
-
-
-def _dot(one: Float[Array, "*C E D"], other: Float[Array, "*C E D"]) -> Float[Array, "*C E"]:
-    """Written out: D is 2 or 3, and XLA's sum over so short an axis takes ten times as long."""
-    total = one[..., 0] * other[..., 0]
-    for axis in range(1, one.shape[-1]):
-        total = total + one[..., axis] * other[..., axis]
-    return total
+    return jnp.sqrt(jnp.sum(vector**2, axis=-1) + _SMALLEST)
