@@ -17,7 +17,7 @@ from contactgraph.data import Trajectory
 from contactgraph.evaluate import collect
 from contactgraph.tasks import PickupExpert, PickupTask
 
-RUNS = 4000
+RUNS = 1500
 
 
 def recorded(runs: int, engine: LocalProcesses | None) -> tuple[float, list[Trajectory]]:

@@ -69,9 +69,10 @@ class LocalTick:
     ) -> tuple[Plan, MPCState, bool]:
         """One tick: the plan, the state after it, and whether more nodes would have had to be in
         play than the limit allows."""
-        state = self._of_its_scene(state)
+        # Not in the tick that showed who may leave: it may have been made twice, and is late.
+        state = self._without_who_left(self._of_its_scene(state))
         _, after, missing = self._settled(state, reader, motion, contacts, applied)
-        return after.plan, self._without_who_left(after), len(missing) > 0
+        return after.plan, after, len(missing) > 0
 
     def _settled(
         self,
@@ -108,7 +109,7 @@ class LocalTick:
             state = self._about(state, np.concatenate([inside, joining]), always)
 
     def _without_who_left(self, state: MPCState) -> MPCState:
-        """With less room, where the tick showed that there is need for no more."""
+        """With less room, where the last tick showed that there is need for no more."""
         part, capacity = state.part, len(state.last_seen[0])
         if room_for(int(np.sum(part.always)), capacity) >= len(part.who):
             return state

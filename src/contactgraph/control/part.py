@@ -1,6 +1,7 @@
 """A scene cut down to the nodes in play, and what is known carried from some of them to others."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
@@ -21,11 +22,14 @@ def part_of(
     ``dimension``: D.
     """
     mask = np.asarray(nodes.mask)
-    whole = np.array_equal(who, np.arange(len(mask)))
+    own = nodes, cost
+    if not np.array_equal(who, np.arange(len(mask))):
+        # All at once: a call for each array takes as long as a tick.
+        own = jax.device_put((_nodes_of(nodes, who), _cost_of(cost, who, 2 * dimension)))
     return Part(
         who=who,
-        nodes=nodes if whole else _nodes_of(nodes, who),
-        cost=cost if whole else _cost_of(cost, who, 2 * dimension),
+        nodes=own[0],
+        cost=own[1],
         always=np.isin(who, always),
         left_out=np.setdiff1d(np.flatnonzero(mask), who),
         of=(nodes, cost),
@@ -77,11 +81,11 @@ def _nodes_of(nodes: Nodes, who: np.ndarray) -> Nodes:
     anchor = None
     if nodes.anchor is not None:
         anchors = np.asarray(nodes.anchor)
-        anchor = jax.device_put(np.where(real[:, None], anchors[who], anchors.dtype.type(np.nan)))
+        anchor = np.where(real[:, None], anchors[who], anchors.dtype.type(np.nan))
     return Nodes(
-        actuated=jax.device_put(np.asarray(nodes.actuated)[who] & real),
-        mask=jax.device_put(np.asarray(nodes.mask)[who] & real),
-        candidate=jax.device_put(np.asarray(nodes.candidate)[edge] & exists),
+        actuated=np.asarray(nodes.actuated)[who] & real,
+        mask=np.asarray(nodes.mask)[who] & real,
+        candidate=np.asarray(nodes.candidate)[edge] & exists,
         anchor=anchor,
     )
 
@@ -94,12 +98,12 @@ def _cost_of(cost: QuadraticCost, who: np.ndarray, size: int) -> QuadraticCost:
     before, after = _rows(involved, size), _rows(slots, size)
     Q, goal = np.asarray(cost.Q), np.asarray(cost.goal)
     count = len(who) * size
-    part = np.zeros((*Q.shape[:-2], count, count), Q.dtype)
+    part: Any = np.zeros((*Q.shape[:-2], count, count), Q.dtype)
     part[..., after[:, None], after] = Q[..., before[:, None], before]
-    there = np.zeros((*goal.shape[:-1], count), goal.dtype)
+    there: Any = np.zeros((*goal.shape[:-1], count), goal.dtype)
     there[..., after] = goal[..., before]
-    own = jax.device_put((part, there, slots.astype(np.int32)))
-    return replace(cost, Q=own[0], goal=own[1], involved=own[2])
+    own: Any = slots.astype(np.int32)
+    return replace(cost, Q=part, goal=there, involved=own)
 
 
 def _rows(nodes: np.ndarray, size: int) -> np.ndarray:
@@ -107,7 +111,10 @@ def _rows(nodes: np.ndarray, size: int) -> np.ndarray:
 
 
 class _Move:
-    """Where what is known of nodes and edges goes when others are in play."""
+    """Where what is known of nodes and edges goes when others are in play.
+
+    Gives NumPy arrays, which a compiled tick takes as they are, and sooner than if they were moved.
+    """
 
     def __init__(self, before: np.ndarray, after: np.ndarray) -> None:
         """Nodes in play, in their order and then -1 for padding: [m] and [n]."""
@@ -118,27 +125,27 @@ class _Move:
         stays = (first >= 0) & (second >= 0)
         self._edge = np.where(stays, edge_index(first, second), -1)
 
-    def nodes(self, known: jax.Array, new: np.ndarray) -> jax.Array:
+    def nodes(self, known: jax.Array, new: np.ndarray) -> Any:
         """``known`` […, m, D] and, of newcomers, ``new`` [n, D]."""
-        return jax.device_put(_chosen(np.asarray(known), self._node, new, -2))
+        return _chosen(np.asarray(known), self._node, new, -2)
 
-    def stacked(self, known: jax.Array, new: np.ndarray) -> jax.Array:
+    def stacked(self, known: jax.Array, new: np.ndarray) -> Any:
         """``known`` […, 2mD], in `stack_state`'s order, and of newcomers ``new`` [n, 2, D]."""
         by_node = np.asarray(known).reshape(*known.shape[:-1], -1, *new.shape[1:])
         chosen = _chosen(by_node, self._node, new, -3)
-        return jax.device_put(chosen.reshape(*known.shape[:-1], -1))
+        return chosen.reshape(*known.shape[:-1], -1)
 
-    def edges(self, known: jax.Array, new: np.ndarray) -> jax.Array:
+    def edges(self, known: jax.Array, new: np.ndarray) -> Any:
         """``known`` [e] and, where an edge has a newcomer, ``new`` [1]."""
-        return jax.device_put(_chosen(np.asarray(known), self._edge, new, -1))
+        return _chosen(np.asarray(known), self._edge, new, -1)
 
     def belief(self, known: ContactBelief, new: ContactBelief) -> ContactBelief:
         """``known`` […, e, K] and, where an edge has a newcomer, ``new`` [e, K]."""
         types, others = np.asarray(known.type_probability), np.asarray(new.type_probability)
-        return ContactBelief(jax.device_put(_chosen(types, self._edge, others, -2)))
+        return ContactBelief(_chosen(types, self._edge, others, -2))
 
 
-def _chosen(known: np.ndarray, index: np.ndarray, new: np.ndarray, axis: int) -> np.ndarray:
+def _chosen(known: np.ndarray, index: np.ndarray, new: np.ndarray, axis: int) -> Any:
     """``known`` at ``index`` along ``axis``, a negative one; ``new`` where the index is -1."""
     kept = np.take(known, np.maximum(index, 0), axis)
     stays = (index >= 0).reshape(-1, *[1] * (-1 - axis))
