@@ -17,7 +17,7 @@ from contactgraph.data import Trajectory
 from contactgraph.evaluate import collect
 from contactgraph.tasks import PickupExpert, PickupTask
 
-RUNS = 1500
+RUNS = 1000
 
 
 def recorded(runs: int, engine: LocalProcesses | None) -> tuple[float, list[Trajectory]]:
