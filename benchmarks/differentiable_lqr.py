@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from comparing import Missing, Way, compared
-from lqr_sample import MPCTorch
+from lqr_sample import MPCTorch, through_the_scan
 from measuring import arguments, report
 
-from contactgraph.control import LQRProblem, LQRTrajectory, lqr_trajectory, solve_lqr
+from contactgraph.control import LQRProblem, LQRTrajectory, lqr_trajectory
 
 HORIZON, STATES, CONTROLS, BATCH = 200, 8, 2, 40
 Answer = tuple[LQRTrajectory, tuple[LQRProblem, jax.Array]]
@@ -50,20 +50,6 @@ def sample() -> tuple[LQRProblem, np.ndarray, LQRTrajectory]:
     )
     slopes = LQRTrajectory(normal(HORIZON + 1, STATES), normal(HORIZON, CONTROLS))
     return problem, normal(STATES), slopes
-
-
-def through_the_scan(problem: LQRProblem, start: jax.Array) -> LQRTrajectory:
-    """The same trajectory in plain JAX, for autodiff."""
-    policy, _ = solve_lqr(problem)
-
-    def step(x: jax.Array, stage: tuple) -> tuple[jax.Array, tuple]:
-        A, B, offset, policy = stage
-        u = policy(x)
-        return A @ x + B @ u + offset, (x, u)
-
-    stages = (problem.A, problem.B, problem.offset, policy)
-    last, (states, controls) = jax.lax.scan(step, start, stages)
-    return LQRTrajectory(jnp.concatenate([states, last[None]]), controls)
 
 
 def with_jax(

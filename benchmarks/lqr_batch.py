@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from comparing import Missing, Way, compared
-from lqr_sample import MPCTorch, sample
+from lqr_sample import MPCTorch, sample, through_the_scan
 from measuring import arguments, report
 
-from contactgraph.control import LQRProblem, LQRTrajectory, lqr_trajectory, solve_lqr
+from contactgraph.control import LQRProblem, lqr_trajectory
 
 BATCH = 64
 Problems = tuple[LQRProblem, np.ndarray]
@@ -46,20 +46,7 @@ def one_by_one(given: Problems) -> Way:
     """One after the other in one compiled call."""
     problem, start = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), given)
 
-    def trajectory(each: tuple[LQRProblem, jax.Array]) -> LQRTrajectory:
-        problem, start = each
-        policy, _ = solve_lqr(problem)
-
-        def step(x: jax.Array, stage: tuple) -> tuple[jax.Array, tuple]:
-            A, B, offset, policy = stage
-            u = policy(x)
-            return A @ x + B @ u + offset, (x, u)
-
-        stages = (problem.A, problem.B, problem.offset, policy)
-        last, (states, controls) = jax.lax.scan(step, start, stages)
-        return LQRTrajectory(jnp.concatenate([states, last[None]]), controls)
-
-    solve = jax.jit(lambda *each: jax.lax.map(trajectory, each))
+    solve = jax.jit(lambda *each: jax.lax.map(lambda one: through_the_scan(*one), each))
     return Way(
         "ours",
         lambda: jax.block_until_ready(solve(problem, start)),

@@ -3,10 +3,12 @@
 from importlib.metadata import version
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from comparing import Missing, Way
 
-from contactgraph.control import LQRProblem
+from contactgraph.control import LQRProblem, LQRTrajectory, solve_lqr
 
 HORIZON, CONTROLS = 200, 2
 
@@ -36,6 +38,20 @@ def sample(states: int, seed: int = 0) -> tuple[LQRProblem, np.ndarray, np.ndarr
         r=rng.normal(size=(HORIZON, CONTROLS)),
     )
     return problem, blocks, rng.normal(size=states)
+
+
+def through_the_scan(problem: LQRProblem, start: jax.Array) -> LQRTrajectory:
+    """The optimal trajectory from a start, in plain JAX: no derivative of our own."""
+    policy, _ = solve_lqr(problem)
+
+    def step(x: jax.Array, stage: tuple) -> tuple[jax.Array, tuple]:
+        A, B, offset, policy = stage
+        u = policy(x)
+        return A @ x + B @ u + offset, (x, u)
+
+    stages = (problem.A, problem.B, problem.offset, policy)
+    last, (states, controls) = jax.lax.scan(step, start, stages)
+    return LQRTrajectory(jnp.concatenate([states, last[None]]), controls)
 
 
 def with_crocoddyl(problem: LQRProblem, start: np.ndarray) -> Way | Missing:
