@@ -19,10 +19,11 @@ from comparing import Missing, Row, Way, compared
 from measuring import arguments, report
 
 from contactgraph.control import ILQR, QuadraticCost, chain_cost
-from contactgraph.data import Trajectory
+from contactgraph.data import Dataset, Trajectory
 from contactgraph.evaluate import collect
 from contactgraph.model import (
     ContactDynamics,
+    GrowingLists,
     ModelState,
     Nodes,
     load_model,
@@ -42,8 +43,10 @@ Sample = tuple[ContactDynamics, list[Trajectory], Nodes]
 
 def sample(bodies: int, runs: int) -> Sample:
     """The model, and runs of 200 steps with so many bodies."""
-    model = load_model(shipped_model("pickup")).model
     recorded = collect([lambda: PickupTask(bodies - 2)], [PickupExpert()], runs, seed=0)
+    # With lists of near pairs where training and evaluation would use them.
+    model = load_model(shipped_model("pickup")).model
+    model = GrowingLists(model, Dataset(tuple(recorded))).model
     return model, recorded, scene_nodes(recorded[0].scene)
 
 

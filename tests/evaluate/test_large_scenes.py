@@ -33,11 +33,37 @@ def model():
 @pytest.fixture
 def large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few bodies are many."""
-    monkeypatch.setattr(listed, "LISTED_FROM", COUNT)
+    monkeypatch.setattr(listed, "CELLS_FROM", COUNT)
 
 
-def test_small_scenes_have_no_lists(model, apart) -> None:
+@pytest.fixture(scope="module")
+def sparse() -> Dataset:
+    """A longer row."""
+    run = random_run(14, 4, 0)
+    row = 0.15 * np.arange(14)[:, None] * np.array([1.0, 0.2])
+    return Dataset((dataclasses.replace(run, position=0.3 * run.position + row),))
+
+
+def test_small_scenes_have_lists_where_few_pairs_are_near(model, apart, sparse) -> None:
     assert GrowingLists(model, apart).model is model
+    lists = GrowingLists(model, sparse).model.neighbours
+    assert lists.cell is None and lists.group is None
+    assert 13 < lists.edges < 45
+
+
+def test_small_scenes_with_lists_come_out_the_same(model, sparse, monkeypatch, caplog) -> None:
+    near = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
+    monkeypatch.setattr(listed, "_LEAST_SPARE", -5)
+    monkeypatch.setattr(listed, "_SPARE", 0.3)
+    with caplog.at_level(logging.WARNING):
+        grown = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
+    assert caplog.text.count("compiled anew") == 1
+    monkeypatch.setattr(listed, "_WORTH", 0.0)
+    every = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
+    for found in (near, grown):
+        for name, value in every.to_json().items():
+            expected = value if value is None else pytest.approx(value, rel=1e-3)
+            assert found.to_json()[name] == expected, name
 
 
 @pytest.mark.usefixtures("large")
@@ -79,7 +105,7 @@ def test_the_room_given_is_the_limit(model, apart) -> None:
 
 def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, caplog) -> None:
     every = evaluate_open_loop(model, apart, horizon_s=2 * DT)
-    monkeypatch.setattr(listed, "LISTED_FROM", COUNT)
+    monkeypatch.setattr(listed, "CELLS_FROM", COUNT)
     monkeypatch.setattr(listed, "_SPARE", 0.3)
     with caplog.at_level(logging.WARNING):
         near = evaluate_open_loop(model, apart, horizon_s=2 * DT)

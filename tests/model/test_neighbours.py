@@ -47,8 +47,9 @@ def listed(position, way=None, mask=None, edges=400, cell=30):
     return {tuple(pair) for pair in np.asarray(found.pairs)[real].tolist()}, bool(found.fits)
 
 
+@pytest.mark.parametrize("cell", [30, None])
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_list_has_the_near_pairs_each_once(dimension: int) -> None:
+def test_a_list_has_the_near_pairs_each_once(dimension: int, cell: int | None) -> None:
     rng = np.random.default_rng(dimension)
     # Wider than the numbered cells, so that some of them share a number.
     size = {2: 3.0, 3: 1.4}[dimension]
@@ -57,7 +58,7 @@ def test_a_list_has_the_near_pairs_each_once(dimension: int) -> None:
     mask = rng.random(60) < 0.9
     distance = np.linalg.norm(position[:, None] - position[None], axis=-1)
     near = (distance < FAR + way[:, None] + way) & mask[:, None] & mask
-    found, fits = listed(position, way, mask)
+    found, fits = listed(position, way, mask, cell=cell)
     assert fits and len(found) > 5
     assert found == {(i, j) for i, j in pair_indices(60).tolist() if near[i, j]}
 
@@ -142,6 +143,7 @@ def test_what_outgrows_a_list_has_no_prediction() -> None:
     state = crowd(model, nodes)
     for lists in (
         NeighbourLists(edges=3, cell=6),
+        NeighbourLists(edges=3, cell=None, group=None),
         NeighbourLists(edges=20, cell=1),
         NeighbourLists(edges=20, cell=6, group=1),
     ):

@@ -10,8 +10,7 @@ import pytest
 
 from contactgraph.data import pair_indices
 from contactgraph.model import ContactDynamics, NeighbourLists, Nodes, gim_temp
-from contactgraph.train import LossTerms
-from contactgraph.train import loss as training_loss
+from contactgraph.train import LossTerms, in_chunks
 from contactgraph.train.batch import Window
 from contactgraph.train.loss import window_loss
 
@@ -36,9 +35,10 @@ def windows() -> Window:
     )
 
 
-def test_loss_and_gradient_are_those_of_all_pairs() -> None:
+@pytest.mark.parametrize("lists", [NeighbourLists(9, 5, 5), NeighbourLists(9, None, None)])
+def test_loss_and_gradient_are_those_of_all_pairs(lists: NeighbourLists) -> None:
     model = gim_temp(2, 2, 0.05, width=8, key=jax.random.key(1))
-    near = dataclasses.replace(model, neighbours=NeighbourLists(edges=9, cell=5, group=5))
+    near = dataclasses.replace(model, neighbours=lists)
     drawn, key = windows(), jax.random.key(0)
 
     @eqx.filter_jit
@@ -57,7 +57,7 @@ def test_loss_and_gradient_are_those_of_all_pairs() -> None:
         np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-5 + 1e-3 * scale)
 
 
-def test_large_windows_in_turn_are_windows_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chunk_after_chunk_is_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     model = gim_temp(2, 2, 0.05, width=8, key=jax.random.key(1))
     pair = windows()
     drawn = jax.tree.map(lambda leaf: jnp.concatenate([leaf, 0.9 * leaf]).astype(leaf.dtype), pair)
@@ -72,7 +72,7 @@ def test_large_windows_in_turn_are_windows_at_once(monkeypatch: pytest.MonkeyPat
         return total(model)
 
     at_once, gradient = loss(1)
-    monkeypatch.setattr(training_loss, "_LARGE", 1)
+    monkeypatch.setattr(in_chunks, "_EDGES", 30)  # chunks that do not come out even
     for devices in (1, 2):
         value, found = loss(devices)
         np.testing.assert_allclose(value, at_once, rtol=1e-5)

@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.model import (
     ContactBelief,
+    ContactDynamics,
     ContactSensor,
     ModelState,
     MotionNoise,
@@ -15,6 +16,7 @@ from contactgraph.model import (
     held_response,
 )
 from contactgraph.model.follow import follow_run
+from contactgraph.model.neighbours import edge_count
 from contactgraph.model.recording import Recording
 
 _SMALL_GRAPH = 28
@@ -65,7 +67,10 @@ def predict_run(
         return jax.lax.scan(step, (state, response), controls)[1]
 
     count = starts.shape[0]
-    batch = min(_BATCH, count) if edges <= _SMALL_GRAPH else 1
+    looked_at = edges
+    if isinstance(model, ContactDynamics):
+        looked_at = edge_count(model.neighbours, run.position.shape[1])
+    batch = min(_BATCH, count) if looked_at <= _SMALL_GRAPH else 1
     # A last batch of another size would compile the rollout a second time.
     padded = jnp.pad(starts, (0, -count % batch), mode="edge")
     position, active = jax.lax.map(from_state, padded, batch_size=batch if batch > 1 else None)

@@ -16,13 +16,16 @@ from contactgraph.model.inference import AllEdges, MemorylessEdges, RecurrentEdg
 from contactgraph.model.linear_dynamics import LinearDynamics
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
 from contactgraph.model.local_input import LocalInput
-from contactgraph.model.neighbours import NeighbourLists, longest_ways
+from contactgraph.model.neighbours import NeighbourLists, edge_count, longest_ways
 from contactgraph.model.prior import DistancePrior, TouchPrior
 from contactgraph.model.push import advance, held_response
 from contactgraph.model.reach import Everywhere, Reach
 from contactgraph.model.sampling import ArgmaxSample, GumbelSample
 from contactgraph.model.spring_mass_damper import SpringMassDamper
 from contactgraph.model.state import ModelState, Nodes
+
+_MANY_EDGES = 500
+"""A scene is large that has more."""
 
 
 class Percept(eqx.Module):
@@ -183,7 +186,8 @@ class ContactDynamics(eqx.Module):
             return (after, response), after
 
         # Of large scenes gradients compute anew what they need: it would fill the memory.
-        each = step if self.neighbours is None else jax.checkpoint(step)
+        large = edge_count(self.neighbours, nodes.mask.shape[0]) > _MANY_EDGES
+        each = jax.checkpoint(step) if large else step
         first = dataclasses.replace(state, push=None)
         return jax.lax.scan(each, (first, held_response(self, state, nodes)), controls)[1]
 

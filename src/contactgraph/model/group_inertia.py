@@ -17,6 +17,8 @@ from contactgraph.model.groups import Groups, find_groups
 
 _UNROLLED_SIZE = 6
 """Rows up to which matrices are inverted, and multiplied, in written out operations that fuse."""
+_ELIMINATED_SIZE = 32
+"""Rows up to which matrices side by side are inverted sooner here than by a library."""
 
 
 class Inertia(eqx.Module):
@@ -148,7 +150,9 @@ def _blocks(inertia: Inertia, groups: Groups, room: int) -> Float[Array, "N s s"
     return blocks.reshape(count, room * size, room * size)
 
 
-def spd_inverse(matrix: Float[Array, "*B n n"], rows: Int[Array, ""]) -> Float[Array, "*B n n"]:
+def spd_inverse(
+    matrix: Float[Array, "*B n n"], rows: Int[Array, ""] | int
+) -> Float[Array, "*B n n"]:
     """Inverses of many small, symmetric positive definite matrices, side by side.
 
     Only the first `rows` of a matrix are other than the identity's.
@@ -170,10 +174,13 @@ def _eliminated(pivot: Int[Array, ""] | int, matrix: Float[Array, "*B n n"]) -> 
 
 @jax.custom_jvp
 def _whole_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    size = matrix.shape[0]
     # Of scenes side by side, a library inverts one after the other.
-    if matrix.shape[0] > _UNROLLED_SIZE:
+    if size > _ELIMINATED_SIZE:
         return jnp.linalg.inv(matrix)
-    for pivot in range(matrix.shape[0]):
+    if size > _UNROLLED_SIZE:
+        return spd_inverse(matrix, size)
+    for pivot in range(size):
         matrix = _eliminated(pivot, matrix)
     return matrix
 

@@ -13,18 +13,28 @@ from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.neighbours import NeighbourLists, candidates, longest_ways
+from contactgraph.model.edges import pair_count
+from contactgraph.model.neighbours import (
+    NeighbourLists,
+    candidates,
+    longest_ways,
+    near_of_all,
+)
 from contactgraph.model.reach import Reach
 from contactgraph.model.state import Nodes
 from contactgraph.model.step_model import StepModel
 
-LISTED_FROM = 32
-"""Nodes from which a step with lists is surely the faster one: it is from about 20, by
-measurement."""
+CELLS_FROM = 32
+"""Nodes from which lists are made by cells, and what holds together is solved by groups."""
 
-_LOOKED_AT = 200
-"""States of a dataset, evenly spread, that say how much room its scenes need."""
+_LOOKED_AT = 100_000
+"""Nodes of a dataset's states, evenly spread, that say how much room its scenes need."""
 _SPARE = 1.5
+_LEAST_SPARE = 4
+"""Edges: one more node, as training places it among the recorded ones, is near to some."""
+_WORTH = 0.5
+"""Of all pairs: with less room than that a step with lists is the faster one, of 6 nodes and more
+by measurement."""
 _GROWTH = 4
 
 _log = logging.getLogger(__name__)
@@ -63,24 +73,26 @@ def with_neighbour_lists(
 
 
 class GrowingLists(Generic[_Model]):
-    """A model with lists where scenes are large, whose room grows once where it is too small.
+    """A model with lists where few pairs are near, whose room grows once where it is too small.
 
-    A scene is large from `LISTED_FROM` nodes on. A model that has lists already keeps to them: the
-    room it was given is the limit. A model without end to its reach looks at all pairs as ever, and
-    so does one that is no `ContactDynamics`.
+    A model that has lists already keeps to them: the room it was given is the limit. A model
+    without end to its reach looks at all pairs as ever, and so does one that is no
+    `ContactDynamics`, and of few nodes any whose lists would need room for half of the pairs.
     """
 
     def __init__(self, model: _Model, dataset: Dataset) -> None:
         """`dataset`: recorded runs like those that are to be predicted."""
         self.given = self.model = model
         self._may_grow = False
-        count = max(run.scene.node_count for run in dataset)
-        if not isinstance(model, ContactDynamics) or count < LISTED_FROM:
+        if not isinstance(model, ContactDynamics) or model.neighbours is not None:
             return
-        if model.neighbours is None and isinstance(model.reach, Reach):
+        if not isinstance(model.reach, Reach):
+            return
+        count = max(run.scene.node_count for run in dataset)
+        lists = _lists_for(model, dataset, count)
+        if count >= CELLS_FROM or lists.edges < _WORTH * pair_count(count):
             self._may_grow = True
-            edges, cell = _room(model, list(_states(dataset, count)), _SPARE)
-            self.model = dataclasses.replace(model, neighbours=NeighbourLists(edges, cell))
+            self.model = dataclasses.replace(model, neighbours=lists)
 
     def until_finite(
         self,
@@ -100,7 +112,7 @@ class GrowingLists(Generic[_Model]):
         before = self.model.neighbours
         after = NeighbourLists(
             edges=_GROWTH * before.edges,
-            cell=_GROWTH * before.cell,
+            cell=None if before.cell is None else _GROWTH * before.cell,
             group=None if before.group is None else _GROWTH * before.group,
         )
         _log.warning(
@@ -110,6 +122,24 @@ class GrowingLists(Generic[_Model]):
         )
         self.model = dataclasses.replace(self.model, neighbours=after)
         return predict(self.model)
+
+
+def _lists_for(model: ContactDynamics, dataset: Dataset, count: int) -> NeighbourLists:
+    """Lists for scenes of `count` nodes as crowded as the dataset's."""
+    states = list(_states(dataset, count))
+    if count >= CELLS_FROM:
+        edges, cell = _room(model, states, _SPARE)
+        return NeighbourLists(edges, cell)
+    assert isinstance(model.reach, Reach)
+    far, dt = model.reach.far, model.dt
+
+    @jax.jit
+    def found(position: Array, velocity: Array, mask: Array, anchor: Array | None) -> Array:
+        way = longest_ways(position, velocity, None, anchor, dt)
+        return jnp.sum(near_of_all(position, way, mask, far))
+
+    near = max(int(found(s.position, s.velocity, s.mask, s.anchor)) for s in states)
+    return NeighbourLists(max(int(np.ceil(_SPARE * near)), near + _LEAST_SPARE), None, None)
 
 
 def _room(model: ContactDynamics, states: Iterable[_Seen], spare: float) -> tuple[int, int]:
@@ -138,7 +168,7 @@ def _room(model: ContactDynamics, states: Iterable[_Seen], spare: float) -> tupl
 def _states(dataset: Dataset, count: int) -> Iterator[_Seen]:
     """States of the runs, padded to `count` nodes."""
     every = [(run, step) for run in dataset for step in range(run.steps + 1)]
-    for run, step in every[:: -(-len(every) // _LOOKED_AT)]:
+    for run, step in every[:: -(-len(every) * count // _LOOKED_AT)]:
         more = ((0, count - run.scene.node_count), (0, 0))
         anchor = None
         if run.scene.anchor is not None:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.graph import pair_indices
 from contactgraph.model.edges import Edges, numbered, pair_count, place
 
 _MOST_NODES = 46_340
@@ -19,15 +20,16 @@ class NeighbourLists(eqx.Module):
     """Only pairs that may come into reach within a step are edges of it.
 
     Found by cells: space is cut into cubes as long as the reach and twice the longest way of a
-    node, so that who is near is in the same one or next to it. What such a list leaves out is out
-    of reach, and inactive for sure, so predictions are those of all pairs. Sizes are fixed when a
-    model is made; a step that needs more has no prediction but NaN. See `with_neighbour_lists`.
+    node, so that who is near is in the same one or next to it. Of few nodes the distances of all
+    pairs are found sooner. What such a list leaves out is out of reach, and inactive for sure, so
+    predictions are those of all pairs. Sizes are fixed when a model is made; a step that needs more
+    has no prediction but NaN. See `with_neighbour_lists`.
     """
 
     edges: int = eqx.field(static=True)
     """Room for so many near pairs."""
-    cell: int = eqx.field(static=True)
-    """Room for so many nodes in a cell."""
+    cell: int | None = eqx.field(static=True)
+    """Room for so many nodes in a cell. None: no cells, all pairs are gone through."""
     group: int | None = eqx.field(static=True, default=16)
     """Room for so many nodes that hold each other, directly or through others. None: for all, who
     are then solved as one group: time grows with the cube of their number."""
@@ -54,6 +56,13 @@ class NeighbourLists(eqx.Module):
         count = position.shape[0]
         if count > _MOST_NODES:
             raise InvalidInputError(f"lists are for at most {_MOST_NODES} nodes, found {count}")
+        if self.cell is None:
+            near = near_of_all(position, way, mask, far)
+            # The places of the first, second, ... near pair; of none, that behind the last pair.
+            until = jnp.cumsum(near)
+            passed = until[None, :] <= jnp.arange(self.edges)[:, None]
+            listed = jnp.sum(passed, axis=1, dtype=jnp.int32)
+            return Edges(numbered(listed, count), listed, until[-1] <= self.edges)
         all_found = candidates(position, way, mask, far, self.cell)
         number, near = all_found.number, all_found.near
         rank = jnp.cumsum(near, axis=1)
@@ -66,6 +75,11 @@ class NeighbourLists(eqx.Module):
         listed = jnp.sort(listed.at[slot.reshape(-1)].set(number.reshape(-1), mode="drop"))
         fits = (all_found.fullest <= self.cell) & (found <= self.edges)
         return Edges(numbered(listed, count), listed, fits)
+
+
+def edge_count(lists: NeighbourLists | None, node_count: int) -> int:
+    """Edges of a step of so many nodes: as many as there is room for, or all pairs."""
+    return pair_count(node_count) if lists is None else lists.edges
 
 
 def longest_ways(
@@ -85,6 +99,16 @@ def longest_ways(
     # A bar's far end is an arm's length from its middle, and twice as fast.
     arm = jnp.linalg.norm(position - anchor, axis=-1)
     return jnp.where(jnp.isfinite(arm), arm + 2.0 * way, way)
+
+
+def near_of_all(
+    position: Float[Array, "N D"], way: Float[Array, " N"], mask: Bool[Array, " N"], far: float
+) -> Bool[Array, " all"]:
+    """Which of all pairs may come into reach within the step; arguments as of `NeighbourLists`."""
+    first, second = pair_indices(position.shape[0]).T
+    apart = position[second] - position[first]
+    near = jnp.sum(apart**2, axis=-1) < (far + way[first] + way[second]) ** 2
+    return near & mask[first] & mask[second]
 
 
 class Candidates(eqx.Module):

@@ -1,6 +1,8 @@
 """What training minimises: the terms by name."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import equinox as eqx
@@ -11,13 +13,13 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from contactgraph.model.belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics, Percept
 from contactgraph.model.linear_dynamics import LinearDynamics
-from contactgraph.model.state import ModelState
+from contactgraph.model.neighbours import edge_count
+from contactgraph.model.state import ModelState, Nodes
 from contactgraph.train.batch import Window
+from contactgraph.train.in_chunks import in_chunks
 
 _Result = TypeVar("_Result")
 _SMALLEST = 1e-6
-_LARGE = 200
-"""Edges times steps from which on a window is work enough by itself: one fits a core's cache."""
 _ROLLOUT_POSITION = 0.5
 """Weight of a rollout's position errors: they add up over its steps, velocity errors do not."""
 
@@ -57,19 +59,18 @@ def window_loss(
     errors are divided by dt, so that both halves of a state weigh alike. The rollout term costs a
     pass through time; without it the term is 0. ``devices`` is over how many the windows are split.
     """
-    keys = jax.random.split(key, windows.control.shape[0])
-    error, nodes, divergence, edges = _each_window(
-        model, lambda w, k: _teacher_forced(model, w, k), devices, windows, keys
-    )
+    steps = _Steps(model, windows, devices)
+    error, divergence, weight = _teacher_forced(steps, key)
+    nodes = jnp.broadcast_to(windows.nodes.mask[:, None], error.shape)
     rollout = jnp.zeros(())
     if with_rollout:
-        moved = _each_window(model, lambda w: _rolled_out(model, w), devices, windows)
+        moved = in_chunks(partial(_rolled_out, model), (windows,), steps.edges, devices)
         rollout = _mean(moved, nodes)
     return LossTerms(
         prediction=_mean(jnp.sqrt(error + _SMALLEST), nodes),
         squared=_mean(error, nodes),
         rollout=rollout,
-        prior=_mean(divergence, edges),
+        prior=_mean(divergence, weight > 0),
     )
 
 
@@ -77,114 +78,114 @@ def _mean(values: Array, mask: Array) -> Array:
     return jnp.sum(jnp.where(mask, values, 0.0)) / jnp.maximum(jnp.sum(mask), 1)
 
 
+@dataclass(frozen=True)
+class _Steps:
+    """All steps of all windows, each by itself."""
+
+    model: ContactDynamics
+    windows: Window
+    devices: int
+
+    @property
+    def length(self) -> int:
+        """L"""
+        return self.windows.control.shape[1]
+
+    @property
+    def edges(self) -> int:
+        """Of a step."""
+        return edge_count(self.model.neighbours, self.windows.position.shape[-2])
+
+    def each(self, function: Callable[..., _Result], *given: PyTree) -> _Result:
+        """The function of every step's nodes, position, velocity and what is ``given`` of it
+        [B, L, ...], stacked alike."""
+        windows, count = self.windows, self.windows.control.shape[0]
+        given = windows.position[:, :-1], windows.velocity[:, :-1], *given
+
+        def of_step(window: Array, given: PyTree) -> _Result:
+            return function(jax.tree.map(lambda leaf: leaf[window], windows.nodes), *given)
+
+        flat = jax.tree.map(lambda leaf: leaf.reshape(count * self.length, *leaf.shape[2:]), given)
+        window = jnp.repeat(jnp.arange(count), self.length)
+        found = in_chunks(of_step, (window, flat), self.edges, self.devices)
+        return jax.tree.map(lambda leaf: leaf.reshape(count, self.length, *leaf.shape[1:]), found)
+
+
 def _teacher_forced(
-    model: ContactDynamics, window: Window, key: PRNGKeyArray
-) -> tuple[Array, Array, Array, Array]:
-    """Squared error [L, N] and who counts, KL divergence [L, E] and which edges count."""
-    position, velocity = window.position, window.velocity
-    percept, prior, belief = _believed(model, window, _pushes(model, window))
+    steps: _Steps, key: PRNGKeyArray
+) -> tuple[Float[Array, "B L N"], Float[Array, "B L E"], Float[Array, "B L E"]]:
+    """Squared error, KL divergence and weight of edges, of every step from its recorded state."""
+    windows, dt = steps.windows, steps.model.dt
+    percept, prior, belief = _believed(steps, _pushes(steps))
 
-    def predict(
-        percept: Percept, belief: ContactBelief, x: Array, v: Array, u: Array, key: PRNGKeyArray
-    ) -> tuple[Array, Array]:
-        return _linear(model, window, percept, belief, x, v, key)(x, v, u)
+    def missed(
+        nodes: Nodes,
+        x: Array,
+        v: Array,
+        percept: Percept,
+        belief: ContactBelief,
+        u: Array,
+        then: tuple[Array, Array],
+        key: PRNGKeyArray,
+    ) -> Array:
+        position, velocity = _linear(steps.model, nodes, x, v, percept, belief, key)(x, v, u)
+        missed = jnp.sum(((position - then[0]) / dt) ** 2, axis=-1)
+        return missed + jnp.sum((velocity - then[1]) ** 2, axis=-1)
 
-    keys = jax.random.split(key, window.control.shape[0])
-    next_position, next_velocity = _each(
-        model, predict, percept, belief, position[:-1], velocity[:-1], window.control, keys
-    )
-    error = jnp.sum(((next_position - position[1:]) / model.dt) ** 2, axis=-1)
-    error = error + jnp.sum((next_velocity - velocity[1:]) ** 2, axis=-1)
+    then = windows.position[:, 1:], windows.velocity[:, 1:]
+    keys = jax.random.split(key, windows.control.shape[:2])
+    error = steps.each(missed, percept, belief, windows.control, then, keys)
     p = jnp.clip(belief.type_probability, _SMALLEST, 1.0)
     q = jnp.clip(prior.type_probability, _SMALLEST, 1.0)
-    divergence = jnp.sum(p * (jnp.log(p) - jnp.log(q)), axis=-1)
-    counts = jnp.broadcast_to(window.nodes.mask, error.shape)
-    return error, counts, divergence, percept.weight > 0
+    return error, jnp.sum(p * (jnp.log(p) - jnp.log(q)), axis=-1), percept.weight
 
 
-def _pushes(model: ContactDynamics, window: Window) -> Float[Array, "L N D"]:
+def _pushes(steps: _Steps) -> Float[Array, "B L N D"]:
     """How far each control alone moves each node in its step, m; see `contactgraph.model.pushed`.
 
     From a first pass that knows of no push. Nothing learns through it.
     """
-    position, velocity = window.position[:-1], window.velocity[:-1]
-    percept, _, belief = _believed(model, window, None)
-    response = _each(
-        model,
-        lambda *step: _linear(model, window, *step).B[..., 0, :],
-        *(percept, belief, position, velocity),
-    )
-    before = jnp.concatenate([response[:1], response[:-1]])
-    push = jnp.sum(before * window.control[:, None, None, :], axis=-1)
-    return jax.lax.stop_gradient(push)
+    percept, _, belief = _believed(steps, None)
+
+    def response(
+        nodes: Nodes, x: Array, v: Array, percept: Percept, belief: ContactBelief
+    ) -> Array:
+        return _linear(steps.model, nodes, x, v, percept, belief).B[..., 0, :]
+
+    found = jax.lax.stop_gradient(steps.each(response, percept, belief))
+    before = jnp.concatenate([found[:, :1], found[:, :-1]], axis=1)
+    return jnp.sum(before * steps.windows.control[:, :, None, None, :], axis=-1)
 
 
 def _believed(
-    model: ContactDynamics, window: Window, push: Float[Array, "L N D"] | None
+    steps: _Steps, push: Float[Array, "B L N D"] | None
 ) -> tuple[Percept, ContactBelief, ContactBelief]:
-    """Percept, prior and belief about every step of a window, from the recorded states."""
-    percept = _each(
-        model,
-        lambda x, v, p: model.perceive(x, v, window.nodes, p),
-        *(window.position[:-1], window.velocity[:-1], push),
-    )
-    prior = jax.vmap(model.prior_belief)(percept)
+    """Percept, prior and belief about every step, from the recorded states."""
+    model = steps.model
+    percept = steps.each(lambda nodes, x, v, push: model.perceive(x, v, nodes, push), push)
+    prior = jax.vmap(jax.vmap(model.prior_belief))(percept)
 
     def advance(belief: ContactBelief, percept: Percept) -> tuple[ContactBelief, ContactBelief]:
         belief = model.predict_belief(belief, percept)
         return belief, belief
 
-    first = jax.tree.map(lambda leaf: leaf[0], prior)
-    return percept, prior, jax.lax.scan(advance, first, percept)[1]
+    def along(prior: ContactBelief, percept: Percept) -> ContactBelief:
+        first = jax.tree.map(lambda leaf: leaf[0], prior)
+        return jax.lax.scan(advance, first, percept)[1]
 
-
-def _each(model: ContactDynamics, function: Callable[..., _Result], *given: PyTree) -> _Result:
-    """The function of every step of a window, stacked.
-
-    In scenes large enough for neighbour lists one after the other, and anew for the gradient: a
-    step is work enough then, and the temporaries of all of them at once would fill the memory.
-    """
-    if model.neighbours is None:
-        return jax.vmap(function)(*given)
-    return _in_turn(function, given)
-
-
-def _each_window(
-    model: ContactDynamics,
-    function: Callable[..., _Result],
-    devices: int,
-    windows: Window,
-    *given: PyTree,
-) -> _Result:
-    """The function of every window, stacked; of large windows one after the other on a device."""
-    nodes, steps = windows.position.shape[-2], windows.control.shape[1]
-    if model.neighbours is None and steps * nodes * (nodes - 1) // 2 < _LARGE:
-        return jax.vmap(function)(windows, *given)
-    if devices == 1:
-        return _in_turn(function, (windows, *given))
-    rounds = jax.tree.map(
-        lambda leaf: jnp.swapaxes(leaf.reshape(devices, -1, *leaf.shape[1:]), 0, 1),
-        (windows, *given),
-    )
-    found = _in_turn(jax.vmap(function), rounds)
-    return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1).reshape(-1, *leaf.shape[2:]), found)
-
-
-def _in_turn(function: Callable[..., _Result], given: PyTree) -> _Result:
-    """One after the other, and anew for the gradient, so that nothing large is kept for it."""
-    return jax.lax.map(jax.checkpoint(lambda one: function(*one)), given)
+    return percept, prior, jax.vmap(along)(prior, percept)
 
 
 def _linear(
     model: ContactDynamics,
-    window: Window,
-    percept: Percept,
-    belief: ContactBelief,
+    nodes: Nodes,
     position: Float[Array, "N D"],
     velocity: Float[Array, "N D"],
+    percept: Percept,
+    belief: ContactBelief,
     key: PRNGKeyArray | None = None,
 ) -> LinearDynamics:
-    local = model.local_input(percept, belief, position, velocity, window.nodes, key)
+    local = model.local_input(percept, belief, position, velocity, nodes, key)
     return model.local_dynamics(local, model.dt, model.control_size)
 
 
@@ -215,4 +216,5 @@ def rollout_rmse(model: ContactDynamics, windows: Window) -> Float[Array, ""]:
         counts = jnp.broadcast_to(window.nodes.mask, squared.shape)
         return jnp.sqrt(_mean(squared, counts))
 
-    return jnp.mean(_each(model, rmse, windows))
+    edges = edge_count(model.neighbours, windows.position.shape[-2])
+    return jnp.mean(in_chunks(rmse, (windows,), edges))
