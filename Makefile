@@ -52,7 +52,8 @@ test: $(DEVELOPMENT)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 -m "not realtime"
+	$(BIN)/pytest -m realtime
 
 bench: $(PACKAGE)
 	$(BIN)/python benchmarks/training_time.py

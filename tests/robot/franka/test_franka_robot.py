@@ -23,6 +23,8 @@ from contactgraph.robot.franka.transfer import transfer
 from contactgraph.robot.loop import WallClock
 from contactgraph.robot.loop.undisturbed import undisturbed
 
+pytestmark = pytest.mark.realtime
+
 PACE = 2.0
 """Wall seconds to a simulated one: server, client and test share what cores there are."""
 PLACE = np.array([0.45, 0.0, 0.25])
