@@ -14,8 +14,8 @@ from measuring import arguments, report
 
 from contactgraph.cluster import LocalProcesses
 from contactgraph.data import Trajectory
-from contactgraph.evaluate import collect
 from contactgraph.tasks import PickupExpert, PickupTask
+from contactgraph.tasks.collect import collect
 
 RUNS = 1000
 

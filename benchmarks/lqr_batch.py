@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from comparing import Missing, Way, compared
-from lqr_sample import MPCTorch, sample, through_the_scan
+from lqr_sample import HORIZON, MPCTorch, sample
 from measuring import arguments, report
 
-from contactgraph.control import LQRProblem, lqr_trajectory
+from contactgraph.control import LQRProblem, LQRTrajectory, lqr_trajectory, solve_lqr
 
 BATCH = 64
 Problems = tuple[LQRProblem, np.ndarray]
@@ -43,10 +43,27 @@ def side_by_side(given: Problems) -> Way:
 
 
 def one_by_one(given: Problems) -> Way:
-    """One after the other in one compiled call."""
+    """One after the other in one compiled call, each read where it is."""
     problem, start = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), given)
 
-    solve = jax.jit(lambda *each: jax.lax.map(lambda one: through_the_scan(*one), each))
+    def one(problem: LQRProblem, start: jax.Array, which: jax.Array) -> LQRTrajectory:
+        policy, _ = solve_lqr(problem, which=(which,))
+        dynamics = problem.A, problem.B, problem.offset
+
+        def step(x: jax.Array, stage: tuple) -> tuple[jax.Array, tuple]:
+            policy, time = stage
+            A, B, offset = (leaf[which, time] for leaf in dynamics)
+            u = policy(x)
+            return A @ x + B @ u + offset, (x, u)
+
+        stages = policy, jnp.arange(HORIZON)
+        last, (states, controls) = jax.lax.scan(step, start[which], stages)
+        return LQRTrajectory(jnp.concatenate([states, last[None]]), controls)
+
+    @jax.jit
+    def solve(problem: LQRProblem, start: jax.Array) -> LQRTrajectory:
+        return jax.lax.map(lambda which: one(problem, start, which), jnp.arange(BATCH))
+
     return Way(
         "ours",
         lambda: jax.block_until_ready(solve(problem, start)),

@@ -98,8 +98,10 @@ def test_who_stays_is_near_one_that_moves_and_stays():
     assert staying(swept, who, always, motion, NEAR).tolist() == [0, 2, 3, 8]
 
 
-def test_rooms_are_powers_of_two():
+def test_rooms_are_powers_of_two_or_all():
     assert [room_for(count, 30) for count in (1, 2, 3, 4, 5, 9, 17)] == [2, 2, 4, 4, 8, 16, 30]
+    assert [room_for(count, 12) for count in (2, 3, 5, 9)] == [2, 4, 8, 12]
+    assert [room_for(count, 11) for count in (2, 3, 5, 9)] == [2, 4, 11, 11]
     assert padded(np.array([7, 2]), 4).tolist() == [2, 7, -1, -1]
 
 

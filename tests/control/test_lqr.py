@@ -74,6 +74,18 @@ def kkt_solution(problem: LQRProblem, start: np.ndarray) -> tuple[np.ndarray, np
     return answer[:xs].reshape(-1, n), answer[xs : xs + us].reshape(-1, U)
 
 
+@pytest.mark.parametrize("n", [6, 20])
+def test_one_of_many_is_solved_where_it_is(n):
+    every = [random_problem(seed, n=n) for seed in range(6)]
+    many = jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(2, 3, *leaves[0].shape), *every)
+    rows, columns = jnp.divmod(jnp.arange(6), 3)
+    found = jax.lax.map(lambda which: solve_lqr(many, which=which), (rows, columns))
+    for index, problem in enumerate(every):
+        expected = solve_lqr(problem)
+        for one, other in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+            np.testing.assert_allclose(one[index], other, rtol=1e-12, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("seed", "n", "U"), [(0, 6, 2), (1, 4, 1), (2, 8, 3), (3, 5, 7), (4, 20, 2)]
 )

@@ -12,7 +12,7 @@ from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.riccati_form import block_form
 from contactgraph.control.rollout import Rollout, block_index, in_blocks, roll_out
 from contactgraph.control.swept import Swept
-from contactgraph.model import ModelState, Nodes, StepModel, stack_state
+from contactgraph.model import ModelState, Nodes, StepModel, held_response, stack_state
 
 _RUNNING = -1
 _ARMIJO = 1e-4
@@ -89,8 +89,11 @@ class ILQR(eqx.Module):
         part = _part_of(quadratic, index, self.horizon)
         trial = LQRPolicy(guess.K[:, :, index], guess.k)
 
+        # Within `jax.jit` it is traced once, not for its shape and then again.
+        follow = eqx.filter_jit(roll_out)
+        begin = state, held_response(model, state, nodes)
         shape = jax.eval_shape(
-            lambda: roll_out(model, state, nodes, trial, self.limits, involved),
+            lambda: follow(model, begin, nodes, trial, self.limits, involved),
         )
         zero = jnp.zeros((), part.R.dtype)
         search = _Search(
@@ -107,7 +110,7 @@ class ILQR(eqx.Module):
 
         def advance(carry: Carry) -> Carry:
             search, swept = carry
-            rollout = roll_out(model, state, nodes, search.trial, self.limits, involved)
+            rollout = follow(model, begin, nodes, search.trial, self.limits, involved)
             told = swept.with_rollout(search.iteration, rollout, nodes, dt)
             return self._judge(search, rollout, part), told
 
@@ -115,8 +118,8 @@ class ILQR(eqx.Module):
             search, _ = carry
             return (search.status == _RUNNING) & (search.iteration < self.iterations)
 
-        begin = search, Swept.nowhere(self.iterations, self.horizon, state.position)
-        search, swept = jax.lax.while_loop(running, advance, begin)
+        nowhere = Swept.nowhere(self.iterations, self.horizon, state.position)
+        search, swept = jax.lax.while_loop(running, advance, (search, nowhere))
         return self._plan(search, index, 2 * state.position.size), swept
 
     def _judge(self, search: "_Search", rollout: Rollout, part: QuadraticCost) -> "_Search":

@@ -23,13 +23,16 @@ _SLACK = 0.05
 """Of the reach, by which it is taken to be longer: springs and controls hardly move bystanders."""
 _LEAVES = 0.5
 """Of the reach, beyond it, from which on a node is no longer in play: nobody comes and goes."""
+_HARDLY_MORE = 1.5
 _SMALL = 4
 """Scenes of up to so many nodes are planned as a whole."""
 
 
 def room_for(count: int, capacity: int) -> int:
-    """For how many nodes the tick is compiled in which ``count`` are in play: a power of two."""
-    return min(max(2, 1 << (count - 1).bit_length()), capacity)
+    """For how many nodes the tick is compiled in which ``count`` are in play: a power of two, or
+    all where they are hardly more: every room is a program."""
+    room = max(2, 1 << (count - 1).bit_length())
+    return room if room * _HARDLY_MORE <= capacity else capacity
 
 
 def rooms(least: int, most: int, capacity: int) -> list[int]:

@@ -103,9 +103,16 @@ class _ControlProblem(eqx.Module):
     ahead: Ahead
 
 
-def solve_lqr(problem: LQRProblem, form: Form = dense_form) -> tuple[LQRPolicy, QuadraticValue]:
-    """The optimal policy, and the value of every state at every step ``0 … H``."""
-    riccati = form(problem.B.shape[1])
+def solve_lqr(
+    problem: LQRProblem, form: Form = dense_form, which: tuple[Int[Array, ""], ...] = ()
+) -> tuple[LQRPolicy, QuadraticValue]:
+    """The optimal policy, and the value of every state at every step ``0 … H``.
+
+    ``which`` of many, where every array has leading axes for these indices. In `jax.lax.map` over
+    an index each problem is read where it is, while a map over problems would copy it first.
+    """
+    horizon, size = problem.B.shape[len(which) : len(which) + 2]
+    riccati = form(size)
 
     def back(carry: tuple, stage: LQRProblem, step: Array) -> tuple[tuple, tuple]:
         P, p, constant = carry
@@ -116,9 +123,10 @@ def solve_lqr(problem: LQRProblem, form: Form = dense_form) -> tuple[LQRPolicy, 
         P, p = _before(now, stage, policy, step, riccati)
         return (P, p, constant), (policy, QuadraticValue(riccati.matrix(P), p, constant))
 
-    final = QuadraticValue(problem.Q[-1], problem.q[-1], jnp.zeros((), problem.Q.dtype))
+    Q, q = _at((problem.Q, problem.q), (*which, horizon))
+    final = QuadraticValue(Q, q, jnp.zeros((), Q.dtype))
     carry = (riccati.curvature(final.P), final.p, final.constant)
-    policy, values = _backwards(back, carry, problem, riccati)
+    policy, values = _backwards(back, carry, problem, riccati, horizon, which)
     appended = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), values, final)
     return policy, appended
 
@@ -141,7 +149,7 @@ def improve_policy(
 
     def back(carry: tuple, stage: LQRProblem, index: Array) -> tuple[tuple, tuple]:
         P, p = carry
-        x, u = _at((states, controls), index)
+        x, u = _at((states, controls), (index,))
         now = _control_problem(P, p, stage, riccati)
         G = now.ahead.G
         weight = damping * jnp.trace(now.S) / u.shape[0]
@@ -161,7 +169,7 @@ def improve_policy(
         return _before(now, stage, policy, index, riccati), (policy, step, decrease)
 
     carry = (riccati.curvature(problem.Q[-1]), problem.q[-1])
-    policy, step, decrease = _backwards(back, carry, problem, riccati)
+    policy, step, decrease = _backwards(back, carry, problem, riccati, len(controls))
     return Improvement(policy, step, jnp.maximum(jnp.sum(decrease), 0.0))
 
 
@@ -170,6 +178,8 @@ def _backwards(
     carry: tuple,
     problem: LQRProblem,
     form: RiccatiForm,
+    horizon: int,
+    which: tuple[Array, ...] = (),
 ) -> tuple:
     """``back`` from the last step to the first; what it gave beside the carry, [H, …].
 
@@ -177,11 +187,10 @@ def _backwards(
     since a conditional around P would copy it in every step. Steps are read out of the problem's
     own arrays, of which a slice without the last state's cost would be a copy.
     """
-    horizon = problem.B.shape[0]
     few = max(size for size in range(1, form.symmetric_every + 1) if horizon % size == 0)
 
     def step(carry: tuple, index: Array) -> tuple[tuple, tuple]:
-        return back(carry, _at(problem, index), index)
+        return back(carry, _at(problem, (*which, index)), index)
 
     def steps(carry: tuple, indices: Array) -> tuple[tuple, tuple]:
         (P, *rest), told = jax.lax.scan(step, carry, indices, reverse=True)
@@ -192,11 +201,15 @@ def _backwards(
     return jax.tree.map(lambda leaf: leaf.reshape(horizon, *leaf.shape[2:]), told)
 
 
-def _at(arrays: _Arrays, index: Array) -> _Arrays:
-    """One step's part of arrays of all steps."""
-    return jax.tree.map(
-        lambda leaf: jax.lax.dynamic_index_in_dim(leaf, index, keepdims=False), arrays
-    )
+def _at(arrays: _Arrays, index: tuple[Array | int, ...]) -> _Arrays:
+    """The part of every array at these indices of its first axes."""
+
+    def part(leaf: Array) -> Array:
+        rest = leaf.shape[len(index) :]
+        begin = (*index, *[0] * len(rest))
+        return jax.lax.dynamic_slice(leaf, begin, (*[1] * len(index), *rest)).reshape(rest)
+
+    return jax.tree.map(part, arrays)
 
 
 def _control_problem(

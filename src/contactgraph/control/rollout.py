@@ -14,7 +14,6 @@ from contactgraph.model import (
     Nodes,
     StepModel,
     advance,
-    held_response,
 )
 
 
@@ -68,7 +67,7 @@ def in_blocks(
 
 def roll_out(
     model: StepModel,
-    start: ModelState,
+    begin: tuple[ModelState, Float[Array, "N D U"]],
     nodes: Nodes,
     policy: LQRPolicy,
     limits: ControlLimits | None,
@@ -76,10 +75,10 @@ def roll_out(
 ) -> Rollout:
     """Follow a policy on ``block_state`` for H steps through the model, in one scan.
 
+    It begins with a state and its `held_response`.
     Whether bodies touch within a step depends on the step's own control. A planner to which the
     model did not say so would count on a touch that its own braking prevents: see `pushed`.
     """
-    response = held_response(model, start, nodes)
 
     def step(
         carry: tuple[ModelState, Float[Array, "N D U"]], stage: LQRPolicy
@@ -95,7 +94,8 @@ def roll_out(
         told = Rollout(after.position, after.velocity, after.belief, x, u, push, part)
         return (after, response), told
 
-    (last, _), steps = jax.lax.scan(step, (start, response), policy)
+    start, _ = begin
+    (last, _), steps = jax.lax.scan(step, begin, policy)
     return Rollout(
         position=jnp.concatenate([start.position[None], steps.position]),
         velocity=jnp.concatenate([start.velocity[None], steps.velocity]),

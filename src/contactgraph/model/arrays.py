@@ -55,7 +55,7 @@ def with_arrays(tree: Tree, arrays: Mapping[str, np.ndarray], where: str) -> Tre
                 f"{where}: array {name!r} must be {leaf.dtype} of shape {leaf.shape}, "
                 f"found {array.dtype} of shape {array.shape}"
             )
-        return jnp.asarray(array)
+        return jax.device_put(array)  # `jnp.asarray` would compile a program for every shape.
 
     filled = jax.tree_util.tree_map_with_path(replace, tree)
     if left:

@@ -8,6 +8,7 @@ it did to positions in the step before: contacts that come about in a step do no
 import dataclasses
 from typing import Protocol
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -22,11 +23,20 @@ class _LinearModel(Protocol):
     ) -> tuple[LinearDynamics, ContactBelief]: ...
 
 
+@eqx.filter_jit
+def _linear_step(
+    model: _LinearModel, state: ModelState, nodes: Nodes
+) -> tuple[LinearDynamics, ContactBelief]:
+    """Traced once, however often a program takes a step."""
+    return model.linear_step(state, nodes)
+
+
 def held_response(model: _LinearModel, state: ModelState, nodes: Nodes) -> Float[Array, "N D U"]:
     """[m/N] How far each node is moved by the control, if only the present contacts hold."""
     believed = state.belief.over(None, nodes.candidate.shape[0])
     holds = nodes.candidate & (believed.probability > 0.5)
-    linear, _ = model.linear_step(state, dataclasses.replace(nodes, candidate=holds))
+    unpushed = dataclasses.replace(state, push=jnp.zeros_like(state.velocity))
+    linear, _ = _linear_step(model, unpushed, dataclasses.replace(nodes, candidate=holds))
     return response_of(linear, state.position)
 
 
@@ -54,7 +64,7 @@ def advance(
 
     States keep their number types: a model of float32 may meet states of float64.
     """
-    linear, belief = model.linear_step(pushed(state, response, control), nodes)
+    linear, belief = _linear_step(model, pushed(state, response, control), nodes)
     position, velocity = linear(state.position, state.velocity, control)
     after = ModelState(
         position=position.astype(state.position.dtype),

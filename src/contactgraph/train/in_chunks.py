@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import jax
+import numpy as np
 from jaxtyping import Array, PyTree
 
 _Result = TypeVar("_Result")
@@ -27,12 +28,12 @@ def in_chunks(
         return jax.vmap(function)(*given)
     chunk = -(-count // min(rounds, count))
     rounds = -(-count // chunk)
+    # The last chunk is filled up with what it has last.
+    filled = np.minimum(np.arange(rounds * chunk), count - 1)
 
     def split(leaf: Array) -> Array:
         leaf = leaf.reshape(devices, count, *leaf.shape[1:])
-        # The last chunk is filled up with what it has last.
-        index = [min(place, count - 1) for place in range(rounds * chunk)]
-        leaf = leaf if len(index) == count else leaf[:, jax.numpy.asarray(index)]
+        leaf = leaf if len(filled) == count else leaf[:, filled]
         leaf = leaf.reshape(devices, rounds, chunk, *leaf.shape[2:]).swapaxes(0, 1)
         return leaf.reshape(rounds, devices * chunk, *leaf.shape[3:])
 
