@@ -17,7 +17,7 @@ Notation, at one step (t is left out; a dash marks the step after)::
 With controls held at a limit, their rows of K are zero and the same two last lines hold, since
 ``K^T (S K + G) = 0`` and ``K^T (S k + g) = 0`` still do.
 
-How P is kept and multiplied is a `RiccatiForm`: one function argument makes the pass dense or block
+How P is multiplied is a `RiccatiForm`: one function argument makes the pass dense or block
 diagonal.
 """
 
@@ -37,7 +37,6 @@ from contactgraph.control.control_step import (
 )
 from contactgraph.control.riccati_form import (
     Ahead,
-    Curvature,
     Form,
     RiccatiForm,
     dense_form,
@@ -121,11 +120,11 @@ def solve_lqr(
         policy = LQRPolicy(both[:, :-1], both[:, -1])
         constant = constant + stage.offset @ (now.ahead.w + p) + now.g @ policy.k
         P, p = _before(now, stage, policy, step, riccati)
-        return (P, p, constant), (policy, QuadraticValue(riccati.matrix(P), p, constant))
+        return (P, p, constant), (policy, QuadraticValue(P, p, constant))
 
     Q, q = _at((problem.Q, problem.q), (*which, horizon))
     final = QuadraticValue(Q, q, jnp.zeros((), Q.dtype))
-    carry = (riccati.curvature(final.P), final.p, final.constant)
+    carry = (final.P, final.p, final.constant)
     policy, values = _backwards(back, carry, problem, riccati, horizon, which)
     appended = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), values, final)
     return policy, appended
@@ -168,7 +167,7 @@ def improve_policy(
         decrease = jnp.sum(step * (jnp.sum(S * step, axis=-1) - 2.0 * half_slope))
         return _before(now, stage, policy, index, riccati), (policy, step, decrease)
 
-    carry = (riccati.curvature(problem.Q[-1]), problem.q[-1])
+    carry = (problem.Q[-1], problem.q[-1])
     policy, step, decrease = _backwards(back, carry, problem, riccati, len(controls))
     return Improvement(policy, step, jnp.maximum(jnp.sum(decrease), 0.0))
 
@@ -212,9 +211,7 @@ def _at(arrays: _Arrays, index: tuple[Array | int, ...]) -> _Arrays:
     return jax.tree.map(part, arrays)
 
 
-def _control_problem(
-    P: Curvature, p: Array, stage: LQRProblem, form: RiccatiForm
-) -> _ControlProblem:
+def _control_problem(P: Array, p: Array, stage: LQRProblem, form: RiccatiForm) -> _ControlProblem:
     ahead = form.ahead(P, p, stage.A, stage.B, stage.offset)
     slopes = dense_product(stage.B, jnp.concatenate([ahead.PB, ahead.w[:, None]], axis=1))
     return _ControlProblem(stage.R + slopes[:, :-1], stage.r + slopes[:, -1], ahead)
@@ -226,7 +223,7 @@ def _before(
     policy: LQRPolicy,
     step: Int[Array, ""],
     form: RiccatiForm,
-) -> tuple[Curvature, Array]:
+) -> tuple[Array, Array]:
     """P and p of this step."""
     P = form.before(now.ahead, stage.A, stage.Q, policy.K, step)
     return P, stage.q + now.ahead.slope + jnp.sum(now.ahead.G * policy.k[:, None], axis=0)

@@ -1,4 +1,4 @@
-"""How the Riccati pass keeps P, and how it takes P through one step's dynamics.
+"""How the Riccati pass takes P through one step's dynamics.
 
 The notation is that of `contactgraph.control.lqr`. Three forms of the same products, each the
 fastest somewhere:
@@ -24,8 +24,6 @@ from jaxtyping import Array, Float, Int
 _SUMMED_SIZE = 16
 _LARGE_EVERY = 8
 
-Curvature = Any
-"""P as a form keeps it."""
 TransposeProduct = Callable[[Array, Float[Array, "n c"]], Float[Array, "n c"]]
 """``A^T X`` from one step's A, however that is stored, and ``X``."""
 
@@ -53,25 +51,17 @@ class RiccatiForm(Protocol):
         """`symmetric` is asked for after at most so many steps."""
         ...
 
-    def curvature(self, Q: Float[Array, "n n"]) -> Curvature:
-        """P of the last step."""
-        ...
-
-    def matrix(self, P: Curvature) -> Float[Array, "n n"]:
-        """P as a matrix."""
-        ...
-
-    def ahead(self, P: Curvature, p: Array, A: Array, B: Array, offset: Array) -> Ahead:
+    def ahead(self, P: Float[Array, "n n"], p: Array, A: Array, B: Array, offset: Array) -> Ahead:
         """All products with P' and A that the control's problem needs."""
         ...
 
     def before(
         self, ahead: Ahead, A: Array, Q: Float[Array, "n n"], K: Array, step: Int[Array, ""]
-    ) -> Curvature:
+    ) -> Float[Array, "n n"]:
         """``Q + A^T P' A + G^T K``."""
         ...
 
-    def symmetric(self, P: Curvature) -> Curvature:
+    def symmetric(self, P: Float[Array, "n n"]) -> Float[Array, "n n"]:
         """The mean of P and its transpose."""
         ...
 
@@ -112,15 +102,7 @@ class SummedForm(eqx.Module):
     transpose_product: TransposeProduct = eqx.field(static=True)
     symmetric_every: int = eqx.field(static=True, default=1)
 
-    def curvature(self, Q: Float[Array, "n n"]) -> Curvature:
-        """P of the last step."""
-        return Q
-
-    def matrix(self, P: Curvature) -> Float[Array, "n n"]:
-        """P itself."""
-        return P
-
-    def ahead(self, P: Curvature, p: Array, A: Array, B: Array, offset: Array) -> Ahead:
+    def ahead(self, P: Float[Array, "n n"], p: Array, A: Array, B: Array, offset: Array) -> Ahead:
         """Products with the same matrix are taken together.
 
         In a scan of small steps it is the number of operations that costs, not their size.
@@ -134,12 +116,12 @@ class SummedForm(eqx.Module):
 
     def before(
         self, ahead: Ahead, A: Array, Q: Float[Array, "n n"], K: Array, step: Int[Array, ""]
-    ) -> Curvature:
+    ) -> Float[Array, "n n"]:
         """``Q + A^T P' A + G^T K``."""
         P = Q + self.transpose_product(A, ahead.kept.T)
         return P + jnp.sum(ahead.G[:, :, None] * K[:, None, :], axis=0)
 
-    def symmetric(self, P: Curvature) -> Curvature:
+    def symmetric(self, P: Float[Array, "n n"]) -> Float[Array, "n n"]:
         """The mean of P and its transpose."""
         return _symmetric(P)
 
@@ -149,15 +131,7 @@ class DenseForm(eqx.Module):
 
     symmetric_every: int = eqx.field(static=True, default=_LARGE_EVERY)
 
-    def curvature(self, Q: Float[Array, "n n"]) -> Curvature:
-        """P of the last step."""
-        return Q
-
-    def matrix(self, P: Curvature) -> Float[Array, "n n"]:
-        """P itself."""
-        return P
-
-    def ahead(self, P: Curvature, p: Array, A: Array, B: Array, offset: Array) -> Ahead:
+    def ahead(self, P: Float[Array, "n n"], p: Array, A: Array, B: Array, offset: Array) -> Ahead:
         """Thin products, from the left: P is symmetric, and its rows lie in one piece."""
         onward = jnp.concatenate([B.T, offset[None]]) @ P
         onward = onward.at[-1].add(p)
@@ -166,67 +140,57 @@ class DenseForm(eqx.Module):
 
     def before(
         self, ahead: Ahead, A: Array, Q: Float[Array, "n n"], K: Array, step: Int[Array, ""]
-    ) -> Curvature:
+    ) -> Float[Array, "n n"]:
         """``Q + A^T P' A + G^T K``."""
         return Q + A.T @ (ahead.kept @ A) + _outer(ahead.G, K)
 
-    def symmetric(self, P: Curvature) -> Curvature:
+    def symmetric(self, P: Float[Array, "n n"]) -> Float[Array, "n n"]:
         """The mean of P and its transpose."""
         return _symmetric(P)
 
 
 class BlockForm(eqx.Module):
-    """P is two halves [2, n/2, n/2]: its columns of positions, and its columns of velocities.
-
-    The first axis of a half are the rows of positions and those of velocities. With diagonal
-    quadrants of A, ``A^T P A`` is elementwise in these planes, along whose rows XLA vectorises.
-    """
+    """P is a matrix; A's quadrants are diagonal, so that ``A^T P A`` is elementwise in P's."""
 
     symmetric_every: int = eqx.field(static=True, default=_LARGE_EVERY)
 
-    def curvature(self, Q: Float[Array, "n n"]) -> Curvature:
-        """The halves of P of the last step."""
-        return _halves(Q)
-
-    def matrix(self, P: Curvature) -> Float[Array, "n n"]:
-        """The halves put together."""
-        return jnp.concatenate([_rows(half) for half in P], axis=1)
-
-    def ahead(self, P: Curvature, p: Array, A: Array, B: Array, offset: Array) -> Ahead:
+    def ahead(self, P: Float[Array, "n n"], p: Array, A: Array, B: Array, offset: Array) -> Ahead:
         """Thin products, from the left; none with A is more than elementwise."""
-        X = jnp.concatenate([B.T, offset[None]])
-        onward = jnp.concatenate([X @ _rows(half) for half in P], axis=1).at[-1].add(p).T
+        onward = (jnp.concatenate([B.T, offset[None]]) @ P).at[-1].add(p).T
         pulled = block_product(A, onward)
         return Ahead(onward[:, :-1], onward[:, -1], pulled[:, :-1].T, pulled[:, -1], P)
 
     def before(
         self, ahead: Ahead, A: Array, Q: Float[Array, "n n"], K: Array, step: Int[Array, ""]
-    ) -> Curvature:
+    ) -> Float[Array, "n n"]:
         """``Q + A^T P' A + G^T K``.
 
         XLA does not fuse across a conditional's bounds, and that is all this one is for: within
         it, neither this step's inputs are read out of the arrays of all steps nor is P written
         over, either of which keeps XLA from vectorising. It makes the step three times faster.
         """
-        moved = jax.lax.cond(step >= 0, _moved, _moved, ahead.kept, A, ahead.G, K)
-        return jax.tree.map(jnp.add, moved, _halves(Q))
+        return Q + jax.lax.cond(step >= 0, _moved, _moved, ahead.kept, A, ahead.G, K)
 
-    def symmetric(self, P: Curvature) -> Curvature:
+    def symmetric(self, P: Float[Array, "n n"]) -> Float[Array, "n n"]:
         """The mean of P and its transpose."""
-        across = 0.5 * (P[1][0] + P[0][1].T)
-        return jnp.stack([_symmetric(P[0][0]), across.T]), jnp.stack([across, _symmetric(P[1][1])])
+        return _symmetric(P)
 
 
-def _moved(P: Curvature, A: Array, G: Array, K: Array) -> Curvature:
-    """``A^T P A + G^T K`` in halves."""
-    G, K = G.reshape(-1, 2, A.shape[-1]), K.reshape(-1, 2, A.shape[-1])
+def _moved(
+    P: Float[Array, "n n"], A: Float[Array, "2 2 m"], G: Float[Array, "U n"], K: Array
+) -> Float[Array, "n n"]:
+    """``A^T P A + G^T K``, made as two halves, P's columns of positions and of velocities: along
+    the rows of such planes XLA vectorises."""
+    count = A.shape[-1]
+    planes = P.reshape(2, count, 2, count)
+    G, K = G.reshape(-1, 2, count), K.reshape(-1, 2, count)
 
-    def half(j: int) -> Array:
-        rows = [P[0][k] * A[0, j] + P[1][k] * A[1, j] for k in range(2)]
+    def half(j: int) -> Float[Array, "n m"]:
+        rows = planes[:, :, 0] * A[0, j] + planes[:, :, 1] * A[1, j]
         moved = A[0][:, :, None] * rows[0] + A[1][:, :, None] * rows[1]
-        return moved + _outer(G, K[:, j])
+        return (moved + _outer(G, K[:, j])).reshape(-1, count)
 
-    return half(0), half(1)
+    return jnp.concatenate([half(0), half(1)], axis=1)
 
 
 def _outer(G: Float[Array, "U ..."], K: Float[Array, "U m"]) -> Float[Array, "... m"]:
@@ -239,13 +203,3 @@ def _outer(G: Float[Array, "U ..."], K: Float[Array, "U m"]) -> Float[Array, "..
 
 def _symmetric(P: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return 0.5 * (P + P.T)
-
-
-def _halves(P: Float[Array, "n n"]) -> Curvature:
-    half = P.shape[0] // 2
-    planes = P.reshape(2, half, -1)
-    return planes[:, :, :half], planes[:, :, half:]
-
-
-def _rows(half: Float[Array, "2 m m"]) -> Float[Array, "n m"]:
-    return half.reshape(-1, half.shape[-1])
