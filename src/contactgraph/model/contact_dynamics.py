@@ -18,7 +18,7 @@ from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamp
 from contactgraph.model.local_input import LocalInput
 from contactgraph.model.neighbours import NeighbourLists, edge_count, longest_ways
 from contactgraph.model.prior import DistancePrior, TouchPrior
-from contactgraph.model.push import advance, held_response
+from contactgraph.model.push import advance, following, held_response
 from contactgraph.model.reach import Everywhere, Reach
 from contactgraph.model.sampling import ArgmaxSample, GumbelSample
 from contactgraph.model.spring_mass_damper import SpringMassDamper
@@ -179,17 +179,10 @@ class ContactDynamics(eqx.Module):
 
     def rollout(self, state: ModelState, controls: Float[Array, "H U"], nodes: Nodes) -> ModelState:
         """All states that follow, ``[H, …]``; belief h is about the step that led to state h."""
-        Carry = tuple[ModelState, Float[Array, "N D U"]]
-
-        def step(carry: Carry, control: Array) -> tuple[Carry, ModelState]:
-            after, response, _ = advance(self, *carry, control, nodes)
-            return (after, response), after
-
+        first = dataclasses.replace(state, push=None)
         # Of large scenes gradients compute anew what they need: it would fill the memory.
         large = edge_count(self.neighbours, nodes.mask.shape[0]) > _MANY_EDGES
-        each = jax.checkpoint(step) if large else step
-        first = dataclasses.replace(state, push=None)
-        return jax.lax.scan(each, (first, held_response(self, state, nodes)), controls)[1]
+        return following(self, first, controls, nodes, jax.checkpoint if large else None)
 
     def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
         """The spring-mass-damper parameters of the coming step, each [N, D].

@@ -6,11 +6,13 @@ it did to positions in the step before: contacts that come about in a step do no
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Protocol
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from contactgraph.model.belief import ContactBelief
 from contactgraph.model.linear_dynamics import LinearDynamics
@@ -33,11 +35,15 @@ def _linear_step(
 
 def held_response(model: _LinearModel, state: ModelState, nodes: Nodes) -> Float[Array, "N D U"]:
     """[m/N] How far each node is moved by the control, if only the present contacts hold."""
-    believed = state.belief.over(None, nodes.candidate.shape[0])
-    holds = nodes.candidate & (believed.probability > 0.5)
     unpushed = dataclasses.replace(state, push=jnp.zeros_like(state.velocity))
-    linear, _ = _linear_step(model, unpushed, dataclasses.replace(nodes, candidate=holds))
+    held = dataclasses.replace(nodes, candidate=_holding(state, nodes))
+    linear, _ = _linear_step(model, unpushed, held)
     return response_of(linear, state.position)
+
+
+def _holding(state: ModelState, nodes: Nodes) -> Bool[Array, " E"]:
+    believed = state.belief.over(None, nodes.candidate.shape[0])
+    return nodes.candidate & (believed.probability > 0.5)
 
 
 def pushed(
@@ -72,6 +78,39 @@ def advance(
         belief=in_type_of(belief, state.belief),
     )
     return after, response_of(linear, response), linear
+
+
+def following(
+    model: _LinearModel,
+    state: ModelState,
+    controls: Float[Array, "H U"],
+    nodes: Nodes,
+    wrapped: Callable[[Callable], Callable] | None = None,
+) -> ModelState:
+    """All states that follow, ``[H, …]``; ``wrapped`` is each step's function, if by something.
+
+    As `advance` from the `held_response` on. That is found by a turn of the same loop before the
+    first step, so that a program holds one step and one derivative of it, not two.
+    """
+    holds = _holding(state, nodes)
+
+    def step(
+        carry: tuple[ModelState, Float[Array, "N D U"]], told: tuple[Array, Array]
+    ) -> tuple[tuple[ModelState, Float[Array, "N D U"]], ModelState]:
+        before, response = carry
+        control, begins = told
+        candidate = jnp.where(begins, holds, nodes.candidate)
+        known = dataclasses.replace(nodes, candidate=candidate)
+        after, response, _ = advance(model, before, response, control, known)
+        after = jax.tree.map(lambda old, new: jnp.where(begins, old, new), before, after)
+        return (after, response), after
+
+    unknown = jnp.zeros((*state.position.shape, controls.shape[-1]), state.position.dtype)
+    begins = jnp.arange(controls.shape[0] + 1) == 0
+    told = jnp.concatenate([jnp.zeros_like(controls[:1]), controls]), begins
+    each = step if wrapped is None else wrapped(step)
+    _, states = jax.lax.scan(each, (state, unknown), told)
+    return jax.tree.map(lambda leaf: leaf[1:], states)
 
 
 def in_type_of(belief: ContactBelief, other: ContactBelief) -> ContactBelief:

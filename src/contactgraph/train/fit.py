@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.padding import pad_runs
@@ -22,7 +22,7 @@ from contactgraph.model.neighbours import NeighbourLists
 from contactgraph.train.batch import Window, WindowSource, window_source
 from contactgraph.train.batch_split import BatchSplit, batch_split
 from contactgraph.train.bystanders import add_bystander, bodies_rest
-from contactgraph.train.loss import LossTerms, rollout_rmse, window_loss
+from contactgraph.train.loss import LossTerms, rollout_loss, rollout_rmse, window_loss
 from contactgraph.train.recipe import Recipe
 
 _HELD_OUT_WINDOWS = 256
@@ -113,9 +113,10 @@ def fit(
     bystanders = recipe.bystanders if bodies_rest(pad_runs(train)) else 0
     lists = GrowingLists(state.model, train)
 
-    def advance(
-        state: FitState, count: int, with_rollout: bool
-    ) -> tuple[FitState, dict[str, Array]]:
+    def advance(state: FitState, count: int) -> tuple[FitState, dict[str, Array]]:
+        with_rollout = None
+        if recipe.rollout_from < 1.0:
+            with_rollout = np.asarray(int(state.step) >= recipe.rollout_from * recipe.steps)
         after, arrays = lists.until_finite(
             lambda model: _advance(
                 _with_lists(state, model.neighbours),
@@ -132,8 +133,7 @@ def fit(
             status = FitStatus.stopped_early
             break
         count = min(recipe.check_every, recipe.steps - int(state.step))
-        with_rollout = int(state.step) >= recipe.rollout_from * recipe.steps
-        state, arrays = advance(state, count, with_rollout)
+        state, arrays = advance(state, count)
         terms = {name: float(value) for name, value in arrays.items()}
         if not _finite(arrays):
             status = FitStatus.not_finite
@@ -200,33 +200,56 @@ def _advance(
     recipe: Recipe,
     count: int,
     bystanders: int,
-    with_rollout: bool,
+    with_rollout: Bool[np.ndarray, ""] | None,
     split: BatchSplit | None,
 ) -> tuple[FitState, dict[str, Array]]:
-    """`count` optimiser steps in one scan, then the held-out error."""
+    """`count` optimiser steps in one scan, then the held-out error.
+
+    ``with_rollout`` is an argument of the compiled program, not two programs, of which each would
+    take as long to compile as it runs. None: never, and nothing is compiled for it.
+    """
     optimiser = _optimiser(recipe)
     # Just out of touch, as far as the model knows where touch is: so it learns how near is near.
     nearest = _CLEARANCE * jnp.asarray(state.model.features.touch_distance)
     params, static = eqx.partition(state.model, eqx.is_inexact_array)
+    devices = 1 if split is None else split.mesh.size
 
-    def loss(params: ContactDynamics, key: PRNGKeyArray) -> tuple[Array, LossTerms]:
-        draw_key, place_key, sample_key = jax.random.split(key, 3)
+    def drawn(draw_key: PRNGKeyArray, place_key: PRNGKeyArray) -> Window:
         windows = source.draw(recipe.batch_size, draw_key)
         if split is not None:
             windows = split.parted(windows)
         for bystander_key in jax.random.split(place_key, bystanders):
             windows = add_bystander(windows, nearest, 3.0 * nearest, bystander_key)
-        devices = 1 if split is None else split.mesh.size
-        model = eqx.combine(params, static)
-        terms = window_loss(model, windows, sample_key, with_rollout, devices)
+        return windows
+
+    def loss(
+        params: ContactDynamics, windows: Window, key: PRNGKeyArray
+    ) -> tuple[Array, LossTerms]:
+        terms = window_loss(eqx.combine(params, static), windows, key, False, devices)
         return terms.total(recipe.weights), terms
+
+    def rolled_out(params: ContactDynamics, windows: Window) -> Array:
+        return rollout_loss(eqx.combine(params, static), windows, devices)
+
+    def nothing(params: ContactDynamics, windows: Window) -> tuple[Array, ContactDynamics]:
+        return jnp.zeros(()), jax.tree.map(jnp.zeros_like, params)
 
     Carry = tuple[ContactDynamics, optax.OptState, PRNGKeyArray]
 
     def step(carry: Carry, _: None) -> tuple[Carry, LossTerms]:
         params, optimiser_state, key = carry
         key, step_key = jax.random.split(key)
-        (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, step_key)
+        draw_key, place_key, sample_key = jax.random.split(step_key, 3)
+        windows = drawn(draw_key, place_key)
+        (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, windows, sample_key)
+        if with_rollout is not None:
+            rollout, slope = jax.lax.cond(
+                with_rollout, jax.value_and_grad(rolled_out), nothing, params, windows
+            )
+            terms = dataclasses.replace(terms, rollout=rollout)
+            gradient = jax.tree.map(
+                lambda one, other: one + recipe.weights.rollout * other, gradient, slope
+            )
         updates, optimiser_state = optimiser.update(gradient, optimiser_state, params)
         return (optax.apply_updates(params, updates), optimiser_state, key), terms
 

@@ -59,19 +59,21 @@ def window_loss(
     errors are divided by dt, so that both halves of a state weigh alike. The rollout term costs a
     pass through time; without it the term is 0. ``devices`` is over how many the windows are split.
     """
-    steps = _Steps(model, windows, devices)
-    error, divergence, weight = _teacher_forced(steps, key)
+    error, divergence, weight = _teacher_forced(_Steps(model, windows, devices), key)
     nodes = jnp.broadcast_to(windows.nodes.mask[:, None], error.shape)
-    rollout = jnp.zeros(())
-    if with_rollout:
-        moved = in_chunks(partial(_rolled_out, model), (windows,), steps.edges, devices)
-        rollout = _mean(moved, nodes)
     return LossTerms(
         prediction=_mean(jnp.sqrt(error + _SMALLEST), nodes),
         squared=_mean(error, nodes),
-        rollout=rollout,
+        rollout=rollout_loss(model, windows, devices) if with_rollout else jnp.zeros(()),
         prior=_mean(divergence, weight > 0),
     )
+
+
+def rollout_loss(model: ContactDynamics, windows: Window, devices: int = 1) -> Float[Array, ""]:
+    """`LossTerms.rollout` over a batch of windows, of which it is all that goes through time."""
+    edges = edge_count(model.neighbours, windows.position.shape[-2])
+    missed = in_chunks(partial(_rolled_out, model), (windows,), edges, devices)
+    return _mean(missed, jnp.broadcast_to(windows.nodes.mask[:, None], missed.shape))
 
 
 def _mean(values: Array, mask: Array) -> Array:
