@@ -36,6 +36,7 @@ HEAVY = {
     "franky_sim",
     "imageio_ffmpeg",
     "lerobot",
+    "libusb_package",
     "minari",
     "mujoco",
     "pyapriltags",

@@ -1,7 +1,9 @@
 """Intel RealSense depth cameras. The one module that imports pyrealsense2."""
 
+import ctypes
 import time
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -10,12 +12,32 @@ from contactgraph.data import InvalidInputError
 from contactgraph.robot.perception.camera import CameraFrame, Intrinsics
 from contactgraph.robot.perception.frame_clock import FrameClock
 
+
+def _load() -> ModuleType:
+    """pyrealsense2, which looks for the system's libusb; where there is none, that of a package.
+
+    A library that is loaded already is found by its name, so loading it before is enough.
+    """
+    try:
+        import pyrealsense2
+    except ModuleNotFoundError:
+        raise
+    except ImportError:
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()))
+        import pyrealsense2
+    return pyrealsense2
+
+
 try:
-    import pyrealsense2 as rs
+    rs: Any = _load()
 except ModuleNotFoundError as error:
     raise InvalidInputError(
-        "RealSense cameras need pyrealsense2: pip install 'contactgraph[realsense]'"
+        f"RealSense cameras need {error.name}: pip install 'contactgraph[realsense]'"
     ) from error
+except (ImportError, OSError) as error:
+    raise InvalidInputError(f"pyrealsense2 cannot be loaded: {error}") from error
 
 _GREEN = 1
 """The channel that stands for grey: half of a colour camera's pixels see it."""
