@@ -5,6 +5,7 @@ Usage: python benchmarks/control_tick.py [--quick] [--json FILE]
 Whole episodes of the pickup task, planned 20 steps ahead, and of the arm's, planned 50 (half a
 second) ahead, with the shipped models; the arm's need the extra ``mujoco``. Compilation happens in
 `MPC.reset`; it is timed and counted apart, and a tick that compiled would show in the last column.
+Ticks are made `on_one_core`.
 
 The rows named "bystanders" are pickups with as many nodes as the row says, of which all but two
 stand off the ways, no less dense than the task's own. Each of their ticks is made for every number
@@ -20,7 +21,15 @@ import jax.numpy as jnp
 import numpy as np
 from measuring import Compilations, arguments, report
 
-from contactgraph.control import ILQR, MPC, ControlLimits, MPCState, QuadraticCost, chain_cost
+from contactgraph.control import (
+    ILQR,
+    MPC,
+    ControlLimits,
+    MPCState,
+    QuadraticCost,
+    chain_cost,
+    on_one_core,
+)
 from contactgraph.evaluate import episode_seeds
 from contactgraph.model import ContactDynamics, Nodes, load_model, scene_nodes, shipped_model
 from contactgraph.tasks import PickupTask
@@ -112,9 +121,10 @@ def of_task(
             count = task.scene.node_count
             cost = cost_of(task, observation["goal"], count)
             state = ticks.reset(observation, scene_nodes(task.scene), cost)
-            for _ in range(task.max_steps):
-                force, state = ticks.step(observation, state)
-                observation, *_ = task.step(force)
+            with on_one_core():
+                for _ in range(task.max_steps):
+                    force, state = ticks.step(observation, state)
+                    observation, *_ = task.step(force)
         median = float(np.median(ticks.milliseconds))
         least = least or median
         rows.append(ticks.row(str(task.scene.metadata["task"]), count, median / least, ""))
@@ -170,14 +180,15 @@ def with_bystanders(
             )
             for ticks, others, size in zip(all_ticks, around, sizes, strict=True)
         ]
-        for step in range(task.max_steps):
-            seen = [among(observation, others) for others in around]
-            forces: dict[int, np.ndarray] = {}
-            for index in np.roll(range(len(sizes)), step).tolist():
-                forces[index], states[index] = all_ticks[index].step(seen[index], states[index])
-            apart = [np.max(np.abs(forces[index] - forces[0])) for index in range(len(sizes))]
-            differs = np.maximum(differs, apart)
-            observation, *_ = task.step(forces[0])
+        with on_one_core():
+            for step in range(task.max_steps):
+                seen = [among(observation, others) for others in around]
+                forces: dict[int, np.ndarray] = {}
+                for index in np.roll(range(len(sizes)), step).tolist():
+                    forces[index], states[index] = all_ticks[index].step(seen[index], states[index])
+                apart = [np.max(np.abs(forces[index] - forces[0])) for index in range(len(sizes))]
+                differs = np.maximum(differs, apart)
+                observation, *_ = task.step(forces[0])
     first = np.array(all_ticks[0].milliseconds)
     return [
         ticks.row("bystanders", size, float(np.median(ticks.milliseconds / first)), float(apart))

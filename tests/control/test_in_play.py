@@ -14,6 +14,8 @@ from contactgraph.model import Locality, Nodes
 
 NEAR = Locality(far=0.2, dt=0.1)
 HORIZON = 10
+ALONE = np.array([0]), np.array([True])
+"""Who is in play: one, always."""
 
 
 def swept_of(*ways) -> Swept:
@@ -35,11 +37,18 @@ def missing(position, velocity=None, swept=None) -> list[int]:
     around = Surroundings.seen(np.arange(5, len(place)), (place, speed))
     way = swept_of([(0.0, 0.0), (1.0, 0.0)]) if swept is None else swept
     who = np.array([0, -1])[: np.asarray(way.lower).shape[2]]
-    return around.missing(way, who, who == 0, NEAR).tolist()
+    return around.missing(way, who, who == 0, NEAR)[0].tolist()
 
 
 def test_whoever_is_near_the_way_is_missing_and_the_nearest_comes_first():
     assert missing([(0.5, 0.19), (0.5, 0.25), (-0.1, 0.0), (1.25, 0.0), (0.3, -0.3)]) == [7, 5]
+
+
+def test_who_is_within_another_reach_is_named_besides():
+    around = Surroundings(np.array([5, 6, 7, 8]), np.zeros((4, 2)), np.zeros(4))
+    around.position[:] = (0.5, 0.4), (0.5, -0.3), (0.5, 0.1), (0.5, 0.5)
+    needed, close = around.missing(swept_of([(0.0, 0.0), (1.0, 0.0)]), *ALONE, NEAR)
+    assert needed.tolist() == [7] and close.tolist() == [6, 5]
 
 
 def test_the_box_around_a_way_across_is_not_the_way():
@@ -77,11 +86,11 @@ def test_neighbours_of_one_in_play_matter_once_it_moves():
     around = np.array([(0.0, 0.0), (1.4, 0.25)])
     around = Surroundings(np.array([5, 6]), around, np.zeros(2))
     way, who, always = [(0.0, 1.0), (1.0, 0.3)], np.array([0, 2]), np.array([True, False])
-    assert around.missing(swept_of(way, still(1.2)), who, always, NEAR).tolist() == []
+    assert around.missing(swept_of(way, still(1.2)), who, always, NEAR)[0].tolist() == []
     moved = (1.2, 0.25), (1.22, 0.25)
-    assert around.missing(swept_of(way, moved), who, always, NEAR).tolist() == [6]
+    assert around.missing(swept_of(way, moved), who, always, NEAR)[0].tolist() == [6]
     both = np.array([True, True])
-    assert around.missing(swept_of(way, still(1.2)), who, both, NEAR).tolist() == [6]
+    assert around.missing(swept_of(way, still(1.2)), who, both, NEAR)[0].tolist() == [6]
 
 
 def test_who_stays_is_near_one_that_moves_and_stays():
@@ -98,10 +107,10 @@ def test_who_stays_is_near_one_that_moves_and_stays():
     assert staying(swept, who, always, motion, NEAR).tolist() == [0, 2, 3, 8]
 
 
-def test_rooms_are_powers_of_two_or_all():
-    assert [room_for(count, 30) for count in (1, 2, 3, 4, 5, 9, 17)] == [2, 2, 4, 4, 8, 16, 30]
-    assert [room_for(count, 12) for count in (2, 3, 5, 9)] == [2, 4, 8, 12]
-    assert [room_for(count, 11) for count in (2, 3, 5, 9)] == [2, 4, 11, 11]
+def test_rooms_are_three_times_as_large_as_the_one_before_or_all():
+    assert [room_for(count, 99) for count in (1, 2, 3, 6, 7, 18, 19)] == [2, 2, 6, 6, 18, 18, 54]
+    assert [room_for(count, 9) for count in (2, 3, 6, 7)] == [2, 6, 6, 9]
+    assert [room_for(count, 8) for count in (2, 3, 6, 7)] == [2, 8, 8, 8]
     assert padded(np.array([7, 2]), 4).tolist() == [2, 7, -1, -1]
 
 

@@ -25,6 +25,7 @@ from contactgraph.control.lqr import QuadraticValue as QuadraticValue
 from contactgraph.control.lqr import solve_lqr as solve_lqr
 from contactgraph.control.mpc import MPC as MPC
 from contactgraph.control.mpc_state import MPCState as MPCState
+from contactgraph.control.one_core import on_one_core as on_one_core
 from contactgraph.control.plan import Plan as Plan
 from contactgraph.control.plan import PlanStatus as PlanStatus
 from contactgraph.control.plan import shift_plan as shift_plan

@@ -51,10 +51,17 @@ class QuadraticCost(eqx.Module):
 
     def __call__(self, states: Float[Array, "H+1 n"], controls: Float[Array, "H U"]) -> Array:
         """The cost of a plan."""
+        return jnp.sum(self.by_step(states, controls))
+
+    def by_step(
+        self, states: Float[Array, "H+1 n"], controls: Float[Array, "H U"]
+    ) -> Float[Array, " H+1"]:
+        """What each step adds to it, the last its state alone; none is negative."""
         Q, R, goal = self.over(controls.shape[0])
         error = states - goal
-        state_cost = jnp.sum(error * jnp.einsum("tij,tj->ti", Q, error))
-        return state_cost + jnp.sum(controls * jnp.einsum("tij,tj->ti", R, controls))
+        of_state = jnp.sum(error * jnp.einsum("tij,tj->ti", Q, error), axis=-1)
+        of_control = jnp.sum(controls * jnp.einsum("tij,tj->ti", R, controls), axis=-1)
+        return of_state.at[:-1].add(of_control)
 
     def quadratic(self, node_count: int) -> "QuadraticCost":
         """Itself: the `Cost` that is one already."""

@@ -19,6 +19,8 @@ _ARMIJO = 1e-4
 _FIRST_DAMPING = 0.1
 _DAMPING_FACTOR = 10.0
 _LAST_DAMPING = 1e6
+_SURELY = 1.001
+"""Costs that differ by less may compare otherwise when summed in another order."""
 
 
 class ILQR(eqx.Module):
@@ -111,8 +113,10 @@ class ILQR(eqx.Module):
         def advance(carry: Carry) -> Carry:
             search, swept = carry
             rollout = follow(model, begin, nodes, search.trial, self.limits, involved)
-            told = swept.with_rollout(search.iteration, rollout, nodes, dt)
-            return self._judge(search, rollout, part), told
+            costs = part.by_step(rollout.x, rollout.controls)
+            given_up = jnp.cumsum(costs[:-1]) > _SURELY * search.cost
+            told = swept.with_rollout(search.iteration, rollout, ~given_up, nodes, dt)
+            return self._judge(search, rollout, jnp.sum(costs), part), told
 
         def running(carry: Carry) -> Bool[Array, ""]:
             search, _ = carry
@@ -122,9 +126,11 @@ class ILQR(eqx.Module):
         search, swept = jax.lax.while_loop(running, advance, (search, nowhere))
         return self._plan(search, index, 2 * state.position.size), swept
 
-    def _judge(self, search: "_Search", rollout: Rollout, part: QuadraticCost) -> "_Search":
-        """Accept or reject what the trial led to, and choose the next trial."""
-        total = jnp.where(rollout.finite(), part(rollout.x, rollout.controls), jnp.inf)
+    def _judge(
+        self, search: "_Search", rollout: Rollout, total: Float[Array, ""], part: QuadraticCost
+    ) -> "_Search":
+        """Accept or reject what the trial led to, at this cost, and choose the next trial."""
+        total = jnp.where(rollout.finite(), total, jnp.inf)
         sizes = jnp.asarray(self.step_sizes, total.dtype)
         promised = _ARMIJO * sizes[search.attempt] * search.improvement.expected_decrease
         accepted = total < search.cost - jnp.where(jnp.isfinite(search.cost), promised, 0.0)

@@ -23,15 +23,19 @@ _SLACK = 0.05
 """Of the reach, by which it is taken to be longer: springs and controls hardly move bystanders."""
 _LEAVES = 0.5
 """Of the reach, beyond it, from which on a node is no longer in play: nobody comes and goes."""
+_SMALLEST, _TIMES = 2, 3
+"""Rooms: for so many nodes, and each for so many times as many as the one before."""
 _HARDLY_MORE = 1.5
 _SMALL = 4
 """Scenes of up to so many nodes are planned as a whole."""
 
 
 def room_for(count: int, capacity: int) -> int:
-    """For how many nodes the tick is compiled in which ``count`` are in play: a power of two, or
-    all where they are hardly more: every room is a program."""
-    room = max(2, 1 << (count - 1).bit_length())
+    """For how many nodes the tick is compiled in which ``count`` are in play: 2, 6, 18, …, or all
+    where they are hardly more: every room is a program."""
+    room = _SMALLEST
+    while room < count:
+        room *= _TIMES
     return room if room * _HARDLY_MORE <= capacity else capacity
 
 
@@ -77,8 +81,9 @@ class Surroundings:
 
     def missing(
         self, swept: Swept, who: np.ndarray, always: np.ndarray, locality: Locality
-    ) -> np.ndarray:
-        """Those who should have been in play with ``who`` [n], most urgent first.
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Those who should have been in play with ``who`` [n], most urgent first; and the next
+        nearest, who may matter to another search.
 
         ``always`` [n] bool: who of these is in play wherever things are.
         """
@@ -88,11 +93,11 @@ class Surroundings:
         radius = (1.0 + _SLACK) * locality.far
         drift = locality.dt * np.max(self.speed, where=~fast, initial=0.0)
         # Nearly all are far from everything: told by one box around all that was swept.
-        margin = radius + drift * horizon
+        margin = 2.0 * radius + drift * horizon
         low, high = lower.min(axis=(0, 1, 2)) - margin, upper.max(axis=(0, 1, 2)) + margin
         near = np.all((self.position > low) & (self.position < high), axis=1) & ~fast
         if not near.any():
-            return self.nodes[fast]
+            return self.nodes[fast], self.nodes[:0]
         movers = np.flatnonzero(_matter(swept, who, always, locality))
         place = self.position[near, None, None, None]
         outside = np.maximum(lower[..., movers, :] - place, place - upper[..., movers, :])
@@ -100,8 +105,9 @@ class Surroundings:
         margins = np.full(len(self.nodes), np.inf)
         margins[near] = np.min(_length(np.maximum(outside, 0.0)) - radii, axis=(1, 2, 3))
         margins[fast] = -np.inf
-        found = np.flatnonzero(margins < 0.0)
-        return self.nodes[found[np.argsort(margins[found], kind="stable")]]
+        order = np.argsort(margins, kind="stable")
+        count, more = np.sum(margins < 0.0), np.sum(margins < radius)
+        return self.nodes[order[:count]], self.nodes[order[count:more]]
 
 
 def staying(

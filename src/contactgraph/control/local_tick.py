@@ -21,7 +21,7 @@ from contactgraph.control.plan import Plan
 from contactgraph.data import InvalidInputError
 from contactgraph.model import Locality, Nodes
 
-_READY = 16
+_READY = 18
 """Nodes in play that are compiled for before a run, where no limit is given."""
 
 
@@ -93,11 +93,12 @@ class LocalTick:
             memory = self._compiled(part, state.memory, motion, contact, applied)
             last_seen = motion if known else state.last_seen
             after = MPCState(state.nodes, state.cost, part, memory, last_seen)
-            missing = part.left_out[:0]
+            missing = close = part.left_out[:0]
             if known and len(part.left_out) and self._locality is not None:
                 assert memory.swept is not None
                 around = Surroundings.seen(part.left_out, motion)
-                missing = around.missing(memory.swept, part.who, part.always, self._locality)
+                seen = memory.swept, part.who, part.always
+                missing, close = around.missing(*seen, self._locality)
             if not len(missing):
                 return state, after, missing
             inside = part.who[part.who >= 0]
@@ -105,8 +106,11 @@ class LocalTick:
             joining = missing[:free]
             if not len(joining):
                 return state, after, missing
-            always = part.who[part.always]
-            state = self._about(state, np.concatenate([inside, joining]), always)
+            # Where there is room, those are with them who may be the next to matter.
+            room = room_for(len(inside) + len(joining), len(motion[0]))
+            spare = min(room, self._most or room) - len(inside) - len(joining)
+            inside = np.concatenate([inside, joining, close[:spare]])
+            state = self._about(state, inside, part.who[part.always])
 
     def _without_who_left(self, state: MPCState) -> MPCState:
         """With less room, where the last tick showed that there is need for no more."""

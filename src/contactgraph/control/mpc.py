@@ -51,8 +51,8 @@ class MPC:
     Goals, weights, poses, contacts and the number of nodes within the capacity are arguments of
     the compiled tick and do not recompile it; the horizon, the capacity (where all are in play)
     and the number of nodes with a cost do. `reset` compiles, so that no tick has to, but where
-    more nodes come into play than ever: that is logged, and happens once for up to 32, 64, … nodes.
-    With ``most_in_play`` it never happens; a tick that would need more is CROWDED.
+    more nodes come into play than ever: that is logged, and happens once for up to 54, 162, …
+    nodes. With ``most_in_play`` it never happens; a tick that would need more is CROWDED.
 
     **A bad tick is data.** A non-finite observation, or a prediction that is not finite, gives
     the running plan moved on by one step, under its `PlanStatus`; a non-finite contact counts as

@@ -1,8 +1,12 @@
-"""Where a search for a plan has been: what tells who could have mattered to it."""
+"""Where a search for a plan has been: what tells who could have mattered to it.
+
+A rollout is given up at the step up to which it has cost more than the best one: whatever comes
+after, it is rejected, so who stands in the way there does not matter.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.rollout import Rollout
 from contactgraph.model import Nodes
@@ -28,14 +32,21 @@ class Swept(eqx.Module):
         return cls(nothing, -nothing)
 
     def with_rollout(
-        self, index: Int[Array, ""], rollout: Rollout, nodes: Nodes, dt: float
+        self,
+        index: Int[Array, ""],
+        rollout: Rollout,
+        counts: Bool[Array, " H"],
+        nodes: Nodes,
+        dt: float,
     ) -> "Swept":
-        """With the places of the rollout of this number, of steps of ``dt`` [s]."""
+        """With the places of the rollout of a number, in those steps of ``dt`` [s] that count."""
         position = rollout.position[:-1]
         # A parabola lies within its ends and where its tangents meet.
         middle = position + 0.5 * dt * rollout.velocity[:-1]
         onward = position + dt * rollout.velocity[:-1] + rollout.push
         lower, upper = _boxes([position, middle, onward, rollout.position[1:]], nodes)
+        counts = counts[:, None, None]
+        lower, upper = jnp.where(counts, lower, jnp.inf), jnp.where(counts, upper, -jnp.inf)
         return Swept(
             self.lower.at[index].set(lower.astype(self.lower.dtype)),
             self.upper.at[index].set(upper.astype(self.upper.dtype)),

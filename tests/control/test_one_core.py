@@ -1,0 +1,68 @@
+"""All threads of the process on one core, and back."""
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from contactgraph.control import on_one_core
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "sched_setaffinity") or len(os.sched_getaffinity(0)) < 2,
+    reason="the system does not let a process choose among cores",
+)
+
+
+class Waiting:
+    """A thread that waits until the end of the context."""
+
+    def __init__(self):
+        self.done = threading.Event()
+        self.thread = threading.Thread(target=self.done.wait)
+        self.thread.start()
+
+    def __enter__(self):
+        return self.thread.native_id
+
+    def __exit__(self, *raised):
+        self.done.set()
+        self.thread.join()
+
+
+def cores():
+    return [os.sched_getaffinity(int(task.name)) for task in Path("/proc/self/task").iterdir()]
+
+
+def test_all_threads_share_one_core_within_and_are_back_afterwards():
+    allowed = os.sched_getaffinity(0)
+    with Waiting() as older, Waiting() as kept:
+        os.sched_setaffinity(kept, {min(allowed)})
+        with on_one_core():
+            assert all(each == {max(allowed)} for each in cores())
+            assert os.sched_getaffinity(older) == {max(allowed)}
+        assert os.sched_getaffinity(0) == os.sched_getaffinity(older) == allowed
+        assert os.sched_getaffinity(kept) == {min(allowed)}
+
+
+def test_a_thread_begun_within_is_free_afterwards():
+    allowed = os.sched_getaffinity(0)
+    with on_one_core(min(allowed)):
+        begun = Waiting()
+        assert os.sched_getaffinity(begun.thread.native_id) == {min(allowed)}
+    with begun as thread:
+        assert os.sched_getaffinity(thread) == allowed
+
+
+def test_an_error_within_frees_them_too():
+    allowed = os.sched_getaffinity(0)
+    with pytest.raises(ZeroDivisionError), on_one_core():
+        raise ZeroDivisionError
+    assert all(each == allowed for each in cores())
+
+
+def test_a_core_that_is_not_there_is_an_error():
+    allowed = os.sched_getaffinity(0)
+    with pytest.raises(OSError), on_one_core(9999):
+        pass
+    assert os.sched_getaffinity(0) == allowed
