@@ -19,8 +19,9 @@ _Tree = TypeVar("_Tree")
 class CompiledTick:
     """A `Controller` with compiled functions, on the nodes in play."""
 
-    def __init__(self, controller: Controller) -> None:
-        self.controller = controller
+    def __init__(self, controller: Controller, falls_back: bool) -> None:
+        """``falls_back``: whether `running` may be asked for; if so, it is compiled for, too."""
+        self.controller, self._falls_back = controller, falls_back
         # A flat tuple of arrays is dispatched faster than the tree they came from, and weights
         # that are arguments, not constants, are neither folded nor compiled in.
         dynamic, static = eqx.partition(controller, eqx.is_array)
@@ -87,7 +88,9 @@ class CompiledTick:
         self._warm.add(shapes)
         self.make_room(len(part.who))
         memory = self(part, self.first(part, motion), motion, contact, applied)
-        jax.block_until_ready(self.running(memory, PlanStatus.LATE))
+        jax.block_until_ready(memory)
+        if self._falls_back:
+            self.running(memory, PlanStatus.LATE)
 
     def strongly_typed(self, values: _Tree) -> _Tree:
         """Every float of one type and none of them weak: else the second tick would compile

@@ -97,7 +97,8 @@ class MPC:
         # Rates by edge are about the scene as a whole.
         near = locality(model) if np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) == 0 else None
         self._compiled = CompiledTick(
-            Controller(model, ilqr, sensor, motion_noise, replan_every, near)
+            Controller(model, ilqr, sensor, motion_noise, replan_every, near),
+            falls_back=deadline is not None or most_in_play is not None,
         )
         self._local = LocalTick(self._compiled, near, most_in_play)
         self._readers: dict[tuple[int, int], MeasurementReader] = {}
