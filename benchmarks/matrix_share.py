@@ -2,13 +2,17 @@
 
 Usage: python benchmarks/matrix_share.py [--quick] [--json FILE]
 
-The training steps of `eager_comparison`, on one core in float32. Counted are the products of the
-dense layers alone: one pass to learn how controls push, one forwards, and backwards two products
-for each one of the pass (the slope of its input, and of its weights). The core's rate is that of
-one product of two large square matrices.
+The training steps of `eager_comparison`, on one core in float32: with the shipped model, whose
+networks are 32 wide, and with fresh ones four and eight times as wide, to see what becomes of the
+share where products are more of the work. Counted are the products of the dense layers alone: one
+pass to learn how controls push, one forwards, and backwards two products for each one of the pass
+(the slope of its input, and of its weights). The core's rate is that of one product of two large
+square matrices.
 """
 
 import one_core  # noqa: F401, I001  before JAX
+import dataclasses
+import itertools
 import time
 from collections.abc import Callable
 
@@ -16,14 +20,24 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from eager_comparison import sample, training
+from eager_comparison import Sample, sample, training
 from measuring import arguments, report
 
-from contactgraph.model import ContactDynamics
+from contactgraph.model import ContactDynamics, gim_temp
 from contactgraph.model.neighbours import edge_count
 
 PASSES = 4
 SIZE = 2048
+SHIPPED = 32
+
+
+def widened(given: Sample, width: int) -> Sample:
+    """With fresh networks of this width in place of the shipped ones."""
+    model, runs, nodes = given
+    if width == SHIPPED:
+        return given
+    fresh = gim_temp(2, 2, model.dt, width=width, key=jax.random.key(0))
+    return dataclasses.replace(fresh, neighbours=model.neighbours), runs, nodes
 
 
 def operations(model: ContactDynamics, edges: int, nodes: int) -> int:
@@ -67,8 +81,9 @@ def main() -> None:
     told = arguments("Share of the core's matrix-product rate in a training step.")
     rounds = 1 if told.quick else 10
     rows = []
-    for bodies, runs in ((2, 4 if told.quick else 64), (12, 2 if told.quick else 8)):
-        given = sample(bodies, runs)
+    sizes = (2, 4 if told.quick else 64), (12, 2 if told.quick else 8)
+    for (bodies, runs), width in itertools.product(sizes, (SHIPPED, 128, 256)):
+        given = widened(sample(bodies, runs), width)
         ours, _ = training(given)
         steps = sum(run.steps for run in given[1])
         edges = edge_count(given[0].neighbours, bodies)
@@ -77,6 +92,7 @@ def main() -> None:
         rows.append(
             {
                 "training step": f"{bodies} bodies, {runs} x {steps // runs}",
+                "width": width,
                 "ms": 1e3 * seconds,
                 "products, Gop": count / 1e9,
                 "Gop/s": count / seconds / 1e9,
