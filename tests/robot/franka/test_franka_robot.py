@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -49,14 +50,25 @@ def robot(arm: RunningRehearsal) -> Iterator[FrankaRobot]:
         yield connected
 
 
-def patiently(attempt: Callable[[], None], robot: FrankaRobot) -> None:
-    """Three times at most, where deadlines were missed that have nothing to do with the test."""
-    for _ in range(2):
+def stolen() -> int:
+    """Hundredths of a second that the host of a virtual machine took from it, on all cores."""
+    path = Path("/proc/stat")
+    return int(path.read_text().split()[8]) if path.exists() else 0
+
+
+def patiently(attempt: Callable[[], None], robot: FrankaRobot | None = None) -> None:
+    """Three times at most, where deadlines were missed that have nothing to do with the test; and
+    ten times, where the machine itself was made to stand still meanwhile."""
+    for times in range(1, 11):
+        before = stolen()
         try:
             return attempt()
-        except InterruptedRun:
-            assert robot.recover() and robot.move_to(PLACE, speed=0.5) is None
-    attempt()
+        except (InterruptedRun, AssertionError) as error:
+            again = 3 if isinstance(error, InterruptedRun) else 1
+            if times >= (10 if stolen() > before else again):
+                raise
+            if robot is not None:
+                assert robot.recover() and robot.move_to(PLACE, speed=0.5) is None
 
 
 def pushed(robot: FrankaRobot, force: np.ndarray, seconds: float, stop: bool = True) -> np.ndarray:
@@ -195,11 +207,14 @@ def test_what_a_person_wants_to_know(robot: FrankaRobot) -> None:
 
 
 def test_how_well_the_loop_keeps_time(robot: FrankaRobot) -> None:
-    timing = measure_loop(robot, LIMITS, WallClock(PACE), 0.5)
-    assert timing.report.stop.reason in (StopReason.FINISHED, StopReason.LOOP_LATE)
-    assert timing.states_hz > 300.0
-    assert timing.state_gap_ms_p50 == pytest.approx(1.0, abs=0.01)
-    assert [line.split()[0] for line in timing.lines()] == ["loop", "jitter", "end", "states"]
+    def attempt() -> None:
+        timing = measure_loop(robot, LIMITS, WallClock(PACE), 0.5)
+        assert timing.report.stop.reason in (StopReason.FINISHED, StopReason.LOOP_LATE)
+        assert timing.states_hz > 300.0
+        assert timing.state_gap_ms_p50 == pytest.approx(1.0, abs=0.01)
+        assert [line.split()[0] for line in timing.lines()] == ["loop", "jitter", "end", "states"]
+
+    patiently(attempt, robot)
 
 
 def test_fingers_tell_what_stopped_them(arm: RunningRehearsal, robot: FrankaRobot) -> None:
@@ -234,21 +249,25 @@ def test_fingers_tell_what_stopped_them(arm: RunningRehearsal, robot: FrankaRobo
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_lost_arm_is_noticed_within_20_ms(server_turn: None, how: signal.Signals) -> None:
     """A server that dies closes its connection; one that stands still is like a cable cut."""
-    rehearsal = Rehearsal(pace=PACE)
-    with rehearsal as running, FrankaRobot(running.address, clock=running.clock) as robot:
-        server = rehearsal._children[0]._process
-        safe = SafeRobot(robot, LIMITS, running.clock)
-        with undisturbed():
-            for _ in range(3):
-                safe.reset()
-                if held(safe, running.clock, 0.1) is None:
-                    break
-            server.send_signal(how)
-            died = running.clock()
-            stop = held(safe, running.clock, 0.5)
-        server.kill()
-        assert stop is not None and stop.reason is StopReason.CONNECTION_LOST
-        assert 0.0 < stop.time - died < 0.020
+
+    def attempt() -> None:
+        rehearsal = Rehearsal(pace=PACE)
+        with rehearsal as running, FrankaRobot(running.address, clock=running.clock) as robot:
+            server = rehearsal._children[0]._process
+            safe = SafeRobot(robot, LIMITS, running.clock)
+            with undisturbed():
+                for _ in range(3):
+                    safe.reset()
+                    if held(safe, running.clock, 0.1) is None:
+                        break
+                server.send_signal(how)
+                died = running.clock()
+                stop = held(safe, running.clock, 0.5)
+            server.kill()
+            assert stop is not None and stop.reason is StopReason.CONNECTION_LOST
+            assert 0.0 < stop.time - died < 0.020
+
+    patiently(attempt)
 
 
 def held(safe: SafeRobot, clock: Callable[[], float], seconds: float) -> Stop | None:
