@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.model.contact_dynamics import ContactDynamics
@@ -44,12 +44,12 @@ _Model = TypeVar("_Model", bound=StepModel)
 
 @dataclasses.dataclass(frozen=True)
 class _Seen:
-    """One state of a scene."""
+    """One state of a scene: position and velocity [N, D], which nodes exist [N], hinges [N, D]."""
 
-    position: Float[Array, "N D"]
-    velocity: Float[Array, "N D"]
-    mask: Bool[Array, " N"]
-    anchor: Float[Array, "N D"] | None
+    position: Array | np.ndarray
+    velocity: Array | np.ndarray
+    mask: Array | np.ndarray
+    anchor: Array | np.ndarray | None
 
 
 def with_neighbour_lists(
@@ -89,6 +89,8 @@ class GrowingLists(Generic[_Model]):
         if not isinstance(model.reach, Reach):
             return
         count = max(run.scene.node_count for run in dataset)
+        if count < CELLS_FROM and _WORTH * pair_count(count) <= _LEAST_SPARE:
+            return  # Whatever is near.
         lists = _lists_for(model, dataset, count)
         if count >= CELLS_FROM or lists.edges < _WORTH * pair_count(count):
             self._may_grow = True
@@ -172,10 +174,10 @@ def _states(dataset: Dataset, count: int) -> Iterator[_Seen]:
         more = ((0, count - run.scene.node_count), (0, 0))
         anchor = None
         if run.scene.anchor is not None:
-            anchor = jnp.asarray(np.pad(run.scene.anchor, more, constant_values=np.nan))
+            anchor = np.pad(run.scene.anchor, more, constant_values=np.nan)
         yield _Seen(
-            position=jnp.asarray(np.pad(run.position[step], more)),
-            velocity=jnp.asarray(np.pad(run.velocity[step], more)),
-            mask=jnp.arange(count) < run.scene.node_count,
+            position=np.pad(run.position[step], more),
+            velocity=np.pad(run.velocity[step], more),
+            mask=np.arange(count) < run.scene.node_count,
             anchor=anchor,
         )
