@@ -18,17 +18,24 @@ def test_without_the_library_one_line_says_what_to_install(monkeypatch):
         import contactgraph.robot.perception.realsense  # noqa: F401
 
 
-def test_a_library_that_cannot_be_loaded_is_told_with_its_reason(tmp_path, monkeypatch):
+@pytest.fixture
+def broken(tmp_path, monkeypatch):
+    """A library that is there and cannot be loaded."""
     (tmp_path / "pyrealsense2.py").write_text("raise ImportError('libodd.so.7: no such file')\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "pyrealsense2", raising=False)
     monkeypatch.delitem(sys.modules, MODULE, raising=False)
+
+
+def test_a_library_that_cannot_be_loaded_is_told_with_its_reason(broken):
+    pytest.importorskip("libusb_package", reason="the extra realsense is not installed")
+    with pytest.raises(InvalidInputError, match=r"cannot be loaded: libodd\.so\.7: no such file$"):
+        import contactgraph.robot.perception.realsense  # noqa: F401
+
+
+def test_where_nothing_can_be_loaded_in_its_place_the_extra_is_named(broken, monkeypatch):
     monkeypatch.setitem(sys.modules, "libusb_package", None)
     with pytest.raises(InvalidInputError, match="need libusb_package: pip install"):
-        import contactgraph.robot.perception.realsense
-    pytest.importorskip("libusb_package")
-    monkeypatch.delitem(sys.modules, "libusb_package")
-    with pytest.raises(InvalidInputError, match=r"cannot be loaded: libodd\.so\.7: no such file$"):
         import contactgraph.robot.perception.realsense  # noqa: F401
 
 
