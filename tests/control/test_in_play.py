@@ -37,7 +37,7 @@ def missing(position, velocity=None, swept=None) -> list[int]:
     around = Surroundings.seen(np.arange(5, len(place)), (place, speed))
     way = swept_of([(0.0, 0.0), (1.0, 0.0)]) if swept is None else swept
     who = np.array([0, -1])[: np.asarray(way.lower).shape[2]]
-    return around.missing(way, who, who == 0, NEAR)[0].tolist()
+    return around.missing(way, who, who == 0, NEAR).tolist()
 
 
 def test_whoever_is_near_the_way_is_missing_and_the_nearest_comes_first():
@@ -47,8 +47,9 @@ def test_whoever_is_near_the_way_is_missing_and_the_nearest_comes_first():
 def test_who_is_within_another_reach_is_named_besides():
     around = Surroundings(np.array([5, 6, 7, 8]), np.zeros((4, 2)), np.zeros(4))
     around.position[:] = (0.5, 0.4), (0.5, -0.3), (0.5, 0.1), (0.5, 0.5)
-    needed, close = around.missing(swept_of([(0.0, 0.0), (1.0, 0.0)]), *ALONE, NEAR)
-    assert needed.tolist() == [7] and close.tolist() == [6, 5]
+    way = swept_of([(0.0, 0.0), (1.0, 0.0)])
+    assert around.missing(way, *ALONE, NEAR).tolist() == [7]
+    assert around.missing(way, *ALONE, NEAR, reaches=2.0).tolist() == [7, 6, 5]
 
 
 def test_the_box_around_a_way_across_is_not_the_way():
@@ -86,11 +87,11 @@ def test_neighbours_of_one_in_play_matter_once_it_moves():
     around = np.array([(0.0, 0.0), (1.4, 0.25)])
     around = Surroundings(np.array([5, 6]), around, np.zeros(2))
     way, who, always = [(0.0, 1.0), (1.0, 0.3)], np.array([0, 2]), np.array([True, False])
-    assert around.missing(swept_of(way, still(1.2)), who, always, NEAR)[0].tolist() == []
+    assert around.missing(swept_of(way, still(1.2)), who, always, NEAR).tolist() == []
     moved = (1.2, 0.25), (1.22, 0.25)
-    assert around.missing(swept_of(way, moved), who, always, NEAR)[0].tolist() == [6]
+    assert around.missing(swept_of(way, moved), who, always, NEAR).tolist() == [6]
     both = np.array([True, True])
-    assert around.missing(swept_of(way, still(1.2)), who, both, NEAR)[0].tolist() == [6]
+    assert around.missing(swept_of(way, still(1.2)), who, both, NEAR).tolist() == [6]
 
 
 def test_who_stays_is_near_one_that_moves_and_stays():

@@ -80,24 +80,29 @@ class Surroundings:
         return cls(nodes, position[nodes], _length(velocity[nodes]))
 
     def missing(
-        self, swept: Swept, who: np.ndarray, always: np.ndarray, locality: Locality
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Those who should have been in play with ``who`` [n], most urgent first; and the next
-        nearest, who may matter to another search.
+        self,
+        swept: Swept,
+        who: np.ndarray,
+        always: np.ndarray,
+        locality: Locality,
+        reaches: float = 1.0,
+    ) -> np.ndarray:
+        """Those who should have been in play with ``who`` [n], most urgent first.
 
-        ``always`` [n] bool: who of these is in play wherever things are.
+        ``always`` [n] bool: who of these is in play wherever things are. With more ``reaches``
+        than one those follow who are that near, and may matter to another search.
         """
         lower, upper = np.asarray(swept.lower), np.asarray(swept.upper)
         horizon = lower.shape[1]
         fast = _is_fast(self.speed, horizon, locality)
-        radius = (1.0 + _SLACK) * locality.far
+        radius = reaches * (1.0 + _SLACK) * locality.far
         drift = locality.dt * np.max(self.speed, where=~fast, initial=0.0)
         # Nearly all are far from everything: told by one box around all that was swept.
-        margin = 2.0 * radius + drift * horizon
+        margin = radius + drift * horizon
         low, high = lower.min(axis=(0, 1, 2)) - margin, upper.max(axis=(0, 1, 2)) + margin
         near = np.all((self.position > low) & (self.position < high), axis=1) & ~fast
         if not near.any():
-            return self.nodes[fast], self.nodes[:0]
+            return self.nodes[fast]
         movers = np.flatnonzero(_matter(swept, who, always, locality))
         place = self.position[near, None, None, None]
         outside = np.maximum(lower[..., movers, :] - place, place - upper[..., movers, :])
@@ -105,9 +110,8 @@ class Surroundings:
         margins = np.full(len(self.nodes), np.inf)
         margins[near] = np.min(_length(np.maximum(outside, 0.0)) - radii, axis=(1, 2, 3))
         margins[fast] = -np.inf
-        order = np.argsort(margins, kind="stable")
-        count, more = np.sum(margins < 0.0), np.sum(margins < radius)
-        return self.nodes[order[:count]], self.nodes[order[count:more]]
+        found = np.flatnonzero(margins < 0.0)
+        return self.nodes[found[np.argsort(margins[found], kind="stable")]]
 
 
 def staying(

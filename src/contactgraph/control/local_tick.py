@@ -93,12 +93,12 @@ class LocalTick:
             memory = self._compiled(part, state.memory, motion, contact, applied)
             last_seen = motion if known else state.last_seen
             after = MPCState(state.nodes, state.cost, part, memory, last_seen)
-            missing = close = part.left_out[:0]
+            missing = part.left_out[:0]
             if known and len(part.left_out) and self._locality is not None:
                 assert memory.swept is not None
                 around = Surroundings.seen(part.left_out, motion)
-                seen = memory.swept, part.who, part.always
-                missing, close = around.missing(*seen, self._locality)
+                seen = memory.swept, part.who, part.always, self._locality
+                missing = around.missing(*seen)
             if not len(missing):
                 return state, after, missing
             inside = part.who[part.who >= 0]
@@ -108,8 +108,8 @@ class LocalTick:
                 return state, after, missing
             # Where there is room, those are with them who may be the next to matter.
             room = room_for(len(inside) + len(joining), len(motion[0]))
-            spare = min(room, self._most or room) - len(inside) - len(joining)
-            inside = np.concatenate([inside, joining, close[:spare]])
+            free = min(room, self._most or room) - len(inside)
+            inside = np.concatenate([inside, around.missing(*seen, reaches=2.0)[:free]])
             state = self._about(state, inside, part.who[part.always])
 
     def _without_who_left(self, state: MPCState) -> MPCState:
