@@ -82,8 +82,9 @@ def main() -> None:
     rounds = 1 if told.quick else 10
     rows = []
     sizes = (2, 4 if told.quick else 64), (12, 2 if told.quick else 8)
-    for (bodies, runs), width in itertools.product(sizes, (SHIPPED, 128, 256)):
-        given = widened(sample(bodies, runs), width)
+    recorded = [(size, sample(*size)) for size in sizes]
+    for ((bodies, runs), shipped), width in itertools.product(recorded, (SHIPPED, 128, 256)):
+        given = widened(shipped, width)
         ours, _ = training(given)
         steps = sum(run.steps for run in given[1])
         edges = edge_count(given[0].neighbours, bodies)
