@@ -12,10 +12,10 @@ import numpy as np
 from comparing import difference
 from measuring import arguments, report
 
-from contactgraph.cluster import LocalProcesses
 from contactgraph.data import Trajectory
-from contactgraph.tasks import PickupExpert, PickupTask
-from contactgraph.tasks.collect import collect
+from contactgraph.envs import PickupExpert, PickupTask
+from contactgraph.envs.collect import collect
+from contactgraph.parallel import LocalProcesses
 
 RUNS = 1000
 

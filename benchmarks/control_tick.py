@@ -30,11 +30,11 @@ from contactgraph.control import (
     chain_cost,
     on_one_core,
 )
+from contactgraph.envs import PickupTask
+from contactgraph.envs.gripper_task import GripperTask
+from contactgraph.envs.pickup_layout import CLEARANCE, CORRIDOR, RADIUS, distance_to_ways
 from contactgraph.evaluate import episode_seeds
 from contactgraph.model import ContactDynamics, Nodes, load_model, scene_nodes, shipped_model
-from contactgraph.tasks import PickupTask
-from contactgraph.tasks.gripper_task import GripperTask
-from contactgraph.tasks.pickup_layout import CLEARANCE, CORRIDOR, RADIUS, distance_to_ways
 
 Row = dict[str, float | int | str]
 DENSITY = 5.0
@@ -205,7 +205,7 @@ def main() -> None:
     rows = with_bystanders(model, [2, 11, 100, 1000], episodes, heard)
     rows += of_task(model, [PickupTask(n - 2) for n in (2, 11, 21)], 20, 5 * episodes, heard)
     if find_spec("mujoco") is not None:
-        from contactgraph.tasks.mujoco import FrankaTask
+        from contactgraph_franka.envs import FrankaTask
 
         model = load_model(shipped_model("franka")).model
         rows += of_task(model, [FrankaTask(n - 2) for n in (2, 7)], 50, episodes, heard)

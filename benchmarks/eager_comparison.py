@@ -31,7 +31,7 @@ from contactgraph.model import (
     shipped_model,
 )
 from contactgraph.model.arrays import module_arrays
-from contactgraph.tasks import PickupExpert, PickupTask
+from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.train import LossTerms
 from contactgraph.train.batch import Window
 from contactgraph.train.loss import window_loss

@@ -26,7 +26,7 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 import numpy as np
 from contactgraph.control import ILQR, MPC, chain_cost
 from contactgraph.model import load_model, scene_nodes, shipped_model
-from contactgraph.tasks import PickupTask
+from contactgraph.envs import PickupTask
 
 task = PickupTask(distractors=9)
 observation, _ = task.reset(seed=0)

@@ -29,8 +29,8 @@ from model_at_scale import measured as step_of
 from training_memory import measured as memory_of
 
 from contactgraph.control import ILQR, MPC, ControlLimits, chain_cost
+from contactgraph.envs import PickupTask
 from contactgraph.model import ContactDynamics, load_model, scene_nodes, shipped_model
-from contactgraph.tasks import PickupTask
 
 Row = dict[str, float | int | str]
 Curve = Callable[[ContactDynamics, bool], Iterator[Row]]

@@ -13,9 +13,9 @@ from importlib.util import find_spec
 import numpy as np
 from measuring import arguments, report
 
-from contactgraph.robot import Robot, RobotReading, SafetyLimits, Stop
-from contactgraph.robot.franka.loop_timing import measure_loop
-from contactgraph.robot.loop import WallClock
+from contactgraph_franka.driver.loop_timing import measure_loop
+from contactgraph_franka.loop import WallClock
+from contactgraph_franka.robot import Robot, RobotReading, SafetyLimits, Stop
 
 LIMITS = SafetyLimits(max_force=14.0, longest_gap=0.1, longest_age=0.1, stop_within=0.2)
 """With deadlines so long that what is late is measured, and not the end of the measurement."""
@@ -55,8 +55,8 @@ class Timed:
 
 def measured(seconds: float) -> dict[str, float | int | str]:
     """One row: one run."""
-    from contactgraph.rehearsal.rehearsal import Rehearsal
-    from contactgraph.robot.franka.franka_robot import FrankaRobot
+    from contactgraph_franka.driver.franka_robot import FrankaRobot
+    from contactgraph_franka.sim.rehearsal import Rehearsal
 
     clock = WallClock()
     with Rehearsal(pace=1.0) as arm, FrankaRobot(arm.address, clock=clock) as robot:

@@ -35,24 +35,24 @@ from xml.etree import ElementTree
 import numpy as np
 from measuring import arguments, report, table
 
-from contactgraph.rehearsal.rendered_camera import RenderedCamera
-from contactgraph.rehearsal.tagged_block import TaggedBlock, tagged_block
-from contactgraph.robot.perception import (
+from contactgraph_franka.envs.engine import mujoco
+from contactgraph_franka.perception import (
     CameraCalibration,
     CameraFrame,
     Intrinsics,
     ObjectTracker,
 )
-from contactgraph.robot.perception.hand_eye import HandEye, calibrate
-from contactgraph.robot.perception.object_pose import ObjectPose
-from contactgraph.robot.perception.perception import Perception
-from contactgraph.robot.perception.rigid import inverse, pose, rotation_of
-from contactgraph.robot.perception.seen_objects import SeenObjects
-from contactgraph.robot.perception.shared_sightings import SharedSightings
-from contactgraph.robot.perception.sight import located
-from contactgraph.robot.perception.tags import TagDetector
-from contactgraph.robot.perception.watch import Watch
-from contactgraph.tasks.mujoco.engine import mujoco
+from contactgraph_franka.perception.hand_eye import HandEye, calibrate
+from contactgraph_franka.perception.object_pose import ObjectPose
+from contactgraph_franka.perception.perception import Perception
+from contactgraph_franka.perception.rigid import inverse, pose, rotation_of
+from contactgraph_franka.perception.seen_objects import SeenObjects
+from contactgraph_franka.perception.shared_sightings import SharedSightings
+from contactgraph_franka.perception.sight import located
+from contactgraph_franka.perception.tags import TagDetector
+from contactgraph_franka.perception.watch import Watch
+from contactgraph_franka.sim.rendered_camera import RenderedCamera
+from contactgraph_franka.sim.tagged_block import TaggedBlock, tagged_block
 
 LENS = Intrinsics(900.0, 900.0, 639.5, 359.5, 1280, 720)
 LOW, HIGH = np.array([0.3, -0.35, 0.05]), np.array([0.7, 0.35, 0.35])

@@ -10,9 +10,9 @@ import jax
 from measuring import arguments, report
 
 from contactgraph.data import Dataset, split_by_run
+from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect
 from contactgraph.model import gim_temp
-from contactgraph.tasks import PickupExpert, PickupTask
 from contactgraph.train import FitProgress, FitState, Recipe, fit, initial_state
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import jax
 
 from contactgraph.data import Dataset, split_by_run, strip_contacts
+from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect, evaluate_open_loop
 from contactgraph.model import gim_temp, save_model
-from contactgraph.tasks import PickupExpert, PickupTask
 from contactgraph.train import FitProgress, Recipe, fit, initial_state
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())

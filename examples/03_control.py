@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.control import ILQR, MPC, ControlLimits, chain_cost
+from contactgraph.envs import PickupTask
 from contactgraph.model import load_model, scene_nodes, shipped_model
-from contactgraph.tasks import PickupTask
 
 GRIPPER, TARGET = 0, 1
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import inspect_run, run_episode
 from contactgraph.model import load_model, shipped_model
-from contactgraph.reproduce.scenes import scene_run
-from contactgraph.tasks import PickupExpert, PickupTask
-from contactgraph.view import write_still
+from contactgraph.viz import write_still
+from contactgraph_studies.scenes import scene_run
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 model = load_model(shipped_model("pickup")).model

@@ -7,9 +7,9 @@ import gymnasium
 import numpy as np
 
 from contactgraph.data import Scene
+from contactgraph.envs import ChainCost, check_task
 from contactgraph.evaluate import control_task
 from contactgraph.model import load_model, shipped_model
-from contactgraph.tasks import ChainCost, check_task
 
 DT, STEPS, SUBSTEPS, REACH, MAX_FORCE = 0.05, 120, 10, 0.08, 10.0  # s, -, -, m, N
 

@@ -9,6 +9,7 @@ paper's memoryless edges, free local parameters, and a discretisation that is no
 import jax
 
 from contactgraph.data import Dataset, split_by_run
+from contactgraph.envs import ExplorationPolicy, PickupExpert, PickupTask
 from contactgraph.evaluate import collect, evaluate_open_loop
 from contactgraph.model import (
     ArgmaxSample,
@@ -23,7 +24,6 @@ from contactgraph.model import (
     ThetaMethod,
     TypedMessagePassing,
 )
-from contactgraph.tasks import ExplorationPolicy, PickupExpert, PickupTask
 from contactgraph.train import Recipe, fit, initial_state
 
 DISTANCE, WIDTH, DT = 0.08, 16, 0.05  # m centre to centre where bodies touch, -, s

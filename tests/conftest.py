@@ -38,7 +38,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 
 def _done(arguments: list[str]) -> None:
-    from contactgraph.cli import run
+    from contactgraph.cli.main import run
 
     assert run(arguments) == 0
 

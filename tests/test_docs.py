@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib
 import pytest
 
-from contactgraph.cli import _parse
+from contactgraph.cli.main import _parse
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted(

@@ -152,7 +152,7 @@ def test_a_heavy_library_is_imported_in_one_module() -> None:
         ({"data/a.py": "import contactgraph.model"}, "contactgraph.data.a imports contactgraph.m"),
         (
             {"tasks/a.py": "def f():\n    from contactgraph.control import mpc"},
-            "contactgraph.tasks.a imports contactgraph.control",
+            "contactgraph.envs.a imports contactgraph.control",
         ),
         (
             {"control/a.py": "from contactgraph import train", "train/__init__.py": ""},
@@ -175,7 +175,7 @@ def test_cycles_and_second_importers_are_found(tmp_path: Path) -> None:
     }
     imports = read_imports(written(tmp_path, files))
     assert set(cycle(imports)) == {"contactgraph.data.a", "contactgraph.data.b"}
-    assert heavy_importers(imports)["Box2D"] == ["contactgraph.data.b", "contactgraph.tasks.a"]
+    assert heavy_importers(imports)["Box2D"] == ["contactgraph.data.b", "contactgraph.envs.a"]
 
 
 def written(folder: Path, files: dict[str, str]) -> Path:

@@ -1,6 +1,6 @@
 """``python -m contactgraph``: the command line where its program is not on the path."""
 
-from contactgraph.cli import main
+from contactgraph.cli.main import main
 
 if __name__ == "__main__":
     main()

@@ -20,9 +20,9 @@ from contactgraph.control.demonstrations import demonstrations_of
 from contactgraph.control.participants import follow_all, participants
 from contactgraph.control.relative_form import relative_terms
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
+from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
 from contactgraph.evaluate import collect, control_task
 from contactgraph.model import ModelState, load_model, scene_nodes, shipped_model
-from contactgraph.tasks import PickupExpert, PickupTask, RestPolicy
 
 RECIPE = CostRecipe(steps=50, batch=64)
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))

@@ -9,6 +9,8 @@ from evaluation_worlds import DT, GluedBodies, random_run, scene_of
 
 from contactgraph.control import ILQR, MPC, ControlLimits, QuadraticCost, chain_cost
 from contactgraph.data import Dataset, InvalidInputError, pair_indices
+from contactgraph.envs import ChainCost, PickupTask
+from contactgraph.envs.pickup import pickup_success
 from contactgraph.evaluate import (
     MPCPolicy,
     TaskCost,
@@ -18,8 +20,6 @@ from contactgraph.evaluate import (
     inspect_run,
 )
 from contactgraph.model import ContactBelief, gim_temp, scene_nodes, two_type_belief
-from contactgraph.tasks import ChainCost, PickupTask
-from contactgraph.tasks.pickup import pickup_success
 
 SEER = GluedBodies(reach=0.081)
 

@@ -5,9 +5,9 @@ import pytest
 from evaluation_worlds import DT, random_run, scene_of
 
 from contactgraph.data import Scene, Trajectory
+from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect
 from contactgraph.evaluate.floors import constant_velocity, frozen_contact, joined
-from contactgraph.tasks import PickupExpert, PickupTask
 
 
 def rmse(predicted, run, windows):

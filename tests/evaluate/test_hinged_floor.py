@@ -7,9 +7,9 @@ import pytest
 from evaluation_worlds import DT, scene_of
 
 from contactgraph.data import Trajectory
+from contactgraph.envs import DoorExpert, DoorTask
 from contactgraph.evaluate import collect
 from contactgraph.evaluate.floors import constant_velocity, frozen_contact
-from contactgraph.tasks import DoorExpert, DoorTask
 
 HINGE = np.array([0.3, -0.2])
 NOWHERE = [np.nan, np.nan]

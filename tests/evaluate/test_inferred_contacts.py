@@ -8,9 +8,9 @@ import pytest
 from evaluation_worlds import GluedBodies
 
 from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import MPCPolicy, collect, control_task, evaluate_open_loop, run_episode
 from contactgraph.model import MotionNoise, load_model, shipped_model
-from contactgraph.tasks import PickupExpert, PickupTask
 
 WIDER = partial(PickupTask, radius=0.042)
 

@@ -8,10 +8,10 @@ import pytest
 from evaluation_worlds import DT, GluedBodies, random_run, scene_of
 
 from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.envs import DoorTask, PickupTask
 from contactgraph.evaluate import control_task, evaluate_open_loop, inspect_run
 from contactgraph.model import gim_temp
 from contactgraph.model.model_fit import check_fit
-from contactgraph.tasks import DoorTask, PickupTask
 
 ANCHOR = np.array([[np.nan, np.nan], [0.3, 0.4]])
 HINGED, FREE = scene_of(2, anchor=ANCHOR), scene_of(2)

@@ -8,9 +8,9 @@ import pytest
 from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run, scene_of
 
 from contactgraph.data import Dataset, InvalidInputError, Trajectory, strip_contacts
+from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect, evaluate_open_loop
 from contactgraph.model import gim_temp
-from contactgraph.tasks import PickupExpert, PickupTask
 
 JSON_KEYS = {
     *("n_step_rmse_m", "n_step_rmse_moving_m", "n_step_rmse_free_m", "n_step_rmse_contact_m"),

@@ -9,9 +9,9 @@ from evaluation_worlds import DT, GluedBodies, random_run
 
 from contactgraph.control import PlanStatus
 from contactgraph.data import pair_indices
+from contactgraph.envs import PickupTask
 from contactgraph.evaluate import EpisodeRecord, PlannedError, control_task, planned_error
 from contactgraph.evaluate.floors import constant_velocity, frozen_contact
-from contactgraph.tasks import PickupTask
 
 HORIZON, STEPS = 12, 10  # 0.5 s are 10 steps
 RUN = random_run(3, 45, 4)

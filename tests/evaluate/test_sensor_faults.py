@@ -5,9 +5,9 @@ import pytest
 from evaluation_worlds import DT, GluedBodies, random_run, scene_of
 
 from contactgraph.data import Dataset, InvalidInputError, strip_contacts
+from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import SensorFaults, collect, control_task, evaluate_open_loop
 from contactgraph.model import ContactSensor
-from contactgraph.tasks import PickupExpert, PickupTask
 
 RUN = random_run(6, 2000, 0)
 OFF_DIAGONAL = ~np.eye(6, dtype=bool)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from contactgraph.cluster import usable_cores
+from contactgraph.parallel import usable_cores
 
 pytestmark = pytest.mark.skipif(
     len(usable_cores()) == 1, reason="with one core there is one process"
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(
 SCRIPT = """
 import signal
 import sys
-from contactgraph.cli import main
+from contactgraph.cli.main import main
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)

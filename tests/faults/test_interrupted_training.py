@@ -14,13 +14,13 @@ import jax.numpy as jnp
 import pytest
 import safetensors.numpy
 
-from contactgraph import cli
+from contactgraph.cli import main as cli
 from contactgraph.model import gim_temp
 from contactgraph.train import Recipe, RunFolder, initial_state, save_checkpoint
 
 MAIN = """
 import signal, sys
-from contactgraph.cli import main
+from contactgraph.cli.main import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
 main(sys.argv[1:])
 """

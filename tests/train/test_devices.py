@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from contactgraph import cli
+from contactgraph.cli import main as cli
 from contactgraph.data import InvalidInputError
 from contactgraph.train.batch_split import batch_split
 

@@ -8,7 +8,7 @@ import pytest
 import safetensors.numpy
 from training import assert_bit_equal, first_state, split, states_until, trained_on
 
-from contactgraph import cli
+from contactgraph.cli import main as cli
 from contactgraph.data import InvalidInputError
 from contactgraph.train import RunFolder, load_checkpoint, save_checkpoint
 

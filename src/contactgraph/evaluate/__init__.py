@@ -1,5 +1,8 @@
 """Running episodes, and the metrics over what was recorded."""
 
+from contactgraph.envs.collect import collect as collect
+from contactgraph.envs.collect import episode_seeds as episode_seeds
+from contactgraph.envs.run_episode import run_episode as run_episode
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics as ClosedLoopMetrics
 from contactgraph.evaluate.closed_loop import closed_loop_metrics as closed_loop_metrics
 from contactgraph.evaluate.control_policy import EpisodeRecord as EpisodeRecord
@@ -23,6 +26,3 @@ from contactgraph.evaluate.sensor_faults import SensorFaults as SensorFaults
 from contactgraph.evaluate.statistics import MedianInterval as MedianInterval
 from contactgraph.evaluate.statistics import median_interval as median_interval
 from contactgraph.evaluate.statistics import wilson_interval as wilson_interval
-from contactgraph.tasks.collect import collect as collect
-from contactgraph.tasks.collect import episode_seeds as episode_seeds
-from contactgraph.tasks.run_episode import run_episode as run_episode

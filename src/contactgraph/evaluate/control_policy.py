@@ -8,13 +8,13 @@ import numpy as np
 
 from contactgraph.control import MPC, MPCState, Plan
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
+from contactgraph.envs.contract import Feedback, Observation
 from contactgraph.evaluate.observation_noise import ObservationNoise
-from contactgraph.evaluate.plan_feedback import plan_feedback
 from contactgraph.evaluate.scene_cost import SceneCost
 from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
 from contactgraph.evaluate.whole_plan import edge_probabilities, planned_positions
 from contactgraph.model import ContactBelief, scene_nodes
-from contactgraph.tasks.contract import Feedback, Observation
+from contactgraph_franka.loop.plan_feedback import plan_feedback
 
 _EXACT = SensorFaults()
 _CLEAR = ObservationNoise()
@@ -52,7 +52,7 @@ class _Tick:
 
 
 class MPCPolicy:
-    """A `contactgraph.tasks.Policy`: plans with a cost about some nodes and the scene's goal.
+    """A `contactgraph.envs.Policy`: plans with a cost about some nodes and the scene's goal.
 
     Scenes are padded to a capacity of nodes, so that another number of objects recompiles
     nothing; a scene above it raises the capacity, and compiles once more, unless only part of it is

@@ -9,6 +9,9 @@ import numpy as np
 
 from contactgraph.control import ILQR, MPC, ControlLimits
 from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.envs.collect import episode_seeds
+from contactgraph.envs.contract import Task
+from contactgraph.envs.run_episode import run_episode
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
 from contactgraph.evaluate.control_policy import EpisodeRecord, MPCPolicy
 from contactgraph.evaluate.found_contacts import FoundContacts, found_contacts
@@ -18,9 +21,6 @@ from contactgraph.evaluate.scene_cost import SceneCost, TaskCost
 from contactgraph.evaluate.sensor_faults import SensorFaults
 from contactgraph.model import ContactSensor, MotionNoise, StepModel
 from contactgraph.model.model_fit import check_fit
-from contactgraph.tasks.collect import episode_seeds
-from contactgraph.tasks.contract import Task
-from contactgraph.tasks.run_episode import run_episode
 
 _EXACT = SensorFaults()
 _CLEAR = ObservationNoise()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.tasks.contract import Observation
+from contactgraph.envs.contract import Observation
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from contactgraph.control import Cost, QuadraticCost, chain_cost
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.tasks.contract import ChainCost
+from contactgraph.envs.contract import ChainCost
 
 
 class SceneCost(Cost, Protocol):

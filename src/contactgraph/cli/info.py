@@ -1,0 +1,107 @@
+"""``contactgraph info``: what is in a dataset, a model, a run or a learned cost."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import Positional, arg
+
+
+@dataclass(frozen=True)
+class Info:
+    """Say what is in a dataset, a model, a cost file, a run folder, or a model that ships."""
+
+    file: Positional[Annotated[str, arg(metavar="FILE")]]
+    """The file or folder, or the name of a model that ships with the package."""
+
+    def run(self) -> None:
+        """Look and say."""
+        from contactgraph.data import InvalidInputError
+        from contactgraph.model import shipped_models
+
+        path = Path(self.file)
+        if path.is_dir():
+            self._run_folder(path)
+        elif path.suffix == ".safetensors" or (not path.exists() and self.file in shipped_models()):
+            self._model()
+        elif path.exists() and path.suffix.lower() == ".json":
+            self._cost(path)
+        elif path.exists():
+            self._dataset(path)
+        else:
+            raise InvalidInputError(
+                f"{self.file}: does not exist; models that ship are {', '.join(shipped_models())}"
+            )
+
+    def _run_folder(self, path: Path) -> None:
+        from contactgraph.cli.output import say
+        from contactgraph.train import RunFolder
+
+        folder = RunFolder(path)
+        config, rows = folder.config(), folder.metrics()
+        say(f"{path}: run folder, {config.get('model')}, seed {config.get('seed')}")
+        say(f"  data        {config.get('data')}")
+        if rows:
+            last = rows[-1]
+            say(f"  trained     {last['step']:.0f} of {config.get('steps')} steps")
+            best = min(row["held_out_rmse_m"] for row in rows)
+            say(f"  held-out    {100 * best:.3f} cm")
+        else:
+            say("  trained     no checkpoint yet")
+        for checkpoint in folder.checkpoints():
+            say(f"  checkpoint  {checkpoint.name}")
+
+    def _model(self) -> None:
+        from contactgraph.cli.model_names import model_path
+        from contactgraph.cli.output import say
+        from contactgraph.model.storage import describe_model
+
+        path = model_path(self.file)
+        summary = describe_model(path)
+        say(f"{self.file}: model, {summary.parameter_count} parameters, {summary.size} bytes")
+        say(f"  degrees of freedom  {summary.dimension} a node, control {summary.control_size}")
+        say(f"  dt                  {summary.dt} s")
+        for name, value in summary.training.items():
+            say(f"  {name:<19} {_text(value)}")
+        say(f"  parts               {_text(summary.model)}")
+
+    def _cost(self, path: Path) -> None:
+        from contactgraph.cli.cost_words import participant_lines, term_lines
+        from contactgraph.cli.output import say
+        from contactgraph.control import describe_cost
+
+        summary = describe_cost(path)
+        cost = summary.cost
+        goal = ", ".join(f"{float(number):.3g}" for number in cost.goal)
+        say(f"{path}: learned cost about {', '.join(cost.kept_nodes)}")
+        say(f"  degrees of freedom  {len(cost.goal)} a node, control {len(cost.R)}")
+        say(f"  goal                {goal} m; control takes the scene's")
+        for line in (*participant_lines(cost), *term_lines(cost)):
+            say(f"  {line}")
+        for name, value in summary.made.items():
+            say(f"  {name:<22}{_text(value)}")
+
+    def _dataset(self, path: Path) -> None:
+        from contactgraph.cli.output import say
+        from contactgraph.data import describe_file
+
+        summary = describe_file(path)
+        nodes = [len(names) for names in summary.node_name]
+        say(f"{path}: dataset, {len(summary.steps)} runs, {summary.size} bytes")
+        say(f"  steps     {_span(summary.steps)} of {summary.dt[0]} s")
+        say(f"  nodes     {_span(nodes)}: {', '.join(summary.node_name[0])}")
+        say(f"  control   {_span(summary.control_size)}")
+        labelled = sum(bool(has) for has in summary.has_contact)
+        say(f"  contacts  in {labelled} of {len(summary.steps)} runs")
+        for name, value in summary.metadata.items():
+            say(f"  {name:<9} {_text(value)}")
+
+
+def _span(values: Any) -> str:
+    low, high = min(values), max(values)
+    return str(low) if low == high else f"{low} to {high}"
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,172 @@
+"""What the tasks of a gripper share: how an episode goes, whatever is in the scene."""
+
+from abc import ABC, abstractmethod
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs.contract import ChainCost, Observation
+
+GRIPPER = 0
+DT = 0.05
+"""Time between two steps, s."""
+MASS = 1.0
+"""Of the gripper, kg."""
+MAX_FORCE = 10.0
+"""Bound of the control on each axis, N."""
+
+
+class World(Protocol):
+    """``N`` bodies that move under forces and hold together once they touch."""
+
+    @property
+    def position(self) -> np.ndarray:
+        """``[N, D]`` m."""
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """``[N, D]`` m/s."""
+
+    @property
+    def contact(self) -> np.ndarray:
+        """``[N, N]`` bool, symmetric."""
+
+    def step(self, force: np.ndarray) -> None:
+        """Moves on by a time step under a constant ``force`` ``[N, D]`` N."""
+
+
+class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
+    """A gripper (node 0) pushed about among ``count - 1`` other bodies.
+
+    The control ``[D]`` N is a force on the gripper, at most ``max_force`` N on each axis. The
+    reward is the negative distance, m, from the last node of the cost's chain to the goal. An
+    episode always runs for ``max_steps`` steps. ``extent`` m bounds the start positions and the
+    goal on each axis; ``mass`` kg is the gripper's.
+
+    A task of this kind says how an episode begins, when it has succeeded, and what its cost is.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own declaration)
+
+    def __init__(
+        self,
+        count: int,
+        max_steps: int,
+        extent: float,
+        *,
+        dimension: int = 2,
+        dt: float = DT,
+        max_force: float = MAX_FORCE,
+        mass: float = MASS,
+    ) -> None:
+        self.max_steps = max_steps
+        bounds = gymnasium.spaces.Box(-max_force, max_force, (dimension,), np.float64)
+        self.action_space = bounds
+        # The farthest and fastest that the largest force can bring a body in one episode.
+        speed = max_force / mass * max_steps * dt
+        distance = extent + speed * max_steps * dt
+        self.observation_space = _observation_space(count, dimension, extent, distance, speed)
+        self._shape = count, dimension
+        self._max_force = max_force
+        self._steps = 0
+        self._episode: tuple[Scene, World] | None = None
+
+    @abstractmethod
+    def begin(self, seed: int) -> tuple[Scene, World]:
+        """Samples the scene of a seed, with everything at rest."""
+
+    @abstractmethod
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether an episode that ends so, ``[N, D]`` m and ``[N, N]`` bool, is a success."""
+
+    @abstractmethod
+    def cost_terms(self) -> ChainCost:
+        """The task as a cost."""
+
+    @property
+    def scene(self) -> Scene:
+        """The current episode's scene; its ``metadata["seed"]`` samples it again."""
+        if self._episode is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        return self._episode[0]
+
+    @property
+    def world(self) -> World:
+        """The current episode's world."""
+        if self._episode is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        return self._episode[1]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Samples a scene; everything starts at rest."""
+        super().reset(seed=seed)
+        # Every episode has a seed of its own, also one that follows another without being given.
+        scene_seed = int(self.np_random.integers(2**31)) if seed is None else seed
+        self._steps, self._episode = 0, self.begin(scene_seed)
+        return _observation(*self._episode), {}
+
+    def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Moves on by ``scene.dt`` under the force ``action`` ``[D]`` N, clipped to its bounds."""
+        force = np.zeros(self._shape)
+        force[GRIPPER] = self.bounded(action)
+        self.running().step(force)
+        return self.stepped({})
+
+    def bounded(self, action: np.ndarray) -> np.ndarray:
+        """The control ``[D]`` N within its bounds; raises `InvalidInputError` for no number."""
+        force = np.clip(action, -self._max_force, self._max_force)
+        if not np.all(np.isfinite(force)):
+            raise InvalidInputError(f"action must be finite, found {np.asarray(action).tolist()}")
+        return force
+
+    def running(self) -> World:
+        """The current episode's world, if it may go on."""
+        if self._episode is None or self._steps >= self.max_steps:
+            raise gymnasium.error.ResetNeeded("the episode is over or not begun: call reset()")
+        return self._episode[1]
+
+    def stepped(
+        self, info: dict[str, Any]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What a step answers, after the world has moved on by one; ``info`` is what it adds."""
+        assert self._episode is not None
+        self._steps += 1
+        observation = _observation(*self._episode)
+        last = observation["position"][self.cost_terms().chain[-1]]
+        reward = -float(np.linalg.norm(last - observation["goal"]))
+        over = self._steps == self.max_steps
+        return observation, reward, False, over, {"success": self.success(), **info}
+
+    def success(self) -> bool:
+        """Whether the episode is over and has ended as the task demands."""
+        if self._episode is None or self._steps < self.max_steps:
+            return False
+        scene, world = self._episode
+        return self.solved(scene, world.position, world.contact)
+
+
+def _observation(scene: Scene, world: World) -> Observation:
+    return {
+        "position": world.position,
+        "velocity": world.velocity,
+        "contact": world.contact.astype(np.int8),
+        "goal": np.array(scene.goal),
+    }
+
+
+def _observation_space(
+    count: int, dimension: int, extent: float, distance: float, speed: float
+) -> gymnasium.spaces.Dict:
+    shape = count, dimension
+    return gymnasium.spaces.Dict(
+        {
+            "position": gymnasium.spaces.Box(-distance, distance, shape, np.float64),
+            "velocity": gymnasium.spaces.Box(-speed, speed, shape, np.float64),
+            "contact": gymnasium.spaces.MultiBinary((count, count)),
+            "goal": gymnasium.spaces.Box(-extent, extent, (dimension,), np.float64),
+        }
+    )

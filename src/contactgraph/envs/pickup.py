@@ -1,0 +1,132 @@
+"""Pickup: a gripper picks up one target in a sweep and takes it to a goal, among bystanders."""
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene, Trajectory
+from contactgraph.envs.box2d import SIMULATOR, CircleWorld
+from contactgraph.envs.contract import ChainCost
+from contactgraph.envs.fixed_goal import fixed_layout, fixed_metadata
+from contactgraph.envs.gripper_task import DT, GRIPPER, MASS, GripperTask
+from contactgraph.envs.pickup_layout import HALF_WIDTH, RADIUS, PickupLayout, sample_layout
+
+TARGET = 1
+MAX_STEPS = 200
+MAX_DISTRACTORS = 20
+MAX_RADIUS = 0.06
+"""Of a body, m: above it those of a crowd would begin within each other."""
+GOAL_RADIUS = 0.1
+"""The target must end within this distance of the goal, m."""
+PICK_WEIGHTS = np.array([3.0, 3.0, 0.2, 0.2])
+GOAL_WEIGHTS = np.array([50.0, 50.0, 1.0, 1.0])
+CONTROL_WEIGHT = 0.01
+
+
+class PickupTask(GripperTask):
+    """The paper's first Box2D task; a `contactgraph.envs.Task`.
+
+    Nodes are the gripper (0), the target (1) and ``distractors`` further objects: circles that
+    stick to whatever they touch. The control ``[2]`` N is a force on the gripper. The reward is
+    the negative distance from target to goal, m. An episode always runs for 200 steps.
+
+    ``fixed_seed`` is the seed of a scene whose target and goal every episode shares, so that only
+    gripper and distractors begin elsewhere; None: each episode has its own.
+
+    ``radius`` m is every body's. Raises `InvalidInputError` where ``distractors`` is not in 0 to
+    20, or the radius not above 0 and at most 0.06 m.
+    """
+
+    def __init__(
+        self,
+        distractors: int = 0,
+        substeps: int = 10,
+        fixed_seed: int | None = None,
+        radius: float = RADIUS,
+    ) -> None:
+        check_counts(distractors, substeps)
+        if not 0.0 < radius <= MAX_RADIUS:
+            raise InvalidInputError(f"radius must be above 0, to {MAX_RADIUS} m, found {radius}")
+        super().__init__(2 + distractors, MAX_STEPS, HALF_WIDTH)
+        self._distractors = distractors
+        self._substeps = substeps
+        self._fixed_seed = fixed_seed
+        self._radius = radius
+        self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, 1, MAX_DISTRACTORS))
+
+    def begin(self, seed: int) -> tuple[Scene, CircleWorld]:
+        """Samples the scene of a seed, with everything at rest."""
+        rng = np.random.default_rng(seed)
+        layout = sample_layout(rng, 1, self._distractors, self._fixed)
+        told: dict[str, str | int | float | bool] = {
+            "task": "pickup",
+            "seed": seed,
+            "distractors": self._distractors,
+            "simulator": SIMULATOR,
+            "substeps": self._substeps,
+            **fixed_metadata(self._fixed_seed),
+        }
+        scene = circle_scene(layout, ("target",), told, self._radius)
+        return scene, circle_world(layout, self._substeps, self._radius)
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether the target is within 0.1 m of the goal."""
+        return at_goal(position[TARGET], scene)
+
+    def cost_terms(self) -> ChainCost:
+        """The paper's weights: gripper to target, target to goal."""
+        return ChainCost((GRIPPER, TARGET), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
+
+
+def check_counts(distractors: int, substeps: int) -> None:
+    """Raises `InvalidInputError` for counts that no pickup has."""
+    if not 0 <= distractors <= MAX_DISTRACTORS:
+        raise InvalidInputError(f"distractors must be 0 to {MAX_DISTRACTORS}, found {distractors}")
+    if substeps < 1:
+        raise InvalidInputError(f"substeps must be at least 1, found {substeps}")
+
+
+def circle_scene(
+    layout: PickupLayout,
+    targets: tuple[str, ...],
+    told: dict[str, str | int | float | bool],
+    size: float = RADIUS,
+) -> Scene:
+    """The scene of a layout whose targets have these names; ``told`` is its metadata, and ``size``
+    m the radius of every body."""
+    count = len(layout.position)
+    distractors = tuple(f"distractor-{index}" for index in range(len(layout.distractors)))
+    return Scene(
+        node_name=("gripper", *targets, *distractors),
+        node_type=("gripper", *["object"] * (count - 1)),
+        actuated=np.arange(count) == GRIPPER,
+        dt=DT,
+        goal=layout.goal,
+        mass=np.full(count, MASS),
+        radius=np.full(count, size),
+        metadata=told,
+    )
+
+
+def circle_world(layout: PickupLayout, substeps: int, size: float = RADIUS) -> CircleWorld:
+    """The world of a layout; ``size`` m is the radius of every body."""
+    count = len(layout.position)
+    mass, radius = np.full(count, MASS), np.full(count, size)
+    return CircleWorld(layout.position, mass, radius, DT, substeps)
+
+
+def at_goal(position: np.ndarray, scene: Scene) -> bool:
+    """Whether ``position`` ``[2]`` m is within 0.1 m of the goal."""
+    return float(np.linalg.norm(position - scene.goal)) <= GOAL_RADIUS
+
+
+def pickup_success(trajectory: Trajectory) -> bool:
+    """Whether a recorded pickup ends, in time, with its target within 0.1 m of the goal.
+
+    Raises `InvalidInputError` where the scene has no goal or no target.
+    """
+    scene = trajectory.scene
+    if scene.goal is None or scene.node_count <= TARGET:
+        raise InvalidInputError(
+            f"a pickup needs a goal and a target as node {TARGET}, found goal {scene.goal} and "
+            f"nodes {list(scene.node_name)}"
+        )
+    return trajectory.steps <= MAX_STEPS and at_goal(trajectory.position[-1, TARGET], scene)

@@ -1,0 +1,118 @@
+"""Where things lie when a pickup of one or more targets begins."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactgraph.envs.ways import distance_to_way
+
+HALF_WIDTH = 1.0
+"""Half the side of the square that gripper, targets and goal lie in at the start, m."""
+WIDENING = 0.5
+"""By how much distractors may lie farther out for every target but the first, m: room for them."""
+RADIUS = 0.04
+"""Of every body, m."""
+CLEARANCE = 0.06
+"""The least gap between the surfaces of two bodies, m."""
+REACH = 0.3
+"""The least distance from each stop to the next, m: way to gain speed on."""
+CORRIDOR = 0.35
+"""The least distance of a distractor's centre from the ways, m."""
+TARGET_CORRIDOR = 0.2
+"""The least distance of a target's centre from the ways on which it is not yet due, m."""
+OVERSHOOT = 0.3
+"""By how much a way is longer than the straight line, m: nobody stops dead."""
+
+_TRIES_PER_DISTRACTOR = 200
+
+
+@dataclass(frozen=True, eq=False)
+class PickupLayout:
+    """Start positions and goal of a pickup."""
+
+    stops: np.ndarray
+    """[K + 2, 2] m: gripper, targets in the order they are picked up, goal."""
+    distractors: np.ndarray
+    """[M, 2] m."""
+
+    @property
+    def position(self) -> np.ndarray:
+        """[1 + K + M, 2] m: gripper, targets, distractors."""
+        return np.concatenate([self.stops[:-1], self.distractors])
+
+    @property
+    def goal(self) -> np.ndarray:
+        """[2] m."""
+        return self.stops[-1]
+
+
+def extent(targets: int) -> float:
+    """Half the side of the square that everything lies in at the start, m."""
+    return HALF_WIDTH + WIDENING * (targets - 1)
+
+
+def sample_layout(
+    rng: np.random.Generator, targets: int, distractors: int, fixed: PickupLayout | None = None
+) -> PickupLayout:
+    """Samples start positions and a goal, uniformly over those that satisfy the distances above.
+
+    With ``fixed``, the targets and the goal are those of this layout; all else is sampled. A
+    layout without room for every distractor is given up and sampled afresh as a whole, so that
+    crowding does not bias where the gripper, the targets and the goal are within a layout.
+    """
+    while True:
+        stops = _uniform(rng, targets + 2, HALF_WIDTH)
+        if fixed is not None:
+            stops[1:] = fixed.stops[1:]
+        if not _passable(stops):
+            continue
+        others = _place_distractors(rng, stops, distractors)
+        if others is not None:
+            return PickupLayout(stops, others)
+
+
+def distance_to_ways(point: np.ndarray, stops: np.ndarray) -> float:
+    """Distance of ``point`` ``[2]`` m from the ways from stop to stop ``[S, 2]`` m; m.
+
+    All ways go on straight for `OVERSHOOT` beyond their ends.
+    """
+    return min(distance_to_way(point, start, end, OVERSHOOT) for start, end in _ways(stops))
+
+
+def _passable(stops: np.ndarray) -> bool:
+    """Whether stops are far enough apart, and targets not yet due are clear of earlier ways."""
+    if min(_distance(start, end) for start, end in _ways(stops)) < REACH:
+        return False
+    return all(
+        distance_to_way(stops[due], *way, OVERSHOOT) >= TARGET_CORRIDOR
+        for index, way in enumerate(_ways(stops))
+        for due in range(index + 2, len(stops) - 1)
+    )
+
+
+def _place_distractors(
+    rng: np.random.Generator, stops: np.ndarray, count: int
+) -> np.ndarray | None:
+    """[count, 2] m, or None where no room was found."""
+    placed: list[np.ndarray] = []
+    for point in _uniform(rng, _TRIES_PER_DISTRACTOR * count, extent(len(stops) - 2)):
+        if len(placed) == count:
+            break
+        free = all(_distance(point, other) >= 2 * RADIUS + CLEARANCE for other in placed)
+        if free and distance_to_ways(point, stops) >= CORRIDOR:
+            placed.append(point)
+    return np.reshape(placed, (count, 2)) if len(placed) == count else None
+
+
+def _uniform(rng: np.random.Generator, count: int, half_width: float) -> np.ndarray:
+    inside = half_width - RADIUS
+    return rng.uniform(-inside, inside, (count, 2))
+
+
+def _ways(stops: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    return list(itertools.pairwise(stops))
+
+
+def _distance(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.hypot(*(a - b)))

@@ -1,0 +1,12 @@
+"""Pictures of what was learned: the report page, an animation of a run, a still for a README."""
+
+from contactgraph.viz.animation import write_animation as write_animation
+from contactgraph.viz.cost_picture import cost_figure as cost_figure
+from contactgraph.viz.cost_picture import write_cost_picture as write_cost_picture
+from contactgraph.viz.report import write_report as write_report
+from contactgraph.viz.report_data import LossCurve as LossCurve
+from contactgraph.viz.report_data import NStepError as NStepError
+from contactgraph.viz.report_data import Number as Number
+from contactgraph.viz.report_data import ReportData as ReportData
+from contactgraph.viz.scene_run import SceneRun as SceneRun
+from contactgraph.viz.still import write_still as write_still

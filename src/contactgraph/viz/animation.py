@@ -1,0 +1,113 @@
+"""A run as a moving picture: GIF always, MP4 where ffmpeg is at hand."""
+
+import importlib
+import importlib.util
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from contactgraph.data import InvalidInputError
+from contactgraph.viz.colours import INK, SOFT
+from contactgraph.viz.scene_picture import draw_scene
+from contactgraph.viz.scene_run import SceneRun
+
+_FRAME_SECONDS = 0.04
+"""Frames no closer than this; a GIF cannot be shown much faster, and an eye sees no more."""
+_SIDE_INCHES, _HEAD_INCHES, _DOTS_PER_INCH = 4.8, 0.4, 100
+
+
+def write_animation(path: str | Path, run: SceneRun) -> None:
+    """Write ``run`` in real time to a ``.gif`` or ``.mp4`` file, whole or not at all.
+
+    Raises `InvalidInputError` as `check_animation` does.
+    """
+    path = Path(path)
+    check_animation(path)
+    program = _ffmpeg(path) if path.suffix.lower() == ".mp4" else ""
+    states = frame_states(run)
+    seconds = run.dt * states.step
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        if program:
+            _write_mp4(unfinished, _frames(run, states), seconds, program)
+        else:
+            _write_gif(unfinished, _frames(run, states), seconds)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def check_animation(path: Path) -> None:
+    """Raise `InvalidInputError` for an ending not known, or ``.mp4`` where there is no ffmpeg."""
+    ending = path.suffix.lower()
+    if ending not in (".gif", ".mp4"):
+        raise InvalidInputError(f"video: {path} must end in .gif or .mp4, found {ending!r}")
+    if ending == ".mp4":
+        _ffmpeg(path)
+
+
+def frame_states(run: SceneRun) -> range:
+    """The states that are drawn: all, or every so many where they follow each other faster."""
+    return range(0, run.steps + 1, max(1, round(_FRAME_SECONDS / run.dt)))
+
+
+def _frames(run: SceneRun, states: range) -> Iterator[np.ndarray]:
+    """[height, width, 3] uint8, one a state."""
+    height = _SIDE_INCHES + _HEAD_INCHES
+    figure = Figure(figsize=(_SIDE_INCHES, height), dpi=_DOTS_PER_INCH, facecolor="white")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.02, 0.02, 0.96, 0.96 * _SIDE_INCHES / height))
+    # Names come from outside: a dollar sign in one must not be read as mathematics.
+    figure.text(0.02, 0.955, run.name, color=INK, fontsize=11, weight="bold", parse_math=False)
+    time = figure.text(0.98, 0.955, "", color=SOFT, fontsize=11, ha="right")
+    for state in states:
+        for artist in (*axes.lines, *axes.artists, *axes.patches):
+            artist.remove()
+        draw_scene(axes, run, state)
+        time.set_text(f"{state * run.dt:.2f} s")
+        canvas.draw()
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _write_gif(path: Path, frames: Iterator[np.ndarray], seconds: float) -> None:
+    """One palette for all frames, made of the last, which has every colour a run comes to."""
+    pictures = [Image.fromarray(frame) for frame in frames]
+    palette = pictures[-1].quantize(128, method=Image.Quantize.MEDIANCUT)
+    first, *rest = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures)
+    milliseconds = max(20, round(1000 * seconds))
+    first.save(path, "GIF", save_all=True, append_images=rest, duration=milliseconds, loop=0)
+
+
+def _write_mp4(path: Path, frames: Iterator[np.ndarray], seconds: float, program: str) -> None:
+    """H.264 with even sides and the pixel format that browsers play."""
+    first = next(frames)
+    size = f"{first.shape[1]}x{first.shape[0]}"
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{1.0 / seconds:.6g}"]
+    made = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-c:v", "libx264"]
+    command = [program, "-loglevel", "error", "-y", *raw, "-i", "-", *made, "-f", "mp4", str(path)]
+    pictures = b"".join([first.tobytes(), *(frame.tobytes() for frame in frames)])
+    done = subprocess.run(command, input=pictures, capture_output=True, check=False)
+    if done.returncode != 0:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        raise RuntimeError(f"ffmpeg ({program}) failed: {said[-1] if said else done.returncode}")
+
+
+def _ffmpeg(path: Path) -> str:
+    """Where ffmpeg is: on the path, or inside the imageio-ffmpeg package."""
+    program = shutil.which("ffmpeg")
+    if program is None and importlib.util.find_spec("imageio_ffmpeg") is not None:
+        program = str(importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe())
+    if program is None:
+        raise InvalidInputError(
+            f"video: {path} needs ffmpeg, which was not found: "
+            "pip install imageio-ffmpeg, or name a .gif file"
+        )
+    return program

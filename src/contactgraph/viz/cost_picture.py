@@ -1,0 +1,225 @@
+"""A learned cost as a picture: who is tied to whom, and by how much.
+
+Left is Q in the nodes' own coordinates, in the middle in relative ones (`relative_terms`), where a
+cost that ties gripper to object and object to goal has nothing off its diagonal blocks; right is R.
+All of it is scaled so that the mean of R's diagonal is 1/N^2: costs are known up to that factor.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize, SymLogNorm
+from matplotlib.figure import Figure
+from matplotlib.transforms import blended_transform_factory
+
+from contactgraph.control import Cost, LearnedCost
+from contactgraph.control.relative_form import relative_names, relative_terms
+from contactgraph.data import InvalidInputError, replacing
+from contactgraph.viz.colours import BODY_COLOURS, INK, RULE, SOFT
+
+_DECADES = 2.5
+"""From the largest entry down, in which colours tell sizes apart; the rest is next to white."""
+_COLOURS = LinearSegmentedColormap.from_list("cost", [BODY_COLOURS[0], "#ffffff", BODY_COLOURS[1]])
+_SIDE, _BLOCK, _CELL = 4.2, 1.3, 0.3
+"""Inches: of a matrix and of a block in it, at least; of a cell that has room for a number."""
+_MARGIN, _TOP, _SMALL, _END = 0.72, 1.05, 0.95, 0.2
+"""Inches: left of a matrix, above one, of R, to the right edge."""
+_LETTER, _SMALLEST = 0.6, 5.0
+"""Width of a letter against its size; points below which nobody reads."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Weights:
+    """One cost in the picture's units."""
+
+    whose: str
+    Q: np.ndarray
+    R: np.ndarray
+
+    @classmethod
+    def scaled(cls, whose: str, Q: np.ndarray, R: np.ndarray) -> "_Weights":
+        factor = 1.0 / np.mean(np.diagonal(R).astype(np.float64))
+        return cls(whose, factor * Q.astype(np.float64), factor * R.astype(np.float64))
+
+
+def write_cost_picture(path: str | Path, cost: LearnedCost, expert: Cost | None = None) -> None:
+    """Write `cost_figure` as a PNG, whole or not at all."""
+    figure = cost_figure(cost, expert)
+    with replacing(Path(path)) as temporary:
+        figure.savefig(temporary, dpi=150, format="png")
+
+
+def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:
+    """The picture as a matplotlib figure, drawn without a display.
+
+    ``expert``: a cost that the demonstrations were really made by, about the same scene, for a
+    second row. Raises `InvalidInputError` where its shapes do not fit, or vary over time.
+    """
+    D, names = cost.goal.shape[0], cost.kept_nodes
+    rows = [_Weights.scaled("as learned", np.asarray(cost.Q), np.asarray(cost.R))]
+    if expert is not None:
+        rows.append(_of_expert(cost, expert))
+    terms = [relative_terms(row.Q, D) for row in rows]
+    largest = max(
+        float(np.abs(matrix).max())
+        for row, W in zip(rows, terms, strict=True)
+        for matrix in (row.Q, W, row.R)
+    )
+    norm = SymLogNorm(largest * 10**-_DECADES, vmin=-largest, vmax=largest)
+    side = max(_SIDE, _BLOCK * len(names))
+    states, relatives, controls = _MARGIN, 2 * _MARGIN + side, 2 * _MARGIN + 2 * side + 0.45
+    size = controls + _SMALL + _END, len(rows) * (_TOP + side) + 0.45
+    figure = Figure(figsize=size, facecolor="white")
+    FigureCanvasAgg(figure)
+    for place, (row, W) in enumerate(zip(rows, terms, strict=True)):
+        top = place * (_TOP + side) + _TOP
+        own = _panel(figure, states, top, side, side)
+        _draw_state(own, side, row.Q, names, norm)
+        _title(own, f"Q {row.whose}, in the nodes' own coordinates")
+        relative = _panel(figure, relatives, top, side, side)
+        _draw_state(relative, side, W, relative_names(names), norm)
+        _title(relative, "the same in relative coordinates")
+        control = _panel(figure, controls, top, _SMALL, _SMALL)
+        _draw(control, _SMALL, row.R, norm)
+        _title(control, "R")
+    below = _TOP + _SMALL + 0.5
+    scale = _panel(figure, controls, below, 0.16, _TOP + side - below)
+    _draw_scale(figure, scale, norm, largest)
+    figure.text(
+        states / size[0],
+        0.16 / size[1],
+        "1/m², s/m², s²/m² and, for R, 1/N², of which R's diagonal has 1 on average. "
+        f"Rows and columns of a block are its axes {', '.join('xyz'[:D])}.",
+        color=SOFT,
+        fontsize=9,
+    )
+    return figure
+
+
+def _of_expert(cost: LearnedCost, expert: Cost) -> _Weights:
+    """The expert's Q and R of the nodes that the learned cost is about."""
+    part, last = 2 * cost.goal.shape[0], max(cost.order)
+    own = expert.quadratic(last + 1)
+    Q, R = np.asarray(own.Q), np.asarray(own.R)
+    if Q.ndim != 2 or len(Q) < part * (last + 1) or R.shape != cost.R.shape:
+        raise InvalidInputError(
+            f"expert must have one Q for all steps, of at least {last + 1} nodes, and R of shape "
+            f"{cost.R.shape}; found shapes {Q.shape} and {R.shape}"
+        )
+    kept = (part * np.asarray(cost.order)[:, None] + np.arange(part)).reshape(-1)
+    return _Weights.scaled("of the expert", Q[np.ix_(kept, kept)], R)
+
+
+def _panel(figure: Figure, left: float, top: float, across: float, down: float) -> Axes:
+    """A plot; inches from the figure's left and upper edge, and its size."""
+    width, height = figure.get_size_inches()
+    place = left / width, 1.0 - (top + down) / height, across / width, down / height
+    return figure.add_axes(place)
+
+
+def _title(axes: Axes, text: str) -> None:
+    """Above the names of the blocks."""
+    axes.annotate(
+        text,
+        (0.0, 1.0),
+        (0.0, 44.0),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        color=INK,
+        fontsize=11,
+        va="bottom",
+    )
+
+
+def _draw_state(
+    axes: Axes, side: float, matrix: np.ndarray, blocks: Sequence[str], norm: Normalize
+) -> None:
+    """A matrix with as many positions as velocities in every block; ``side`` in inches."""
+    _draw(axes, side, matrix, norm)
+    half = len(matrix) / (2 * len(blocks))
+    for place in range(1, 2 * len(blocks)):
+        colour, width = (INK, 1.2) if place % 2 == 0 else (SOFT, 0.6)
+        axes.axhline(place * half - 0.5, color=colour, lw=width)
+        axes.axvline(place * half - 0.5, color=colour, lw=width)
+    room = 72 * side / len(blocks)
+    for place, name in enumerate(blocks):
+        size = float(np.clip(room / (_LETTER * len(name)), _SMALLEST, 10.0))
+        fits = round(room / (_LETTER * size))
+        shown = name if len(name) <= fits else name[: fits - 1] + "…"
+        _label(axes, (2 * place + 1) * half - 0.5, shown, INK, size, 20.0)
+        for part, kind in enumerate(("position", "velocity")):
+            _label(axes, (2 * place + part + 0.5) * half - 0.5, kind, SOFT, 8.0, 6.0)
+
+
+def _label(axes: Axes, at: float, text: str, colour: str, size: float, away: float) -> None:
+    """Above a column and left of a row, so many points from the matrix."""
+    above = axes.annotate(
+        text,
+        (at, 1.0),
+        (0.0, away),
+        xycoords=blended_transform_factory(axes.transData, axes.transAxes),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+    )
+    beside = axes.annotate(
+        text,
+        (0.0, at),
+        (-away, 0.0),
+        xycoords=blended_transform_factory(axes.transAxes, axes.transData),
+        textcoords="offset points",
+        ha="right",
+        va="center",
+        rotation=90,
+    )
+    for label in (above, beside):
+        label.set(color=colour, fontsize=size, parse_math=False)
+
+
+def _draw(axes: Axes, side: float, matrix: np.ndarray, norm: Normalize) -> None:
+    axes.imshow(matrix, cmap=_COLOURS, norm=norm)
+    axes.set(xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set_color(INK)
+        spine.set_linewidth(1.2)
+    cell = side / len(matrix)
+    if cell < _CELL:
+        return
+    for (row, column), value in np.ndenumerate(matrix):
+        depth = 2.0 * abs(float(norm(value)) - 0.5)
+        axes.text(
+            column,
+            row,
+            _short(value),
+            color="white" if depth > 0.72 else INK if depth > 0.1 else SOFT,
+            fontsize=min(8.0, 17.0 * cell),
+            ha="center",
+            va="center",
+        )
+
+
+def _short(value: float) -> str:
+    """Two digits or all before the point, whichever is more; nothing where it is next to none."""
+    size = abs(value)
+    if size < 0.005:
+        return ""
+    digits = 0 if size >= 9.95 else 1 if size >= 0.995 else 2
+    return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _draw_scale(figure: Figure, axes: Axes, norm: Normalize, largest: float) -> None:
+    """What the colours mean."""
+    last = int(np.floor(np.log10(largest)))
+    powers = [10.0**power for power in range(last - int(_DECADES) + 1, last + 1)]
+    ticks = [*(-power for power in reversed(powers)), 0.0, *powers]
+    labels = [f"{tick:g}".replace("-", "\N{MINUS SIGN}") for tick in ticks]
+    bar = figure.colorbar(ScalarMappable(norm, _COLOURS), cax=axes)
+    bar.set_ticks(ticks, labels=labels, minor=False)
+    bar.minorticks_off()
+    bar.outline.set_edgecolor(RULE)
+    bar.ax.tick_params(colors=SOFT, labelsize=8, length=3)

@@ -1,0 +1,135 @@
+"""The parts of a report page that are plain HTML. Every text from outside is escaped here."""
+
+import math
+from collections.abc import Mapping
+from html import escape
+
+from contactgraph.viz.report_data import NStepError, Number, ReportData
+
+_MISSING = "&ndash;"
+
+
+def tiles(numbers: tuple[Number, ...]) -> str:
+    """The figures shown large at the head of the page."""
+    shown = [number for number in numbers if number.tile]
+    if not shown:
+        return ""
+    items = []
+    for number in shown:
+        interval = _interval(number)
+        between = f'<span class="tile-interval">{escape(interval)}</span>'
+        unit = f'<span class="tile-unit">{escape(number.unit)}</span>' if number.unit else ""
+        items.append(
+            f'<li><span class="tile-name">{escape(number.name)}</span>'
+            f'<span class="tile-value">{figure(number.value)}{unit}</span>{between}</li>'
+        )
+    return f'<ul class="tiles" aria-label="Key numbers">{"".join(items)}</ul>'
+
+
+def numbers_table(numbers: tuple[Number, ...]) -> str:
+    """Every number with what was asked for, the command and the seed that made it."""
+    if not numbers:
+        return ""
+    heads = ("What", "Value", "95 % interval or range", "At least", "Aim", "Command", "Seed")
+    head = "".join(f'<th scope="col">{name}</th>' for name in heads)
+    rows = "".join(_row(number) for number in numbers)
+    return f'<table class="numbers"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
+
+
+def _row(number: Number) -> str:
+    limit = "at most" if number.lower_is_better else "at least"
+    command = f"<code>{escape(number.command)}</code>" if number.command else _MISSING
+    cells = (
+        ("Value", f"{_with_unit(number.value, number.unit)}{_mark(number.reached)}", "figure"),
+        ("95 % interval or range", escape(_interval(number)) or _MISSING, "figure"),
+        (limit.capitalize(), _asked(number.at_least, number, limit), "figure"),
+        ("Aim", _asked(number.aim, number, ""), "figure"),
+        ("Command", command, "command"),
+        ("Seed", _seed(number.seed), "figure"),
+    )
+    body = "".join(f'<td class="{kind}" data-label="{name}">{v}</td>' for name, v, kind in cells)
+    return f'<tr><th scope="row">{escape(number.name)}</th>{body}</tr>'
+
+
+def _mark(reached: bool | None) -> str:
+    if reached is None:
+        return ""
+    word, kind = ("reached", "met") if reached else ("not reached", "missed")
+    return f' <span class="mark {kind}" title="{word}" aria-label="{word}"></span>'
+
+
+def _asked(value: float | None, number: Number, limit: str) -> str:
+    if value is None:
+        return _MISSING
+    sign = {"at most": "≤ ", "at least": "≥ "}.get(limit, "")
+    return sign + _with_unit(value, number.unit)
+
+
+def _with_unit(value: float | None, unit: str) -> str:
+    return f"{figure(value)} {escape(unit)}".strip()
+
+
+def _interval(number: Number) -> str:
+    if number.interval is None:
+        return ""
+    low, high = number.interval
+    return f"{figure(low)} to {figure(high)} {number.unit}".strip()
+
+
+def _seed(seed: int | tuple[int, ...] | None) -> str:
+    if seed is None:
+        return _MISSING
+    return ", ".join(str(one) for one in seed) if isinstance(seed, tuple) else str(seed)
+
+
+def figure(value: float | None) -> str:
+    """A number in three significant digits, without an exponent where it can be read without."""
+    if value is None or not math.isfinite(value):
+        return _MISSING
+    if value == int(value) and abs(value) < 1e6:
+        return str(int(value))
+    if not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.2e}"
+    digits = max(0, 2 - math.floor(math.log10(abs(value))))
+    text = f"{value:.{digits}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def errors_table(errors: tuple[NStepError, ...]) -> str:
+    """The N-step errors in words and figures, for readers who cannot see the chart; cm."""
+    if not errors:
+        return ""
+    head = "".join(
+        f'<th scope="col">{name}</th>'
+        for name in ("Windows", "Condition", "Model", "Frozen contact", "Constant velocity")
+    )
+    rows = []
+    for error in errors:
+        values = (error.model_m, error.frozen_contact_m, error.constant_velocity_m)
+        cells = "".join(f'<td class="figure">{_centimetres(value)}</td>' for value in values)
+        names = f'<td>{escape(error.windows)}</td><th scope="row">{escape(error.condition)}</th>'
+        rows.append(f"<tr>{names}{cells}</tr>")
+    return (
+        "<details><summary>The same as figures (cm)</summary>"
+        f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+        "</details>"
+    )
+
+
+def _centimetres(value: float | None) -> str:
+    return figure(None if value is None else 100.0 * value)
+
+
+def footer(data: ReportData) -> str:
+    """How to make the page again, and with what it was made."""
+    parts = []
+    if data.remake:
+        lines = "\n".join(escape(line) for line in data.remake)
+        parts.append(f"<p>To make this page again:</p><pre><code>{lines}</code></pre>")
+    if data.versions:
+        parts.append(f"<p>{_versions(data.versions)}</p>")
+    return "".join(parts)
+
+
+def _versions(versions: Mapping[str, str]) -> str:
+    return " · ".join(f"{escape(name)} {escape(version)}" for name, version in versions.items())

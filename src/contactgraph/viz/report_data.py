@@ -1,0 +1,102 @@
+"""What a report page says: numbers with their origin, runs to watch, errors and losses."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.viz.scene_run import SceneRun
+
+
+@dataclass(frozen=True)
+class Number:
+    """One measured figure and how it was made. Values are in ``unit``, as a reader sees them."""
+
+    name: str
+    """In plain words, e.g. ``"Success, 10 distractors"``."""
+    value: float | None
+    """None or NaN where it could not be measured."""
+    unit: str = ""
+    """e.g. ``"%"``, ``"cm"``, ``"ms"``; empty for a pure number."""
+    interval: tuple[float, float] | None = None
+    """95 % interval."""
+    at_least: float | None = None
+    """What it must reach."""
+    aim: float | None = None
+    """What would be good."""
+    lower_is_better: bool = False
+    command: str = ""
+    """The command that made it."""
+    seed: int | tuple[int, ...] | None = None
+    tile: bool = False
+    """Whether it is shown large at the head of the page."""
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether `at_least` is met; None where nothing is asked for or nothing was measured."""
+        if self.at_least is None or self.value is None or not np.isfinite(self.value):
+            return None
+        if self.lower_is_better:
+            return bool(self.value <= self.at_least)
+        return bool(self.value >= self.at_least)
+
+
+@dataclass(frozen=True)
+class NStepError:
+    """N-step RMSE of positions under one test condition, beside what needs no learning."""
+
+    condition: str
+    """e.g. ``"3 distractors"``."""
+    windows: str
+    """Which windows it is over, e.g. ``"no contact changes"``; each has a panel of its own."""
+    model_m: float | None
+    """m"""
+    frozen_contact_m: float | None = None
+    """m: true masses, with the contact of the window's first step kept."""
+    constant_velocity_m: float | None = None
+    """m: no forces."""
+    model_interval_m: tuple[float, float] | None = None
+    """95 % interval or range over seeds, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class LossCurve:
+    """One loss term over training."""
+
+    name: str
+    """A term's training and held-out curves share a name, and so a colour."""
+    step: np.ndarray
+    """[P] training steps."""
+    value: np.ndarray
+    """[P] loss; values that are not positive cannot be drawn on the log axis and leave gaps."""
+    held_out: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("step", "value"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
+        if self.step.ndim != 1 or self.step.shape != self.value.shape:
+            raise InvalidInputError(
+                f"loss curve {self.name!r}: step and value must both have shape (P,), "
+                f"found {self.step.shape} and {self.value.shape}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class ReportData:
+    """Everything on the page. Whatever is empty is left out of it."""
+
+    title: str
+    summary: str
+    """One sentence."""
+    numbers: tuple[Number, ...] = ()
+    runs: tuple[SceneRun, ...] = ()
+    """The first is shown first."""
+    errors: tuple[NStepError, ...] = ()
+    horizon_s: float | None = None
+    """How far ahead `errors` look, s."""
+    losses: tuple[LossCurve, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=dict)
+    """Package or machine: version."""
+    remake: tuple[str, ...] = ()
+    """Commands that make the page again, in order."""

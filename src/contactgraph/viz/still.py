@@ -1,0 +1,179 @@
+"""One picture of a whole run: moments of the scene above the belief and the learned masses."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import ConnectionPatch
+
+from contactgraph.viz.colours import (
+    BELIEF_COLOUR,
+    CONTACT_COLOUR,
+    INK,
+    RULE,
+    SOFT,
+    body_colour,
+)
+from contactgraph.viz.scene_picture import draw_scene
+from contactgraph.viz.scene_run import SceneRun
+from contactgraph.viz.selection import (
+    focus_nodes,
+    grasp_step,
+    involved_nodes,
+    leading_edges,
+    shown_directions,
+)
+
+_MOMENTS = 5
+
+
+def write_still(path: str | Path, run: SceneRun) -> None:
+    """Write a PNG of ``run``, whole or not at all: five moments, the belief and 1/m over time."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{os.getpid()}.{path.name}")
+    figure = still_figure(run)
+    try:
+        figure.savefig(unfinished, dpi=150, format="png")
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def still_figure(run: SceneRun) -> Figure:
+    """The picture as a matplotlib figure, drawn without a display."""
+    plots = 1 + (run.inverse_mass is not None)
+    figure = Figure(figsize=(11.0, 2.9 + 1.25 * plots), facecolor="white")
+    FigureCanvasAgg(figure)
+    heights = [2.15] + [1.0] * plots
+    grid = figure.add_gridspec(
+        1 + plots,
+        _MOMENTS,
+        height_ratios=heights,
+        hspace=0.3,
+        wspace=0.04,
+        left=0.055,
+        right=0.985,
+        top=0.94,
+        bottom=0.08,
+    )
+    axes = [figure.add_subplot(grid[row + 1, :]) for row in range(plots)]
+    _draw_belief(axes[0], run)
+    if run.inverse_mass is not None:
+        _draw_inverse_mass(axes[1], run, run.inverse_mass)
+        axes[0].tick_params(labelbottom=False)
+    axes[-1].set_xlabel("time, s", color=SOFT, fontsize=9, loc="right", labelpad=1)
+    for place, state in enumerate(still_states(run)):
+        scene = figure.add_subplot(grid[0, place])
+        draw_scene(scene, run, state)
+        time = state * run.dt
+        scene.set_title(f"{time:.2f} s", fontsize=10, color=INK, pad=5)
+        for plot in axes:
+            plot.axvline(time, color=INK, lw=0.7, alpha=0.45)
+        axes[0].add_artist(_thread(scene, axes[0], time))
+    return figure
+
+
+def _thread(scene: Axes, plot: Axes, time: float) -> ConnectionPatch:
+    """The line from a moment's picture down to its place in time."""
+    return ConnectionPatch(
+        xyA=(0.5, 0.0),
+        xyB=(time, 1.0),
+        coordsA=scene.transAxes,
+        coordsB=plot.get_xaxis_transform(),
+        color=INK,
+        lw=0.7,
+        alpha=0.3,
+    )
+
+
+def still_states(run: SceneRun) -> list[int]:
+    """Five moments: start, before, at and after the grasp, end; evenly spread without a grasp."""
+    grasp = grasp_step(run)
+    if grasp is None:
+        return [int(state) for state in np.linspace(0, run.steps, _MOMENTS)]
+    after = grasp + round(0.3 * (run.steps - grasp))
+    return [0, round(0.6 * grasp), grasp, after, run.steps]
+
+
+def _draw_belief(axes: Axes, run: SceneRun) -> None:
+    time = np.arange(run.steps + 1) * run.dt
+    leading = leading_edges(run)
+    for place, edge in enumerate(leading):
+        strength = 1.0 if place == 0 else 0.4
+        axes.stairs(
+            run.belief[:, edge], time, baseline=None, color=BELIEF_COLOUR, lw=1.6, alpha=strength
+        )
+    _style(axes, run, "belief", (-0.06, 1.08))
+    if leading:
+        axes.text(
+            0.99,
+            0.7,
+            run.edge_name(leading[0]),
+            color=BELIEF_COLOUR,
+            fontsize=9,
+            ha="right",
+            transform=axes.transAxes,
+            parse_math=False,
+        )
+
+
+def _draw_inverse_mass(axes: Axes, run: SceneRun, inverse_mass: np.ndarray) -> None:
+    time = np.arange(run.steps + 1) * run.dt
+    involved, focus = involved_nodes(run), focus_nodes(run)
+    directions = shown_directions(inverse_mass)
+    for place, node in enumerate(focus):
+        colour = body_colour(node, involved)
+        for values, style in zip(directions, ("-", "--"), strict=False):
+            axes.stairs(values[:, node], time, baseline=None, color=colour, lw=1.6, ls=style)
+        axes.text(
+            0.99,
+            0.8 - 0.17 * place,
+            run.node_name[node],
+            color=colour,
+            fontsize=9,
+            ha="right",
+            transform=axes.transAxes,
+            parse_math=False,
+        )
+    largest = np.nanmax(np.append([values[:, focus] for values in directions], 0.1))
+    _style(axes, run, "1/m, 1/kg", (-0.06 * float(largest), 1.08 * float(largest)))
+    if len(directions) > 1:
+        axes.text(
+            0.99,
+            0.8 - 0.17 * len(focus),
+            "vertical: dashed",
+            color=SOFT,
+            fontsize=9,
+            ha="right",
+            transform=axes.transAxes,
+        )
+
+
+def _style(axes: Axes, run: SceneRun, name: str, limits: tuple[float, float]) -> None:
+    """A quiet frame, and the leading edge's true contact as a band over the steps leading to it."""
+    axes.set(xlim=(0, run.steps * run.dt), ylim=limits)
+    axes.set_ylabel(name, color=SOFT, fontsize=9)
+    axes.tick_params(colors=SOFT, labelsize=8, length=3)
+    axes.grid(axis="y", color=RULE, lw=0.6)
+    axes.set_axisbelow(True)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(RULE)
+    leading = leading_edges(run, limit=1)
+    if run.contact is not None and leading:
+        touching = run.contact[1:, leading[0]].astype(float)
+        edges = np.arange(run.steps + 1) * run.dt
+        axes.stairs(
+            np.where(touching > 0, limits[1], limits[0]),
+            edges,
+            baseline=limits[0],
+            fill=True,
+            color=CONTACT_COLOUR,
+            alpha=0.55,
+            lw=0,
+            zorder=0,
+        )

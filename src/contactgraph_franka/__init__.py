@@ -1,0 +1,1 @@
+"""A Franka arm for contactgraph: simulation, driver, perception, control loop and commands."""

@@ -1,0 +1,244 @@
+"""Arms by their addresses: a real one, one in a rehearsal, or the fake one."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.cli.robot_fault import RobotFault
+from contactgraph_franka.cli.robot_options import FAKE, ArmOptions
+from contactgraph_franka.envs.franka_layout import ArmLayout
+from contactgraph_franka.loop import WallClock
+from contactgraph_franka.perception.seen_objects import SeenObjects
+from contactgraph_franka.recording import AssumedBlock
+from contactgraph_franka.robot import FakeRobot, Robot, SafetyLimits, Stop
+from contactgraph_franka.robot.live_fake import LiveFake
+
+if TYPE_CHECKING:
+    from contactgraph_franka.driver.franka_robot import FrankaRobot
+    from contactgraph_franka.driver.gripper import FrankaGripper
+    from contactgraph_franka.sim.rehearsal import RunningRehearsal
+
+_FAKE_HAND, _FAKE_BLOCK = (0.5, -0.2, 0.25), (0.5, 0.05, 0.1)
+"""m: where they are at first."""
+_SLOWLY = 0.2
+"""Of the arm's own speed, where it moves by itself."""
+_NODES = ("block",)
+"""After the hand."""
+
+
+class Arm(Protocol):
+    """An arm, and what else a person does with it than to push it about."""
+
+    robot: Robot
+    clock: WallClock
+    words: str
+    """What it is."""
+    real: bool
+    """Whether somebody could get hurt."""
+    seen: SeenObjects | None
+    """What its camera sees; None without one."""
+    assumed: AssumedBlock | None
+    """The block that nobody sees; None where somebody does."""
+
+    block_yaw: float
+    """rad: how the block was turned when the arm was opened; 0 where nobody saw it."""
+
+    def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
+        """Names and words."""
+
+    def move_to(self, position: np.ndarray, yaw: float) -> None:
+        """Moves the open hand slowly to ``position`` [3] m; raises `RobotFault` where it cannot."""
+
+    def arrange(self, layout: ArmLayout) -> bool:
+        """Puts the block where ``layout`` has it; False where a person must do it."""
+
+    def said(self) -> str:
+        """What the arm itself said of its last end; empty where it said nothing."""
+
+
+class FakeArm:
+    """`FakeRobot` in real time."""
+
+    real = False
+    block_yaw = 0.0
+    seen: SeenObjects | None = None
+    assumed: AssumedBlock | None = None
+    words = "a fake arm: a point mass and an object without weight"
+
+    def __init__(self) -> None:
+        self.clock = WallClock()
+        self._fake = FakeRobot()
+        self._fake.place(np.array(_FAKE_HAND), np.array(_FAKE_BLOCK))
+        self.robot: Robot = LiveFake(self._fake, self.clock)
+
+    def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
+        """See `Arm`."""
+        low, high = limits.workspace_low, limits.workspace_high
+        return [
+            ("address", FAKE),
+            ("force", f"at most {limits.max_force:g} N, changing by {limits.max_force_rate:g} N/s"),
+            ("workspace", f"{low} to {high} m"),
+            ("stop", f"within {1e3 * limits.stop_within:g} ms of a fault"),
+        ]
+
+    def move_to(self, position: np.ndarray, yaw: float) -> None:
+        """See `Arm`; it is there at once."""
+        self._fake.place(position, self._fake.position[1])
+
+    def arrange(self, layout: ArmLayout) -> bool:
+        """See `Arm`."""
+        self._fake.place(self._fake.position[0], layout.blocks[0])
+        return True
+
+    def said(self) -> str:
+        """See `Arm`."""
+        return ""
+
+
+class FrankaArm:
+    """An arm of Franka's, with its gripper."""
+
+    def __init__(
+        self,
+        robot: "FrankaRobot",
+        gripper: "FrankaGripper",
+        clock: WallClock,
+        rehearsal: "RunningRehearsal | None",
+        seen: SeenObjects | None,
+        assumed: AssumedBlock | None,
+        block_yaw: float,
+    ) -> None:
+        self.robot: Robot = robot
+        self.block_yaw = block_yaw
+        self.clock, self.seen, self.assumed = clock, seen, assumed
+        self.real = rehearsal is None
+        self.words = f"the arm at {robot.address}"
+        if rehearsal is not None:
+            self.words = f"the rehearsed arm at {robot.address}, {rehearsal.pace:g} times slower"
+        self._franka, self._gripper, self._rehearsal = robot, gripper, rehearsal
+
+    def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
+        """See `Arm`."""
+        from contactgraph_franka.driver.description import described_gripper
+
+        fingers = self._gripper
+        return [
+            *self._franka.describe(limits),
+            *described_gripper(fingers.width, fingers.largest_width, fingers.version),
+        ]
+
+    def move_to(self, position: np.ndarray, yaw: float) -> None:
+        """See `Arm`."""
+        self._gripper.open()
+        if self._franka.ended is not None and not self._franka.recover():
+            raise RobotFault(f"{self.words} does not recover: {self._franka.last_error}")
+        ended = self._franka.move_to(position, yaw, speed=_SLOWLY if self.real else 0.5)
+        if ended is not None:
+            raise RobotFault(f"{self.words} {ended}; it said: {self.said()}")
+
+    def arrange(self, layout: ArmLayout) -> bool:
+        """See `Arm`."""
+        if self._rehearsal is None:
+            return False
+        self._rehearsal.place_block(0, layout.blocks[0], float(layout.block_yaw[0]))
+        return True
+
+    def said(self) -> str:
+        """See `Arm`."""
+        ended: Stop | None = self._franka.ended
+        words = "" if ended is None else ended.reason.value
+        return " ".join(f"{words} {self._franka.last_error}".split())
+
+
+@contextmanager
+def opened(address: str, options: ArmOptions) -> Iterator[Arm]:
+    """The arm at ``address``, with whoever sees its block; nothing moves.
+
+    Raises `InvalidInputError` where there is none, or what it needs is not there.
+    """
+    if address == FAKE:
+        if options.camera != "none" or options.block is not None:
+            raise InvalidInputError("the fake arm sees for itself: leave --camera and --block out")
+        yield FakeArm()
+        return
+    from contactgraph_franka.driver.franka_robot import FrankaRobot
+    from contactgraph_franka.driver.gripper import FrankaGripper
+
+    rehearsal = _rehearsal(address)
+    clock = WallClock() if rehearsal is None else rehearsal.clock
+    with ExitStack() as stack:
+        seen, assumed, yaw = _objects(address, options, clock, rehearsal, stack)
+        gripper = stack.enter_context(FrankaGripper(address, clock))
+        robot = FrankaRobot(
+            address,
+            seen or assumed,
+            clock,
+            fingers=gripper,
+        )
+        stack.enter_context(robot)
+        yield FrankaArm(robot, gripper, clock, rehearsal, seen, assumed, yaw)
+
+
+def _rehearsal(address: str) -> "RunningRehearsal | None":
+    """The one that runs at ``address``, if one does."""
+    from contactgraph_franka.sim.rehearsal import attach
+
+    try:
+        return attach(address)
+    except InvalidInputError:
+        return None
+
+
+def _objects(
+    address: str,
+    options: ArmOptions,
+    clock: WallClock,
+    rehearsal: "RunningRehearsal | None",
+    stack: ExitStack,
+) -> tuple[SeenObjects | None, AssumedBlock | None, float]:
+    """Who tells where the block is, a camera or the user; and how it is turned, rad."""
+    from contactgraph.cli.names import looked_up
+
+    looked_up("--camera", options.camera, dict.fromkeys(("none", "realsense", "rendered")))
+    if options.camera == "none":
+        if options.block is None:
+            raise InvalidInputError("without a --camera, --block X Y Z must say where the block is")
+        return None, AssumedBlock(np.array(options.block, dtype=float)), 0.0
+    if options.block is not None:
+        raise InvalidInputError("--block: the camera sees it, so one of the two must be left out")
+    from contactgraph_franka.cli.robot_glimpse import glimpsed_yaw
+    from contactgraph_franka.perception import Camera, read_calibration
+    from contactgraph_franka.perception.perception import Perception
+
+    open_eye: Callable[[], Camera]
+    told = None if options.calibration is None else read_calibration(options.calibration)
+    if options.camera == "rendered":
+        from contactgraph_franka.sim.rehearsal import open_camera
+
+        if rehearsal is None:
+            raise InvalidInputError(
+                f"--camera rendered: no rehearsal runs at {address}; an arm has a realsense"
+            )
+        told = rehearsal.calibration() if told is None else told
+        open_eye = partial(open_camera, address)
+    else:
+        from contactgraph_franka.perception.realsense import RealSenseCamera
+
+        if told is None:
+            raise InvalidInputError(
+                "--camera realsense needs --calibration FILE, as `contactgraph robot calibrate` "
+                "writes it"
+            )
+        open_eye = RealSenseCamera
+    missing = [name for name in _NODES if name not in told.objects]
+    if missing:
+        raise InvalidInputError(
+            f"the calibration knows {', '.join(told.objects) or 'no objects'}; it must know block"
+        )
+    yaw = glimpsed_yaw(open_eye, told, *_NODES)
+    perception = stack.enter_context(Perception(open_eye, told, clock))
+    return SeenObjects(perception, _NODES), None, yaw

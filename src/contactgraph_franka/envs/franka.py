@@ -1,0 +1,158 @@
+"""The arm's pickup: a Panda takes a block up in one sweep and brings it to a goal in the air."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs.contract import ChainCost, Feedback, Observation
+from contactgraph.envs.fixed_goal import fixed_layout, fixed_metadata
+from contactgraph.envs.gripper_task import GRIPPER, GripperTask
+from contactgraph_franka.envs.arm_world import BLOCK_MASS, ArmWorld, Grasp, arm_alone
+from contactgraph_franka.envs.camera import Camera
+from contactgraph_franka.envs.engine import SIMULATOR, mujoco
+from contactgraph_franka.envs.franka_layout import HIGH, sample_layout
+from contactgraph_franka.envs.franka_pickup import (
+    APPARENT_MASS,
+    BLOCK,
+    CONTACT_DISTANCE,
+    GOAL_RADIUS,
+    TARGET,
+    pickup_cost,
+)
+from contactgraph_franka.envs.reach import joints_at
+
+DT = 0.01
+"""s"""
+MAX_STEPS = 400
+MAX_DISTRACTORS = 5
+MAX_FORCE = 20.0
+"""Bound of the control on each axis, N."""
+
+
+class FrankaTask(GripperTask):
+    """The paper's arm task on MuJoCo; a `contactgraph.envs.Task`.
+
+    Nodes are the hand (0), the block to pick up (1) and ``distractors`` further blocks on the
+    table. The control ``[3]`` N is a force on the hand, which moves as a mass of 4 kg and keeps
+    its orientation (`Impedance`); the fingers close by themselves on a block that passes between
+    them (`GraspReflex`) and hold it by friction. The reward is the negative distance from block to
+    goal, m. An episode always runs for 400 steps of 0.01 s.
+
+    ``fixed_seed`` is the seed of a scene whose goal and place of the block every episode shares, so
+    that only the hand and other blocks begin elsewhere (the block still faces the hand); None: each
+    episode has its own. ``render_mode`` as in Gymnasium: with "rgb_array", `render` gives pictures.
+
+    Raises `InvalidInputError` where ``distractors`` is not in 0 to 5.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": round(1.0 / DT)}  # noqa: RUF012
+
+    def __init__(
+        self,
+        distractors: int = 0,
+        grasp: Grasp = Grasp.FRICTION,
+        render_mode: str | None = None,
+        fixed_seed: int | None = None,
+    ) -> None:
+        if not 0 <= distractors <= MAX_DISTRACTORS:
+            raise InvalidInputError(
+                f"distractors must be 0 to {MAX_DISTRACTORS}, found {distractors}"
+            )
+        if render_mode not in (None, "rgb_array"):
+            raise InvalidInputError(f"render_mode must be rgb_array or None, found {render_mode!r}")
+        super().__init__(
+            2 + distractors,
+            MAX_STEPS,
+            float(np.max(HIGH)),
+            dimension=3,
+            dt=DT,
+            max_force=MAX_FORCE,
+            mass=APPARENT_MASS,
+        )
+        self._distractors = distractors
+        self._grasp = grasp
+        self._fixed_seed = fixed_seed
+        self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_DISTRACTORS))
+        self.render_mode = render_mode
+        self._camera: Camera | None = None
+        self._arm = mujoco.MjModel.from_xml_string(arm_alone())
+
+    def begin(self, seed: int) -> tuple[Scene, ArmWorld]:
+        """Samples the scene of a seed, with everything at rest."""
+        layout = sample_layout(np.random.default_rng(seed), self._distractors, self._fixed)
+        joints = joints_at(self._arm, layout.hand, layout.yaw)
+        world = ArmWorld(joints, layout.blocks, layout.block_yaw, DT, self._grasp)
+        count = 1 + len(layout.blocks)
+        names = ("hand", "block", *(f"distractor-{i}" for i in range(self._distractors)))
+        scene = Scene(
+            node_name=names,
+            node_type=("hand", *["block"] * (count - 1)),
+            actuated=np.arange(count) == GRIPPER,
+            dt=DT,
+            dimension=3,
+            goal=layout.goal,
+            gravity=self._arm.opt.gravity.copy(),
+            mass=np.array([APPARENT_MASS, *[BLOCK_MASS] * (count - 1)]),
+            size=np.array([[np.nan] * 3, *[BLOCK] * (count - 1)]),
+            metadata={
+                "task": "franka",
+                "seed": seed,
+                "distractors": self._distractors,
+                "grasp": self._grasp.value,
+                "goal_radius": GOAL_RADIUS,
+                "contact_distance": CONTACT_DISTANCE,
+                "simulator": SIMULATOR,
+                **fixed_metadata(self._fixed_seed),
+            },
+        )
+        return scene, world
+
+    def step_under(
+        self, feedback: Feedback
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Moves on by 0.01 s; the force ``[3]`` N is asked for every millisecond."""
+        self.running()
+        world = self._arm_world()
+        mean = world.step_under(
+            lambda part: self.bounded(feedback(part, world.position, world.velocity))
+        )
+        return self.stepped({"control": mean})
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether the hand holds the block within 0.05 m of the goal."""
+        near = float(np.linalg.norm(position[TARGET] - scene.goal)) <= GOAL_RADIUS
+        return near and bool(contact[GRIPPER, TARGET])
+
+    def cost_terms(self) -> ChainCost:
+        """Hand to block, block to goal."""
+        return pickup_cost()
+
+    def skeleton(self) -> np.ndarray:
+        """[P, 3] m: the arm's joints, for drawing."""
+        return self._arm_world().skeleton()
+
+    def render(self) -> np.ndarray | None:
+        """[480, 640, 3] uint8: a picture of now; None without a ``render_mode``.
+
+        Raises `InvalidInputError` where MuJoCo has no OpenGL to draw with.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() draws only with render_mode='rgb_array'")
+            return None
+        world = self._arm_world()
+        if self._camera is None:
+            self._camera = Camera(world.description)
+        return self._camera.picture(world.data.qpos, np.asarray(self.scene.goal))
+
+    def close(self) -> None:
+        """Ends the drawing."""
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
+
+    def _arm_world(self) -> ArmWorld:
+        world = self.world
+        assert isinstance(world, ArmWorld)
+        return world

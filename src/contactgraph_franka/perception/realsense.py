@@ -1,0 +1,185 @@
+"""Intel RealSense depth cameras. The one module that imports pyrealsense2."""
+
+import ctypes
+import time
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.perception.camera import CameraFrame, Intrinsics
+from contactgraph_franka.perception.frame_clock import FrameClock
+
+
+def _load() -> ModuleType:
+    """pyrealsense2, which looks for the system's libusb; where there is none, that of a package.
+
+    A library that is loaded already is found by its name, so loading it before is enough.
+    """
+    try:
+        import pyrealsense2
+    except ModuleNotFoundError:
+        raise
+    except ImportError:
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()))
+        import pyrealsense2
+    return pyrealsense2
+
+
+try:
+    rs: Any = _load()
+except ModuleNotFoundError as error:
+    raise InvalidInputError(
+        f"RealSense cameras need {error.name}: pip install 'contactgraph[realsense]'"
+    ) from error
+except (ImportError, OSError) as error:
+    raise InvalidInputError(f"pyrealsense2 cannot be loaded: {error}") from error
+
+_GREEN = 1
+"""The channel that stands for grey: half of a colour camera's pixels see it."""
+_QUEUE = 4
+"""Frames that may wait to be read."""
+
+
+class RealSenseCamera:
+    """A `Camera`: grey from its colour stream, and depth seen from where the colour camera is.
+
+    ``serial`` names one of several; None: the first one found. ``device`` is one that is already
+    there, such as the library's ``software_device``, whose frames go the same way. Frames are
+    stamped on ``clock``. The time is what the camera says: of the middle of the exposure, where its
+    driver tells the system's or a global time; of its own clock less the shortest way here, where
+    it does not. Raises `InvalidInputError` where there is no such camera or it has no such streams.
+    """
+
+    def __init__(
+        self,
+        serial: str | None = None,
+        width: int = 1280,
+        height: int = 720,
+        rate: int = 30,
+        *,
+        device: Any = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        held = _attached(serial) if device is None else device
+        colour = _profile(held, rs.stream.color, rs.format.rgb8, (width, height), rate)
+        depth = _profile(held, rs.stream.depth, rs.format.z16, (width, height), rate)
+        self._intrinsics = _intrinsics(colour.as_video_stream_profile().get_intrinsics())
+        self._clock = FrameClock(clock)
+        self._align = rs.align(rs.stream.color)
+        self._frames = rs.syncer(_QUEUE)
+        self._open: list[Any] = []
+        # Both streams may come from one sensor, which is then opened once.
+        for sensor in held.query_sensors():
+            own = [each for each in (colour, depth) if _gives(sensor, each)]
+            if own:
+                sensor.open(own)
+                sensor.start(self._frames)
+                self._open.append(sensor)
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """Of the colour camera, as the device tells them."""
+        return self._intrinsics
+
+    def read(self) -> CameraFrame | None:
+        """The newest frame, with depth where one of the same moment has come."""
+        newest = None
+        while frames := self._frames.poll_for_frames():
+            if frames.get_color_frame():
+                newest = frames
+        if newest is None:
+            return None
+        depth = None
+        if newest.get_depth_frame():
+            newest = self._align.process(newest)
+            told = newest.get_depth_frame()
+            depth = np.asanyarray(told.get_data()).astype(np.float32) * np.float32(told.get_units())
+        colour = newest.get_color_frame()
+        grey = np.ascontiguousarray(np.asanyarray(colour.get_data())[..., _GREEN])
+        of_device = colour.frame_timestamp_domain == rs.timestamp_domain.hardware_clock
+        seconds = colour.timestamp / 1000.0
+        moment = self._clock.from_device(seconds) if of_device else self._clock.from_epoch(seconds)
+        return CameraFrame(grey, depth, moment)
+
+    def close(self) -> None:
+        """Stops the streams."""
+        for sensor in self._open:
+            sensor.stop()
+            sensor.close()
+        self._open.clear()
+
+
+def _attached(serial: str | None) -> Any:
+    found = {
+        device.get_info(rs.camera_info.serial_number): device
+        for device in rs.context().query_devices()
+    }
+    if not found:
+        raise InvalidInputError("no RealSense camera is attached: check its cable and USB port")
+    if serial is None:
+        return next(iter(found.values()))
+    if serial not in found:
+        raise InvalidInputError(f"no RealSense camera {serial}; attached: {', '.join(found)}")
+    return found[serial]
+
+
+def _profile(device: Any, stream: Any, form: Any, size: tuple[int, int], rate: int) -> Any:
+    """The stream's profile of this size and rate."""
+    others = []
+    for sensor in device.query_sensors():
+        for profile in sensor.get_stream_profiles():
+            if profile.stream_type() != stream or profile.format() != form:
+                continue
+            video = profile.as_video_stream_profile()
+            if (video.width(), video.height()) == size and profile.fps() == rate:
+                return profile
+            others.append(f"{video.width()} x {video.height()} at {profile.fps()}")
+    raise InvalidInputError(
+        f"the camera gives no {stream.name} of {size[0]} x {size[1]} at {rate} Hz, but "
+        f"{', '.join(sorted(set(others))) or 'none at all'}"
+    )
+
+
+def _gives(sensor: Any, profile: Any) -> bool:
+    return any(each.unique_id() == profile.unique_id() for each in sensor.get_stream_profiles())
+
+
+def _intrinsics(told: Any) -> Intrinsics:
+    """The lens as the device tells it, in this package's terms."""
+    distortion = None
+    if any(told.coeffs):
+        straight = (rs.distortion.none, rs.distortion.inverse_brown_conrady)
+        if told.model not in (*straight, rs.distortion.brown_conrady):
+            raise InvalidInputError(
+                f"the camera's lens model {told.model.name} is not known here; known: "
+                "brown_conrady, inverse_brown_conrady"
+            )
+        if told.model == rs.distortion.brown_conrady:
+            distortion = tuple(float(each) for each in told.coeffs)
+        elif told.model == rs.distortion.inverse_brown_conrady:
+            distortion = _turned_round(told)
+    return Intrinsics(told.fx, told.fy, told.ppx, told.ppy, told.width, told.height, distortion)
+
+
+def _turned_round(told: Any) -> tuple[float, ...]:
+    """Brown and Conrady's coefficients for a lens whose way back is told: linear least squares."""
+    columns = np.linspace(0.0, told.width - 1.0, 17)
+    rows = np.linspace(0.0, told.height - 1.0, 11)
+    pixels = [[float(column), float(row)] for column in columns for row in rows]
+    x, y = np.array([rs.rs2_deproject_pixel_to_point(told, each, 1.0)[:2] for each in pixels]).T
+    square = x * x + y * y
+    bent = (np.array(pixels) - (told.ppx, told.ppy)) / (told.fx, told.fy) - np.stack([x, y], 1)
+    across = [
+        np.stack([each * square, each * square**2, *tangential, each * square**3], axis=1)
+        for each, tangential in (
+            (x, (2.0 * x * y, square + 2.0 * x * x)),
+            (y, (square + 2.0 * y * y, 2.0 * x * y)),
+        )
+    ]
+    found = np.linalg.lstsq(np.concatenate(across), bent.T.ravel(), rcond=None)[0]
+    return tuple(found.tolist())

@@ -1,0 +1,147 @@
+"""A block with tags on its faces, as MuJoCo and as the camera's reader know it."""
+
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.envs.franka_pickup import BLOCK
+from contactgraph_franka.perception.rigid import pose
+from contactgraph_franka.perception.tagged_object import Tag, TaggedObject
+from contactgraph_franka.sim.tag_codes import CELLS, TAGS, black_cells
+
+MASS = 0.83
+"""kg, of the paper's block."""
+_TAGS_A_BLOCK = 9
+_LIFT = 1e-4
+"""m: how far print lies above paper, lest the two flicker."""
+
+
+@dataclass(frozen=True, eq=False)
+class TaggedBlock:
+    """What a scene needs to hold the block, and a reader to find it."""
+
+    body: ElementTree.Element
+    """For the scene's ``worldbody``; free to move."""
+    assets: tuple[ElementTree.Element, ...]
+    """For its ``asset``. No files: all is in the elements."""
+    tagged: TaggedObject
+
+    def append_to(self, scene: ElementTree.Element) -> None:
+        """Puts the block into an MJCF tree whose root is ``scene``."""
+        for name, parts in (("asset", self.assets), ("worldbody", (self.body,))):
+            place = scene.find(name)
+            if place is None:
+                place = ElementTree.SubElement(scene, name)
+            place.extend(parts)
+
+
+def tagged_block(
+    name: str,
+    position: np.ndarray,
+    yaw: float = 0.0,
+    first_tag: int = 0,
+    sides: np.ndarray = BLOCK,
+    mass: float = MASS,
+) -> TaggedBlock:
+    """A standing block with nine tags: two on each upright face, one on top.
+
+    The block's frame is in its centre, z up; it is put at ``position`` [3] m, turned by ``yaw``
+    rad. Tags are as large as the narrowest face leaves room for with a white border (0.032 m where
+    ``sides`` [3] m is 0.04 x 0.04 x 0.1), at the upper and the lower end of the faces: the farther
+    apart, the better is the block's tilt seen, and fingers that hold the middle cover none wholly.
+    Ids count from ``first_tag``. Raises `InvalidInputError` for ids beyond those known, or a block
+    less than twice as high as it is wide.
+    """
+    if first_tag < 0 or first_tag + _TAGS_A_BLOCK > TAGS:
+        raise InvalidInputError(
+            f"first_tag must be 0 to {TAGS - _TAGS_A_BLOCK}, found {first_tag} for {name}"
+        )
+    width = float(min(sides[:2]))
+    if sides[2] < 2.0 * width:
+        raise InvalidInputError(f"sides of {name} must be twice as high as wide, found {sides}")
+    size = width * CELLS / (CELLS + 2)
+    tags = tuple(
+        Tag(first_tag + number, size, place)
+        for number, place in enumerate(_places(np.asarray(sides, float), width))
+    )
+    body = ElementTree.Element("body", name=name, pos=_text(position))
+    body.set("quat", _text([np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)]))
+    ElementTree.SubElement(body, "freejoint", name=f"{name}_free")
+    ElementTree.SubElement(
+        body,
+        "geom",
+        name=name,
+        type="box",
+        size=_text(np.asarray(sides) / 2.0),
+        mass=str(mass),
+        material=f"{name}_paper",
+        friction="1 .01 .001",
+    )
+    ElementTree.SubElement(
+        body,
+        "geom",
+        type="mesh",
+        mesh=f"{name}_print",
+        material=f"{name}_ink",
+        mass="0",
+        contype="0",
+        conaffinity="0",
+    )
+    return TaggedBlock(body, (_print(name, tags), *_materials(name)), TaggedObject(tags))
+
+
+def _places(sides: np.ndarray, width: float) -> list[np.ndarray]:
+    """Poses [4, 4] of the tags in the block's frame."""
+    up = np.array([0.0, 0.0, 1.0])
+    end = (sides[2] - width) / 2.0
+    places = []
+    for axis, sign in ((0, 1.0), (1, 1.0), (0, -1.0), (1, -1.0)):
+        out = np.zeros(3)
+        out[axis] = sign
+        turn = np.stack([np.cross(up, out), up, out], axis=1)
+        print_at = out * (sides[axis] / 2.0 + _LIFT)
+        places += [pose(turn, print_at + up * height) for height in (end, -end)]
+    return [*places, pose(np.eye(3), up * (sides[2] / 2.0 + _LIFT))]
+
+
+def _print(name: str, tags: tuple[Tag, ...]) -> ElementTree.Element:
+    """The black cells of all tags as one mesh, each cell two triangles.
+
+    Not a texture: those need a picture in a file or in the loader's hands, and are blurred where
+    they are drawn smaller than they are.
+    """
+    vertices: list[np.ndarray] = []
+    faces: list[tuple[int, int, int]] = []
+    line = np.arange(CELLS + 1) / CELLS - 0.5
+    grid = np.stack([*np.meshgrid(line, -line), np.zeros((CELLS + 1, CELLS + 1))], axis=-1)
+    for tag in tags:
+        start = len(vertices) * grid[..., 0].size
+        points = grid.reshape(-1, 3) * tag.size
+        vertices.append(points @ tag.pose[:3, :3].T + tag.pose[:3, 3])
+        for row, column in np.argwhere(black_cells(tag.id)):
+            corner = start + row * (CELLS + 1) + column
+            below = corner + CELLS + 1
+            faces += [(corner, below, below + 1), (corner, below + 1, corner + 1)]
+    return ElementTree.Element(
+        "mesh",
+        name=f"{name}_print",
+        inertia="shell",
+        vertex=_text(np.concatenate(vertices).ravel()),
+        face=" ".join(str(index) for face in faces for index in face),
+    )
+
+
+def _materials(name: str) -> tuple[ElementTree.Element, ...]:
+    # Matt: a shine on a tag hides it.
+    return tuple(
+        ElementTree.Element(
+            "material", name=f"{name}_{part}", rgba=colour, specular="0", reflectance="0"
+        )
+        for part, colour in (("paper", ".9 .9 .9 1"), ("ink", ".05 .05 .05 1"))
+    )
+
+
+def _text(numbers: np.ndarray | list[float]) -> str:
+    return " ".join(f"{number:.9g}" for number in numbers)

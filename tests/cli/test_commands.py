@@ -1,0 +1,298 @@
+"""Every command, as a user calls it: what it prints, what it writes, how it exits."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import safetensors
+
+from contactgraph.cli import main as cli
+from contactgraph.data import describe_file, read_trajectories
+from contactgraph.model import gim_temp
+from contactgraph.model.storage import describe_model, save_model
+
+OPEN_LOOP = {
+    "n_step_rmse_m",
+    "n_step_rmse_moving_m",
+    "n_step_rmse_free_m",
+    "n_step_rmse_contact_m",
+    "constant_velocity_rmse_m",
+    "frozen_contact_rmse_m",
+    "n_steps",
+    "edge_precision",
+    "edge_recall",
+    "edge_f1",
+    "edge_accuracy",
+    "switch_time_error_s",
+}
+CLOSED_LOOP = {
+    "success_rate",
+    "success_interval",
+    "contact_speed_m_s",
+    "plan_ms_p50",
+    "plan_ms_p99",
+    "episodes",
+    "seed",
+}
+COMMANDS = (
+    *("collect", "train", "evaluate", "control"),
+    *("learn-cost", "reproduce", "robot", "report", "info"),
+)
+
+
+def done(*arguments: object) -> None:
+    assert cli.run([str(each) for each in arguments]) == 0
+
+
+def test_the_real_entry_point() -> None:
+    command = [sys.executable, "-m", "contactgraph"]
+    told = subprocess.run([*command, "info", "pickup"], capture_output=True, text=True)
+    assert told.returncode == 0
+    assert told.stderr == ""
+    assert told.stdout.startswith("pickup: model, ")
+    mistake = subprocess.run([*command, "trian"], capture_output=True, text=True)
+    assert mistake.returncode == 2
+    assert mistake.stdout == ""
+    assert mistake.stderr.startswith("contactgraph: no command 'trian'; the commands are collect")
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"]])
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    done(*arguments)
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert "Learn which objects touch when" in captured.out
+    for command in COMMANDS:
+        assert command in captured.out
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (
+            "collect",
+            "TASK --out --episodes --seed --distractors --objects --grasp --mixed --goal --expert",
+        ),
+        ("train", "DATA --out --model --seed --resume gim-temp gim-non-temp no-gim full-ab"),
+        ("evaluate", "RUN DATA --json"),
+        (
+            "control",
+            "RUN TASK --episodes --seed --distractors --objects --grasp --json --video --save",
+        ),
+        ("learn-cost", "RUN DEMOS --out --horizon --steps --runs --goal --prior-weight --picture"),
+        ("reproduce", "--quick --out"),
+        ("report", ""),
+        ("info", "FILE"),
+    ],
+)
+def test_help_of_each(capsys: pytest.CaptureFixture[str], command: str, words: str) -> None:
+    done(command, "--help")
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert captured.out.startswith(f"usage: contactgraph {command} ")
+    for word in words.split():
+        assert word in captured.out
+
+
+def test_collect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, again = tmp_path / "data.h5", tmp_path / "again.h5"
+    options = ["--episodes", 3, "--seed", 7, "--distractors", 2, "--objects", 1, "--resting", 0.34]
+    done("collect", "pickup", *options, "--out", path)
+    captured = capsys.readouterr()
+    assert captured.out.splitlines() == [
+        f"{path}: 3 runs of pickup, seed 7",
+        "the expert succeeded in 2 of 2 runs",
+    ]
+    assert captured.err.splitlines()[-1] == "collecting: 3 of 3"
+    dataset = read_trajectories(path)
+    assert dataset.metadata == {"task": "pickup", "seed": 7, "distractors": 2, "objects": 1}
+    assert [run.scene.node_count for run in dataset] == [4, 4, 4]
+    assert [bool(np.any(run.control)) for run in dataset] == [True, True, False]
+    done("collect", "pickup", *options, "--out", again)
+    assert again.read_bytes() == path.read_bytes(), "one seed, one file"
+    done("collect", "pickup", "--episodes", 1, "--seed", 8, "--out", path)
+    assert len(describe_file(path).steps) == 1, "a new file replaces the old one"
+
+
+def test_collect_mixed_numbers_of_objects_in_one_file(tmp_path: Path) -> None:
+    path, first = tmp_path / "data.h5", tmp_path / "first.h5"
+    counts = ["--distractors", 1, "--objects", 2, "--mixed"]
+    done("collect", "multi-pickup", *counts, "--episodes", 5, "--out", path)
+    done("collect", "multi-pickup", *counts, "--episodes", 2, "--out", first)
+    dataset = read_trajectories(path)
+    assert dataset.metadata == {
+        "task": "multi-pickup",
+        "seed": 0,
+        "distractors": 1,
+        "objects": 2,
+        "mixed": True,
+    }
+    told = [(run.scene.metadata["objects"], run.scene.metadata["distractors"]) for run in dataset]
+    assert told == [(1, 0), (1, 1), (2, 0), (2, 1), (1, 0)]
+    for one, other in zip(read_trajectories(first), dataset, strict=False):
+        assert np.array_equal(one.position, other.position), "the same, however many are recorded"
+
+
+def test_collect_does_not_wait_for_jax(tmp_path: Path) -> None:
+    main = "import sys; from contactgraph.cli.main import run; code = run(sys.argv[1:]); "
+    main += "sys.exit('jax' in sys.modules or code)"
+    arguments = ["collect", "pickup", "--episodes", "1", "--out", str(tmp_path / "data.h5")]
+    assert subprocess.run([sys.executable, "-c", main, *arguments]).returncode == 0
+
+
+@pytest.mark.parametrize(("task", "nodes"), [("multi-pickup", 3), ("door", 2), ("franka", 2)])
+def test_collect_other_tasks(tmp_path: Path, task: str, nodes: int) -> None:
+    path = tmp_path / "data.h5"
+    done("collect", task, "--episodes", 2, "--exploration", 0.5, "--out", path)
+    dataset = read_trajectories(path)
+    assert [run.scene.node_count for run in dataset] == [nodes, nodes]
+    policies = [run.scene.metadata["policy"] for run in dataset]
+    assert policies[0].endswith("Expert") and policies[1] == "ExplorationPolicy"
+    assert all((run.scene.anchor is not None) == (task == "door") for run in dataset)
+    assert all(run.scene.dimension == (3 if task == "franka" else 2) for run in dataset)
+
+
+def test_collect_with_another_grasp(tmp_path: Path) -> None:
+    path = tmp_path / "data.h5"
+    done("collect", "franka", "--episodes", 1, "--distractors", 1, "--grasp", "weld", "--out", path)
+    dataset = read_trajectories(path)
+    assert dataset.metadata == {"task": "franka", "seed": 0, "distractors": 1, "grasp": "weld"}
+    (run,) = dataset
+    assert run.scene.metadata["grasp"] == "weld"
+
+
+def test_train_leaves_a_run_folder(trained: Path, recorded: Path) -> None:
+    assert {path.name for path in trained.iterdir()} == {
+        "config.json",
+        "metrics.jsonl",
+        "model.safetensors",
+        "checkpoint-0000000250.safetensors",
+        "checkpoint-0000000300.safetensors",
+    }
+    config = json.loads((trained / "config.json").read_text())
+    assert (config["model"], config["seed"], config["steps"]) == ("gim-temp", 0, 300)
+    rows = [json.loads(line) for line in (trained / "metrics.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in rows] == [125, 250, 300]
+    names = {"step", "prediction", "squared", "rollout", "prior", "held_out_rmse_m", "seconds"}
+    assert all(set(row) == names for row in rows)
+    assert [row["rollout"] > 0 for row in rows] == [False, False, True]
+    header = describe_model(trained / "model.safetensors").training
+    assert header["command"] == "contactgraph train data.h5 --model gim-temp --seed 0"
+    assert (header["seed"], header["runs"], header["held_out_runs"]) == (0, 17, 3)
+    assert header["data_sha256"] == config["data_sha256"]
+    assert header["held_out_rmse_m"] == min(row["held_out_rmse_m"] for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("gim-temp", "RecurrentEdges"),
+        ("gim-non-temp", "MemorylessEdges"),
+        ("no-gim", "AllEdges"),
+        ("full-ab", "FreeLinearDynamics"),
+    ],
+)
+def test_the_models_that_train_can_fit(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, part: str
+) -> None:
+    built = []
+
+    def interrupted(state: object, *arguments: object) -> None:
+        built.append(state)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactgraph.train.fit", interrupted)
+    run = tmp_path / "run"
+    assert cli.run(["train", str(recorded), "--out", str(run), "--model", name]) == 130
+    assert part in {
+        type(each).__name__ for each in (built[0].model.inference, built[0].model.local_dynamics)
+    }
+    assert [path.name for path in run.glob("checkpoint-*")] == ["checkpoint-0000000000.safetensors"]
+    # Interrupted before its first step it goes on all the same.
+    assert cli.run(["train", str(recorded), "--out", str(run), "--resume"]) == 130
+    assert len(built) == 2
+
+
+def test_evaluate(
+    trained: Path, fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "result.json"
+    done("evaluate", trained, fresh, "--json", path)
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    values = json.loads(path.read_text())
+    assert values.keys() >= OPEN_LOOP | {"run", "data", "episodes", "seed"}
+    assert (values["run"], values["data"]) == (str(trained), str(fresh))
+    assert (values["n_steps"], values["episodes"], values["seed"]) == (10, 6, 1)
+    assert all(isinstance(values[name], int | float) for name in OPEN_LOOP)
+    assert f"error over 10 steps      {100 * values['n_step_rmse_m']:.3f} cm" in captured.out
+    assert f"F1 {values['edge_f1']:.4f}" in captured.out
+    # A model file does as well as the run it is in.
+    again = tmp_path / "again.json"
+    done("evaluate", trained / "model.safetensors", fresh, "--json", again)
+    assert {**json.loads(again.read_text()), "run": ""} == {**values, "run": ""}
+
+
+def test_control(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result, video, episodes = (tmp_path / name for name in ("out.json", "out.gif", "out.h5"))
+    options = ["--episodes", 2, "--seed", 5, "--distractors", 1, "--replan-every", 5]
+    files = ["--json", result, "--video", video, "--save", episodes]
+    done("control", trained, "pickup", *options, *files)
+    captured = capsys.readouterr()
+    assert captured.err.splitlines()[-1] == "controlling: 2 of 2"
+    values = json.loads(result.read_text())
+    assert values.keys() >= OPEN_LOOP | CLOSED_LOOP | {"run", "task", "distractors"}
+    assert (values["episodes"], values["seed"], values["distractors"]) == (2, 5, 1)
+    assert (values["horizon"], values["replan_every"]) == (20, 5)
+    low, high = values["success_interval"]
+    assert 0 <= low <= values["success_rate"] <= high <= 1
+    assert values["plan_ms_p99"] >= values["plan_ms_p50"] > 0
+    assert f"of {values['episodes']} episodes" in captured.out
+    saved = read_trajectories(episodes)
+    assert [run.scene.node_count for run in saved] == [3, 3]
+    assert saved.metadata == {"task": "pickup", "seed": 5, "distractors": 1}
+    assert video.read_bytes().startswith(b"GIF8")
+    assert {path.name for path in tmp_path.iterdir()} == {"out.json", "out.gif", "out.h5"}
+
+
+def test_control_in_space(tmp_path: Path) -> None:
+    """Three degrees of freedom and another time step: the same command, files and numbers."""
+    model, result, episodes = (tmp_path / name for name in ("m.safetensors", "out.json", "out.h5"))
+    save_model(model, gim_temp(3, 3, 0.01, 0.03, weight=True, key=jax.random.key(0)))
+    plans = ["--horizon", 20, "--replan-every", 20]
+    files = ["--json", result, "--save", episodes]
+    done("control", model, "franka", "--episodes", 1, "--grasp", "weld", *plans, *files)
+    values = json.loads(result.read_text())
+    assert values.keys() >= OPEN_LOOP | CLOSED_LOOP
+    assert (values["task"], values["grasp"], values["horizon"]) == ("franka", "weld", 20)
+    assert values["n_steps"] == 50 and values["frozen_contact_rmse_m"] is not None
+    (run,) = read_trajectories(episodes)
+    assert run.scene.has_weight and run.control.shape == (400, 3) and run.skeleton is not None
+
+
+def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for what, said in {
+        trained: ["run folder, gim-temp, seed 0", "300 of 300 steps", "held-out"],
+        trained / "model.safetensors": ["model, ", "2 a node, control 2", "0.05 s", "data_sha256"],
+        recorded: ["dataset, 20 runs", "200 of 0.05 s", "2: gripper, target", "in 20 of 20 runs"],
+        "pickup": ["pickup: model, ", "command", "seed"],
+    }.items():
+        done("info", what)
+        captured = capsys.readouterr()
+        assert captured.err == ""
+        for words in said:
+            assert words in captured.out
+
+
+def test_info_of_a_checkpoint_says_what_it_is_not(
+    trained: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = trained / "checkpoint-0000000300.safetensors"
+    with safetensors.safe_open(path, framework="numpy") as file:
+        assert json.loads(file.metadata()["contactgraph"])["format"] == "contactgraph-checkpoint"
+    assert cli.run(["info", str(path)]) == 2
+    assert "must be 'contactgraph-model'" in capsys.readouterr().err

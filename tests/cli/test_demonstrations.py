@@ -1,0 +1,93 @@
+"""Demonstrations, as a user records them: one goal for all runs, an expert without noise."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contactgraph.cli import main as cli
+from contactgraph.data import read_trajectories
+from contactgraph.data.dataset import Dataset
+from contactgraph.envs import (
+    DoorExpert,
+    DoorTask,
+    FrankaExpert,
+    MultiPickupTask,
+    PickupExpert,
+    PickupTask,
+)
+from contactgraph.envs.run_episode import run_episode
+from contactgraph_franka.envs import FrankaTask
+
+PARTS = {
+    "pickup": (PickupTask, PickupExpert, 1),
+    "multi-pickup": (MultiPickupTask, PickupExpert, 2),
+    "door": (DoorTask, DoorExpert, 1),
+    "franka": (FrankaTask, FrankaExpert, 1),
+}
+"""Task, expert, number of targets."""
+
+
+def demonstrated(path: Path, task: str, *options: object) -> Dataset:
+    arguments = ["collect", task, "--goal", "fixed", "--expert", "demo", *options, "--out", path]
+    assert cli.run([str(each) for each in arguments]) == 0
+    return read_trajectories(path)
+
+
+@pytest.mark.parametrize("task", PARTS)
+def test_demonstrations_of_every_task(tmp_path: Path, task: str) -> None:
+    task_class, expert_class, targets = PARTS[task]
+    episodes = 2 if task == "franka" else 4
+    runs = demonstrated(tmp_path / "demos.h5", task, "--episodes", episodes, "--seed", 3)
+    assert runs.metadata == {
+        "task": task,
+        "seed": 3,
+        "distractors": 0,
+        "goal": "fixed",
+        "expert": "demo",
+    }
+    assert all(run.scene.metadata["success"] for run in runs)
+    assert len({run.scene.metadata["fixed_seed"] for run in runs}) == 1
+    begins = np.stack([run.position[0] for run in runs])
+    assert np.array_equal(begins[:, 1:], np.broadcast_to(begins[0, 1:], begins[:, 1:].shape))
+    assert begins.shape[1] == 1 + targets
+    assert len(np.unique(begins[:, 0], axis=0)) == len(runs)
+    assert len(np.unique([run.scene.goal for run in runs], axis=0)) == 1
+    *_, last = runs
+    told = last.scene.metadata
+    again = run_episode(
+        task_class(fixed_seed=told["fixed_seed"]), expert_class(noise=0.0), told["seed"]
+    )
+    assert np.array_equal(again.control, last.control), "no noise, and to be had again"
+    other = demonstrated(tmp_path / "other.h5", task, "--episodes", 1, "--seed", 4)
+    assert not np.array_equal(next(iter(other)).scene.goal, next(iter(runs)).scene.goal)
+
+
+def test_one_goal_among_any_number_of_bystanders(tmp_path: Path) -> None:
+    options = ["--distractors", 2, "--objects", 1, "--mixed"]
+    runs = demonstrated(tmp_path / "demos.h5", "multi-pickup", *options, "--episodes", 6)
+    fewer = demonstrated(tmp_path / "fewer.h5", "multi-pickup", *options, "--episodes", 2)
+    assert [run.scene.node_count for run in runs] == [2, 3, 4, 2, 3, 4]
+    assert len({(*run.scene.goal, *run.position[0, 1]) for run in runs}) == 1
+    assert len({tuple(run.position[0, 0]) for run in runs}) == 6
+    for one, again in zip(runs, fewer, strict=False):
+        assert np.array_equal(one.position, again.position), "the same, however many are recorded"
+
+
+def test_what_is_said_by_default_need_not_be_said(tmp_path: Path) -> None:
+    said, unsaid = tmp_path / "said.h5", tmp_path / "unsaid.h5"
+    common = ["collect", "pickup", "--episodes", "2", "--seed", "5"]
+    assert cli.run([*common, "--goal", "sampled", "--expert", "train", "--out", str(said)]) == 0
+    assert cli.run([*common, "--out", str(unsaid)]) == 0
+    assert said.read_bytes() == unsaid.read_bytes()
+    first, second = read_trajectories(unsaid)
+    assert not np.array_equal(first.scene.goal, second.scene.goal)
+
+
+def test_runs_of_one_goal_may_be_to_train_on(tmp_path: Path) -> None:
+    path = tmp_path / "data.h5"
+    arguments = ["collect", "pickup", "--goal", "fixed", "--resting", "0.5", "--episodes", "2"]
+    assert cli.run([*arguments, "--out", str(path)]) == 0
+    runs = read_trajectories(path)
+    assert "expert" not in runs.metadata and runs.metadata["goal"] == "fixed"
+    assert [bool(np.any(run.control)) for run in runs] == [True, False]

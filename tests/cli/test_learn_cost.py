@@ -1,0 +1,330 @@
+"""Learning costs from the command line: what it says and writes, and what it refuses."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from contactgraph.cli import main as cli
+from contactgraph.cli.task_names import TASKS, TaskOptions, task_factory
+from contactgraph.control import LearnedCost, describe_cost, read_cost
+from contactgraph.data import Scene, Trajectory, write_trajectories
+from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
+from contactgraph.evaluate import collect
+
+STEPS = 45
+"""Of a run: beyond the touch, which comes after 16 to 25."""
+METADATA = {"task": "pickup", "seed": 0}
+
+
+def cut(run: Trajectory, steps: int = STEPS) -> Trajectory:
+    assert run.contact is not None
+    states = {name: getattr(run, name)[: steps + 1] for name in ("position", "velocity", "contact")}
+    return replace(run, **states, control=run.control[:steps])
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Trajectory]:
+    """Three demonstrations of one goal, with bystanders in view."""
+    factory = partial(PickupTask, 2, fixed_seed=7)
+    return [cut(run) for run in collect([factory], [PickupExpert(noise=0.0)], 3, 0)]
+
+
+@pytest.fixture(scope="module")
+def demos(runs: list[Trajectory], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("demos") / "demos.h5"
+    write_trajectories(path, runs, METADATA)
+    return path
+
+
+def learned(demos: Path, *options: object) -> list[str]:
+    return ["learn-cost", "pickup", str(demos), "--steps", "20", *(str(each) for each in options)]
+
+
+@pytest.fixture(scope="module")
+def cost(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cost") / "cost.json"
+    assert cli.run(learned(demos, "--out", path)) == 0
+    return path
+
+
+def test_what_is_said_and_written(
+    demos: Path, cost: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, picture = tmp_path / "cost.json", tmp_path / "cost.png"
+    assert cli.run(learned(demos, "--out", out, "--picture", picture)) == 0
+    said, progress = capsys.readouterr()
+    lines = said.splitlines()
+    assert [line.split(":")[0] for line in lines[:3]] == [
+        "kept     gripper",
+        "kept     target",
+        "dropped  distractor-0, distractor-1",
+    ]
+    assert lines[0].startswith("kept     gripper: actuated; in contact in 3 of 3 runs, from ")
+    assert lines[2].endswith(": no active edge in any of 3 runs")
+    assert lines[3].startswith("gripper - target  1 m costs as much as ")
+    assert lines[4].startswith("target - goal     1 m costs as much as ")
+    assert lines[5].startswith("imitation loss  ") and lines[5].endswith(" in the end")
+    assert lines[6].startswith(f"{out}: learned from 3 demonstrations in ")
+    assert lines[7:] == [f"{picture}: the cost as a picture"]
+    assert progress.splitlines()[-1].startswith("learning: 20 of 20 imitation loss ")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert {path.name for path in tmp_path.iterdir()} == {"cost.json", "cost.png"}
+    first, again = read_cost(cost), read_cost(out)
+    assert np.array_equal(first.Q, again.Q) and np.array_equal(first.R, again.R), "one seed"
+    assert first.history.imitation[-1] < first.history.imitation[0]
+
+
+def test_the_file_says_how_it_was_made(demos: Path, cost: Path, runs: list[Trajectory]) -> None:
+    summary = describe_cost(cost)
+    assert summary.cost.kept_nodes == ("gripper", "target")
+    assert np.allclose(summary.cost.goal, runs[0].scene.goal)
+    made = summary.made
+    assert (made["model"], made["demonstrations"], made["runs"]) == ("pickup", str(demos), 3)
+    assert (made["seed"], made["goal"], made["data"]) == (0, "the runs' own", METADATA)
+    assert made["recipe"]["steps"] == 20 and made["recipe"]["horizon"] == 20
+    assert made["seconds"] > 0 and "jax" in made["versions"]
+    assert len(made["model_sha256"]) == len(made["demonstrations_sha256"]) == 64
+
+
+class Asked(Exception):
+    """Raised in place of long work, with what it was asked for."""
+
+
+def asking(*arguments: object, **options: object) -> None:
+    raise Asked(arguments, options)
+
+
+def test_the_flags_reach_the_learner(
+    demos: Path, runs: list[Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("contactgraph.control.learn_cost", asking)
+    flags = ["--runs", 2, "--goal", "-0.1", "0.2", "--prior-weight", "0", "--horizon", 12]
+    with pytest.raises(Asked) as asked:
+        cli.run(learned(demos, "--out", tmp_path / "a.json", "--seed", 5, *flags))
+    (_, dataset, recipe), options = asked.value.args
+    assert (len(dataset), dataset.metadata) == (2, METADATA)
+    assert (recipe.steps, recipe.horizon, recipe.prior_weight) == (20, 12, 0.0)
+    assert (options["goal"], options["seed"]) == ((-0.1, 0.2), 5)
+    assert options["limits"].upper.tolist() == [10.0, 10.0]  # The task's own.
+
+
+@pytest.mark.parametrize(("task", "horizon"), [("pickup", 20), ("franka", 50), ("juggling", 20)])
+def test_the_horizon_is_the_task_s(
+    runs: list[Trajectory],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    task: str,
+    horizon: int,
+) -> None:
+    monkeypatch.setattr("contactgraph.control.learn_cost", asking)
+    demos = tmp_path / "demos.h5"
+    write_trajectories(demos, runs, {"task": task})
+    with pytest.raises(Asked) as asked:
+        cli.run(learned(demos, "--out", tmp_path / "a.json"))
+    assert asked.value.args[0][2].horizon == horizon
+
+
+@pytest.mark.parametrize(
+    ("task", "flags", "bound"),
+    [
+        ("pickup", [], 10.0),
+        ("franka", [], 20.0),
+        ("juggling", [], None),
+        ("juggling", ["--max-force", "3.5"], 3.5),
+        ("pickup", ["--max-force", "3.5"], 3.5),
+    ],
+)
+def test_the_largest_force_is_the_task_s_or_what_is_said(
+    runs: list[Trajectory],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    task: str,
+    flags: list[str],
+    bound: float | None,
+) -> None:
+    monkeypatch.setattr("contactgraph.control.learn_cost", asking)
+    demos = tmp_path / "demos.h5"
+    write_trajectories(demos, runs, {"task": task})
+    with pytest.raises(Asked) as asked:
+        cli.run(learned(demos, "--out", tmp_path / "a.json", *flags))
+    limits = asked.value.args[1]["limits"]
+    if bound is None:
+        assert limits is None
+    else:
+        assert limits.upper.tolist() == [bound] * 2 and limits.lower.tolist() == [-bound] * 2
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_known_tasks_say_their_largest_force(name: str) -> None:
+    task = task_factory(name, TaskOptions())()
+    assert (task.action_space.high == TASKS[name].max_force).all()
+
+
+def test_control_plans_with_it(cost: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = tmp_path / "out.json"
+    command = ["control", "pickup", "pickup", "--episodes", "1", "--replan-every", "10"]
+    assert cli.run([*command, "--cost", str(cost), "--json", str(result)]) == 0
+    values = json.loads(result.read_text())
+    assert values["cost"] == str(cost)
+    assert values["episodes"] == 1
+    monkeypatch.setattr("contactgraph.evaluate.control_task", asking)
+    with pytest.raises(Asked) as asked:
+        cli.run([*command, "--cost", str(cost)])
+    planned = asked.value.args[1]["cost"]
+    assert asked.value.args[1]["horizon"] == 40, "twice as far as with the task's own"
+    assert isinstance(planned, LearnedCost) and np.array_equal(planned.Q, read_cost(cost).Q)
+    with pytest.raises(Asked) as asked:
+        cli.run(command)
+    assert asked.value.args[1]["cost"] is None and asked.value.args[1]["horizon"] == 20
+
+
+def test_info(cost: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["info", str(cost)]) == 0
+    said, errors = capsys.readouterr()
+    assert errors == ""
+    assert said.startswith(f"{cost}: learned cost about gripper, target\n")
+    for words in (
+        "2 a node, control 2",
+        "kept     gripper: actuated",
+        "dropped  distractor-0, distractor-1: no",
+    ):
+        assert words in said
+    for words in ("gripper - target  1 m costs", "imitation loss", "seed   ", '"steps": 20'):
+        assert words in said
+
+
+@pytest.fixture
+def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    """Runs a command in an empty folder, expects it to fail well, and gives what it said."""
+    monkeypatch.chdir(tmp_path)
+
+    def fails(*arguments: object) -> str:
+        before = sorted(path.name for path in tmp_path.iterdir())
+        assert cli.run([str(each) for each in arguments]) == 2
+        said, errors = capsys.readouterr()
+        assert said == ""
+        assert sorted(path.name for path in tmp_path.iterdir()) == before, "something is left"
+        (line,) = errors.splitlines()
+        return line.removeprefix("contactgraph: ")
+
+    return fails
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        ("", "learn-cost needs --out (see contactgraph learn-cost --help)"),
+        ("--out cost", "--out must name a file that ends in .json, found cost"),
+        ("--out no/cost.json", "no/cost.json: folder no does not exist"),
+        ("--out a.json --picture a.svg", "--picture must name a file that ends in .png, found a.s"),
+        ("--out a.json --picture no/a.png", "no/a.png: folder no does not exist"),
+        ("--out a.json --runs 4", "--runs must be 1 to 3, the runs in "),
+        ("--out a.json --runs 0", "--runs must be 1 to 3, the runs in "),
+        ("--out a.json --max-force 0", "--max-force must be positive, found 0.0"),
+        ("--out a.json --horizon 0", "--horizon must be 1 to 1000, found 0"),
+        ("--out a.json --steps 0", "--steps must be 1 to 1000000, found 0"),
+        ("--out a.json --seed -1", "--seed must be 0 to 4294967295, found -1"),
+        ("--out a.json --prior-weight -1", "--prior-weight must be a number of at least 0, found"),
+        ("--out a.json --prior-weight inf", "--prior-weight must be a number of at least 0, foun"),
+        ("--out a.json --goal 0.1", "--goal must be 2 finite numbers [m], found 0.1"),
+        ("--out a.json --goal 0.1 nan", "--goal must be 2 finite numbers [m], found 0.1 nan"),
+        ("--out a.json --goal 0.1 x", "--goal must be numbers, found '0.1', 'x' (see"),
+        ("--out a.json --goal", "--goal must be 2 finite numbers [m], found none"),
+    ],
+)
+def test_mistakes_in_the_flags(mistake, demos: Path, flags: str, said: str) -> None:
+    assert mistake("learn-cost", "pickup", demos, *flags.split()).startswith(said)
+
+
+def with_scene(run: Trajectory, **changes: object) -> Trajectory:
+    return replace(run, scene=replace(run.scene, **changes))
+
+
+def in_space(run: Trajectory) -> Trajectory:
+    state = np.zeros((STEPS + 1, 2, 3))
+    scene = Scene(("a", "b"), ("x", "x"), np.array([True, False]), run.scene.dt, 3)
+    return Trajectory(scene, state, state, run.control)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda run: replace(run, control=run.control[:, :0]),
+            "demos.h5: run 0: control must have at least one axis, found none",
+        ),
+        (in_space, "demos.h5: the model is for dimension D 2, but run 0 has 3; they must agree"),
+        (
+            lambda run: with_scene(run, dt=0.02),
+            "demos.h5: the model is for dt 0.05 s, but run 0 has 0.02 s; they must agree",
+        ),
+        (
+            lambda run: with_scene(run, goal=None),
+            "demos.h5: run 0: goal is missing; a cost is about a goal",
+        ),
+        (
+            lambda run: cut(run, 19),
+            "demos.h5: run 0: control must have at least the horizon's 20 steps, found 19",
+        ),
+    ],
+)
+def test_runs_that_no_cost_can_be_learned_from(
+    mistake,
+    runs: list[Trajectory],
+    tmp_path: Path,
+    change: Callable[[Trajectory], Trajectory],
+    said: str,
+) -> None:
+    write_trajectories(tmp_path / "demos.h5", [change(run) for run in runs], METADATA)
+    assert mistake(*learned(Path("demos.h5"), "--out", "a.json")) == said
+
+
+def test_runs_in_which_nothing_touches(mistake, runs: list[Trajectory], tmp_path: Path) -> None:
+    rest = [cut(run) for run in collect([PickupTask], [RestPolicy()], 1, 0)]
+    write_trajectories(tmp_path / "demos.h5", [*runs, *rest], METADATA)
+    said = mistake(*learned(Path("demos.h5"), "--out", "a.json"))
+    assert said.startswith("demos.h5: run 3: contact is never made, as the model infers it; a demo")
+
+
+def test_files_that_are_no_good(mistake, demos: Path, tmp_path: Path) -> None:
+    said = mistake(*learned(Path("none.h5"), "--out", "a.json"))
+    assert said == "none.h5: does not exist"
+    (tmp_path / "nan.h5").write_bytes(demos.read_bytes())
+    with h5py.File(tmp_path / "nan.h5", "r+") as file:
+        file["trajectories/000002/velocity"][7, 1, 0] = np.nan
+    said = mistake(*learned(Path("nan.h5"), "--out", "a.json"))
+    assert said.startswith("nan.h5: trajectories/000002: velocity"), said
+    assert mistake("info", demos.parent / "nothing.json").endswith(
+        "ship are door, franka, multi-pickup, pickup"
+    )
+
+
+def test_costs_that_do_not_fit(
+    mistake, cost: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("contactgraph.control.MPC.reset", asking)  # which compiles
+    said = mistake("control", "door", "door", "--cost", cost)
+    assert said == (
+        "the cost is about the nodes gripper, target, but the scene has no target; its nodes are "
+        "gripper, door"
+    )
+    said = mistake("control", "pickup", "pickup", "--cost", "none.json")
+    assert said == "none.json: does not exist"
+    (tmp_path / "other.json").write_text(json.dumps({"success_rate": 1.0}))
+    for command in (
+        ["info", "other.json"],
+        ["control", "pickup", "pickup", "--cost", "other.json"],
+    ):
+        said = mistake(*command)
+        assert said == "other.json: must be a cost file, whose 'format' is 'contactgraph-cost'"
+    content = json.loads(cost.read_text())
+    content["R"][0][0] = -1.0
+    (tmp_path / "bad.json").write_text(json.dumps(content))
+    said = mistake("control", "pickup", "pickup", "--cost", "bad.json")
+    assert said.startswith("bad.json: field 'R' must be positive definite, but its smallest eigenv")

@@ -1,0 +1,103 @@
+"""A recording that is interrupted goes on; its file is that of one that was not."""
+
+from pathlib import Path
+
+import h5py
+import pytest
+
+from contactgraph.cli import main as cli
+from contactgraph.cli import unfinished_runs
+from contactgraph.data import read_trajectories
+from contactgraph.envs import collect as collecting
+
+COMMAND = ["collect", "pickup", "--episodes", "7", "--seed", "3", "--exploration", "0.3", "--out"]
+
+
+class Interrupter:
+    """Records as ever, until Ctrl-C is pressed in the run of a number."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.made, self.at = 0, -1
+        self._run_episode = collecting.run_episode
+        patch.setattr(collecting, "run_episode", self)
+
+    def __call__(self, *arguments):
+        if self.made == self.at:
+            self.at = -1
+            raise KeyboardInterrupt
+        self.made += 1
+        return self._run_episode(*arguments)
+
+
+@pytest.fixture
+def interrupter(monkeypatch: pytest.MonkeyPatch) -> Interrupter:
+    return Interrupter(monkeypatch)
+
+
+def unfinished(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.unfinished-*"))
+
+
+def contents(path: Path) -> dict[str, object]:
+    """All arrays and attributes of a dataset file, by their places."""
+    found: dict[str, object] = {}
+
+    def look(name: str, item: h5py.Group | h5py.Dataset) -> None:
+        value = item[()].tolist() if isinstance(item, h5py.Dataset) else None
+        found[name] = value, dict(item.attrs)
+
+    with h5py.File(path) as file:
+        file.visititems(look)
+    return found
+
+
+@pytest.mark.parametrize("every_s", [0.0, 1e9], ids=["file a run", "all in one file"])
+def test_twice_interrupted_it_is_the_same_file_and_no_run_is_made_twice(
+    tmp_path: Path,
+    interrupter: Interrupter,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    every_s: float,
+) -> None:
+    monkeypatch.setattr(unfinished_runs, "_EVERY_S", every_s)
+    whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
+    assert cli.run([*COMMAND, str(whole)]) == 0
+    interrupter.made = 0
+    for at in (2, 5):
+        interrupter.at = at
+        assert cli.run([*COMMAND, str(parts)]) == 130
+        (folder,) = unfinished(tmp_path)
+        said = capsys.readouterr().err.splitlines()
+        assert said[-2] == f"{folder}: {at} runs are kept; the same command goes on from there"
+        assert not parts.exists()
+    assert cli.run([*COMMAND, str(parts)]) == 0
+    assert interrupter.made == 7
+    assert capsys.readouterr().out.startswith(f"{parts}: goes on after 5 of 7 runs\n")
+    assert unfinished(tmp_path) == []
+    assert contents(parts) == contents(whole)
+
+
+def test_other_runs_begin_anew_and_leave_those_alone(
+    tmp_path: Path, interrupter: Interrupter
+) -> None:
+    out = tmp_path / "x.h5"
+    interrupter.at = 3
+    assert cli.run([*COMMAND, str(out)]) == 130
+    (folder,) = unfinished(tmp_path)
+    interrupter.made = 0
+    assert cli.run([*COMMAND, str(out), "--seed", "4"]) == 0
+    assert interrupter.made == 7 and unfinished(tmp_path) == [folder]
+
+
+def test_what_cannot_be_read_is_recorded_anew(
+    tmp_path: Path, interrupter: Interrupter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unfinished_runs, "_EVERY_S", 0.0)
+    out = tmp_path / "x.h5"
+    interrupter.at = 4
+    assert cli.run([*COMMAND, str(out)]) == 130
+    (folder,) = unfinished(tmp_path)
+    (folder / "000002.h5").write_bytes(b"half")
+    interrupter.made = 0
+    assert cli.run([*COMMAND, str(out)]) == 0
+    assert interrupter.made == 5 and len(read_trajectories(out)) == 7

@@ -1,0 +1,257 @@
+"""Whatever a user gets wrong: exit code 2, one line that helps, and nothing left behind."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from contactgraph.cli import main as cli
+from contactgraph.data import Scene, Trajectory, write_trajectories
+
+
+@pytest.fixture
+def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    """Runs a command in an empty folder, expects it to fail well, and gives what it said."""
+    monkeypatch.chdir(tmp_path)
+
+    def fails(*arguments: object, code: int = 2) -> str:
+        before = sorted(path.name for path in tmp_path.rglob("*"))
+        assert cli.run([str(each) for each in arguments]) == code
+        captured = capsys.readouterr()
+        assert sorted(path.name for path in tmp_path.rglob("*")) == before, "something is left"
+        lines = captured.err.splitlines()
+        assert len(lines) == 1, captured.err
+        assert captured.out == ""
+        assert lines[0].startswith("contactgraph: ")
+        return lines[0].removeprefix("contactgraph: ")
+
+    return fails
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("trian", "no command 'trian'; the commands are collect, train, evaluate, control, "),
+        ("--out x", "no command '--out'; the commands are collect"),
+        ("train", "train needs DATA and --out (see contactgraph train --help)"),
+        ("collect", "collect needs TASK and --out (see contactgraph collect --help)"),
+        ("evaluate", "evaluate needs RUN and DATA (see"),
+        ("control x", "control needs TASK (see"),
+        ("info", "info needs FILE (see"),
+        ("info a b", "info does not take b (see"),
+        ("train a --out b --stps 3", "train does not take --stps 3; did you mean --steps? (see"),
+        ("train a --stps 3", "train does not take --stps 3 (see"),
+        ("train a --out b --steps x", "--steps must be an integer, found 'x' (see"),
+        ("collect pickup --out b --episodes 1.5", "--episodes must be an integer, found '1.5'"),
+        ("train a --out b --learning-rate x", "--learning-rate must be a number, found 'x'"),
+        ("control a b --deadline-ms x", "--deadline-ms must be a number, found 'x'"),
+        ("control a b --objects x", "--objects must be an integer, found 'x'"),
+        ("collect pickup --out", "--out needs a value (see"),
+        ("train a --out b --resume yes", "train does not take yes (see"),
+        (
+            "collect juggling --out a.h5",
+            "task must be one of pickup, multi-pickup, door, franka; found 'juggling'",
+        ),
+        ("collect pickup --out a.h5 --episodes 0", "--episodes must be 1 to 100000, found 0"),
+        ("collect pickup --out a.h5 --episodes -3", "--episodes must be 1 to 100000, found -3"),
+        ("collect pickup --out a.h5 --episodes 99999999999", "--episodes must be 1 to 100000"),
+        ("collect pickup --out a.h5 --seed -1", "--seed must be 0 to 4294967295, found -1"),
+        ("collect pickup --out a.h5 --seed 4294967296", "--seed must be 0 to 4294967295"),
+        ("collect pickup --out a.h5 --distractors -1", "distractors must be 0 to 20, found -1"),
+        ("collect pickup --out a.h5 --distractors 21", "distractors must be 0 to 20, found 21"),
+        ("collect pickup --out a.h5 --objects 2", "--objects: pickup has 1 object, found 2"),
+        ("collect multi-pickup --out a.h5 --objects 6", "objects must be 1 to 5, found 6"),
+        ("collect door --out a.h5 --objects 1", "--objects: door has no objects to count, found 1"),
+        ("collect door --out a.h5 --grasp weld", "--grasp: door has no fingers to close, found 'w"),
+        ("control nobody pickup --grasp weld", "--grasp: pickup has no fingers to close, found"),
+        ("collect multi-pickup --out a.h5 --grasp", "--grasp needs a value (see"),
+        ("collect multi-pickup --out a.h5 --grasp x", "--grasp: multi-pickup has no fingers to cl"),
+        ("collect franka --out a.h5 --grasp glue", "--grasp must be one of friction, weld; found"),
+        ("collect franka --out a.h5 --objects 2", "--objects: franka has 1 object, found 2"),
+        ("collect franka --out a.h5 --distractors 6", "distractors must be 0 to 5, found 6"),
+        ("collect door --out a.h5 --distractors 11", "distractors must be 0 to 10, found 11"),
+        ("collect door --out a.h5 --mixed --distractors -1", "distractors must be 0 to 10, found"),
+        ("collect multi-pickup --out a.h5 --mixed --objects 0", "objects must be 1 to 5, found 0"),
+        ("collect pickup --out a.h5 --resting 2", "--resting must be 0 to 1, found 2.0"),
+        ("collect pickup --out a.h5 --resting nan", "--resting must be 0 to 1, found nan"),
+        (
+            "collect pickup --out a.h5 --resting 0.6 --exploration 0.6",
+            "--exploration and --resting together must not exceed 1",
+        ),
+        (
+            "collect pickup --out a.h5 --goal moving",
+            "--goal must be one of sampled, fixed; found 'moving'",
+        ),
+        (
+            "collect pickup --out a.h5 --expert best",
+            "--expert must be one of train, demo; found 'best'",
+        ),
+        (
+            "collect pickup --out a.h5 --expert demo --resting 0.1",
+            "--expert demo: every run is a demonstration, so --exploration and --resting must be ",
+        ),
+        (
+            "collect multi-pickup --out a.h5 --goal fixed --mixed --objects 2",
+            "--goal fixed: all runs have the same objects, so --mixed takes --objects 1 or none, f",
+        ),
+        ("collect pickup --out a.h5 --goal fixed --seed -1", "--seed must be 0 to 4294967295, fou"),
+        ("collect pickup --out no/a.h5", "no/a.h5: folder no does not exist"),
+        ("collect pickup --out .", ".: must be a file, found a folder"),
+        ("train a.h5 --out run", "a.h5: does not exist"),
+        ("train a.h5 --out run --resume", "run: not a run folder (it has no config.json)"),
+        (
+            "train a.h5 --out run --model best",
+            "--model must be one of gim-temp, gim-non-temp, no-gi",
+        ),
+        ("train a.h5 --out run --steps 0", "steps must be 1 to 1000000000, found 0"),
+        ("train a.h5 --out run --batch-size 999999999", "batch_size must be 1 to 65536"),
+        ("train a.h5 --out run --bystanders -1", "bystanders must be 0 to 100, found -1"),
+        ("train a.h5 --out run --seed -1", "--seed must be 0 to 4294967295, found -1"),
+        ("train a.h5 --out run --contact-distance -1", "--contact-distance must be positive metr"),
+        ("train a.h5 --out run --contact-distance inf", "--contact-distance must be positive met"),
+        ("evaluate nobody a.h5", "nobody: no such run folder or model file; models that ship are"),
+        ("evaluate . a.h5", ".: has no model.safetensors; it must be a folder that train has made"),
+        ("control nobody pickup", "nobody: no such run folder or model file; models that ship are"),
+        (
+            "control nobody juggling",
+            "task must be one of pickup, multi-pickup, door, franka; found 'juggling'",
+        ),
+        ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),
+        ("control nobody pickup --horizon 0", "--horizon must be 1 to 1000, found 0"),
+        ("control nobody pickup --seed -1", "--seed must be 0 to 4294967295, found -1"),
+        ("control nobody pickup --video a.png", "video: a.png must end in .gif or .mp4"),
+        ("control nobody pickup --video no/a.gif", "no/a.gif: folder no does not exist"),
+        ("control nobody pickup --json no/a.json", "no/a.json: folder no does not exist"),
+        ("control nobody pickup --save no/a.h5", "no/a.h5: folder no does not exist"),
+        ("info nothing", "nothing: does not exist; models that ship are"),
+        ("info nothing.safetensors", "nothing.safetensors: no such run folder or model file"),
+        ("info .", ".: not a run folder (it has no config.json)"),
+    ],
+)
+def test_mistakes_in_the_arguments(mistake, arguments: str, said: str) -> None:
+    assert mistake(*arguments.split()).startswith(said)
+
+
+@pytest.mark.parametrize("command", ["train", "evaluate", "info"])
+def test_files_that_are_no_good(mistake, recorded: Path, tmp_path: Path, command: str) -> None:
+    arguments = {
+        "train": lambda path: ["train", path, "--out", "run"],
+        "evaluate": lambda path: ["evaluate", "pickup", path, "--json", "out.json"],
+        "info": lambda path: ["info", path],
+    }[command]
+    for name, content in {
+        "foreign.h5": b"once upon a time",
+        "empty.h5": b"",
+        "truncated.h5": recorded.read_bytes()[:5000],
+    }.items():
+        (tmp_path / name).write_bytes(content)
+        assert mistake(*arguments(name)).startswith(f"{name}: ")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = 1
+    assert mistake(*arguments("other.h5")).startswith("other.h5: ")
+    if command != "info":  # which looks at no numbers
+        (tmp_path / "nan.h5").write_bytes(recorded.read_bytes())
+        with h5py.File(tmp_path / "nan.h5", "r+") as file:
+            file["trajectories/000003/velocity"][7, 1, 0] = np.nan
+        said = mistake(*arguments("nan.h5"))
+        assert re.match(r"nan\.h5: trajectories/000003.*velocity.*finite.*nan", said), said
+
+
+def run_of(dimension: int, control_size: int, dt: float, steps: int = 40) -> Trajectory:
+    state = np.zeros((steps + 1, 2, dimension))
+    scene = Scene(("a", "b"), ("x", "x"), np.array([True, False]), dt, dimension)
+    return Trajectory(scene, state, state, np.zeros((steps, control_size)))
+
+
+@pytest.mark.parametrize(
+    ("run", "said"),
+    [
+        (run_of(3, 2, 0.05), "the model is for dimension D 2, but the data has 3; they must agree"),
+        (run_of(2, 3, 0.05), "the model is for control size U 2, but the data has 3; they must"),
+        (run_of(2, 2, 0.03), "the model is for dt 0.05 s, but the data has 0.03 s; they must"),
+    ],
+)
+def test_a_model_and_data_that_do_not_fit(
+    mistake, trained: Path, tmp_path: Path, run: Trajectory, said: str
+) -> None:
+    write_trajectories(tmp_path / "other.h5", [run, run])
+    assert mistake("evaluate", trained, "other.h5", "--json", "out.json").startswith(said)
+
+
+def test_a_model_and_a_task_that_do_not_fit(mistake, tmp_path: Path) -> None:
+    import jax
+
+    from contactgraph.model import gim_temp
+    from contactgraph.model.storage import save_model
+
+    save_model(tmp_path / "m.safetensors", gim_temp(3, 2, 0.05, key=jax.random.key(0)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("contactgraph.cli.output._Lines.advance", lambda *arguments: None)
+        said = mistake("control", "m.safetensors", "pickup", "--episodes", 1, "--save", "a.h5")
+    assert said == "the model is for dimension D 3, but the task has 2; they must agree"
+
+
+def test_runs_too_few_or_too_short(mistake, recorded: Path, tmp_path: Path) -> None:
+    write_trajectories(tmp_path / "one.h5", [run_of(2, 2, 0.05)])
+    assert "needs at least 2 runs, found 1" in mistake("train", "one.h5", "--out", "run")
+    said = mistake("train", recorded, "--out", "run", "--window-length", 500)
+    assert said.startswith("window_length must be 1 to 200")
+    said = mistake("train", recorded, "--out", "run", "--held-out", 2)
+    assert said.startswith("held_out_fraction must lie between 0 and 1")
+
+
+def test_a_run_that_is_there_is_not_touched(mistake, trained: Path, recorded: Path) -> None:
+    before = {path.name: path.read_bytes() for path in trained.iterdir()}
+    said = mistake("train", recorded, "--out", trained)
+    assert said == f"{trained}: holds a run already; use --resume, or another folder"
+    assert {path.name: path.read_bytes() for path in trained.iterdir()} == before
+
+
+def test_resuming_with_other_data(mistake, trained: Path, fresh: Path) -> None:
+    said = mistake("train", fresh, "--out", trained, "--resume")
+    assert said == f"{fresh}: not the data that {trained} was begun with"
+
+
+def test_resuming_without_a_checkpoint(
+    mistake, trained: Path, recorded: Path, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.json").write_bytes((trained / "config.json").read_bytes())
+    said = mistake("train", recorded, "--out", run, "--resume")
+    assert said == f"{run}: has no checkpoint to resume from"
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps({**config, "steps": "many"}))
+    said = mistake("train", recorded, "--out", run, "--resume")
+    assert said == f"{run}/config.json: steps must be like 2000, found 'many'"
+
+
+@pytest.mark.parametrize("command", ["collect franka --out a.h5", "control pickup franka"])
+def test_mujoco_missing(tmp_path: Path, command: str) -> None:
+    main = "import sys; from contactgraph.cli.main import main; sys.modules['mujoco'] = None; "
+    told = subprocess.run(
+        [sys.executable, "-c", main + "main(sys.argv[1:])", *command.split()],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    said = "contactgraph: franka needs MuJoCo: pip install 'contactgraph[mujoco]'\n"
+    assert (told.returncode, told.stdout, told.stderr) == (2, "", said)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_closed_pipe_is_no_mistake() -> None:
+    main = "import sys; from contactgraph.cli.main import main; main(sys.argv[1:])"
+    done = subprocess.run(
+        f"{sys.executable} -c '{main}' train --help | true; exit ${{PIPESTATUS[0]}}",
+        shell=True,
+        executable="/bin/bash",
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, "")

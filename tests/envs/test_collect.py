@@ -1,0 +1,55 @@
+"""Recording by several processes: the same runs, in the same order."""
+
+import os
+
+import pytest
+from test_run_episode import same
+
+from contactgraph.envs import DoorExpert, DoorTask, ExplorationPolicy, PickupExpert, PickupTask
+from contactgraph.envs import collect as collecting
+from contactgraph.evaluate import collect
+from contactgraph.parallel import LocalProcesses
+
+
+class Signed(PickupTask):
+    """Tells who recorded."""
+
+    def begin(self, seed):
+        scene, world = super().begin(seed)
+        scene.metadata["recorder"] = os.getpid()
+        return scene, world
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    """Processes begin after the first run, whether they pay or not."""
+    monkeypatch.setattr(collecting, "_ALONE_S", 0.0)
+    monkeypatch.setattr(collecting, "_START_S", 0.0)
+
+
+@pytest.mark.usefixtures("at_once")
+def test_processes_record_what_one_would_bit_for_bit():
+    # Runs follow other runs than they would in one process: nothing may be left of those.
+    mix = [PickupExpert(), ExplorationPolicy()]
+    told = []
+    runs = collect([Signed], mix, 7, 3, told.append, engine=LocalProcesses(2))
+    alone = collect([PickupTask], mix, 7, 3)
+    assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
+    assert all(one is other for one, other in zip(told, runs, strict=True))
+    recorders = [run.scene.metadata["recorder"] for run in runs]
+    assert recorders[0] == os.getpid() and os.getpid() not in recorders[1:]
+
+
+@pytest.mark.usefixtures("at_once")
+def test_the_doors_expert_keeps_nothing_either():
+    runs = collect([DoorTask], [DoorExpert()], 4, 1, engine=LocalProcesses(2))
+    alone = collect([DoorTask], [DoorExpert()], 4, 1)
+    assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
+
+
+def test_what_is_quickly_done_is_done_alone(monkeypatch):
+    def answers_in_order(*arguments):
+        raise AssertionError("it does not pay")
+
+    monkeypatch.setattr(collecting, "answers_in_order", answers_in_order)
+    assert len(collect([PickupTask], [PickupExpert()], 5, 0, engine=LocalProcesses(64))) == 5

@@ -1,0 +1,202 @@
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+
+from contactgraph.data import InvalidInputError, pair_indices
+from contactgraph.envs import (
+    DoorExpert,
+    DoorTask,
+    ExplorationPolicy,
+    PickupTask,
+    RestPolicy,
+    check_task,
+)
+from contactgraph.envs.door_layout import CORRIDOR, DISTRACTOR_HALF_WIDTH, sample_layout
+from contactgraph.envs.fixed_goal import fixed_layout
+from contactgraph.evaluate import collect
+
+SEEDS = range(30)
+FLOAT32 = 2e-6
+
+
+@pytest.fixture(scope="module")
+def expert_runs():
+    return collect([DoorTask], [DoorExpert()], 30, 0)
+
+
+def bar(hinge, angle, points=60):
+    """[P, 2] m along a door."""
+    return hinge + np.linspace(0.0, 1.0, points)[:, None] * [np.cos(angle), np.sin(angle)]
+
+
+def nearest(one, other):
+    return np.linalg.norm(one[:, None] - other, axis=-1).min()
+
+
+@pytest.mark.parametrize("distractors", [0, 10])
+def test_gymnasium_finds_nothing_to_warn_of(distractors):
+    spec = EnvSpec(
+        "Door-v0",
+        entry_point="contactgraph.envs:DoorTask",
+        kwargs={"distractors": distractors},
+        disable_env_checker=True,
+    )
+    with warnings.catch_warnings():
+        # The control is a force in newtons: that it is not scaled to [-1, 1] is meant.
+        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
+        check_env(gymnasium.make(spec).unwrapped)
+
+
+@pytest.mark.parametrize("distractors", [0, 10])
+def test_the_contract_is_kept(distractors):
+    check_task(lambda: DoorTask(distractors))
+
+
+@pytest.mark.parametrize("fixed_seed", [None, 3])
+def test_the_layout_keeps_its_distances(fixed_seed):
+    fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, 10))
+    for seed in SEEDS[:15]:
+        layout = sample_layout(np.random.default_rng(seed), 10, fixed)
+        hinge, angle, goal = layout.hinge[0], layout.angle[0], layout.goal_angle
+        assert nearest(layout.gripper[None], bar(hinge, angle)) >= 0.4 - 1e-3
+        assert np.abs(layout.gripper).max() <= 1.0 and np.abs(hinge).max() <= 0.2
+        assert np.abs(layout.hinge).max() <= DISTRACTOR_HALF_WIDTH
+        way = bar(hinge, angle)[29:31].mean(axis=0) - layout.gripper
+        across = way @ [-np.sin(angle), np.cos(angle)]
+        assert abs(across) >= np.linalg.norm(way) * np.cos(np.deg2rad(60.0)) - 1e-6
+        low, high = sorted([angle, goal])
+        turns = np.linspace(low - np.deg2rad(20), high + np.deg2rad(20), 25)
+        taken = np.concatenate([bar(hinge, turn) for turn in turns])
+        taken = np.concatenate([taken, layout.gripper + np.linspace(0, 1, 60)[:, None] * way])
+        others = [bar(*door) for door in zip(layout.hinge[1:], layout.angle[1:], strict=True)]
+        for index, other in enumerate(others):
+            assert nearest(other, taken) >= CORRIDOR - 3e-3
+            assert all(nearest(other, each) >= CORRIDOR - 3e-3 for each in others[:index])
+
+
+def test_doors_point_and_swing_in_all_directions():
+    layouts = [sample_layout(np.random.default_rng(seed), 0) for seed in SEEDS]
+    directions = [layout.angle[0] for layout in layouts]
+    swings = np.rad2deg([layout.goal_angle - layout.angle[0] for layout in layouts])
+    assert np.abs(swings).min() >= 20.0 and np.abs(swings).max() <= 80.0
+    assert min(swings) < -50.0 and max(swings) > 50.0
+    assert np.ptp(directions) > 4.0
+
+
+def test_the_target_door_of_a_seed_does_not_depend_on_the_distractors():
+    for seed in SEEDS:
+        with_none, _ = DoorTask(0).reset(seed=seed)
+        with_ten, _ = DoorTask(10).reset(seed=seed)
+        assert np.array_equal(with_none["position"], with_ten["position"][:2])
+        assert np.array_equal(with_none["goal"], with_ten["goal"])
+
+
+def test_the_scene_says_what_is_there():
+    task = DoorTask(2)
+    observation, _ = task.reset(seed=5)
+    scene = task.scene
+    assert scene.node_name == ("gripper", "door", "distractor-0", "distractor-1")
+    assert scene.node_type == ("gripper", "door", "door", "door")
+    assert scene.actuated.tolist() == [True, False, False, False]
+    assert scene.mass.tolist() == [1.0, 4.0, 4.0, 4.0]
+    assert scene.radius.tolist() == [0.04, 0.025, 0.025, 0.025]
+    assert scene.candidate_edges.tolist() == [[0, 1], [0, 2], [0, 3]]
+    assert len(scene.candidate_edges) < len(pair_indices(4))
+    assert np.isnan(scene.anchor[0]).all()
+    arms = observation["position"][1:] - scene.anchor[1:]
+    np.testing.assert_allclose(np.linalg.norm(arms, axis=-1), 0.5, atol=1e-6)
+    assert np.linalg.norm(scene.goal - scene.anchor[1]) == pytest.approx(0.5)
+    told = scene.metadata
+    assert (told["task"], told["seed"], told["distractors"], told["substeps"]) == ("door", 5, 2, 10)
+    assert told["angle"] == pytest.approx(np.arctan2(arms[0, 1], arms[0, 0]), abs=1e-6)
+    aim = scene.anchor[1] + 0.5 * np.array([np.cos(told["goal_angle"]), np.sin(told["goal_angle"])])
+    np.testing.assert_allclose(scene.goal, aim)
+    assert told["simulator"].startswith("box2d 2.")
+
+
+def test_an_episode_takes_120_steps_and_rest_is_no_success():
+    task = DoorTask()
+    (run,) = collect([lambda: task], [RestPolicy()], 1, 0)
+    assert run.steps == 120 and not task.success()
+    assert not run.velocity.any() and np.array_equal(run.position[0], run.position[-1])
+
+
+def test_success_is_a_held_door_at_its_goal():
+    task = DoorTask()
+    task.reset(seed=0)
+    position = np.array([[0.0, 0.0], task.scene.goal + np.array([0.0499, 0.0])])
+    held = np.array([[False, True], [True, False]])
+    assert task.solved(task.scene, position, held)
+    assert not task.solved(task.scene, position, np.zeros((2, 2), dtype=bool))
+    assert not task.solved(task.scene, position + 0.001, held)
+
+
+def test_the_cost_pulls_to_the_door_as_the_paper_does_and_to_the_goal_as_pickup_does():
+    cost = DoorTask(4).cost_terms()
+    assert cost.chain == (0, 1)
+    assert cost.pick_weights.tolist() == [6.5, 6.5, 0.2, 0.2]
+    assert cost.goal_weights.tolist() == [50.0, 50.0, 1.0, 1.0]
+    assert cost.control_weight == 0.01
+
+
+def test_the_expert_succeeds_and_strikes_the_door_at_speed(expert_runs):
+    ended = [np.linalg.norm(run.position[-1, 1] - run.scene.goal) for run in expert_runs]
+    assert max(ended) <= 0.05 and all(run.contact[-1, 0, 1] for run in expert_runs)
+    touched = [int(run.contact[:, 0, 1].argmax()) for run in expert_runs]
+    assert max(touched) < 30
+    speed = [
+        np.linalg.norm(run.velocity[t - 1, 0]) for run, t in zip(expert_runs, touched, strict=True)
+    ]
+    assert min(speed) > 0.3
+
+
+def test_among_distractors_the_expert_does_just_the_same(expert_runs):
+    few = collect([lambda: DoorTask(5)], [DoorExpert()], 5, 0)
+    for alone, run in zip(expert_runs, few, strict=False):
+        assert np.array_equal(alone.position, run.position[:, :2])
+        assert not run.velocity[:, 2:].any() and not run.contact[:, 2:].any()
+        assert np.array_equal(run.position[0, 2:], run.position[-1, 2:])
+
+
+def test_recorded_doors_stay_on_their_hinges_and_grippers_on_their_pins(expert_runs):
+    for run in expert_runs:
+        arm = run.position[:, 1] - run.scene.anchor[1]
+        np.testing.assert_allclose(np.linalg.norm(arm, axis=-1), 0.5, atol=FLOAT32)
+        assert np.abs(np.einsum("td,td->t", arm, run.velocity[:, 1])).max() < FLOAT32
+        held = run.contact[:, 0, 1]
+        apart = np.linalg.norm(run.position[:, 0] - run.position[:, 1], axis=-1)[held]
+        assert np.ptp(apart) < 1e-4
+
+
+def test_exploration_strikes_the_door_in_many_places():
+    runs = collect([DoorTask], [ExplorationPolicy()], 40, 0)
+    places = []
+    for run in runs:
+        if run.contact.any():
+            step = int(run.contact[:, 0, 1].argmax())
+            places.append(np.linalg.norm(run.position[step, 0] - run.scene.anchor[1]))
+    assert 20 <= len(places) < 40
+    assert min(places) < 0.2 and max(places) > 0.6
+
+
+def test_the_expert_refuses_a_scene_without_a_hinge():
+    pickup = PickupTask()
+    pickup.reset(seed=0)
+    with pytest.raises(InvalidInputError, match=r"a door expert needs a node 1 with an anchor"):
+        DoorExpert().reset(pickup.scene, 0)
+
+
+@pytest.mark.parametrize("distractors", [-1, 11])
+def test_distractors_out_of_range(distractors):
+    message = f"distractors must be 0 to 10, found {distractors}"
+    with pytest.raises(InvalidInputError, match=message):
+        DoorTask(distractors)
+
+
+def test_substeps_out_of_range():
+    with pytest.raises(InvalidInputError, match="substeps must be at least 1, found 0"):
+        DoorTask(substeps=0)

@@ -1,0 +1,122 @@
+import numpy as np
+import pytest
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs import (
+    ExplorationPolicy,
+    PickupExpert,
+    PickupTask,
+    RestPolicy,
+    pickup_success,
+)
+from contactgraph.envs.excitation import CorrelatedNoise
+from contactgraph.evaluate import collect
+
+START_UP = 4
+"""Steps a gripper at rest is given to gain speed."""
+
+
+@pytest.fixture(scope="module")
+def expert_runs():
+    return collect([lambda: PickupTask(10)], [PickupExpert()], 40, 0)
+
+
+def first_contact(run):
+    assert run.contact[:, 0, 1].any(), "the expert must reach its target"
+    return int(run.contact[:, 0, 1].argmax())
+
+
+def test_the_expert_succeeds(expert_runs):
+    assert sum(pickup_success(run) for run in expert_runs) >= 39
+
+
+def test_the_expert_never_stops_on_its_way_to_the_target(expert_runs):
+    at_contact = []
+    for run in expert_runs:
+        speed = np.linalg.norm(run.velocity[:, 0], axis=-1)[: first_contact(run)]
+        assert speed[START_UP:].min() > 0.1
+        at_contact.append(speed[-1])
+    assert np.median(at_contact) >= 0.3
+
+
+def test_the_expert_does_not_miss_and_come_back(expert_runs):
+    assert max(first_contact(run) for run in expert_runs) < 25
+
+
+def test_the_expert_touches_nothing_but_the_target(expert_runs):
+    for run in expert_runs:
+        assert run.contact.sum() == 2 * run.contact[:, 0, 1].sum()
+
+
+def test_the_force_is_not_a_function_of_the_state(expert_runs):
+    still = collect([PickupTask], [PickupExpert(noise=0.0)], 2, 0)
+    again = collect([PickupTask], [PickupExpert(noise=0.0)], 2, 0)
+    noisy = collect([PickupTask], [PickupExpert()], 2, 0)
+    for one, same, other in zip(still, again, noisy, strict=True):
+        assert np.array_equal(one.control, same.control)
+        difference = (other.control - one.control)[:3]
+        assert 0.05 < np.abs(difference).mean() < 1.5
+
+
+def test_momentum_through_the_pickup(expert_runs):
+    for run in expert_runs:
+        momentum = run.velocity.sum(axis=1)
+        np.testing.assert_allclose(np.diff(momentum, axis=0), 0.05 * run.control, atol=1e-5)
+
+
+def test_the_held_pair_has_one_velocity_and_one_distance(expert_runs):
+    for run in expert_runs:
+        held = run.contact[:, 0, 1]
+        offset = (run.position[:, 1] - run.position[:, 0])[held]
+        np.testing.assert_allclose(run.velocity[held, 0], run.velocity[held, 1], atol=1e-6)
+        np.testing.assert_allclose(np.linalg.norm(offset, axis=-1), 0.08, atol=1e-6)
+        np.testing.assert_allclose(offset, np.broadcast_to(offset[0], offset.shape), atol=5e-6)
+
+
+def test_exploration_moves_about_hits_something_and_stays_near():
+    runs = collect([lambda: PickupTask(3)], [ExplorationPolicy()], 20, 0)
+    touched = [run.contact.any() for run in runs]
+    assert 3 <= sum(touched) <= 19
+    for run in runs:
+        assert np.ptp(run.position[:, 0], axis=0).min() > 0.2
+        assert np.abs(run.position).max() < 3.0
+
+
+def test_exploration_is_drawn_to_the_middle_of_the_scene_wherever_that_is():
+    scene = Scene(("hand", "block"), ("hand", "block"), np.array([True, False]), 0.01, 3)
+    explore = ExplorationPolicy(deviation=0.0, stiffness=2.0, damping=0.5)
+    place, speed = np.array([[5.0, 1.0, 2.0], [4.0, 3.0, 0.0]]), np.array([[0.0, 0.0, 4.0]] * 2)
+    first = {"position": place, "velocity": speed, "goal": np.array([4.0, 1.0, 8.0])}
+    explore.reset(scene, 0)
+    np.testing.assert_allclose(explore(first), 2.0 * np.array([-0.5, 1.0, 2.0]) - [0.0, 0.0, 2.0])
+    later = {**first, "position": place + 1.0}
+    np.testing.assert_allclose(explore(later), explore(first) - 2.0)
+    explore.reset(scene, 0)
+    np.testing.assert_allclose(explore(later)[:2], [-2.0, 1.0])  # to a new middle
+
+
+def test_rest_rests():
+    (run,) = collect([lambda: PickupTask(3)], [RestPolicy()], 1, 0)
+    assert not run.control.any() and not run.velocity.any() and not run.contact.any()
+    assert np.array_equal(run.position[0], run.position[-1])
+
+
+def test_noise_has_the_deviation_and_correlation_that_were_asked_for():
+    noise = CorrelatedNoise(deviation=0.5, correlation_steps=2.0)
+    noise.reset(4000, seed=0)
+    values = np.stack([noise() for _ in range(5)])
+    np.testing.assert_allclose(values.std(axis=1), 0.5, rtol=0.05)
+    correlation = np.mean(values[0] * values[2]) / 0.25
+    assert correlation == pytest.approx(np.exp(-1.0), abs=0.05)
+
+
+@pytest.mark.parametrize(("deviation", "steps"), [(-1.0, 2.0), (0.5, 0.0), (np.nan, 2.0)])
+def test_noise_out_of_range(deviation, steps):
+    with pytest.raises(InvalidInputError, match="noise needs deviation >= 0"):
+        CorrelatedNoise(deviation, steps)
+
+
+def test_the_expert_refuses_a_scene_that_is_no_pickup():
+    scene = Scene(("door", "gripper"), ("door", "gripper"), np.array([False, True]), 0.05)
+    with pytest.raises(InvalidInputError, match="a pickup expert needs a goal"):
+        PickupExpert().reset(scene, 0)

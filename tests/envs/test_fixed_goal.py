@@ -1,0 +1,123 @@
+"""Runs that share their targets and goal, and differ in where they start."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from test_run_episode import same
+
+from contactgraph.data import InvalidInputError
+from contactgraph.envs import (
+    DoorExpert,
+    DoorTask,
+    MultiPickupTask,
+    PickupExpert,
+    PickupTask,
+    check_task,
+)
+from contactgraph.envs import collect as collecting
+from contactgraph.envs.collect import collect, episode_seeds, fixed_seed
+from contactgraph.envs.run_episode import run_episode
+from contactgraph.parallel import LocalProcesses
+from contactgraph_franka.envs import FrankaTask
+
+SEEDS = range(20)
+TARGETS = {PickupTask: 1, partial(MultiPickupTask, 3): 3, DoorTask: 1, FrankaTask: 1}
+"""How many nodes after the gripper are targets."""
+EXPERTS = {PickupTask: PickupExpert, MultiPickupTask: PickupExpert, DoorTask: DoorExpert}
+
+
+def begun(task, seed):
+    """A scene, and positions ``[N, 2 or 3]`` m at its beginning."""
+    observation, _ = task.reset(seed=seed)
+    return task.scene, observation["position"]
+
+
+@pytest.fixture(params=TARGETS, ids=["pickup", "multi-pickup", "door", "franka"])
+def task_class(request):
+    return request.param
+
+
+def test_targets_and_goal_are_shared_and_all_else_is_not(task_class):
+    scenes = [begun(task_class(distractors=2, fixed_seed=7), seed) for seed in SEEDS]
+    free = 1 + TARGETS[task_class]
+    (first_scene, first), *others = scenes
+    for scene, position in others:
+        assert np.array_equal(scene.goal, first_scene.goal)
+        assert np.array_equal(position[1:free], first[1:free])
+        if scene.anchor is not None:
+            assert np.array_equal(scene.anchor[1:free], first_scene.anchor[1:free])
+            for name in ("angle", "goal_angle"):
+                assert scene.metadata[name] == first_scene.metadata[name]
+    for node in (0, free, free + 1):
+        places = np.stack([position[node] for _, position in scenes])
+        assert len(np.unique(places, axis=0)) == len(SEEDS)
+        assert np.ptp(places[:, :2], axis=0).min() > 0.2
+
+
+def test_another_fixed_seed_gives_another_goal_and_other_targets(task_class):
+    goals, targets = [], []
+    for fixed in SEEDS:
+        scene, position = begun(task_class(fixed_seed=fixed), 0)
+        goals.append(scene.goal)
+        targets.append(position[1])
+    assert len(np.unique(goals, axis=0)) == len(np.unique(targets, axis=0)) == len(SEEDS)
+
+
+def test_how_many_distractors_there_are_does_not_move_them(task_class):
+    free = 1 + TARGETS[task_class]
+    most = 5 if task_class is FrankaTask else 10
+    for fixed in SEEDS:
+        alone, position = begun(task_class(fixed_seed=fixed), 0)
+        among, beside = begun(task_class(distractors=most, fixed_seed=fixed), 1)
+        assert np.array_equal(alone.goal, among.goal)
+        assert np.array_equal(position[1:free], beside[1:free])
+
+
+def test_a_scene_tells_what_it_takes_to_have_it_again(task_class):
+    told = begun(task_class(distractors=1, fixed_seed=7), 5)[0].metadata
+    assert (told["seed"], told["fixed_seed"]) == (5, 7)
+    assert "fixed_seed" not in begun(task_class(), 5)[0].metadata
+
+
+@pytest.mark.parametrize("task", [PickupTask, MultiPickupTask, DoorTask])
+def test_the_contract_is_kept(task):
+    check_task(partial(task, distractors=1, fixed_seed=7))
+
+
+def test_a_fixed_seed_below_zero(task_class):
+    with pytest.raises(InvalidInputError, match="fixed_seed must be at least 0, found -1"):
+        task_class(fixed_seed=-1)
+
+
+def test_what_is_shared_is_drawn_apart_from_what_is_not():
+    shared = [fixed_seed(seed) for seed in range(100)]
+    assert len(set(shared)) == 100
+    for seed in range(100):
+        assert not {shared[seed], seed} & set(episode_seeds(100, seed))
+
+
+def test_processes_record_what_one_would_and_a_run_can_be_had_again(monkeypatch):
+    monkeypatch.setattr(collecting, "_ALONE_S", 0.0)
+    monkeypatch.setattr(collecting, "_START_S", 0.0)
+    task, demonstrator = partial(PickupTask, 2, fixed_seed=7), PickupExpert(noise=0.0)
+    alone = collect([task], [demonstrator], 5, 3)
+    shared = collect([task], [demonstrator], 4, 3, engine=LocalProcesses(2))
+    assert all(same(one, other) for one, other in zip(alone, shared, strict=False))
+    told = alone[4].scene.metadata
+    again = PickupTask(told["distractors"], told["substeps"], told["fixed_seed"])
+    assert same(alone[4], run_episode(again, PickupExpert(noise=0.0), told["seed"]))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("task", EXPERTS)
+def test_experts_without_noise_succeed_and_give_the_same_force_in_the_same_state(task, seed):
+    expert = EXPERTS[task](noise=0.0)
+    runs = collect([partial(task, fixed_seed=fixed_seed(seed))], [expert], 40, seed)
+    assert sum(bool(run.scene.metadata["success"]) for run in runs) >= 39
+    run = runs[0]
+    expert.reset(run.scene, seed=1234)
+    for step in (0, 10, 30, 60):
+        now = {name: getattr(run, name)[step] for name in ("position", "velocity", "contact")}
+        force = np.clip(expert({**now, "goal": run.scene.goal}), -10.0, 10.0)
+        np.testing.assert_array_equal(force, run.control[step])

@@ -1,0 +1,139 @@
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+
+from contactgraph.data import InvalidInputError
+from contactgraph.envs import MultiPickupTask, PickupExpert, PickupTask, check_task
+from contactgraph.envs.fixed_goal import fixed_layout
+from contactgraph.envs.multi_pickup import held
+from contactgraph.envs.pickup_layout import (
+    CORRIDOR,
+    OVERSHOOT,
+    RADIUS,
+    TARGET_CORRIDOR,
+    sample_layout,
+)
+from contactgraph.evaluate import collect
+
+SEEDS = range(30)
+
+
+@pytest.mark.parametrize(("objects", "distractors"), [(2, 0), (5, 20)])
+def test_gymnasium_finds_nothing_to_warn_of(objects, distractors):
+    spec = EnvSpec(
+        "MultiPickup-v0",
+        entry_point="contactgraph.envs:MultiPickupTask",
+        kwargs={"objects": objects, "distractors": distractors},
+        disable_env_checker=True,
+    )
+    with warnings.catch_warnings():
+        # The control is a force in newtons: that it is not scaled to [-1, 1] is meant.
+        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
+        check_env(gymnasium.make(spec).unwrapped)
+
+
+@pytest.mark.parametrize(("objects", "distractors"), [(1, 1), (2, 0), (5, 3)])
+def test_the_contract_is_kept(objects, distractors):
+    check_task(lambda: MultiPickupTask(objects, distractors))
+
+
+def test_one_object_is_laid_out_as_a_pickup():
+    for seed in range(5):
+        multi, _ = MultiPickupTask(1, 4).reset(seed=seed)
+        single, _ = PickupTask(4).reset(seed=seed)
+        assert np.array_equal(multi["position"], single["position"])
+        assert np.array_equal(multi["goal"], single["goal"])
+
+
+@pytest.mark.parametrize("fixed_seed", [None, 3])
+@pytest.mark.parametrize(("objects", "distractors"), [(2, 3), (5, 10)])
+def test_stops_are_apart_and_the_ways_are_clear(objects, distractors, fixed_seed):
+    fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, objects, 20))
+    for seed in SEEDS:
+        layout = sample_layout(np.random.default_rng(seed), objects, distractors, fixed)
+        assert layout.position.shape == (1 + objects + distractors, 2)
+        assert np.abs(layout.stops).max() <= 1.0 - RADIUS
+        for index in range(objects + 1):
+            start, end = layout.stops[index : index + 2]
+            length = np.linalg.norm(end - start)
+            assert length >= 0.3
+            along = np.linspace(0.0, length + OVERSHOOT, 200)[:, None]
+            way = start + along * (end - start) / length
+            for node, clearance in [
+                *((other, CORRIDOR) for other in layout.distractors),
+                *((due, TARGET_CORRIDOR) for due in layout.stops[index + 2 : -1]),
+            ]:
+                assert np.linalg.norm(node - way, axis=-1).min() >= clearance - 1e-6
+
+
+def test_the_scene_says_what_is_there():
+    task = MultiPickupTask(2, 1)
+    observation, _ = task.reset(seed=5)
+    scene = task.scene
+    assert scene.node_name == ("gripper", "target-1", "target-2", "distractor-0")
+    assert scene.node_type == ("gripper", "object", "object", "object")
+    assert scene.actuated.tolist() == [True, False, False, False]
+    assert np.array_equal(scene.goal, observation["goal"])
+    told = scene.metadata
+    assert (told["task"], told["seed"], told["objects"]) == ("multi-pickup", 5, 2)
+    assert (told["distractors"], told["substeps"]) == (1, 10)
+
+
+def test_held_is_whoever_hangs_on_the_gripper_through_others():
+    contact = np.zeros((6, 6), dtype=np.int8)
+    for one, other in [(0, 3), (3, 1), (2, 4)]:
+        contact[one, other] = contact[other, one] = 1
+    assert held(contact) == {1, 3}
+    assert held(np.zeros((3, 3))) == set()
+
+
+def test_success_is_all_held_and_the_last_at_the_goal():
+    task = MultiPickupTask(2)
+    task.reset(seed=0)
+    goal = task.scene.goal
+    position = np.array([goal, goal, goal + np.array([0.0999, 0.0])])
+    chain = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
+    assert task.solved(task.scene, position, chain)
+    assert not task.solved(task.scene, position + 0.001, chain)
+    chain[1, 2] = chain[2, 1] = False
+    assert not task.solved(task.scene, position, chain)
+
+
+def test_the_cost_ties_the_targets_in_their_order():
+    cost = MultiPickupTask(3, 2).cost_terms()
+    assert cost.chain == (0, 1, 2, 3)
+    assert cost.pick_weights.tolist() == [3.0, 3.0, 0.2, 0.2]
+    assert cost.goal_weights.tolist() == [50.0, 50.0, 1.0, 1.0]
+    assert cost.control_weight == 0.01
+
+
+@pytest.mark.parametrize(("objects", "distractors"), [(2, 3), (3, 0), (5, 0)])
+def test_the_expert_picks_up_all_and_takes_them_to_the_goal(objects, distractors):
+    task, succeeded = MultiPickupTask(objects, distractors), []
+    runs = collect(
+        [lambda: task], [PickupExpert()], 20, 0, lambda _: succeeded.append(task.success())
+    )
+    assert sum(succeeded) >= 19
+    in_order = 0
+    for run in runs:
+        joined = [held(contact) for contact in run.contact]
+        first = [next(t for t, each in enumerate(joined) if n in each) for n in (1, objects)]
+        in_order += first[0] < first[1]
+        momentum = run.velocity.sum(axis=1)
+        np.testing.assert_allclose(np.diff(momentum, axis=0), 0.05 * run.control, atol=1e-5)
+    assert in_order >= 19
+
+
+@pytest.mark.parametrize("objects", [0, 6])
+def test_objects_out_of_range(objects):
+    with pytest.raises(InvalidInputError, match=f"objects must be 1 to 5, found {objects}"):
+        MultiPickupTask(objects)
+
+
+def test_distractors_out_of_range():
+    with pytest.raises(InvalidInputError, match="distractors must be 0 to 20, found 21"):
+        MultiPickupTask(2, 21)

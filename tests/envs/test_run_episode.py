@@ -1,0 +1,144 @@
+import numpy as np
+import pytest
+
+from contactgraph.data import InvalidInputError
+from contactgraph.envs import ExplorationPolicy, PickupExpert, PickupTask, RestPolicy
+from contactgraph.evaluate import collect, run_episode
+
+
+class Pusher:
+    """Asks for more force than there is."""
+
+    def reset(self, scene, seed):
+        self.seed = seed
+
+    def __call__(self, observation):
+        return np.array([25.0, -3.0])
+
+
+def same(one, other):
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("position", "velocity", "control", "contact")
+    )
+
+
+def test_states_controls_and_contacts_are_recorded_as_they_were():
+    task = PickupTask(2)
+    run = run_episode(task, PickupExpert(), 4)
+    assert run.position.shape == run.velocity.shape == (201, 4, 2)
+    assert run.control.shape == (200, 2) and run.contact.shape == (201, 4, 4)
+    replay, _ = task.reset(seed=4)
+    for step, control in enumerate(run.control):
+        assert np.array_equal(run.position[step], replay["position"])
+        assert np.array_equal(run.velocity[step], replay["velocity"])
+        assert np.array_equal(run.contact[step], replay["contact"].astype(bool))
+        replay, *_ = task.step(control)
+    assert np.array_equal(run.position[-1], replay["position"])
+
+
+def test_the_recorded_control_is_the_clipped_one():
+    run = run_episode(PickupTask(), Pusher(), 0)
+    assert np.array_equal(np.unique(run.control, axis=0), [[10.0, -3.0]])
+
+
+def test_every_step_is_reported():
+    seen = []
+    run = run_episode(
+        PickupTask(),
+        PickupExpert(),
+        1,
+        lambda step, observation, control: seen.append((step, observation["position"], control)),
+    )
+    assert [step for step, _, _ in seen] == list(range(200))
+    assert np.array_equal(np.stack([position for _, position, _ in seen]), run.position[:-1])
+    assert np.array_equal(np.stack([control for _, _, control in seen]), run.control)
+
+
+class Watched(PickupTask):
+    """A pickup that shows a stick from above to its gripper, always in the same array."""
+
+    stick = np.array([[0.0, 2.0], [0.0, 0.0]])
+
+    def step(self, action):
+        observation, *others = super().step(action)
+        self.stick[1] = observation["position"][0]
+        return observation, *others
+
+    def reset(self, *, seed=None, options=None):
+        observation, info = super().reset(seed=seed, options=options)
+        self.stick[1] = observation["position"][0]
+        return observation, info
+
+    def skeleton(self):
+        return self.stick
+
+
+def test_a_task_that_is_drawn_has_its_skeleton_recorded_at_every_state():
+    run = run_episode(Watched(), PickupExpert(), 4)
+    assert run.skeleton.shape == (201, 2, 2)
+    assert np.array_equal(run.skeleton[:, 1], run.position[:, 0])
+    assert np.array_equal(run.skeleton[:, 0], np.tile([0.0, 2.0], (201, 1)))
+    assert run_episode(PickupTask(), PickupExpert(), 4).skeleton is None
+
+
+def test_the_metadata_tells_who_did_it_and_does_not_touch_the_task():
+    task = PickupTask()
+    run = run_episode(task, RestPolicy(), 9)
+    assert run.scene.metadata["policy"] == "RestPolicy" and run.scene.metadata["seed"] == 9
+    assert run.scene.metadata["success"] is False
+    assert run_episode(task, PickupExpert(), 9).scene.metadata["success"] is True
+    assert "policy" not in task.scene.metadata
+
+
+def test_a_run_does_not_depend_on_how_many_there_are():
+    few = collect([PickupTask], [PickupExpert()], 2, 3)
+    many = collect([PickupTask], [PickupExpert()], 4, 3)
+    assert all(same(one, other) for one, other in zip(few, many, strict=False))
+    assert not same(many[0], many[1])
+
+
+def test_the_seed_in_the_metadata_gives_the_run_again():
+    run = collect([PickupTask], [PickupExpert()], 3, 5)[2]
+    assert same(run, run_episode(PickupTask(), PickupExpert(), run.scene.metadata["seed"]))
+
+
+def test_other_seeds_give_other_runs():
+    assert not same(*(collect([PickupTask], [PickupExpert()], 1, seed)[0] for seed in (0, 1)))
+
+
+def test_policies_take_turns_and_every_run_is_reported():
+    done = []
+    mix = [PickupExpert(), PickupExpert(), ExplorationPolicy(), RestPolicy()]
+    runs = collect([PickupTask], mix, 6, 0, done.append)
+    assert [run.scene.metadata["policy"] for run in runs] == [
+        "PickupExpert",
+        "PickupExpert",
+        "ExplorationPolicy",
+        "RestPolicy",
+        "PickupExpert",
+        "PickupExpert",
+    ]
+    assert len(done) == 6 and all(one is other for one, other in zip(done, runs, strict=True))
+
+
+def test_tasks_take_turns_and_a_run_is_the_one_its_task_gives_alone():
+    factories = [lambda: PickupTask(0), lambda: PickupTask(2)]
+    runs = collect(factories, [RestPolicy()], 3, 0)
+    assert [run.scene.node_count for run in runs] == [2, 4, 2]
+    alone = collect([lambda: PickupTask(2)], [RestPolicy()], 2, 0)
+    assert same(runs[1], alone[1])
+
+
+def test_arguments_out_of_range():
+    policy = RestPolicy()
+    with pytest.raises(InvalidInputError, match="task_factories must name at least one task"):
+        collect([], [policy], 1, 0)
+    with pytest.raises(InvalidInputError, match="episodes must be at least 1, found 0"):
+        collect([PickupTask], [policy], 0, 0)
+    with pytest.raises(InvalidInputError, match="seed must be at least 0, found -1"):
+        collect([PickupTask], [policy], 1, -1)
+    with pytest.raises(InvalidInputError, match="policies must name at least one policy"):
+        collect([PickupTask], [], 1, 0)
+    with pytest.raises(InvalidInputError, match="seed must be at least 0, found -2"):
+        run_episode(PickupTask(), policy, -2)

@@ -1,0 +1,106 @@
+"""The arm's expert, and what holds in every tick of its sweeps."""
+
+import numpy as np
+import pytest
+from franka_runs import HIGH, LOW, TORQUE, WatchedTask
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs import FrankaExpert
+from contactgraph.envs.collect import episode_seeds
+from contactgraph.envs.run_episode import run_episode
+from contactgraph_franka.envs import FrankaTask
+
+RUNS = 20
+
+
+@pytest.fixture(scope="module")
+def sweeps():
+    """(task, run, what was noted), with 0 and 5 distractors in turn."""
+    done = []
+    for index, seed in enumerate(episode_seeds(RUNS, 0)):
+        task = WatchedTask(5 * (index % 2))
+        run = run_episode(task, FrankaExpert(), seed)
+        done.append((task, run, task.watched))
+    return done
+
+
+def grasped(run):
+    assert run.contact[:, 0, 1].any(), "the expert must grasp its block"
+    return int(run.contact[:, 0, 1].argmax())
+
+
+def test_the_expert_succeeds(sweeps):
+    assert sum(task.success() for task, _, _ in sweeps) >= 0.95 * RUNS
+
+
+def test_the_expert_grasps_at_speed_and_never_stops_before(sweeps):
+    at_grasp = []
+    for _, run, _ in sweeps:
+        speed = np.linalg.norm(run.velocity[:, 0], axis=-1)
+        at_grasp.append(speed[grasped(run)])
+        # Once under way.
+        assert speed[int(np.argmax(speed > 0.15)) : grasped(run) + 10].min() > 0.12
+    assert np.median(at_grasp) >= 0.3 and min(at_grasp) >= 0.2
+
+
+def test_the_block_moves_with_the_hand_from_the_grasp_on(sweeps):
+    for _, run, _ in sweeps:
+        held = slice(grasped(run) + 15, None)
+        assert run.contact[held, 0, 1].all()
+        apart = (run.position[:, 1] - run.position[:, 0])[held]
+        assert np.abs(apart - apart[0]).max() < 6e-3
+        assert run.position[-1, 1, 2] > 0.1
+
+
+def test_what_is_grasped_leaves_the_table_at_once(sweeps):
+    for _, run, _ in sweeps:
+        at = grasped(run)
+        assert run.velocity[at, 0, 2] > 0.02
+        assert run.position[at + 20, 1, 2] > 0.055
+
+
+def test_the_expert_touches_nothing_but_its_block(sweeps):
+    for _, run, _ in sweeps:
+        assert run.contact.sum() == 2 * run.contact[:, 0, 1].sum()
+        np.testing.assert_allclose(run.position[-1, 2:], run.position[0, 2:], atol=2e-4)
+
+
+def test_it_ends_at_rest(sweeps):
+    assert max(np.linalg.norm(run.velocity[-1, :2], axis=-1).max() for _, run, _ in sweeps) < 0.05
+
+
+def test_the_orientation_is_held_through_every_sweep(sweeps):
+    assert max(max(watched.turn_angle) for _, _, watched in sweeps) < 0.5
+
+
+def test_torques_and_joints_stay_in_their_limits_at_every_tick(sweeps):
+    for _, _, watched in sweeps:
+        torque, joints = np.array(watched.torque), np.array(watched.joints)
+        assert len(torque) == 4000
+        assert np.all(np.abs(torque) <= TORQUE + 1e-9)
+        # A soft end stop gives way a little.
+        assert np.all((joints >= LOW - 5e-3) & (joints <= HIGH + 5e-3))
+
+
+def test_brakes_never_close_on_a_sweep(sweeps):
+    assert not any(task.world.brakes.closed for task, _, _ in sweeps)
+
+
+def test_controls_are_within_their_bounds_by_far(sweeps):
+    control = np.stack([run.control for _, run, _ in sweeps])
+    assert np.abs(control).max() <= 20.0
+    assert (np.abs(control) == 20.0).mean() < 0.01
+
+
+def test_the_force_is_not_a_function_of_the_state():
+    still, again, noisy = (
+        run_episode(FrankaTask(), FrankaExpert(noise=noise), 3).control for noise in (0.0, 0.0, 0.2)
+    )
+    assert np.array_equal(still, again)
+    assert 0.02 < np.abs(noisy - still)[:20].mean() < 1.0
+
+
+def test_the_expert_refuses_a_scene_that_is_no_such_pickup():
+    scene = Scene(("hand",), ("hand",), np.array([True]), 0.01, dimension=3)
+    with pytest.raises(InvalidInputError, match="the arm's expert needs a goal, three dimensions"):
+        FrankaExpert().reset(scene, 0)

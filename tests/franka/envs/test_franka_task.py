@@ -1,0 +1,218 @@
+"""The arm's pickup as a task: its contract, its scenes, and that a seed is a run."""
+
+import hashlib
+import subprocess
+import sys
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+
+from contactgraph.data import InvalidInputError
+from contactgraph.envs import FrankaExpert, check_task
+from contactgraph.envs.run_episode import run_episode
+from contactgraph_franka.envs import FrankaTask, Grasp
+from contactgraph_franka.envs.franka_layout import (
+    CLEARANCE,
+    CORRIDOR,
+    HIGH,
+    LOW,
+    RUN_UP,
+    START_HEIGHT,
+)
+
+SEEDS = range(40)
+FINGERPRINT = """
+import hashlib
+from contactgraph.envs import FrankaExpert
+from contactgraph_franka.envs import FrankaTask
+from contactgraph.envs.run_episode import run_episode
+run = run_episode(FrankaTask(1), FrankaExpert(), 5)
+print(hashlib.sha256(run.position.tobytes() + run.velocity.tobytes()).hexdigest())
+"""
+
+
+def fingerprint(run):
+    return hashlib.sha256(run.position.tobytes() + run.velocity.tobytes()).hexdigest()
+
+
+def test_gymnasium_finds_nothing_to_warn_of():
+    spec = EnvSpec(
+        "Franka-v0",
+        entry_point="contactgraph_franka.envs:FrankaTask",
+        kwargs={"distractors": 2},
+        disable_env_checker=True,
+    )
+    with warnings.catch_warnings():
+        # The control is a force in newtons: that it is not scaled to [-1, 1] is meant.
+        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
+        # Pictures need OpenGL and are tested apart.
+        check_env(gymnasium.make(spec).unwrapped, skip_render_check=True)
+
+
+def test_the_contract_is_kept():
+    check_task(lambda: FrankaTask(1))
+
+
+def test_a_seed_is_the_same_run_here_in_another_process_and_beside_another_thread():
+    here = fingerprint(run_episode(FrankaTask(1), FrankaExpert(), 5))
+    other = subprocess.run(
+        [sys.executable, "-c", FINGERPRINT], capture_output=True, text=True, check=True
+    )
+    assert other.stdout.strip() == here
+    with ThreadPoolExecutor(2) as threads:
+        runs = threads.map(lambda s: run_episode(FrankaTask(1), FrankaExpert(), s), (5, 6))
+        beside, different = map(fingerprint, runs)
+    assert beside == here and different != here
+
+
+def test_a_task_carries_nothing_from_one_run_into_the_next():
+    task = FrankaTask(1)
+    run_episode(task, FrankaExpert(), 6)
+    again = run_episode(task, FrankaExpert(), 5)
+    assert fingerprint(again) == fingerprint(run_episode(FrankaTask(1), FrankaExpert(), 5))
+
+
+@pytest.mark.parametrize("distractors", [0, 5])
+def test_nothing_begins_inside_anything_else(distractors):
+    task = FrankaTask(distractors)
+    for seed in SEEDS:
+        task.reset(seed=seed)
+        model, data = task.world.model, task.world.data
+        assert all(contact.dist > -1e-6 for contact in data.contact)
+        # Links collide with nothing, but they should not begin in a block either.
+        blocks = [model.geom(f"block{index}").id for index in range(1 + distractors)]
+        arm = [g for g in range(model.ngeom) if model.geom_bodyid[g] > 1 and g < min(blocks)]
+        for part in arm:
+            for block in blocks:
+                assert mujoco.mj_geomDistance(model, data, part, block, 0.1, None) > 1e-3
+
+
+@pytest.mark.parametrize(("distractors", "fixed_seed"), [(0, None), (5, None), (5, 3)])
+def test_scenes_are_as_the_layout_promises(distractors, fixed_seed):
+    for seed in SEEDS:
+        task = FrankaTask(distractors, fixed_seed=fixed_seed)
+        observation, _ = task.reset(seed=seed)
+        position, goal = observation["position"], observation["goal"]
+        hand, blocks = position[0], position[1:]
+        for place in (hand, goal):
+            assert np.all((place >= LOW - 1e-4) & (place <= HIGH + 1e-4))
+            assert place[2] >= START_HEIGHT - 1e-4
+        assert np.all((blocks[:, :2] >= LOW[:2]) & (blocks[:, :2] <= HIGH[:2]))
+        np.testing.assert_allclose(blocks[:, 2], 0.05, atol=1e-9)
+        assert not observation["velocity"].any() and not observation["contact"].any()
+        assert np.linalg.norm((blocks[0] - hand)[:2]) >= RUN_UP - 1e-4
+        assert np.linalg.norm((goal - blocks[0])[:2]) >= RUN_UP - 1e-9
+        for index, other in enumerate(blocks[1:, :2]):
+            apart = np.linalg.norm(other - np.delete(blocks, 1 + index, axis=0)[:, :2], axis=-1)
+            assert apart.min() >= CLEARANCE - 1e-9
+            for start, end in ((hand, blocks[0]), (blocks[0], goal)):
+                way = start[:2] + np.linspace(0.0, 1.0, 200)[:, None] * (end - start)[:2]
+                assert np.linalg.norm(other - way, axis=-1).min() >= CORRIDOR - 1e-3
+
+
+def test_the_fingers_are_across_the_way_to_a_block_that_faces_them():
+    task = FrankaTask()
+    for seed in SEEDS:
+        observation, _ = task.reset(seed=seed)
+        data = task.world.data
+        way = observation["position"][1] - observation["position"][0]
+        fingers = data.body("left_finger").xpos - data.body("right_finger").xpos
+        assert fingers @ way == pytest.approx(0.0, abs=1e-5)
+        facing = data.body("block0").xmat.reshape(3, 3)[:, 1]
+        assert abs(fingers @ facing) == pytest.approx(np.linalg.norm(fingers), rel=1e-5)
+
+
+def test_a_block_left_alone_rests():
+    task = FrankaTask(3)
+    first, _ = task.reset(seed=1)
+    for _ in range(100):
+        observation, *_ = task.step(np.zeros(3))
+    np.testing.assert_allclose(observation["position"], first["position"], atol=2e-4)
+    np.testing.assert_allclose(observation["velocity"], 0.0, atol=2e-3)
+    assert not observation["contact"].any()
+
+
+def test_the_scene_says_what_is_there():
+    task = FrankaTask(1, Grasp.WELD)
+    observation, _ = task.reset(seed=5)
+    scene = task.scene
+    assert scene.node_name == ("hand", "block", "distractor-0")
+    assert scene.node_type == ("hand", "block", "block")
+    assert scene.actuated.tolist() == [True, False, False]
+    assert scene.dt == 0.01 and scene.dimension == 3
+    assert scene.mass.tolist() == [4.0, 0.4, 0.4]
+    assert scene.gravity.tolist() == [0.0, 0.0, -9.81]
+    assert np.isnan(scene.size[0]).all() and scene.size[1:].tolist() == [[0.04, 0.04, 0.1]] * 2
+    assert np.array_equal(scene.goal, observation["goal"])
+    told = scene.metadata
+    assert (told["task"], told["seed"], told["distractors"]) == ("franka", 5, 1)
+    assert told["grasp"] == "weld" and told["simulator"].startswith("mujoco ")
+
+
+def test_the_skeleton_ends_at_the_hand_and_begins_at_the_base():
+    task = FrankaTask()
+    observation, _ = task.reset(seed=2)
+    skeleton = task.skeleton()
+    np.testing.assert_array_equal(skeleton[0], [0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(skeleton[-1], observation["position"][0])
+    lengths = np.linalg.norm(np.diff(skeleton, axis=0), axis=-1)
+    arm = [0.333, 0.0, 0.316, 0.0825, np.hypot(0.0825, 0.384), 0.0, 0.088, 0.107, 0.1254]
+    np.testing.assert_allclose(lengths, arm, atol=1e-9)
+
+
+def test_the_control_is_clipped_to_20_newton():
+    hard, bounded = FrankaTask(), FrankaTask()
+    hard.reset(seed=0)
+    bounded.reset(seed=0)
+    for _ in range(5):
+        one, *_ = hard.step(np.array([1e6, -25.0, 0.0]))
+        other, *_ = bounded.step(np.array([20.0, -20.0, 0.0]))
+    assert np.array_equal(one["position"], other["position"])
+    assert one["velocity"][0] == pytest.approx([0.25, -0.25, 0.0], abs=5e-3)
+
+
+def test_feedback_is_asked_every_millisecond_about_what_is_then():
+    told, task, plain = [], FrankaTask(), FrankaTask()
+    for each in (task, plain):
+        each.reset(seed=0)
+
+    def feedback(part, position, velocity):
+        told.append((part, position[0].copy(), velocity[0].copy()))
+        return np.array([40.0 if part < 0.5 else 0.0, -3.0, 0.0])
+
+    observation, *_, info = task.step_under(feedback)
+    parts, positions, velocities = (np.array(column) for column in zip(*told, strict=True))
+    np.testing.assert_allclose(parts, np.arange(10) / 10)
+    np.testing.assert_allclose(info["control"], [10.0, -3.0, 0.0])
+    np.testing.assert_allclose(np.diff(velocities[:6, 0]), 20.0 / 4.0 * 1e-3, rtol=0.02)
+    np.testing.assert_allclose(np.diff(positions, axis=0), velocities[1:] * 1e-3, atol=1e-6)
+    assert observation["velocity"][0, 0] == pytest.approx(0.005 * 20.0 / 4.0, rel=0.02)
+
+    force = np.array([1.0, 2.0, 3.0])
+    same, *_ = task.step_under(lambda part, position, velocity: force)
+    plain.step_under(feedback)
+    step, *_ = plain.step(force)
+    assert all(np.array_equal(same[name], step[name]) for name in step)
+
+
+def test_success_is_the_block_held_at_the_goal():
+    task = FrankaTask()
+    task.reset(seed=0)
+    scene, held = task.scene, np.array([[False, True], [True, False]])
+    aside = np.array([0.0, 1.0, 0.0])
+    near, far = (np.stack([scene.goal, scene.goal + d * aside]) for d in (0.0499, 0.0501))
+    assert task.solved(scene, near, held)
+    assert not task.solved(scene, near, ~held)
+    assert not task.solved(scene, far, held)
+
+
+@pytest.mark.parametrize("distractors", [-1, 6])
+def test_distractors_out_of_range(distractors):
+    with pytest.raises(InvalidInputError, match=f"distractors must be 0 to 5, found {distractors}"):
+        FrankaTask(distractors)

@@ -1,0 +1,102 @@
+"""Tours of a hand that is a mass of 4 kg, with and without something to pick up on the way."""
+
+import numpy as np
+import pytest
+
+from contactgraph.data import InvalidInputError
+from contactgraph.envs.contract import Policy
+from contactgraph_franka.envs.franka_expert import FrankaExpert
+from contactgraph_franka.envs.franka_pickup import pickup_scene
+from contactgraph_franka.envs.franka_recording import FrankaRecording, grasps
+from contactgraph_franka.envs.franka_tour import FrankaTour
+from contactgraph_franka.envs.hand_path import HandPath
+
+START, BLOCK = np.array([0.4, -0.2, 0.3]), np.array([0.5, 0.0, 0.05])
+GOAL, NEXT, LAST = np.array([0.6, 0.2, 0.3]), np.array([0.4, 0.1, 0.2]), np.array([0.5, -0.2, 0.3])
+
+
+def places(policy: Policy, seconds: float, seed: int = 3) -> np.ndarray:
+    """[T, 3] m of a free mass of 4 kg at which a block is stuck as soon as it comes near."""
+    scene = pickup_scene(0.01, GOAL)
+    policy.reset(scene, seed)
+    hand, velocity, block = START.copy(), np.zeros(3), BLOCK.copy()
+    seen = []
+    for _ in range(round(seconds / 0.01)):
+        observation = {
+            "position": np.stack([hand, block]),
+            "velocity": np.stack([velocity, np.zeros(3)]),
+            "goal": GOAL,
+        }
+        velocity = velocity + policy(observation) / 4.0 * 0.01
+        hand = hand + velocity * 0.01
+        seen.append(hand)
+    return np.stack(seen)
+
+
+def test_a_path_goes_from_point_to_point_and_rests() -> None:
+    path = HandPath()
+    rest, speed = np.zeros(3), np.array([0.3, 0.0, 0.1])
+    path.go(START, rest, BLOCK, speed, 2.0)
+    path.go(BLOCK, speed, GOAL, rest, 1.0)
+    assert path.duration == 3.0
+    for time, place, pace in ((0.0, START, rest), (2.0, BLOCK, speed), (9.0, GOAL, rest)):
+        position, velocity, acceleration = path.at(time)
+        np.testing.assert_allclose(position, place, atol=1e-12)
+        np.testing.assert_allclose(velocity, pace, atol=1e-12)
+        np.testing.assert_allclose(acceleration, 0.0, atol=1e-12)
+    # Velocity and acceleration are those of the positions.
+    before, at, after = (path.at(1.2 + shift)[0] for shift in (-1e-4, 0.0, 1e-4))
+    np.testing.assert_allclose((after - before) / 2e-4, path.at(1.2)[1], atol=1e-6)
+    np.testing.assert_allclose((after - 2 * at + before) / 1e-8, path.at(1.2)[2], atol=1e-5)
+
+
+def test_the_expert_goes_on_from_the_goal_where_told() -> None:
+    seen = places(FrankaExpert(noise=0.0, further=[NEXT, LAST]), 10.0)
+    for point in (BLOCK, GOAL, NEXT, LAST):
+        assert np.linalg.norm(seen - point, axis=1).min() < 0.02
+    np.testing.assert_allclose(seen[-1], LAST, atol=5e-3)
+    # Without further points it stays at the goal.
+    np.testing.assert_allclose(places(FrankaExpert(noise=0.0), 10.0)[-1], GOAL, atol=5e-3)
+
+
+def test_a_tour_visits_its_points_and_no_block() -> None:
+    seen = places(FrankaTour([NEXT, LAST], noise=0.0), 6.0)
+    for point in (NEXT, LAST):
+        assert np.linalg.norm(seen - point, axis=1).min() < 0.01
+    assert np.linalg.norm(seen - BLOCK, axis=1).min() > 0.1
+    assert not np.array_equal(seen, places(FrankaTour([NEXT, LAST], noise=0.5), 6.0))
+
+
+def test_a_tour_of_nothing_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="at least one point"):
+        FrankaTour([])
+
+
+def passes(policy: FrankaRecording, seed: int) -> tuple[float, float]:
+    """How near, m, the hand comes to the block, and its slowest speed, m/s, as it is there."""
+    seen = places(policy, 10.0, seed)
+    distance = np.linalg.norm(seen - BLOCK, axis=1)
+    speed = np.linalg.norm(np.diff(seen, axis=0, prepend=START[None]), axis=1) / 0.01
+    return float(distance.min()), float(speed[distance < 0.02].min(initial=np.inf))
+
+
+def test_most_runs_grasp_and_the_seed_says_which() -> None:
+    seeds = range(300)
+    assert 0.6 < np.mean([grasps(seed) for seed in seeds]) < 0.8
+    assert grasps(3) == grasps(3)
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_a_tour_keeps_away_from_the_block_and_a_grasp_goes_to_it(wanted: bool) -> None:
+    policy = FrankaRecording()
+    for seed in [seed for seed in range(20) if grasps(seed) is wanted]:
+        nearest, _ = passes(policy, seed)
+        assert (nearest < 0.03) if wanted else (nearest > 0.08)
+
+
+def test_some_grasps_are_made_at_rest_and_none_where_none_are_wanted() -> None:
+    seeds = [seed for seed in range(20) if grasps(seed)]
+    assert all(passes(FrankaRecording(0.0), seed)[1] > 0.2 for seed in seeds)
+    assert all(passes(FrankaRecording(1.0), seed)[1] < 0.1 for seed in seeds)
+    rest = [passes(FrankaRecording(), seed)[1] < 0.1 for seed in seeds]
+    assert 0.2 < np.mean(rest) < 0.8

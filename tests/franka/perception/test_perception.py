@@ -1,0 +1,153 @@
+"""Seeing in a process of its own, with the real detector on drawn tags."""
+
+import multiprocessing
+import os
+import signal
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+from drawn_tags import CAMERA, LENS, SIZE, SlidingTag, calibration, drawn
+
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.perception import CameraCalibration, CameraFrame
+from contactgraph_franka.perception.seen_objects import SeenObjects
+from contactgraph_franka.perception.shared_sightings import (
+    Measured,
+    SharedSightings,
+    SightCounts,
+)
+
+pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
+from contactgraph_franka.perception.perception import Perception
+from contactgraph_franka.perception.sight import Sight
+from contactgraph_franka.perception.watch import Watch
+
+DISTANCE = LENS.fx * SIZE / 48.0
+"""m: a tag of 48 px."""
+
+
+def expected(column):
+    """[3] m in the base: of a tag drawn at this column, 80 rows down."""
+    centre = np.array([column + 29.5, 80 + 29.5])
+    ray = np.append((centre - (LENS.cx, LENS.cy)) / LENS.fx, 1.0)
+    return CAMERA[:3, :3] @ (DISTANCE * ray) + CAMERA[:3, 3]
+
+
+def test_a_drawn_tag_is_seen_where_it_is_drawn():
+    seen = Sight(calibration()).see(CameraFrame(drawn([(3, 100, 80)]), None, 5.0))
+    np.testing.assert_allclose(seen["block"].position, expected(100), atol=3e-4)
+    assert seen["block"].tags == (3,) and seen["block"].time == 5.0
+    # It faces the camera, upright.
+    np.testing.assert_allclose(seen["block"].pose[:3, 2], [1.0, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(seen["block"].pose[:3, 1], [0.0, 0.0, 1.0], atol=0.02)
+    spread = np.sqrt(np.diag(seen["block"].covariance))
+    assert (spread < 2e-3).all() and spread[0] == spread.max()
+
+
+def test_what_is_not_there_is_not_seen():
+    assert Sight(calibration()).see(CameraFrame(drawn([(4, 100, 80)]), None, 5.0)) == {}
+
+
+class Frames:
+    """A camera that shows the given frames, one a call."""
+
+    intrinsics = LENS
+
+    def __init__(self, frames):
+        self._frames = iter(frames)
+
+    def read(self):
+        return next(self._frames, None)
+
+
+def test_frames_are_counted_and_the_newest_that_shows_the_object_is_told():
+    at = [CameraFrame(drawn([(3, 100, 80)]), None, 0.01 * number) for number in range(3)]
+    empty = CameraFrame(drawn([]), None, 0.03)
+    shared = SharedSightings(1, multiprocessing.get_context("spawn"))
+    watch = Watch(Frames([*at, empty]), calibration(), shared, lambda: 0.05)
+    assert [watch.look() for _ in range(5)] == [True] * 4 + [False]
+    assert shared.counts(0) == SightCounts(frames=4, lost=1)
+    seen = shared.since(0)[-1]
+    assert seen.time == pytest.approx(0.02)
+    np.testing.assert_allclose(seen.position, expected(100), atol=3e-4)
+    count, mean, longest = shared.latency()
+    assert count == 4 and mean == pytest.approx(0.035) and longest == pytest.approx(0.05)
+
+
+def test_a_process_tells_where_the_object_is_and_how_fast():
+    with Perception(SlidingTag, calibration()) as seeing:
+        seen = SeenObjects(seeing, ("block",))
+        until = time.monotonic() + 20.0
+        while time.monotonic() < until:
+            seeing.check()
+            now = time.monotonic()
+            (estimate,) = seen.estimates(now)
+            if seeing.report().frames > 12 and estimate.tracked:
+                break
+            time.sleep(0.005)
+        report = seeing.report()
+    assert estimate.tracked and 0.0 <= now - estimate.time < 0.2
+    # A pixel every 20 ms: to the camera's right, which is the base's y.
+    speed = DISTANCE / LENS.fx / 0.02
+    np.testing.assert_allclose(estimate.velocity, [0.0, speed, 0.0], atol=0.04)
+    assert report.frames > 12 and report.objects["block"].lost == 0
+    assert 0.0 < report.latency <= report.longest_latency
+
+
+def test_what_goes_wrong_in_the_process_is_told():
+    seeing = Perception(partial(SlidingTag, 3), calibration())
+    until = time.monotonic() + 20.0
+    with pytest.raises(RuntimeError, match="the cable is out"):
+        seeing.start()  # on a busy machine the cable is out before this returns
+        while time.monotonic() < until:
+            seeing.check()
+            time.sleep(0.01)
+    seeing.close()
+
+
+def test_a_process_that_is_gone_is_told():
+    with Perception(SlidingTag, calibration()) as seeing:
+        os.kill(seeing._process.pid, signal.SIGKILL)
+        seeing._process.join()
+        with pytest.raises(RuntimeError, match="the camera's process has ended"):
+            seeing.check()
+
+
+def no_camera():
+    raise InvalidInputError("no camera is attached")
+
+
+def test_the_users_mistakes_are_told_as_such():
+    with pytest.raises(InvalidInputError, match=r"^no camera is attached$"):
+        Perception(no_camera, calibration()).start()
+    told = calibration()
+    with pytest.raises(InvalidInputError, match="names no objects"):
+        Perception(SlidingTag, CameraCalibration(LENS, CAMERA, {}, told.made))
+    larger = type(LENS)(300.0, 300.0, 319.5, 239.5, 640, 480)
+    other = CameraCalibration(larger, CAMERA, told.objects, told.made)
+    with pytest.raises(InvalidInputError, match="gives 320 x 240 px, but was calibrated at 640 x"):
+        Perception(SlidingTag, other).start()
+
+
+def test_sightings_come_whole_through_shared_memory():
+    shared = SharedSightings(2, multiprocessing.get_context("spawn"))
+    assert shared.since(1) == [] and shared.counts(1) == SightCounts(0, 0)
+    rng = np.random.default_rng(0)
+    told = []
+    for number in range(19):
+        # Every third frame does not show it.
+        if number % 3:
+            told.append(Measured(rng.normal(size=3), rng.normal(size=(3, 3)), float(number)))
+        shared.write(1, told[-1] if told else None, SightCounts(number, 2))
+        found = shared.since(1, number - 2.5)
+        assert [each.time for each in found] == [t.time for t in told if t.time > number - 2.5]
+        for each, true in zip(found, told[-len(found) :] if found else [], strict=True):
+            np.testing.assert_array_equal(each.position, true.position)
+            np.testing.assert_array_equal(each.covariance, true.covariance)
+        assert shared.since(1, float(number)) == []  # nothing newer
+        assert shared.counts(1) == SightCounts(number, 2)
+    assert [each.time for each in shared.since(1)] == [14.0, 16.0, 17.0]
+    shared.write(0, None, SightCounts(1, 1))
+    assert shared.since(0) == [] and shared.counts(0) == SightCounts(1, 1)

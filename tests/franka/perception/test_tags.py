@@ -1,0 +1,92 @@
+"""Tags that are drawn by their codes are read by the real detector, where they are."""
+
+import sys
+
+import numpy as np
+import pytest
+from drawn_tags import drawn, drawn_corners
+
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.perception.edges import find_edges
+from contactgraph_franka.sim.tag_codes import TAGS, black_cells
+
+pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
+from contactgraph_franka.perception.tags import TagDetector
+
+
+def test_every_code_is_that_of_the_family():
+    detector = TagDetector([range(TAGS)])
+    for first in range(0, TAGS, 6):
+        places = [(first + i, 10 + 100 * (i % 3), 20 + 110 * (i // 3)) for i in range(6)]
+        found = {each.id: each for each in detector.detect(drawn(places))}
+        assert sorted(found) == list(range(first, first + 6))
+        for tag, column, row in places:
+            off = found[tag].corners - drawn_corners(column, row)
+            assert np.abs(off).max() < 0.3
+
+
+@pytest.mark.parametrize("tag", [-1, TAGS])
+def test_a_tag_that_is_not_known(tag):
+    with pytest.raises(InvalidInputError, match=f"^tag must be 0 to {TAGS - 1}, found {tag}$"):
+        black_cells(tag)
+
+
+def test_an_object_is_looked_for_where_it_was_and_found_again_elsewhere():
+    detector = TagDetector([(3,), (5,)])
+    for place in ((30, 40), (38, 44), (220, 150)):
+        found = detector.detect(drawn([(3, *place), (5, 130, 20)]))
+        assert sorted(each.id for each in found) == [3, 5]
+        tag = next(each for each in found if each.id == 3)
+        assert np.abs(tag.corners - drawn_corners(*place)).max() < 0.3
+
+
+def test_only_tags_of_the_objects_are_told():
+    assert [each.id for each in TagDetector([(5,)]).detect(drawn([(3, 30, 40), (5, 130, 20)]))] == [
+        5
+    ]
+
+
+def test_nothing_is_found_in_noise():
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320), dtype=np.uint8)
+    detector = TagDetector([range(587)])
+    assert detector.detect(noise) == [] and detector.detect(noise) == []
+
+
+@pytest.mark.parametrize(
+    ("image", "said"),
+    [
+        (np.zeros((4, 4, 3), np.uint8), r"found \(4, 4, 3\) uint8$"),
+        (np.zeros((40, 40)), r"found \(40, 40\) float64$"),
+    ],
+)
+def test_a_picture_must_be_grey(image, said):
+    with pytest.raises(InvalidInputError, match=said):
+        TagDetector([(0,)]).detect(image)
+
+
+def test_edges_are_found_to_hundredths_of_a_pixel():
+    exact = drawn_corners(100, 70)
+    rough = exact + np.random.default_rng(1).uniform(-1.5, 1.5, (4, 2))
+    edges = find_edges(drawn([(3, 100, 70)]), rough[None])
+    assert edges.found.all()
+    ways = np.roll(exact, -1, axis=0) - exact
+    across = np.stack([ways[:, 1], -ways[:, 0]], axis=1) / np.linalg.norm(ways, axis=1)[:, None]
+    off = np.einsum("ekc,ec->ek", edges.ends - exact[:, None], across)
+    assert np.abs(off).max() < 0.02
+
+
+def test_edges_that_are_not_there_are_not_found():
+    corners = drawn_corners(100, 70)
+    assert not find_edges(drawn([]), corners[None]).found.any()
+    for hidden_to in (128, 140):  # half of the upper and the lower edge, or most
+        hidden = drawn([(3, 100, 70)])
+        hidden[60:140, 90:hidden_to] = 60
+        assert find_edges(hidden, corners[None]).found.tolist() == [False, True, False, False]
+    assert not find_edges(drawn([(3, 100, 70)]), corners[None] - 99.0).found.any()
+
+
+def test_without_the_library_one_line_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyapriltags", None)
+    monkeypatch.delitem(sys.modules, "contactgraph_franka.perception.tags")
+    with pytest.raises(InvalidInputError, match=r"pip install 'contactgraph\[robot\]'$"):
+        import contactgraph_franka.perception.tags  # noqa: F401

@@ -1,0 +1,49 @@
+"""What holds of a RealSense where its library is missing or cannot be loaded; and its clock."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.perception.frame_clock import FrameClock
+
+MODULE = "contactgraph_franka.perception.realsense"
+
+
+def test_without_the_library_one_line_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    monkeypatch.delitem(sys.modules, MODULE, raising=False)
+    with pytest.raises(InvalidInputError, match=r"pip install 'contactgraph\[realsense\]'$"):
+        import contactgraph_franka.perception.realsense  # noqa: F401
+
+
+@pytest.fixture
+def broken(tmp_path, monkeypatch):
+    """A library that is there and cannot be loaded."""
+    (tmp_path / "pyrealsense2.py").write_text("raise ImportError('libodd.so.7: no such file')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "pyrealsense2", raising=False)
+    monkeypatch.delitem(sys.modules, MODULE, raising=False)
+
+
+def test_a_library_that_cannot_be_loaded_is_told_with_its_reason(broken):
+    pytest.importorskip("libusb_package", reason="the extra realsense is not installed")
+    with pytest.raises(InvalidInputError, match=r"cannot be loaded: libodd\.so\.7: no such file$"):
+        import contactgraph_franka.perception.realsense  # noqa: F401
+
+
+def test_where_nothing_can_be_loaded_in_its_place_the_extra_is_named(broken, monkeypatch):
+    monkeypatch.setitem(sys.modules, "libusb_package", None)
+    with pytest.raises(InvalidInputError, match="need libusb_package: pip install"):
+        import contactgraph_franka.perception.realsense  # noqa: F401
+
+
+def test_a_devices_clock_is_set_by_its_quickest_frame():
+    now = 0.0
+    clock = FrameClock(lambda: now)
+    told = []
+    for number, way in enumerate((0.030, 0.021, 0.055, 0.020)):
+        now = 100.0 + number / 30.0 + way
+        told.append(clock.from_device(7.0 + number / 30.0) - 100.0 - number / 30.0)
+    np.testing.assert_allclose(told, [0.030, 0.021, 0.021, 0.020], atol=1e-9)

@@ -1,0 +1,114 @@
+"""The processes of a rehearsal: how they begin, how they end, and the camera's."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from contactgraph.data import InvalidInputError
+
+pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehearsal]'")
+
+from contactgraph_franka.perception.camera import CameraFrame
+from contactgraph_franka.perception.sight import Sight
+from contactgraph_franka.sim.camera_settings import CameraSettings
+from contactgraph_franka.sim.rehearsal import Rehearsal, RunningRehearsal, attach
+from contactgraph_franka.sim.session import attached
+
+PACE = 2.0
+PATIENCE = 20.0
+"""s, on the wall, for what should take one."""
+
+
+@pytest.mark.parametrize("pace", [0.0, np.nan, 1000.0])
+def test_an_impossible_pace_is_refused(pace: float) -> None:
+    with pytest.raises(InvalidInputError, match="pace must be"):
+        Rehearsal(pace=pace)
+
+
+def test_a_server_that_dies_is_told(server_turn: None) -> None:
+    rehearsal = Rehearsal(pace=PACE)
+    with rehearsal as running:
+        rehearsal.check()
+        server = rehearsal._children[0]._process
+        server.kill()
+        server.wait()
+        with pytest.raises(RuntimeError, match=r"arm_server ended with code -9"):
+            rehearsal.check()
+        address = running.address
+    with pytest.raises(InvalidInputError, match="no rehearsal runs"):
+        attached(address)
+
+
+def test_nothing_outlives_its_owner(server_turn: None) -> None:
+    script = (
+        "import time\nfrom contactgraph_franka.sim.rehearsal import Rehearsal\n"
+        "r = Rehearsal(pace=2.0)\nwith r as running:\n"
+        "    print(r._children[0]._process.pid, flush=True)\n    time.sleep(60)\n"
+    )
+    owner = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert owner.stdout is not None
+    server = int(owner.stdout.readline())
+    os.kill(owner.pid, signal.SIGKILL)
+    owner.wait()
+    owner.stdout.close()
+    until = time.monotonic() + PATIENCE
+    while _alive(server):
+        assert time.monotonic() < until, "the server is still there"
+        time.sleep(0.05)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_frames_come_late_and_show_the_block_where_it_was(server_turn: None) -> None:
+    settings = CameraSettings(delay=0.03)
+    try:
+        with Rehearsal(pace=5.0, camera=settings) as running:
+            check_frames(running, settings)
+    except InvalidInputError as error:
+        if "OpenGL" in str(error):
+            pytest.skip(str(error))
+        raise
+
+
+def check_frames(running: RunningRehearsal, settings: CameraSettings) -> None:
+    frames = filmed(running, 3)
+    for frame, now in frames[1:]:
+        assert now - frame.time >= settings.delay
+    last = frames[-1][0]
+    calibration = running.calibration()
+    seen = Sight(calibration).see(last)["block"]
+    there = running.truth.between(last.time - 1e-6, last.time + 1e-6)
+    assert len(there) == 1
+    error = seen.position - there[0]["position"][1]
+    assert np.linalg.norm(error) < 3e-3
+    mistaken = running.calibration(shift=[0.01, 0.0, 0.0], turn=[0.0, 0.0, 0.02])
+    off = mistaken.camera_pose[:3, 3] - calibration.camera_pose[:3, 3]
+    np.testing.assert_allclose(off, [0.01, 0.0, 0.0])
+    turned = mistaken.camera_pose[:3, 2] - calibration.camera_pose[:3, 2]
+    level = np.linalg.norm(calibration.camera_pose[:2, 2])
+    assert np.linalg.norm(turned[:2]) == pytest.approx(0.02 * level, rel=0.02)
+
+
+def filmed(running: RunningRehearsal, count: int) -> list[tuple[CameraFrame, float]]:
+    """Frames, and when each was had."""
+    camera = attach(running.address).camera()
+    frames: list[tuple[CameraFrame, float]] = []
+    until = time.monotonic() + PATIENCE
+    while len(frames) < count:
+        frame = camera.read()
+        if frame is not None:
+            frames.append((frame, running.clock()))
+        assert time.monotonic() < until, "the camera sends nothing"
+        time.sleep(0.005)
+    return frames

@@ -1,0 +1,222 @@
+"""The real detector on really rendered frames: MuJoCo takes its OpenGL as it is imported, so that
+frames are rendered by a process of their own."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.perception import CameraFrame, Intrinsics
+from contactgraph_franka.perception.edges import find_edges
+from contactgraph_franka.perception.rigid import inverse, pose, rotation_of
+
+pytest.importorskip("mujoco", reason="needs pip install 'contactgraph[mujoco]'")
+pytest.importorskip("pyapriltags", reason="needs pip install 'contactgraph[robot]'")
+from contactgraph_franka.perception.sight import located
+from contactgraph_franka.perception.tags import TagDetector
+from contactgraph_franka.sim.tagged_block import tagged_block
+
+LENS = Intrinsics(900.0, 910.0, 330.0, 250.0, 640, 480)
+"""Off the middle, and not square: so that a mistake of either shows."""
+CAMERA = pose(
+    np.array([[0.0, 0.42, -0.9075], [1.0, 0.0, 0.0], [0.0, -0.9075, -0.42]]),
+    np.array([1.2, 0.02, 0.5]),
+)
+BLOCK = tagged_block("block", np.array([0.4, 0.0, 0.15])).tagged
+COUNT = 12
+
+RENDERED = """
+import sys
+from xml.etree import ElementTree
+import numpy as np
+from contactgraph_franka.sim.rendered_camera import RenderedCamera
+from contactgraph_franka.sim.tagged_block import tagged_block
+from contactgraph_franka.perception import Intrinsics
+from contactgraph_franka.envs.engine import mujoco
+
+told = np.load(sys.argv[1])
+tree = ElementTree.fromstring(
+    '<mujoco><worldbody><geom type="plane" size="3 3 .1" rgba=".45 .5 .55 1"/>'
+    '<light pos="0 0 3" dir="0 0 -1" directional="true"/></worldbody></mujoco>'
+)
+tagged_block("block", np.array([0.4, 0.0, 0.15])).append_to(tree)
+# Fingers on two sides, where they are asked for.
+block = tree.find("worldbody/body")
+for side in (-1, 1):
+    ElementTree.SubElement(
+        block, "geom", type="box", size=".01 .005 .03", pos=f"0 {side * 0.026} .02", group="4",
+        rgba=".3 .3 .3 1", mass="0", contype="0", conaffinity="0",
+    )
+model = mujoco.MjModel.from_xml_string(ElementTree.tostring(tree, encoding="unicode"))
+lens = Intrinsics(*told["lens"][:4], *map(int, told["lens"][4:]))
+held = mujoco.MjModel.from_xml_string(ElementTree.tostring(tree, encoding="unicode"))
+held.geom_group[held.geom_group == 4] = 0
+cameras = {
+    "exact": RenderedCamera(model, told["camera"], lens, grey_noise=0.0, depth_noise=0.0),
+    "noisy": RenderedCamera(model, told["camera"], lens, depth_noise=0.003, seed=1),
+    "windows": RenderedCamera(model, told["camera"], lens, bodies=("block",), seed=2),
+    "held": RenderedCamera(held, told["camera"], lens, seed=3),
+}
+made = {"mass": model.body("block").mass[0]}
+for name, camera in cameras.items():
+    frames = [camera.picture(places, 0.5) for places in told["places"]]
+    assert all(frame.time == 0.5 for frame in frames)
+    made[name] = [frame.image for frame in frames]
+    if frames[0].depth is not None:
+        made[name + "_depth"] = [frame.depth for frame in frames]
+    camera.close()
+np.savez(sys.argv[2], **made)
+"""
+
+
+def in_process(script, opengl, *arguments):
+    return subprocess.run(
+        [sys.executable, "-c", script, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "MUJOCO_GL": opengl, "DISPLAY": ""},
+    )
+
+
+def block_poses():
+    rng, made = np.random.default_rng(0), []
+    for number in range(COUNT):
+        tilt = rotation_of(rng.normal(0.0, 0.1, 3) * (1.0, 1.0, 0.0))
+        turn = tilt @ rotation_of(np.array([0.0, 0.0, 2.0 * np.pi * number / COUNT]))
+        made.append(pose(turn, rng.uniform([0.35, -0.15, 0.08], [0.55, 0.15, 0.22])))
+    return made
+
+
+POSES = block_poses()
+
+
+def as_places(place):
+    """qpos of a free body; the scalar part of the quaternion is far from zero or the second is."""
+    turn = place[:3, :3]
+    w = 0.5 * np.sqrt(max(0.0, 1.0 + np.trace(turn)))
+    if w < 0.1:
+        z = 0.5 * np.sqrt(1.0 - turn[0, 0] - turn[1, 1] + turn[2, 2])
+        rest = np.array([turn[0, 2] + turn[2, 0], turn[1, 2] + turn[2, 1]]) / (4 * z)
+        return [*place[:3, 3], (turn[1, 0] - turn[0, 1]) / (4 * z), *rest, z]
+    axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+    return [*place[:3, 3], w, *(np.array(axis) / (4 * w))]
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("frames")
+    lens = [LENS.fx, LENS.fy, LENS.cx, LENS.cy, LENS.width, LENS.height]
+    places = [as_places(place) for place in POSES]
+    np.savez(folder / "told.npz", lens=lens, camera=CAMERA, places=places)
+    done = in_process(RENDERED, "egl", folder / "told.npz", folder / "frames.npz")
+    if "OpenGL" in done.stderr:
+        pytest.skip(f"no OpenGL without a screen here: {done.stderr.splitlines()[-1]}")
+    assert done.returncode == 0, done.stderr
+    return np.load(folder / "frames.npz")
+
+
+def errors(images, depths=None):
+    """[F, 2] m and rad of the block's pose in the base; every frame alone."""
+    found = []
+    for number, (image, place) in enumerate(zip(images, POSES, strict=True)):
+        frame = CameraFrame(image, None if depths is None else depths[number], 0.5)
+        seen = located(frame, TagDetector([range(9)]).detect(image), BLOCK, LENS)
+        if seen is None:
+            found.append((np.nan, np.nan))
+            continue
+        apart = inverse(place) @ CAMERA @ seen.pose
+        angle = np.arccos(np.clip((np.trace(apart[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+        found.append((np.linalg.norm(apart[:3, 3]), angle))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("kind", ["exact", "noisy", "windows"])
+def test_blocks_are_seen_to_a_millimetre(frames, kind):
+    off = errors(frames[kind])
+    assert np.isfinite(off).all()
+    assert np.median(off[:, 0]) < 5e-4 and off[:, 0].max() < 3e-3
+    assert off[:, 1].max() < np.radians(1.5)
+
+
+def test_depth_does_not_harm(frames):
+    off = errors(frames["noisy"], frames["noisy_depth"])
+    assert np.median(off[:, 0]) < 5e-4 and off[:, 0].max() < 3e-3
+
+
+def test_a_held_block_is_seen_where_a_tag_is(frames):
+    off = errors(frames["held"])
+    seen = np.isfinite(off[:, 0])
+    assert seen.mean() > 0.7
+    assert np.median(off[seen, 0]) < 1e-3 and off[seen, 0].max() < 0.01
+
+
+def test_edges_are_where_the_intrinsics_say(frames):
+    """The half pixel, the axes, the principal point: a tag's edges, none of them by a detector."""
+    across = []
+    for image, place in zip(frames["exact"], POSES, strict=True):
+        to_camera = inverse(CAMERA) @ place
+        for tag in BLOCK.tags:
+            corners = tag.corners @ to_camera[:3, :3].T + to_camera[:3, 3]
+            normal = to_camera[:3, :3] @ tag.pose[:3, 2]
+            if -normal @ corners.mean(axis=0) / np.linalg.norm(corners.mean(axis=0)) < 0.6:
+                continue
+            exact = LENS.project(corners)
+            edges = find_edges(image, exact[None])
+            assert edges.found.all()
+            off = edges.ends - np.stack([exact, np.roll(exact, -1, axis=0)], axis=1)
+            across.append(np.einsum("ec,ec->e", off.mean(axis=1), edges.normal))
+    assert len(across) > 10
+    # Sides lie all ways round: a shift of the picture would show in the spread.
+    assert abs(np.mean(across)) < 0.03 and np.std(across) < 0.05
+
+
+def test_depth_is_the_distance_along_the_axis(frames):
+    for depth, place in zip(frames["exact_depth"], POSES, strict=True):
+        to_camera = inverse(CAMERA) @ place
+        tag = max(BLOCK.tags, key=lambda t: -(to_camera[:3, :3] @ t.pose[:3, 2])[2])
+        centre = (to_camera @ tag.pose)[:3, 3]
+        column, row = np.rint(LENS.project(centre)).astype(int)
+        assert depth[row, column] == pytest.approx(centre[2], abs=2e-3)
+    ratio = (frames["noisy_depth"] - frames["exact_depth"]) / frames["exact_depth"] ** 2
+    assert ratio.std() == pytest.approx(0.003, rel=0.1)
+
+
+def test_noise_is_as_large_as_asked(frames):
+    exact, noisy = frames["exact"].astype(float), frames["noisy"].astype(float)
+    inside = (exact > 20.0) & (exact < 235.0)
+    assert (noisy - exact)[inside].std() == pytest.approx(2.0, rel=0.1)
+
+
+def test_the_block_is_as_heavy_as_the_papers(frames):
+    assert frames["mass"] == pytest.approx(0.83)
+
+
+def test_without_opengl_one_line_says_what_to_set(tmp_path):
+    np.savez(tmp_path / "told.npz", lens=[9.0] * 4 + [64, 48], camera=CAMERA, places=[[0.0] * 7])
+    done = in_process(RENDERED, "disabled", tmp_path / "told.npz", tmp_path / "none.npz")
+    assert done.returncode == 1
+    assert "a rendered camera needs OpenGL without a screen: set MUJOCO_GL=egl" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"first_tag": 16}, "first_tag must be 0 to 15, found 16 for block"),
+        ({"sides": np.array([0.04, 0.04, 0.05])}, "sides of block must be twice as high as wide"),
+    ],
+)
+def test_a_block_that_cannot_be_tagged(change, said):
+    with pytest.raises(InvalidInputError, match=said):
+        tagged_block("block", np.zeros(3), **change)
+
+
+def test_a_block_of_other_sides_has_its_tags_within_its_faces():
+    sides = np.array([0.06, 0.03, 0.12])
+    for tag in tagged_block("block", np.zeros(3), first_tag=9, sides=sides).tagged.tags:
+        assert (np.abs(tag.corners) < sides / 2.0 + 2e-4).all()
+        out = tag.pose[:3, 2]
+        assert tag.corners @ out == pytest.approx(np.abs(out) @ sides / 2.0, abs=2e-4)

@@ -1,0 +1,52 @@
+"""The folder by which processes find a rehearsal."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.sim.camera_settings import CameraSettings
+from contactgraph_franka.sim.session import Session, attached, free_address
+
+ADDRESS = "127.0.7.1"
+
+
+def session(owner: int, camera: CameraSettings | None = None) -> Session:
+    return Session(ADDRESS, 2.0, 1, 0.83, owner, camera)
+
+
+@pytest.fixture(autouse=True)
+def clean() -> Iterator[None]:
+    yield
+    session(0).remove()
+
+
+def test_who_knows_the_address_finds_all_of_it() -> None:
+    made = session(os.getpid(), CameraSettings(delay=0.05, depth_noise=0.002))
+    made.create()
+    assert attached(ADDRESS) == made
+
+
+def test_a_running_one_is_not_replaced_and_a_dead_one_is() -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    session(gone.pid).create()
+    with pytest.raises(InvalidInputError, match=r"no rehearsal runs at 127\.0\.7\.1"):
+        attached(ADDRESS)
+    session(os.getpid()).create()
+    with pytest.raises(InvalidInputError, match=rf"already runs at .* \(process {os.getpid()}\)"):
+        session(os.getpid()).create()
+
+
+def test_where_nothing_runs_the_error_says_how_to_start() -> None:
+    with pytest.raises(InvalidInputError, match="contactgraph robot rehearse"):
+        attached(ADDRESS)
+
+
+def test_addresses_of_other_machines_are_not_free() -> None:
+    assert free_address(["192.0.2.1", ADDRESS]) == ADDRESS
+    with pytest.raises(InvalidInputError, match=r"1337 and 1338 are not free at 192\.0\.2\.1"):
+        free_address(["192.0.2.1"])

@@ -1,0 +1,142 @@
+"""Work done by processes: answered in order, with every mistake told, and nobody left behind."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+
+import pytest
+
+from contactgraph.data import InvalidInputError
+from contactgraph.parallel import LocalProcesses, answers_in_order, usable_cores
+
+
+@dataclass(frozen=True)
+class Errand:
+    """Work that a process can be sent."""
+
+    refused: int = -1
+    broken: int = -1
+    deadly: int = -1
+    endless: int = -1
+
+    def begin(self):
+        begun = time.perf_counter_ns()
+
+        def work(index: int):
+            # Late ones are quick, so that answers come in another order than they are wanted in.
+            time.sleep(600.0 if index == self.endless else 0.02 * (8 - index))
+            if index == self.refused:
+                raise InvalidInputError(f"errand {index}: nobody is in")
+            if index == self.broken:
+                raise KeyError("spoon")
+            if index == self.deadly:
+                os._exit(7)
+            return index, os.getpid(), begun
+
+        return work
+
+
+def test_answers_come_in_order_from_processes_that_begin_once():
+    answers = list(answers_in_order(LocalProcesses(2), Errand().begin, range(2, 8)))
+    assert [index for index, _, _ in answers] == list(range(2, 8))
+    begun = {(process, begun) for _, process, begun in answers}
+    assert len(begun) == len(dict(begun)) and os.getpid() not in dict(begun)
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize(
+    ("errand", "error", "said"),
+    [
+        (Errand(refused=3), InvalidInputError, "^errand 3: nobody is in$"),
+        (Errand(broken=3), RuntimeError, "(?s)Traceback.*in work.*KeyError: 'spoon'"),
+        (Errand(deadly=3), RuntimeError, "^3: its process died, exit code 7$"),
+    ],
+)
+def test_what_goes_wrong_in_a_process_is_told(errand, error, said):
+    with pytest.raises(error, match=said):
+        list(answers_in_order(LocalProcesses(2), errand.begin, range(8)))
+    assert multiprocessing.active_children() == []
+
+
+class Place:
+    """Where work is done, and by whom."""
+
+    def begin(self):
+        return lambda unit: (os.getpid(), usable_cores(), os.environ["NPROC"])
+
+
+def test_each_process_stays_on_a_core_and_is_replaced_after_so_many_units():
+    with LocalProcesses(1).crew(Place().begin, 5, units_a_worker=2) as crew:
+        workers, processes = [], []
+        for unit in range(5):
+            (worker,) = crew.idle()
+            crew.give(worker, unit)
+            (outcome,) = crew.wait()
+            process, cores, most = outcome.answer
+            assert (outcome.unit, len(cores), most) == (unit, 1, "1")
+            workers.append(worker)
+            processes.append(process)
+    assert workers == [0, 0, 1, 1, 2], "who has compiled nothing yet has another number"
+    assert len(set(processes)) == 3 and processes[0] == processes[1]
+
+
+def test_a_process_that_died_is_told_and_another_takes_its_place():
+    with LocalProcesses(2).crew(Errand(deadly=3).begin, 8) as crew:
+        for worker, unit in zip(crew.idle(), (3, 7), strict=True):
+            crew.give(worker, unit)
+        outcomes = []
+        while len(outcomes) < 2:
+            outcomes += crew.wait()
+        (lost,) = [outcome for outcome in outcomes if outcome.answer is None]
+        assert (lost.unit, lost.lost) == (3, "its process died, exit code 7")
+        (fresh,) = [worker for worker in crew.idle() if worker > 1]
+        crew.give(fresh, 6)
+        assert crew.wait()[0].answer[0] == 6
+
+
+def test_there_must_be_a_process():
+    with pytest.raises(InvalidInputError, match="processes must be at least 1, found 0"):
+        LocalProcesses(0)
+
+
+def test_cores_are_as_many_as_nproc_says(monkeypatch):
+    every = usable_cores()
+    monkeypatch.setenv("NPROC", "1")
+    assert usable_cores() == every[:1]
+    monkeypatch.setenv("NPROC", "many")
+    assert usable_cores() == every
+
+
+def test_processes_end_with_whoever_wants_no_more():
+    answers = answers_in_order(LocalProcesses(2), Errand(endless=1).begin, range(8))
+    next(answers)
+    assert len(multiprocessing.active_children()) == 2
+    answers.close()
+    assert multiprocessing.active_children() == []
+
+
+UNGUARDED = """
+import functools, sys
+from contactgraph.parallel import LocalProcesses, answers_in_order
+
+def begin(ballast):
+    return str
+
+work = functools.partial(begin, "x" * int(sys.argv[1]))
+print(list(answers_in_order(LocalProcesses(1), work, range(2))))
+"""
+
+
+@pytest.mark.parametrize("ballast", ["1", "1000000"])
+def test_a_script_that_is_not_guarded_ends_and_says_why(tmp_path, ballast):
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED)
+    told = subprocess.run(
+        [sys.executable, str(script), ballast], capture_output=True, text=True, timeout=60
+    )
+    assert told.returncode == 1 and told.stdout == ""
+    assert "RuntimeError: 0: its process died" in told.stderr.splitlines()[-1]
+    assert "if __name__ == '__main__':" in told.stderr

@@ -1,0 +1,89 @@
+"""Work that needs all of a machine: one unit at a time, each in a new process."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from contactgraph.data import InvalidInputError
+from contactgraph.parallel import WholeMachine, answers_in_order
+
+
+def shout(connection) -> None:
+    connection.send(os.getppid())
+
+
+@dataclass(frozen=True)
+class Errand:
+    refused: int = -1
+    deadly: int = -1
+
+    def begin(self):
+        def work(index: int):
+            if index == self.refused:
+                raise InvalidInputError(f"errand {index}: nobody is in")
+            if index == self.deadly:
+                os._exit(7)
+            # A process of its own, which those of other engines may not have.
+            ours, theirs = multiprocessing.Pipe()
+            child = multiprocessing.get_context("spawn").Process(target=shout, args=(theirs,))
+            child.start()
+            parent = ours.recv()
+            child.join()
+            return index, parent, os.getpid(), len(os.sched_getaffinity(0))
+
+        return work
+
+
+def test_every_unit_has_a_new_process_all_cores_and_children():
+    answers = list(answers_in_order(WholeMachine(), Errand().begin, range(2)))
+    assert [index for index, *_ in answers] == [0, 1]
+    assert all(parent == process for _, parent, process, _ in answers)
+    assert len({process for _, _, process, _ in answers}) == 2
+    assert {cores for *_, cores in answers} == {len(os.sched_getaffinity(0))}
+    assert multiprocessing.active_children() == []
+
+
+def test_nobody_outlives_the_owner():
+    script = (
+        "import os, sys, time\n"
+        "from contactgraph.parallel import WholeMachine\n"
+        "def begin():\n"
+        "    return lambda unit: (print(os.getpid(), flush=True), time.sleep(60))\n"
+        "if __name__ == '__main__':\n"
+        "    with WholeMachine().crew(begin, 1) as crew:\n"
+        "        crew.give(0, 0)\n"
+        "        crew.wait()\n"
+    )
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "owner.py"
+        path.write_text(script)
+        owner = subprocess.Popen([sys.executable, path], stdout=subprocess.PIPE, text=True)
+        assert owner.stdout is not None
+        worker = int(owner.stdout.readline())
+        owner.kill()
+        owner.wait()
+        owner.stdout.close()
+    until = time.monotonic() + 10.0
+    while Path(f"/proc/{worker}").exists():
+        assert time.monotonic() < until, "the worker is still there"
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    ("errand", "error", "said"),
+    [
+        (Errand(refused=0), InvalidInputError, "^errand 0: nobody is in$"),
+        (Errand(deadly=0), RuntimeError, "^0: its process died, exit code 7$"),
+    ],
+)
+def test_what_goes_wrong_in_a_process_is_told(errand, error, said):
+    with pytest.raises(error, match=said):
+        list(answers_in_order(WholeMachine(), errand.begin, range(2)))
+    assert multiprocessing.active_children() == []

@@ -1,0 +1,229 @@
+"""Claim, targets, tables, charts and the page of the study of costs, from made-up numbers."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from made_up_costs import Change, cost_results
+
+from contactgraph.control import LearningHistory, write_cost
+from contactgraph.data import Scene, Trajectory, write_trajectories
+from contactgraph.viz import Number
+from contactgraph_studies.chart import svg
+from contactgraph_studies.cost.cells import cost_measurements
+from contactgraph_studies.cost.charts import success_chart
+from contactgraph_studies.cost.claim import transfers
+from contactgraph_studies.cost.declared import (
+    COST_TASKS,
+    DOOR_COST,
+    FULL_COST,
+    MULTI_PICKUP_COST,
+    PICKUP_COST,
+    among_distractors,
+    by_runs,
+    known_answers,
+)
+from contactgraph_studies.cost.known_answer import (
+    KnownAnswer,
+    known_answer,
+    known_terms,
+    own_cost,
+)
+from contactgraph_studies.cost.known_table import known_rows
+from contactgraph_studies.cost.study import CostStudy
+from contactgraph_studies.cost.table import cost_csv, cost_rows, cost_table
+from contactgraph_studies.cost.targets import cost_targets
+from contactgraph_studies.results import Results
+
+MOST = by_runs(FULL_COST)[-1]
+
+
+@pytest.mark.parametrize(
+    ("change", "task", "holds"),
+    [
+        (None, "", True),
+        ({"success_rate": 0.98}, "pickup", True),
+        (lambda seed: {"success_rate": 0.98 if seed else 0.97}, "pickup", False),
+        ({"success_rate": 0.5}, "door", True),
+    ],
+)
+def test_the_claim_is_about_all_episodes_of_pickup(
+    change: Change | None, task: str, holds: bool
+) -> None:
+    found = transfers(cost_results(change, task, MOST), COST_TASKS, FULL_COST)
+    assert (found.number, found.holds) == (8, holds)
+    json.dumps(found.to_json(), allow_nan=False)
+
+
+def test_what_the_claim_says() -> None:
+    found = transfers(
+        cost_results({"success_rate": 0.5}, "pickup", by_runs(FULL_COST)[0]), COST_TASKS, FULL_COST
+    )
+    assert found.holds is True, "fewer demonstrations are another question"
+    assert found.sentence == (
+        "Learned from 40 demonstrations: 99 % (297 of 300; 97.1 to 99.7) on pickup, "
+        "99 % (297 of 300; 97.1 to 99.7) on multi-pickup and 99 % (297 of 300; 97.1 to 99.7) on "
+        "door."
+    )
+    assert [number.figure.median for number in found.numbers[:4]] == [50.0, 99.0, 99.0, 99.0]
+    nothing = transfers(Results({}), COST_TASKS, FULL_COST)
+    assert (nothing.holds, nothing.sentence) == (None, "Not measured.")
+
+
+def targets(results: Results) -> dict[str, Number]:
+    return {number.name: number for number in cost_targets(results, [PICKUP_COST], FULL_COST)}
+
+
+def test_targets_are_judged_by_all_episodes_together() -> None:
+    found = targets(cost_results())
+    counted = "(297 of 300 episodes; each seed: 99, 99, 99 %)"
+    unseen = found[f"pickup: success, unseen goals and objects, 40 demonstrations {counted}"]
+    assert (unseen.at_least, unseen.aim, unseen.reached) == (98.0, 100.0, True)
+    assert unseen.value == pytest.approx(99.0)
+    assert unseen.interval == pytest.approx((97.1, 99.7), abs=0.05)
+    assert unseen.command.startswith("contactgraph control pickup pickup --cost ")
+    seconds = found["pickup: learning from 40 demonstrations, on one core"]
+    assert (seconds.value, seconds.at_least, seconds.aim) == (30.0, 300.0, 60.0)
+    bad = targets(cost_results({"success_rate": 0.94}, "pickup", among_distractors(FULL_COST)[1]))
+    missed = [number for number in bad.values() if number.reached is False]
+    assert [number.at_least for number in missed] == [95.0]
+    assert "40 demonstrations by the expert among 5 distractors, 5 dis" in missed[0].name
+
+
+@pytest.mark.parametrize(
+    ("changed", "needed", "also"),
+    [(None, 5, ""), (5, 10, ""), (10, 20, ""), (40, None, ": not enough")],
+)
+def test_demonstrations_needed(changed: int | None, needed: int | None, also: str) -> None:
+    """More must not be worse: the fewest from which on all are enough."""
+    bad = [trial for trial in by_runs(FULL_COST) if trial.lesson.runs == changed]
+    change = {"success_rate": 0.9} if bad else None
+    found = targets(cost_results(change, "pickup", bad[0] if bad else None))
+    number = found[f"pickup: demonstrations needed for 95 % (of 5, 10, 20, 40{also})"]
+    assert (number.value, number.aim, number.reached) == (needed, 5.0, None)
+
+
+def test_tables_say_the_same_to_people_and_programs() -> None:
+    rows = cost_rows(
+        cost_results(lambda seed: {"success_rate": 1.0 - seed / 100}, "pickup"),
+        COST_TASKS,
+        FULL_COST,
+    )
+    assert len(rows) == 3 * 8 + 1
+    page = cost_table(rows)
+    assert page.rows[3].names == ("pickup", "expert", "40", "0")
+    assert page.rows[3].figures == (
+        "99 % (297 of 300; 97.1 to 99.7)",
+        "100, 99, 98",
+        "1.5 (1.5 to 1.5)",
+        "",
+        "30 (30 to 30)",
+    )
+    assert page.rows[5].names == ("pickup", "expert among 5 distractors", "40", "5")
+    assert page.rows[5].figures[3] == "2, 2, 2"
+    assert page.rows[7].names[1] == "expert, without the prior"
+    assert page.rows[8].names == ("pickup", "not learned: the task's own cost", "", "0")
+    assert page.rows[8].commands[1].startswith("contactgraph control pickup pickup --episodes 40 ")
+    read = list(csv.DictReader(io.StringIO(cost_csv(rows))))
+    assert len(read) == len(rows)
+    first = read[3]
+    assert (first["successes"], first["episodes"], first["seeds"]) == ("297", "300", "3")
+    assert float(first["interval_low"]) == pytest.approx(0.971, abs=5e-4)
+    assert (first["success_percent_low"], first["learning_s_median"]) == ("98.0", "30.0")
+    empty = cost_rows(Results({}), COST_TASKS, FULL_COST)
+    assert next(csv.DictReader(io.StringIO(cost_csv(empty))))["successes"] == ""
+
+
+def test_the_known_answer_is_known_up_to_scale() -> None:
+    own = own_cost(PICKUP_COST)
+    same = replace(own, Q=7.0 * own.Q, R=7.0 * own.R)
+    half = replace(own, Q=3.5 * own.Q, R=7.0 * own.R)
+    answers = [KnownAnswer(own, same, 0.06), KnownAnswer(own, half, 0.07)]
+    terms = known_terms(answers)
+    assert [(term.name, term.unit) for term in terms] == [
+        ("gripper - target", "1 m"),
+        ("gripper - target", "1 m/s"),
+        ("target - goal", "1 m"),
+        ("target - goal", "1 m/s"),
+    ]
+    # Roots of the paper's weights over that of the force: 3, 0.2, 50 and 1 over 0.01.
+    weights = [300**0.5, 20**0.5, 5000**0.5, 10.0]
+    assert [term.hidden.median for term in terms] == pytest.approx(weights)
+    for term in terms:
+        assert term.ratio.values == pytest.approx((1.0, 0.5**0.5))
+    first = known_rows(("pickup", "MPC"), answers)[0]
+    assert first.names == ("pickup", "MPC", "gripper - target", "1 m")
+    assert first.figures == (
+        "17.3 (17.3 to 17.3)",
+        "14.8 (12.2 to 17.3)",
+        "0.854 (0.707 to 1)",
+        "6.5 (6 to 7)",
+    )
+    assert known_rows(("pickup", "MPC"), []) == []
+
+
+def test_costs_of_several_objects_are_compared_in_the_hidden_ones_order() -> None:
+    own = own_cost(MULTI_PICKUP_COST)
+    assert own.kept_nodes == ("gripper", "target-1", "target-2")
+    # The same cost, as a learner writes it that saw the second target touched first.
+    order = np.array([0, 1, 2, 3, 8, 9, 10, 11, 4, 5, 6, 7])
+    turned = replace(
+        own,
+        Q=own.Q[order][:, order],
+        nodes=own.nodes[np.array([0, 2, 1])],
+        kept_nodes=("gripper", "target-2", "target-1"),
+    )
+    terms = known_terms([KnownAnswer(own, turned, 0.0)])
+    assert [term.name for term in terms[::2]] == [
+        "gripper - target-1",
+        "target-1 - target-2",
+        "target-2 - goal",
+    ]
+    assert [term.ratio.median for term in terms] == pytest.approx([1.0] * 6)
+
+
+def test_known_answers_are_those_whose_files_are_there(tmp_path: Path) -> None:
+    """The hidden cost is the task's own, or that in the file by which the runs were made."""
+    history = LearningHistory(*[jnp.ones(1)] * 4)
+    own = replace(own_cost(DOOR_COST), history=history)
+    wanted = cost_measurements([DOOR_COST], FULL_COST)
+    by_own, by_learned = known_answers(FULL_COST)
+    other = replace(own, Q=2.0 * own.Q)
+    for seed, lesson, cost in ((0, by_own, own), (1, by_learned, own), (1, MOST.lesson, other)):
+        path = tmp_path / "cells" / "door" / f"seed-{seed}" / lesson.slug / "cost.json"
+        path.parent.mkdir(parents=True)
+        write_cost(path, cost)
+    force = np.array([[10.0, 0.0], [1.0, -10.0], [9.0, 9.0], [0.0, 0.0]])
+    run = Trajectory(
+        scene=Scene(("gripper",), ("gripper",), np.array([True]), dt=0.05),
+        position=np.zeros((5, 1, 2)),
+        velocity=np.zeros((5, 1, 2)),
+        control=force,
+    )
+    write_trajectories(tmp_path / "cells" / "door" / "seed-0" / "own-cost.h5", [run])
+    assert float(DOOR_COST.task().action_space.high[0]) == 10.0  # type: ignore[attr-defined]
+    first = known_answer(tmp_path, wanted, DOOR_COST, by_own)
+    assert [each.at_limit for each in first] == [0.5]
+    assert known_terms(first)[0].ratio.values == pytest.approx((1.0,))
+    second = known_answer(tmp_path, wanted, DOOR_COST, by_learned)
+    assert len(second) == 1 and np.isnan(second[0].at_limit)
+    assert known_terms(second)[0].ratio.values == pytest.approx((0.5**0.5,))
+
+
+def test_charts_are_drawn_whatever_is_missing() -> None:
+    whole = svg(success_chart(cost_results(), COST_TASKS, FULL_COST))
+    assert whole == svg(success_chart(cost_results(), COST_TASKS, FULL_COST))
+    assert svg(success_chart(Results({}), COST_TASKS, FULL_COST)) != whole
+
+
+def test_a_study_of_nothing_says_so(tmp_path: Path) -> None:
+    found = CostStudy(COST_TASKS, FULL_COST).findings(tmp_path)
+    assert [claim.holds for claim in found.claims] == [None]
+    assert all(number.value is None for number in found.targets)
+    assert found.readings == [] and found.scenes == []
+    assert "| pickup | expert | 40 | 0 | not known |" in found.table_markdown

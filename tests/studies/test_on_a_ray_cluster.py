@@ -1,0 +1,251 @@
+"""A Ray cluster of several nodes on this machine, one of which is killed: nothing lost, nothing
+twice, and the same data as ever."""
+
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from fake_worker import FakeWorker
+
+from contactgraph.cli import main as cli
+from contactgraph.data import InvalidInputError
+from contactgraph.envs import collect as collecting
+from contactgraph.parallel import answers_in_order
+from contactgraph_studies.cell import Cell, in_order
+from contactgraph_studies.record import Records
+from contactgraph_studies.runner import Failure, Standing, run_cells
+
+pytest.importorskip("ray", reason="Ray is not installed: pip install 'contactgraph[cluster]'")
+
+from ray.cluster_utils import Cluster
+
+from contactgraph.parallel import ray_cluster
+from contactgraph.parallel.ray_cluster import RayCluster, connected
+
+# Ray starts its processes by fork, of which JAX warns where tests before used it.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:os.fork"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Iterator[Cluster]:
+    """A head that does no work, and two nodes of a core each. They know the tests' modules."""
+    # Found dead in two seconds, not in 15.
+    told = {"health_check_period_ms": 500, "health_check_failure_threshold": 3}
+    head = {"num_cpus": 0, "_system_config": told}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(Path(__file__).parent))
+        cluster = Cluster(initialize_head=True, head_node_args=head)
+        try:
+            for _ in range(2):
+                cluster.add_node(num_cpus=1)
+            yield cluster
+        finally:
+            cluster.shutdown()
+
+
+def test_recorded_on_a_cluster_a_file_is_the_same(
+    tmp_path: Path, nodes: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(collecting, "_ALONE_S", 0.0)
+    monkeypatch.setattr(collecting, "_START_S", 0.0)
+    monkeypatch.chdir(tmp_path)
+    arguments = ["collect", "pickup", "--episodes", "7", "--distractors", "2", "--mixed"]
+    assert cli.run([*arguments, "--out", "a.h5", "--cluster", f"ray:{nodes.address}"]) == 0
+    monkeypatch.setenv("NPROC", "1")
+    assert cli.run([*arguments, "--out", "b.h5"]) == 0
+    assert Path("a.h5").read_bytes() == Path("b.h5").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def engine(nodes: Cluster) -> Iterator[RayCluster]:
+    with connected(nodes.address) as engine:
+        yield engine
+
+
+@dataclass(frozen=True)
+class Errand:
+    """Work that a machine can be sent."""
+
+    refused: int = -1
+    broken: int = -1
+
+    def begin(self):
+        def work(unit: int):
+            time.sleep(0.02 * (6 - unit))
+            if unit == self.refused:
+                raise InvalidInputError(f"errand {unit}: nobody is in")
+            if unit == self.broken:
+                raise KeyError("spoon")
+            return unit, os.getpid()
+
+        return work
+
+
+def test_answers_come_in_order_from_the_machines(engine: RayCluster) -> None:
+    assert engine.workers == 2
+    answers = list(answers_in_order(engine, Errand().begin, range(6)))
+    assert [unit for unit, _ in answers] == list(range(6))
+    assert os.getpid() not in dict(answers).values()
+
+
+def test_what_goes_wrong_on_a_machine_is_told(
+    engine: RayCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for errand, error, said in [
+        (Errand(refused=3), InvalidInputError, "^errand 3: nobody is in$"),
+        (Errand(broken=3), RuntimeError, "(?s)Traceback.*in work.*KeyError: 'spoon'"),
+    ]:
+        with pytest.raises(error, match=said):
+            list(answers_in_order(engine, errand.begin, range(6)))
+    monkeypatch.setattr(ray_cluster, "version", lambda package: "9.9")
+    with pytest.raises(InvalidInputError, match=r"has contactgraph 0\.\d.*, not 9\.9 as here"):
+        list(answers_in_order(engine, Errand().begin, range(6)))
+
+
+def study(folder: Path, cells: list[Cell], engine: RayCluster) -> tuple[list[Failure], list]:
+    steps: list[Standing] = []
+    records, begin = Records(folder / "study", "1"), FakeWorker(folder).begin
+    return run_cells(in_order(cells), records, engine, begin, steps.append), steps
+
+
+def done(folder: Path) -> list[str]:
+    path = folder / "done.txt"
+    lines = path.read_text().splitlines() if path.exists() else []
+    path.unlink(missing_ok=True)
+    return lines
+
+
+def test_files_are_carried_to_cells_and_back(tmp_path: Path, engine: RayCluster) -> None:
+    both = Cell("deep/a", ("both", "deep/a"), "both", beside=("deep/a.more",))
+    run = Cell("run", ("half", "run"), "half", checkpoints="checkpoint-*")
+    joined = Cell("b", ("join", "b", "deep/a.more"), "join", (both,))
+    bad = Cell("bad", ("fail", "bad"), "fail")
+    dead = Cell("dead", ("die", "dead"), "die")
+    failures, steps = study(tmp_path, [joined, run, bad, dead], engine)
+    told = {failure.cell.output: failure.reason for failure in failures}
+    assert told.pop("dead").startswith("begun 4 times: ")
+    assert told == {
+        "run": "exit code 130; it said nothing in " + str(tmp_path / "study" / "run.log"),
+        "bad": "exit code 2; contactgraph: it cannot be",
+    }
+    assert steps[-1].done == steps[-1].total == 5
+    assert (tmp_path / "study" / "b").read_text() == "more"
+    assert Counter(line.split()[0] for line in done(tmp_path)) == {
+        **dict.fromkeys(("both", "join", "half", "fail"), 1),
+        "die": 4,
+    }
+    # What is here of a training goes along, and the training goes on from it.
+    (tmp_path / "study" / "run").mkdir()
+    (tmp_path / "study" / "run" / "checkpoint-1").write_text("")
+    assert study(tmp_path, [joined, run], engine)[0] == []
+    assert done(tmp_path) == ["half run --resume"]
+    assert (tmp_path / "study" / "run" / "checkpoint-1").exists()
+
+
+def children(begun: Path) -> dict[int, int]:
+    """Who works, by the process that began it."""
+    lines = begun.read_text().splitlines() if begun.exists() else []
+    return {int(parent): int(child) for parent, child in map(str.split, lines)}
+
+
+def test_a_node_that_is_killed_costs_its_cell_alone(
+    tmp_path: Path, nodes: Cluster, engine: RayCluster
+) -> None:
+    doomed = nodes.add_node(num_cpus=1)
+    (raylet,) = doomed.all_processes["raylet"]
+
+    def kill() -> None:
+        """Of a machine that is gone nothing is left: neither Ray's process nor who was at work."""
+        while (worker := children(tmp_path / "begun.txt").get(raylet.process.pid)) is None:
+            time.sleep(0.02)
+        nodes.remove_node(doomed, allow_graceful=False)
+        os.kill(worker, signal.SIGKILL)
+        (tmp_path / "go.txt").write_text("")
+
+    cells = [Cell(f"{n}", ("wait", f"{n}", f"{n}"), "wait") for n in range(9)]
+    killer = threading.Thread(target=kill, daemon=True)
+    killer.start()
+    failures, steps = study(tmp_path, cells, engine)
+    killer.join()
+    assert failures == []
+    assert [(tmp_path / "study" / f"{n}").read_text() for n in range(9)] == list("012345678")
+    assert sorted(step.last.output for step in steps) == list("012345678"), "each told once"
+    times = Counter(done(tmp_path))
+    assert sorted(times.values()) == [1] * 8 + [2], "one was done again"
+    assert study(tmp_path, cells, engine) == ([], [])
+    assert done(tmp_path) == []
+
+
+def test_ctrl_c_leaves_what_is_done(tmp_path: Path, engine: RayCluster) -> None:
+    cells = [Cell(f"{n}", ("make", f"{n}"), "make") for n in range(4)]
+
+    def interrupted(standing: Standing) -> None:
+        raise KeyboardInterrupt
+
+    begin, records = FakeWorker(tmp_path).begin, Records(tmp_path / "study", "1")
+    with pytest.raises(KeyboardInterrupt):
+        run_cells(cells, records, engine, begin, interrupted)
+    (made,) = (cell.output for cell in cells if records.seconds(cell) is not None)
+    assert study(tmp_path, cells, engine)[0] == []
+    assert done(tmp_path).count(f"make {made}") == 1
+
+
+@pytest.fixture
+def silent() -> Iterator[int]:
+    """A port at which nobody speaks."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+@pytest.mark.parametrize("command", ["collect pickup --out x.h5", "reproduce door --out study"])
+@pytest.mark.parametrize(
+    ("cluster", "said"),
+    [
+        ("slurm", "--cluster must be one of local, ray; found 'slurm'"),
+        ("local:4", "--cluster: local takes no address, found '4'"),
+        ("ray:", "a cluster's address must be HOST:PORT, found ''"),
+        ("ray:here", "a cluster's address must be HOST:PORT, found 'here'"),
+        ("ray:localhost:1", "no Ray cluster answers at localhost:1 (Connection refused); one is "),
+        ("ray:127.0.0.1:SILENT", "no Ray cluster answers at 127.0.0.1:SILENT (timed out); one is "),
+    ],
+)
+def test_mistakes(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    silent: int,
+    command: str,
+    cluster: str,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ray_cluster, "_ANSWER_S", 0.1)
+    cluster, said = (text.replace("SILENT", str(silent)) for text in (cluster, said))
+    assert cli.run([*command.split(), "--cluster", cluster]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"contactgraph: {said}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.delitem(sys.modules, "contactgraph.parallel.ray_cluster")
+    arguments = ["collect", "pickup", "--out", str(tmp_path / "x.h5"), "--cluster", "ray"]
+    assert cli.run(arguments) == 2
+    assert capsys.readouterr().err == (
+        "contactgraph: a cluster needs Ray: pip install 'contactgraph[cluster]', here and on its "
+        "machines\n"
+    )

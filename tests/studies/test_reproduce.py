@@ -1,0 +1,173 @@
+"""``contactgraph reproduce``: which studies there are, what it writes, how it exits."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import pytest
+
+from contactgraph.cli import main as cli
+from contactgraph.control import LearningHistory, write_cost
+from contactgraph_studies.cell import Cell
+from contactgraph_studies.cli.study import Study
+from contactgraph_studies.cost import declared
+from contactgraph_studies.cost.declared import PICKUP_COST
+from contactgraph_studies.cost.known_answer import own_cost
+from contactgraph_studies.record import Records
+from contactgraph_studies.runner import Failure, Standing
+
+FILES = {
+    "claims.json",
+    "figures",
+    "index.html",
+    "results.json",
+    "table.csv",
+    "table.md",
+    "targets.csv",
+    "targets.md",
+}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            "juggling",
+            "study must be one of pickup, multi-pickup, door, franka, cost, sensing, rehearsal, "
+            "all; found 'juggling'",
+        ),
+        ("door --out taken", "--out: taken must be a folder, found a file"),
+    ],
+)
+def test_mistakes(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: str,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").write_text("")
+    assert cli.run(["reproduce", *arguments.split()]) == 2
+    assert capsys.readouterr().err == f"contactgraph: {said}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+@pytest.fixture
+def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Cell]]:
+    """Cells are not made: every JSON file that they would write holds the same numbers."""
+    asked: list[list[Cell]] = []
+
+    def run_cells(
+        cells: Sequence[Cell], records: Records, engine: object, begin: object, on_step: object
+    ) -> list[Failure]:
+        asked.append(list(cells))
+        values = {"success_rate": 1.0, "episodes": 5, "n_step_rmse_planned_m": 0.001}
+        for cell in cells:
+            path = records.folder / cell.output
+            if path.suffix == ".json" and "paper-literal" not in cell.output:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(json.dumps(values))
+        lost = [cell for cell in cells if "paper-literal" in cell.output]
+        failures = [Failure(cell, "not begun: it needs something") for cell in lost[1:]]
+        first = Failure(lost[0], "exit code 2; contactgraph: no such model")
+        on_step(Standing(1, 2, 90.0, lost[0], first))  # type: ignore[operator]
+        return [first, *failures]
+
+    monkeypatch.setattr("contactgraph_studies.cli.study.run_cells", run_cells)
+    return asked
+
+
+def test_what_a_study_leaves(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    made_up: list[list[Cell]],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        cli.run(["reproduce", "door", "--quick"])
+    assert left.value.code == 1, "a study that lacks something is no success"
+    folder = tmp_path / "results" / "door"
+    assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
+    captured = capsys.readouterr()
+    assert "1. holds: In distribution, every model's N-step error is under 1 cm" in captured.out
+    assert "the page: results/door/index.html" in captured.out
+    assert "failed: contactgraph train " in captured.err
+    assert "(exit code 2; contactgraph: no such model)" in captured.err
+    claims = json.loads((folder / "claims.json").read_text())["claims"]
+    assert [(claim["number"], claim["holds"]) for claim in claims[:2]] == [(1, True), (2, False)]
+    assert all(claim["tasks"] == ["door"] and claim["paper"] for claim in claims)
+    results = json.loads((folder / "results.json").read_text())
+    assert results["command"] == "contactgraph reproduce door --quick"
+    assert results["versions"].keys() >= {"contactgraph", "jax"}
+    assert results["training_seeds"] == [0] and results["date"]
+    assert results["failures"][0]["reason"] == "exit code 2; contactgraph: no such model"
+    assert {cell["task"] for cell in results["cells"]} == {"door"}
+    assert {path.suffix for path in (folder / "figures").iterdir()} == {".png", ".svg"}
+    assert "What could not be measured" in (folder / "index.html").read_text()
+
+
+def test_all_tasks_go_into_one_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_up: list[list[Cell]]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Study, "write", lambda self, failures, cores: None)
+    with pytest.raises(SystemExit):
+        cli.run(["reproduce"])
+    with pytest.raises(SystemExit):
+        cli.run(["reproduce", "all", "--quick", "--out", "other"])
+    assert {path.name for path in tmp_path.iterdir()} == {"results", "other"}
+    full, quick = ({cell.output for cell in cells} for cells in made_up)
+    assert len(quick) < len(full) / 2
+    for task in ("pickup", "multi-pickup", "door"):
+        assert f"cells/{task}/seed-0/gim-temp-40/run" in full & quick
+        assert f"cells/{task}/seed-2/gim-temp-40/run" in full - quick
+
+
+def test_what_the_study_of_costs_leaves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    history = LearningHistory(*[jnp.ones(1)] * 4)
+    learned = replace(own_cost(PICKUP_COST), history=history)
+    values = {"success_rate": 0.97, "episodes": 100, "contact_speed_m_s": 1.5}
+
+    def run_cells(
+        cells: Sequence[Cell], records: Records, engine: object, begin: object, on_step: object
+    ) -> list[Failure]:
+        for cell in cells:
+            path = records.folder / cell.output
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.name == "cost.json" and "pickup/seed-0" in cell.output:
+                write_cost(path, learned, {"seconds": 12.5})
+            elif path.suffix == ".json" and path.name != "cost.json":
+                path.write_text(json.dumps(values))
+        return []
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("contactgraph_studies.cli.study.run_cells", run_cells)
+    monkeypatch.setattr(declared, "COST_TASKS", [PICKUP_COST])
+    assert cli.run(["reproduce", "cost", "--quick"]) == 0
+    folder = tmp_path / "results" / "cost"
+    assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
+    said = capsys.readouterr().out
+    assert "8. does not hold: A cost learned from demonstrations of one goal" in said
+    assert "the page: results/cost/index.html" in said
+    results = json.loads((folder / "results.json").read_text())
+    assert results["command"] == "contactgraph reproduce cost --quick"
+    assert (results["demonstrations"], results["test_scene_seeds"]) == ([5, 40], [1100])
+    made = [cell for cell in results["cells"] if cell["source"] == "learning"]
+    assert {cell["values"]["made"]["seconds"] for cell in made} == {12.5}
+    assert all("history" not in cell["values"] and cell["values"]["Q"] for cell in made)
+    figures = {path.name for path in (folder / "figures").iterdir()}
+    assert figures == {
+        f"{name}.{kind}"
+        for name in ("success", "cost-pickup", "known-own-cost-pickup", "known-learned-cost-pickup")
+        for kind in ("png", "svg")
+    }
+    page = (folder / "index.html").read_text()
+    assert 'id="known-answer"' in page and page.count("data:image/svg+xml") == 4
+    known = "| pickup | MPC with the task's own cost | target - goal | 1 m | 70.7 | 70.7 | 1 |"
+    assert known in (folder / "table.md").read_text()

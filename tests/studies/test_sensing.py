@@ -1,0 +1,86 @@
+"""The study of contact without a sensor: its commands exist, and its shares are what they say."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from contactgraph.cli.main import _parse
+from contactgraph_studies.results import Reading, Results
+from contactgraph_studies.sensing.declared import (
+    AS_TRAINED,
+    FULL_SENSING,
+    INFERRED,
+    MEASURED,
+    PICKUP_SENSING,
+    SENSING_TASKS,
+    UNMEASURED,
+    WIDER,
+)
+from contactgraph_studies.sensing.results import Sensed, delay_ms, share_recovered
+from contactgraph_studies.sensing.study import SensingStudy
+
+STUDY = SensingStudy(SENSING_TASKS, FULL_SENSING)
+ERROR = "n_step_rmse_planned_m"
+
+
+def results_of(**values: dict) -> Results:
+    """Of pickup with wider bodies: values by sensor, the same for both seeds."""
+    readings = {}
+    for slug, sensor in (("measured", MEASURED), ("nothing", UNMEASURED), ("motion", INFERRED)):
+        where = Sensed(PICKUP_SENSING.name, WIDER.name, sensor.name)
+        readings[where] = [Reading(seed, values[slug], f"command {slug}") for seed in (0, 1)]
+    return Results(readings)
+
+
+def test_every_cell_is_a_command_and_made_once() -> None:
+    assert len({cell.output for cell in STUDY.cells}) == len(STUDY.cells) == len(STUDY.wanted)
+    for cell in STUDY.cells:
+        assert _parse(list(cell.arguments)) is not None
+
+
+def test_shares_by_hand() -> None:
+    found = results_of(measured={ERROR: 0.02}, nothing={ERROR: 0.06}, motion={ERROR: 0.03})
+    share = share_recovered(found, PICKUP_SENSING, WIDER, ERROR)
+    assert share.values == pytest.approx((75.0,)) and share.command == "command motion"
+    # Nobody recovers what was not lost, what is not known, or what was not measured.
+    same = results_of(measured={ERROR: 0.0596}, nothing={ERROR: 0.06}, motion={ERROR: 0.0})
+    assert not share_recovered(same, PICKUP_SENSING, WIDER, ERROR).known
+    lost = results_of(measured={ERROR: 0.02}, nothing={ERROR: None}, motion={ERROR: 0.03})
+    assert not share_recovered(lost, PICKUP_SENSING, WIDER, ERROR).known
+    assert not share_recovered(found, PICKUP_SENSING, AS_TRAINED, ERROR).known
+
+
+def test_a_contact_that_was_never_found_counts() -> None:
+    name = "onset_delay_ms_p95"
+    found = results_of(
+        measured={"onsets": 20, name: 50.0},
+        nothing={"onsets": 20, name: None},
+        motion={"onsets": 0, name: None},
+    )
+    delays = [
+        delay_ms(found, Sensed(PICKUP_SENSING.name, WIDER.name, sensor.name), name).values
+        for sensor in (MEASURED, UNMEASURED, INFERRED)
+    ]
+    assert delays == [(50.0, 50.0), (math.inf, math.inf), ()]
+
+
+def test_findings_from_what_is_there(tmp_path: Path) -> None:
+    said = {
+        **{"success_rate": 0.9, "episodes": 20, "edge_f1_found": 0.97, "onsets": 20},
+        **{"onset_delay_ms_p50": 0.0, "onset_delay_ms_p95": 50.0, ERROR: 0.04},
+        **{"edge_f1_planned": 0.9, "plan_ms_p50": 1.0},
+    }
+    for cell in STUDY.cells[:15]:  # pickup, wider: five sensors, three seeds
+        path = tmp_path / cell.output
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(said))
+    found = STUDY.findings(tmp_path)
+    reached = {number.name: number.reached for number in found.targets if number.value is not None}
+    label = f"{PICKUP_SENSING.name}, {WIDER.name}, by motion alone"
+    assert reached == {f"{label}: edge F1": True, f"{label}: onset delay, 95 %": True}
+    first = found.table_markdown.splitlines()[2]
+    assert "| contacts measured | 90 % of 60 (80 to 95) | 0.97" in first
+    assert len(found.table_csv.splitlines()) == 1 + len(STUDY.wanted) // 3
+    assert len(found.readings) == 15

@@ -1,0 +1,249 @@
+"""Scenes of three degrees of freedom: the same pictures, seen from aside."""
+
+import base64
+import dataclasses
+import itertools
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+from PIL import Image
+from synthetic_sweep import BLOCK_SIZE, GOAL, GRASP, STEPS, sweep, sweep_trajectory
+from test_report_browser import pixels_of, screenshot
+
+from contactgraph.data import InvalidInputError, read_trajectories, write_trajectories
+from contactgraph.viz import ReportData, SceneRun, write_animation, write_still
+from contactgraph.viz.colours import SKELETON_COLOUR
+from contactgraph.viz.embed import embedded_json
+from contactgraph.viz.ground import ground_of
+from contactgraph.viz.projection import projection_of
+from contactgraph.viz.scene_picture import draw_scene, scene_limits
+from contactgraph.viz.selection import shown_directions
+
+BONE = np.array([int(SKELETON_COLOUR[i : i + 2], 16) for i in (1, 3, 5)])
+
+
+@pytest.fixture(scope="module")
+def run():
+    return sweep()
+
+
+def corners(middle, size):
+    """[8, 3] m: all corners of a box."""
+    return middle + 0.5 * np.array(list(itertools.product((-1, 1), repeat=3))) * size
+
+
+def test_the_plane_is_seen_as_it_is():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(5, 4, 2))
+    view = projection_of(2)
+    assert np.array_equal(view(points), points)
+    assert np.array_equal(view.depth(points), np.zeros((5, 4)))
+    (face,) = view.box_faces(np.array([1.0, 2.0]), np.array([0.4, 0.2]))
+    assert sorted(map(tuple, face)) == [(0.8, 1.9), (0.8, 2.1), (1.2, 1.9), (1.2, 2.1)]
+
+
+def test_space_is_seen_from_aside_and_upright():
+    view = projection_of(3)
+    assert np.allclose(view.axes @ view.axes.T, np.eye(3))
+    assert np.linalg.det(view.axes) == pytest.approx(1.0), "nothing is mirrored"
+    up = view(np.array([0.0, 0.0, 1.0]))
+    assert up[0] == pytest.approx(0.0) and up[1] > 0.8
+    assert view(np.array([1.0, 0.0, 0.0]))[0] > 0.5, "x goes to the right"
+    near, far = np.array([0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    assert view.depth(near) > view.depth(far) and view(near)[1] < view(far)[1]
+
+
+def test_faces_of_a_box_are_those_turned_to_the_eye():
+    view = projection_of(3)
+    middle, size = np.array([0.3, -0.2, 0.1]), np.array([0.04, 0.06, 0.1])
+    faces = view.box_faces(middle, size)
+    shown = np.concatenate(faces)
+    seen = view(corners(middle, size))
+    nearest = np.argmin(view.depth(corners(middle, size)))
+    assert all(np.abs(seen - point).sum(axis=1).min() < 1e-12 for point in shown)
+    hidden = [k for k, p in enumerate(seen) if np.abs(shown - p).sum(axis=1).min() > 1e-9]
+    assert hidden == [nearest], "all corners but the farthest one"
+    for axis, face in enumerate(faces):
+        x, y = face.T
+        area = 0.5 * abs(np.sum(x * np.roll(y, 1) - y * np.roll(x, 1)))
+        assert area == pytest.approx(abs(view.axes[2, axis]) * np.prod(size) / size[axis])
+    assert np.allclose(view.half_extent(size), 0.5 * np.ptp(seen, axis=0))
+
+
+def test_the_ground_is_the_table_and_holds_everything(run):
+    ground = ground_of(run)
+    assert ground.level == pytest.approx(0.0), "where the blocks stand; the hand is never lower"
+    assert ground.spacing == 0.1
+    for corner in (ground.low, ground.high):
+        assert np.allclose(corner / 0.1, np.round(corner / 0.1))
+    for places in (run.position, run.skeleton, run.goal):
+        level = places[..., :2].reshape(-1, 2)
+        assert (level >= ground.low).all() and (level <= ground.high).all()
+    lines = ground.lines()
+    assert len(lines) == np.sum(np.round((ground.high - ground.low) / 0.1)) + 2
+    assert np.array_equal(lines.min(axis=(0, 1)), ground.corners().min(axis=0))
+    flat = dataclasses.replace(
+        sweep(distractors=0), position=np.full((STEPS + 1, 2, 3), np.nan), skeleton=None, goal=None
+    )
+    assert ground_of(flat) is None
+
+
+def test_boxes_arm_and_goal_are_drawn_where_they_are(run):
+    axes, state = Figure().add_subplot(), GRASP + 20
+    draw_scene(axes, run, state)
+    boxes = [p.get_xy() for p in axes.get_children() if isinstance(p, Polygon) and p.zorder == 3]
+    assert len(boxes) == 3 * 3, "three faces each"
+    outline = np.concatenate(boxes)
+    places = corners(run.position[state, 1], BLOCK_SIZE)
+    for corner in run.projection(np.delete(places, run.projection.depth(places).argmin(), axis=0)):
+        assert np.abs(outline - corner).sum(axis=1).min() < 1e-9
+    circles = {one.center: one.radius for one in axes.get_children() if isinstance(one, Circle)}
+    hand = tuple(run.projection(run.position[state, 0]))
+    assert circles[hand] == 0.025 and 0.05 in circles.values()
+    arm = run.projection(run.skeleton[state])
+    assert any(np.array_equal(line.get_xydata(), arm) for line in axes.lines)
+    low, high = scene_limits(run)
+    everything = [run.skeleton, corners(run.goal, 0.1), ground_of(run).corners()]
+    everything += [corners(place, BLOCK_SIZE) for place in run.position[:, 1]]
+    seen = np.concatenate([run.projection(each).reshape(-1, 2) for each in everything])
+    assert (seen > low).all() and (seen < high).all()
+
+
+def test_what_is_near_covers_what_is_far_and_nothing_covers_the_hand(run):
+    axes = Figure().add_subplot()
+    draw_scene(axes, run, 0)
+    bodies = [p for p in axes.get_children() if isinstance(p, Polygon | Circle) and p.zorder == 3]
+    assert isinstance(bodies[-1], Circle)
+    depth = run.projection.depth(run.position[0, 1:])
+    order = [bodies[3 * k].get_xy()[:4].mean(axis=0) for k in range(3)]
+    for drawn, node in zip(order, 1 + np.argsort(depth), strict=True):
+        assert np.linalg.norm(drawn - run.projection(run.position[0, node])) < 0.06
+
+
+def test_films_and_stills(tmp_path, run):
+    film = dataclasses.replace(run, dt=0.004, plan=None)
+    write_animation(tmp_path / "run.gif", film)
+    with Image.open(tmp_path / "run.gif") as picture:
+        assert picture.n_frames == 11
+        bones = []
+        for frame in (0, 10):
+            picture.seek(frame)
+            pixels = np.asarray(picture.convert("RGB")).astype(int)
+            bones.append(np.abs(pixels - BONE).sum(axis=-1) < 25)
+    assert min(bone.sum() for bone in bones) > 800
+    assert (bones[0] & ~bones[1]).sum() > 400, "the arm moves, and leaves nothing behind"
+    write_still(tmp_path / "still.png", run)
+    assert (tmp_path / "still.png").stat().st_size > 20000
+
+
+def test_the_page_has_all_that_is_drawn(run):
+    (found,) = json.loads(embedded_json(ReportData("Arm", "x", runs=(run,))))["runs"]
+    read = lambda text, *shape: np.frombuffer(base64.b64decode(text), "<f4").reshape(shape)  # noqa: E731
+    assert found["dimension"] == 3
+    assert np.allclose(found["axes"], run.projection.axes)
+    assert found["ground"]["spacing"] == 0.1
+    assert found["box"] == [None, *[BLOCK_SIZE.tolist()] * 3]
+    assert np.allclose(
+        read(found["skeleton"], STEPS + 1, found["skeletonPoints"], 3), run.skeleton, atol=1e-6
+    )
+    assert found["plan"]["horizon"] == 25, "25 steps ahead are few enough to draw each"
+    shape = (STEPS, 26, len(found["plan"]["nodes"]), 3)
+    assert np.allclose(read(found["plan"]["position"], *shape), run.plan[:, :, :2], atol=1e-6)
+    level, vertical = (read(each, STEPS, 4) for each in found["stiffness"])
+    assert np.allclose(vertical, run.stiffness[..., 2], atol=1e-5)
+    assert level[:, 1].max() < 1.0 < vertical[:, 1].max(), "the table holds the block up alone"
+    longer = dataclasses.replace(run, plan=np.repeat(run.plan, 3, axis=1))
+    (found,) = json.loads(embedded_json(ReportData("Arm", "x", runs=(longer,))))["runs"]
+    assert found["plan"]["horizon"] == 25
+
+
+def test_parameters_are_shown_by_direction():
+    values = np.arange(24.0).reshape(2, 4, 3)
+    level, vertical = shown_directions(values)
+    assert level[0, 0] == 0.5 and vertical[1, 3] == 23.0
+    (mean,) = shown_directions(values[..., :2])
+    assert np.array_equal(mean, level)
+
+
+def test_a_stored_run_is_drawn_as_recorded(tmp_path):
+    recorded = sweep_trajectory(distractors=1)
+    write_trajectories(tmp_path / "sweep.h5", [recorded])
+    (found,) = read_trajectories(tmp_path / "sweep.h5").trajectories
+    edges, belief = np.array([[0, 1]]), np.zeros((STEPS, 1))
+    run = SceneRun.from_trajectory("again", found, edges, belief)
+    assert np.array_equal(run.skeleton, recorded.skeleton)
+    assert np.array_equal(run.box(1), BLOCK_SIZE) and run.box(0) is None
+    assert run.goal_radius == 0.05 and run.goal.tolist() == GOAL
+    assert run.contact[:, 0].argmax() == GRASP
+    scene = dataclasses.replace(found.scene, radius=None, metadata={"goal_radius": "near"})
+    bare = SceneRun.from_trajectory("bare", dataclasses.replace(found, scene=scene), edges, belief)
+    assert bare.radius.tolist() == [0.02] * 3, "no thicker than a block"
+    assert bare.goal_radius == 0.1
+    scene = dataclasses.replace(scene, size=None)
+    bare = SceneRun.from_trajectory("bare", dataclasses.replace(found, scene=scene), edges, belief)
+    assert bare.radius.tolist() == [0.04] * 3 and bare.box(1) is None
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("size", np.zeros((4, 2)), r"size must have shape \(4, 3\), found \(4, 2\)"),
+        ("skeleton", np.zeros((100, 8, 3)), r"skeleton must have shape \(101, 8, 3\)"),
+        ("stiffness", np.zeros((100, 4)), r"stiffness must have shape \(100, 4, 3\)"),
+    ],
+)
+def test_wrong_shapes_are_named(run, field, value, message):
+    with pytest.raises(InvalidInputError, match=f"'Sweep': {message}"):
+        dataclasses.replace(run, **{field: value})
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs the chromium browser")
+def test_browser_draws_the_arm_and_turns_the_scene(tmp_path, run):
+    data = ReportData("Arm", "sweeps", runs=(run,))
+    picture, said = screenshot(tmp_path, data)
+    assert said == []
+    assert pixels_of(picture[:, :480], BONE) > 1500
+    assert pixels_of(picture[:, :480], np.array([0xCB, 0x5F, 0x12])) > 60, "the block's edges"
+    (tmp_path / "turned").mkdir()
+    acting = """
+    const canvas = document.getElementById("scene");
+    canvas.setPointerCapture = () => {};
+    const send = (type, clientX, clientY) =>
+      canvas.dispatchEvent(new PointerEvent(type, { clientX, clientY, bubbles: true }));
+    const look = [canvas.toDataURL()];
+    send("pointermove", 300, 300); // not pressed
+    look.push(canvas.toDataURL());
+    send("pointerdown", 200, 200);
+    send("pointermove", 300, 220);
+    send("pointerup", 300, 220);
+    look.push(canvas.toDataURL());
+    send("pointermove", 100, 100);
+    look.push(canvas.toDataURL());
+    const plots = document.getElementById("motion-plots");
+    console.log(JSON.stringify({
+      same: look.map((each) => each === look[0]),
+      stays: look[3] === look[2],
+      solid: plots.querySelectorAll("path.solid").length,
+      dashed: plots.querySelectorAll("path.dashed").length,
+      dotted: plots.querySelectorAll("path.dotted").length,
+      vertical: document.querySelectorAll("#parameter-plots path.dashed").length,
+      words: [...document.querySelectorAll(".in-space")].filter((each) => !each.hidden).length,
+    }));
+    """
+    _, said = screenshot(tmp_path / "turned", data, acting)
+    assert len(said) == 1, said
+    found = json.loads(re.search(r"\{.*\}", said[0].replace('\\"', '"'))[0])
+    assert found == {
+        "same": [True, True, False, False],
+        "stays": True,
+        "solid": 4,
+        "dashed": 4,
+        "dotted": 4,
+        "vertical": 6,
+        "words": 3,
+    }

@@ -1,0 +1,238 @@
+import base64
+import dataclasses
+import hashlib
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from contactgraph.data import InvalidInputError
+from contactgraph.viz import NStepError, Number, ReportData, SceneRun, write_report
+from contactgraph.viz.report import page
+
+VOID = {"meta", "input", "br", "link", "img"}
+LOADING = {"src", "href", "srcset", "action", "poster", "background"}
+HOSTILE = "</script><img src=x onerror=alert(1)>&\"'<!--"
+
+
+class Reader(HTMLParser):
+    """Checks that tags close in order, and gathers attributes and scripts."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.attributes, self.scripts = [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, *pair) for pair in attrs]
+        if tag == "script":
+            self.scripts.append("")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, text):
+        if self.open and self.open[-1] == "script":
+            self.scripts[-1] += text
+
+
+def payload(text):
+    return json.loads(Reader(text).scripts[0])
+
+
+def floats(text, shape):
+    return np.frombuffer(base64.b64decode(text), dtype="<f4").reshape(shape)
+
+
+def test_page_is_well_formed_and_loads_nothing(data):
+    text = page(data)
+    reader = Reader(text)
+    assert reader.open == []
+    assert reader.tags.count("script") == 2
+    assert not [one for one in reader.attributes if one[1] in LOADING]
+    assert not [one for one in reader.attributes if one[1].startswith("on")]
+    for call in ("url(", "@import", "fetch(", "XMLHttpRequest", "import(", "innerHTML"):
+        assert call not in text
+    namespace = "http://www.w3.org/2000/svg"
+    assert "://" not in text.replace(namespace, "")
+    policy = next(v for tag, name, v in reader.attributes if tag == "meta" and "default-src" in v)
+    assert policy.startswith("default-src 'none'")
+
+
+def test_policy_allows_exactly_the_script_on_the_page(data):
+    text = page(data)
+    digest = base64.b64encode(hashlib.sha256(Reader(text).scripts[1].encode()).digest()).decode()
+    assert f"'sha256-{digest}'" in text
+
+
+def test_arrays_come_back_from_the_page(data, run):
+    first = payload(page(data))["runs"][0]
+    steps, nodes, edges = run.steps, run.node_count, run.edge_count
+    np.testing.assert_array_equal(
+        floats(first["position"], (steps + 1, nodes, 2)), run.position.astype(np.float32)
+    )
+    np.testing.assert_array_equal(
+        floats(first["belief"], (steps, edges)), run.belief.astype(np.float32)
+    )
+    (mean,) = first["inverseMass"]
+    np.testing.assert_allclose(floats(mean, (steps, nodes)), run.inverse_mass.mean(-1), atol=1e-6)
+    contact = np.zeros((steps + 1, edges), dtype=bool)
+    for edge, spans in enumerate(first["contact"]):
+        for start, end in spans:
+            contact[start:end, edge] = True
+    assert run.contact.any()
+    np.testing.assert_array_equal(contact, run.contact)
+    plan = first["plan"]
+    assert plan["nodes"] == [0, 1], "bystanders, which no plan moves, are left out"
+    np.testing.assert_array_equal(
+        floats(plan["position"], (steps, 6, 2, 2)), run.plan[:, :, :2].astype(np.float32)
+    )
+
+
+def test_the_page_knows_what_the_run_is_about(data, run):
+    first = payload(page(data))["runs"][0]
+    assert first["focus"] == [0, 1]
+    assert first["leading"][0] == 0
+    assert first["grasp"] == int(np.argmax(run.contact[:, 0]))
+    assert run.contact[first["grasp"], 0]
+    assert not run.contact[first["grasp"] - 1, 0]
+
+
+def test_hostile_text_stays_text(run):
+    names = tuple(f"{name}{HOSTILE}" for name in run.node_name)
+    hostile = dataclasses.replace(run, name=HOSTILE, node_name=names, node_type=names)
+    text = page(
+        ReportData(
+            title=HOSTILE,
+            summary=HOSTILE,
+            numbers=(Number(HOSTILE, 1.0, HOSTILE, (0, 1), command=HOSTILE, tile=True),),
+            runs=(hostile,),
+            errors=(NStepError(HOSTILE, HOSTILE, 0.01),),
+            versions={HOSTILE: HOSTILE},
+            remake=(HOSTILE,),
+        )
+    )
+    reader = Reader(text)
+    assert "img" not in reader.tags
+    assert len(reader.scripts) == 2
+    assert payload(text)["runs"][0]["nodeName"] == list(names)
+    assert payload(text)["errors"][0]["condition"] == HOSTILE
+
+
+def test_missing_and_non_finite_values_become_gaps(run):
+    belief = run.belief.copy()
+    belief[3] = np.nan
+    broken = dataclasses.replace(run, belief=belief, goal=np.array([np.nan, 0.0]))
+    numbers = (
+        Number("not measured", None, "cm", None, 0.5, None, True),
+        Number("no number", float("nan"), "cm", (float("nan"), float("inf"))),
+    )
+    errors = (NStepError("3", "all", float("nan"), None, float("inf")),)
+    text = page(ReportData("t", "s", numbers, (broken,), errors))
+    assert "NaN" not in Reader(text).scripts[0]
+    assert ">nan" not in text
+    assert ">inf" not in text
+    found = payload(text)
+    assert found["errors"][0]["model"] is None
+    assert found["runs"][0]["goal"] == [None, 0.0]
+    assert np.isnan(floats(found["runs"][0]["belief"], belief.shape)[3]).all()
+    assert found["runs"][0]["leading"][0] == 0
+
+
+def bare(run, nodes):
+    """The first bodies alone, without contacts, parameters, plan or goal."""
+    edges = np.array([[0, 1]]) if nodes > 1 else np.zeros((0, 2), dtype=int)
+    return SceneRun(
+        name="bare",
+        dt=run.dt,
+        node_name=run.node_name[:nodes],
+        node_type=run.node_type[:nodes],
+        actuated=run.actuated[:nodes],
+        radius=run.radius[:nodes],
+        position=run.position[:, :nodes],
+        velocity=run.velocity[:, :nodes],
+        control=np.zeros((run.steps, 0)),
+        edges=edges,
+        belief=run.belief[:, : len(edges)],
+    )
+
+
+@pytest.mark.parametrize("nodes", [1, 2])
+def test_works_without_contacts_and_parameters(run, nodes):
+    first = payload(page(ReportData("t", "s", runs=(bare(run, nodes),))))["runs"][0]
+    assert first["contact"] is None
+    assert first["inverseMass"] is None
+    assert first["focus"] == list(range(nodes))
+
+
+def test_parts_without_data_are_left_out():
+    text = page(ReportData("Only a title", "and a sentence"))
+    assert "<canvas" not in text
+    assert "<table" not in text
+    assert "<section" not in text
+
+
+def test_reached_compares_in_the_right_direction():
+    assert Number("a", 99, at_least=98).reached
+    assert Number("a", 97, at_least=98).reached is False
+    assert Number("a", 0.4, at_least=0.5, lower_is_better=True).reached
+    assert Number("a", 0.6, at_least=0.5, lower_is_better=True).reached is False
+    assert Number("a", None, at_least=0.5).reached is None
+
+
+def test_numbers_carry_command_and_seed(data):
+    text = page(data)
+    assert "--distractors 10 --seed 0</code>" in text
+    assert ">0, 1, 2</td>" in text
+    assert text.count('class="mark missed"') == 1, "the plan time of 12.4 ms misses its 10 ms"
+
+
+def test_large_run_stays_small():
+    from synthetic_pickup import pickup
+
+    run = pickup("10 distractors", 10, steps=200, horizon=2, seed=5)
+    assert (run.node_count, run.edge_count) == (12, 66)
+    assert len(page(ReportData("t", "s", runs=(run,) * 3))) < 1_000_000
+
+
+def test_file_is_written_whole_and_folders_are_made(tmp_path, data):
+    path = tmp_path / "report" / "index.html"
+    write_report(path, data)
+    assert path.read_text(encoding="utf-8") == page(data)
+    assert [one.name for one in path.parent.iterdir()] == ["index.html"]
+    with pytest.raises(InvalidInputError, match=r"is a folder; name a file such as index\.html"):
+        write_report(tmp_path, data)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("belief", np.zeros((3, 1)), r"'3 distractors': belief must have shape \(60, 10\)"),
+        ("plan", np.zeros((60, 4, 2, 2)), r"plan must have shape \(60, 4, 5, 2\)"),
+        ("dt", 0.0, "dt must be a positive number of seconds, found 0.0"),
+        ("node_name", ("one",), r"node_name must have one entry a node \(5\), found 1"),
+        ("edges", np.full((10, 2), 5), "edges must name nodes 0 to 4"),
+    ],
+)
+def test_wrong_shapes_are_named(run, field, value, message):
+    with pytest.raises(InvalidInputError, match=message):
+        dataclasses.replace(run, **{field: value})
+
+
+def test_from_trajectory_picks_contact_by_edge(run):
+    from contactgraph.data import Scene, Trajectory
+
+    dense = np.zeros((run.steps + 1, 5, 5), dtype=bool)
+    for edge, (i, j) in enumerate(run.edges):
+        dense[:, i, j] = dense[:, j, i] = run.contact[:, edge]
+    scene = Scene(run.node_name, run.node_type, run.actuated, run.dt, goal=run.goal)
+    trajectory = Trajectory(scene, run.position, run.velocity, run.control, dense)
+    made = SceneRun.from_trajectory("again", trajectory, run.edges, run.belief)
+    np.testing.assert_array_equal(made.contact, run.contact)
+    assert re.match("gripper and object-0", made.edge_name(0))
