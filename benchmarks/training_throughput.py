@@ -9,16 +9,16 @@ from dataclasses import replace
 import jax
 from measuring import arguments, report
 
-from contactgraph.data import Dataset, split_by_run
+from contactgraph.data import Dataset, split_by_trajectory
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect
 from contactgraph.model import gim_temp
-from contactgraph.train import FitProgress, FitState, Recipe, fit, initial_state
+from contactgraph.train import FitProgress, FitState, TrainConfig, fit, initial_state
 
 
-def measured(recipe: Recipe, dataset: Dataset, chunks: int) -> dict[str, float | str | int]:
+def measured(recipe: TrainConfig, dataset: Dataset, chunks: int) -> dict[str, float | str | int]:
     """One row. Each check of `fit` ends a chunk of steps; the first ones compile."""
-    train, held_out = split_by_run(dataset, 0.15, seed=0)
+    train, held_out = split_by_trajectory(dataset, 0.15, seed=0)
     model = gim_temp(2, 2, dataset.dt, key=jax.random.key(0))
     warm = replace(recipe, steps=2 * recipe.check_every)
     began = time.perf_counter()
@@ -67,7 +67,7 @@ def main() -> None:
     """Measure and say."""
     told = arguments("Throughput of training.")
     dataset = Dataset(tuple(collect([PickupTask], [PickupExpert()], 40, seed=0)))
-    base = Recipe(check_every=10 if told.quick else 100)
+    base = TrainConfig(check_every=10 if told.quick else 100)
     batches = (32,) if told.quick else (32, 128)
     rows = [
         measured(

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import jax
 
-from contactgraph.data import Dataset, split_by_run, strip_contacts
+from contactgraph.data import Dataset, split_by_trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect, evaluate_open_loop
 from contactgraph.model import gim_temp, save_model
-from contactgraph.train import FitProgress, Recipe, fit, initial_state
+from contactgraph.train import FitProgress, TrainConfig, fit, initial_state
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 
@@ -27,9 +27,9 @@ crowded = Dataset(
 print(f"recorded {len(recorded)} runs of {recorded.trajectories[0].steps} steps of {recorded.dt} s")
 
 # Training never reads contact labels. Without them it gives the same model, bit for bit.
-train, held_out = split_by_run(strip_contacts(recorded), held_out_fraction=0.2, seed=0)
+train, held_out = split_by_trajectory(strip_contacts(recorded), held_out_fraction=0.2, seed=0)
 model = gim_temp(2, 2, recorded.dt, contact_distance=0.1, width=16, key=jax.random.key(0))
-recipe = Recipe(
+recipe = TrainConfig(
     steps=400,
     check_every=100,
     batch_size=16,

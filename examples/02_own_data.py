@@ -12,10 +12,16 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from contactgraph.data import Scene, Trajectory, read_trajectories, split_by_run, write_trajectories
+from contactgraph.data import (
+    Scene,
+    Trajectory,
+    read_trajectories,
+    split_by_trajectory,
+    write_trajectories,
+)
 from contactgraph.evaluate import evaluate_open_loop
 from contactgraph.model import gim_temp
-from contactgraph.train import Recipe, fit, initial_state
+from contactgraph.train import TrainConfig, fit, initial_state
 
 DT, STEPS, SUBSTEPS, DIAMETER = 0.02, 100, 20, 0.2  # s, -, -, m
 SCENE = Scene(
@@ -53,9 +59,9 @@ write_trajectories(folder / "balls.h5", [simulate(np.random.default_rng(i)) for 
 dataset = read_trajectories(folder / "balls.h5")  # from here on: also `contactgraph train balls.h5`
 print(f"{folder / 'balls.h5'}: {len(dataset)} runs, {dataset.dimension} degrees of freedom a node")
 
-train, test = split_by_run(dataset, held_out_fraction=0.25, seed=0)
+train, test = split_by_trajectory(dataset, held_out_fraction=0.25, seed=0)
 model = gim_temp(3, 3, DT, contact_distance=DIAMETER, width=16, key=jax.random.key(0))
-recipe = Recipe(steps=400, check_every=400, batch_size=16, window_length=4, rollout_from=1.0)
+recipe = TrainConfig(steps=400, check_every=400, batch_size=16, window_length=4, rollout_from=1.0)
 result = fit(initial_state(model, recipe, seed=0), train, test, recipe)
 metrics = evaluate_open_loop(result.model, test, horizon_s=0.2)
 print(f"0.2 s ahead: {1000 * metrics.n_step_rmse_m:.1f} mm")

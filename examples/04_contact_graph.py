@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import inspect_run, run_episode
+from contactgraph.evaluate import model_diagnostics as model_diagnostics
+from contactgraph.evaluate import run_episode
 from contactgraph.model import load_model, shipped_model
 from contactgraph.viz import write_still
 from contactgraph_studies.scenes import scene_run
@@ -20,7 +21,7 @@ model = load_model(shipped_model("pickup")).model
 run = run_episode(PickupTask(distractors=3), PickupExpert(), seed=3)
 
 # measured=False: the model sees positions, velocities and forces, and no contact.
-insight = inspect_run(model, run, measured=False)
+insight = model_diagnostics(model, run, measured=False)
 
 # Edge e joins the nodes edges[e]. Which one is most sure of itself at some time?
 edge = int(insight.belief.max(axis=0).argmax())

@@ -8,7 +8,7 @@ paper's memoryless edges, free local parameters, and a discretisation that is no
 
 import jax
 
-from contactgraph.data import Dataset, split_by_run
+from contactgraph.data import Dataset, split_by_trajectory
 from contactgraph.envs import ExplorationPolicy, PickupExpert, PickupTask
 from contactgraph.evaluate import collect, evaluate_open_loop
 from contactgraph.model import (
@@ -24,7 +24,7 @@ from contactgraph.model import (
     ThetaMethod,
     TypedMessagePassing,
 )
-from contactgraph.train import Recipe, fit, initial_state
+from contactgraph.train import TrainConfig, fit, initial_state
 
 DISTANCE, WIDTH, DT = 0.08, 16, 0.05  # m centre to centre where bodies touch, -, s
 edges_key, output_key, *type_keys, head_key = jax.random.split(jax.random.key(0), 5)
@@ -52,8 +52,10 @@ model = ContactDynamics(
 )
 
 policies = [PickupExpert(), PickupExpert(), ExplorationPolicy()]
-train, held_out = split_by_run(Dataset(tuple(collect([PickupTask], policies, 12, seed=0))), 0.2, 0)
-recipe = Recipe(
+train, held_out = split_by_trajectory(
+    Dataset(tuple(collect([PickupTask], policies, 12, seed=0))), 0.2, 0
+)
+recipe = TrainConfig(
     steps=600, check_every=600, batch_size=16, learning_rate=5e-3, window_length=4, rollout_from=1.0
 )  # never, as in the first example
 result = fit(initial_state(model, recipe, seed=0), train, held_out, recipe)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Chart
 
-from contactgraph.data import replacing
+from contactgraph.data import atomic_write
 from contactgraph_studies.declared import (
     FULL_AB,
     GIM_NON_TEMP,
@@ -55,9 +55,9 @@ def svg(made: Chart) -> bytes:
 def write_chart(folder: Path, name: str, made: Chart) -> None:
     """Write ``name.png`` and ``name.svg``, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
-    with replacing(folder / f"{name}.svg") as temporary:
+    with atomic_write(folder / f"{name}.svg") as temporary:
         temporary.write_bytes(svg(made))
-    with replacing(folder / f"{name}.png") as temporary:
+    with atomic_write(folder / f"{name}.png") as temporary:
         made.savefig(temporary, dpi=130, format="png")
 
 

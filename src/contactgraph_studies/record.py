@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from contactgraph.data import replacing
+from contactgraph.data import atomic_write
 from contactgraph_studies.cell import Cell
 
 
@@ -76,5 +76,5 @@ class Records:
             "seconds": round(seconds, 3),
             "date": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         }
-        with replacing(self._path(cell)) as temporary:
+        with atomic_write(self._path(cell)) as temporary:
             temporary.write_text(json.dumps(record, indent=2) + "\n")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from contactgraph.data import Trajectory
-from contactgraph.evaluate import inspect_run
+from contactgraph.evaluate import model_diagnostics
 from contactgraph.model import ContactDynamics
 from contactgraph.viz import SceneRun
 
@@ -15,7 +15,7 @@ def scene_run(
 
     `plan` is [T, H+1, N, D] m, where a controller planned the nodes to be.
     """
-    insight = inspect_run(model, run)
+    insight = model_diagnostics(model, run)
     parameters = insight.parameters
     if parameters is None:
         return SceneRun.from_trajectory(name, run, insight.edges, insight.belief, plan=plan)

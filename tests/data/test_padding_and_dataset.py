@@ -8,9 +8,9 @@ from contactgraph.data import (
     InvalidInputError,
     Scene,
     Trajectory,
-    pad_runs,
+    pad_trajectories,
     pair_indices,
-    split_by_run,
+    split_by_trajectory,
     strip_contacts,
 )
 
@@ -50,7 +50,7 @@ def test_pairs_of_few_nodes_are_a_prefix_of_those_of_many() -> None:
 
 @pytest.mark.parametrize("capacity", [None, 6])
 def test_padding_holds_the_runs_and_nothing_else(capacity: int | None) -> None:
-    padded = pad_runs(RAGGED, capacity)
+    padded = pad_trajectories(RAGGED, capacity)
     nodes = capacity or 4
     assert padded.position.shape == (3, 8, nodes, 2)
     assert padded.candidate.shape == (3, nodes * (nodes - 1) // 2)
@@ -80,9 +80,9 @@ def test_padding_holds_the_runs_and_nothing_else(capacity: int | None) -> None:
 
 def test_candidate_edges_count_in_either_direction() -> None:
     for edges in ([[2, 0]], [[0, 2]], [[2, 0], [0, 2]]):
-        padded = pad_runs(Dataset((random_run(0, 2, 3, edges=np.array(edges)),)), 4)
+        padded = pad_trajectories(Dataset((random_run(0, 2, 3, edges=np.array(edges)),)), 4)
         assert padded.candidate.tolist() == [[False, True, False, False, False, False]]
-    empty = pad_runs(Dataset((random_run(0, 2, 3, edges=np.zeros((0, 2), int)),)))
+    empty = pad_trajectories(Dataset((random_run(0, 2, 3, edges=np.zeros((0, 2), int)),)))
     assert not empty.candidate.any()
 
 
@@ -91,13 +91,15 @@ def test_contacts_that_one_run_lacks_are_left_out() -> None:
     assert all(run.contact is None for run in unlabelled)
     assert unlabelled.metadata == RAGGED.metadata
     mixed = Dataset((RAGGED.trajectories[0], unlabelled.trajectories[1]))
-    assert pad_runs(mixed).contact is None
-    np.testing.assert_array_equal(pad_runs(unlabelled).position, pad_runs(RAGGED).position)
+    assert pad_trajectories(mixed).contact is None
+    np.testing.assert_array_equal(
+        pad_trajectories(unlabelled).position, pad_trajectories(RAGGED).position
+    )
 
 
 def test_a_capacity_that_is_too_small() -> None:
     with pytest.raises(InvalidInputError, match="node_capacity must be at least 4"):
-        pad_runs(RAGGED, 3)
+        pad_trajectories(RAGGED, 3)
 
 
 @pytest.mark.parametrize(
@@ -120,27 +122,29 @@ def test_a_dataset_needs_a_run() -> None:
 
 def test_split_by_run() -> None:
     dataset = Dataset(tuple(random_run(i, 1, 1) for i in range(10)), {"task": "x"})
-    train, held_out = split_by_run(dataset, 0.2, seed=1)
+    train, held_out = split_by_trajectory(dataset, 0.2, seed=1)
     assert (len(train), len(held_out)) == (8, 2)
     assert train.metadata == held_out.metadata == dataset.metadata
     place = {id(run): i for i, run in enumerate(dataset)}
     parts = [[place[id(run)] for run in part] for part in (train, held_out)]
     assert sorted(parts[0] + parts[1]) == list(range(10))
     assert parts == [sorted(part) for part in parts]
-    again = split_by_run(dataset, 0.2, seed=1)[1]
+    again = split_by_trajectory(dataset, 0.2, seed=1)[1]
     assert [place[id(run)] for run in again] == parts[1]
-    others = {tuple(place[id(run)] for run in split_by_run(dataset, 0.2, s)[1]) for s in range(9)}
+    others = {
+        tuple(place[id(run)] for run in split_by_trajectory(dataset, 0.2, s)[1]) for s in range(9)
+    }
     assert len(others) > 3, "the seed decides"
 
 
 @pytest.mark.parametrize(("fraction", "held_out"), [(0.01, 1), (0.99, 2)])
 def test_neither_side_of_a_split_is_empty(fraction: float, held_out: int) -> None:
-    assert len(split_by_run(RAGGED, fraction, seed=0)[1]) == held_out
+    assert len(split_by_trajectory(RAGGED, fraction, seed=0)[1]) == held_out
 
 
 def test_splits_that_cannot_be_made() -> None:
     with pytest.raises(InvalidInputError, match="needs at least 2 runs, found 1"):
-        split_by_run(Dataset(RAGGED.trajectories[:1]), 0.5, seed=0)
+        split_by_trajectory(Dataset(RAGGED.trajectories[:1]), 0.5, seed=0)
     for fraction in (0.0, 1.0, -1.0, float("nan")):
         with pytest.raises(InvalidInputError, match="must lie between 0 and 1"):
-            split_by_run(RAGGED, fraction, seed=0)
+            split_by_trajectory(RAGGED, fraction, seed=0)

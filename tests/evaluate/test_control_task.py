@@ -14,11 +14,11 @@ from contactgraph.envs.pickup import pickup_success
 from contactgraph.evaluate import (
     MPCPolicy,
     TaskCost,
-    control_task,
     episode_seeds,
     evaluate_open_loop,
-    inspect_run,
+    model_diagnostics,
 )
+from contactgraph.evaluate import closed_loop as control_task
 from contactgraph.model import ContactBelief, gim_temp, scene_nodes, two_type_belief
 
 SEER = GluedBodies(reach=0.081)
@@ -169,12 +169,12 @@ def test_inspection_sees_what_the_controller_believes():
         run.position[:-1], run.velocity[:-1], run.contact[:-1], strict=True
     ):
         policy({"position": position, "velocity": velocity, "contact": contact})
-    insight = inspect_run(model, run, node_capacity=4)
+    insight = model_diagnostics(model, run, node_capacity=4)
     assert np.allclose(insight.belief, policy.record().belief, atol=1e-4)
     assert insight.belief.shape == (12, 3) and insight.edges.tolist() == [[0, 1], [0, 2], [1, 2]]
     assert insight.parameters.inverse_mass.shape == (12, 3, 2)
     assert np.all(insight.parameters.stiffness_rate >= 0)
-    blind = inspect_run(model, run, node_capacity=4, measured=False)
+    blind = model_diagnostics(model, run, node_capacity=4, measured=False)
     assert not np.allclose(blind.belief, insight.belief, atol=1e-2)
     # The first step of every open-loop window is the same prediction.
     detail = evaluate_open_loop(model, Dataset((run,)), horizon_s=DT).detail
@@ -218,4 +218,4 @@ def test_what_does_not_fit():
     with pytest.raises(InvalidInputError, match="no step since reset"):
         policy_of(SEER).record()
     with pytest.raises(InvalidInputError, match=r"control size U 2, but the run has 0"):
-        inspect_run(model, replace(random_run(2, 3, 0), control=np.zeros((3, 0))))
+        model_diagnostics(model, replace(random_run(2, 3, 0), control=np.zeros((3, 0))))

@@ -12,7 +12,7 @@ from evaluation_worlds import DT, GluedBodies, random_run
 from contactgraph.data import Dataset
 from contactgraph.evaluate import evaluate_open_loop
 from contactgraph.model import GrowingLists, NeighbourLists, gim_temp, listed, no_gim
-from contactgraph.train import FitStatus, Recipe, fit, initial_state
+from contactgraph.train import FitStatus, TrainConfig, fit, initial_state
 
 COUNT = 6
 
@@ -118,7 +118,7 @@ def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, capl
 
 @pytest.mark.usefixtures("large")
 def test_training_in_large_scenes_uses_lists(model, apart) -> None:
-    recipe = Recipe(steps=1, batch_size=2, window_length=2, rollout_from=1.0, bystanders=0)
+    recipe = TrainConfig(steps=1, batch_size=2, window_length=2, rollout_from=1.0, bystanders=0)
     state = initial_state(model, recipe, 0)
     result = fit(state, apart, apart, recipe)
     assert result.status is FitStatus.finished

@@ -9,7 +9,8 @@ from evaluation_worlds import DT, GluedBodies, random_run, scene_of
 
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.envs import DoorTask, PickupTask
-from contactgraph.evaluate import control_task, evaluate_open_loop, inspect_run
+from contactgraph.evaluate import closed_loop as control_task
+from contactgraph.evaluate import evaluate_open_loop, model_diagnostics
 from contactgraph.model import gim_temp
 from contactgraph.model.model_fit import check_fit
 
@@ -55,7 +56,7 @@ def test_an_anchor_is_asked_for_wherever_models_meet_data(models) -> None:
         with pytest.raises(InvalidInputError, match=r"the data has (no|an) anchor"):
             evaluate_open_loop(model, Dataset((run,)), horizon_s=2 * DT)
         with pytest.raises(InvalidInputError, match=r"has (no|an) anchor"):
-            inspect_run(model, run)
+            model_diagnostics(model, run)
     for task, model in ((PickupTask, models[1]), (DoorTask, models[0])):
         with pytest.raises(InvalidInputError, match=r"the task has (no|an) anchor"):
             control_task(model, task, 1, 0)

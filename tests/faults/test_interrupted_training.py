@@ -16,7 +16,7 @@ import safetensors.numpy
 
 from contactgraph.cli import main as cli
 from contactgraph.model import gim_temp
-from contactgraph.train import Recipe, RunFolder, initial_state, save_checkpoint
+from contactgraph.train import RunFolder, TrainConfig, initial_state, save_checkpoint
 
 MAIN = """
 import signal, sys
@@ -58,7 +58,9 @@ def test_a_loss_that_is_not_finite_is_said_and_breaks_nothing(
     shutil.copytree(trained, run)
     for path in RunFolder(run).checkpoints():
         path.unlink()
-    state = initial_state(gim_temp(2, 2, 0.05, 0.1, key=jax.random.key(0)), Recipe(steps=300), 0)
+    state = initial_state(
+        gim_temp(2, 2, 0.05, 0.1, key=jax.random.key(0)), TrainConfig(steps=300), 0
+    )
     broken = jax.tree.map(
         lambda leaf: leaf * jnp.nan if eqx.is_inexact_array(leaf) else leaf, state.model
     )

@@ -13,9 +13,9 @@ from training import split
 
 from contactgraph.model import ContactDynamics, gim_temp
 from contactgraph.model.arrays import module_arrays
-from contactgraph.train import FitState, Recipe, fit, initial_state
+from contactgraph.train import FitState, TrainConfig, fit, initial_state
 
-RECIPE = Recipe(steps=12, batch_size=8, window_length=3, rollout_from=1.0, bystanders=0)
+RECIPE = TrainConfig(steps=12, batch_size=8, window_length=3, rollout_from=1.0, bystanders=0)
 
 
 def first_model() -> ContactDynamics:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.data import Dataset, Scene, Trajectory, pad_runs, window_weights
+from contactgraph.data import Dataset, Scene, Trajectory, pad_trajectories, window_weights
 from contactgraph.train.batch import window_source
 
 
@@ -25,7 +25,7 @@ def run(count: int, steps: int, offset: float) -> Trajectory:
 
 @pytest.fixture(scope="module")
 def padded():
-    return pad_runs(Dataset((run(2, 5, 100.0), run(3, 8, 200.0))))
+    return pad_trajectories(Dataset((run(2, 5, 100.0), run(3, 8, 200.0))))
 
 
 def test_windows_are_drawn_as_often_as_told(padded) -> None:
@@ -56,7 +56,7 @@ def test_hinges_go_with_their_runs(padded) -> None:
     free, hung = run(2, 5, 100.0), run(3, 8, 200.0)
     anchor = np.array([[np.nan, np.nan], [0.3, 0.4], [np.nan, np.nan]])
     hung = dataclasses.replace(hung, scene=dataclasses.replace(hung.scene, anchor=anchor))
-    runs = pad_runs(Dataset((free, hung)))
+    runs = pad_trajectories(Dataset((free, hung)))
     windows = window_weights(runs, 3, 0.6)
     nodes = window_source(runs, windows).take(jnp.arange(len(windows.run))).nodes
     hinged = np.asarray(jax.vmap(lambda nodes: nodes.hinged)(nodes))

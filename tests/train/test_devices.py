@@ -10,7 +10,7 @@ import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.data import InvalidInputError
-from contactgraph.train.batch_split import batch_split
+from contactgraph.train.batch import batch_split
 
 PROGRAM = Path(__file__).with_name("on_devices.py")
 

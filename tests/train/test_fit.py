@@ -31,7 +31,7 @@ from contactgraph.data import (
 from contactgraph.evaluate import evaluate_open_loop
 from contactgraph.model import gim_temp
 from contactgraph.model.storage import load_model
-from contactgraph.train import FitStatus, Recipe, RunFolder, fit, initial_state
+from contactgraph.train import FitStatus, RunFolder, TrainConfig, fit, initial_state
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "short_training.json"
 
@@ -144,7 +144,7 @@ def test_a_file_of_ones_own_trains(tmp_path: Path) -> None:
     path = tmp_path / "mine.h5"
     write_trajectories(path, [run(("cup", "lid"), 6), run(("a", "b", "c"), 9), run(("x", "y"), 9)])
     dataset = read_trajectories(path)
-    recipe = Recipe(steps=2, batch_size=2, window_length=2, rollout_from=1.0)
+    recipe = TrainConfig(steps=2, batch_size=2, window_length=2, rollout_from=1.0)
     state = initial_state(gim_temp(3, 0, 0.01, key=jax.random.key(0)), recipe, 0)
     checks = []
     result = fit(state, dataset, dataset, recipe, checks.append)

@@ -7,12 +7,12 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from contactgraph.data import Dataset, read_trajectories, split_by_run
+from contactgraph.data import Dataset, read_trajectories, split_by_trajectory
 from contactgraph.model import gim_temp
 from contactgraph.model.arrays import module_arrays
-from contactgraph.train import FitProgress, FitResult, FitState, Recipe, fit, initial_state
+from contactgraph.train import FitProgress, FitResult, FitState, TrainConfig, fit, initial_state
 
-RECIPE = Recipe(steps=300)
+RECIPE = TrainConfig(steps=300)
 """What `contactgraph train --steps 300` uses: checks at 125, 250 and 300, the last in stage two."""
 
 
@@ -21,7 +21,7 @@ class Enough(Exception):
 
 
 def split(path: Path) -> tuple[Dataset, Dataset]:
-    return split_by_run(read_trajectories(path), 0.15, 0)
+    return split_by_trajectory(read_trajectories(path), 0.15, 0)
 
 
 def first_state(seed: int = 0) -> FitState:

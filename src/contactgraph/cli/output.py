@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from contactgraph.data import InvalidInputError, replacing
+from contactgraph.data import InvalidInputError, atomic_write
 
 
 def say(text: str) -> None:
@@ -47,7 +47,7 @@ def write_json(path: Path | None, values: Mapping[str, Any]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a file, whole or not at all."""
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

@@ -1,7 +1,7 @@
 """Recorded runs, in the steps of the model that is to read them."""
 
 from contactgraph.cli.output import say
-from contactgraph.data import Dataset, with_longer_steps
+from contactgraph.data import Dataset, subsample
 
 _WHOLE = 1e-6
 
@@ -17,4 +17,4 @@ def in_steps_of(model: object, dataset: Dataset, name: str) -> Dataset:
     if every < 2 or abs(every * dataset.dt - dt) > _WHOLE * dt:
         return dataset
     say(f"{name}: every {every}th step is taken, since the model's are {dt:g} s long")
-    return with_longer_steps(dataset, every)
+    return subsample(dataset, every)

@@ -62,11 +62,11 @@ class Train:
         from contactgraph.cli.provenance import provenance, sha256
         from contactgraph.data import (
             InvalidInputError,
-            pad_runs,
+            pad_trajectories,
             read_trajectories,
-            split_by_run,
+            split_by_trajectory,
+            subsample,
             window_weights,
-            with_longer_steps,
         )
         from contactgraph.model.storage import save_model
         from contactgraph.train import (
@@ -74,11 +74,11 @@ class Train:
             FitState,
             FitStatus,
             LossTerms,
-            Recipe,
             RunFolder,
+            TrainConfig,
+            defaults_from_data,
             fit,
             initial_state,
-            suited_to,
         )
 
         folder = RunFolder(self.out)
@@ -89,20 +89,20 @@ class Train:
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
         build = looked_up("--model", told.model, MODELS)
         check_weight("--prior-weight", told.prior_weight)
-        recipe = Recipe(
+        recipe = TrainConfig(
             **{name: getattr(told, name) for name in _RECIPE},
             rollout_from=0.0 if told.rollout_from is None else told.rollout_from,
             weights=LossTerms(prior=told.prior_weight),
         )
         check_range("--every", told.every, 1, 100_000)
-        dataset = with_longer_steps(read_trajectories(self.data), told.every)
-        suited = suited_to(dataset)
+        dataset = subsample(read_trajectories(self.data), told.every)
+        suited = defaults_from_data(dataset)
         if told.rollout_from is None:
             recipe = replace(recipe, rollout_from=suited.rollout_from)
         checksum = sha256(self.data)
-        train, held_out = split_by_run(dataset, told.held_out, told.seed)
+        train, held_out = split_by_trajectory(dataset, told.held_out, told.seed)
         for runs in (train, held_out):  # too short for a window: refused before a folder is made
-            window_weights(pad_runs(runs), recipe.window_length, recipe.event_fraction)
+            window_weights(pad_trajectories(runs), recipe.window_length, recipe.event_fraction)
         devices = jax.local_devices()[: self._devices(len(jax.local_devices()), told.batch_size)]
         model = build(
             dataset.dimension,

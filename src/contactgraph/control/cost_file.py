@@ -15,9 +15,8 @@ import numpy as np
 
 from contactgraph.control.cost_fields import definite, semidefinite
 from contactgraph.control.learned_cost import LearnedCost, LearningHistory, Participant
-from contactgraph.data import InvalidInputError, replacing
-from contactgraph.data.json_fields import JsonFields
-from contactgraph.data.untrusted_json import check_version, parse_json
+from contactgraph.data import InvalidInputError, atomic_write
+from contactgraph.data.json_fields import JsonFields, check_version, parse_json
 
 FORMAT = "contactgraph-cost"
 VERSION = 1
@@ -86,7 +85,7 @@ def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | No
         raise InvalidInputError(f"{path}: made must hold only JSON values ({error})") from error
     if json.loads(text)["made"] != content["made"]:
         raise InvalidInputError(f"{path}: made must hold only JSON values (and texts as keys)")
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

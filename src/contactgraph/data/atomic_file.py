@@ -10,7 +10,7 @@ from contactgraph.data.errors import InvalidInputError
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """A path to write to, in the same folder, which replaces ``path`` when the block ends.
 
     After a failure, or Ctrl-C, ``path`` is as it was and the temporary file is gone; only a

@@ -62,7 +62,9 @@ def _check_agreement(what: str, number: int, found: float, first: float) -> None
         )
 
 
-def split_by_run(dataset: Dataset, held_out_fraction: float, seed: int) -> tuple[Dataset, Dataset]:
+def split_by_trajectory(
+    dataset: Dataset, held_out_fraction: float, seed: int
+) -> tuple[Dataset, Dataset]:
     """Split whole runs into (train, held out), at least one each, in their order in ``dataset``.
 
     Windows of one run resemble each other, so a split within runs would flatter the error.
@@ -89,4 +91,45 @@ def strip_contacts(dataset: Dataset) -> Dataset:
     """The same runs without contact labels, as a sensorless recording would be."""
     return replace(
         dataset, trajectories=tuple(replace(run, contact=None) for run in dataset.trajectories)
+    )
+
+
+def subsample(dataset: Dataset, every: int) -> Dataset:
+    """The same runs with every ``every``-th state, and controls averaged in between.
+
+    Two nodes touch in a step if they touched at any of the states that led there. What is left at
+    the end of a run and is no whole step is left out.
+    Raises `InvalidInputError` where ``every`` is below 1, or a run has fewer steps.
+    """
+    if every < 1:
+        raise InvalidInputError(f"every must be at least 1, found {every}")
+    if every == 1:
+        return dataset
+    return replace(dataset, trajectories=tuple(_longer(run, every) for run in dataset))
+
+
+def _longer(run: Trajectory, every: int) -> Trajectory:
+    steps = run.steps // every
+    if steps < 1:
+        raise InvalidInputError(f"every must be 1 to {run.steps}, a run's steps, found {every}")
+    kept = slice(0, steps * every + 1, every)
+
+    def each(value: np.ndarray | None) -> np.ndarray | None:
+        return None if value is None else value[kept]
+
+    contact = run.contact
+    if contact is not None:
+        since = contact[1 : steps * every + 1].reshape(steps, every, *contact.shape[1:])
+        contact = np.concatenate([contact[:1], since.any(axis=1)])
+    control = run.control[: steps * every]
+    return replace(
+        run,
+        scene=replace(run.scene, dt=every * run.scene.dt),
+        position=run.position[kept],
+        velocity=run.velocity[kept],
+        control=control.reshape(steps, every, run.control_size).mean(axis=1),
+        contact=contact,
+        skeleton=each(run.skeleton),
+        tracked=each(run.tracked),
+        measured_at=each(run.measured_at),
     )

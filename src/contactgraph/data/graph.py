@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from contactgraph.data.scene import Scene
+from contactgraph.data.trajectory import Scene
 
 
 def pair_indices(node_count: int) -> np.ndarray:

@@ -1,6 +1,8 @@
 """What the fields of a JSON file must be like, checked one by one."""
 
+import json
 import reprlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -129,3 +131,22 @@ def _times(shape: tuple[int | None, ...]) -> str:
 def _finite(value: Any) -> bool:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return number and abs(value) < _LARGEST
+
+
+def parse_json(text: str) -> Any:
+    """The content of a JSON text; raises `ValueError` also for NaN and infinity."""
+    return json.loads(text, parse_constant=_refuse_constant)
+
+
+def check_version(field: str, content: Mapping[str, Any], version: int) -> None:
+    """Raises `InvalidInputError` where ``format_version`` is another one.
+
+    ``field`` is what the message calls a field, with the file's name, e.g. ``"a.json: field"``.
+    """
+    found = content.get("format_version")
+    if found != version or isinstance(found, bool):
+        raise InvalidInputError(f"{field} 'format_version' must be {version}, found {found!r}")
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"numbers must be finite, found {name}")

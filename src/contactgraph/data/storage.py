@@ -7,15 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
+import numpy as np
 
-from contactgraph.data.atomic_file import replacing
+from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.dataset import Dataset, Metadata
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.layout import ARRAYS, FORMAT, RUNS, VERSION
-from contactgraph.data.read_run import naming, read_dt, read_metadata, read_run
-from contactgraph.data.trajectory import Trajectory
-from contactgraph.data.untrusted_hdf5 import UntrustedGroup, reading
-from contactgraph.data.write_run import fixed_text, write_metadata, write_run
+from contactgraph.data.trajectory import Scene, Trajectory
+from contactgraph.data.untrusted_hdf5 import (
+    ARRAYS,
+    FORMAT,
+    METADATA,
+    NAMES,
+    RUNS,
+    VERSION,
+    UntrustedGroup,
+    reading,
+)
 
 
 def write_trajectories(
@@ -32,7 +39,7 @@ def write_trajectories(
     path = Path(path)
     dataset = Dataset(tuple(trajectories), metadata or {})
     with (
-        replacing(path) as temporary,
+        atomic_write(path) as temporary,
         # From v110 on all structure carries checksums, so damage is found and not followed.
         h5py.File(temporary, "x", libver=("v110", "v110")) as file,
     ):
@@ -42,7 +49,7 @@ def write_trajectories(
         runs = file.create_group(RUNS)
         for number, run in enumerate(dataset):
             name = f"{number:06d}"
-            write_run(f"{path}: {RUNS}/{name}", runs.create_group(name), run, compress)
+            write_trajectory(f"{path}: {RUNS}/{name}", runs.create_group(name), run, compress)
 
 
 def read_trajectories(path: str | Path) -> Dataset:
@@ -52,7 +59,7 @@ def read_trajectories(path: str | Path) -> Dataset:
     `InvalidInputError` naming file, trajectory and field for whatever is wrong with it.
     """
     with _opened(Path(path)) as root:
-        runs = tuple(read_run(run) for run in _runs(root))
+        runs = tuple(read_trajectory(run) for run in _runs(root))
         metadata = read_metadata(root)
         with naming(root.where):
             return Dataset(runs, metadata)
@@ -138,3 +145,147 @@ def _opened(path: Path) -> Iterator[UntrustedGroup]:
 def _runs(root: UntrustedGroup) -> list[UntrustedGroup]:
     runs = root.child(RUNS)
     return [runs.child(name) for name in runs.names_by_number()]
+
+
+def read_trajectory(group: UntrustedGroup) -> Trajectory:
+    """The run in ``group``; raises `InvalidInputError` naming it and the field."""
+    position = _array(group, "position")
+    velocity, control = _array(group, "velocity"), _array(group, "control")
+    contact, skeleton = _optional_array(group, "contact"), _optional_array(group, "skeleton")
+    tracked, measured_at = _optional_array(group, "tracked"), _optional_array(group, "measured_at")
+    names, types = group.texts("node_name"), group.texts("node_type")
+    actuated, dt, metadata = _array(group, "actuated"), read_dt(group), read_metadata(group)
+    anchor, goal = _optional_array(group, "anchor"), _optional_array(group, "goal")
+    gravity = _optional_array(group, "gravity")
+    mass, radius = _optional_array(group, "mass"), _optional_array(group, "radius")
+    size, edges = _optional_array(group, "size"), _optional_array(group, "candidate_edges")
+    with naming(group.where):
+        scene = Scene(
+            node_name=names,
+            node_type=types,
+            actuated=actuated,
+            dt=dt,
+            dimension=position.shape[2],
+            anchor=anchor,
+            goal=goal,
+            gravity=gravity,
+            mass=mass,
+            radius=radius,
+            size=size,
+            candidate_edges=edges,
+            metadata=metadata,
+        )
+        return Trajectory(
+            scene, position, velocity, control, contact, skeleton, tracked, measured_at
+        )
+
+
+def read_dt(group: UntrustedGroup) -> float:
+    """Time between two steps, s."""
+    dt = group.attribute("dt")
+    if isinstance(dt, (str, bool)):
+        raise InvalidInputError(f"{group.where}: dt must be a number of seconds, found {dt!r}")
+    return float(dt)
+
+
+def read_metadata(group: UntrustedGroup) -> Metadata:
+    """Free-form metadata; none where the group for it is absent."""
+    return group.child(METADATA).attributes() if METADATA in group.names() else {}
+
+
+@contextmanager
+def naming(where: str) -> Iterator[None]:
+    """Say where the values came from that `Scene`, `Trajectory` or `Dataset` refused."""
+    try:
+        yield
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{where}: {error}") from error
+
+
+def _optional_array(group: UntrustedGroup, name: str) -> np.ndarray | None:
+    return _array(group, name) if name in group.names() else None
+
+
+def _array(group: UntrustedGroup, name: str) -> np.ndarray:
+    field = ARRAYS[name]
+    value = group.array(name, field)
+    if "b" not in field.kinds:
+        return value
+    if not np.isin(value, (0, 1)).all():
+        raise InvalidInputError(f"{group.where}/{name}: must hold only 0 and 1")
+    return value.astype(bool)
+
+
+_ONE_CHUNK = 2**24
+"""Arrays up to this many bytes are one chunk, whose address the header's checksum covers."""
+
+
+def write_trajectory(where: str, group: h5py.Group, run: Trajectory, compress: bool) -> None:
+    """Fill ``group``; ``where`` names it in errors."""
+    group.attrs["dt"] = float(run.scene.dt)
+    write_metadata(where, group, run.scene.metadata)
+    for name in NAMES:
+        texts = fixed_texts(f"{where}/{name}", getattr(run.scene, name))
+        _write_array(group, name, texts, compress)
+    for name, field in ARRAYS.items():
+        value = getattr(run if hasattr(run, name) else run.scene, name)
+        if value is None:
+            continue
+        written = _write_array(group, name, value, compress)
+        if field.unit is not None:
+            written.attrs["unit"] = fixed_text(where, field.unit)
+
+
+def _write_array(group: h5py.Group, name: str, value: np.ndarray, compress: bool) -> h5py.Dataset:
+    # uint8, since an HDF5 bool is an enum that readers in other languages may not know.
+    stored = value.astype(np.uint8) if value.dtype == bool else value
+    if stored.size == 0:
+        return group.create_dataset(name, data=stored)
+    return group.create_dataset(
+        name,
+        data=stored,
+        chunks=stored.shape if stored.nbytes <= _ONE_CHUNK else True,
+        fletcher32=True,
+        compression="gzip" if compress else None,
+        shuffle=compress,
+    )
+
+
+def write_metadata(where: str, group: h5py.Group, metadata: Metadata) -> None:
+    """Store each value as a scalar attribute of a group of its own inside ``group``."""
+    attributes = group.create_group(METADATA).attrs
+    for name, value in metadata.items():
+        place = f"{where}: metadata {name!r}"
+        if not (isinstance(name, str) and name):
+            raise InvalidInputError(f"{place}: the name must be a string that is not empty")
+        fixed_text(place, name)
+        if isinstance(value, str):
+            attributes[name] = fixed_text(place, value)
+        elif isinstance(value, (bool, float, np.bool_, np.floating)):
+            attributes[name] = value
+        elif isinstance(value, (int, np.integer)) and -(2**63) <= value < 2**63:
+            attributes[name] = np.int64(value)
+        else:
+            raise InvalidInputError(
+                f"{place}: must be a string, int of 64 bits, float or bool, found {value!r}"
+            )
+
+
+def fixed_texts(where: str, texts: tuple[str, ...]) -> np.ndarray:
+    """[N] UTF-8 of fixed length: texts of variable length live in a heap without checksum."""
+    for text in texts:
+        if not isinstance(text, str) or "\0" in text or not _is_unicode(text):
+            raise InvalidInputError(f"{where}: must be Unicode without NUL, found {text!r}")
+    encoded = [text.encode("utf-8") for text in texts]
+    length = max([1, *(len(text) for text in encoded)])
+    return np.array(encoded, dtype=h5py.string_dtype("utf-8", length))
+
+
+def fixed_text(where: str, text: str) -> np.ndarray:
+    """One text as `fixed_texts` stores it."""
+    return fixed_texts(where, (text,)).reshape(())
+
+
+def _is_unicode(text: str) -> bool:
+    """Lone surrogates are no characters, and have no UTF-8."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in text)

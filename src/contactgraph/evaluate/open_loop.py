@@ -7,8 +7,11 @@ import numpy as np
 
 from contactgraph.data import Dataset, InvalidInputError, Trajectory
 from contactgraph.evaluate.edge_scores import EdgeScores, edge_scores
-from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
-from contactgraph.evaluate.run_windows import detail_of_run, joined_details
+from contactgraph.evaluate.prediction_windows import (
+    OpenLoopDetail,
+    concatenated_details,
+    trajectory_detail,
+)
 from contactgraph.evaluate.sensor_faults import SensorFaults
 from contactgraph.model import ContactSensor, GrowingLists, MotionNoise, StepModel, judging_motion
 from contactgraph.model.model_fit import check_fit
@@ -129,9 +132,9 @@ def evaluate_open_loop(
             f"field; it must be in every run"
         )
     lists = GrowingLists(model, dataset)
-    detail = joined_details(
+    detail = concatenated_details(
         [
-            detail_of_run(
+            trajectory_detail(
                 lists,
                 dataset,
                 number,

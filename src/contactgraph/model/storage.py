@@ -14,9 +14,9 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from contactgraph.data.atomic_file import replacing
+from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.untrusted_json import check_version, parse_json
+from contactgraph.data.json_fields import check_version, parse_json
 from contactgraph.model.arrays import module_arrays, with_arrays
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.description import Description, build, describe
@@ -89,7 +89,7 @@ def save_model(
             f"{path}: training must be shorter than {_HEADER_LIMIT} characters, found {len(text)}"
         )
     content = safetensors.numpy.save(arrays, metadata={_ENTRY: text})
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(content)
 
 

@@ -1,13 +1,20 @@
 """Windows of the runs as arrays on the device, drawn at random inside the compiled loop."""
 
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.data.padding import PaddedRuns
+from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import Windows
 from contactgraph.model.state import Nodes
 
@@ -60,7 +67,7 @@ class WindowSource(eqx.Module):
         )
 
 
-def window_source(runs: PaddedRuns, windows: Windows) -> WindowSource:
+def window_source(runs: TrajectoryBatch, windows: Windows) -> WindowSource:
     """Put runs and windows on the device.
 
     Runs are padded to a multiple of `_RUNS`, and windows as if every run had the longest one's:
@@ -93,3 +100,117 @@ def window_source(runs: PaddedRuns, windows: Windows) -> WindowSource:
         cumulative=jnp.asarray(cumulative, jnp.float32),
         length=windows.length,
     )
+
+
+Tree = TypeVar("Tree")
+
+_WINDOWS = "windows"
+
+
+@dataclass(frozen=True)
+class BatchSplit:
+    """Devices in a row. XLA adds up what they find, once a step, for the gradient."""
+
+    mesh: Mesh
+
+    def parted(self, batch: Tree) -> Tree:
+        """Every array's leading axis, which is the windows', is split over the devices."""
+        return eqx.filter_shard(batch, NamedSharding(self.mesh, PartitionSpec(_WINDOWS)))
+
+    def everywhere(self, tree: Tree) -> Tree:
+        """Every device has all of it."""
+        return eqx.filter_shard(tree, NamedSharding(self.mesh, PartitionSpec()))
+
+
+def batch_split(devices: Sequence[jax.Device], batch_size: int) -> BatchSplit | None:
+    """None for fewer than two devices: nothing is split.
+
+    Raises `InvalidInputError` where the windows of a batch do not come out even.
+    """
+    if len(devices) < 2:
+        return None
+    if batch_size % len(devices):
+        raise InvalidInputError(
+            f"a batch of {batch_size} windows cannot be split evenly over {len(devices)} devices"
+        )
+    return BatchSplit(Mesh(np.asarray(devices), (_WINDOWS,)))
+
+
+_TRIES = 8
+_REST = 1e-6
+"""Speed, m/s, below which a body rests."""
+
+
+def has_resting_bodies(runs: TrajectoryBatch) -> bool:
+    """Whether free bodies that nothing actuates are ever seen at rest.
+
+    Where they never are (they fall, or flow, or hang on hinges) a resting bystander would be a lie.
+    """
+    if runs.anchor is not None:
+        return False
+    speed = np.linalg.norm(runs.velocity[:, :-1], axis=-1)
+    exists = runs.node_mask[:, None, :] & runs.step_mask[:, :, None]
+    return bool(np.any((speed < _REST) & exists & ~runs.actuated[:, None, :]))
+
+
+def add_distractor(
+    windows: Window,
+    nearest: Float[Array, ""] | float,
+    farthest: Float[Array, ""] | float,
+    key: PRNGKeyArray,
+) -> Window:
+    """Every window of a batch with one more node, at rest, not actuated.
+
+    It stands `nearest` to `farthest` [m] from some body at some step, and never nearer than
+    `nearest` to any, not even between two states. Where several tries find no such place the
+    node is masked out.
+    """
+    batch, states, count, dimension = windows.position.shape
+    keys = jax.random.split(key, batch)
+    place, found = jax.vmap(
+        lambda position, mask, key: _place(position, mask, nearest, farthest, key)
+    )(windows.position, windows.nodes.mask, keys)
+    position = jnp.broadcast_to(place[:, None, None, :], (batch, states, 1, dimension))
+    edges = jnp.ones((batch, count), bool)
+    return dataclasses.replace(
+        windows,
+        position=jnp.concatenate([windows.position, position], axis=2),
+        velocity=jnp.concatenate([windows.velocity, jnp.zeros_like(position)], axis=2),
+        nodes=Nodes(
+            actuated=jnp.concatenate([windows.nodes.actuated, jnp.zeros((batch, 1), bool)], 1),
+            mask=jnp.concatenate([windows.nodes.mask, found[:, None]], axis=1),
+            # `pair_indices` lists the pairs of a new last node after all others.
+            candidate=jnp.concatenate([windows.nodes.candidate, edges], axis=1),
+        ),
+    )
+
+
+def _place(
+    position: Float[Array, "L N D"],
+    mask: Array,
+    nearest: Float[Array, ""] | float,
+    farthest: Float[Array, ""] | float,
+    key: PRNGKeyArray,
+) -> tuple[Float[Array, " D"], Array]:
+    """A place for one bystander [m], and whether it keeps its distance."""
+    node_key, step_key, direction_key, radius_key = jax.random.split(key, 4)
+    node = jax.random.categorical(node_key, jnp.where(mask, 0.0, -jnp.inf), shape=(_TRIES,))
+    step = jax.random.randint(step_key, (_TRIES,), 0, position.shape[0])
+    direction = jax.random.normal(direction_key, (_TRIES, position.shape[-1]))
+    direction = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
+    radius = jax.random.uniform(radius_key, (_TRIES, 1), minval=nearest, maxval=farthest)
+    places = position[step, node] + radius * direction
+    distance = _distance_to_paths(places, position)
+    clear = jnp.min(jnp.where(mask, distance, jnp.inf), axis=(1, 2)) >= nearest
+    return places[jnp.argmax(clear)], jnp.any(clear)
+
+
+def _distance_to_paths(
+    places: Float[Array, "tries D"], position: Float[Array, "L N D"]
+) -> Float[Array, "tries L-1 N"]:
+    """How near every node comes to each place on its straight way from state to state, m."""
+    begin, way = position[:-1], position[1:] - position[:-1]
+    reach = places[:, None, None] - begin
+    length = jnp.maximum(jnp.sum(way**2, axis=-1), _REST**2)
+    part = jnp.clip(jnp.sum(reach * way, axis=-1) / length, 0.0, 1.0)
+    return jnp.linalg.norm(reach - part[..., None] * way, axis=-1)

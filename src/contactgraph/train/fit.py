@@ -14,16 +14,22 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from contactgraph.data.dataset import Dataset
-from contactgraph.data.padding import pad_runs
+from contactgraph.data.trajectory_batch import pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.listed import GrowingLists
 from contactgraph.model.neighbours import NeighbourLists
-from contactgraph.train.batch import Window, WindowSource, window_source
-from contactgraph.train.batch_split import BatchSplit, batch_split
-from contactgraph.train.bystanders import add_bystander, bodies_rest
+from contactgraph.train.batch import (
+    BatchSplit,
+    Window,
+    WindowSource,
+    add_distractor,
+    batch_split,
+    has_resting_bodies,
+    window_source,
+)
+from contactgraph.train.config import TrainConfig
 from contactgraph.train.loss import LossTerms, rollout_loss, rollout_rmse, window_loss
-from contactgraph.train.recipe import Recipe
 
 _HELD_OUT_WINDOWS = 256
 _CLEARANCE = 1.03
@@ -76,7 +82,7 @@ class FitResult:
     state: FitState
 
 
-def initial_state(model: ContactDynamics, recipe: Recipe, seed: int) -> FitState:
+def initial_state(model: ContactDynamics, recipe: TrainConfig, seed: int) -> FitState:
     """The state before the first step. One seed makes one result."""
     return FitState(
         model=model,
@@ -94,7 +100,7 @@ def fit(
     state: FitState,
     train: Dataset,
     held_out: Dataset,
-    recipe: Recipe,
+    recipe: TrainConfig,
     on_check: Callable[[FitProgress], None] = lambda progress: None,
     devices: Sequence[jax.Device] = (),
 ) -> FitResult:
@@ -110,7 +116,7 @@ def fit(
     source, checked = training_windows(train, recipe), held_out_windows(held_out, recipe)
     if split is not None:
         state, source, checked = split.everywhere((state, source, checked))
-    bystanders = recipe.bystanders if bodies_rest(pad_runs(train)) else 0
+    bystanders = recipe.bystanders if has_resting_bodies(pad_trajectories(train)) else 0
     lists = GrowingLists(state.model, train)
 
     def advance(state: FitState, count: int) -> tuple[FitState, dict[str, Array]]:
@@ -168,20 +174,20 @@ def _finite(terms: dict[str, Array]) -> bool:
     return all(np.isfinite(value) for value in terms.values())
 
 
-def training_windows(train: Dataset, recipe: Recipe) -> WindowSource:
+def training_windows(train: Dataset, recipe: TrainConfig) -> WindowSource:
     """The runs to train on, and how often each window is drawn."""
-    runs = pad_runs(train)
+    runs = pad_trajectories(train)
     windows = window_weights(runs, recipe.window_length, recipe.event_fraction)
     return window_source(runs, windows)
 
 
-def held_out_windows(held_out: Dataset, recipe: Recipe) -> Window:
+def held_out_windows(held_out: Dataset, recipe: TrainConfig) -> Window:
     """A fixed set of windows of held-out runs, balanced over events as the training's are."""
     source = training_windows(held_out, recipe)
     return source.draw(_HELD_OUT_WINDOWS, jax.random.key(0))
 
 
-def _optimiser(recipe: Recipe) -> optax.GradientTransformation:
+def _optimiser(recipe: TrainConfig) -> optax.GradientTransformation:
     rate = optax.warmup_cosine_decay_schedule(
         init_value=0.0,
         peak_value=recipe.learning_rate,
@@ -197,7 +203,7 @@ def _advance(
     state: FitState,
     source: WindowSource,
     checked: Window,
-    recipe: Recipe,
+    recipe: TrainConfig,
     count: int,
     bystanders: int,
     with_rollout: Bool[np.ndarray, ""] | None,
@@ -219,7 +225,7 @@ def _advance(
         if split is not None:
             windows = split.parted(windows)
         for bystander_key in jax.random.split(place_key, bystanders):
-            windows = add_bystander(windows, nearest, 3.0 * nearest, bystander_key)
+            windows = add_distractor(windows, nearest, 3.0 * nearest, bystander_key)
         return windows
 
     def loss(

@@ -1,13 +1,54 @@
-"""The folder of one training run: what it was told, how it went, where it stands."""
+"""Checkpoints: all that training carries, in one file that is there whole or not at all."""
 
 import json
 from pathlib import Path
 from typing import Any
 
-from contactgraph.data.atomic_file import replacing
+import safetensors
+import safetensors.numpy
+
+from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.train.checkpoint import load_checkpoint, save_checkpoint
+from contactgraph.model.arrays import module_arrays, with_arrays
 from contactgraph.train.fit import FitProgress, FitState
+
+FORMAT = "contactgraph-checkpoint"
+VERSION = 1
+
+
+def save_checkpoint(path: Path, state: FitState) -> None:
+    """Write the state atomically: whoever looks sees the old file or the whole new one."""
+    header = {"format": FORMAT, "format_version": str(VERSION)}
+    content = safetensors.numpy.save(
+        module_arrays(state), metadata={"contactgraph": json.dumps(header)}
+    )
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def load_checkpoint(path: Path, like: FitState) -> FitState:
+    """The saved state; `like` is a state of the same model and recipe.
+
+    Raises `InvalidInputError` where the file is damaged, or of another model.
+    """
+    if not path.is_file():
+        raise InvalidInputError(f"{path}: no such checkpoint")
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            entry = (file.metadata() or {}).get("contactgraph", "{}")
+            header = json.loads(entry)
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (safetensors.SafetensorError, OSError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise InvalidInputError(f"{path}: not a whole checkpoint ({reason})") from error
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise InvalidInputError(f"{path}: not a checkpoint of contactgraph training")
+    if header.get("format_version") != str(VERSION):
+        raise InvalidInputError(
+            f"{path}: format_version must be {VERSION}, found {header.get('format_version')!r}"
+        )
+    return with_arrays(like, arrays, str(path))
+
 
 _CHECKPOINTS_KEPT = 2
 
@@ -107,5 +148,5 @@ class RunFolder:
         return self.path / f"checkpoint-{step:010d}.safetensors"
 
     def _write(self, name: str, text: str) -> None:
-        with replacing(self.path / name) as temporary:
+        with atomic_write(self.path / name) as temporary:
             temporary.write_text(text)

@@ -19,7 +19,7 @@ from matplotlib.transforms import blended_transform_factory
 
 from contactgraph.control import Cost, LearnedCost
 from contactgraph.control.relative_form import relative_names, relative_terms
-from contactgraph.data import InvalidInputError, replacing
+from contactgraph.data import InvalidInputError, atomic_write
 from contactgraph.viz.colours import BODY_COLOURS, INK, RULE, SOFT
 
 _DECADES = 2.5
@@ -50,7 +50,7 @@ class _Weights:
 def write_cost_picture(path: str | Path, cost: LearnedCost, expert: Cost | None = None) -> None:
     """Write `cost_figure` as a PNG, whole or not at all."""
     figure = cost_figure(cost, expert)
-    with replacing(Path(path)) as temporary:
+    with atomic_write(Path(path)) as temporary:
         figure.savefig(temporary, dpi=150, format="png")
 
 

@@ -20,7 +20,7 @@ def mpc_planner(path: Path, max_force: float, horizon: int, infer_contacts: bool
     Raises `InvalidInputError` where there is no such model, or it is for something else.
     """
     from contactgraph.data import InvalidInputError
-    from contactgraph.evaluate.scene_cost import TaskCost
+    from contactgraph.evaluate.mpc_policy import TaskCost
     from contactgraph.model import ContactDynamics, MotionNoise
     from contactgraph.model.storage import load_model
     from contactgraph_franka.envs.franka_pickup import pickup_cost, pickup_scene

@@ -8,7 +8,7 @@ import numpy as np
 
 from contactgraph.control import ILQR, MPC, ControlLimits, MPCState
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.evaluate.scene_cost import SceneCost
+from contactgraph.evaluate.mpc_policy import SceneCost
 from contactgraph.model import ContactDynamics, ContactSensor, MotionNoise, scene_nodes
 from contactgraph.model.model_fit import check_fit
 from contactgraph_franka.loop import FeedbackLaw, Moment, Start

@@ -3,7 +3,7 @@
 import numpy as np
 
 from contactgraph.control import Plan
-from contactgraph.evaluate.whole_plan import present
+from contactgraph.evaluate.plan_tracking import present
 from contactgraph_franka.loop.laws import FeedbackLaw
 
 

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from contactgraph.data import InvalidInputError, replacing
-from contactgraph.data.json_fields import JsonFields
-from contactgraph.data.untrusted_json import check_version, parse_json
+from contactgraph.data import InvalidInputError, atomic_write
+from contactgraph.data.json_fields import JsonFields, check_version, parse_json
 from contactgraph_franka.perception.camera import Intrinsics
 from contactgraph_franka.perception.tagged_object import Tag, TaggedObject, check_pose
 
@@ -104,7 +103,7 @@ def write_calibration(path: str | Path, calibration: CameraCalibration) -> None:
             for name, tagged in calibration.objects.items()
         ],
     }
-    with replacing(Path(path)) as temporary:
+    with atomic_write(Path(path)) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.untrusted_json import parse_json
+from contactgraph.data.json_fields import parse_json
 from contactgraph_franka.sim.camera_settings import CameraSettings
 
 _PORTS = (1337, 1338)

@@ -8,7 +8,7 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import FrankaExpert
-from contactgraph.evaluate.scene_cost import TaskCost
+from contactgraph.evaluate.mpc_policy import TaskCost
 from contactgraph.model import shipped_model
 from contactgraph.model.storage import load_model
 from contactgraph_franka.envs.franka_pickup import brought, pickup_cost, pickup_scene

@@ -1,4 +1,4 @@
-"""Whether a model's predictions stay bounded when they are rolled out over a whole run."""
+"""What a model believes and which parameters it infers along a recorded run."""
 
 import math
 from dataclasses import dataclass, fields
@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.data import Dataset, InvalidInputError, Trajectory, pair_indices
 from contactgraph.model import (
+    ContactDynamics,
+    ContactSensor,
     ModelState,
     Nodes,
     StepModel,
@@ -19,8 +21,62 @@ from contactgraph.model import (
     scene_nodes,
     stack_state,
 )
+from contactgraph.model.follow import follow_run
+from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.model_fit import check_fit
-from contactgraph.model.recording import number_type
+from contactgraph.model.recording import Recording, number_type, recording
+from contactgraph.model.spring_mass_damper import SpringMassDamper
+
+_EXACT = ContactSensor()
+
+
+@dataclass(frozen=True, eq=False)
+class ModelDiagnostics:
+    """One run of ``T`` steps, as a model sees it; entry t is about the step from t to t + 1."""
+
+    edges: np.ndarray
+    """[E, 2] the nodes of each edge."""
+    belief: np.ndarray
+    """[T, E] probability that each edge is active, predicted from state t."""
+    parameters: SpringMassDamper | None
+    """Each [T, N, D]. None where the model has no such parameters."""
+
+
+def model_diagnostics(
+    model: ContactDynamics,
+    run: Trajectory,
+    *,
+    sensor: ContactSensor = _EXACT,
+    measured: bool = True,
+    node_capacity: int | None = None,
+) -> ModelDiagnostics:
+    """Goes along a run, predicting every step from the recorded state before it.
+
+    ``measured``: whether recorded contacts correct the belief, as they do in closed loop.
+    Raises `InvalidInputError` where model and run do not fit, or the run has more nodes than
+    ``node_capacity`` (default: no padding).
+    """
+    check_fit(model, run.scene, run.control_size, "the run")
+    count = run.scene.node_count
+    capacity = count if node_capacity is None else node_capacity
+    padded = recording(run, run.steps, capacity, number_type(model), measured)
+    edges = pair_indices(count)
+    belief, parameters = _along(model, padded, sensor)
+    if parameters is not None:
+        parameters = jax.tree.map(lambda leaf: np.asarray(leaf[:-1, :count]), parameters)
+    return ModelDiagnostics(edges, np.asarray(belief)[:-1, : len(edges)], parameters)
+
+
+@eqx.filter_jit
+def _along(
+    model: ContactDynamics, run: Recording, sensor: ContactSensor
+) -> tuple[jax.Array, SpringMassDamper | None]:
+    carried = follow_run(model, run, sensor)
+    parameters = None
+    if isinstance(model.local_dynamics, SpringMassDamperDynamics):
+        states = ModelState(run.position, run.velocity, carried.now)
+        parameters = jax.vmap(lambda state: model.parameters(state, run.nodes))(states)
+    return carried.coming.probability, parameters
 
 
 @dataclass(frozen=True)

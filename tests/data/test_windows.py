@@ -11,7 +11,7 @@ from contactgraph.data import (
     Scene,
     Trajectory,
     event_steps,
-    pad_runs,
+    pad_trajectories,
     strip_contacts,
     window_weights,
 )
@@ -56,7 +56,7 @@ DATASET = Dataset(RUNS)
 
 def test_all_impacts_are_found_with_few_false_ones() -> None:
     assert min(IMPACTS) >= 0, "every run has an impact"
-    found = event_steps(pad_runs(DATASET))
+    found = event_steps(pad_trajectories(DATASET))
     assert found[np.arange(20), IMPACTS].all()
     assert found.sum() <= 20 + 15, "20 impacts in 4000 steps"
 
@@ -67,7 +67,7 @@ def test_impacts_are_found_in_noisy_velocities() -> None:
         replace(run, velocity=run.velocity + 0.01 * rng.normal(size=run.velocity.shape))
         for run in RUNS
     )
-    found = event_steps(pad_runs(Dataset(tuple(noisy))))
+    found = event_steps(pad_trajectories(Dataset(tuple(noisy))))
     assert found[np.arange(20), IMPACTS].sum() >= 19
     assert found.sum() <= 20 + 10
 
@@ -80,7 +80,9 @@ def test_an_actuated_body_that_hits_a_wall_unseen() -> None:
     position = np.cumsum(velocity, axis=0) * DT
     scene = Scene(("finger",), ("g",), [True], DT, dimension=1)
     run = Trajectory(scene, position[:, None], velocity[:, None], force)
-    np.testing.assert_array_equal(np.flatnonzero(event_steps(pad_runs(Dataset((run,))))), [60])
+    np.testing.assert_array_equal(
+        np.flatnonzero(event_steps(pad_trajectories(Dataset((run,))))), [60]
+    )
 
 
 def test_a_force_that_jumps_is_no_event_where_the_control_explains_it() -> None:
@@ -88,15 +90,15 @@ def test_a_force_that_jumps_is_no_event_where_the_control_explains_it() -> None:
     velocity = np.cumsum(np.vstack([[[0.0]], force * DT]), axis=0)
     scene = Scene(("finger",), ("g",), [True], DT, dimension=1)
     run = Trajectory(scene, velocity[:, None], velocity[:, None], force)
-    assert not event_steps(pad_runs(Dataset((run,)))).any()
+    assert not event_steps(pad_trajectories(Dataset((run,)))).any()
 
 
 def test_contacts_and_padding_decide_nothing() -> None:
-    found = event_steps(pad_runs(DATASET))
-    np.testing.assert_array_equal(event_steps(pad_runs(strip_contacts(DATASET))), found)
-    np.testing.assert_array_equal(event_steps(pad_runs(DATASET, 9)), found)
+    found = event_steps(pad_trajectories(DATASET))
+    np.testing.assert_array_equal(event_steps(pad_trajectories(strip_contacts(DATASET))), found)
+    np.testing.assert_array_equal(event_steps(pad_trajectories(DATASET, 9)), found)
     short = Dataset((*RUNS, still(steps=3), still(steps=260)))
-    wide = event_steps(pad_runs(short))
+    wide = event_steps(pad_trajectories(short))
     np.testing.assert_array_equal(wide[:20, :200], found)
     assert not wide[:20, 200:].any()
 
@@ -108,7 +110,7 @@ def test_the_end_of_a_short_run_is_no_impact() -> None:
     hasty[-3:] += np.array([0.1, 0.4, 1.0])[:, None, None]
     scene = Scene(("a", "b"), ("o", "o"), [False, False], DT)
     runs = (Trajectory(scene, each, each, np.zeros((len(each) - 1, 2))) for each in (steady, hasty))
-    assert not event_steps(pad_runs(Dataset(tuple(runs)))).any()
+    assert not event_steps(pad_trajectories(Dataset(tuple(runs)))).any()
 
 
 def still(steps: int = 6, nodes: int = 2, control_size: int = 2) -> Trajectory:
@@ -129,7 +131,7 @@ def still(steps: int = 6, nodes: int = 2, control_size: int = 2) -> Trajectory:
     ],
 )
 def test_data_without_events(run: Trajectory) -> None:
-    padded = pad_runs(Dataset((run,)))
+    padded = pad_trajectories(Dataset((run,)))
     assert not event_steps(padded).any()
     windows = window_weights(padded, run.steps)
     assert windows.probability.tolist() == [1.0]
@@ -137,7 +139,7 @@ def test_data_without_events(run: Trajectory) -> None:
 
 @pytest.mark.parametrize("fraction", [0.0, 0.25, 0.6, 1.0])
 def test_the_asked_fraction_of_windows_holds_an_event(fraction: float) -> None:
-    padded = pad_runs(Dataset((*RUNS, still(steps=5), still(steps=30))))
+    padded = pad_trajectories(Dataset((*RUNS, still(steps=5), still(steps=30))))
     windows = window_weights(padded, 12, fraction)
     assert windows.probability.sum() == pytest.approx(1.0)
     assert windows.probability[windows.has_event].sum() == pytest.approx(fraction)
@@ -151,17 +153,17 @@ def test_the_asked_fraction_of_windows_holds_an_event(fraction: float) -> None:
 
 
 def test_uniform_where_every_window_holds_an_event() -> None:
-    windows = window_weights(pad_runs(DATASET), 200)
+    windows = window_weights(pad_trajectories(DATASET), 200)
     np.testing.assert_allclose(windows.probability, 1 / 20)
 
 
 @pytest.mark.parametrize("length", [0, -1, 201])
 def test_a_window_that_fits_no_run(length: int) -> None:
     with pytest.raises(InvalidInputError, match="window_length must be 1 to 200"):
-        window_weights(pad_runs(DATASET), length)
+        window_weights(pad_trajectories(DATASET), length)
 
 
 @pytest.mark.parametrize("fraction", [-0.1, 1.1, float("nan")])
 def test_a_fraction_that_is_none(fraction: float) -> None:
     with pytest.raises(InvalidInputError, match="event_fraction must be 0 to 1"):
-        window_weights(pad_runs(DATASET), 12, fraction)
+        window_weights(pad_trajectories(DATASET), 12, fraction)

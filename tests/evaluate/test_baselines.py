@@ -7,7 +7,7 @@ from evaluation_worlds import DT, random_run, scene_of
 from contactgraph.data import Scene, Trajectory
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect
-from contactgraph.evaluate.floors import constant_velocity, frozen_contact, joined
+from contactgraph.evaluate.baselines import constant_velocity, frozen_contact, joined
 
 
 def rmse(predicted, run, windows):

@@ -10,7 +10,7 @@ from contactgraph.data.graph import candidate_pairs, pair_indices
 
 
 @dataclass(frozen=True, eq=False)
-class PaddedRuns:
+class TrajectoryBatch:
     """``R`` runs padded to common ``T`` and ``N``; padding is zero in numbers, False in masks.
 
     Real nodes come first on the node axis and real steps first on the time axis.
@@ -38,7 +38,7 @@ class PaddedRuns:
     """Time between two steps, s."""
 
 
-def pad_runs(dataset: Dataset, node_capacity: int | None = None) -> PaddedRuns:
+def pad_trajectories(dataset: Dataset, node_capacity: int | None = None) -> TrajectoryBatch:
     """Pad all runs to the longest run and to ``node_capacity`` nodes (default: the most in a run).
 
     Raises `InvalidInputError` where a run has more nodes than the capacity.
@@ -53,7 +53,7 @@ def pad_runs(dataset: Dataset, node_capacity: int | None = None) -> PaddedRuns:
     pairs = pair_indices(nodes)
     labelled = all(run.contact is not None for run in dataset)
     hinges = any(run.scene.has_hinges for run in dataset)
-    padded = PaddedRuns(
+    padded = TrajectoryBatch(
         position=np.zeros((runs, steps + 1, nodes, dataset.dimension)),
         velocity=np.zeros((runs, steps + 1, nodes, dataset.dimension)),
         control=np.zeros((runs, steps, dataset.control_size)),

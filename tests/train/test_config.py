@@ -7,7 +7,7 @@ import pytest
 from training import first_state
 
 from contactgraph.data import InvalidInputError
-from contactgraph.train import Recipe, RunFolder
+from contactgraph.train import RunFolder, TrainConfig
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ from contactgraph.train import Recipe, RunFolder
 )
 def test_a_number_out_of_range_is_named(name: str, value: float) -> None:
     with pytest.raises(InvalidInputError, match=f"^{name} must be .*, found {value}$"):
-        Recipe(**{name: value})
+        TrainConfig(**{name: value})
 
 
 def test_a_run_begins_in_a_new_or_empty_folder(tmp_path: Path) -> None:

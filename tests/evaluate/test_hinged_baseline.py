@@ -9,7 +9,7 @@ from evaluation_worlds import DT, scene_of
 from contactgraph.data import Trajectory
 from contactgraph.envs import DoorExpert, DoorTask
 from contactgraph.evaluate import collect
-from contactgraph.evaluate.floors import constant_velocity, frozen_contact
+from contactgraph.evaluate.baselines import constant_velocity, frozen_contact
 
 HINGE = np.array([0.3, -0.2])
 NOWHERE = [np.nan, np.nan]

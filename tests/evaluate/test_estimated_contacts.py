@@ -5,7 +5,8 @@ import pytest
 from evaluation_worlds import DT, random_run, scene_of
 
 from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.evaluate import FoundContacts, ObservationNoise, found_contacts
+from contactgraph.evaluate import EstimatedContacts, ObservationNoise
+from contactgraph.evaluate import edge_scores as estimated_contacts
 
 
 def run_of(contact) -> Trajectory:
@@ -28,7 +29,7 @@ def run_of(contact) -> Trajectory:
 )
 def test_delays_by_hand(true, belief, onsets, breaks) -> None:
     # The last state has no tick, hence no belief.
-    found = found_contacts(run_of([*true, 0]), np.array(belief)[:, None] * 0.8 + 0.1)
+    found = estimated_contacts(run_of([*true, 0]), np.array(belief)[:, None] * 0.8 + 0.1)
     assert found.onset_delays == pytest.approx(onsets)
     assert found.break_delays == pytest.approx(breaks)
     counts = found.edges
@@ -38,9 +39,9 @@ def test_delays_by_hand(true, belief, onsets, breaks) -> None:
 
 
 def test_episodes_add_up() -> None:
-    quick = found_contacts(run_of([0, 1, 1, 1]), np.array([[0], [1], [1]]))
-    late = found_contacts(run_of([0, 1, 1, 1, 1]), np.array([[0], [0], [0], [1]]))
-    never = found_contacts(run_of([0, 1, 1]), np.zeros((2, 1)))
+    quick = estimated_contacts(run_of([0, 1, 1, 1]), np.array([[0], [1], [1]]))
+    late = estimated_contacts(run_of([0, 1, 1, 1, 1]), np.array([[0], [0], [0], [1]]))
+    never = estimated_contacts(run_of([0, 1, 1]), np.zeros((2, 1)))
     both = (quick + late).to_json()
     assert both["onsets"] == 2 and both["breaks"] == 0
     assert both["onset_delay_ms_p95"] == pytest.approx(2e3 * DT)
@@ -50,7 +51,7 @@ def test_episodes_add_up() -> None:
     assert lost["onset_delay_ms_p95"] is None and lost["onset_delay_ms_p50"] == pytest.approx(100)
     unknown = random_run(2, 4, 0)
     unknown = Trajectory(unknown.scene, unknown.position, unknown.velocity, unknown.control)
-    assert found_contacts(unknown, np.ones((4, 1))) == FoundContacts()
+    assert estimated_contacts(unknown, np.ones((4, 1))) == EstimatedContacts()
 
 
 def test_noise_is_what_it_says_and_the_same_each_time() -> None:

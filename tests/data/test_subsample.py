@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory, with_longer_steps
+from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory, subsample
 
 
 def thrown(steps: int, dt: float) -> Trajectory:
@@ -24,7 +24,7 @@ def thrown(steps: int, dt: float) -> Trajectory:
 
 def test_every_fifth_state_and_the_mean_of_what_was_applied() -> None:
     run = thrown(23, 0.001)
-    (longer,) = with_longer_steps(Dataset((run,), {"lab": "here"}), 5)
+    (longer,) = subsample(Dataset((run,), {"lab": "here"}), 5)
     assert longer.scene.dt == pytest.approx(0.005) and longer.steps == 4
     np.testing.assert_array_equal(longer.position, run.position[[0, 5, 10, 15, 20]])
     np.testing.assert_array_equal(longer.tracked, run.tracked[[0, 5, 10, 15, 20]])
@@ -35,16 +35,16 @@ def test_every_fifth_state_and_the_mean_of_what_was_applied() -> None:
 
 
 def test_a_touch_between_two_states_is_one_at_the_second() -> None:
-    (longer,) = with_longer_steps(Dataset((thrown(20, 0.001),)), 5)
+    (longer,) = subsample(Dataset((thrown(20, 0.001),)), 5)
     assert longer.contact is not None
     np.testing.assert_array_equal(longer.contact[:, 0, 1], [False, False, True, False, False])
 
 
 def test_what_is_no_longer_step() -> None:
     dataset = Dataset((thrown(20, 0.001),), {"lab": "here"})
-    assert with_longer_steps(dataset, 1) is dataset
-    assert with_longer_steps(dataset, 20).metadata == {"lab": "here"}
+    assert subsample(dataset, 1) is dataset
+    assert subsample(dataset, 20).metadata == {"lab": "here"}
     with pytest.raises(InvalidInputError, match="every must be at least 1, found 0"):
-        with_longer_steps(dataset, 0)
+        subsample(dataset, 0)
     with pytest.raises(InvalidInputError, match="every must be 1 to 20, a run's steps, found 21"):
-        with_longer_steps(dataset, 21)
+        subsample(dataset, 21)

@@ -1,44 +1,79 @@
-"""The model predictive controller as a policy that runs in a task."""
+"""A cost as an episode needs it: about some nodes, in an order that may change on the way."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
-from contactgraph.control import MPC, MPCState, Plan
+from contactgraph.control import MPC, Cost, MPCState, Plan, QuadraticCost, chain_cost
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
-from contactgraph.envs.contract import Feedback, Observation
-from contactgraph.evaluate.observation_noise import ObservationNoise
-from contactgraph.evaluate.scene_cost import SceneCost
-from contactgraph.evaluate.sensor_faults import FaultySensor, SensorFaults
-from contactgraph.evaluate.whole_plan import edge_probabilities, planned_positions
+from contactgraph.envs.contract import ChainCost, Feedback, Observation
+from contactgraph.evaluate.plan_tracking import EpisodeRecord, edge_probabilities, planned_positions
+from contactgraph.evaluate.sensor_faults import FaultySensor, ObservationNoise, SensorFaults
 from contactgraph.model import ContactBelief, scene_nodes
 from contactgraph_franka.loop.plan_feedback import plan_feedback
 
-_EXACT = SensorFaults()
-_CLEAR = ObservationNoise()
+
+class SceneCost(Cost, Protocol):
+    """A cost that finds its place in a scene. `contactgraph.control.LearnedCost` is one."""
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """The nodes it is about, from the actuated one to the one that is taken to the goal."""
+
+    def in_scene(self, scene: Scene) -> "SceneCost":
+        """About this scene and its goal; raises `InvalidInputError` where it does not fit."""
+
+    def among(self, nodes: Sequence[int]) -> "SceneCost":
+        """The same with its nodes in another order."""
 
 
 @dataclass(frozen=True, eq=False)
-class EpisodeRecord:
-    """What the controller thought in one episode of ``T`` steps; edges in `pair_indices`' order."""
+class TaskCost:
+    """A task's own cost."""
 
-    plan_ms: np.ndarray
-    """[T] ms: time of each control tick (correct, plan, hand over)."""
-    status: np.ndarray
-    """[T] int: `PlanStatus` of each plan."""
-    plan: np.ndarray
-    """[T, H+1, N, D] m: where the plan made at each step puts every node."""
-    plan_belief: np.ndarray
-    """[T, H, E] probability that each edge is active in each step of that plan."""
-    found: np.ndarray
-    """[T, E] the same of the step that led to each observation, corrected by what was observed."""
+    terms: ChainCost
+    control_size: int
+    """U"""
+    order: tuple[int, ...]
+    goal: np.ndarray | None = None
+    """[D] m"""
 
-    @property
-    def belief(self) -> np.ndarray:
-        """[T, E] the same of the step that was about to be made."""
-        return self.plan_belief[:, 0]
+    @classmethod
+    def of(cls, terms: ChainCost, control_size: int) -> "TaskCost":
+        """Before the scene is known."""
+        return cls(terms, control_size, terms.chain)
+
+    def in_scene(self, scene: Scene) -> "TaskCost":
+        """With the scene's goal."""
+        if scene.goal is None:
+            raise InvalidInputError("the scene has no goal; a plan needs one")
+        return replace(self, order=self.terms.chain, goal=scene.goal)
+
+    def among(self, nodes: Sequence[int]) -> "TaskCost":
+        """Along the chain in another order."""
+        return replace(self, order=tuple(nodes))
+
+    def quadratic(self, node_count: int) -> QuadraticCost:
+        """The chain's cost; the goal must be known."""
+        if self.goal is None:
+            raise InvalidInputError("the task's cost has no goal yet; place it in a scene")
+        return chain_cost(
+            self.order,
+            self.terms.pick_weights,
+            self.terms.goal_weights,
+            self.terms.control_weight,
+            self.goal,
+            node_count,
+            self.control_size,
+        )
+
+
+_EXACT = SensorFaults()
+_CLEAR = ObservationNoise()
 
 
 @dataclass(frozen=True, eq=False)

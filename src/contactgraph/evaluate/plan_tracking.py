@@ -6,14 +6,35 @@ from typing import TypeVar
 
 import numpy as np
 
-from contactgraph.control import PlanStatus
-from contactgraph.data import Trajectory, pair_indices
-from contactgraph.evaluate.control_policy import EpisodeRecord
+from contactgraph.control import Plan, PlanStatus
+from contactgraph.data import Trajectory, edge_index, pair_indices
+from contactgraph.evaluate.baselines import constant_velocity, frozen_contact
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
-from contactgraph.evaluate.floors import constant_velocity, frozen_contact
+from contactgraph.model import ContactBelief
 
 _MOVES_M = 1e-3
 _HORIZON_S = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeRecord:
+    """What the controller thought in one episode of ``T`` steps; edges in `pair_indices`' order."""
+
+    plan_ms: np.ndarray
+    """[T] ms: time of each control tick (correct, plan, hand over)."""
+    status: np.ndarray
+    """[T] int: `PlanStatus` of each plan."""
+    plan: np.ndarray
+    """[T, H+1, N, D] m: where the plan made at each step puts every node."""
+    plan_belief: np.ndarray
+    """[T, H, E] probability that each edge is active in each step of that plan."""
+    found: np.ndarray
+    """[T, E] the same of the step that led to each observation, corrected by what was observed."""
+
+    @property
+    def belief(self) -> np.ndarray:
+        """[T, E] the same of the step that was about to be made."""
+        return self.plan_belief[:, 0]
 
 
 @dataclass(frozen=True)
@@ -36,7 +57,7 @@ _Counts = TypeVar("_Counts", SquaredError, EdgeCounts)
 
 
 @dataclass(frozen=True)
-class PlannedError:
+class PlanTrackingError:
     """The paper's N-step error, on the plans that were executed; those of episodes add up.
 
     A window begins with every plan that was made for what was observed and then followed by its
@@ -55,8 +76,8 @@ class PlannedError:
     edges: EdgeCounts | None = field(default_factory=EdgeCounts)
     """Planned beliefs, above 1/2 or not, against executed contacts."""
 
-    def __add__(self, other: "PlannedError") -> "PlannedError":
-        return PlannedError(
+    def __add__(self, other: "PlanTrackingError") -> "PlanTrackingError":
+        return PlanTrackingError(
             windows=self.windows + other.windows,
             planned=self.planned + other.planned,
             planned_moving=self.planned_moving + other.planned_moving,
@@ -87,7 +108,7 @@ class PlannedError:
         }
 
 
-def planned_error(run: Trajectory, record: EpisodeRecord) -> PlannedError:
+def plan_tracking_error(run: Trajectory, record: EpisodeRecord) -> PlanTrackingError:
     """Compares the plans of one episode with what came of them.
 
     Plans shorter than 0.5 s, and those replaced before that, are not compared: with a new plan
@@ -98,7 +119,7 @@ def planned_error(run: Trajectory, record: EpisodeRecord) -> PlannedError:
     starts = _followed(record.status, steps) if steps <= horizon else np.zeros(0, dtype=int)
     if not len(starts):
         known = run.contact is not None
-        return PlannedError(
+        return PlanTrackingError(
             frozen_contact=SquaredError() if known else None, edges=EdgeCounts() if known else None
         )
     ahead = starts[:, None] + np.arange(1, steps + 1)
@@ -115,7 +136,7 @@ def planned_error(run: Trajectory, record: EpisodeRecord) -> PlannedError:
     planned = record.plan[starts, 1 : steps + 1]
     every = np.ones(travel.shape, dtype=bool)
     frozen = frozen_contact(run, steps)
-    return PlannedError(
+    return PlanTrackingError(
         windows=len(starts),
         planned=error(planned, every),
         planned_moving=error(planned, travel > _MOVES_M),
@@ -145,3 +166,42 @@ def _edges(run: Trajectory, belief: np.ndarray, ahead: np.ndarray) -> EdgeCounts
     first, second = pair_indices(run.scene.node_count).T
     exists = np.ones((len(belief), len(first)), dtype=bool)
     return edge_counts(belief > 0.5, run.contact[ahead][:, :, first, second], exists)
+
+
+def planned_positions(
+    plan: Plan, position: np.ndarray, velocity: np.ndarray, dt: float
+) -> np.ndarray:
+    """[H+1, N, D] m: where the plan puts every node at steps of ``dt`` s.
+
+    Nodes that are not in play go on as they were observed, at ``position`` m with ``velocity`` m/s,
+    [N, D].
+    """
+    count, dimension = position.shape
+    who, slots = present(plan, count)
+    states = np.asarray(plan.states, np.float64).reshape(len(plan.states), -1, 2, dimension)
+    ahead = dt * np.arange(len(states))[:, None, None]
+    whole = position + ahead * velocity
+    whole[:, who] = states[:, slots, 0]
+    return whole
+
+
+def edge_probabilities(belief: ContactBelief, who: np.ndarray, count: int) -> np.ndarray:
+    """[..., E] that each edge of a scene of ``count`` nodes is active.
+
+    ``belief`` is about the nodes ``who``, -1 for padding. An edge of any other is out of reach of
+    all that matters, and taken to be inactive.
+    """
+    probability = np.asarray(belief.probability, np.float64)
+    first, second = who[pair_indices(len(who))].T
+    known = (first >= 0) & (second >= 0) & (first < count) & (second < count)
+    first, second = first[known], second[known]
+    whole = np.zeros((*probability.shape[:-1], count * (count - 1) // 2))
+    whole[..., edge_index(first, second)] = probability[..., known]
+    return whole
+
+
+def present(plan: Plan, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the first ``count`` nodes of the scene are in play, and their places in the plan."""
+    who = np.asarray(plan.who)
+    slots = np.flatnonzero((who >= 0) & (who < count))
+    return who[slots], slots

@@ -5,10 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.data import Dataset, Scene, Trajectory, pad_runs
+from contactgraph.data import Dataset, Scene, Trajectory, pad_trajectories
 from contactgraph.model import Nodes
-from contactgraph.train.batch import Window
-from contactgraph.train.bystanders import add_bystander, bodies_rest
+from contactgraph.train.batch import Window, add_distractor, has_resting_bodies
 
 NEAREST, FARTHEST = 0.1, 0.3
 
@@ -36,7 +35,7 @@ def test_it_keeps_its_distance_from_every_body_at_every_step(dimension: int) -> 
     position[:, :, 2] = 0.0
     # The third node is padding, at the origin: it must neither repel nor attract.
     before = windows(position, [True, True, False])
-    after = add_bystander(before, NEAREST, FARTHEST, jax.random.key(0))
+    after = add_distractor(before, NEAREST, FARTHEST, jax.random.key(0))
     place = np.asarray(after.position[:, :, 3])
     assert np.all(place == place[:, :1]), "it rests"
     assert np.all(after.velocity[:, :, 3] == 0.0)
@@ -53,7 +52,7 @@ def test_it_keeps_its_distance_from_every_body_at_every_step(dimension: int) -> 
 
 def test_what_was_recorded_is_unchanged() -> None:
     before = windows(np.random.default_rng(1).normal(size=(4, 3, 2, 2)), [True, True])
-    after = add_bystander(before, NEAREST, FARTHEST, jax.random.key(0))
+    after = add_distractor(before, NEAREST, FARTHEST, jax.random.key(0))
     np.testing.assert_array_equal(after.position[:, :, :2], before.position)
     np.testing.assert_array_equal(after.velocity[:, :, :2], before.velocity)
     np.testing.assert_array_equal(after.control, before.control)
@@ -66,7 +65,7 @@ def test_where_there_is_no_place_it_does_not_exist() -> None:
     """A body sweeps a square so densely that only its rim leaves room."""
     line = 0.09 * np.arange(40)
     sweep = np.stack(np.meshgrid(line, line), axis=-1).reshape(1, -1, 1, 2)
-    after = add_bystander(
+    after = add_distractor(
         windows(np.repeat(sweep, 64, axis=0), [True]), NEAREST, 0.11, jax.random.key(0)
     )
     place, exists = np.asarray(after.position[:, 0, 1]), np.asarray(after.nodes.mask[:, 1])
@@ -95,7 +94,7 @@ def resting(actuated: list[bool], speed: list[float], mask_out: bool = False) ->
             np.zeros((8, 1)),
         )
         runs = (run, longer)
-    return bodies_rest(pad_runs(Dataset(runs)))
+    return has_resting_bodies(pad_trajectories(Dataset(runs)))
 
 
 def test_whether_bodies_ever_rest() -> None:

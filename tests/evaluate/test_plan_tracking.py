@@ -10,8 +10,10 @@ from evaluation_worlds import DT, GluedBodies, random_run
 from contactgraph.control import PlanStatus
 from contactgraph.data import pair_indices
 from contactgraph.envs import PickupTask
-from contactgraph.evaluate import EpisodeRecord, PlannedError, control_task, planned_error
-from contactgraph.evaluate.floors import constant_velocity, frozen_contact
+from contactgraph.evaluate import EpisodeRecord, PlanTrackingError
+from contactgraph.evaluate import closed_loop as control_task
+from contactgraph.evaluate import plan_tracking as plan_tracking_error
+from contactgraph.evaluate.baselines import constant_velocity, frozen_contact
 
 HORIZON, STEPS = 12, 10  # 0.5 s are 10 steps
 RUN = random_run(3, 45, 4)
@@ -36,7 +38,7 @@ def test_against_a_loop_over_windows():
     belief = record.plan_belief
     belief[0, 3, 0] = 1.0 - belief[0, 3, 0]
     belief[0, STEPS:] = 0.5  # beyond the window
-    found = planned_error(RUN, record)
+    found = plan_tracking_error(RUN, record)
     assert found.windows == 3  # begun at 0, 12, 24; the one of 36 ends after the run
     starts = [0, 12, 24]
     assert found.planned.rmse == pytest.approx(0.03 / np.sqrt(3))
@@ -57,36 +59,36 @@ def test_only_bodies_that_move_are_moving():
     position = RUN.position.copy()
     position[:, 2] = position[0, 2] + 2e-4 * np.sin(np.arange(46))[:, None]
     still = replace(RUN, position=position)
-    found = planned_error(still, record_of(still, 15, 0.03))
+    found = plan_tracking_error(still, record_of(still, 15, 0.03))
     assert found.planned.rmse == pytest.approx(0.03 / np.sqrt(3))
     assert found.planned_moving.rmse == pytest.approx(0.03 / np.sqrt(2))
 
 
 @pytest.mark.parametrize("every", [1, 5, 9])
 def test_plans_that_are_replaced_too_soon_say_nothing(every):
-    found = planned_error(RUN, record_of(RUN, every))
+    found = plan_tracking_error(RUN, record_of(RUN, every))
     assert found.windows == 0
     assert set(found.to_json().values()) == {0, None}
 
 
 def test_a_plan_that_was_not_made_for_the_moment_is_none():
     record = record_of(RUN, 10)
-    assert planned_error(RUN, record).windows == 4
+    assert plan_tracking_error(RUN, record).windows == 4
     record.status[10] = PlanStatus.LATE
-    assert planned_error(RUN, record).windows == 3
+    assert plan_tracking_error(RUN, record).windows == 3
     record.status[25] = PlanStatus.CONVERGED  # replaces the plan of 20
-    assert planned_error(RUN, record).windows == 2
+    assert plan_tracking_error(RUN, record).windows == 2
     short = replace(record, plan=record.plan[:, :10], plan_belief=record.plan_belief[:, :9])
-    assert planned_error(RUN, short).windows == 0
+    assert plan_tracking_error(RUN, short).windows == 0
 
 
 def test_episodes_add_up_and_what_one_lacks_is_unknown():
     other = random_run(5, 30, 9)
     parts = [
-        planned_error(RUN, record_of(RUN, 10, 0.01)),
-        planned_error(other, record_of(other, 10)),
+        plan_tracking_error(RUN, record_of(RUN, 10, 0.01)),
+        plan_tracking_error(other, record_of(other, 10)),
     ]
-    both = sum(parts, PlannedError())
+    both = sum(parts, PlanTrackingError())
     assert both.windows == 4 + 3 and both.edges.total == STEPS * (4 * 3 + 3 * 10)
     share = 4 * 1 / (4 * 3 + 3 * 5)  # of nodes that are 1 cm off
     assert both.planned.rmse == pytest.approx(0.01 * np.sqrt(share))
@@ -94,14 +96,14 @@ def test_episodes_add_up_and_what_one_lacks_is_unknown():
     assert values["edge_f1_planned"] == values["edge_accuracy_planned"] == 1.0
     assert json.loads(json.dumps(values, allow_nan=False)) == values
     bare = replace(RUN, contact=None)
-    unknown = (both + planned_error(bare, record_of(RUN, 10))).to_json()
+    unknown = (both + plan_tracking_error(bare, record_of(RUN, 10))).to_json()
     assert {name for name, value in unknown.items() if value is None} == {
         "frozen_contact_planned_rmse_m",
         *(f"edge_{score}_planned" for score in ("precision", "recall", "f1", "accuracy")),
     }
     record = record_of(RUN, 10)
     record.plan[0] = np.nan
-    assert planned_error(RUN, record).to_json()["n_step_rmse_planned_m"] is None
+    assert plan_tracking_error(RUN, record).to_json()["n_step_rmse_planned_m"] is None
 
 
 def test_in_closed_loop_the_known_world_does_as_planned():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
-from contactgraph.train import suited_to
+from contactgraph.train import defaults_from_data
 
 
 def runs(*scenes: Scene) -> Dataset:
@@ -22,30 +22,30 @@ def scene(**told: float) -> Scene:
 
 
 def test_runs_that_tell_nothing_have_the_usual_distance_which_is_learned() -> None:
-    found = suited_to(runs(scene()))
+    found = defaults_from_data(runs(scene()))
     assert (found.contact_distance, found.learned_touch) == (0.085, True)
     assert (found.hinges, found.weight, found.rollout_from) == (False, False, 0.5)
 
 
 def test_a_distance_that_is_told_is_kept() -> None:
-    found = suited_to(runs(scene(contact_distance=0.02), scene(contact_distance=0.02)))
+    found = defaults_from_data(runs(scene(contact_distance=0.02), scene(contact_distance=0.02)))
     assert (found.contact_distance, found.learned_touch) == (0.02, False)
 
 
 def test_weight_and_hinges_are_seen_in_any_run() -> None:
     heavy = replace(scene(), gravity=np.array([0.0, -9.81]))
     hinged = replace(scene(), anchor=np.array([[np.nan, np.nan], [0.0, 0.0]]))
-    found = suited_to(runs(scene(), heavy, hinged))
+    found = defaults_from_data(runs(scene(), heavy, hinged))
     assert found.weight and found.hinges and found.rollout_from == 0.0
-    assert not suited_to(runs(replace(scene(), gravity=np.zeros(2)))).weight
+    assert not defaults_from_data(runs(replace(scene(), gravity=np.zeros(2)))).weight
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, float("inf"), "near"])
 def test_a_distance_that_is_none_is_refused(wrong) -> None:
     with pytest.raises(InvalidInputError, match="contact_distance must be positive metres"):
-        suited_to(runs(scene(contact_distance=wrong)))
+        defaults_from_data(runs(scene(contact_distance=wrong)))
 
 
 def test_runs_must_not_contradict_each_other() -> None:
     with pytest.raises(InvalidInputError, match="the same in all runs"):
-        suited_to(runs(scene(contact_distance=0.02), scene(contact_distance=0.03)))
+        defaults_from_data(runs(scene(contact_distance=0.02), scene(contact_distance=0.03)))
