@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import model_diagnostics as model_diagnostics
-from contactgraph.evaluate import run_episode
+from contactgraph.evaluate import model_diagnostics, run_episode
 from contactgraph.model import load_model, shipped_model
 from contactgraph.viz import write_still
 from contactgraph_studies.scenes import scene_run

@@ -8,7 +8,7 @@ import numpy as np
 
 from contactgraph.data import Scene
 from contactgraph.envs import ChainCost, check_task
-from contactgraph.evaluate import closed_loop as control_task
+from contactgraph.evaluate import control_task
 from contactgraph.model import load_model, shipped_model
 
 DT, STEPS, SUBSTEPS, REACH, MAX_FORCE = 0.05, 120, 10, 0.08, 10.0  # s, -, -, m, N

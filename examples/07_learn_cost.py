@@ -11,8 +11,7 @@ from pathlib import Path
 from contactgraph.control import CostRecipe, cost_terms, learn_cost, read_cost, write_cost
 from contactgraph.data import Dataset
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import closed_loop as control_task
-from contactgraph.evaluate import collect
+from contactgraph.evaluate import collect, control_task
 from contactgraph.model import load_model, shipped_model
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())

@@ -21,8 +21,7 @@ from contactgraph.control.participants import follow_all, participants
 from contactgraph.control.relative_form import relative_terms
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
-from contactgraph.evaluate import closed_loop as control_task
-from contactgraph.evaluate import collect
+from contactgraph.evaluate import collect, control_task
 from contactgraph.model import ModelState, load_model, scene_nodes, shipped_model
 
 RECIPE = CostRecipe(steps=50, batch=64)

@@ -14,11 +14,11 @@ from contactgraph.envs.pickup import pickup_success
 from contactgraph.evaluate import (
     MPCPolicy,
     TaskCost,
+    control_task,
     episode_seeds,
     evaluate_open_loop,
     model_diagnostics,
 )
-from contactgraph.evaluate import closed_loop as control_task
 from contactgraph.model import ContactBelief, gim_temp, scene_nodes, two_type_belief
 
 SEER = GluedBodies(reach=0.081)

@@ -9,8 +9,7 @@ from evaluation_worlds import GluedBodies
 
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import MPCPolicy, collect, evaluate_open_loop, run_episode
-from contactgraph.evaluate import closed_loop as control_task
+from contactgraph.evaluate import MPCPolicy, collect, control_task, evaluate_open_loop, run_episode
 from contactgraph.model import MotionNoise, load_model, shipped_model
 
 WIDER = partial(PickupTask, radius=0.042)

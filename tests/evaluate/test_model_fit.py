@@ -9,8 +9,7 @@ from evaluation_worlds import DT, GluedBodies, random_run, scene_of
 
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.envs import DoorTask, PickupTask
-from contactgraph.evaluate import closed_loop as control_task
-from contactgraph.evaluate import evaluate_open_loop, model_diagnostics
+from contactgraph.evaluate import control_task, evaluate_open_loop, model_diagnostics
 from contactgraph.model import gim_temp
 from contactgraph.model.model_fit import check_fit
 

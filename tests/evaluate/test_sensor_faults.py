@@ -6,8 +6,7 @@ from evaluation_worlds import DT, GluedBodies, random_run, scene_of
 
 from contactgraph.data import Dataset, InvalidInputError, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import SensorFaults, collect, evaluate_open_loop
-from contactgraph.evaluate import closed_loop as control_task
+from contactgraph.evaluate import SensorFaults, collect, control_task, evaluate_open_loop
 from contactgraph.model import ContactSensor
 
 RUN = random_run(6, 2000, 0)
