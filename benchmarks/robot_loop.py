@@ -56,10 +56,10 @@ class Timed:
 def measured(seconds: float) -> dict[str, float | int | str]:
     """One row: one run."""
     from contactgraph_franka.driver.franka_robot import FrankaRobot
-    from contactgraph_franka.sim.rehearsal import Rehearsal
+    from contactgraph_franka.sim.simulated_robot import RobotSimulator
 
     clock = WallClock()
-    with Rehearsal(pace=1.0) as arm, FrankaRobot(arm.address, clock=clock) as robot:
+    with RobotSimulator(pace=1.0) as arm, FrankaRobot(arm.address, clock=clock) as robot:
         timed = Timed(robot)
         timing = measure_loop(timed, LIMITS, clock, seconds)
         held = timing.report

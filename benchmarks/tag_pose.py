@@ -35,24 +35,22 @@ from xml.etree import ElementTree
 import numpy as np
 from measuring import arguments, report, table
 
-from contactgraph_franka.envs.engine import mujoco
+from contactgraph_franka.envs.arm_model import mujoco
 from contactgraph_franka.perception import (
     CameraCalibration,
     CameraFrame,
     Intrinsics,
     ObjectTracker,
 )
+from contactgraph_franka.perception.camera import inverse, pose, rotation_of
+from contactgraph_franka.perception.detector import estimate_pose
 from contactgraph_franka.perception.hand_eye import HandEye, calibrate
 from contactgraph_franka.perception.object_pose import ObjectPose
-from contactgraph_franka.perception.perception import Perception
-from contactgraph_franka.perception.rigid import inverse, pose, rotation_of
-from contactgraph_franka.perception.seen_objects import SeenObjects
-from contactgraph_franka.perception.shared_sightings import SharedSightings
-from contactgraph_franka.perception.sight import located
+from contactgraph_franka.perception.perception import DetectionLoop, Perception, SharedMeasurements
 from contactgraph_franka.perception.tags import TagDetector
-from contactgraph_franka.perception.watch import Watch
+from contactgraph_franka.perception.tracked_objects import TrackedObjects
+from contactgraph_franka.sim.blocks import TaggedBlock, tagged_block
 from contactgraph_franka.sim.rendered_camera import RenderedCamera
-from contactgraph_franka.sim.tagged_block import TaggedBlock, tagged_block
 
 LENS = Intrinsics(900.0, 900.0, 639.5, 359.5, 1280, 720)
 LOW, HIGH = np.array([0.3, -0.35, 0.05]), np.array([0.7, 0.35, 0.35])
@@ -111,7 +109,7 @@ class Bench:
     def seen(self, frame: CameraFrame) -> tuple[ObjectPose | None, float]:
         """How the block is seen in a frame, and the seconds it took."""
         began = time.perf_counter()
-        found = located(frame, self.detector.detect(frame.image), self.tagged, LENS)
+        found = estimate_pose(frame, self.detector.detect(frame.image), self.tagged, LENS)
         return found, time.perf_counter() - began
 
 
@@ -257,8 +255,8 @@ def beside(bench: Bench, ticks: int) -> Iterator[dict[str, Any]]:
         LENS, bench.camera.pose, {"block": bench.tagged}, "2026-01-01T00:00:00+00:00"
     )
     yield _lateness("alone", loop(ticks, lambda: None))
-    shared = SharedSightings(1, multiprocessing.get_context("spawn"))
-    watch = Watch(Replay(taken.image), known, shared, time.monotonic)
+    shared = SharedMeasurements(1, multiprocessing.get_context("spawn"))
+    watch = DetectionLoop(Replay(taken.image), known, shared, time.monotonic)
     ended = threading.Event()
     thread = threading.Thread(target=_watching, args=(watch, ended))
     thread.start()
@@ -266,11 +264,11 @@ def beside(bench: Bench, ticks: int) -> Iterator[dict[str, Any]]:
     ended.set()
     thread.join()
     with Perception(partial(Replay, taken.image), known) as seeing:
-        seen = SeenObjects(seeing, ("block",))
+        seen = TrackedObjects(seeing, ("block",))
         yield _lateness("a process", loop(ticks, lambda: seen.estimates(time.monotonic())))
 
 
-def _watching(watch: Watch, ended: threading.Event) -> None:
+def _watching(watch: DetectionLoop, ended: threading.Event) -> None:
     while not ended.is_set():
         if not watch.look():
             time.sleep(0.001)

@@ -14,4 +14,4 @@ from contactgraph.envs.expert import PickupExpert as PickupExpert
 from contactgraph.envs.multi_pickup import MultiPickupTask as MultiPickupTask
 from contactgraph.envs.pickup import PickupTask as PickupTask
 from contactgraph.envs.pickup import pickup_success as pickup_success
-from contactgraph_franka.envs.franka_expert import FrankaExpert as FrankaExpert
+from contactgraph_franka.envs.expert import FrankaExpert as FrankaExpert

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from contactgraph_franka.cli.robot_arms import Arm
     from contactgraph_franka.cli.robot_options import ArmOptions
-    from contactgraph_franka.envs.franka_layout import ArmLayout
+    from contactgraph_franka.envs.pickup import ArmLayout
     from contactgraph_franka.robot import SafetyLimits
-    from contactgraph_franka.sim.rehearsal import RunningRehearsal
+    from contactgraph_franka.sim.simulated_robot import SimulatedRobot
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class RehearsedArm:
     """An arm, and what nobody knows of a real one."""
 
     arm: "Arm"
-    rehearsal: "RunningRehearsal"
+    rehearsal: "SimulatedRobot"
     limits: "SafetyLimits"
 
     def arrange(self, layout: "ArmLayout") -> None:
@@ -37,12 +37,12 @@ def rehearsed_arm(pace: float, options: "ArmOptions | None" = None) -> Iterator[
     """Starts a rehearsal at a free address, ``pace`` times slower than real, and ends it."""
     from contactgraph_franka.cli.robot_arms import opened
     from contactgraph_franka.cli.robot_options import ArmOptions
-    from contactgraph_franka.sim.camera_settings import CameraSettings
-    from contactgraph_franka.sim.rehearsal import Rehearsal
+    from contactgraph_franka.sim.camera import CameraSettings
+    from contactgraph_franka.sim.simulated_robot import RobotSimulator
 
     chosen = ArmOptions(camera="rendered") if options is None else options
     with (
-        Rehearsal(pace=pace, camera=CameraSettings()) as rehearsal,
+        RobotSimulator(pace=pace, camera=CameraSettings()) as rehearsal,
         opened(rehearsal.address, chosen) as arm,
     ):
         yield RehearsedArm(arm, rehearsal, chosen.limits(rehearsal.address))
@@ -52,7 +52,7 @@ def run_layout(seed: int, number: int, limits: "SafetyLimits") -> "ArmLayout":
     """Start, block and goal of a run: the same for the same ``seed`` and ``number``."""
     import numpy as np
 
-    from contactgraph_franka.envs.franka_layout import sample_layout, sweep_fits
+    from contactgraph_franka.envs.pickup import sample_layout, sweep_fits
 
     random = np.random.default_rng([seed, number])
     low, high = np.array(limits.workspace_low), np.array(limits.workspace_high)

@@ -10,9 +10,9 @@ import numpy as np
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.cli.robot_fault import RobotFault
 from contactgraph_franka.cli.robot_options import FAKE, ArmOptions
-from contactgraph_franka.envs.franka_layout import ArmLayout
+from contactgraph_franka.envs.pickup import ArmLayout
 from contactgraph_franka.loop import WallClock
-from contactgraph_franka.perception.seen_objects import SeenObjects
+from contactgraph_franka.perception.tracked_objects import TrackedObjects
 from contactgraph_franka.recording import AssumedBlock
 from contactgraph_franka.robot import FakeRobot, Robot, SafetyLimits, Stop
 from contactgraph_franka.robot.live_fake import LiveFake
@@ -20,7 +20,7 @@ from contactgraph_franka.robot.live_fake import LiveFake
 if TYPE_CHECKING:
     from contactgraph_franka.driver.franka_robot import FrankaRobot
     from contactgraph_franka.driver.gripper import FrankaGripper
-    from contactgraph_franka.sim.rehearsal import RunningRehearsal
+    from contactgraph_franka.sim.simulated_robot import SimulatedRobot
 
 _FAKE_HAND, _FAKE_BLOCK = (0.5, -0.2, 0.25), (0.5, 0.05, 0.1)
 """m: where they are at first."""
@@ -39,7 +39,7 @@ class Arm(Protocol):
     """What it is."""
     real: bool
     """Whether somebody could get hurt."""
-    seen: SeenObjects | None
+    seen: TrackedObjects | None
     """What its camera sees; None without one."""
     assumed: AssumedBlock | None
     """The block that nobody sees; None where somebody does."""
@@ -65,7 +65,7 @@ class FakeArm:
 
     real = False
     block_yaw = 0.0
-    seen: SeenObjects | None = None
+    seen: TrackedObjects | None = None
     assumed: AssumedBlock | None = None
     words = "a fake arm: a point mass and an object without weight"
 
@@ -107,8 +107,8 @@ class FrankaArm:
         robot: "FrankaRobot",
         gripper: "FrankaGripper",
         clock: WallClock,
-        rehearsal: "RunningRehearsal | None",
-        seen: SeenObjects | None,
+        rehearsal: "SimulatedRobot | None",
+        seen: TrackedObjects | None,
         assumed: AssumedBlock | None,
         block_yaw: float,
     ) -> None:
@@ -183,9 +183,9 @@ def opened(address: str, options: ArmOptions) -> Iterator[Arm]:
         yield FrankaArm(robot, gripper, clock, rehearsal, seen, assumed, yaw)
 
 
-def _rehearsal(address: str) -> "RunningRehearsal | None":
+def _rehearsal(address: str) -> "SimulatedRobot | None":
     """The one that runs at ``address``, if one does."""
-    from contactgraph_franka.sim.rehearsal import attach
+    from contactgraph_franka.sim.simulated_robot import attach
 
     try:
         return attach(address)
@@ -197,9 +197,9 @@ def _objects(
     address: str,
     options: ArmOptions,
     clock: WallClock,
-    rehearsal: "RunningRehearsal | None",
+    rehearsal: "SimulatedRobot | None",
     stack: ExitStack,
-) -> tuple[SeenObjects | None, AssumedBlock | None, float]:
+) -> tuple[TrackedObjects | None, AssumedBlock | None, float]:
     """Who tells where the block is, a camera or the user; and how it is turned, rad."""
     from contactgraph.cli.names import looked_up
 
@@ -217,7 +217,7 @@ def _objects(
     open_eye: Callable[[], Camera]
     told = None if options.calibration is None else read_calibration(options.calibration)
     if options.camera == "rendered":
-        from contactgraph_franka.sim.rehearsal import open_camera
+        from contactgraph_franka.sim.simulated_robot import open_camera
 
         if rehearsal is None:
             raise InvalidInputError(
@@ -241,4 +241,4 @@ def _objects(
         )
     yaw = glimpsed_yaw(open_eye, told, *_NODES)
     perception = stack.enter_context(Perception(open_eye, told, clock))
-    return SeenObjects(perception, _NODES), None, yaw
+    return TrackedObjects(perception, _NODES), None, yaw

@@ -49,7 +49,7 @@ class Calibrate:
             single_tag,
             write_calibration,
         )
-        from contactgraph_franka.sim.scene_blocks import block_names, scene_blocks
+        from contactgraph_franka.sim.blocks import block_names, scene_blocks
 
         check_suffix("--out", self.out, ".json")
         check_writable(self.out)
@@ -99,7 +99,7 @@ def _seen(camera: "Camera", marker: "TaggedObject") -> "ObjectPose | None":
     """The marker in the next frame; None where that does not show it."""
     import time
 
-    from contactgraph_franka.perception.sight import located
+    from contactgraph_franka.perception.detector import estimate_pose
     from contactgraph_franka.perception.tags import TagDetector
 
     detector = TagDetector([tuple(marker.by_id)])
@@ -108,6 +108,6 @@ def _seen(camera: "Camera", marker: "TaggedObject") -> "ObjectPose | None":
     while time.monotonic() < until:
         frame = camera.read()
         if frame is not None:
-            return located(frame, detector.detect(frame.image), marker, camera.intrinsics)
+            return estimate_pose(frame, detector.detect(frame.image), marker, camera.intrinsics)
         time.sleep(0.01)
     return None

@@ -7,7 +7,7 @@ import numpy as np
 
 from contactgraph_franka.cli.robot_fault import RobotFault
 from contactgraph_franka.perception import Camera, CameraCalibration
-from contactgraph_franka.perception.sight import Sight, Sighting
+from contactgraph_franka.perception.detector import ObjectDetector, PoseEstimate
 
 _LOOK_S = 15.0
 """Wall seconds: rehearsed cameras are slow."""
@@ -15,17 +15,17 @@ _LOOK_S = 15.0
 
 def glimpsed(
     open_camera: Callable[[], Camera], calibration: CameraCalibration, name: str
-) -> Sighting:
+) -> PoseEstimate:
     """The object of this name, in the first frame that shows it.
 
     Raises `RobotFault` where none does.
     """
     camera = open_camera()
     try:
-        sight, until = Sight(calibration), time.monotonic() + _LOOK_S
+        sight, until = ObjectDetector(calibration), time.monotonic() + _LOOK_S
         while time.monotonic() < until:
             frame = camera.read()
-            seen = {} if frame is None else sight.see(frame)
+            seen = {} if frame is None else sight.detect(frame)
             if name in seen:
                 return seen[name]
             time.sleep(0.01)

@@ -23,7 +23,7 @@ def mpc_planner(path: Path, max_force: float, horizon: int, infer_contacts: bool
     from contactgraph.evaluate.mpc_policy import TaskCost
     from contactgraph.model import ContactDynamics, MotionNoise
     from contactgraph.model.storage import load_model
-    from contactgraph_franka.envs.franka_pickup import pickup_cost, pickup_scene
+    from contactgraph_franka.envs.pickup import pickup_cost, pickup_scene
     from contactgraph_franka.loop.mpc_planner import MPCPlanner
 
     model = load_model(path).model
@@ -42,7 +42,7 @@ def mpc_planner(path: Path, max_force: float, horizon: int, infer_contacts: bool
 def expert_planner(noise: float) -> Planner:
     """The scripted expert of the arm's pickup, with ``noise`` N on its force."""
     from contactgraph.envs import FrankaExpert
-    from contactgraph_franka.envs.franka_pickup import pickup_scene
+    from contactgraph_franka.envs.pickup import pickup_scene
     from contactgraph_franka.loop.policy_planner import PolicyPlanner
 
     return PolicyPlanner(FrankaExpert(noise=noise), pickup_scene(0.01, _NOWHERE))

@@ -13,7 +13,7 @@ from contactgraph_franka.cli.robot_options import ArmOptions
 if TYPE_CHECKING:
     from contactgraph.data import Trajectory
     from contactgraph_franka.cli.robot_arms import Arm
-    from contactgraph_franka.envs.franka_layout import ArmLayout
+    from contactgraph_franka.envs.pickup import ArmLayout
     from contactgraph_franka.robot import SafetyLimits
 
 _SHORTEST_S = 1.0
@@ -117,7 +117,7 @@ class Record:
     def _layout(self, number: int, limits: "SafetyLimits") -> "ArmLayout":
         import numpy as np
 
-        from contactgraph_franka.envs.franka_layout import sample_layout, sweep_fits
+        from contactgraph_franka.envs.pickup import sample_layout, sweep_fits
 
         random = np.random.default_rng([self.seed, number])
         low, high = np.array(limits.workspace_low), np.array(limits.workspace_high)

@@ -26,10 +26,10 @@ class Rehearse:
     def run(self) -> None:
         """Start, say where, and wait."""
         from contactgraph.cli.output import say
-        from contactgraph_franka.sim.camera_settings import CameraSettings
-        from contactgraph_franka.sim.rehearsal import ADDRESSES, Rehearsal
+        from contactgraph_franka.sim.camera import CameraSettings
+        from contactgraph_franka.sim.simulated_robot import ADDRESSES, RobotSimulator
 
-        rehearsal = Rehearsal(
+        rehearsal = RobotSimulator(
             pace=self.pace,
             camera=CameraSettings() if self.camera else None,
             mass=self.block_mass,

@@ -89,17 +89,21 @@ class RehearseControl:
         import numpy as np
 
         from contactgraph_franka.cli.rehearsed_arm import run_layout, run_seed
-        from contactgraph_franka.envs.franka_pickup import GOAL_RADIUS, HAND, TARGET
-        from contactgraph_franka.sim.true_run import true_run
+        from contactgraph_franka.envs.pickup import GOAL_RADIUS, HAND, TARGET
+        from contactgraph_franka.sim.shared_state import ground_truth_trajectory
 
         layout = run_layout(self.seed, number, stage.limits)
         stage.arrange(layout)
         report = session.run(layout.goal, run_seed(self.seed, number), lambda: False)
         run = session.recorded(layout.goal, {"number": number, "model": self.run_name})
-        last = stage.rehearsal.truth.newest()
+        last = stage.rehearsal.ground_truth.newest()
         distance = float(np.linalg.norm(last["position"][TARGET] - layout.goal))
         held = bool(last["fingers"][TARGET - 1].any())
-        truth = None if run is None else true_run(stage.rehearsal.truth, run, session.began)
+        truth = (
+            None
+            if run is None
+            else ground_truth_trajectory(stage.rehearsal.ground_truth, run, session.began)
+        )
         speed = error = None
         if run is not None and truth is not None and truth.contact is not None:
             touched = np.flatnonzero(truth.contact[:, HAND, TARGET])

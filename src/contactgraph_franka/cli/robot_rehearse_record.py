@@ -119,8 +119,8 @@ class RehearseRecord:
         from contactgraph.data import Metadata
         from contactgraph_franka.cli.rehearsed_arm import run_layout, run_seed
         from contactgraph_franka.cli.robot_fault import RobotFault
-        from contactgraph_franka.envs.franka_recording import grasps
-        from contactgraph_franka.sim.true_run import true_run
+        from contactgraph_franka.envs.recording_policy import grasps
+        from contactgraph_franka.sim.shared_state import ground_truth_trajectory
 
         for attempt in range(_AGAIN):
             # Where the arm hides the block for too long, it does so each time: another one then.
@@ -131,7 +131,7 @@ class RehearseRecord:
             report = session.run(layout.goal, seed, lambda: False)
             told: Metadata = {
                 "number": number,
-                "policy": "FrankaRecording",
+                "policy": "RecordingPolicy",
                 "grasp": grasps(seed),
                 "attempt": attempt,
                 "completed": report.completed,
@@ -143,7 +143,7 @@ class RehearseRecord:
             if run is None or live is None:
                 continue
             if run.steps >= _SHORTEST * self.seconds / run.scene.dt:
-                truth = true_run(stage.rehearsal.truth, run, session.began)
+                truth = ground_truth_trajectory(stage.rehearsal.ground_truth, run, session.began)
                 labelled = [replace(each, contact=truth.contact) for each in (run, live)]
                 return labelled[0], truth, labelled[1]
         raise RobotFault(
@@ -155,7 +155,7 @@ def _summary(done: "list[Trajectory]", true: "list[Trajectory]") -> dict[str, An
     """What recording came to, all runs together."""
     import numpy as np
 
-    from contactgraph_franka.envs.franka_pickup import HAND, TARGET
+    from contactgraph_franka.envs.pickup import HAND, TARGET
 
     off = [run.position - truth.position for run, truth in zip(done, true, strict=True)]
     error = np.concatenate([np.linalg.norm(each, axis=2) for each in off])
@@ -181,11 +181,11 @@ def _summary(done: "list[Trajectory]", true: "list[Trajectory]") -> dict[str, An
 
 
 def recording_planner(stopping: float) -> "Planner":
-    """What `FrankaRecording` asks for, in steps of 0.01 s; ``stopping`` is its share of stops."""
+    """What `RecordingPolicy` asks for, in steps of 0.01 s; ``stopping`` is its share of stops."""
     import numpy as np
 
-    from contactgraph_franka.envs.franka_pickup import pickup_scene
-    from contactgraph_franka.envs.franka_recording import FrankaRecording
+    from contactgraph_franka.envs.pickup import pickup_scene
+    from contactgraph_franka.envs.recording_policy import RecordingPolicy
     from contactgraph_franka.loop.policy_planner import PolicyPlanner
 
-    return PolicyPlanner(FrankaRecording(stopping), pickup_scene(0.01, np.zeros(3)))
+    return PolicyPlanner(RecordingPolicy(stopping), pickup_scene(0.01, np.zeros(3)))

@@ -117,7 +117,7 @@ class Run:
         from contactgraph_franka.cli.robot_fault import RobotFault
         from contactgraph_franka.cli.robot_session import seen_block
         from contactgraph_franka.cli.robot_watch import count_down
-        from contactgraph_franka.envs.franka_layout import sweep_start, sweep_yaw
+        from contactgraph_franka.envs.pickup import sweep_start, sweep_yaw
 
         block = seen_block(arm)
         low, high = np.array(limits.workspace_low), np.array(limits.workspace_high)

@@ -8,7 +8,7 @@ import numpy as np
 from contactgraph.data import Metadata, Trajectory
 from contactgraph_franka.cli.robot_arms import Arm
 from contactgraph_franka.cli.robot_dry import DryRobot, SpokenPlans
-from contactgraph_franka.envs.franka_pickup import TARGET, brought, pickup_scene
+from contactgraph_franka.envs.pickup import TARGET, is_success, pickup_scene
 from contactgraph_franka.loop import ControlLoop, LoopReport, PlanningProcess
 from contactgraph_franka.recording import RunRecorder
 from contactgraph_franka.robot import Robot, RobotReading, SafeRobot, SafetyLimits
@@ -98,7 +98,7 @@ class Session:
             return Ended(None, None)
         position = self._last.position
         distance = float(np.linalg.norm(position[TARGET] - goal))
-        return Ended(brought(position, goal), distance)
+        return Ended(is_success(position, goal), distance)
 
     def _tick(self, now: float, reading: RobotReading | None, sent: np.ndarray | None) -> None:
         self._recorder(now, reading, sent)

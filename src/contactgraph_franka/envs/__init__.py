@@ -2,4 +2,4 @@
 
 from contactgraph_franka.envs.arm_world import ArmWorld as ArmWorld
 from contactgraph_franka.envs.arm_world import Grasp as Grasp
-from contactgraph_franka.envs.franka import FrankaTask as FrankaTask
+from contactgraph_franka.envs.franka_task import FrankaTask as FrankaTask

@@ -16,17 +16,20 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.perception.calibration import CalibrationResiduals
-from contactgraph_franka.perception.camera import Intrinsics
-from contactgraph_franka.perception.object_pose import ObjectPose
-from contactgraph_franka.perception.rigid import (
+from contactgraph_franka.perception.calibration import (
+    CalibrationResiduals,
+    TaggedObject,
+    check_pose,
+)
+from contactgraph_franka.perception.camera import (
+    Intrinsics,
     inverse,
     nearest_rotation,
     pose,
     rotation_of,
     rotation_vector,
 )
-from contactgraph_franka.perception.tagged_object import TaggedObject, check_pose
+from contactgraph_franka.perception.object_pose import ObjectPose
 
 LEAST_POSES = 6
 LEAST_TURN = 0.1

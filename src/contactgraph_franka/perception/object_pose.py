@@ -1,16 +1,156 @@
-"""The pose of an object from all of its tags at once: from corners, then from edges and depth."""
+r"""The rigid motion that explains best where points were seen.
+
+Of :math:`T` (object to camera), with points :math:`p_i` on the object, seen at :math:`y_i` across
+the direction :math:`n_i` with a standard deviation :math:`\sigma_i`:
+
+.. math:: \min_T \sum_i \rho\left(n_i \cdot (y_i - \pi(T p_i)) / \sigma_i\right)
+
+by Gauss and Newton's method with Huber's :math:`\rho`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from contactgraph_franka.perception.camera import Intrinsics
+from contactgraph_franka.perception.calibration import CORNERS, Tag, TaggedObject
+from contactgraph_franka.perception.camera import (
+    Intrinsics,
+    inverse,
+    nearest_rotation,
+    pose,
+    rotation_of,
+)
 from contactgraph_franka.perception.edges import find_edges
-from contactgraph_franka.perception.planar_start import starts
-from contactgraph_franka.perception.pose_fit import PoseFit, Seen, fit_pose
-from contactgraph_franka.perception.tagged_object import TaggedObject
 from contactgraph_franka.perception.tags import TagDetection
+
+_HUBER = 3.0
+"""Standard deviations beyond which an error counts less than squared: an edge half hidden."""
+_STEPS = 15
+_SETTLED = 1e-6
+"""rad and m: a step as short as this is the last."""
+_LONGEST_TURN = 0.5
+"""rad, of a step: a start that is far off must not be thrown farther."""
+_LEAST_INFORMATION = 1e-3
+"""Of turns [1/rad^2] and positions [1/m^2]: what nothing was seen of is known to 30 rad and m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Points of an object in a picture, ``M`` of them; each one is known across one direction."""
+
+    points: np.ndarray
+    """[M, 3] m, in the object's frame."""
+    rays: np.ndarray
+    """[M, 2]: x/z and y/z in the camera's frame."""
+    across: np.ndarray
+    """[M, 2]: directions in the plane of ``rays``, over the standard deviation along them."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFit:
+    """A rigid motion, and how well it explains what was seen."""
+
+    pose: np.ndarray
+    """[4, 4]: object to camera."""
+    information: np.ndarray
+    """[6, 6]: the covariance's inverse; a small turn about the object's origin [rad] first, then a
+    small move [m], both along the camera's axes."""
+    loss: float
+    """The sum that was made small; infinite where the object would be behind the camera."""
+    residual: np.ndarray
+    """[M], in standard deviations."""
+
+
+def fit_pose(start: np.ndarray, seen: Seen) -> PoseFit:
+    """The motion [4, 4] that explains ``seen`` best, near ``start`` [4, 4]."""
+    turn, place = start[:3, :3], start[:3, 3]
+    for _ in range(_STEPS):
+        residual, jacobian = _linearised(turn, place, seen)
+        weight = _HUBER / np.maximum(np.abs(residual), _HUBER)
+        step = np.linalg.solve(
+            jacobian.T @ (weight[:, None] * jacobian) + _LEAST_INFORMATION * np.eye(6),
+            jacobian.T @ (weight * residual),
+        )
+        step *= min(1.0, _LONGEST_TURN / max(float(np.linalg.norm(step[:3])), 1e-12))
+        turn, place = rotation_of(step[:3]) @ turn, place + step[3:]
+        if np.abs(step).max() < _SETTLED:
+            break
+    residual, jacobian = _linearised(turn, place, seen)
+    length = np.abs(residual)
+    weight = _HUBER / np.maximum(length, _HUBER)
+    loss = np.where(length < _HUBER, length**2, _HUBER * (2.0 * length - _HUBER)).sum()
+    in_front = np.isfinite(loss) and place[2] > 0.0
+    return PoseFit(
+        pose(nearest_rotation(turn), place) if in_front else start,
+        jacobian.T @ (weight[:, None] * jacobian) + _LEAST_INFORMATION * np.eye(6),
+        float(loss) if in_front else np.inf,
+        residual,
+    )
+
+
+def _linearised(turn: np.ndarray, place: np.ndarray, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals [M] in standard deviations, and their slopes [M, 6] by turn and move."""
+    turned = seen.points @ turn.T
+    moved = turned + place
+    depth = moved[:, 2:]
+    rays = moved[:, :2] / depth
+    across = seen.across
+    by_move = np.concatenate([across, -(across * rays).sum(axis=1, keepdims=True)], axis=1) / depth
+    # A turn w moves a point by w x (R p): its slope is (R p) x (slope by the move).
+    by_turn = np.stack(
+        [
+            turned[:, 1] * by_move[:, 2] - turned[:, 2] * by_move[:, 1],
+            turned[:, 2] * by_move[:, 0] - turned[:, 0] * by_move[:, 2],
+            turned[:, 0] * by_move[:, 1] - turned[:, 1] * by_move[:, 0],
+        ],
+        axis=1,
+    )
+    residual = ((seen.rays - rays) * across).sum(axis=1)
+    return residual, np.concatenate([by_turn, by_move], axis=1)
+
+
+def starts(tag: Tag, rays: np.ndarray) -> list[np.ndarray]:
+    """Two poses [4, 4] of the object in the camera's frame, from its tag's corners.
+
+    ``rays`` [4, 2] are x/z and y/z. A plane seen from afar looks the same when its normal is
+    mirrored at the line of sight: the second pose is the first one mirrored so.
+    """
+    first = _from_square(rays, tag.size)
+    sight = first[:3, 3] / np.linalg.norm(first[:3, 3])
+    normal = first[:3, 2]
+    mirrored = 2.0 * (normal @ sight) * sight - normal
+    axis = np.cross(normal, mirrored)
+    length = float(np.linalg.norm(axis))
+    angle = float(np.arctan2(length, normal @ mirrored))
+    turn = rotation_of(axis * (angle / length)) if length > 1e-9 else np.eye(3)
+    second = pose(turn @ first[:3, :3], first[:3, 3])
+    to_tag = inverse(tag.pose)
+    return [first @ to_tag, second @ to_tag]
+
+
+def _from_square(rays: np.ndarray, size: float) -> np.ndarray:
+    """The pose of a square from the homography of its plane: ``rays ~ [r1 r2 t] (x, y, 1)``."""
+    x, y = (CORNERS * size).T[:2]
+    u, v = rays.T
+    one, none = np.ones(4), np.zeros(4)
+    rows = np.concatenate(
+        [
+            np.stack([x, y, one, none, none, none, -u * x, -u * y, -u], axis=1),
+            np.stack([none, none, none, x, y, one, -v * x, -v * y, -v], axis=1),
+        ]
+    )
+    # Columns of like size, for the smallest singular vector's sake.
+    scale = np.array([size, size, 1.0] * 3)
+    matrix = (np.linalg.svd(rows / scale)[2][-1] / scale).reshape(3, 3)
+    matrix = (
+        matrix
+        * np.sign(matrix[2, 2])
+        / np.sqrt(np.linalg.norm(matrix[:, 0]) * np.linalg.norm(matrix[:, 1]))
+    )
+    one, two, place = matrix.T
+    return pose(nearest_rotation(np.stack([one, two, np.cross(one, two)], axis=1)), place)
+
 
 CORNER_NOISE = 0.15
 """px, standard deviation of a detected corner's coordinates."""

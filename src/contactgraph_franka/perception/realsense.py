@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.perception.camera import CameraFrame, Intrinsics
-from contactgraph_franka.perception.frame_clock import FrameClock
+from contactgraph_franka.perception.camera import CameraFrame, FrameClock, Intrinsics
 
 
 def _load() -> ModuleType:

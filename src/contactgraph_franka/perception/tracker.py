@@ -8,10 +8,10 @@ over a time :math:`\tau`
 Its state stands at the exposure of the last frame that counted; only what is asked for is predicted
 to now. So a delay costs certainty, and nothing has to be undone.
 
-An object that is struck changes its velocity at once, which white acceleration does not explain.
-So each measurement has three explanations, tried in this order: the object moved on smoothly; it
-was struck since the last frame (:math:`v` is uncertain by `Motion.blow`, from a moment in between);
-or the measurement is wrong. Wrong ones are left out, until several in a row agree with each other.
+An impact changes the velocity of an object at once, which white acceleration does not explain. So
+each measurement has three explanations, tried in this order: smooth motion; an impact since the
+last frame, which adds `Motion.impulse_noise` to :math:`v`; or an outlier. Outliers are left out
+until several in a row agree with each other.
 """
 
 import math
@@ -38,7 +38,7 @@ class Motion:
 
     density: float
     """m^2/s^3: of white acceleration."""
-    blow: float
+    impulse_noise: float
     """m/s, standard deviation of the change of its velocity when it is struck."""
     consistent: int
     """Measurements in a row that agree with each other, not with the filter: it starts anew."""
@@ -46,11 +46,11 @@ class Motion:
     """s without a measurement."""
 
 
-FREE = Motion(density=0.1, blow=0.6, consistent=3, lost_after=0.2)
+FREE = Motion(density=0.1, impulse_noise=0.6, consistent=3, lost_after=0.2)
 """White acceleration of 1.7 m/s^2 from frame to frame at 30 Hz (its square times 1/30 s): as much
 as an arm needs that picks a block up in one sweep, from rest to 0.5 m/s in 0.3 s. Less lags behind;
 more lets what rests jitter. A hand that strikes it moves about as fast as it does then."""
-HELD = Motion(density=1e-3, blow=0.05, consistent=15, lost_after=1.0)
+GRASPED = Motion(density=1e-3, impulse_noise=0.05, consistent=15, lost_after=1.0)
 """In a hand it slips and tilts, by 0.2 m/s^2 from frame to frame. So a lone tag's leaning, which is
 uncertain by 1 cm, averages out, and one that is taken for another counts for nothing."""
 
@@ -183,10 +183,10 @@ def _updated(
     mean = state.mean.copy()
     mean[:3] += step * mean[3:]
     innovation = position - mean[:3]
-    density, blow = motion.density, motion.blow**2
-    # A blow at a moment evenly spread over the step: cubic as white acceleration of density
-    # blow / step is.
-    for extra, gate in ((0.0, _SMOOTH), (blow / step, _GATE)):
+    density, impulse = motion.density, motion.impulse_noise**2
+    # An impact at a moment uniformly distributed over the step has the covariance of white
+    # acceleration of density impulse_noise**2 / step.
+    for extra, gate in ((0.0, _SMOOTH), (impulse / step, _GATE)):
         spread = predicted(state.covariance, step, density + extra)
         seen = spread[:3, :3] + covariance
         gain = np.linalg.solve(seen, spread[:3]).T

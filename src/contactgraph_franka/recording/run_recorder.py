@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
-from contactgraph_franka.perception.seen_objects import Track
+from contactgraph_franka.perception.tracked_objects import Track
 from contactgraph_franka.recording.smoothing import smoothed
 from contactgraph_franka.robot.contract import RobotReading
 
@@ -67,7 +67,7 @@ class RunRecorder:
         """The run, in steps of the loop's period, from the first force sent to the last.
 
         ``scene`` is that of the run; its ``dt`` is set. ``tracks`` are those of objects by
-        their nodes (`SeenObjects`): where they were is smoothed from that; states of other nodes
+        their nodes (`TrackedObjects`): where they were is smoothed from that; states of other nodes
         are as they were read. Contact is recorded where it was measured throughout.
         None where there is no step. Raises `InvalidInputError` where an object was in no frame, or
         where the scene has other nodes.

@@ -14,7 +14,7 @@ is known, and added.
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.perception.seen_objects import Track
+from contactgraph_franka.perception.tracked_objects import Track
 from contactgraph_franka.perception.tracker import predicted
 
 

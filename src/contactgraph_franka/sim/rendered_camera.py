@@ -1,16 +1,74 @@
-"""A camera over a MuJoCo scene: frames of a known ``qpos``, with known intrinsics, and noise."""
+"""Parts of a frame."""
 
 import copy
+import math
+import os
+import sys
+import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.envs.engine import mujoco
+from contactgraph_franka.envs.arm_model import mujoco
+from contactgraph_franka.loop.undisturbed import give_way
 from contactgraph_franka.perception.camera import CameraFrame, Intrinsics
-from contactgraph_franka.sim.window import Window, whole, window_around
+from contactgraph_franka.sim.camera import FrameWriter
+from contactgraph_franka.sim.session import read_session
+from contactgraph_franka.sim.shared_state import GroundTruth, read_places
+
+_HALF_BODY = 0.075
+"""m: all of a block is within this distance of its centre, seen from wherever."""
+_STEP = 64
+"""px: widths are multiples of it, so that few different ones come up."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """Columns from ``left`` on and rows from ``top`` on, px."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def rows(self) -> slice:
+        """Of the frame."""
+        return slice(self.top, self.top + self.height)
+
+    @property
+    def columns(self) -> slice:
+        """Of the frame."""
+        return slice(self.left, self.left + self.width)
+
+
+def whole(lens: Intrinsics) -> Window:
+    """All of it."""
+    return Window(0, 0, lens.width, lens.height)
+
+
+def window_around(point: np.ndarray, pose: np.ndarray, lens: Intrinsics) -> Window | None:
+    """A square about a body at ``point`` [3] m, moved into the frame; None where it is not in view.
+
+    ``pose`` [4, 4] is the camera's.
+    """
+    x, y, z = (point - pose[:3, 3]) @ pose[:3, :3]
+    if z <= _HALF_BODY:
+        return None
+    half = max(lens.fx, lens.fy) * _HALF_BODY / (z - _HALF_BODY)
+    column, row = lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy
+    if not (-half < column < lens.width + half and -half < row < lens.height + half):
+        return None
+    side = min(_STEP * int(np.ceil(2.0 * half / _STEP)), lens.width, lens.height)
+    left = int(np.clip(round(column - side / 2.0), 0, lens.width - side))
+    top = int(np.clip(round(row - side / 2.0), 0, lens.height - side))
+    return Window(left, top, side, side)
+
 
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 _DEPTH_STEP = 0.001
@@ -156,3 +214,67 @@ class RenderedCamera:
         noise = self._depth_noise * self._random.standard_normal(exact.shape, np.float32)
         noisy = exact + noise * exact**2
         return (np.rint(noisy / _DEPTH_STEP) * _DEPTH_STEP).astype(np.float32)
+
+
+_BEHIND = 5
+"""How much this process yields to those that must be on time."""
+_LOOKS, _HULLS, _SHOWN, _HIDDEN = 2, 3, 0, 4
+"""Groups of shapes: those for looks, and the coarser ones that collide."""
+
+
+def main() -> None:
+    """Takes pictures until the owner ends."""
+    folder = Path(sys.argv[1])
+    session = read_session(folder)
+    settings = session.camera
+    if settings is None:
+        raise InvalidInputError("this rehearsal has no camera")
+    give_way(_BEHIND)
+    model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    # The hand must hide what it hides; drawn with its maker's surfaces it takes twice as long.
+    group = model.geom_group
+    group[group == _LOOKS] = _HIDDEN
+    group[group == _HULLS] = _SHOWN
+    camera = RenderedCamera(
+        model,
+        settings.pose,
+        settings.intrinsics,
+        grey_noise=settings.grey_noise,
+        depth_noise=settings.depth_noise,
+        bodies=[f"block{index}" for index in range(session.blocks)],
+        seed=settings.seed,
+    )
+    truth = GroundTruth(folder, session.blocks, read_places(folder))
+    frames = FrameWriter(folder, settings.intrinsics, settings.depth_noise is not None)
+    _film(camera, truth, frames, session.pace, settings.rate, settings.delay)
+
+
+def _film(
+    camera: RenderedCamera,
+    truth: GroundTruth,
+    frames: FrameWriter,
+    pace: float,
+    rate: float,
+    delay: float,
+) -> None:
+    """Takes ``rate`` frames a second of the reader's clock; each can be had ``delay`` s later."""
+    owner = os.getppid()
+    number = math.ceil(time.monotonic() / pace * rate)
+    while os.getppid() == owner:
+        _sleep_until(number / rate * pace)
+        now = truth.newest()
+        picture = camera.picture(now["places"], float(now["stamp"]))
+        _sleep_until((picture.time + delay) * pace)
+        frames.publish(picture)
+        following = max(number + 1, math.ceil(time.monotonic() / pace * rate))
+        frames.miss(following - number - 1)
+        number = following
+
+
+def _sleep_until(moment: float) -> None:
+    """``moment`` s on the wall's clock."""
+    time.sleep(max(0.0, moment - time.monotonic()))
+
+
+if __name__ == "__main__":
+    main()

@@ -13,7 +13,7 @@ import pytest
 from contactgraph.cli import main as cli
 from contactgraph.data import describe_file, read_trajectories
 from contactgraph_franka.cli.robot_options import ArmOptions
-from contactgraph_franka.envs.franka_layout import sweep_fits, sweep_start, sweep_yaw
+from contactgraph_franka.envs.pickup import sweep_fits, sweep_start, sweep_yaw
 from contactgraph_franka.robot import FakeRobot
 from contactgraph_franka.robot.faults import frozen_fault
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from contactgraph_franka.driver.arm import JOINTS, ArmState, JointDrives
 from contactgraph_franka.driver.hand_impedance import HandImpedance
+from contactgraph_franka.envs.arm_model import mujoco
 from contactgraph_franka.envs.arm_world import ArmWorld
-from contactgraph_franka.envs.engine import mujoco
 
 POSTURE = np.array([0.1, 0.2, -0.1, -2.2, 0.05, 2.4, 0.7])
 """rad, the hand above the table and pointing down, with no joint at zero."""

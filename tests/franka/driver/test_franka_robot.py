@@ -22,7 +22,7 @@ from contactgraph_franka.driver.transfer import transfer
 from contactgraph_franka.loop import WallClock
 from contactgraph_franka.loop.undisturbed import undisturbed
 from contactgraph_franka.robot import Command, SafeRobot, SafetyLimits, Stop, StopReason
-from contactgraph_franka.sim.rehearsal import Rehearsal, RunningRehearsal
+from contactgraph_franka.sim.simulated_robot import RobotSimulator, SimulatedRobot
 
 pytestmark = pytest.mark.realtime
 
@@ -38,13 +38,13 @@ class InterruptedRun(Exception):
 
 
 @pytest.fixture(scope="module")
-def arm(server_turn: None) -> Iterator[RunningRehearsal]:
-    with Rehearsal(pace=PACE) as running:
+def arm(server_turn: None) -> Iterator[SimulatedRobot]:
+    with RobotSimulator(pace=PACE) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
-def robot(arm: RunningRehearsal) -> Iterator[FrankaRobot]:
+def robot(arm: SimulatedRobot) -> Iterator[FrankaRobot]:
     with FrankaRobot(arm.address, clock=arm.clock) as connected:
         assert connected.move_to(PLACE, speed=0.5) is None, connected.last_error
         yield connected
@@ -106,11 +106,13 @@ def at_rest(robot: FrankaRobot, within: float) -> bool:
     return False
 
 
-def test_what_is_read_is_true(arm: RunningRehearsal, robot: FrankaRobot) -> None:
+def test_what_is_read_is_true(arm: SimulatedRobot, robot: FrankaRobot) -> None:
     reading = robot.read()
     assert reading is not None and reading.contact is None
     np.testing.assert_allclose(reading.position[0], PLACE, atol=3e-3)
-    np.testing.assert_allclose(reading.position, arm.truth.newest()["position"][:1], atol=1e-5)
+    np.testing.assert_allclose(
+        reading.position, arm.ground_truth.newest()["position"][:1], atol=1e-5
+    )
     assert abs(arm.clock() - reading.time[0]) < 0.05
 
 
@@ -137,16 +139,16 @@ def test_a_hand_under_force_is_a_mass(robot: FrankaRobot, force: list[float]) ->
     patiently(attempt, robot)
 
 
-def test_a_stop_brakes_at_once(arm: RunningRehearsal, robot: FrankaRobot) -> None:
+def test_a_stop_brakes_at_once(arm: SimulatedRobot, robot: FrankaRobot) -> None:
     def attempt() -> None:
         rows = pushed(robot, np.array([0.0, 8.0, 0.0]), 0.2)
-        stopped = arm.truth.newest()["tick"]
+        stopped = arm.ground_truth.newest()["tick"]
         assert rows[-1, 5] > 0.3
         assert robot.send(np.array([0.0, 8.0, 0.0]), 0.0) is None
         assert at_rest(robot, 1.0)
         if robot.ended is not None:
             raise InterruptedRun(robot.last_error)
-        speed = arm.truth.since(int(stopped))["velocity"][:, 0, 1]
+        speed = arm.ground_truth.since(int(stopped))["velocity"][:, 0, 1]
         # Torques change by 1 N m a tick at most: after 20 ms there is no push any more.
         assert np.argmax(speed) <= 20
         assert speed[100] < 0.5 * speed[0]
@@ -154,16 +156,16 @@ def test_a_stop_brakes_at_once(arm: RunningRehearsal, robot: FrankaRobot) -> Non
     patiently(attempt, robot)
 
 
-def test_silence_stops_the_arm(arm: RunningRehearsal, robot: FrankaRobot) -> None:
+def test_silence_stops_the_arm(arm: SimulatedRobot, robot: FrankaRobot) -> None:
     def attempt() -> None:
         pushed(robot, np.array([0.0, 6.0, 0.0]), 0.1, stop=False)
-        silent = arm.truth.newest()
+        silent = arm.ground_truth.newest()
         time.sleep(PACE * (SILENCE + 0.05))
         assert robot.send(np.zeros(3), 0.0) is None
         assert robot.ended is not None and robot.ended.reason is StopReason.COMMAND_LATE
         assert "did not receive a new torque" in robot.last_error
         assert at_rest(robot, 1.0)
-        moved = arm.truth.newest()["position"][0] - silent["position"][0]
+        moved = arm.ground_truth.newest()["position"][0] - silent["position"][0]
         assert np.linalg.norm(moved) < 0.05
 
     patiently(attempt, robot)
@@ -172,13 +174,13 @@ def test_silence_stops_the_arm(arm: RunningRehearsal, robot: FrankaRobot) -> Non
     robot.stop(Stop(StopReason.ASKED, 0.0))
 
 
-def test_move_to_turns_the_hand(arm: RunningRehearsal, robot: FrankaRobot) -> None:
+def test_move_to_turns_the_hand(arm: SimulatedRobot, robot: FrankaRobot) -> None:
     assert robot.move_to([0.5, 0.1, 0.3], yaw=0.6, speed=0.5) is None
-    turn = arm.truth.newest()["turn"][0]
+    turn = arm.ground_truth.newest()["turn"][0]
     # Pointing down is half a turn about x; then by yaw about z. Signs do not matter.
     wanted = np.array([0.0, np.cos(0.3), np.sin(0.3), 0.0])
     assert abs(turn @ wanted) > 0.999
-    np.testing.assert_allclose(arm.truth.newest()["position"][0], [0.5, 0.1, 0.3], atol=3e-3)
+    np.testing.assert_allclose(arm.ground_truth.newest()["position"][0], [0.5, 0.1, 0.3], atol=3e-3)
 
 
 @pytest.mark.parametrize(
@@ -217,7 +219,7 @@ def test_how_well_the_loop_keeps_time(robot: FrankaRobot) -> None:
     patiently(attempt, robot)
 
 
-def test_fingers_tell_what_stopped_them(arm: RunningRehearsal, robot: FrankaRobot) -> None:
+def test_fingers_tell_what_stopped_them(arm: SimulatedRobot, robot: FrankaRobot) -> None:
     place = np.array([0.45, 0.0, 0.08])
     robot.move_to(place, yaw=0.0, speed=0.5)
     ahead, still, seen = np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1, bool)
@@ -236,7 +238,7 @@ def test_fingers_tell_what_stopped_them(arm: RunningRehearsal, robot: FrankaRobo
         assert np.isnan(fingers.contact())
         arm.place_block(0, np.array([0.45, 0.0, 0.05]), 0.0)
         assert closed_on(0.8)[-1] == 1.0
-        assert arm.truth.newest()["fingers"].all()
+        assert arm.ground_truth.newest()["fingers"].all()
         assert fingers.width == pytest.approx(0.04, abs=0.002)
         fingers.open()
         assert np.isnan(fingers.contact()) and fingers.width > 0.05
@@ -251,7 +253,7 @@ def test_a_lost_arm_is_noticed_within_20_ms(server_turn: None, how: signal.Signa
     """A server that dies closes its connection; one that stands still is like a cable cut."""
 
     def attempt() -> None:
-        rehearsal = Rehearsal(pace=PACE)
+        rehearsal = RobotSimulator(pace=PACE)
         with rehearsal as running, FrankaRobot(running.address, clock=running.clock) as robot:
             server = rehearsal._children[0]._process
             safe = SafeRobot(robot, LIMITS, running.clock)

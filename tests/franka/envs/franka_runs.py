@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 
 from contactgraph_franka.envs import ArmWorld, FrankaTask, Grasp
-from contactgraph_franka.envs.franka import DT
-from contactgraph_franka.envs.reach import joints_at
+from contactgraph_franka.envs.arm_model import inverse_kinematics
+from contactgraph_franka.envs.franka_task import DT
 
 TORQUE = np.array([87.0] * 4 + [12.0] * 3)
 """The maker's, N m."""
@@ -56,7 +56,7 @@ def pads_touching(world, contacts=None):
 def world_with_hand_at(point, yaw=0.7, block=(0.6, -0.3, 0.05), turned=0.0, grasp=Grasp.FRICTION):
     """At rest, with one block."""
     arm = FrankaTask().begin(0)[1].model
-    joints = joints_at(arm, np.asarray(point), yaw)
+    joints = inverse_kinematics(arm, np.asarray(point), yaw)
     return ArmWorld(joints, np.array([block]), np.array([turned]), DT, grasp)
 
 

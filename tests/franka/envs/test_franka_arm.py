@@ -7,8 +7,8 @@ from franka_runs import HIGH, LOW, TORQUE, Watched, push, tick, world_with_hand_
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.envs import FrankaTask
-from contactgraph_franka.envs.franka_layout import sample_layout
-from contactgraph_franka.envs.reach import joints_at
+from contactgraph_franka.envs.arm_model import inverse_kinematics
+from contactgraph_franka.envs.pickup import sample_layout
 
 POINTS = [(0.45, 0.0, 0.25), (0.35, -0.3, 0.2), (0.65, 0.3, 0.1)]
 MAKERS_TABLE = [
@@ -75,7 +75,7 @@ def test_joints_are_found_for_every_start_and_put_the_hand_there(arm):
     data = mujoco.MjData(arm)
     for seed in range(40):
         layout = sample_layout(np.random.default_rng(seed), 0)
-        joints = joints_at(arm, layout.hand, layout.yaw)
+        joints = inverse_kinematics(arm, layout.hand, layout.yaw)
         assert np.all((joints > LOW) & (joints < HIGH))
         data.qpos[:7] = joints
         mujoco.mj_kinematics(arm, data)
@@ -89,7 +89,7 @@ def test_joints_are_found_for_every_start_and_put_the_hand_there(arm):
 @pytest.mark.parametrize("point", [(1.1, 0.0, 0.2), (0.05, 0.0, 0.1), (0.6, 0.0, 0.9)])
 def test_where_the_hand_cannot_be_is_refused_with_where_it_can(arm, point):
     with pytest.raises(InvalidInputError) as refused:
-        joints_at(arm, np.array(point), 0.0)
+        inverse_kinematics(arm, np.array(point), 0.0)
     assert str(refused.value) == (
         f"the hand cannot be at {list(point)} m; it reaches x 0.3 to 0.7, y -0.35 to 0.35, "
         "z 0.05 to 0.35"

@@ -8,7 +8,15 @@ from franka_runs import WatchedTask, pads_touching, push, tick, world_with_hand_
 from contactgraph.envs import FrankaExpert
 from contactgraph.envs.run_episode import run_episode
 from contactgraph_franka.envs import FrankaTask, Grasp
-from contactgraph_franka.envs.reflex import HALF_BLOCK, LAG, MISS, OPEN, REACH, SPEED, GraspReflex
+from contactgraph_franka.envs.arm_world import (
+    HALF_BLOCK,
+    LAG,
+    MISS,
+    OPEN,
+    REACH,
+    SPEED,
+    GraspReflex,
+)
 
 BOTH = {"left_pad", "right_pad"}
 BLOCK = (0.5, 0.1, 0.05)

@@ -9,7 +9,7 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import FrankaExpert
-from contactgraph_franka.envs.franka_pickup import brought, pickup_scene
+from contactgraph_franka.envs.pickup import is_success, pickup_scene
 
 GOAL = np.array([0.5, 0.2, 0.3])
 
@@ -18,7 +18,7 @@ def test_expert_and_layout_need_no_simulator() -> None:
     script = (
         "import sys; sys.modules['mujoco'] = None\n"
         "from contactgraph.envs import FrankaExpert\n"
-        "from contactgraph_franka.envs.franka_layout import sample_layout"
+        "from contactgraph_franka.envs.pickup import sample_layout"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
 
@@ -50,6 +50,6 @@ def test_the_expert_pushes_as_the_hand_is_heavy() -> None:
     ],
 )
 def test_brought_is_near_the_goal_and_held(hand: np.ndarray, block: np.ndarray, yes: bool) -> None:
-    assert brought(np.stack([hand, block]), GOAL) == yes
+    assert is_success(np.stack([hand, block]), GOAL) == yes
     with pytest.raises(InvalidInputError, match="a hand and a block"):
-        brought(hand[None], GOAL)
+        is_success(hand[None], GOAL)

@@ -17,7 +17,7 @@ from contactgraph.data import InvalidInputError
 from contactgraph.envs import FrankaExpert, check_task
 from contactgraph.envs.run_episode import run_episode
 from contactgraph_franka.envs import FrankaTask, Grasp
-from contactgraph_franka.envs.franka_layout import (
+from contactgraph_franka.envs.pickup import (
     CLEARANCE,
     CORRIDOR,
     HIGH,

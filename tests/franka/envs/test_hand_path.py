@@ -5,11 +5,9 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs.contract import Policy
-from contactgraph_franka.envs.franka_expert import FrankaExpert
-from contactgraph_franka.envs.franka_pickup import pickup_scene
-from contactgraph_franka.envs.franka_recording import FrankaRecording, grasps
-from contactgraph_franka.envs.franka_tour import FrankaTour
-from contactgraph_franka.envs.hand_path import HandPath
+from contactgraph_franka.envs.expert import FrankaExpert, HandPath
+from contactgraph_franka.envs.pickup import pickup_scene
+from contactgraph_franka.envs.recording_policy import FreeSpaceExcitation, RecordingPolicy, grasps
 
 START, BLOCK = np.array([0.4, -0.2, 0.3]), np.array([0.5, 0.0, 0.05])
 GOAL, NEXT, LAST = np.array([0.6, 0.2, 0.3]), np.array([0.4, 0.1, 0.2]), np.array([0.5, -0.2, 0.3])
@@ -60,19 +58,19 @@ def test_the_expert_goes_on_from_the_goal_where_told() -> None:
 
 
 def test_a_tour_visits_its_points_and_no_block() -> None:
-    seen = places(FrankaTour([NEXT, LAST], noise=0.0), 6.0)
+    seen = places(FreeSpaceExcitation([NEXT, LAST], noise=0.0), 6.0)
     for point in (NEXT, LAST):
         assert np.linalg.norm(seen - point, axis=1).min() < 0.01
     assert np.linalg.norm(seen - BLOCK, axis=1).min() > 0.1
-    assert not np.array_equal(seen, places(FrankaTour([NEXT, LAST], noise=0.5), 6.0))
+    assert not np.array_equal(seen, places(FreeSpaceExcitation([NEXT, LAST], noise=0.5), 6.0))
 
 
 def test_a_tour_of_nothing_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="at least one point"):
-        FrankaTour([])
+        FreeSpaceExcitation([])
 
 
-def passes(policy: FrankaRecording, seed: int) -> tuple[float, float]:
+def passes(policy: RecordingPolicy, seed: int) -> tuple[float, float]:
     """How near, m, the hand comes to the block, and its slowest speed, m/s, as it is there."""
     seen = places(policy, 10.0, seed)
     distance = np.linalg.norm(seen - BLOCK, axis=1)
@@ -88,7 +86,7 @@ def test_most_runs_grasp_and_the_seed_says_which() -> None:
 
 @pytest.mark.parametrize("wanted", [True, False])
 def test_a_tour_keeps_away_from_the_block_and_a_grasp_goes_to_it(wanted: bool) -> None:
-    policy = FrankaRecording()
+    policy = RecordingPolicy()
     for seed in [seed for seed in range(20) if grasps(seed) is wanted]:
         nearest, _ = passes(policy, seed)
         assert (nearest < 0.03) if wanted else (nearest > 0.08)
@@ -96,7 +94,7 @@ def test_a_tour_keeps_away_from_the_block_and_a_grasp_goes_to_it(wanted: bool) -
 
 def test_some_grasps_are_made_at_rest_and_none_where_none_are_wanted() -> None:
     seeds = [seed for seed in range(20) if grasps(seed)]
-    assert all(passes(FrankaRecording(0.0), seed)[1] > 0.2 for seed in seeds)
-    assert all(passes(FrankaRecording(1.0), seed)[1] < 0.1 for seed in seeds)
-    rest = [passes(FrankaRecording(), seed)[1] < 0.1 for seed in seeds]
+    assert all(passes(RecordingPolicy(0.0), seed)[1] > 0.2 for seed in seeds)
+    assert all(passes(RecordingPolicy(1.0), seed)[1] < 0.1 for seed in seeds)
+    rest = [passes(RecordingPolicy(), seed)[1] < 0.1 for seed in seeds]
     assert 0.2 < np.mean(rest) < 0.8

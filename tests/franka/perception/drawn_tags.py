@@ -10,8 +10,8 @@ from contactgraph_franka.perception import (
     Intrinsics,
     single_tag,
 )
-from contactgraph_franka.perception.rigid import pose
-from contactgraph_franka.sim.tag_codes import CELLS, black_cells
+from contactgraph_franka.perception.camera import pose
+from contactgraph_franka.sim.blocks import CELLS, black_cells
 
 LENS = Intrinsics(300.0, 300.0, 159.5, 119.5, 320, 240)
 SIZE = 0.08

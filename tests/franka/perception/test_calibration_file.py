@@ -16,7 +16,7 @@ from contactgraph_franka.perception import (
     single_tag,
     write_calibration,
 )
-from contactgraph_franka.perception.rigid import pose, rotation_of
+from contactgraph_franka.perception.camera import pose, rotation_of
 
 MADE = "2026-01-31T12:00:00+00:00"
 LENS = Intrinsics(900.5, 901.25, 639.5, 359.5, 1280, 720, (0.1, -0.02, 1e-4, 2e-4, 0.0))

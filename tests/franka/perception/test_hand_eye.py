@@ -5,7 +5,7 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception import Intrinsics, Tag, TaggedObject
-from contactgraph_franka.perception.rigid import inverse, pose, rotation_of, rotation_vector
+from contactgraph_franka.perception.camera import inverse, pose, rotation_of, rotation_vector
 
 pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
 from contactgraph_franka.perception.hand_eye import calibrate

@@ -5,15 +5,15 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception import Intrinsics, Tag, TaggedObject, single_tag
-from contactgraph_franka.perception.depth import DEPTH_NOISE, with_depth
-from contactgraph_franka.perception.rigid import (
+from contactgraph_franka.perception.camera import (
     inverse,
     nearest_rotation,
     pose,
     rotation_of,
     rotation_vector,
 )
-from contactgraph_franka.sim.tag_codes import TAGS
+from contactgraph_franka.perception.detector import DEPTH_NOISE, with_depth
+from contactgraph_franka.sim.blocks import TAGS
 
 pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
 from contactgraph_franka.perception.object_pose import object_poses

@@ -12,17 +12,16 @@ from drawn_tags import CAMERA, LENS, SIZE, SlidingTag, calibration, drawn
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception import CameraCalibration, CameraFrame
-from contactgraph_franka.perception.seen_objects import SeenObjects
-from contactgraph_franka.perception.shared_sightings import (
-    Measured,
-    SharedSightings,
-    SightCounts,
+from contactgraph_franka.perception.perception import (
+    DetectionCounts,
+    PositionMeasurement,
+    SharedMeasurements,
 )
+from contactgraph_franka.perception.tracked_objects import TrackedObjects
 
 pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
-from contactgraph_franka.perception.perception import Perception
-from contactgraph_franka.perception.sight import Sight
-from contactgraph_franka.perception.watch import Watch
+from contactgraph_franka.perception.detector import ObjectDetector
+from contactgraph_franka.perception.perception import DetectionLoop, Perception
 
 DISTANCE = LENS.fx * SIZE / 48.0
 """m: a tag of 48 px."""
@@ -36,7 +35,7 @@ def expected(column):
 
 
 def test_a_drawn_tag_is_seen_where_it_is_drawn():
-    seen = Sight(calibration()).see(CameraFrame(drawn([(3, 100, 80)]), None, 5.0))
+    seen = ObjectDetector(calibration()).detect(CameraFrame(drawn([(3, 100, 80)]), None, 5.0))
     np.testing.assert_allclose(seen["block"].position, expected(100), atol=3e-4)
     assert seen["block"].tags == (3,) and seen["block"].time == 5.0
     # It faces the camera, upright.
@@ -47,7 +46,7 @@ def test_a_drawn_tag_is_seen_where_it_is_drawn():
 
 
 def test_what_is_not_there_is_not_seen():
-    assert Sight(calibration()).see(CameraFrame(drawn([(4, 100, 80)]), None, 5.0)) == {}
+    assert ObjectDetector(calibration()).detect(CameraFrame(drawn([(4, 100, 80)]), None, 5.0)) == {}
 
 
 class Frames:
@@ -65,10 +64,10 @@ class Frames:
 def test_frames_are_counted_and_the_newest_that_shows_the_object_is_told():
     at = [CameraFrame(drawn([(3, 100, 80)]), None, 0.01 * number) for number in range(3)]
     empty = CameraFrame(drawn([]), None, 0.03)
-    shared = SharedSightings(1, multiprocessing.get_context("spawn"))
-    watch = Watch(Frames([*at, empty]), calibration(), shared, lambda: 0.05)
+    shared = SharedMeasurements(1, multiprocessing.get_context("spawn"))
+    watch = DetectionLoop(Frames([*at, empty]), calibration(), shared, lambda: 0.05)
     assert [watch.look() for _ in range(5)] == [True] * 4 + [False]
-    assert shared.counts(0) == SightCounts(frames=4, lost=1)
+    assert shared.counts(0) == DetectionCounts(frames=4, lost=1)
     seen = shared.since(0)[-1]
     assert seen.time == pytest.approx(0.02)
     np.testing.assert_allclose(seen.position, expected(100), atol=3e-4)
@@ -78,7 +77,7 @@ def test_frames_are_counted_and_the_newest_that_shows_the_object_is_told():
 
 def test_a_process_tells_where_the_object_is_and_how_fast():
     with Perception(SlidingTag, calibration()) as seeing:
-        seen = SeenObjects(seeing, ("block",))
+        seen = TrackedObjects(seeing, ("block",))
         until = time.monotonic() + 20.0
         while time.monotonic() < until:
             seeing.check()
@@ -132,22 +131,24 @@ def test_the_users_mistakes_are_told_as_such():
 
 
 def test_sightings_come_whole_through_shared_memory():
-    shared = SharedSightings(2, multiprocessing.get_context("spawn"))
-    assert shared.since(1) == [] and shared.counts(1) == SightCounts(0, 0)
+    shared = SharedMeasurements(2, multiprocessing.get_context("spawn"))
+    assert shared.since(1) == [] and shared.counts(1) == DetectionCounts(0, 0)
     rng = np.random.default_rng(0)
     told = []
     for number in range(19):
         # Every third frame does not show it.
         if number % 3:
-            told.append(Measured(rng.normal(size=3), rng.normal(size=(3, 3)), float(number)))
-        shared.write(1, told[-1] if told else None, SightCounts(number, 2))
+            told.append(
+                PositionMeasurement(rng.normal(size=3), rng.normal(size=(3, 3)), float(number))
+            )
+        shared.write(1, told[-1] if told else None, DetectionCounts(number, 2))
         found = shared.since(1, number - 2.5)
         assert [each.time for each in found] == [t.time for t in told if t.time > number - 2.5]
         for each, true in zip(found, told[-len(found) :] if found else [], strict=True):
             np.testing.assert_array_equal(each.position, true.position)
             np.testing.assert_array_equal(each.covariance, true.covariance)
         assert shared.since(1, float(number)) == []  # nothing newer
-        assert shared.counts(1) == SightCounts(number, 2)
+        assert shared.counts(1) == DetectionCounts(number, 2)
     assert [each.time for each in shared.since(1)] == [14.0, 16.0, 17.0]
-    shared.write(0, None, SightCounts(1, 1))
-    assert shared.since(0) == [] and shared.counts(0) == SightCounts(1, 1)
+    shared.write(0, None, DetectionCounts(1, 1))
+    assert shared.since(0) == [] and shared.counts(0) == DetectionCounts(1, 1)

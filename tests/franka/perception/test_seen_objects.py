@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from contactgraph_franka.perception.carried_path import CarriedPath
-from contactgraph_franka.perception.seen_objects import SeenObjects
-from contactgraph_franka.perception.shared_sightings import Measured
+from contactgraph_franka.perception.perception import PositionMeasurement
+from contactgraph_franka.perception.tracked_objects import GraspOffsetHistory, TrackedObjects
 from contactgraph_franka.recording import smoothed
 
 RATE, DELAY, NOISE = 30.0, 0.055, 0.001
@@ -17,9 +16,9 @@ class Frames:
     """The newest sighting by name."""
 
     def __init__(self) -> None:
-        self.told: dict[str, Measured] = {}
+        self.told: dict[str, PositionMeasurement] = {}
 
-    def since(self, name: str, after: float) -> list[Measured]:
+    def since(self, name: str, after: float) -> list[PositionMeasurement]:
         seen = self.told.get(name)
         return [seen] if seen is not None and seen.time > after else []
 
@@ -47,17 +46,17 @@ def block(time: float) -> tuple[np.ndarray, np.ndarray]:
 
 def lived(
     hold: bool, hidden: tuple[float, float] = (9.0, 9.0), seed: int = 0
-) -> tuple[SeenObjects, list[tuple[float, float, bool]]]:
+) -> tuple[TrackedObjects, list[tuple[float, float, bool]]]:
     """What is tracked over 2 s, and how far off [m, m/s] and whether tracked, by ticks."""
     source, random = Frames(), np.random.default_rng(seed)
-    seen = SeenObjects(source, ("block",))
-    waiting: list[Measured] = []
+    seen = TrackedObjects(source, ("block",))
+    waiting: list[PositionMeasurement] = []
     exposed, found = 0.0, []
     for now in np.arange(0.0, 2.0, 0.001):
         if now >= exposed:
             if not hidden[0] < now < hidden[1]:
                 there = block(now)[0] + NOISE * random.standard_normal(3)
-                waiting.append(Measured(there, NOISE**2 * np.eye(3), now))
+                waiting.append(PositionMeasurement(there, NOISE**2 * np.eye(3), now))
             exposed += 1.0 / RATE
         if waiting and now >= waiting[0].time + DELAY:
             source.told["block"] = waiting.pop(0)
@@ -108,12 +107,12 @@ def test_a_run_is_smoothed_as_what_carried_it_went() -> None:
 
 def test_what_fingers_seem_to_hold_but_do_not_is_seen_where_it_is() -> None:
     source = Frames()
-    seen = SeenObjects(source, ("block",))
+    seen = TrackedObjects(source, ("block",))
     place = np.array([0.5, 0.0, 0.05])
     for tick in range(1500):
         now = 0.001 * tick
         if tick % 33 == 0:
-            source.told["block"] = Measured(place, 1e-6 * np.eye(3), now)
+            source.told["block"] = PositionMeasurement(place, 1e-6 * np.eye(3), now)
         gone = np.array([0.3 * max(0.0, now - 0.5), 0.0, 0.0])
         seen.follow(gone, np.array([0.3, 0.0, 0.0]), now, 0, float(now > 0.5))
         (estimate,) = seen.estimates(now)
@@ -123,10 +122,10 @@ def test_what_fingers_seem_to_hold_but_do_not_is_seen_where_it_is() -> None:
 
 def test_objects_are_told_in_the_order_of_nodes_and_kept() -> None:
     source = Frames()
-    seen = SeenObjects(source, ("block", "other"))
+    seen = TrackedObjects(source, ("block", "other"))
     assert [one.tracked for one in seen.estimates(0.0)] == [False, False]
     for time in (0.1, 0.2):
-        source.told["block"] = Measured(np.full(3, time), 1e-6 * np.eye(3), time)
+        source.told["block"] = PositionMeasurement(np.full(3, time), 1e-6 * np.eye(3), time)
         for _ in range(3):
             estimates = seen.estimates(time)
         assert [one.tracked for one in estimates] == [True, False]
@@ -137,34 +136,34 @@ def test_objects_are_told_in_the_order_of_nodes_and_kept() -> None:
 
 
 def test_a_path_begins_when_it_was_held_and_not_when_that_was_told() -> None:
-    path = CarriedPath(2)
+    path = GraspOffsetHistory(2)
     for tick in range(200):
         hand_at = np.array([0.001 * tick, 0.0, 0.0])
         held = 1 if 100 <= tick < 150 else None
-        path.note(hand_at, np.array([1.0, 0.0, 0.0]), 0.001 * tick, held)
+        path.append(hand_at, np.array([1.0, 0.0, 0.0]), 0.001 * tick, held)
     # Told at 0.1 s, held for 0.035 s by then; let go at 0.15 s.
-    np.testing.assert_allclose(path.moved(1, 0.12), [0.12 - 0.065, 0.0, 0.0], atol=2.1e-3)
-    np.testing.assert_allclose(path.moved(1, 5.0), [0.15 - 0.065, 0.0, 0.0], atol=2.1e-3)
-    np.testing.assert_array_equal(path.moved(0, 5.0), np.zeros(3))
+    np.testing.assert_allclose(path.displacement(1, 0.12), [0.12 - 0.065, 0.0, 0.0], atol=2.1e-3)
+    np.testing.assert_allclose(path.displacement(1, 5.0), [0.15 - 0.065, 0.0, 0.0], atol=2.1e-3)
+    np.testing.assert_array_equal(path.displacement(0, 5.0), np.zeros(3))
     moved, speed = path.motion(1, np.array([0.0, 0.05, 0.11, 0.18]))
     np.testing.assert_allclose(speed[:, 0], [0.0, 0.0, 1.0, 0.0])
     assert moved[0, 0] == moved[1, 0] == 0.0 < moved[2, 0] < moved[3, 0]
-    before = path.moved(1, 5.0)
+    before = path.displacement(1, 5.0)
     path.begin()
-    np.testing.assert_array_equal(path.moved(1, 5.0), before)
+    np.testing.assert_array_equal(path.displacement(1, 5.0), before)
 
 
 def test_a_pause_between_notes_carries_nothing() -> None:
-    path = CarriedPath(1)
-    path.note(np.zeros(3), np.zeros(3), 0.0, 0)
-    path.note(np.ones(3), np.zeros(3), 1.0, 0)
-    np.testing.assert_array_equal(path.moved(0, 1.0), np.zeros(3))
-    path.note(np.zeros(3), np.zeros(3), 0.5, 0)  # older than the last
-    assert path.speed(0) == pytest.approx(np.zeros(3))
+    path = GraspOffsetHistory(1)
+    path.append(np.zeros(3), np.zeros(3), 0.0, 0)
+    path.append(np.ones(3), np.zeros(3), 1.0, 0)
+    np.testing.assert_array_equal(path.displacement(0, 1.0), np.zeros(3))
+    path.append(np.zeros(3), np.zeros(3), 0.5, 0)  # older than the last
+    assert path.velocity(0) == pytest.approx(np.zeros(3))
 
 
 def test_a_path_grows() -> None:
-    path = CarriedPath(1)
+    path = GraspOffsetHistory(1)
     for tick in range(70_000):
-        path.note(np.array([1e-6 * tick, 0.0, 0.0]), np.zeros(3), 0.001 * tick, 0)
-    assert path.moved(0, 99.0)[0] == pytest.approx(0.069999)
+        path.append(np.array([1e-6 * tick, 0.0, 0.0]), np.zeros(3), 0.001 * tick, 0)
+    assert path.displacement(0, 99.0)[0] == pytest.approx(0.069999)

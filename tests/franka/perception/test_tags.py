@@ -8,7 +8,7 @@ from drawn_tags import drawn, drawn_corners
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception.edges import find_edges
-from contactgraph_franka.sim.tag_codes import TAGS, black_cells
+from contactgraph_franka.sim.blocks import TAGS, black_cells
 
 pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
 from contactgraph_franka.perception.tags import TagDetector

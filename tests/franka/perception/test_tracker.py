@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from contactgraph_franka.perception import ObjectTracker
-from contactgraph_franka.perception.tracker import FREE, HELD, FilterState, predicted
+from contactgraph_franka.perception.tracker import FREE, GRASPED, FilterState, predicted
 
 NOISE = 5e-4
 COVARIANCE = NOISE**2 * np.eye(3)
@@ -182,7 +182,7 @@ def test_what_is_held_is_not_struck_and_a_wrong_leaning_counts_for_nothing():
         if frame in (20, 21, 22, 30):
             seen = np.array([0.028, 0.0, 0.028])  # as a lone tag that leans to the other side
         free.measure(seen, 1e-6 * np.eye(3), frame / 30.0)
-        counts = held.measure(seen, 1e-6 * np.eye(3), frame / 30.0, HELD)
+        counts = held.measure(seen, 1e-6 * np.eye(3), frame / 30.0, GRASPED)
         assert counts == (not seen.any())
         if frame == 22:
             assert np.linalg.norm(free.estimate(frame / 30.0 + 0.05).position) > 0.02

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.perception.frame_clock import FrameClock
+from contactgraph_franka.perception.camera import FrameClock
 
 MODULE = "contactgraph_franka.perception.realsense"
 

@@ -9,8 +9,7 @@ from scripted import Delayed, Push, Scripted, StepTime
 
 from contactgraph.data import InvalidInputError, Scene, read_trajectories, write_trajectories
 from contactgraph_franka.loop import ControlLoop
-from contactgraph_franka.perception.carried_path import CarriedPath
-from contactgraph_franka.perception.seen_objects import Track
+from contactgraph_franka.perception.tracked_objects import GraspOffsetHistory, Track
 from contactgraph_franka.perception.tracker import FilterState, ObjectTracker
 from contactgraph_franka.recording import RunRecorder, smoothed
 from contactgraph_franka.robot import FakeRobot, RobotReading, SafeRobot, SafetyLimits
@@ -130,7 +129,7 @@ def tracked(noise: float, seed: int) -> list[FilterState]:
 
 def track_of(states: list[FilterState]) -> Track:
     """Of an object that nothing carries."""
-    return Track(CarriedPath(1), 0, states)
+    return Track(GraspOffsetHistory(1), 0, states)
 
 
 def test_what_was_seen_later_takes_the_lag_away() -> None:

@@ -11,7 +11,7 @@ from contactgraph.envs import FrankaExpert
 from contactgraph.evaluate.mpc_policy import TaskCost
 from contactgraph.model import shipped_model
 from contactgraph.model.storage import load_model
-from contactgraph_franka.envs.franka_pickup import brought, pickup_cost, pickup_scene
+from contactgraph_franka.envs.pickup import is_success, pickup_cost, pickup_scene
 from contactgraph_franka.loop import ControlLoop, LoopReport, Moment, Planner, Start
 from contactgraph_franka.loop.mpc_planner import MPCPlanner
 from contactgraph_franka.loop.policy_planner import PolicyPlanner
@@ -33,11 +33,15 @@ class SimulatedArm:
 
     def __init__(self, seed: int, sensor: bool) -> None:
         from contactgraph_franka.envs import ArmWorld
-        from contactgraph_franka.envs.franka import FrankaTask, joints_at, sample_layout
+        from contactgraph_franka.envs.franka_task import (
+            FrankaTask,
+            inverse_kinematics,
+            sample_layout,
+        )
 
         task = FrankaTask()
         layout = sample_layout(np.random.default_rng(seed), 0)
-        joints = joints_at(task._arm, layout.hand, layout.yaw)
+        joints = inverse_kinematics(task._arm, layout.hand, layout.yaw)
         self.world = ArmWorld(joints, layout.blocks, layout.block_yaw, 0.001)
         self.goal = layout.goal
         self.sensor, self.tick, self.stopped = sensor, 0, False
@@ -92,14 +96,14 @@ def test_mpc_picks_up_through_the_loop(
 ) -> None:
     report, arm = driven(mpc, seed, delay, sensor)
     assert report.completed and report.plans_failed == 0
-    assert brought(arm.world.position, arm.goal)
+    assert is_success(arm.world.position, arm.goal)
 
 
 def test_the_expert_picks_up_through_the_loop() -> None:
     scene = pickup_scene(0.01, NOWHERE)
     report, arm = driven(PolicyPlanner(FrankaExpert(), scene), 304, 0.002)
     assert report.completed
-    assert brought(arm.world.position, arm.goal)
+    assert is_success(arm.world.position, arm.goal)
 
 
 def test_moments_that_were_missed_are_followed_and_one_plan_is_made(mpc: MPCPlanner) -> None:

@@ -9,9 +9,8 @@ from contactgraph.data import InvalidInputError
 
 pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehearsal]'")
 
-from contactgraph_franka.sim.arm_scene import START, TICK, ArmScene
-from contactgraph_franka.sim.observer import Observer
-from contactgraph_franka.sim.truth import truth_type
+from contactgraph_franka.sim.arm_server import START, TICK, ArmScene, GroundTruthReader
+from contactgraph_franka.sim.shared_state import ground_truth_dtype
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 """The hand's quaternion (x, y, z, w), pointing down."""
@@ -27,8 +26,8 @@ def scene() -> Iterator[ArmScene]:
 
 
 def seen(scene: ArmScene) -> np.void:
-    row = np.zeros(1, truth_type(len(scene.blocks), scene.model.nq))
-    Observer(scene, row).fill(0, 0.0)
+    row = np.zeros(1, ground_truth_dtype(len(scene.blocks), scene.model.nq))
+    GroundTruthReader(scene, row).fill(0, 0.0)
     return row[0]
 
 

@@ -10,21 +10,21 @@ from contactgraph.data import InvalidInputError
 
 pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehearsal]'")
 
-from contactgraph_franka.sim.rehearsal import Rehearsal, RunningRehearsal, attach
+from contactgraph_franka.sim.simulated_robot import RobotSimulator, SimulatedRobot, attach
 
 PACE = 2.0
 
 
 @pytest.fixture(scope="module")
-def running(server_turn: None) -> Iterator[RunningRehearsal]:
-    with Rehearsal(pace=PACE) as running:
+def running(server_turn: None) -> Iterator[SimulatedRobot]:
+    with RobotSimulator(pace=PACE) as running:
         yield running
 
 
-def test_the_simulation_keeps_to_the_readers_clock(running: RunningRehearsal) -> None:
-    first = running.truth.newest()
+def test_the_simulation_keeps_to_the_readers_clock(running: SimulatedRobot) -> None:
+    first = running.ground_truth.newest()
     time.sleep(0.5)
-    rows = running.truth.since(int(first["tick"]))
+    rows = running.ground_truth.since(int(first["tick"]))
     assert np.array_equal(np.diff(rows["tick"]), np.ones(len(rows) - 1))
     assert running.clock() - rows["stamp"][-1] < 0.02
     # Simulated seconds and those of the clock are as long; a busy machine may drop a few ticks.
@@ -33,7 +33,7 @@ def test_the_simulation_keeps_to_the_readers_clock(running: RunningRehearsal) ->
     assert running.report().ticks > 250
 
 
-def test_the_client_sees_the_arm_where_it_is(running: RunningRehearsal) -> None:
+def test_the_client_sees_the_arm_where_it_is(running: SimulatedRobot) -> None:
     franky = pytest.importorskip("franky", reason="needs pip install 'contactgraph[robot]'")
     for attempt in range(3):
         try:
@@ -43,7 +43,7 @@ def test_the_client_sees_the_arm_where_it_is(running: RunningRehearsal) -> None:
         except franky.NetworkException:
             if attempt == 2:
                 raise
-    truth = running.truth.newest()
+    truth = running.ground_truth.newest()
     np.testing.assert_allclose(state.q, truth["places"][:7], atol=1e-5)
     # Its own point of the hand is 22 mm above the grasp point.
     np.testing.assert_allclose(
@@ -52,10 +52,10 @@ def test_the_client_sees_the_arm_where_it_is(running: RunningRehearsal) -> None:
     assert state.m_ee == pytest.approx(0.76)
 
 
-def test_a_block_is_put_where_asked_from_any_process(running: RunningRehearsal) -> None:
+def test_a_block_is_put_where_asked_from_any_process(running: SimulatedRobot) -> None:
     attach(running.address).place_block(0, np.array([0.6, 0.1, 0.05]), 0.4)
     time.sleep(0.1)
-    row = running.truth.newest()
+    row = running.ground_truth.newest()
     np.testing.assert_allclose(row["position"][1], [0.6, 0.1, 0.05], atol=1e-3)
     assert row["turn"][1][3] == pytest.approx(np.sin(0.2), abs=1e-3)
 
@@ -69,16 +69,16 @@ def test_a_block_is_put_where_asked_from_any_process(running: RunningRehearsal) 
     ],
 )
 def test_impossible_places_are_refused(
-    running: RunningRehearsal, index: int, position: list[float], words: str
+    running: SimulatedRobot, index: int, position: list[float], words: str
 ) -> None:
     with pytest.raises(InvalidInputError, match=words):
         running.place_block(index, np.array(position))
 
 
-def test_a_taken_address_is_told(running: RunningRehearsal) -> None:
+def test_a_taken_address_is_told(running: SimulatedRobot) -> None:
     with (
         pytest.raises(InvalidInputError, match="are not free at"),
-        Rehearsal(addresses=[running.address]),
+        RobotSimulator(addresses=[running.address]),
     ):
         pass
     with pytest.raises(InvalidInputError, match="has no camera"):

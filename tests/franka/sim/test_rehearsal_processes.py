@@ -14,10 +14,10 @@ from contactgraph.data import InvalidInputError
 pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehearsal]'")
 
 from contactgraph_franka.perception.camera import CameraFrame
-from contactgraph_franka.perception.sight import Sight
-from contactgraph_franka.sim.camera_settings import CameraSettings
-from contactgraph_franka.sim.rehearsal import Rehearsal, RunningRehearsal, attach
+from contactgraph_franka.perception.detector import ObjectDetector
+from contactgraph_franka.sim.camera import CameraSettings
 from contactgraph_franka.sim.session import attached
+from contactgraph_franka.sim.simulated_robot import RobotSimulator, SimulatedRobot, attach
 
 PACE = 2.0
 PATIENCE = 20.0
@@ -27,11 +27,11 @@ PATIENCE = 20.0
 @pytest.mark.parametrize("pace", [0.0, np.nan, 1000.0])
 def test_an_impossible_pace_is_refused(pace: float) -> None:
     with pytest.raises(InvalidInputError, match="pace must be"):
-        Rehearsal(pace=pace)
+        RobotSimulator(pace=pace)
 
 
 def test_a_server_that_dies_is_told(server_turn: None) -> None:
-    rehearsal = Rehearsal(pace=PACE)
+    rehearsal = RobotSimulator(pace=PACE)
     with rehearsal as running:
         rehearsal.check()
         server = rehearsal._children[0]._process
@@ -46,8 +46,8 @@ def test_a_server_that_dies_is_told(server_turn: None) -> None:
 
 def test_nothing_outlives_its_owner(server_turn: None) -> None:
     script = (
-        "import time\nfrom contactgraph_franka.sim.rehearsal import Rehearsal\n"
-        "r = Rehearsal(pace=2.0)\nwith r as running:\n"
+        "import time\nfrom contactgraph_franka.sim.simulated_robot import RobotSimulator\n"
+        "r = RobotSimulator(pace=2.0)\nwith r as running:\n"
         "    print(r._children[0]._process.pid, flush=True)\n    time.sleep(60)\n"
     )
     owner = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
@@ -73,7 +73,7 @@ def _alive(process: int) -> bool:
 def test_frames_come_late_and_show_the_block_where_it_was(server_turn: None) -> None:
     settings = CameraSettings(delay=0.03)
     try:
-        with Rehearsal(pace=5.0, camera=settings) as running:
+        with RobotSimulator(pace=5.0, camera=settings) as running:
             check_frames(running, settings)
     except InvalidInputError as error:
         if "OpenGL" in str(error):
@@ -81,14 +81,14 @@ def test_frames_come_late_and_show_the_block_where_it_was(server_turn: None) -> 
         raise
 
 
-def check_frames(running: RunningRehearsal, settings: CameraSettings) -> None:
+def check_frames(running: SimulatedRobot, settings: CameraSettings) -> None:
     frames = filmed(running, 3)
     for frame, now in frames[1:]:
         assert now - frame.time >= settings.delay
     last = frames[-1][0]
     calibration = running.calibration()
-    seen = Sight(calibration).see(last)["block"]
-    there = running.truth.between(last.time - 1e-6, last.time + 1e-6)
+    seen = ObjectDetector(calibration).detect(last)["block"]
+    there = running.ground_truth.between(last.time - 1e-6, last.time + 1e-6)
     assert len(there) == 1
     error = seen.position - there[0]["position"][1]
     assert np.linalg.norm(error) < 3e-3
@@ -100,7 +100,7 @@ def check_frames(running: RunningRehearsal, settings: CameraSettings) -> None:
     assert np.linalg.norm(turned[:2]) == pytest.approx(0.02 * level, rel=0.02)
 
 
-def filmed(running: RunningRehearsal, count: int) -> list[tuple[CameraFrame, float]]:
+def filmed(running: SimulatedRobot, count: int) -> list[tuple[CameraFrame, float]]:
     """Frames, and when each was had."""
     camera = attach(running.address).camera()
     frames: list[tuple[CameraFrame, float]] = []

@@ -10,14 +10,14 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception import CameraFrame, Intrinsics
+from contactgraph_franka.perception.camera import inverse, pose, rotation_of
 from contactgraph_franka.perception.edges import find_edges
-from contactgraph_franka.perception.rigid import inverse, pose, rotation_of
 
 pytest.importorskip("mujoco", reason="needs pip install 'contactgraph[mujoco]'")
 pytest.importorskip("pyapriltags", reason="needs pip install 'contactgraph[robot]'")
-from contactgraph_franka.perception.sight import located
+from contactgraph_franka.perception.detector import estimate_pose
 from contactgraph_franka.perception.tags import TagDetector
-from contactgraph_franka.sim.tagged_block import tagged_block
+from contactgraph_franka.sim.blocks import tagged_block
 
 LENS = Intrinsics(900.0, 910.0, 330.0, 250.0, 640, 480)
 """Off the middle, and not square: so that a mistake of either shows."""
@@ -33,9 +33,9 @@ import sys
 from xml.etree import ElementTree
 import numpy as np
 from contactgraph_franka.sim.rendered_camera import RenderedCamera
-from contactgraph_franka.sim.tagged_block import tagged_block
+from contactgraph_franka.sim.blocks import tagged_block
 from contactgraph_franka.perception import Intrinsics
-from contactgraph_franka.envs.engine import mujoco
+from contactgraph_franka.envs.arm_model import mujoco
 
 told = np.load(sys.argv[1])
 tree = ElementTree.fromstring(
@@ -124,7 +124,7 @@ def errors(images, depths=None):
     found = []
     for number, (image, place) in enumerate(zip(images, POSES, strict=True)):
         frame = CameraFrame(image, None if depths is None else depths[number], 0.5)
-        seen = located(frame, TagDetector([range(9)]).detect(image), BLOCK, LENS)
+        seen = estimate_pose(frame, TagDetector([range(9)]).detect(image), BLOCK, LENS)
         if seen is None:
             found.append((np.nan, np.nan))
             continue

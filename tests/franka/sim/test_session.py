@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.sim.camera_settings import CameraSettings
+from contactgraph_franka.sim.camera import CameraSettings
 from contactgraph_franka.sim.session import Session, attached, free_address
 
 ADDRESS = "127.0.7.1"

@@ -1,4 +1,4 @@
-"""Truth and frames in shared memory: the newest is found, what is being written is not read."""
+"""Ground truth and frames in shared memory: readers get the newest complete record."""
 
 from pathlib import Path
 
@@ -6,20 +6,24 @@ import numpy as np
 import pytest
 
 from contactgraph_franka.perception.camera import CameraFrame, Intrinsics
-from contactgraph_franka.sim import truth as module
-from contactgraph_franka.sim.frames import FrameWriter, RehearsalCamera
-from contactgraph_franka.sim.orders import OrderTaker, order_block
-from contactgraph_franka.sim.truth import Truth, TruthWriter
+from contactgraph_franka.sim import shared_state as module
+from contactgraph_franka.sim.camera import FrameWriter, SimulatedCamera
+from contactgraph_franka.sim.shared_state import (
+    GroundTruth,
+    GroundTruthWriter,
+    SceneResetService,
+    request_block_pose,
+)
 
 LENS = Intrinsics(20.0, 20.0, 7.5, 7.5, 16, 16)
 
 
-def written(folder: Path, ticks: int) -> tuple[TruthWriter, Truth]:
-    writer = TruthWriter(folder, blocks=1, places=3)
+def written(folder: Path, ticks: int) -> tuple[GroundTruthWriter, GroundTruth]:
+    writer = GroundTruthWriter(folder, blocks=1, places=3)
     for tick in range(ticks):
         writer.row["position"] = writer.row["stamp"] = tick
         writer.publish(tick)
-    return writer, Truth(folder, blocks=1, places=3)
+    return writer, GroundTruth(folder, blocks=1, places=3)
 
 
 def test_ticks_are_read_in_order_from_any(tmp_path: Path) -> None:
@@ -44,7 +48,7 @@ def test_a_tick_that_is_being_written_is_left_out(tmp_path: Path) -> None:
 
 def test_a_camera_gives_each_frame_once_and_the_newest(tmp_path: Path) -> None:
     writer = FrameWriter(tmp_path, LENS, depth=True)
-    camera = RehearsalCamera(tmp_path, LENS, depth=True)
+    camera = SimulatedCamera(tmp_path, LENS, depth=True)
     assert camera.read() is None
     for number in range(7):
         image = np.full((16, 16), number, np.uint8)
@@ -57,21 +61,21 @@ def test_a_camera_gives_each_frame_once_and_the_newest(tmp_path: Path) -> None:
 
 
 def test_orders_are_carried_out_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    taker = OrderTaker(tmp_path)
+    taker = SceneResetService(tmp_path)
     done: list[tuple[int, list[float], float]] = []
 
     def serve(_: float) -> None:
         taker.carry_out(lambda block, place, yaw: done.append((block, place.tolist(), yaw)))
 
-    monkeypatch.setattr("contactgraph_franka.sim.orders.time.sleep", serve)
-    order_block(tmp_path, 0, np.array([0.5, 0.1, 0.05]), 0.2)
-    order_block(tmp_path, 1, np.array([0.6, 0.0, 0.05]), 0.0)
+    monkeypatch.setattr("contactgraph_franka.sim.shared_state.time.sleep", serve)
+    request_block_pose(tmp_path, 0, np.array([0.5, 0.1, 0.05]), 0.2)
+    request_block_pose(tmp_path, 1, np.array([0.6, 0.0, 0.05]), 0.0)
     serve(0.0)
     assert done == [(0, [0.5, 0.1, 0.05], 0.2), (1, [0.6, 0.0, 0.05], 0.0)]
 
 
 def test_a_deaf_server_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    OrderTaker(tmp_path)
-    monkeypatch.setattr("contactgraph_franka.sim.orders._PATIENCE", 0.01)
+    SceneResetService(tmp_path)
+    monkeypatch.setattr("contactgraph_franka.sim.shared_state._PATIENCE", 0.01)
     with pytest.raises(RuntimeError, match="did not put the block"):
-        order_block(tmp_path, 0, np.zeros(3), 0.0)
+        request_block_pose(tmp_path, 0, np.zeros(3), 0.0)

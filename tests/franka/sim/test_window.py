@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from contactgraph_franka.sim.camera_settings import CameraSettings
-from contactgraph_franka.sim.window import window_around
+from contactgraph_franka.sim.camera import CameraSettings
+from contactgraph_franka.sim.rendered_camera import window_around
 
 SETTINGS = CameraSettings()
 CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)

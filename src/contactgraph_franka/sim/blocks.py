@@ -1,4 +1,4 @@
-"""A block with tags on its faces, as MuJoCo and as the camera's reader know it."""
+"""Which cells of a tag36h11 are black: the family's published codes, for the tags of rehearsals."""
 
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -6,10 +6,59 @@ from xml.etree import ElementTree
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.envs.franka_pickup import BLOCK
-from contactgraph_franka.perception.rigid import pose
-from contactgraph_franka.perception.tagged_object import Tag, TaggedObject
-from contactgraph_franka.sim.tag_codes import CELLS, TAGS, black_cells
+from contactgraph_franka.envs.pickup import BLOCK
+from contactgraph_franka.perception.calibration import Tag, TaggedObject
+from contactgraph_franka.perception.camera import pose
+
+CELLS = 8
+"""Black border included; a white one, a cell wide, must surround it."""
+# Bits, the most significant first: three sides of a ring and its corner, turned by quarters.
+_COLUMN = (1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4)
+_ROW = (1, 1, 1, 1, 1, 2, 2, 2, 3, 1, 2, 3, 4, 5, 2, 3, 4, 3)
+_CODES = (
+    0xD7E00984B,
+    0xDDA664CA7,
+    0xDC4A1C821,
+    0xE17B470E9,
+    0xEF91D01B1,
+    0xF429CDD73,
+    0x05DA29225,
+    0x1106CBA43,
+    0x223BED79D,
+    0x21F51213C,
+    0x33EB19CA6,
+    0x3F76EB0F8,
+    0x469A97414,
+    0x45DCFE0B0,
+    0x4A6465F72,
+    0x51801DB96,
+    0x5EB946B4E,
+    0x68A7CC2EC,
+    0x6F0BA2652,
+    0x78765559D,
+    0x87B83D129,
+    0x86CC4A5C5,
+    0x8B64DF90F,
+    0x9C577B611,
+)
+TAGS = len(_CODES)
+"""How many tags are known here: ids 0 to TAGS - 1."""
+
+
+def black_cells(tag: int) -> np.ndarray:
+    """[8, 8] bool, rows from the top: the cells of tag36h11 number ``tag`` that are black.
+
+    Raises `InvalidInputError` for a tag whose code is not known here.
+    """
+    if not 0 <= tag < TAGS:
+        raise InvalidInputError(f"tag must be 0 to {TAGS - 1}, found {tag}")
+    black = np.ones((CELLS, CELLS), bool)
+    half = list(zip(_COLUMN, _ROW, strict=True))
+    both = half + [(CELLS - 1 - column, CELLS - 1 - row) for column, row in half]
+    for bit, (column, row) in enumerate(both):
+        black[row, column] = not _CODES[tag] >> (len(both) - 1 - bit) & 1
+    return black
+
 
 MASS = 0.83
 """kg, of the paper's block."""
@@ -145,3 +194,38 @@ def _materials(name: str) -> tuple[ElementTree.Element, ...]:
 
 def _text(numbers: np.ndarray | list[float]) -> str:
     return " ".join(f"{number:.9g}" for number in numbers)
+
+
+LARGEST_COUNT = 2
+"""As many as there are tags for."""
+CONTACT = {"solref": ".003 1", "solimp": ".95 .99 .001", "condim": "4"}
+WOOD_FRICTION = ".5 .005 .0001"
+"""As in the arm's task: of a block on the table."""
+_PLACES = ((0.5, -0.15, 0.05), (0.5, 0.15, 0.05))
+"""m: where blocks stand at first."""
+_TAGS = 9
+"""Of each block."""
+
+
+def scene_blocks(count: int, mass: float = MASS) -> tuple[TaggedBlock, ...]:
+    """Node 1 and on of a scene with ``count`` blocks of ``mass`` kg; node 0 is the hand.
+
+    Raises `InvalidInputError` for a count that there are no tags for, or a mass that is none.
+    """
+    if not 0 <= count <= LARGEST_COUNT:
+        raise InvalidInputError(f"blocks must be 0 to {LARGEST_COUNT}, found {count}")
+    if not 0.01 <= mass <= 10.0:
+        raise InvalidInputError(f"mass of a block must be 0.01 to 10 kg, found {mass}")
+    made = tuple(
+        tagged_block(f"block{index}", np.array(place), first_tag=_TAGS * index, mass=mass)
+        for index, place in enumerate(_PLACES[:count])
+    )
+    for block in made:
+        for shape in block.body.findall("geom[@name]"):
+            shape.attrib.update(CONTACT, friction=WOOD_FRICTION)
+    return made
+
+
+def block_names(count: int) -> list[str]:
+    """The names of nodes 1 and on."""
+    return ["block", *(f"block-{index}" for index in range(1, count))][:count]

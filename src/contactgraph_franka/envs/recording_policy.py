@@ -1,14 +1,59 @@
-"""What an arm does while runs are recorded to learn from: with a grasp, and without."""
+"""A tour of the arm's hand that grasps nothing: what a free hand does under a force."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
-from contactgraph.data import Scene
+from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
+from contactgraph.envs.excitation import CorrelatedNoise
 from contactgraph.envs.ways import distance_to_way
-from contactgraph_franka.envs.franka_expert import FrankaExpert
-from contactgraph_franka.envs.franka_layout import EDGE, HIGH, LOW, NEAR, REACH, START_HEIGHT
-from contactgraph_franka.envs.franka_pickup import HAND, TARGET
-from contactgraph_franka.envs.franka_tour import FrankaTour
+from contactgraph_franka.envs.expert import FrankaExpert, HandPath, visit
+from contactgraph_franka.envs.pickup import (
+    APPARENT_MASS,
+    EDGE,
+    HAND,
+    HIGH,
+    LOW,
+    NEAR,
+    REACH,
+    START_HEIGHT,
+    TARGET,
+)
+
+
+class FreeSpaceExcitation:
+    """From where the hand is to each of ``points`` [K, 3] m, resting there; noise as the expert's.
+
+    Raises `InvalidInputError` where there are no points.
+    """
+
+    def __init__(
+        self, points: Sequence[np.ndarray], noise: float = 0.2, correlation_steps: float = 10.0
+    ) -> None:
+        if not len(points):
+            raise InvalidInputError("a tour needs at least one point, found none")
+        self._points = tuple(points)
+        self._noise = CorrelatedNoise(noise, correlation_steps)
+        self._path: HandPath | None = None
+        self._dt, self._step = 0.0, 0
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode."""
+        self._dt, self._path, self._step = scene.dt, None, 0
+        self._noise.reset(3, seed)
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control [3] N."""
+        hand, velocity = observation["position"][HAND], observation["velocity"][HAND]
+        if self._path is None:
+            self._path = HandPath()
+            for start, end in zip((hand, *self._points), self._points, strict=False):
+                visit(self._path, start, end)
+        time = self._step * self._dt
+        self._step += 1
+        return self._path.force(time, hand, velocity, APPARENT_MASS) + self._noise()
+
 
 GRASPING = 0.7
 """Of the runs, the share in which the block is picked up."""
@@ -30,7 +75,7 @@ _TOURING_NOISE = 1.0
 """N; what is free may be shaken more than what must hit a block."""
 
 
-class FrankaRecording:
+class RecordingPolicy:
     """By each run's seed, takes the block up, in passing or at rest, to the goal and on, or tours
     beside it.
 
@@ -43,7 +88,7 @@ class FrankaRecording:
         self._stopping = stopping
         self._scene: Scene | None = None
         self._seed = 0
-        self._policy: FrankaExpert | FrankaTour | None = None
+        self._policy: FrankaExpert | FreeSpaceExcitation | None = None
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode."""
@@ -66,7 +111,7 @@ def grasps(seed: int) -> bool:
 
 def _policy(
     observation: Observation, random: np.random.Generator, stopping: float
-) -> FrankaExpert | FrankaTour:
+) -> FrankaExpert | FreeSpaceExcitation:
     if random.random() < GRASPING:
         further = [_point(random, START_HEIGHT) for _ in range(_FURTHER)]
         stops = random.random() < stopping
@@ -80,7 +125,7 @@ def _policy(
         if not low or distance_to_way(block[:2], at[:2], point[:2], 0.0) >= _ROOM:
             points.append(point)
             at = point
-    return FrankaTour(points, noise=_TOURING_NOISE)
+    return FreeSpaceExcitation(points, noise=_TOURING_NOISE)
 
 
 def _point(random: np.random.Generator, height: float) -> np.ndarray:

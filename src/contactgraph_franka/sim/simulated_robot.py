@@ -9,28 +9,29 @@ import numpy as np
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.loop.clock import WallClock
 from contactgraph_franka.perception.calibration import CameraCalibration
-from contactgraph_franka.perception.rigid import pose, rotation_of
-from contactgraph_franka.sim.camera_settings import CameraSettings
-from contactgraph_franka.sim.frames import RehearsalCamera
-from contactgraph_franka.sim.orders import order_block
-from contactgraph_franka.sim.processes import Child
-from contactgraph_franka.sim.scene_blocks import block_names, scene_blocks
-from contactgraph_franka.sim.server_report import ServerReport, read_places, read_report
-from contactgraph_franka.sim.session import Session, attached, free_address
-from contactgraph_franka.sim.tagged_block import MASS
-from contactgraph_franka.sim.truth import Truth
+from contactgraph_franka.perception.camera import pose, rotation_of
+from contactgraph_franka.sim.blocks import MASS, block_names, scene_blocks
+from contactgraph_franka.sim.camera import CameraSettings, SimulatedCamera
+from contactgraph_franka.sim.session import ChildProcess, Session, attached, free_address
+from contactgraph_franka.sim.shared_state import (
+    GroundTruth,
+    ServerReport,
+    read_places,
+    read_report,
+    request_block_pose,
+)
 
 ADDRESSES = tuple(f"127.0.0.{number}" for number in range(1, 10))
 """Where a rehearsal may listen: the first free one."""
 _PARTS = "contactgraph_franka.sim"
 
 
-class RunningRehearsal:
+class SimulatedRobot:
     """A rehearsal that runs, in whatever process it was started: see `attach`."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._truth = Truth(session.folder, session.blocks, read_places(session.folder))
+        self._truth = GroundTruth(session.folder, session.blocks, read_places(session.folder))
 
     @property
     def address(self) -> str:
@@ -48,7 +49,7 @@ class RunningRehearsal:
         return WallClock(self._session.pace)
 
     @property
-    def truth(self) -> Truth:
+    def ground_truth(self) -> GroundTruth:
         """What is really so: for measuring, never for control."""
         return self._truth
 
@@ -62,12 +63,12 @@ class RunningRehearsal:
             raise InvalidInputError(f"block must be 0 to {self._session.blocks - 1}, found {index}")
         if place.shape != (3,) or not np.isfinite([*place, yaw]).all():
             raise InvalidInputError(f"position must be [3] m, and yaw rad, found {position}, {yaw}")
-        order_block(self._session.folder, index, place, yaw)
+        request_block_pose(self._session.folder, index, place, yaw)
 
-    def camera(self) -> RehearsalCamera:
+    def camera(self) -> SimulatedCamera:
         """The camera; raises `InvalidInputError` where the rehearsal has none."""
         settings = self._settings()
-        return RehearsalCamera(
+        return SimulatedCamera(
             self._session.folder, settings.intrinsics, settings.depth_noise is not None
         )
 
@@ -104,12 +105,12 @@ class RunningRehearsal:
         return self._session.camera
 
 
-def attach(address: str) -> RunningRehearsal:
+def attach(address: str) -> SimulatedRobot:
     """The rehearsal at ``address``; raises `InvalidInputError` where there is none."""
-    return RunningRehearsal(attached(address))
+    return SimulatedRobot(attached(address))
 
 
-def open_camera(address: str) -> RehearsalCamera:
+def open_camera(address: str) -> SimulatedCamera:
     """The camera of the rehearsal at ``address``, for a process that is told no more than that.
 
     Raises `InvalidInputError` where there is none.
@@ -117,14 +118,14 @@ def open_camera(address: str) -> RehearsalCamera:
     return attach(address).camera()
 
 
-class Rehearsal:
+class RobotSimulator:
     """Starts a simulated arm behind the real one's protocol, and ends it. A context manager.
 
     ``pace`` seconds on the wall are one simulated second: 1 is real time, for which server, client
     and what else runs need cores enough. The first free one of ``addresses`` is taken. ``mass`` kg
     is that of each of the ``blocks`` blocks. ``camera``: with what camera; None: without one.
 
-    What is entered is a `RunningRehearsal`. Raises `InvalidInputError` where an argument is out of
+    What is entered is a `SimulatedRobot`. Raises `InvalidInputError` where an argument is out of
     range, an address is taken, or what a process needs is not installed.
     """
 
@@ -140,9 +141,9 @@ class Rehearsal:
             raise InvalidInputError(f"pace must be 0.1 to 100, found {pace}")
         self._arguments = (pace, blocks, mass, camera)
         self._addresses = tuple(addresses)
-        self._children: list[Child] = []
+        self._children: list[ChildProcess] = []
 
-    def __enter__(self) -> RunningRehearsal:
+    def __enter__(self) -> SimulatedRobot:
         pace, blocks, mass, camera = self._arguments
         address = free_address(self._addresses)
         self._session = Session(address, pace, blocks, mass, os.getpid(), camera)
@@ -152,9 +153,9 @@ class Rehearsal:
             arm = self._started("arm_server")
             arm.wait_until(lambda: read_report(folder) is not None)
             if camera is not None:
-                eye = self._started("camera_process", {"MUJOCO_GL": "egl"})
+                eye = self._started("rendered_camera", {"MUJOCO_GL": "egl"})
                 eye.wait_until((folder / "newest-frame").exists)
-            return RunningRehearsal(self._session)
+            return SimulatedRobot(self._session)
         except BaseException:
             self.__exit__()
             raise
@@ -170,7 +171,7 @@ class Rehearsal:
         for child in self._children:
             child.check()
 
-    def _started(self, part: str, environment: Mapping[str, str] | None = None) -> Child:
-        child = Child(f"{_PARTS}.{part}", self._session.folder, environment)
+    def _started(self, part: str, environment: Mapping[str, str] | None = None) -> ChildProcess:
+        child = ChildProcess(f"{_PARTS}.{part}", self._session.folder, environment)
         self._children.append(child)
         return child

@@ -1,11 +1,107 @@
-"""Cartesian impedance of the arm: the hand as a mass that keeps its orientation."""
+"""The one file that imports MuJoCo for simulation, and what is common to all that uses it."""
 
 import math
+import os
 
 import numpy as np
 
-from contactgraph_franka.envs.engine import JOINTS, mujoco
-from contactgraph_franka.envs.franka_pickup import APPARENT_MASS
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.envs.pickup import APPARENT_MASS
+
+try:
+    import mujoco as mujoco
+except ModuleNotFoundError as error:
+    raise InvalidInputError("franka needs MuJoCo: pip install 'contactgraph[mujoco]'") from error
+except (AttributeError, ImportError, RuntimeError) as error:
+    # As it is imported it loads the OpenGL that it is told to, and fails in many ways.
+    raise InvalidInputError(
+        f"MuJoCo cannot load the OpenGL of MUJOCO_GL={os.environ.get('MUJOCO_GL')}: unset it, or "
+        "name one that is there (egl, osmesa or glfw)"
+    ) from error
+
+SIMULATOR = f"mujoco {mujoco.__version__}"
+JOINTS = 7
+"""Of the arm."""
+
+
+HOME = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 1.9, np.pi / 4])
+"""rad; the elbow is kept about so."""
+_MARGIN = 0.05
+"""Of the joints' limits, rad."""
+_TOLERANCE = 1e-5
+_ROUNDS = 200
+
+
+def inverse_kinematics(model: mujoco.MjModel, point: np.ndarray, yaw: float) -> np.ndarray:
+    """[7] rad with the grasp point at ``point`` [3] m, pointing down, turned by ``yaw`` rad.
+
+    Damped least squares with the elbow drawn home. Raises `InvalidInputError` where it cannot be.
+    """
+    data = mujoco.MjData(model)
+    joints = HOME.copy()
+    site = model.site("grasp").id
+    low, high = model.jnt_range[:JOINTS, 0] + _MARGIN, model.jnt_range[:JOINTS, 1] - _MARGIN
+    jacobian = np.zeros((6, model.nv))
+    wanted, now, turn, miss = np.zeros(4), np.zeros(4), np.zeros(3), np.zeros(6)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    mujoco.mju_mat2Quat(wanted, np.array([cos, sin, 0.0, sin, -cos, 0.0, 0.0, 0.0, -1.0]))
+    for index in range(_ROUNDS):
+        data.qpos[:JOINTS] = joints
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mju_mat2Quat(now, data.site_xmat[site])
+        mujoco.mju_subQuat(turn, wanted, now)
+        mujoco.mju_rotVecQuat(miss[3:], turn, now)
+        miss[:3] = point - data.site_xpos[site]
+        if np.max(np.abs(miss)) < _TOLERANCE:
+            return joints
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
+        J = jacobian[:, :JOINTS]
+        inverse = J.T @ np.linalg.inv(J @ J.T + 1e-4 * np.eye(6))
+        home = 0.1 * 0.95**index * (HOME - joints)
+        joints = np.clip(joints + inverse @ miss + home - inverse @ (J @ home), low, high)
+    raise InvalidInputError(
+        f"the hand cannot be at {np.round(point, 3).tolist()} m; it reaches x 0.3 to 0.7, "
+        "y -0.35 to 0.35, z 0.05 to 0.35"
+    )
+
+
+LARGEST_TURN = np.radians(2.0)
+"""Of the hand from the orientation it keeps, rad."""
+LARGEST_SPEED = 1.5 * np.array([2.175] * 4 + [2.61] * 3)
+"""Of the joints, rad/s: half above the maker's, which a fast sweep close to the base just keeps."""
+_AHEAD = 0.01
+"""For how long a joint must not be on its way out of its range, s."""
+_STOP = 0.01
+"""By how much it may lean on the end of its range, rad."""
+_DAMPING = 500.0
+"""Of a joint whose brake is closed, N m s/rad."""
+
+
+class JointLimitBrakes:
+    """Stop the arm for good once it leaves what it can do, as the maker's controller does.
+
+    That is when a joint is about to leave its range or turns too fast, or the hand loses its
+    orientation. Forces get there that push the hand to the end of its reach or slam it onto
+    something; a sweep within the scene does not.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model = model
+        self._joints, self._velocity = data.qpos[:JOINTS], data.qvel[:JOINTS]
+        low, high = model.jnt_range[:JOINTS].T
+        self._low, self._high = low - _STOP, high + _STOP
+        self.closed = False
+
+    def check(self, turn: np.ndarray) -> None:
+        """Closes the brakes where they must be; ``turn`` [3] rad is what the hand is off by."""
+        soon = self._joints + _AHEAD * self._velocity
+        fits = np.all((self._low < soon) & (soon < self._high))
+        slow = np.all(np.abs(self._velocity) < LARGEST_SPEED)
+        if not (fits and slow and turn @ turn < LARGEST_TURN**2):
+            self.closed = True
+            self._model.dof_damping[:JOINTS] = _DAMPING
+
 
 ROTATION_STIFFNESS = 8.0
 """N m/rad"""
