@@ -1,0 +1,1 @@
+"""Learning a quadratic cost from demonstrations through a differentiable LQR."""
