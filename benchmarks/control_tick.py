@@ -5,7 +5,7 @@ Usage: python benchmarks/control_tick.py [--quick] [--json FILE]
 Whole episodes of the pickup task, planned 20 steps ahead, and of the arm's, planned 50 (half a
 second) ahead, with the shipped models; the arm's need the extra ``mujoco``. Compilation happens in
 `MPC.reset`; it is timed and counted apart, and a tick that compiled would show in the last column.
-Ticks are made `on_one_core`.
+Ticks are made `pin_to_core`.
 
 The rows named "bystanders" are pickups with as many nodes as the row says, of which all but two
 stand off the ways, no less dense than the task's own. Each of their ticks is made for every number
@@ -28,7 +28,7 @@ from contactgraph.control import (
     MPCState,
     QuadraticCost,
     chain_cost,
-    on_one_core,
+    pin_to_core,
 )
 from contactgraph.envs import PickupTask
 from contactgraph.envs.gripper_task import GripperTask
@@ -121,7 +121,7 @@ def of_task(
             count = task.scene.node_count
             cost = cost_of(task, observation["goal"], count)
             state = ticks.reset(observation, scene_nodes(task.scene), cost)
-            with on_one_core():
+            with pin_to_core():
                 for _ in range(task.max_steps):
                     force, state = ticks.step(observation, state)
                     observation, *_ = task.step(force)
@@ -180,7 +180,7 @@ def with_bystanders(
             )
             for ticks, others, size in zip(all_ticks, around, sizes, strict=True)
         ]
-        with on_one_core():
+        with pin_to_core():
             for step in range(task.max_steps):
                 seen = [among(observation, others) for others in around]
                 forces: dict[int, np.ndarray] = {}

@@ -8,7 +8,9 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-from contactgraph.control import CostRecipe, cost_terms, learn_cost, read_cost, write_cost
+from contactgraph.control import CostLearningConfig, read_cost, write_cost
+from contactgraph.control.cost_learning import learned_cost as cost_terms
+from contactgraph.control.cost_learning import learner as learn_cost
 from contactgraph.data import Dataset
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect, control_task
@@ -23,7 +25,7 @@ factory = partial(PickupTask, distractors=2, fixed_seed=3)
 demonstrations = Dataset(tuple(collect([factory], [PickupExpert(noise=0.0)], 5, seed=0)))
 
 # Few steps: 400, the recipe's own number, bring the loss a little lower.
-cost = learn_cost(model, demonstrations, CostRecipe(steps=100))
+cost = learn_cost(model, demonstrations, CostLearningConfig(steps=100))
 for each in cost.participants:
     print(f"{each.name:13s} {'kept' if each.kept else 'dropped':8s} {each.reason}")
 loss = cost.history.imitation

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.control import CostRecipe, lqr_trajectory, tracking_problem
-from contactgraph.control.demonstrations import Demonstrations
-from contactgraph.control.fit_cost import fit_cost
-from contactgraph.control.relative_form import alike_axes
+from contactgraph.control import CostLearningConfig, lqr_trajectory, tracking_problem
+from contactgraph.control.cost_learning.demonstrations import Demonstrations
+from contactgraph.control.cost_learning.learned_cost import isotropic_axes
+from contactgraph.control.cost_learning.learner import fit_cost
 from contactgraph.data import InvalidInputError
 
 RUNS, HORIZON, N, U = 24, 12, 4, 2
@@ -50,7 +50,7 @@ def hidden_expert(seed: int) -> tuple[Demonstrations, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_hidden_cost_is_found_again(double_precision, seed):
     data, Q, R = hidden_expert(seed)
-    recipe = CostRecipe(
+    recipe = CostLearningConfig(
         horizon=HORIZON,
         steps=20_000,
         batch=RUNS,
@@ -58,7 +58,7 @@ def test_a_hidden_cost_is_found_again(double_precision, seed):
         discount=1.0,
         prior_weight=0.0,
     )
-    found = fit_cost(data, STARTS, alike_axes(None, 2), recipe)
+    found = fit_cost(data, STARTS, isotropic_axes(None, 2), recipe)
     assert found.history.imitation[-1] < 1e-9 * found.history.imitation[0]
     assert np.abs(found.Q - Q).max() < 1e-4 * np.abs(Q).max()
     assert np.abs(found.R - R).max() < 1e-4
@@ -68,12 +68,17 @@ def test_a_hidden_cost_is_found_again(double_precision, seed):
 
 def test_the_same_seed_gives_the_same_cost_and_progress_is_told():
     data, _, _ = hidden_expert(0)
-    recipe = CostRecipe(horizon=HORIZON, steps=100, batch=8)
+    recipe = CostLearningConfig(horizon=HORIZON, steps=100, batch=8)
     told: list[int] = []
     one = fit_cost(
-        data, STARTS, alike_axes(None, 2), recipe, 3, on_step=lambda step, loss: told.append(step)
+        data,
+        STARTS,
+        isotropic_axes(None, 2),
+        recipe,
+        3,
+        on_step=lambda step, loss: told.append(step),
     )
-    other = fit_cost(data, STARTS, alike_axes(None, 2), recipe, 3)
+    other = fit_cost(data, STARTS, isotropic_axes(None, 2), recipe, 3)
     assert told == [50, 100] and one.history.imitation.shape == (100,)
     assert np.array_equal(one.Q, other.Q) and np.array_equal(one.R, other.R)
     assert np.mean(one.history.imitation[-10:]) < np.mean(one.history.imitation[:10])
@@ -81,10 +86,10 @@ def test_the_same_seed_gives_the_same_cost_and_progress_is_told():
 
 def test_lost_definiteness_stops_with_the_step_and_the_eigenvalue():
     data, _, _ = hidden_expert(0)
-    recipe = CostRecipe(horizon=HORIZON, steps=50, batch=8, learning_rate=1e30)
+    recipe = CostLearningConfig(horizon=HORIZON, steps=50, batch=8, learning_rate=1e30)
     message = r"stopped at step \d+: [QR]'s smallest eigenvalue is .*; a smaller learning rate"
     with pytest.raises(InvalidInputError, match=message):
-        fit_cost(data, STARTS, alike_axes(None, 2), recipe)
+        fit_cost(data, STARTS, isotropic_axes(None, 2), recipe)
 
 
 def test_nothing_demonstrated_is_refused():
@@ -93,7 +98,7 @@ def test_nothing_demonstrated_is_refused():
         data.A, data.B, data.offset, data.states, jnp.zeros_like(data.controls), data.goal
     )
     with pytest.raises(InvalidInputError, match="control never changes from 0"):
-        fit_cost(still, STARTS, alike_axes(None, 2), CostRecipe(horizon=HORIZON))
+        fit_cost(still, STARTS, isotropic_axes(None, 2), CostLearningConfig(horizon=HORIZON))
 
 
 @pytest.mark.parametrize(
@@ -109,4 +114,4 @@ def test_nothing_demonstrated_is_refused():
 )
 def test_recipes_out_of_range_are_refused(name, value):
     with pytest.raises(InvalidInputError, match=name):
-        CostRecipe(**{name: value})
+        CostLearningConfig(**{name: value})

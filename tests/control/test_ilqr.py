@@ -19,8 +19,8 @@ from control_models import (
 
 from contactgraph.control import (
     ILQR,
+    AffinePolicy,
     ControlLimits,
-    LQRPolicy,
     LQRProblem,
     PlanStatus,
     QuadraticCost,
@@ -74,7 +74,7 @@ def random_task(key):
         jax.random.normal(keys[7], (3, 2)),
         two_type_belief(jnp.zeros(3)),
     )
-    guess = LQRPolicy(jnp.zeros((12, 2, 12)), jax.random.normal(keys[8], (12, 2)))
+    guess = AffinePolicy(jnp.zeros((12, 2, 12)), jax.random.normal(keys[8], (12, 2)))
     return model, cost, state, guess
 
 
@@ -225,7 +225,7 @@ def test_a_model_without_an_answer_is_told():
 def test_a_guess_without_an_answer_is_dropped_and_trials_into_nan_are_rejected():
     cost = chain_cost([0], [1] * 4, [50, 50, 0, 0], 0.01, [0.3, 0.0], node_count=1)
     state = state_of([[0.0, 0.0]], [[0.0, 0.0]])
-    guess = LQRPolicy(jnp.zeros((20, 2, 4)), jnp.full((20, 2), jnp.nan))
+    guess = AffinePolicy(jnp.zeros((20, 2, 4)), jnp.full((20, 2), jnp.nan))
     plan = solve(ILQR(20, 20), Broken(edge=0.25), state, nodes_of(1, 1), cost, guess)
     assert plan.outcome in (PlanStatus.NO_DESCENT, PlanStatus.ITERATION_LIMIT)
     assert np.all(np.isfinite(plan.controls)) and np.all(np.isfinite(plan.states))

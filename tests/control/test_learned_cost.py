@@ -8,23 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.control import (
-    ILQR,
-    MPC,
-    ControlLimits,
-    CostRecipe,
-    LearnedCost,
-    learn_cost,
+from contactgraph.control import ILQR, MPC, ControlLimits, CostLearningConfig, LearnedCost
+from contactgraph.control.cost_learning import learner as learn_cost
+from contactgraph.control.cost_learning.demonstrations import (
+    demonstrations_of,
+    follow_all,
+    participants,
 )
-from contactgraph.control.demonstrations import demonstrations_of
-from contactgraph.control.participants import follow_all, participants
-from contactgraph.control.relative_form import relative_terms
+from contactgraph.control.cost_learning.learned_cost import relative_terms
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
 from contactgraph.evaluate import collect, control_task
 from contactgraph.model import ModelState, load_model, scene_nodes, shipped_model
 
-RECIPE = CostRecipe(steps=50, batch=64)
+RECIPE = CostLearningConfig(steps=50, batch=64)
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
 
 

@@ -10,7 +10,7 @@ import pytest
 from control_models import blocks
 
 from contactgraph.control import ControlLimits, LQRProblem, solve_lqr
-from contactgraph.control.control_step import bounded_minimum, solve_small
+from contactgraph.control.box_qp import solve_box_qp, solve_small
 from contactgraph.control.lqr import improve_policy
 from contactgraph.control.riccati_form import block_form, dense_form
 from contactgraph.control.rollout import block_index, in_blocks
@@ -208,7 +208,7 @@ def test_small_solve(size):
 def test_bounded_minimum_is_the_best_of_all_corners_edges_and_the_inside(U):
     rng = np.random.default_rng(U)
     limits = ControlLimits(-jnp.ones(U), jnp.full(U, 0.5))
-    solve = jax.jit(lambda S, slope: bounded_minimum(S, slope, limits))
+    solve = jax.jit(lambda S, slope: solve_box_qp(S, slope, limits))
     for _ in range(300 if U < 5 else 10):
         root = rng.normal(size=(U, U))
         S, slope = root @ root.T + (0.05 if U < 5 else 1.0) * np.eye(U), 2 * rng.normal(size=U)

@@ -207,7 +207,7 @@ def test_a_late_plan_is_replaced_by_the_shifted_one_and_starts_the_next(counted,
     clock.tick = 0.011
     moved = scene(shift=0.3)
     late, after = mpc.step(moved, None, state)
-    assert late.outcome == PlanStatus.LATE and "deadline" in late.outcome.message
+    assert late.outcome == PlanStatus.DEADLINE_MISSED and "deadline" in late.outcome.message
     np.testing.assert_array_equal(late.controls, shift_plan(plan).controls)
     clock.tick = 0.0
     in_time, _ = mpc.step(moved, None, state)
@@ -234,7 +234,7 @@ def test_between_plans_the_feedback_acts():
     touching[0, 1] = touching[1, 0] = 1.0
     observation = scene(CAPACITY, shift=-0.03)
     followed, state = mpc.step(observation, touching, state)
-    assert followed.outcome == PlanStatus.FOLLOWED
+    assert followed.outcome == PlanStatus.PLAN_REUSED
     x = np.stack([observation["position"], observation["velocity"]], 1).reshape(-1)
     x[12:] = 0.0  # padding
     expected = np.clip(plan.policy.K[1] @ x + plan.policy.k[1], -LARGEST, LARGEST)
@@ -246,7 +246,7 @@ def test_between_plans_the_feedback_acts():
     bad["position"][0] = np.nan
     np.testing.assert_array_equal(mpc.control(followed, bad), followed.controls[0])
     followed, state = mpc.step(scene(), None, state)
-    assert followed.outcome == PlanStatus.FOLLOWED
+    assert followed.outcome == PlanStatus.PLAN_REUSED
     plan, state = mpc.step(bad, None, state)
     assert plan.outcome == PlanStatus.BAD_OBSERVATION
     plan, state = mpc.step(scene(), None, state)

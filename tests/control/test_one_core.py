@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from contactgraph.control import on_one_core
+from contactgraph.control import pin_to_core
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "sched_setaffinity") or len(os.sched_getaffinity(0)) < 2,
@@ -38,7 +38,7 @@ def test_all_threads_share_one_core_within_and_are_back_afterwards():
     allowed = os.sched_getaffinity(0)
     with Waiting() as older, Waiting() as kept:
         os.sched_setaffinity(kept, {min(allowed)})
-        with on_one_core():
+        with pin_to_core():
             assert all(each == {max(allowed)} for each in cores())
             assert os.sched_getaffinity(older) == {max(allowed)}
         assert os.sched_getaffinity(0) == os.sched_getaffinity(older) == allowed
@@ -47,7 +47,7 @@ def test_all_threads_share_one_core_within_and_are_back_afterwards():
 
 def test_a_thread_begun_within_is_free_afterwards():
     allowed = os.sched_getaffinity(0)
-    with on_one_core(min(allowed)):
+    with pin_to_core(min(allowed)):
         begun = Waiting()
         assert os.sched_getaffinity(begun.thread.native_id) == {min(allowed)}
     with begun as thread:
@@ -56,13 +56,13 @@ def test_a_thread_begun_within_is_free_afterwards():
 
 def test_an_error_within_frees_them_too():
     allowed = os.sched_getaffinity(0)
-    with pytest.raises(ZeroDivisionError), on_one_core():
+    with pytest.raises(ZeroDivisionError), pin_to_core():
         raise ZeroDivisionError
     assert all(each == allowed for each in cores())
 
 
 def test_a_core_that_is_not_there_is_an_error():
     allowed = os.sched_getaffinity(0)
-    with pytest.raises(OSError), on_one_core(9999):
+    with pytest.raises(OSError), pin_to_core(9999):
         pass
     assert os.sched_getaffinity(0) == allowed

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from contactgraph.control import chain_cost
-from contactgraph.control.relative_form import (
-    alike_axes,
+from contactgraph.control.cost_learning.learned_cost import (
     independent_part,
+    isotropic_axes,
     relative_basis,
     relative_names,
     relative_terms,
 )
 
 PICK, GOAL = np.array([3.0, 4.0, 0.2, 0.3]), np.array([50.0, 40.0, 1.0, 2.0])
-EVEN = alike_axes(None, 2)
+EVEN = isotropic_axes(None, 2)
 
 
 def test_a_chains_terms_stand_alone():
@@ -48,8 +48,8 @@ def test_the_independent_part_is_an_orthogonal_projection():
 
 
 def test_what_falls_makes_an_axis_of_its_own():
-    assert np.allclose(alike_axes(None, 2), 0.5)
-    upright = alike_axes(np.array([0.0, 0.0, -9.81]), 3)
+    assert np.allclose(isotropic_axes(None, 2), 0.5)
+    upright = isotropic_axes(np.array([0.0, 0.0, -9.81]), 3)
     assert np.allclose(upright, [[0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]])
     W = np.diag([1.0, 3.0, 7.0, 0.0, 0.0, 0.0])
     assert np.allclose(np.diag(independent_part(W, upright))[:3], [2.0, 2.0, 7.0])

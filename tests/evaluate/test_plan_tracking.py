@@ -25,7 +25,7 @@ def record_of(run, every, offset=0.0):
     plan = run.position[ahead]
     plan[:, 1:, 1, 0] += offset
     first, second = pair_indices(run.scene.node_count).T
-    status = np.where(ticks % every == 0, PlanStatus.ITERATION_LIMIT, PlanStatus.FOLLOWED)
+    status = np.where(ticks % every == 0, PlanStatus.ITERATION_LIMIT, PlanStatus.PLAN_REUSED)
     # What is kept of a plan while it is followed must not count as one.
     plan[ticks % every != 0] += 7.0
     belief = np.where(run.contact[ahead[:, 1:]][:, :, first, second], 0.9, 0.1)
@@ -73,7 +73,7 @@ def test_plans_that_are_replaced_too_soon_say_nothing(every):
 def test_a_plan_that_was_not_made_for_the_moment_is_none():
     record = record_of(RUN, 10)
     assert plan_tracking_error(RUN, record).windows == 4
-    record.status[10] = PlanStatus.LATE
+    record.status[10] = PlanStatus.DEADLINE_MISSED
     assert plan_tracking_error(RUN, record).windows == 3
     record.status[25] = PlanStatus.CONVERGED  # replaces the plan of 20
     assert plan_tracking_error(RUN, record).windows == 2

@@ -49,7 +49,8 @@ class LearnCost:
         from contactgraph.cli.output import check_suffix, check_writable, progress, say
         from contactgraph.cli.provenance import provenance, sha256
         from contactgraph.cli.recorded_runs import in_steps_of
-        from contactgraph.control import CostRecipe, learn_cost, write_cost
+        from contactgraph.control import CostLearningConfig, write_cost
+        from contactgraph.control.cost_learning import learner as learn_cost
         from contactgraph.data import InvalidInputError
         from contactgraph.model.storage import load_model
         from contactgraph.viz import write_cost_picture
@@ -67,7 +68,7 @@ class LearnCost:
         check_weight("--prior-weight", self.prior_weight)
         model_file = model_path(self.run_name)
         dataset = self._dataset()
-        recipe = CostRecipe(
+        recipe = CostLearningConfig(
             horizon=self._horizon(dataset) if self.horizon is None else self.horizon,
             steps=self.steps,
             prior_weight=self.prior_weight,
@@ -152,10 +153,10 @@ class LearnCost:
 
     def _horizon(self, dataset: "Dataset") -> int:
         """What `control` plans ahead in the task that the data set names."""
-        from contactgraph.control import CostRecipe
+        from contactgraph.control import CostLearningConfig
 
         known = _task_of(dataset)
-        return CostRecipe().horizon if known is None else known.horizon
+        return CostLearningConfig().horizon if known is None else known.horizon
 
 
 def _task_of(dataset: "Dataset") -> "KnownTask | None":

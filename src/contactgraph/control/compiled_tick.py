@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from contactgraph.control.measurement import Motion
+from contactgraph.control.host import Motion
 from contactgraph.control.mpc_state import Memory, Part
 from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.tick import Controller
@@ -90,7 +90,7 @@ class CompiledTick:
         memory = self(part, self.first(part, motion), motion, contact, applied)
         jax.block_until_ready(memory)
         if self._falls_back:
-            self.running(memory, PlanStatus.LATE)
+            self.running(memory, PlanStatus.DEADLINE_MISSED)
 
     def strongly_typed(self, values: _Tree) -> _Tree:
         """Every float of one type and none of them weak: else the second tick would compile

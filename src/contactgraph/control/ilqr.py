@@ -5,13 +5,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.control.control_step import ControlLimits
+from contactgraph.control.box_qp import ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
-from contactgraph.control.lqr import Improvement, LQRPolicy, LQRProblem, improve_policy
+from contactgraph.control.lqr import AffinePolicy, Improvement, LQRProblem, improve_policy
 from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.riccati_form import block_form
 from contactgraph.control.rollout import Rollout, block_index, in_blocks, roll_out
-from contactgraph.control.swept import Swept
+from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.model import ModelState, Nodes, StepModel, held_response, stack_state
 
 _RUNNING = -1
@@ -49,10 +49,10 @@ class ILQR(eqx.Module):
     step_sizes: tuple[float, ...] = eqx.field(static=True, default=(1.0, 0.5, 0.2))
     """Parts of the full step, tried in this order."""
 
-    def zero_policy(self, size: int, cost: QuadraticCost) -> LQRPolicy:
+    def zero_policy(self, size: int, cost: QuadraticCost) -> AffinePolicy:
         """The guess that applies no force; ``size`` is n = 2ND."""
         U, dtype = cost.control_size, cost.R.dtype
-        return LQRPolicy(jnp.zeros((self.horizon, U, size), dtype), self._nothing(U, dtype))
+        return AffinePolicy(jnp.zeros((self.horizon, U, size), dtype), self._nothing(U, dtype))
 
     def solve(
         self,
@@ -60,7 +60,7 @@ class ILQR(eqx.Module):
         state: ModelState,
         nodes: Nodes,
         cost: Cost,
-        guess: LQRPolicy | None = None,
+        guess: AffinePolicy | None = None,
     ) -> Plan:
         """The best plan from a state, starting from a guessed policy (None: no force).
 
@@ -76,9 +76,9 @@ class ILQR(eqx.Module):
         state: ModelState,
         nodes: Nodes,
         cost: Cost,
-        guess: LQRPolicy | None = None,
+        guess: AffinePolicy | None = None,
         dt: float = 0.0,
-    ) -> tuple[Plan, Swept]:
+    ) -> tuple[Plan, SweptBounds]:
         """As `solve`, and where all that was tried on the way to the plan led.
 
         ``dt`` [s] is the model's step, in which bodies are told to meet.
@@ -89,7 +89,7 @@ class ILQR(eqx.Module):
         index = block_index(involved, dimension)
         guess = self.zero_policy(2 * state.position.size, quadratic) if guess is None else guess
         part = _part_of(quadratic, index, self.horizon)
-        trial = LQRPolicy(guess.K[:, :, index], guess.k)
+        trial = AffinePolicy(guess.K[:, :, index], guess.k)
 
         # Within `jax.jit` it is traced once, not for its shape and then again.
         follow = eqx.filter_jit(roll_out)
@@ -108,7 +108,7 @@ class ILQR(eqx.Module):
             iteration=jnp.zeros((), jnp.int32),
             status=jnp.full((), _RUNNING, jnp.int32),
         )
-        Carry = tuple[_Search, Swept]
+        Carry = tuple[_Search, SweptBounds]
 
         def advance(carry: Carry) -> Carry:
             search, swept = carry
@@ -122,7 +122,7 @@ class ILQR(eqx.Module):
             search, _ = carry
             return (search.status == _RUNNING) & (search.iteration < self.iterations)
 
-        nowhere = Swept.nowhere(self.iterations, self.horizon, state.position)
+        nowhere = SweptBounds.nowhere(self.iterations, self.horizon, state.position)
         search, swept = jax.lax.while_loop(running, advance, (search, nowhere))
         return self._plan(search, index, 2 * state.position.size), swept
 
@@ -201,7 +201,7 @@ class ILQR(eqx.Module):
         return Plan(
             states=stack_state(reference.position, reference.velocity),
             controls=controls,
-            policy=LQRPolicy(full, k),
+            policy=AffinePolicy(full, k),
             beliefs=reference.beliefs,
             cost=search.cost,
             status=jnp.where(out_of_time, PlanStatus.ITERATION_LIMIT, search.status),
@@ -223,7 +223,7 @@ class _Search(eqx.Module):
     """Of the reference; infinite as long as there is none."""
     improvement: Improvement
     """Around the reference, at the present damping."""
-    trial: LQRPolicy
+    trial: AffinePolicy
     damping: Float[Array, ""]
     attempt: Int[Array, ""]
     """Which of the step sizes the trial takes."""
@@ -248,8 +248,8 @@ def _adapted(
 
 def _trial_policy(
     reference: Rollout, improvement: Improvement, step_size: Float[Array, ""]
-) -> LQRPolicy:
+) -> AffinePolicy:
     """Part of the step, with full feedback on how the states come out different."""
     K = improvement.policy.K
     k = reference.controls + step_size * improvement.step
-    return LQRPolicy(K, k - jnp.sum(K * reference.x[:-1, None, :], axis=-1))
+    return AffinePolicy(K, k - jnp.sum(K * reference.x[:-1, None, :], axis=-1))

@@ -2,7 +2,7 @@
 
 Always in play is what the control acts on, what the cost is about, what hangs on a hinge (its body
 is longer than its node says), and what moves so fast that it may come from anywhere. Who else is in
-play depends on where the search for a plan has been (`Swept`). What comes near nobody who moves, in
+play depends on where the search for a plan has been (`SweptBounds`). What comes near nobody who moves, in
 any rollout, stays as it is and has not mattered. For want of a prediction of their own, nodes left
 out are taken to get no farther than the fastest of them would: they are slowed down by the ground
 and pushed by each other, by nothing else.
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.measurement import Motion
-from contactgraph.control.swept import Swept
+from contactgraph.control.host import Motion
+from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.model import Locality, Nodes
 
 _STILL = 0.005
@@ -81,7 +81,7 @@ class Surroundings:
 
     def missing(
         self,
-        swept: Swept,
+        swept: SweptBounds,
         who: np.ndarray,
         always: np.ndarray,
         locality: Locality,
@@ -115,7 +115,7 @@ class Surroundings:
 
 
 def staying(
-    swept: Swept, who: np.ndarray, always: np.ndarray, motion: Motion, locality: Locality
+    swept: SweptBounds, who: np.ndarray, always: np.ndarray, motion: Motion, locality: Locality
 ) -> np.ndarray:
     """Those of ``who`` [n] in play who matter still: whom something that moves came near.
 
@@ -133,7 +133,9 @@ def staying(
     return who[stays]
 
 
-def _matter(swept: Swept, who: np.ndarray, always: np.ndarray, locality: Locality) -> np.ndarray:
+def _matter(
+    swept: SweptBounds, who: np.ndarray, always: np.ndarray, locality: Locality
+) -> np.ndarray:
     """[n] Which of those in play others must not be near without being in play: all but those
     at rest, whatever was tried, who are in play because they were near themselves."""
     extent = np.asarray(swept.upper).max(axis=(0, 1)) - np.asarray(swept.lower).min(axis=(0, 1))

@@ -6,6 +6,7 @@ import numpy as np
 
 from contactgraph.control.compiled_tick import CompiledTick
 from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.host import MeasurementReader, Motion
 from contactgraph.control.in_play import (
     Surroundings,
     always_in_play,
@@ -14,7 +15,6 @@ from contactgraph.control.in_play import (
     rooms,
     staying,
 )
-from contactgraph.control.measurement import MeasurementReader, Motion
 from contactgraph.control.mpc_state import MPCState
 from contactgraph.control.part import carried_over, part_of
 from contactgraph.control.plan import Plan
@@ -156,5 +156,5 @@ class LocalTick:
     def _check_room(self, count: int) -> None:
         if self._most is not None and count > self._most:
             raise InvalidInputError(
-                f"most_in_play must be at least {count} for this scene, found {self._most}"
+                f"max_active_nodes must be at least {count} for this scene, found {self._most}"
             )

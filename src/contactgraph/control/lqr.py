@@ -29,10 +29,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from contactgraph.control.control_step import (
+from contactgraph.control.box_qp import (
     ControlLimits,
-    bounded_minimum,
     free_part,
+    solve_box_qp,
     solve_small,
 )
 from contactgraph.control.riccati_form import (
@@ -46,7 +46,7 @@ from contactgraph.control.riccati_form import (
 _Arrays = TypeVar("_Arrays")
 
 
-class LQRPolicy(eqx.Module):
+class AffinePolicy(eqx.Module):
     """``u = K x + k``: affine in the state itself, not in a deviation from a reference."""
 
     K: Float[Array, "*H U n"]
@@ -87,7 +87,7 @@ class LQRProblem(eqx.Module):
 class Improvement(eqx.Module):
     """A policy around a reference, and what it promises."""
 
-    policy: LQRPolicy
+    policy: AffinePolicy
     step: Float[Array, "H U"]
     """What the policy would add to the reference's control at the reference's state, N."""
     expected_decrease: Float[Array, ""]
@@ -104,7 +104,7 @@ class _ControlProblem(eqx.Module):
 
 def solve_lqr(
     problem: LQRProblem, form: Form = dense_form, which: tuple[Int[Array, ""], ...] = ()
-) -> tuple[LQRPolicy, QuadraticValue]:
+) -> tuple[AffinePolicy, QuadraticValue]:
     """The optimal policy, and the value of every state at every step ``0 … H``.
 
     ``which`` of many, where every array has leading axes for these indices. In `jax.lax.map` over
@@ -117,7 +117,7 @@ def solve_lqr(
         P, p, constant = carry
         now = _control_problem(P, p, stage, riccati)
         both = -solve_small(now.S, jnp.concatenate([now.ahead.G, now.g[:, None]], axis=1))
-        policy = LQRPolicy(both[:, :-1], both[:, -1])
+        policy = AffinePolicy(both[:, :-1], both[:, -1])
         constant = constant + stage.offset @ (now.ahead.w + p) + now.g @ policy.k
         P, p = _before(now, stage, policy, step, riccati)
         return (P, p, constant), (policy, QuadraticValue(P, p, constant))
@@ -158,9 +158,9 @@ def improve_policy(
             both = -solve_small(S, jnp.concatenate([G, slope[:, None]], axis=1))
             K, target = both[:, :-1], both[:, -1]
         else:
-            target, free = bounded_minimum(S, slope, limits)
+            target, free = solve_box_qp(S, slope, limits)
             K = -solve_small(free_part(S, free), jnp.where(free[:, None], G, 0.0))
-        policy = LQRPolicy(K, target - K @ x)
+        policy = AffinePolicy(K, target - K @ x)
         step = target - u
         # V(reference) - V(target) of a quadratic with curvature S and slope at the target.
         half_slope = jnp.sum(S * target, axis=-1) + slope
@@ -220,7 +220,7 @@ def _control_problem(P: Array, p: Array, stage: LQRProblem, form: RiccatiForm) -
 def _before(
     now: _ControlProblem,
     stage: LQRProblem,
-    policy: LQRPolicy,
+    policy: AffinePolicy,
     step: Int[Array, ""],
     form: RiccatiForm,
 ) -> tuple[Array, Array]:

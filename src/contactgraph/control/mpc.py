@@ -9,9 +9,9 @@ import numpy as np
 
 from contactgraph.control.compiled_tick import CompiledTick
 from contactgraph.control.cost import Cost
+from contactgraph.control.host import MeasurementReader, Motion, Observation
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.local_tick import LocalTick
-from contactgraph.control.measurement import MeasurementReader, Motion, Observation
 from contactgraph.control.mpc_state import MPCState
 from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.tick import Controller
@@ -52,7 +52,7 @@ class MPC:
     the compiled tick and do not recompile it; the horizon, the capacity (where all are in play)
     and the number of nodes with a cost do. `reset` compiles, so that no tick has to, but where
     more nodes come into play than ever: that is logged, and happens once for up to 54, 162, …
-    nodes. With ``most_in_play`` it never happens; a tick that would need more is CROWDED.
+    nodes. With ``max_active_nodes`` it never happens; a tick that would need more is CAPACITY_EXCEEDED.
 
     **A bad tick is data.** A non-finite observation, or a prediction that is not finite, gives
     the running plan moved on by one step, under its `PlanStatus`; a non-finite contact counts as
@@ -60,7 +60,7 @@ class MPC:
 
     **Deadline.** A Python thread cannot interrupt a compiled call. What bounds a tick is
     ``ilqr.iterations``. With a deadline the time of each tick is measured, and one that took
-    longer answers with the plan that was running before, marked LATE: it was made for this
+    longer answers with the plan that was running before, marked DEADLINE_MISSED: it was made for this
     moment, as predicted. The plan that came too late is complete and is the next tick's guess.
     """
 
@@ -73,12 +73,12 @@ class MPC:
         deadline: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
         motion_noise: MotionNoise | None = None,
-        most_in_play: int | None = None,
+        max_active_nodes: int | None = None,
     ) -> None:
         """``deadline`` in seconds, from the call of `step` to the plan; ``clock`` measures it.
 
         ``motion_noise`` None: beliefs are corrected by measured contacts alone.
-        ``most_in_play`` nodes may matter to a plan; None: however many do.
+        ``max_active_nodes`` nodes may matter to a plan; None: however many do.
         Raises `InvalidInputError` for a ``replan_every`` outside ``1 … horizon``, a deadline or a
         limit that is not positive, or a ``motion_noise`` with a model that cannot judge motion.
         """
@@ -90,17 +90,19 @@ class MPC:
             raise InvalidInputError(f"deadline must be positive seconds, found {deadline}")
         if motion_noise is not None:
             judging_motion(model)
-        if most_in_play is not None and most_in_play < 1:
-            raise InvalidInputError(f"most_in_play must be at least 1, found {most_in_play}")
+        if max_active_nodes is not None and max_active_nodes < 1:
+            raise InvalidInputError(
+                f"max_active_nodes must be at least 1, found {max_active_nodes}"
+            )
         self._deadline = deadline
         self._clock = clock
         # Rates by edge are about the scene as a whole.
         near = locality(model) if np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) == 0 else None
         self._compiled = CompiledTick(
             Controller(model, ilqr, sensor, motion_noise, replan_every, near),
-            falls_back=deadline is not None or most_in_play is not None,
+            falls_back=deadline is not None or max_active_nodes is not None,
         )
-        self._local = LocalTick(self._compiled, near, most_in_play)
+        self._local = LocalTick(self._compiled, near, max_active_nodes)
         self._readers: dict[tuple[int, int], MeasurementReader] = {}
 
     def reset(self, observation: Observation, nodes: Nodes, cost: Cost) -> MPCState:
@@ -145,10 +147,12 @@ class MPC:
         motion = _shown(mask, *reader.motion(observation))
         told = reader.applied(applied, state.plan.controls.shape[-1])
         plan, after, crowded = self._local(state, reader, motion, contacts, told)
-        status = PlanStatus.CROWDED if crowded else None
+        status = PlanStatus.CAPACITY_EXCEEDED if crowded else None
         if self._deadline is not None:
             jax.block_until_ready(plan.controls)
-            status = PlanStatus.LATE if self._clock() - begin > self._deadline else status
+            status = (
+                PlanStatus.DEADLINE_MISSED if self._clock() - begin > self._deadline else status
+            )
         if status is None:
             return plan, after
         plan = self._compiled.running(state.memory, status)

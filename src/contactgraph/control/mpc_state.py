@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.measurement import Motion
+from contactgraph.control.host import Motion
 from contactgraph.control.plan import Plan
-from contactgraph.control.swept import Swept
+from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.model import ContactBelief, Nodes
 
 
@@ -35,13 +35,13 @@ class Memory(eqx.Module):
     """About the step that leads to the next observation, not yet corrected by its contacts."""
     plan: Plan
     """The running plan, as of the last observation."""
-    unplanned: Int[Array, ""]
+    steps_since_plan: Int[Array, ""]
     """Ticks since a plan was made."""
     seen: Seen
     """By the last tick."""
     fresh: Bool[Array, ""]
     """True until the first tick: the plan starts at the coming observation, not before it."""
-    swept: Swept | None
+    swept: SweptBounds | None
     """Where the last search for a plan led. None: nobody asks."""
 
 

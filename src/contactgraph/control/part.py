@@ -8,7 +8,7 @@ import numpy as np
 
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.mpc_state import Memory, MPCState, Part, Seen
-from contactgraph.control.swept import Swept
+from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.data.graph import edge_index, pair_indices
 from contactgraph.model import ContactBelief, Nodes
 
@@ -57,7 +57,7 @@ def carried_over(state: MPCState, part: Part, new: Memory) -> MPCState:
             beliefs=move.belief(plan.beliefs, new.belief),
             who=new.plan.who,
         ),
-        unplanned=known.unplanned,
+        steps_since_plan=known.steps_since_plan,
         seen=Seen(
             position=move.nodes(seen.position, np.where(known.fresh, np.nan, position)),
             velocity=move.nodes(seen.velocity, velocity),
@@ -66,7 +66,7 @@ def carried_over(state: MPCState, part: Part, new: Memory) -> MPCState:
             control=seen.control,
         ),
         fresh=known.fresh,
-        swept=Swept(
+        swept=SweptBounds(
             move.nodes(known.swept.lower, position), move.nodes(known.swept.upper, position)
         ),
     )

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from contactgraph.control.lqr import LQRPolicy
+from contactgraph.control.lqr import AffinePolicy
 from contactgraph.model import ContactBelief
 
 
@@ -18,10 +18,10 @@ class PlanStatus(IntEnum):
     ITERATION_LIMIT = 1
     NO_DESCENT = 2
     NOT_FINITE = 3
-    FOLLOWED = 4
-    LATE = 5
+    PLAN_REUSED = 4
+    DEADLINE_MISSED = 5
     BAD_OBSERVATION = 6
-    CROWDED = 7
+    CAPACITY_EXCEEDED = 7
 
     @property
     def message(self) -> str:
@@ -39,10 +39,10 @@ _MESSAGES = {
     PlanStatus.ITERATION_LIMIT: "Stopped at the iteration limit; the best plan found is used.",
     PlanStatus.NO_DESCENT: "No step lowered the cost any more; the best plan found is used.",
     PlanStatus.NOT_FINITE: "The model's prediction was not finite; the previous plan is used.",
-    PlanStatus.FOLLOWED: "Not replanned in this tick: the running plan's feedback was used.",
-    PlanStatus.LATE: "Planning missed the deadline; the previous plan is used.",
+    PlanStatus.PLAN_REUSED: "Not replanned in this tick: the running plan's feedback was used.",
+    PlanStatus.DEADLINE_MISSED: "Planning missed the deadline; the previous plan is used.",
     PlanStatus.BAD_OBSERVATION: "The observation was not finite; the previous plan is used.",
-    PlanStatus.CROWDED: "More nodes are in play than the limit allows; the previous plan is used.",
+    PlanStatus.CAPACITY_EXCEEDED: "More nodes are in play than the limit allows; the previous plan is used.",
 }
 
 
@@ -53,7 +53,7 @@ class Plan(eqx.Module):
     """`stack_state`'s vectors, m and m/s."""
     controls: Float[Array, "H U"]
     """N; finite and within the limits, whatever the status."""
-    policy: LQRPolicy
+    policy: AffinePolicy
     """Feedback around the plan: gives ``controls[t]`` at ``states[t]``."""
     beliefs: ContactBelief
     """[H, E, K] belief t is about step t."""

@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from contactgraph.control.control_step import ControlLimits
-from contactgraph.control.lqr import LQRPolicy
+from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.lqr import AffinePolicy
 from contactgraph.model import (
     ContactBelief,
     LinearDynamics,
@@ -69,7 +69,7 @@ def roll_out(
     model: StepModel,
     begin: tuple[ModelState, Float[Array, "N D U"]],
     nodes: Nodes,
-    policy: LQRPolicy,
+    policy: AffinePolicy,
     limits: ControlLimits | None,
     involved: Int[Array, " M"],
 ) -> Rollout:
@@ -81,7 +81,7 @@ def roll_out(
     """
 
     def step(
-        carry: tuple[ModelState, Float[Array, "N D U"]], stage: LQRPolicy
+        carry: tuple[ModelState, Float[Array, "N D U"]], stage: AffinePolicy
     ) -> tuple[tuple[ModelState, Float[Array, "N D U"]], Rollout]:
         state, response = carry
         x = block_state(state.position, state.velocity, involved)

@@ -7,10 +7,10 @@ from jaxtyping import Array, Float, Int
 
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.ilqr import ILQR
-from contactgraph.control.lqr import LQRPolicy
+from contactgraph.control.lqr import AffinePolicy
 from contactgraph.control.mpc_state import Memory, Seen
 from contactgraph.control.plan import Plan, PlanStatus, shift_plan
-from contactgraph.control.swept import Swept
+from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,
@@ -57,14 +57,14 @@ class Controller(eqx.Module):
             plan=Plan(
                 states=jnp.zeros((horizon + 1, size)),
                 controls=no_controls,
-                policy=LQRPolicy(jnp.zeros((horizon, control_size, size)), no_controls),
+                policy=AffinePolicy(jnp.zeros((horizon, control_size, size)), no_controls),
                 beliefs=jax.tree.map(lambda v: jnp.broadcast_to(v, (horizon, *v.shape)), belief),
                 cost=jnp.zeros(()),
                 status=jnp.asarray(PlanStatus.NOT_FINITE, jnp.int32),
                 iterations=jnp.zeros((), jnp.int32),
                 who=who,
             ),
-            unplanned=jnp.asarray(self.replan_every, jnp.int32),
+            steps_since_plan=jnp.asarray(self.replan_every, jnp.int32),
             seen=Seen(
                 position=nothing,
                 velocity=nothing,
@@ -75,7 +75,7 @@ class Controller(eqx.Module):
             fresh=jnp.ones((), bool),
             swept=None
             if self.locality is None
-            else Swept.nowhere(self.ilqr.iterations, horizon, position),
+            else SweptBounds.nowhere(self.ilqr.iterations, horizon, position),
         )
 
     def tick(
@@ -101,19 +101,19 @@ class Controller(eqx.Module):
         predicted, told = self._seen_to_move(nodes, memory, position, velocity, applied)
         belief = correct(predicted, contact, self.sensor)
         now = ModelState(position, velocity, belief)
-        due = memory.unplanned >= self.replan_every
+        due = memory.steps_since_plan >= self.replan_every
 
-        def keep() -> tuple[Plan, Swept | None]:
+        def keep() -> tuple[Plan, SweptBounds | None]:
             return running.with_status(PlanStatus.BAD_OBSERVATION), memory.swept
 
-        def follow() -> tuple[Plan, Swept | None]:
+        def follow() -> tuple[Plan, SweptBounds | None]:
             swept = memory.swept
             if swept is not None and self.locality is not None:
                 drifted = position + self.locality.dt * velocity
                 swept = swept.also_at([position, drifted], nodes)
             return self._followed(running, now, nodes), swept
 
-        def replan() -> tuple[Plan, Swept | None]:
+        def replan() -> tuple[Plan, SweptBounds | None]:
             plan, swept = self._planned(now, nodes, cost, running)
             kept = running.with_status(PlanStatus.NOT_FINITE)
             failed = plan.status == PlanStatus.NOT_FINITE
@@ -128,7 +128,7 @@ class Controller(eqx.Module):
         return Memory(
             belief=jax.tree.map(lambda value: value[0], plan.beliefs),
             plan=plan,
-            unplanned=jnp.where(planned, 1, memory.unplanned + 1),
+            steps_since_plan=jnp.where(planned, 1, memory.steps_since_plan + 1),
             seen=Seen(position, velocity, belief, told, plan.controls[0]),
             fresh=jnp.zeros((), bool),
             swept=swept,
@@ -145,10 +145,10 @@ class Controller(eqx.Module):
 
     def _planned(
         self, now: ModelState, nodes: Nodes, cost: QuadraticCost, running: Plan
-    ) -> tuple[Plan, Swept | None]:
+    ) -> tuple[Plan, SweptBounds | None]:
         """A new plan, and where the search for it led, if that is of interest."""
         problem = self.model, now, nodes, cost, running.policy
-        swept: Swept | None = None
+        swept: SweptBounds | None = None
         if self.locality is None:
             plan = self.ilqr.solve(*problem)
         else:
@@ -192,7 +192,7 @@ class Controller(eqx.Module):
             running.beliefs,
             belief,
         )
-        followed = running.with_status(PlanStatus.FOLLOWED)
+        followed = running.with_status(PlanStatus.PLAN_REUSED)
         return eqx.tree_at(
             lambda plan: (plan.states, plan.controls, plan.beliefs),
             followed,

@@ -154,7 +154,7 @@ def _sum(one: _Counts | None, other: _Counts | None) -> _Counts | None:
 def _followed(status: np.ndarray, steps: int) -> np.ndarray:
     """[W] the ticks whose plan was made then and followed for ``steps`` steps, its own included."""
     made = np.isin(status, [each for each in PlanStatus if each.solved])
-    followed = status == PlanStatus.FOLLOWED
+    followed = status == PlanStatus.PLAN_REUSED
     ticks = np.flatnonzero(made[: max(0, len(status) - steps + 1)])
     return np.array([t for t in ticks if followed[t + 1 : t + steps].all()], dtype=int)
 

@@ -79,7 +79,7 @@ class MPCPlanner:
             raise InvalidInputError("call begin(start) first")
         for moment in moments:
             due = self._every if moment is moments[-1] else 0
-            memory = replace(self._state.memory, unplanned=jnp.asarray(due, jnp.int32))
+            memory = replace(self._state.memory, steps_since_plan=jnp.asarray(due, jnp.int32))
             state = replace(self._state, memory=memory)
             observed = {"position": moment.reading.position, "velocity": moment.reading.velocity}
             plan, self._state = self._mpc.step(

@@ -8,7 +8,7 @@ from control_models import nodes_of
 from contactgraph.control import chain_cost
 from contactgraph.control.in_play import Surroundings, always_in_play, padded, room_for, staying
 from contactgraph.control.part import part_of
-from contactgraph.control.swept import Swept
+from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.data import pair_indices
 from contactgraph.model import Locality, Nodes
 
@@ -18,14 +18,14 @@ ALONE = np.array([0]), np.array([True])
 """Who is in play: one, always."""
 
 
-def swept_of(*ways) -> Swept:
+def swept_of(*ways) -> SweptBounds:
     """Of nodes that go from one place to another at an even pace; and of no other rollout."""
     part = np.linspace(0.0, 1.0, HORIZON + 1)[:, None, None]
     ways = np.array(ways, float)
     path = ways[:, 0] + part * (ways[:, 1] - ways[:, 0])
     lower, upper = np.minimum(path[1:], path[:-1]), np.maximum(path[1:], path[:-1])
     nothing = np.full_like(lower, np.inf)
-    return Swept(np.stack([lower, nothing]), np.stack([upper, -nothing]))
+    return SweptBounds(np.stack([lower, nothing]), np.stack([upper, -nothing]))
 
 
 def missing(position, velocity=None, swept=None) -> list[int]:
@@ -59,14 +59,16 @@ def test_the_box_around_a_way_across_is_not_the_way():
 
 def test_each_rollout_has_a_way_of_its_own():
     one, other = swept_of([(0.0, 0.0), (1.0, 1.0)]), swept_of([(0.0, 0.0), (1.0, -1.0)])
-    both = Swept(np.concatenate([one.lower, other.lower]), np.concatenate([one.upper, other.upper]))
+    both = SweptBounds(
+        np.concatenate([one.lower, other.lower]), np.concatenate([one.upper, other.upper])
+    )
     assert missing([(0.9, 0.0), (0.9, -0.9)], swept=both) == [6]
 
 
 def test_padding_of_those_in_play_has_been_nowhere():
     with_padding = swept_of([(0.0, 0.0), (1.0, 0.0)], [(0.0, 2.0), (0.0, 2.0)])
     assert missing([(0.0, 2.0)], swept=with_padding) == []
-    nowhere = Swept.nowhere(2, HORIZON, jnp.zeros((1, 2)))
+    nowhere = SweptBounds.nowhere(2, HORIZON, jnp.zeros((1, 2)))
     assert missing([(0.0, 0.0)], swept=nowhere) == []
 
 

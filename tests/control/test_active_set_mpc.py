@@ -129,7 +129,7 @@ def test_a_bystander_in_the_way_is_in_play_and_matters(local, whole):
 
 
 ALONG, ACROSS = TARGET - GRIPPER, np.array([-0.053, 0.085])
-CROWDED = [
+CAPACITY_EXCEEDED = [
     GRIPPER + part * ALONG + side * ACROSS
     for part in (0.12, 0.21, 0.3, 0.39, 0.48, 0.57, 0.66, 0.75, 0.84, 0.93)
     for side in (-1, 1)
@@ -160,7 +160,7 @@ def test_bystanders_far_away_compile_nothing(local, compilations):
             plan, state = local.step(scene(count, seed=seed), np.eye(count), state)
             assert plan.outcome.solved and plan.who.tolist() == [0, 1]
     # Up to eighteen in play, too: `reset` has seen to that.
-    joining = scene(30, others=CROWDED[:4])
+    joining = scene(30, others=CAPACITY_EXCEEDED[:4])
     plan, state = local.step(joining, None, state)
     assert set(range(6)) <= set(state.who.tolist()) and len(state.who) == 6
     assert len(compilations) == before
@@ -168,7 +168,7 @@ def test_bystanders_far_away_compile_nothing(local, compilations):
 
 def test_room_for_more_is_made_once_and_logged(model, caplog):
     mpc = MPC(model, ILQR(HORIZON, 5, LIMITS))
-    crowded = scene(30, others=CROWDED)
+    crowded = scene(30, others=CAPACITY_EXCEEDED)
     with caplog.at_level(logging.WARNING, logger="contactgraph"):
         state = mpc.reset(scene(30), nodes_of(30, CAPACITY), cost())
         assert not caplog.messages
@@ -180,19 +180,19 @@ def test_room_for_more_is_made_once_and_logged(model, caplog):
 
 
 def test_with_a_limit_there_is_never_more_in_play(model):
-    mpc = MPC(model, ILQR(HORIZON, 5, LIMITS), most_in_play=2)
+    mpc = MPC(model, ILQR(HORIZON, 5, LIMITS), max_active_nodes=2)
     nodes, near = nodes_of(11, CAPACITY), scene(11, others=[0.5 * (GRIPPER + TARGET)])
     state = mpc.reset(scene(11), nodes, cost())
     plan, state = mpc.step(scene(11), None, state)
     crowded, after = mpc.step(near, None, state)
-    assert crowded.outcome == PlanStatus.CROWDED and "limit" in crowded.outcome.message
+    assert crowded.outcome == PlanStatus.CAPACITY_EXCEEDED and "limit" in crowded.outcome.message
     np.testing.assert_array_equal(crowded.controls[:-1], plan.controls[1:])
     np.testing.assert_array_equal(after.seen.control, crowded.controls[0])
     assert mpc.step(scene(11), None, after)[0].outcome.solved
-    with pytest.raises(InvalidInputError, match=r"most_in_play must be at least 3 .* found 2"):
+    with pytest.raises(InvalidInputError, match=r"max_active_nodes must be at least 3 .* found 2"):
         mpc.reset(near, nodes, cost())
-    with pytest.raises(InvalidInputError, match="most_in_play must be at least 1, found 0"):
-        MPC(model, ILQR(HORIZON), most_in_play=0)
+    with pytest.raises(InvalidInputError, match="max_active_nodes must be at least 1, found 0"):
+        MPC(model, ILQR(HORIZON), max_active_nodes=0)
 
 
 def test_whoever_is_left_out_must_be_seen_all_the_same(local):
@@ -248,7 +248,9 @@ def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
     rate = jnp.full(len(pair_indices(5)), 0.01)
     answers = []
     for sensor, most in ((ContactSensor(), 4), (ContactSensor(rate, rate), None)):
-        mpc = MPC(model, ILQR(3, 1), sensor, replan_every=2, motion_noise=noise, most_in_play=most)
+        mpc = MPC(
+            model, ILQR(3, 1), sensor, replan_every=2, motion_noise=noise, max_active_nodes=most
+        )
         about = chain_cost((0, 1), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, GOAL, 5)
         seen = scene(5, others=[[-0.4, -0.5]])
         state = mpc.reset(seen, nodes_of(5, 5), about)

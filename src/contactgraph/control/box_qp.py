@@ -67,7 +67,7 @@ def free_part(matrix: Float[Array, "U U"], free: Bool[Array, " U"]) -> Float[Arr
     return jnp.where(both, matrix, jnp.eye(matrix.shape[0], dtype=matrix.dtype))
 
 
-def bounded_minimum(
+def solve_box_qp(
     S: Float[Array, "U U"], slope: Float[Array, " U"], limits: ControlLimits
 ) -> tuple[Float[Array, " U"], Bool[Array, " U"]]:
     """``argmin u^T S u + 2 slope^T u`` within limits, and which controls no limit holds.

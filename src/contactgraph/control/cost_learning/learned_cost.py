@@ -16,7 +16,7 @@ ROUNDING = 1e-5
 
 
 @dataclass(frozen=True)
-class Participant:
+class TaskNode:
     """What demonstrations tell of one node: whether it takes part in the task, and why."""
 
     name: str
@@ -46,7 +46,7 @@ class LearningHistory(eqx.Module):
     """How learning went, step by step."""
 
     imitation: Float[Array, " S"]
-    """Loss on states and controls, in the units of `contactgraph.control.learn_cost`."""
+    """Loss on states and controls, in the units of `contactgraph.control.cost_learning.learner`."""
     prior: Float[Array, " S"]
     """Share of Q that ties terms or axes together which the prior takes for independent."""
     smallest_q: Float[Array, " S"]
@@ -77,7 +77,7 @@ class LearnedCost(eqx.Module):
     kept_nodes: tuple[str, ...] = eqx.field(static=True)
     """[M] names, in the order in which they come into contact: gripper, first object, …"""
     history: LearningHistory
-    participants: tuple[Participant, ...] = eqx.field(static=True, default=())
+    participants: tuple[TaskNode, ...] = eqx.field(static=True, default=())
     """All nodes of the demonstrations, kept and dropped."""
 
     def with_goal(self, goal: Sequence[float] | np.ndarray) -> "LearnedCost":
@@ -132,3 +132,69 @@ class LearnedCost(eqx.Module):
             goal=goal.reshape(-1),
             involved=self.nodes,
         )
+
+
+def relative_basis(nodes: int, dimension: int) -> np.ndarray:
+    """``T`` [m, m] of ``M`` nodes with D degrees of freedom, in `stack_state`'s order."""
+    return np.kron(np.eye(nodes) - np.eye(nodes, k=1), np.eye(2 * dimension))
+
+
+def relative_terms(Q: np.ndarray, dimension: int) -> np.ndarray:
+    """``W`` [m, m] of a ``Q`` [m, m]."""
+    back = np.linalg.inv(relative_basis(Q.shape[0] // (2 * dimension), dimension))
+    return back.T @ np.asarray(Q, dtype=np.float64) @ back
+
+
+def relative_names(nodes: Sequence[str]) -> tuple[str, ...]:
+    """What W's blocks are about, e.g. ``("gripper - target", "target - goal")``."""
+    return tuple(f"{a} - {b}" for a, b in zip(nodes, (*nodes[1:], "goal"), strict=True))
+
+
+def independent_part(W: Float[Array, "m m"], alike: Float[Array, "D D"]) -> Float[Array, "m m"]:
+    """The part of W in which terms do not touch each other, nor axes, and alike axes are alike.
+
+    ``alike``: row i averages over the axes that are like axis i (`isotropic_axes`). It is the
+    orthogonal projection onto all W of this form; within a term position and velocity may be tied.
+    """
+    D = alike.shape[0]
+    M = W.shape[0] // (2 * D)
+    blocks = W.reshape(M, 2, D, M, 2, D)
+    own = jnp.einsum("apdaqd->apqd", blocks) @ alike.T
+    return jnp.einsum("apqd,ab,de->apdbqe", own, jnp.eye(M), jnp.eye(D)).reshape(W.shape)
+
+
+def isotropic_axes(gravity: np.ndarray | None, dimension: int) -> np.ndarray:
+    """[D, D] Row i averages over the axes like axis i: those on which nothing falls are alike."""
+    falls = np.zeros(dimension, bool) if gravity is None else np.asarray(gravity) != 0.0
+    same = (falls[:, None] == falls[None, :]) & ~(falls[:, None] & falls[None, :])
+    same = same | np.eye(dimension, dtype=bool)
+    return same / same.sum(axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class CostTerm:
+    """One of the relative terms of a cost, or its goal term, against what force costs.
+
+    With ``W`` the term's block of `relative_terms`, ``position = sqrt(mean diag W_pp / mean diag
+    R)``, means over axes; ``velocity`` the same of ``W_vv``. A factor on Q and R changes neither.
+    """
+
+    name: str
+    """E.g. ``"gripper - target"``."""
+    position: float
+    """N/m: a metre off for one step costs as much as this force in it."""
+    velocity: float
+    """N s/m: 1 m/s off for one step costs as much as this force in it."""
+
+
+def cost_terms(cost: LearnedCost) -> tuple[CostTerm, ...]:
+    """The terms of a cost in the order of its kept nodes; the last one is about the goal."""
+    D = cost.goal.shape[0]
+    weights = np.diagonal(relative_terms(np.asarray(cost.Q), D)).reshape(-1, 2, D)
+    of_force = float(np.mean(np.diagonal(np.asarray(cost.R, dtype=np.float64))))
+    # Below zero by rounding alone is zero.
+    sizes = np.sqrt(np.maximum(weights.mean(axis=2), 0.0) / of_force)
+    return tuple(
+        CostTerm(name, float(position), float(velocity))
+        for name, (position, velocity) in zip(relative_names(cost.kept_nodes), sizes, strict=True)
+    )

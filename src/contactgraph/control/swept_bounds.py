@@ -12,7 +12,7 @@ from contactgraph.control.rollout import Rollout
 from contactgraph.model import Nodes
 
 
-class Swept(eqx.Module):
+class SweptBounds(eqx.Module):
     """Boxes around all the places where a rollout had a node in a step: one each of ``R`` rollouts.
 
     A step's places are those on the way that `contactgraph.model.geometry` looks at: from where
@@ -26,7 +26,7 @@ class Swept(eqx.Module):
     """m"""
 
     @classmethod
-    def nowhere(cls, rollouts: int, horizon: int, like: Float[Array, "N D"]) -> "Swept":
+    def nowhere(cls, rollouts: int, horizon: int, like: Float[Array, "N D"]) -> "SweptBounds":
         """Boxes that hold nothing yet."""
         nothing = jnp.full((rollouts, horizon, *like.shape), jnp.inf, like.dtype)
         return cls(nothing, -nothing)
@@ -38,7 +38,7 @@ class Swept(eqx.Module):
         counts: Bool[Array, " H"],
         nodes: Nodes,
         dt: float,
-    ) -> "Swept":
+    ) -> "SweptBounds":
         """With the places of the rollout of a number, in those steps of ``dt`` [s] that count."""
         position = rollout.position[:-1]
         # A parabola lies within its ends and where its tangents meet.
@@ -47,15 +47,15 @@ class Swept(eqx.Module):
         lower, upper = _boxes([position, middle, onward, rollout.position[1:]], nodes)
         counts = counts[:, None, None]
         lower, upper = jnp.where(counts, lower, jnp.inf), jnp.where(counts, upper, -jnp.inf)
-        return Swept(
+        return SweptBounds(
             self.lower.at[index].set(lower.astype(self.lower.dtype)),
             self.upper.at[index].set(upper.astype(self.upper.dtype)),
         )
 
-    def also_at(self, places: list[Float[Array, "N D"]], nodes: Nodes) -> "Swept":
+    def also_at(self, places: list[Float[Array, "N D"]], nodes: Nodes) -> "SweptBounds":
         """With these places [m] in all boxes."""
         lower, upper = _boxes(places, nodes)
-        return Swept(jnp.minimum(self.lower, lower), jnp.maximum(self.upper, upper))
+        return SweptBounds(jnp.minimum(self.lower, lower), jnp.maximum(self.upper, upper))
 
 
 def _boxes(

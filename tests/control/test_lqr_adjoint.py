@@ -14,8 +14,8 @@ from contactgraph.control import (
     solve_lqr,
     tracking_problem,
 )
-from contactgraph.control.control_step import solve_small
-from contactgraph.control.lqr_system import factorised, solved
+from contactgraph.control.box_qp import solve_small
+from contactgraph.control.lqr_adjoint import factorised, solved
 
 
 @pytest.fixture(autouse=True)

@@ -13,13 +13,13 @@ from contactgraph.control import (
     CostTerm,
     LearnedCost,
     LearningHistory,
-    Participant,
-    cost_terms,
+    TaskNode,
     describe_cost,
     read_cost,
     write_cost,
 )
-from contactgraph.control.relative_form import relative_basis
+from contactgraph.control.cost_learning import learned_cost as cost_terms
+from contactgraph.control.cost_learning.learned_cost import relative_basis
 from contactgraph.data import InvalidInputError
 
 MADE = {"model": "pickup", "seed": 3, "recipe": {"steps": 20, "discount": 0.8}, "goal": [0.1, 2]}
@@ -39,9 +39,9 @@ def a_cost() -> LearnedCost:
         kept_nodes=("gripper", "Öl-Kanne"),
         history=LearningHistory(*history),
         participants=(
-            Participant("gripper", True, 3, 2, 0.8),
-            Participant("Öl-Kanne", False, 3, 3, 0.85),
-            Participant("lamp", False, 2, 0, None),
+            TaskNode("gripper", True, 3, 2, 0.8),
+            TaskNode("Öl-Kanne", False, 3, 3, 0.85),
+            TaskNode("lamp", False, 2, 0, None),
         ),
     )
 

@@ -1,6 +1,6 @@
 """The optimal trajectory of an affine LQR problem, and its derivatives by one adjoint solve.
 
-The optimality conditions of `contactgraph.control.lqr_system` are linear with a symmetric matrix.
+The optimality conditions of `contactgraph.control.lqr_adjoint` are linear with a symmetric matrix.
 The derivatives of a loss ``L(x, u)`` therefore come from solving the same system once more, with
 ``dL/dx, dL/du`` in the place of ``q, r`` and with zero ``offset`` and ``start`` (Amos et al. 2018,
 "Differentiable MPC for End-to-end Planning and Control", the backward pass of LQR). With
@@ -15,7 +15,9 @@ The derivatives of a loss ``L(x, u)`` therefore come from solving the same syste
 No loop is unrolled, and the matrices of the Riccati pass are used again.
 """
 
-from collections.abc import Callable
+import functools
+import operator
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import equinox as eqx
@@ -24,8 +26,8 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
+from contactgraph.control.box_qp import solve_small
 from contactgraph.control.lqr import LQRProblem
-from contactgraph.control.lqr_system import LQRFactors, LQRSolution, factorised, solved
 
 
 class LQRTrajectory(eqx.Module):
@@ -107,7 +109,7 @@ def _batch_last(function: Callable) -> Callable:
 @_batch_last
 def _forward(
     problem: LQRProblem, start: Array
-) -> tuple[LQRTrajectory, tuple[LQRFactors, LQRSolution]]:
+) -> tuple[LQRTrajectory, tuple[KKTFactors, KKTSolution]]:
     factors = factorised(problem.A, problem.B, problem.Q, problem.R)
     solution = solved(factors, problem.q, problem.r, problem.offset, start)
     return LQRTrajectory(solution.states, solution.controls), (factors, solution)
@@ -115,7 +117,7 @@ def _forward(
 
 @_batch_last
 def _backward(
-    kept: tuple[LQRFactors, LQRSolution], slope: LQRTrajectory
+    kept: tuple[KKTFactors, KKTSolution], slope: LQRTrajectory
 ) -> tuple[LQRProblem, Array]:
     factors, solution = kept
     rest = jnp.zeros_like(solution.states[0])
@@ -149,3 +151,140 @@ def _outer(left: Float[Array, "T i *b"], right: Float[Array, "T j *b"]) -> Array
 
 def _symmetric_outer(left: Float[Array, "T i *b"], right: Float[Array, "T i *b"]) -> Array:
     return 0.5 * (_outer(left, right) + _outer(right, left))
+
+
+class KKTFactors(eqx.Module):
+    """What all solutions of one problem share; P is that of the step after."""
+
+    B: Float[Array, "H n U *batch"]
+    P: Float[Array, "H n n *batch"]
+    S: Float[Array, "H U U *batch"]
+    K: Float[Array, "H U n *batch"]
+    M: Float[Array, "H n n *batch"]
+    """``A + B K``: how the controlled state moves."""
+
+
+class KKTSolution(eqx.Module):
+    """A solution of the optimality conditions."""
+
+    states: Float[Array, "H+1 n *batch"]
+    controls: Float[Array, "H U *batch"]
+    costates: Float[Array, "H n *batch"]
+    """Of the step after: multipliers of the dynamics."""
+    first_slope: Float[Array, " n *batch"]
+    """p of the first step; its costate is ``P x + p``."""
+
+
+def factorised(A: Array, B: Array, Q: Array, R: Array) -> KKTFactors:
+    """The Riccati pass. ``A`` [H, n, n], ``B`` [H, n, U], ``Q`` [H+1, n, n], ``R`` [H, U, U].
+
+    Each may have a last axis more, the batch; one of length 1 is shared.
+    """
+
+    def before(P: Array, stage: tuple) -> Array:
+        A, B, Q, R = stage
+        _, K, M = _gain(P, A, B, R)
+        return Q + _inner((_product(P, M), M), (_product(R, K), K))
+
+    batch = jnp.broadcast_shapes(*(leaf.shape[3:] for leaf in (A, B, Q, R)))
+    final = jnp.broadcast_to(Q[-1], (*Q.shape[1:3], *batch))
+    P, _ = _values(before, final, (A, B, Q[:-1], R), reverse=True)
+    # All steps at once, which is faster than to store them from within the loop.
+    S, K, M = jax.vmap(_gain)(P, A, B, R)
+    return KKTFactors(B, P, S, K, M)
+
+
+def solved(
+    factors: KKTFactors, q: Array, r: Array, offset: Array | None, start: Array
+) -> KKTSolution:
+    """The solution for these linear terms. Shapes as in `LQRProblem`, then the batch.
+
+    An ``offset`` of None is zero.
+    """
+    B, P, K, M = factors.B, factors.P, factors.K, factors.M
+    added = q[:-1] + _transpose_times(K, r)
+    slope = r
+    if offset is not None:
+        pushed = _times(P, offset)
+        added = added + _transpose_times(M, pushed)
+        slope = slope + _transpose_times(B, pushed)
+    p, first_slope = _recursion(_step_transpose_times, M, added, q[-1], reverse=True)
+    slope = slope + _transpose_times(B, p)
+    k = -jax.vmap(solve_small)(factors.S, slope[:, :, None])[:, :, 0]
+    moved = _times(B, k) if offset is None else _times(B, k) + offset
+    x, last = _recursion(_step_times, M, moved, start, reverse=False)
+    after = jnp.concatenate([x[1:], last[None]])
+    return KKTSolution(
+        states=jnp.concatenate([x, last[None]]),
+        controls=_times(K, x) + k,
+        costates=_times(P, after) + p,
+        first_slope=first_slope,
+    )
+
+
+def _gain(P: Array, A: Array, B: Array, R: Array) -> tuple[Array, Array, Array]:
+    """S, K and M of one step."""
+    PB = _product(P, B)
+    S = R + _inner((PB, B))
+    K = -solve_small(S, _inner((PB, A)))
+    return S, K, A + _product(B, K)
+
+
+def _recursion(
+    times: Callable, M: Array, added: Array, first: Array, reverse: bool
+) -> tuple[Array, Array]:
+    """``y <- M y + added``; see `_values`."""
+    batch = jnp.broadcast_shapes(M.shape[3:], added.shape[2:], first.shape[1:])
+    first = jnp.broadcast_to(first, (first.shape[0], *batch))
+    return _values(lambda y, stage: times(stage[0], y) + stage[1], first, (M, added), reverse)
+
+
+def _values(
+    step: Callable[[Array, tuple], Array], first: Array, inputs: tuple, reverse: bool
+) -> tuple[Array, Array]:
+    """``value <- step(value, inputs of a time)``: the value that enters each time, and the last."""
+    horizon = inputs[0].shape[0]
+
+    def at(t: Array | int) -> tuple:
+        return jax.tree.map(
+            lambda leaf: jax.lax.dynamic_index_in_dim(leaf, t, keepdims=False), inputs
+        )
+
+    def body(carry: tuple, t: Array) -> tuple[tuple, Array]:
+        value, now = carry
+        # Past the end some valid stage is read, and not used.
+        return (step(value, now), at(t - 1 if reverse else t + 1)), value
+
+    start = (first, at(horizon - 1 if reverse else 0))
+    (last, _), entering = jax.lax.scan(body, start, jnp.arange(horizon), reverse=reverse)
+    return entering, last
+
+
+def _total(terms: Iterable[Array]) -> Array:
+    return functools.reduce(operator.add, terms)
+
+
+def _product(X: Float[Array, "i k *b"], Y: Float[Array, "k j *b"]) -> Float[Array, "i j *b"]:
+    return _total(X[:, k, None] * Y[None, k] for k in range(X.shape[1]))
+
+
+def _inner(*pairs: tuple[Float[Array, "k i *b"], Float[Array, "k j *b"]]) -> Float[Array, "i j *b"]:
+    """The sum of ``X^T Y`` over pairs: one kernel, X read entry by entry."""
+    rows = range(pairs[0][0].shape[1])
+    return jnp.stack(
+        [_total(X[k, i] * Y[k] for X, Y in pairs for k in range(X.shape[0])) for i in rows]
+    )
+
+
+def _step_times(X: Float[Array, "i k *b"], y: Float[Array, " k *b"]) -> Float[Array, " i *b"]:
+    return _total(X[:, k] * y[k] for k in range(X.shape[1]))
+
+
+def _step_transpose_times(
+    X: Float[Array, "k i *b"], y: Float[Array, " k *b"]
+) -> Float[Array, " i *b"]:
+    return _total(X[k] * y[k] for k in range(X.shape[0]))
+
+
+_times = jax.vmap(_step_times)
+_transpose_times = jax.vmap(_step_transpose_times)

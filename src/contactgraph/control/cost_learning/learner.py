@@ -1,0 +1,309 @@
+"""Learning the cost that demonstrations were made by, through a differentiable LQR.
+
+**The policy.** From each state of a demonstration, `lqr_trajectory` solves the linear-quadratic
+problem of the next ``H`` steps, with the learned model's dynamics along what was done. That is what
+model predictive control with this cost would plan there, if it met the same contacts.
+
+**The loss.** What was planned against what was done, states and controls, each in units of how much
+they vary in the demonstrations; step ``t`` of a window counts ``discount**t``, since a controller
+that plans anew acts on the first steps. A control that was at its limit tells that the limit held
+it, no more: there it is held in the plan, too.
+
+**What is learned.** With ``z`` the relative coordinates of `contactgraph.control.cost_learning.learned_cost`,
+``Q = T^T W T``, ``W = S L L^T S`` and ``R = Lu Lu^T``, ``L`` and ``Lu`` lower triangular and free:
+every symmetric positive semi-definite Q and R, and no other. ``S`` (fixed) carries the units. A
+cost is known up to a factor, which the mean of R's diagonal settles: it is 1/N^2.
+
+**The prior.** Demonstrations with one goal, and objects in one place, leave much of Q open: a pull
+towards the object and a pull towards some point relative to the goal are the same. What transfers
+to other goals are terms that stand for themselves: gripper to object, object to goal, alike along
+all axes on which nothing falls. The share of ``W`` that is not of this form costs
+``prior_weight`` times its square: it stays where the demonstrations call for it.
+
+Source: the paper's cost learning (its section of that name), which follows Amos et al. 2018,
+"Differentiable MPC for End-to-end Planning and Control"; prior and basis are ours.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, Int
+
+from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.cost_learning.demonstrations import (
+    Demonstrations,
+    demonstrations_of,
+    follow_all,
+    participants,
+    window_starts,
+)
+from contactgraph.control.cost_learning.learned_cost import (
+    ROUNDING,
+    LearnedCost,
+    LearningHistory,
+    independent_part,
+    isotropic_axes,
+    relative_basis,
+)
+from contactgraph.control.lqr_adjoint import lqr_trajectory, tracking_problem
+from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.model import StepModel
+
+_DEFAULT = CostLearningConfig()
+
+
+def learn_cost(
+    model: StepModel,
+    demonstrations: Dataset,
+    recipe: CostLearningConfig = _DEFAULT,
+    *,
+    goal: Sequence[float] | np.ndarray | None = None,
+    limits: ControlLimits | None = None,
+    seed: int = 0,
+    on_step: Callable[[int, float], None] = lambda step, loss: None,
+) -> LearnedCost:
+    """Q and R with which the model's optimal plans are what the demonstrations do.
+
+    Nodes that take part in none of them are left out (`participants`). ``goal`` [D] m: in place of
+    the runs' own. ``limits``: those that the controls were subject to; where one was at a limit, it
+    tells no more than that. None: there were none. ``seed`` and ``on_step`` are `fit_cost`'s.
+
+    Raises `InvalidInputError` where a run has no control or no goal, is shorter than the horizon,
+    does not fit the model, touches nothing or lacks a node; and where Q or R loses its
+    definiteness, with the step and the smallest eigenvalue.
+    """
+    scene = demonstrations.trajectories[0].scene
+    place = None if goal is None else np.asarray(goal, dtype=np.float64)
+    if place is not None and (place.shape != (scene.dimension,) or not np.isfinite(place).all()):
+        raise InvalidInputError(f"goal must be {scene.dimension} finite numbers [m], found {goal}")
+    starts = window_starts(demonstrations, recipe.horizon)
+    followed = follow_all(model, demonstrations)
+    found = participants(demonstrations, followed)
+    kept = tuple(each.name for each in found if each.kept)
+    data = demonstrations_of(demonstrations, followed, kept, place, limits)
+    alike = isotropic_axes(scene.gravity, scene.dimension)
+    fitted = fit_cost(data, starts, alike, recipe, seed, on_step)
+    return LearnedCost(
+        Q=fitted.Q,
+        R=fitted.R,
+        goal=data.goal[0, : scene.dimension],
+        nodes=jnp.asarray([scene.node_name.index(name) for name in kept], jnp.int32),
+        kept_nodes=kept,
+        history=fitted.history,
+        participants=found,
+    )
+
+
+_CHUNK = 50
+"""Steps in one compiled call."""
+_LEAST = 1e-5
+"""R's smallest eigenvalue; their mean is 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedCost:
+    """What `fit_cost` finds."""
+
+    Q: Float[Array, "m m"]
+    R: Float[Array, "U U"]
+    history: LearningHistory
+
+
+def fit_cost(
+    data: Demonstrations,
+    starts: np.ndarray,
+    alike: np.ndarray,
+    recipe: CostLearningConfig,
+    seed: int = 0,
+    on_step: Callable[[int, float], None] = lambda step, loss: None,
+) -> FittedCost:
+    """Q and R whose optimal plans from the states ``starts`` [W, 2] (run, step) are the data.
+
+    ``alike`` [D, D]: `isotropic_axes`. ``seed``: of the order of windows. ``on_step`` is told, every
+    50 steps, the steps done and the imitation loss. Raises `InvalidInputError` where Q or R loses
+    its definiteness, with the step and the smallest eigenvalue.
+    """
+    learner = cost_learner(data, starts, recipe, alike)
+    order = np.random.default_rng(seed).integers(len(starts), size=(recipe.steps, recipe.batch))
+    state = learner.begin()
+    told: list[LearningHistory] = []
+    for begin in range(0, recipe.steps, _CHUNK):
+        windows = jnp.asarray(starts[order[begin : begin + _CHUNK]])
+        state, history = advance_learner(learner, data, state, windows)
+        _check_definite(history, begin)
+        told.append(history)
+        on_step(begin + len(windows), float(np.mean(history.imitation)))
+    Q, R, _ = learner.cost(state.free)
+    history = jax.tree.map(lambda *parts: jnp.concatenate(parts), *told)
+    return FittedCost(0.5 * (Q + Q.T), 0.5 * (R + R.T), history)
+
+
+def _check_definite(history: LearningHistory, begin: int) -> None:
+    """Raises `InvalidInputError` where Q is not positive semi-definite or R not positive."""
+    for name, smallest, least in (
+        ("R", np.asarray(history.smallest_r), _LEAST),
+        ("Q", np.asarray(history.smallest_q), 0.0),
+    ):
+        lost = ~(smallest >= least)
+        if lost.any():
+            step = int(np.argmax(lost))
+            raise InvalidInputError(
+                f"learning the cost stopped at step {begin + step + 1}: {name}'s smallest "
+                f"eigenvalue is {smallest[step]:.3g}; a smaller learning rate may help"
+            )
+
+
+class FreeCost(eqx.Module):
+    """The numbers that are learned."""
+
+    L: Float[Array, "m m"]
+    Lu: Float[Array, "U U"]
+
+
+class LearnerState(eqx.Module):
+    """What is carried from step to step."""
+
+    free: FreeCost
+    optimiser: optax.OptState
+
+
+class CostLearner(eqx.Module):
+    """What stays the same while a cost is learned."""
+
+    basis: Float[Array, "m m"]
+    """T"""
+    units: Float[Array, " m"]
+    """S: such that L = 1 answers a usual error with a usual control."""
+    alike: Float[Array, "D D"]
+    state_weight: Float[Array, "H+1 m"]
+    control_weight: Float[Array, "H U"]
+    recipe: CostLearningConfig = eqx.field(static=True)
+
+    def begin(self) -> LearnerState:
+        """Before the first step: a usual error is answered with a usual control."""
+        m, U = self.basis.shape[0], self.control_weight.shape[1]
+        dtype = self.basis.dtype
+        free = FreeCost(jnp.eye(m, dtype=dtype), jnp.eye(U, dtype=dtype))
+        return LearnerState(free, self.optimiser().init(free))
+
+    def optimiser(self) -> optax.GradientTransformation:
+        """Adam, with a rate that falls to zero."""
+        recipe = self.recipe
+        return optax.adam(optax.cosine_decay_schedule(recipe.learning_rate, recipe.steps))
+
+    def cost(self, free: FreeCost) -> tuple[Array, Array, Array]:
+        """Q, R, and the relative terms without units."""
+        L, Lu = jnp.tril(free.L), jnp.tril(free.Lu)
+        W = L @ L.T
+        R = Lu @ Lu.T
+        scaled = self.units[:, None] * W * self.units[None, :]
+        return self.basis.T @ scaled @ self.basis, R * R.shape[0] / jnp.trace(R), W
+
+    def loss(self, free: FreeCost, data: Demonstrations, windows: Int[Array, "b 2"]) -> tuple:
+        """What is minimised, and the imitation loss and the prior in it."""
+        Q, R, W = self.cost(free)
+
+        def one(window: Int[Array, " 2"]) -> Array:
+            done = data.window(window[0], window[1], self.recipe.horizon)
+            problem = tracking_problem(done.A, done.B, done.offset, Q, R, done.goal)
+            planned = lqr_trajectory(problem, done.states[0])
+            states = jnp.sum(self.state_weight * (planned.states - done.states) ** 2)
+            controls = jnp.sum(self.control_weight * (planned.controls - done.controls) ** 2)
+            return states + controls
+
+        imitation = jnp.mean(jax.vmap(one)(windows))
+        tied = jnp.sum((W - independent_part(W, self.alike)) ** 2) / jnp.sum(W**2)
+        even = jnp.sum((R - jnp.eye(R.shape[0])) ** 2) / R.shape[0]
+        prior = tied + even
+        return imitation + self.recipe.prior_weight * prior, (imitation, prior)
+
+
+def cost_learner(
+    data: Demonstrations, starts: np.ndarray, recipe: CostLearningConfig, alike: np.ndarray
+) -> CostLearner:
+    """A learner whose units are those of the data; ``starts`` [W, 2], ``alike`` as in `fit_cost`.
+
+    Raises `InvalidInputError` where no window moves or no control acts.
+    """
+    D, H = alike.shape[0], recipe.horizon
+    m = data.states.shape[-1]
+    states = np.asarray(data.states, dtype=np.float64)
+    run, begin = starts[:, 0], starts[:, 1]
+    moved = (states[run, begin + H] - states[run, begin]).reshape(len(starts), -1, 2, D)
+    force = _size(np.asarray(data.controls), "control")
+    distance = _size(moved[:, :, 0], "position")
+    speed = _size(states.reshape(*states.shape[:2], -1, 2, D)[:, :, :, 1], "velocity")
+    scale = np.tile(np.repeat([distance, speed], D), m // (2 * D))
+    weight = recipe.discount ** np.arange(H)
+    weight = weight / weight.sum()
+    dtype = data.states.dtype
+    U = data.controls.shape[-1]
+    return CostLearner(
+        basis=jnp.asarray(relative_basis(m // (2 * D), D), dtype),
+        units=jnp.asarray(force / scale, dtype),
+        alike=jnp.asarray(alike, dtype),
+        state_weight=jnp.asarray(np.append(0.0, weight)[:, None] / (m * scale**2), dtype),
+        control_weight=jnp.asarray(np.tile(weight[:, None] / (U * force**2), (1, U)), dtype),
+        recipe=recipe,
+    )
+
+
+def _size(values: np.ndarray, name: str) -> float:
+    """Root mean square; raises where there is nothing."""
+    size = float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
+    if not size > 0.0:
+        raise InvalidInputError(f"runs: {name} never changes from 0; nothing was demonstrated")
+    return size
+
+
+@eqx.filter_jit
+def advance_learner(
+    learner: CostLearner, data: Demonstrations, state: LearnerState, windows: Int[Array, "S b 2"]
+) -> tuple[LearnerState, LearningHistory]:
+    """As many steps of Adam as there are batches of windows."""
+    optimiser = learner.optimiser()
+
+    def step(state: LearnerState, batch: Array) -> tuple[LearnerState, LearningHistory]:
+        gradient, (imitation, prior) = jax.grad(learner.loss, has_aux=True)(state.free, data, batch)
+        change, inner = optimiser.update(gradient, state.optimiser)
+        free = optax.apply_updates(state.free, change)
+        Q, R, _ = learner.cost(free)
+        q, r = jnp.linalg.eigvalsh(Q), jnp.linalg.eigvalsh(R)
+        # Below zero by rounding alone is zero.
+        rounded = jnp.where(q[0] > -ROUNDING * q[-1], jnp.maximum(q[0], 0.0), q[0])
+        return LearnerState(free, inner), LearningHistory(imitation, prior, rounded, r[0])
+
+    return jax.lax.scan(step, state, windows)
+
+
+@dataclass(frozen=True)
+class CostLearningConfig:
+    """How a cost is learned."""
+
+    horizon: int = 20
+    """H, steps that the policy looks ahead."""
+    steps: int = 400
+    """Of Adam."""
+    batch: int = 256
+    """Windows a step."""
+    learning_rate: float = 0.1
+    discount: float = 0.95
+    """Weight of each step of a window against the one before."""
+    prior_weight: float = 3.0
+    """0: only what the demonstrations say."""
+
+    def __post_init__(self) -> None:
+        for name in ("horizon", "steps", "batch"):
+            if getattr(self, name) < 1:
+                raise InvalidInputError(f"{name} must be at least 1, found {getattr(self, name)}")
+        if not self.learning_rate > 0.0:
+            raise InvalidInputError(f"learning_rate must be positive, found {self.learning_rate}")
+        if not 0.0 < self.discount <= 1.0:
+            raise InvalidInputError(f"discount must be above 0, at most 1, found {self.discount}")
+        if not self.prior_weight >= 0.0:
+            raise InvalidInputError(f"prior_weight must be 0 or more, found {self.prior_weight}")
