@@ -8,9 +8,7 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-from contactgraph.control import CostLearningConfig, read_cost, write_cost
-from contactgraph.control.cost_learning import learned_cost as cost_terms
-from contactgraph.control.cost_learning import learner as learn_cost
+from contactgraph.control import CostLearningConfig, cost_terms, learn_cost, read_cost, write_cost
 from contactgraph.data import Dataset
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect, control_task

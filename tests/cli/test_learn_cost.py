@@ -103,7 +103,7 @@ def asking(*arguments: object, **options: object) -> None:
 def test_the_flags_reach_the_learner(
     demos: Path, runs: list[Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("contactgraph.control.cost_learning.learner", asking)
+    monkeypatch.setattr("contactgraph.control.learn_cost", asking)
     flags = ["--runs", 2, "--goal", "-0.1", "0.2", "--prior-weight", "0", "--horizon", 12]
     with pytest.raises(Asked) as asked:
         cli.run(learned(demos, "--out", tmp_path / "a.json", "--seed", 5, *flags))
@@ -122,7 +122,7 @@ def test_the_horizon_is_the_task_s(
     task: str,
     horizon: int,
 ) -> None:
-    monkeypatch.setattr("contactgraph.control.cost_learning.learner", asking)
+    monkeypatch.setattr("contactgraph.control.learn_cost", asking)
     demos = tmp_path / "demos.h5"
     write_trajectories(demos, runs, {"task": task})
     with pytest.raises(Asked) as asked:
@@ -148,7 +148,7 @@ def test_the_largest_force_is_the_task_s_or_what_is_said(
     flags: list[str],
     bound: float | None,
 ) -> None:
-    monkeypatch.setattr("contactgraph.control.cost_learning.learner", asking)
+    monkeypatch.setattr("contactgraph.control.learn_cost", asking)
     demos = tmp_path / "demos.h5"
     write_trajectories(demos, runs, {"task": task})
     with pytest.raises(Asked) as asked:

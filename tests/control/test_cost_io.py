@@ -14,11 +14,11 @@ from contactgraph.control import (
     LearnedCost,
     LearningHistory,
     TaskNode,
+    cost_terms,
     describe_cost,
     read_cost,
     write_cost,
 )
-from contactgraph.control.cost_learning import learned_cost as cost_terms
 from contactgraph.control.cost_learning.learned_cost import relative_basis
 from contactgraph.data import InvalidInputError
 

@@ -8,8 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.control import ILQR, MPC, ControlLimits, CostLearningConfig, LearnedCost
-from contactgraph.control.cost_learning import learner as learn_cost
+from contactgraph.control import (
+    ILQR,
+    MPC,
+    ControlLimits,
+    CostLearningConfig,
+    LearnedCost,
+    learn_cost,
+)
 from contactgraph.control.cost_learning.demonstrations import (
     demonstrations_of,
     follow_all,

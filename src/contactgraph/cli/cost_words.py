@@ -1,7 +1,6 @@
 """What commands say about a learned cost."""
 
-from contactgraph.control import LearnedCost
-from contactgraph.control.cost_learning import learned_cost as cost_terms
+from contactgraph.control import LearnedCost, cost_terms
 
 _LAST = 50
 """Steps over which the loss in the end is taken: each step sees other windows."""

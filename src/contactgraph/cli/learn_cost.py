@@ -49,8 +49,7 @@ class LearnCost:
         from contactgraph.cli.output import check_suffix, check_writable, progress, say
         from contactgraph.cli.provenance import provenance, sha256
         from contactgraph.cli.recorded_runs import in_steps_of
-        from contactgraph.control import CostLearningConfig, write_cost
-        from contactgraph.control.cost_learning import learner as learn_cost
+        from contactgraph.control import CostLearningConfig, learn_cost, write_cost
         from contactgraph.data import InvalidInputError
         from contactgraph.model.storage import load_model
         from contactgraph.viz import write_cost_picture

@@ -2,10 +2,10 @@
 
 Always in play is what the control acts on, what the cost is about, what hangs on a hinge (its body
 is longer than its node says), and what moves so fast that it may come from anywhere. Who else is in
-play depends on where the search for a plan has been (`SweptBounds`). What comes near nobody who moves, in
-any rollout, stays as it is and has not mattered. For want of a prediction of their own, nodes left
-out are taken to get no farther than the fastest of them would: they are slowed down by the ground
-and pushed by each other, by nothing else.
+play depends on where the search for a plan has been (`SweptBounds`). What comes near nobody who
+moves, in any rollout, stays as it is and has not mattered. For want of a prediction of their own,
+nodes left out are taken to get no farther than the fastest of them would: they are slowed down by
+the ground and pushed by each other, by nothing else.
 """
 
 from dataclasses import dataclass

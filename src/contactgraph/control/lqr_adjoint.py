@@ -30,129 +30,6 @@ from contactgraph.control.box_qp import solve_small
 from contactgraph.control.lqr import LQRProblem
 
 
-class LQRTrajectory(eqx.Module):
-    """Where an optimally controlled system goes, and what moves it."""
-
-    states: Float[Array, "H+1 n *batch"]
-    """m and m/s; the first is the start."""
-    controls: Float[Array, "H U *batch"]
-    """N"""
-
-
-def lqr_trajectory(problem: LQRProblem, start: Float[Array, " n"]) -> LQRTrajectory:
-    """The states and controls that minimise the problem's cost from ``start`` [n] (m and m/s).
-
-    ``minimise  sum_{t=0..H} (x_t^T Q_t x_t + 2 q_t^T x_t)
-    + sum_{t=0..H-1} (u_t^T R_t u_t + 2 r_t^T u_t)``
-    with ``x_{t+1} = A_t x_t + B_t u_t + offset_t`` and ``x_0 = start``.
-
-    Differentiable, once and in reverse mode (`jax.grad`, `jax.vjp`), with respect to every leaf of
-    the problem and the start, by the rule at the head of this file. ``Q`` and ``R`` must be
-    symmetric, and so are their derivatives: those along symmetric changes. Forward mode
-    (`jax.jvp`) is not defined and raises JAX's own error.
-
-    One problem with a dense ``A`` [H, n, n]; for a batch use `jax.vmap`, in which any leaf may be
-    shared. A batch kept in the last axis of every array (``in_axes=-1, out_axes=-1``) is fastest:
-    it needs no transposition. Some hundreds of problems at a time fit a processor's caches; take
-    thousands in parts, with `jax.lax.map`.
-    """
-    return _trajectory(problem, start)
-
-
-def tracking_problem(
-    A: Float[Array, "H n n"],
-    B: Float[Array, "H n U"],
-    offset: Float[Array, "H n"],
-    Q: Float[Array, "n n"] | Float[Array, "H+1 n n"],
-    R: Float[Array, "U U"] | Float[Array, "H U U"],
-    goal: Float[Array, " n"] | Float[Array, "H+1 n"],
-) -> LQRProblem:
-    """The problem that minimises ``sum (x - goal)^T Q (x - goal) + sum u^T R u``.
-
-    ``q = -Q goal`` and ``r = 0``; the cost's constant is left out. What is the same at all steps
-    may be given once: ``Q`` [n, n] (1/m^2, s^2/m^2), ``R`` [U, U] (1/N^2), ``goal`` [n] (m, m/s).
-    """
-    horizon, n, U = B.shape
-    q = -jnp.sum(Q * goal[..., None, :], axis=-1)
-    return LQRProblem(
-        A=A,
-        B=B,
-        offset=offset,
-        Q=jnp.broadcast_to(Q, (horizon + 1, n, n)),
-        R=jnp.broadcast_to(R, (horizon, U, U)),
-        q=jnp.broadcast_to(q, (horizon + 1, n)),
-        r=jnp.zeros((horizon, U), q.dtype),
-    )
-
-
-def _batch_last(function: Callable) -> Callable:
-    """Under `jax.vmap`, call the function once with the batch as the last axis of every array.
-
-    An array without a batch gets a last axis of length 1 there.
-    """
-    batched = custom_vmap(function)
-
-    def with_batch(size: int, is_batched: list, *arguments: Any) -> tuple[Any, Any]:
-        def last(leaf: Array, has_batch: bool) -> Array:
-            return jnp.moveaxis(leaf, 0, -1) if has_batch else leaf[..., None]
-
-        def first(leaf: Array) -> Array:
-            return jnp.moveaxis(jnp.broadcast_to(leaf, (*leaf.shape[:-1], size)), -1, 0)
-
-        answer = function(*jax.tree.map(last, arguments, tuple(is_batched)))
-        return jax.tree.map(first, answer), jax.tree.map(lambda _: True, answer)
-
-    batched.def_vmap(with_batch)
-    return batched
-
-
-@_batch_last
-def _forward(
-    problem: LQRProblem, start: Array
-) -> tuple[LQRTrajectory, tuple[KKTFactors, KKTSolution]]:
-    factors = factorised(problem.A, problem.B, problem.Q, problem.R)
-    solution = solved(factors, problem.q, problem.r, problem.offset, start)
-    return LQRTrajectory(solution.states, solution.controls), (factors, solution)
-
-
-@_batch_last
-def _backward(
-    kept: tuple[KKTFactors, KKTSolution], slope: LQRTrajectory
-) -> tuple[LQRProblem, Array]:
-    factors, solution = kept
-    rest = jnp.zeros_like(solution.states[0])
-    adjoint = solved(factors, slope.states, slope.controls, None, rest)
-    x, u, after = solution.states[:-1], solution.controls, solution.costates
-    dx, du, dafter = adjoint.states[:-1], adjoint.controls, adjoint.costates
-    problem = LQRProblem(
-        A=_outer(dafter, x) + _outer(after, dx),
-        B=_outer(dafter, u) + _outer(after, du),
-        offset=dafter,
-        Q=_symmetric_outer(adjoint.states, solution.states),
-        R=_symmetric_outer(du, u),
-        q=adjoint.states,
-        r=du,
-    )
-    # The adjoint starts at rest, so its first costate is its first slope.
-    return problem, adjoint.first_slope
-
-
-@jax.custom_vjp
-def _trajectory(problem: LQRProblem, start: Array) -> LQRTrajectory:
-    return _forward(problem, start)[0]
-
-
-_trajectory.defvjp(_forward, _backward)
-
-
-def _outer(left: Float[Array, "T i *b"], right: Float[Array, "T j *b"]) -> Array:
-    return left[:, :, None] * right[:, None]
-
-
-def _symmetric_outer(left: Float[Array, "T i *b"], right: Float[Array, "T i *b"]) -> Array:
-    return 0.5 * (_outer(left, right) + _outer(right, left))
-
-
 class KKTFactors(eqx.Module):
     """What all solutions of one problem share; P is that of the step after."""
 
@@ -288,3 +165,126 @@ def _step_transpose_times(
 
 _times = jax.vmap(_step_times)
 _transpose_times = jax.vmap(_step_transpose_times)
+
+
+class LQRTrajectory(eqx.Module):
+    """Where an optimally controlled system goes, and what moves it."""
+
+    states: Float[Array, "H+1 n *batch"]
+    """m and m/s; the first is the start."""
+    controls: Float[Array, "H U *batch"]
+    """N"""
+
+
+def lqr_trajectory(problem: LQRProblem, start: Float[Array, " n"]) -> LQRTrajectory:
+    """The states and controls that minimise the problem's cost from ``start`` [n] (m and m/s).
+
+    ``minimise  sum_{t=0..H} (x_t^T Q_t x_t + 2 q_t^T x_t)
+    + sum_{t=0..H-1} (u_t^T R_t u_t + 2 r_t^T u_t)``
+    with ``x_{t+1} = A_t x_t + B_t u_t + offset_t`` and ``x_0 = start``.
+
+    Differentiable, once and in reverse mode (`jax.grad`, `jax.vjp`), with respect to every leaf of
+    the problem and the start, by the rule at the head of this file. ``Q`` and ``R`` must be
+    symmetric, and so are their derivatives: those along symmetric changes. Forward mode
+    (`jax.jvp`) is not defined and raises JAX's own error.
+
+    One problem with a dense ``A`` [H, n, n]; for a batch use `jax.vmap`, in which any leaf may be
+    shared. A batch kept in the last axis of every array (``in_axes=-1, out_axes=-1``) is fastest:
+    it needs no transposition. Some hundreds of problems at a time fit a processor's caches; take
+    thousands in parts, with `jax.lax.map`.
+    """
+    return _trajectory(problem, start)
+
+
+def tracking_problem(
+    A: Float[Array, "H n n"],
+    B: Float[Array, "H n U"],
+    offset: Float[Array, "H n"],
+    Q: Float[Array, "n n"] | Float[Array, "H+1 n n"],
+    R: Float[Array, "U U"] | Float[Array, "H U U"],
+    goal: Float[Array, " n"] | Float[Array, "H+1 n"],
+) -> LQRProblem:
+    """The problem that minimises ``sum (x - goal)^T Q (x - goal) + sum u^T R u``.
+
+    ``q = -Q goal`` and ``r = 0``; the cost's constant is left out. What is the same at all steps
+    may be given once: ``Q`` [n, n] (1/m^2, s^2/m^2), ``R`` [U, U] (1/N^2), ``goal`` [n] (m, m/s).
+    """
+    horizon, n, U = B.shape
+    q = -jnp.sum(Q * goal[..., None, :], axis=-1)
+    return LQRProblem(
+        A=A,
+        B=B,
+        offset=offset,
+        Q=jnp.broadcast_to(Q, (horizon + 1, n, n)),
+        R=jnp.broadcast_to(R, (horizon, U, U)),
+        q=jnp.broadcast_to(q, (horizon + 1, n)),
+        r=jnp.zeros((horizon, U), q.dtype),
+    )
+
+
+def _batch_last(function: Callable) -> Callable:
+    """Under `jax.vmap`, call the function once with the batch as the last axis of every array.
+
+    An array without a batch gets a last axis of length 1 there.
+    """
+    batched = custom_vmap(function)
+
+    def with_batch(size: int, is_batched: list, *arguments: Any) -> tuple[Any, Any]:
+        def last(leaf: Array, has_batch: bool) -> Array:
+            return jnp.moveaxis(leaf, 0, -1) if has_batch else leaf[..., None]
+
+        def first(leaf: Array) -> Array:
+            return jnp.moveaxis(jnp.broadcast_to(leaf, (*leaf.shape[:-1], size)), -1, 0)
+
+        answer = function(*jax.tree.map(last, arguments, tuple(is_batched)))
+        return jax.tree.map(first, answer), jax.tree.map(lambda _: True, answer)
+
+    batched.def_vmap(with_batch)
+    return batched
+
+
+@_batch_last
+def _forward(
+    problem: LQRProblem, start: Array
+) -> tuple[LQRTrajectory, tuple[KKTFactors, KKTSolution]]:
+    factors = factorised(problem.A, problem.B, problem.Q, problem.R)
+    solution = solved(factors, problem.q, problem.r, problem.offset, start)
+    return LQRTrajectory(solution.states, solution.controls), (factors, solution)
+
+
+@_batch_last
+def _backward(
+    kept: tuple[KKTFactors, KKTSolution], slope: LQRTrajectory
+) -> tuple[LQRProblem, Array]:
+    factors, solution = kept
+    rest = jnp.zeros_like(solution.states[0])
+    adjoint = solved(factors, slope.states, slope.controls, None, rest)
+    x, u, after = solution.states[:-1], solution.controls, solution.costates
+    dx, du, dafter = adjoint.states[:-1], adjoint.controls, adjoint.costates
+    problem = LQRProblem(
+        A=_outer(dafter, x) + _outer(after, dx),
+        B=_outer(dafter, u) + _outer(after, du),
+        offset=dafter,
+        Q=_symmetric_outer(adjoint.states, solution.states),
+        R=_symmetric_outer(du, u),
+        q=adjoint.states,
+        r=du,
+    )
+    # The adjoint starts at rest, so its first costate is its first slope.
+    return problem, adjoint.first_slope
+
+
+@jax.custom_vjp
+def _trajectory(problem: LQRProblem, start: Array) -> LQRTrajectory:
+    return _forward(problem, start)[0]
+
+
+_trajectory.defvjp(_forward, _backward)
+
+
+def _outer(left: Float[Array, "T i *b"], right: Float[Array, "T j *b"]) -> Array:
+    return left[:, :, None] * right[:, None]
+
+
+def _symmetric_outer(left: Float[Array, "T i *b"], right: Float[Array, "T i *b"]) -> Array:
+    return 0.5 * (_outer(left, right) + _outer(right, left))

@@ -52,7 +52,8 @@ class MPC:
     the compiled tick and do not recompile it; the horizon, the capacity (where all are in play)
     and the number of nodes with a cost do. `reset` compiles, so that no tick has to, but where
     more nodes come into play than ever: that is logged, and happens once for up to 54, 162, …
-    nodes. With ``max_active_nodes`` it never happens; a tick that would need more is CAPACITY_EXCEEDED.
+    nodes. With ``max_active_nodes`` it never happens; a tick that would need more
+    is CAPACITY_EXCEEDED.
 
     **A bad tick is data.** A non-finite observation, or a prediction that is not finite, gives
     the running plan moved on by one step, under its `PlanStatus`; a non-finite contact counts as
@@ -60,8 +61,9 @@ class MPC:
 
     **Deadline.** A Python thread cannot interrupt a compiled call. What bounds a tick is
     ``ilqr.iterations``. With a deadline the time of each tick is measured, and one that took
-    longer answers with the plan that was running before, marked DEADLINE_MISSED: it was made for this
-    moment, as predicted. The plan that came too late is complete and is the next tick's guess.
+    longer answers with the plan that was running before, marked DEADLINE_MISSED: it was made
+    for this moment, as predicted. The plan that came too late is complete and is the next tick's
+    guess.
     """
 
     def __init__(

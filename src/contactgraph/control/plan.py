@@ -42,7 +42,9 @@ _MESSAGES = {
     PlanStatus.PLAN_REUSED: "Not replanned in this tick: the running plan's feedback was used.",
     PlanStatus.DEADLINE_MISSED: "Planning missed the deadline; the previous plan is used.",
     PlanStatus.BAD_OBSERVATION: "The observation was not finite; the previous plan is used.",
-    PlanStatus.CAPACITY_EXCEEDED: "More nodes are in play than the limit allows; the previous plan is used.",
+    PlanStatus.CAPACITY_EXCEEDED: (
+        "More nodes are in play than the limit allows; the previous plan is used."
+    ),
 }
 
 

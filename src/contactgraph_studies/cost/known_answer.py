@@ -9,8 +9,7 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import CostTerm, LearnedCost, LearningHistory, read_cost
-from contactgraph.control.cost_learning import learned_cost as cost_terms
+from contactgraph.control import CostTerm, LearnedCost, LearningHistory, cost_terms, read_cost
 from contactgraph.data import read_trajectories
 from contactgraph.evaluate import TaskCost
 from contactgraph_studies.cost.cells import Learned, Place

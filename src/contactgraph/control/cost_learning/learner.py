@@ -9,7 +9,7 @@ they vary in the demonstrations; step ``t`` of a window counts ``discount**t``, 
 that plans anew acts on the first steps. A control that was at its limit tells that the limit held
 it, no more: there it is held in the plan, too.
 
-**What is learned.** With ``z`` the relative coordinates of `contactgraph.control.cost_learning.learned_cost`,
+**What is learned.** With ``z`` the relative coordinates of `relative_basis`,
 ``Q = T^T W T``, ``W = S L L^T S`` and ``R = Lu Lu^T``, ``L`` and ``Lu`` lower triangular and free:
 every symmetric positive semi-definite Q and R, and no other. ``S`` (fixed) carries the units. A
 cost is known up to a factor, which the mean of R's diagonal settles: it is 1/N^2.
@@ -54,108 +54,33 @@ from contactgraph.control.lqr_adjoint import lqr_trajectory, tracking_problem
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.model import StepModel
 
-_DEFAULT = CostLearningConfig()
 
+@dataclass(frozen=True)
+class CostLearningConfig:
+    """How a cost is learned."""
 
-def learn_cost(
-    model: StepModel,
-    demonstrations: Dataset,
-    recipe: CostLearningConfig = _DEFAULT,
-    *,
-    goal: Sequence[float] | np.ndarray | None = None,
-    limits: ControlLimits | None = None,
-    seed: int = 0,
-    on_step: Callable[[int, float], None] = lambda step, loss: None,
-) -> LearnedCost:
-    """Q and R with which the model's optimal plans are what the demonstrations do.
+    horizon: int = 20
+    """H, steps that the policy looks ahead."""
+    steps: int = 400
+    """Of Adam."""
+    batch: int = 256
+    """Windows a step."""
+    learning_rate: float = 0.1
+    discount: float = 0.95
+    """Weight of each step of a window against the one before."""
+    prior_weight: float = 3.0
+    """0: only what the demonstrations say."""
 
-    Nodes that take part in none of them are left out (`participants`). ``goal`` [D] m: in place of
-    the runs' own. ``limits``: those that the controls were subject to; where one was at a limit, it
-    tells no more than that. None: there were none. ``seed`` and ``on_step`` are `fit_cost`'s.
-
-    Raises `InvalidInputError` where a run has no control or no goal, is shorter than the horizon,
-    does not fit the model, touches nothing or lacks a node; and where Q or R loses its
-    definiteness, with the step and the smallest eigenvalue.
-    """
-    scene = demonstrations.trajectories[0].scene
-    place = None if goal is None else np.asarray(goal, dtype=np.float64)
-    if place is not None and (place.shape != (scene.dimension,) or not np.isfinite(place).all()):
-        raise InvalidInputError(f"goal must be {scene.dimension} finite numbers [m], found {goal}")
-    starts = window_starts(demonstrations, recipe.horizon)
-    followed = follow_all(model, demonstrations)
-    found = participants(demonstrations, followed)
-    kept = tuple(each.name for each in found if each.kept)
-    data = demonstrations_of(demonstrations, followed, kept, place, limits)
-    alike = isotropic_axes(scene.gravity, scene.dimension)
-    fitted = fit_cost(data, starts, alike, recipe, seed, on_step)
-    return LearnedCost(
-        Q=fitted.Q,
-        R=fitted.R,
-        goal=data.goal[0, : scene.dimension],
-        nodes=jnp.asarray([scene.node_name.index(name) for name in kept], jnp.int32),
-        kept_nodes=kept,
-        history=fitted.history,
-        participants=found,
-    )
-
-
-_CHUNK = 50
-"""Steps in one compiled call."""
-_LEAST = 1e-5
-"""R's smallest eigenvalue; their mean is 1."""
-
-
-@dataclass(frozen=True, eq=False)
-class FittedCost:
-    """What `fit_cost` finds."""
-
-    Q: Float[Array, "m m"]
-    R: Float[Array, "U U"]
-    history: LearningHistory
-
-
-def fit_cost(
-    data: Demonstrations,
-    starts: np.ndarray,
-    alike: np.ndarray,
-    recipe: CostLearningConfig,
-    seed: int = 0,
-    on_step: Callable[[int, float], None] = lambda step, loss: None,
-) -> FittedCost:
-    """Q and R whose optimal plans from the states ``starts`` [W, 2] (run, step) are the data.
-
-    ``alike`` [D, D]: `isotropic_axes`. ``seed``: of the order of windows. ``on_step`` is told, every
-    50 steps, the steps done and the imitation loss. Raises `InvalidInputError` where Q or R loses
-    its definiteness, with the step and the smallest eigenvalue.
-    """
-    learner = cost_learner(data, starts, recipe, alike)
-    order = np.random.default_rng(seed).integers(len(starts), size=(recipe.steps, recipe.batch))
-    state = learner.begin()
-    told: list[LearningHistory] = []
-    for begin in range(0, recipe.steps, _CHUNK):
-        windows = jnp.asarray(starts[order[begin : begin + _CHUNK]])
-        state, history = advance_learner(learner, data, state, windows)
-        _check_definite(history, begin)
-        told.append(history)
-        on_step(begin + len(windows), float(np.mean(history.imitation)))
-    Q, R, _ = learner.cost(state.free)
-    history = jax.tree.map(lambda *parts: jnp.concatenate(parts), *told)
-    return FittedCost(0.5 * (Q + Q.T), 0.5 * (R + R.T), history)
-
-
-def _check_definite(history: LearningHistory, begin: int) -> None:
-    """Raises `InvalidInputError` where Q is not positive semi-definite or R not positive."""
-    for name, smallest, least in (
-        ("R", np.asarray(history.smallest_r), _LEAST),
-        ("Q", np.asarray(history.smallest_q), 0.0),
-    ):
-        lost = ~(smallest >= least)
-        if lost.any():
-            step = int(np.argmax(lost))
-            raise InvalidInputError(
-                f"learning the cost stopped at step {begin + step + 1}: {name}'s smallest "
-                f"eigenvalue is {smallest[step]:.3g}; a smaller learning rate may help"
-            )
+    def __post_init__(self) -> None:
+        for name in ("horizon", "steps", "batch"):
+            if getattr(self, name) < 1:
+                raise InvalidInputError(f"{name} must be at least 1, found {getattr(self, name)}")
+        if not self.learning_rate > 0.0:
+            raise InvalidInputError(f"learning_rate must be positive, found {self.learning_rate}")
+        if not 0.0 < self.discount <= 1.0:
+            raise InvalidInputError(f"discount must be above 0, at most 1, found {self.discount}")
+        if not self.prior_weight >= 0.0:
+            raise InvalidInputError(f"prior_weight must be 0 or more, found {self.prior_weight}")
 
 
 class FreeCost(eqx.Module):
@@ -281,29 +206,105 @@ def advance_learner(
     return jax.lax.scan(step, state, windows)
 
 
-@dataclass(frozen=True)
-class CostLearningConfig:
-    """How a cost is learned."""
+_CHUNK = 50
+"""Steps in one compiled call."""
+_LEAST = 1e-5
+"""R's smallest eigenvalue; their mean is 1."""
 
-    horizon: int = 20
-    """H, steps that the policy looks ahead."""
-    steps: int = 400
-    """Of Adam."""
-    batch: int = 256
-    """Windows a step."""
-    learning_rate: float = 0.1
-    discount: float = 0.95
-    """Weight of each step of a window against the one before."""
-    prior_weight: float = 3.0
-    """0: only what the demonstrations say."""
 
-    def __post_init__(self) -> None:
-        for name in ("horizon", "steps", "batch"):
-            if getattr(self, name) < 1:
-                raise InvalidInputError(f"{name} must be at least 1, found {getattr(self, name)}")
-        if not self.learning_rate > 0.0:
-            raise InvalidInputError(f"learning_rate must be positive, found {self.learning_rate}")
-        if not 0.0 < self.discount <= 1.0:
-            raise InvalidInputError(f"discount must be above 0, at most 1, found {self.discount}")
-        if not self.prior_weight >= 0.0:
-            raise InvalidInputError(f"prior_weight must be 0 or more, found {self.prior_weight}")
+@dataclass(frozen=True, eq=False)
+class FittedCost:
+    """What `fit_cost` finds."""
+
+    Q: Float[Array, "m m"]
+    R: Float[Array, "U U"]
+    history: LearningHistory
+
+
+def fit_cost(
+    data: Demonstrations,
+    starts: np.ndarray,
+    alike: np.ndarray,
+    recipe: CostLearningConfig,
+    seed: int = 0,
+    on_step: Callable[[int, float], None] = lambda step, loss: None,
+) -> FittedCost:
+    """Q and R whose optimal plans from the states ``starts`` [W, 2] (run, step) are the data.
+
+    ``alike`` [D, D]: `isotropic_axes`. ``seed``: of the order of windows. ``on_step`` receives,
+    every 50 steps, the steps done and the imitation loss. Raises `InvalidInputError` where Q or R
+    loses its definiteness, with the step and the smallest eigenvalue.
+    """
+    learner = cost_learner(data, starts, recipe, alike)
+    order = np.random.default_rng(seed).integers(len(starts), size=(recipe.steps, recipe.batch))
+    state = learner.begin()
+    told: list[LearningHistory] = []
+    for begin in range(0, recipe.steps, _CHUNK):
+        windows = jnp.asarray(starts[order[begin : begin + _CHUNK]])
+        state, history = advance_learner(learner, data, state, windows)
+        _check_definite(history, begin)
+        told.append(history)
+        on_step(begin + len(windows), float(np.mean(history.imitation)))
+    Q, R, _ = learner.cost(state.free)
+    history = jax.tree.map(lambda *parts: jnp.concatenate(parts), *told)
+    return FittedCost(0.5 * (Q + Q.T), 0.5 * (R + R.T), history)
+
+
+def _check_definite(history: LearningHistory, begin: int) -> None:
+    """Raises `InvalidInputError` where Q is not positive semi-definite or R not positive."""
+    for name, smallest, least in (
+        ("R", np.asarray(history.smallest_r), _LEAST),
+        ("Q", np.asarray(history.smallest_q), 0.0),
+    ):
+        lost = ~(smallest >= least)
+        if lost.any():
+            step = int(np.argmax(lost))
+            raise InvalidInputError(
+                f"learning the cost stopped at step {begin + step + 1}: {name}'s smallest "
+                f"eigenvalue is {smallest[step]:.3g}; a smaller learning rate may help"
+            )
+
+
+_DEFAULT = CostLearningConfig()
+
+
+def learn_cost(
+    model: StepModel,
+    demonstrations: Dataset,
+    recipe: CostLearningConfig = _DEFAULT,
+    *,
+    goal: Sequence[float] | np.ndarray | None = None,
+    limits: ControlLimits | None = None,
+    seed: int = 0,
+    on_step: Callable[[int, float], None] = lambda step, loss: None,
+) -> LearnedCost:
+    """Q and R with which the model's optimal plans are what the demonstrations do.
+
+    Nodes that take part in none of them are left out (`participants`). ``goal`` [D] m: in place of
+    the runs' own. ``limits``: those that the controls were subject to; where one was at a limit, it
+    tells no more than that. None: there were none. ``seed`` and ``on_step`` are `fit_cost`'s.
+
+    Raises `InvalidInputError` where a run has no control or no goal, is shorter than the horizon,
+    does not fit the model, touches nothing or lacks a node; and where Q or R loses its
+    definiteness, with the step and the smallest eigenvalue.
+    """
+    scene = demonstrations.trajectories[0].scene
+    place = None if goal is None else np.asarray(goal, dtype=np.float64)
+    if place is not None and (place.shape != (scene.dimension,) or not np.isfinite(place).all()):
+        raise InvalidInputError(f"goal must be {scene.dimension} finite numbers [m], found {goal}")
+    starts = window_starts(demonstrations, recipe.horizon)
+    followed = follow_all(model, demonstrations)
+    found = participants(demonstrations, followed)
+    kept = tuple(each.name for each in found if each.kept)
+    data = demonstrations_of(demonstrations, followed, kept, place, limits)
+    alike = isotropic_axes(scene.gravity, scene.dimension)
+    fitted = fit_cost(data, starts, alike, recipe, seed, on_step)
+    return LearnedCost(
+        Q=fitted.Q,
+        R=fitted.R,
+        goal=data.goal[0, : scene.dimension],
+        nodes=jnp.asarray([scene.node_name.index(name) for name in kept], jnp.int32),
+        kept_nodes=kept,
+        history=fitted.history,
+        participants=found,
+    )
