@@ -3,7 +3,8 @@
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.box2d import SIMULATOR, DoorWorld
+from contactgraph.envs.box2d.door_world import DoorWorld
+from contactgraph.envs.box2d.engine import SIMULATOR
 from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.door_layout import (
     DISTRACTOR_HALF_WIDTH,

@@ -3,7 +3,8 @@
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
-from contactgraph.envs.box2d import SIMULATOR, CircleWorld
+from contactgraph.envs.box2d.circle_world import CircleWorld
+from contactgraph.envs.box2d.engine import SIMULATOR
 from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.fixed_goal import fixed_layout, fixed_metadata
 from contactgraph.envs.gripper_task import DT, GRIPPER, MASS, GripperTask
