@@ -14,13 +14,13 @@ from measuring import arguments, report
 
 from contactgraph.data import Trajectory
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.envs.collect import collect
-from contactgraph.parallel import LocalProcesses
+from contactgraph.envs.episodes import collect
+from contactgraph.parallel import LocalExecutor
 
 RUNS = 1000
 
 
-def recorded(runs: int, engine: LocalProcesses | None) -> tuple[float, list[Trajectory]]:
+def recorded(runs: int, engine: LocalExecutor | None) -> tuple[float, list[Trajectory]]:
     """Seconds, and the runs."""
     began = time.perf_counter()
     found = collect([PickupTask], [PickupExpert()], runs, seed=0, engine=engine)
@@ -34,7 +34,7 @@ def main() -> None:
     alone, both, ratios = [], [], []
     for _ in range(1 if told.quick else 2):
         seconds_one, by_one = recorded(count, None)
-        seconds_two, by_two = recorded(count, LocalProcesses(2))
+        seconds_two, by_two = recorded(count, LocalExecutor(2))
         alone.append(seconds_one)
         both.append(seconds_two)
         ratios.append(seconds_one / seconds_two)

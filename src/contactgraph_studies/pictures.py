@@ -7,7 +7,7 @@ from matplotlib.figure import Figure as Chart
 
 from contactgraph.data import read_trajectories
 from contactgraph.model.storage import load_model
-from contactgraph.viz import SceneRun, write_still
+from contactgraph.viz import SceneRun, write_summary_figure
 from contactgraph_studies.chart import svg, write_chart
 from contactgraph_studies.declared import GIM_TEMP, Amounts, StudyTask
 from contactgraph_studies.error_charts import edge_chart, error_chart, fault_chart, sample_chart
@@ -74,7 +74,7 @@ def drawn(folder: Path, name: str, title: str, caption: str, chart: Chart) -> Pi
 def still(folder: Path, name: str, title: str, caption: str, run: SceneRun) -> Picture:
     """One moment of a run, written to ``figures/NAME.png``."""
     path = folder / _FIGURES / f"{name}.png"
-    write_still(path, run)
+    write_summary_figure(path, run)
     return Picture(title, caption, path.read_bytes(), "png")
 
 

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Chart
 
 from contactgraph.viz import SceneRun
-from contactgraph.viz.colours import CONTACT_COLOUR, body_colour
+from contactgraph.viz.scene_picture import CONTACT_COLOUR, body_colour
 from contactgraph.viz.selection import focus_nodes, involved_nodes, leading_edges, shown_directions
 from contactgraph_studies.chart import SOFT, chart, quiet
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from contactgraph.parallel import Engine, Outcome
+from contactgraph.parallel import Executor, Outcome
 from contactgraph_studies.cell import Cell
 from contactgraph_studies.errand import Ended, errand_of
 from contactgraph_studies.parcel import unpack
@@ -41,7 +41,7 @@ class Standing:
 def run_cells(
     cells: Sequence[Cell],
     records: Records,
-    engine: Engine,
+    engine: Executor,
     begin: Callable[[], Callable[[Any], Ended]],
     on_step: Callable[[Standing], None],
 ) -> list[Failure]:

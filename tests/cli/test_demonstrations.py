@@ -16,7 +16,7 @@ from contactgraph.envs import (
     PickupExpert,
     PickupTask,
 )
-from contactgraph.envs.run_episode import run_episode
+from contactgraph.envs.episodes import run_episode
 from contactgraph_franka.envs import FrankaTask
 
 PARTS = {

@@ -8,7 +8,7 @@ import pytest
 from contactgraph.cli import main as cli
 from contactgraph.cli import unfinished_runs
 from contactgraph.data import read_trajectories
-from contactgraph.envs import collect as collecting
+from contactgraph.envs import episodes as collecting
 
 COMMAND = ["collect", "pickup", "--episodes", "7", "--seed", "3", "--exploration", "0.3", "--out"]
 

@@ -135,7 +135,7 @@ class SuccessAsNumber(PickupTask):
         return 1.0
 
 
-class Drawn(PickupTask):
+class Renderable(PickupTask):
     """A pickup with a stick to draw."""
 
     stick = np.zeros((2, 2))
@@ -144,26 +144,26 @@ class Drawn(PickupTask):
         return self.stick
 
 
-class DrawnAsOnePoint(Drawn):
+class DrawnAsOnePoint(Renderable):
     stick = np.zeros((1, 2))
 
 
-class DrawnInSpace(Drawn):
+class DrawnInSpace(Renderable):
     stick = np.zeros((4, 3))
 
 
-class DrawnNowhere(Drawn):
+class DrawnNowhere(Renderable):
     stick = np.full((2, 2), np.nan)
 
 
-class DrawnLongerAndLonger(Drawn):
+class DrawnLongerAndLonger(Renderable):
     def step(self, action):
         self.stick = np.append(self.stick, np.zeros((1, 2)), axis=0)
         return super().step(action)
 
 
 def test_a_task_may_be_drawn():
-    check_task(Drawn)
+    check_task(Renderable)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs.box2d.circle_world import CircleWorld
+from contactgraph.envs.circle_world import CircleWorld
 
 RADIUS = 0.04
 DT = 0.05

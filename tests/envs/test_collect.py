@@ -6,9 +6,9 @@ import pytest
 from test_run_episode import same
 
 from contactgraph.envs import DoorExpert, DoorTask, ExplorationPolicy, PickupExpert, PickupTask
-from contactgraph.envs import collect as collecting
+from contactgraph.envs import episodes as collecting
 from contactgraph.evaluate import collect
-from contactgraph.parallel import LocalProcesses
+from contactgraph.parallel import LocalExecutor
 
 
 class Signed(PickupTask):
@@ -32,7 +32,7 @@ def test_processes_record_what_one_would_bit_for_bit():
     # Runs follow other runs than they would in one process: nothing may be left of those.
     mix = [PickupExpert(), ExplorationPolicy()]
     told = []
-    runs = collect([Signed], mix, 7, 3, told.append, engine=LocalProcesses(2))
+    runs = collect([Signed], mix, 7, 3, told.append, engine=LocalExecutor(2))
     alone = collect([PickupTask], mix, 7, 3)
     assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
     assert all(one is other for one, other in zip(told, runs, strict=True))
@@ -42,14 +42,14 @@ def test_processes_record_what_one_would_bit_for_bit():
 
 @pytest.mark.usefixtures("at_once")
 def test_the_doors_expert_keeps_nothing_either():
-    runs = collect([DoorTask], [DoorExpert()], 4, 1, engine=LocalProcesses(2))
+    runs = collect([DoorTask], [DoorExpert()], 4, 1, engine=LocalExecutor(2))
     alone = collect([DoorTask], [DoorExpert()], 4, 1)
     assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
 
 
 def test_what_is_quickly_done_is_done_alone(monkeypatch):
-    def answers_in_order(*arguments):
+    def map_in_order(*arguments):
         raise AssertionError("it does not pay")
 
-    monkeypatch.setattr(collecting, "answers_in_order", answers_in_order)
-    assert len(collect([PickupTask], [PickupExpert()], 5, 0, engine=LocalProcesses(64))) == 5
+    monkeypatch.setattr(collecting, "map_in_order", map_in_order)
+    assert len(collect([PickupTask], [PickupExpert()], 5, 0, engine=LocalExecutor(64))) == 5

@@ -15,8 +15,8 @@ from contactgraph.envs import (
     RestPolicy,
     check_task,
 )
-from contactgraph.envs.door_layout import CORRIDOR, DISTRACTOR_HALF_WIDTH, sample_layout
-from contactgraph.envs.fixed_goal import fixed_layout
+from contactgraph.envs.door import CORRIDOR, DISTRACTOR_HALF_WIDTH, sample_layout
+from contactgraph.envs.gripper_task import fixed_layout
 from contactgraph.evaluate import collect
 
 SEEDS = range(30)

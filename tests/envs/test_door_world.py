@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs.box2d.door_world import DoorWorld
+from contactgraph.envs.door_world import DoorWorld
 
 DT = 0.05
 RADIUS, LENGTH, THICKNESS = 0.04, 1.0, 0.05

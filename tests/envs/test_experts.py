@@ -9,7 +9,7 @@ from contactgraph.envs import (
     RestPolicy,
     pickup_success,
 )
-from contactgraph.envs.excitation import CorrelatedNoise
+from contactgraph.envs.experts import CorrelatedNoise
 from contactgraph.evaluate import collect
 
 START_UP = 4

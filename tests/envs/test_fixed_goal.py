@@ -15,10 +15,9 @@ from contactgraph.envs import (
     PickupTask,
     check_task,
 )
-from contactgraph.envs import collect as collecting
-from contactgraph.envs.collect import collect, episode_seeds, fixed_seed
-from contactgraph.envs.run_episode import run_episode
-from contactgraph.parallel import LocalProcesses
+from contactgraph.envs import episodes as collecting
+from contactgraph.envs.episodes import collect, episode_seeds, fixed_seed, run_episode
+from contactgraph.parallel import LocalExecutor
 from contactgraph_franka.envs import FrankaTask
 
 SEEDS = range(20)
@@ -102,7 +101,7 @@ def test_processes_record_what_one_would_and_a_run_can_be_had_again(monkeypatch)
     monkeypatch.setattr(collecting, "_START_S", 0.0)
     task, demonstrator = partial(PickupTask, 2, fixed_seed=7), PickupExpert(noise=0.0)
     alone = collect([task], [demonstrator], 5, 3)
-    shared = collect([task], [demonstrator], 4, 3, engine=LocalProcesses(2))
+    shared = collect([task], [demonstrator], 4, 3, engine=LocalExecutor(2))
     assert all(same(one, other) for one, other in zip(alone, shared, strict=False))
     told = alone[4].scene.metadata
     again = PickupTask(told["distractors"], told["substeps"], told["fixed_seed"])

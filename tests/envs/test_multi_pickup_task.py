@@ -8,8 +8,8 @@ from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import MultiPickupTask, PickupExpert, PickupTask, check_task
-from contactgraph.envs.fixed_goal import fixed_layout
-from contactgraph.envs.multi_pickup import held
+from contactgraph.envs.gripper_task import fixed_layout
+from contactgraph.envs.pickup import held
 from contactgraph.envs.pickup_layout import (
     CORRIDOR,
     OVERSHOOT,

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.parallel import WholeMachine, answers_in_order
+from contactgraph.parallel import WholeMachineExecutor, map_in_order
 
 
 def shout(connection) -> None:
@@ -42,7 +42,7 @@ class Errand:
 
 
 def test_every_unit_has_a_new_process_all_cores_and_children():
-    answers = list(answers_in_order(WholeMachine(), Errand().begin, range(2)))
+    answers = list(map_in_order(WholeMachineExecutor(), Errand().begin, range(2)))
     assert [index for index, *_ in answers] == [0, 1]
     assert all(parent == process for _, parent, process, _ in answers)
     assert len({process for _, _, process, _ in answers}) == 2
@@ -53,11 +53,11 @@ def test_every_unit_has_a_new_process_all_cores_and_children():
 def test_nobody_outlives_the_owner():
     script = (
         "import os, sys, time\n"
-        "from contactgraph.parallel import WholeMachine\n"
+        "from contactgraph.parallel import WholeMachineExecutor\n"
         "def begin():\n"
         "    return lambda unit: (print(os.getpid(), flush=True), time.sleep(60))\n"
         "if __name__ == '__main__':\n"
-        "    with WholeMachine().crew(begin, 1) as crew:\n"
+        "    with WholeMachineExecutor().crew(begin, 1) as crew:\n"
         "        crew.give(0, 0)\n"
         "        crew.wait()\n"
     )
@@ -85,5 +85,5 @@ def test_nobody_outlives_the_owner():
 )
 def test_what_goes_wrong_in_a_process_is_told(errand, error, said):
     with pytest.raises(error, match=said):
-        list(answers_in_order(WholeMachine(), errand.begin, range(2)))
+        list(map_in_order(WholeMachineExecutor(), errand.begin, range(2)))
     assert multiprocessing.active_children() == []

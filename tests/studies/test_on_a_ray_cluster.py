@@ -17,8 +17,8 @@ from fake_worker import FakeWorker
 
 from contactgraph.cli import main as cli
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import collect as collecting
-from contactgraph.parallel import answers_in_order
+from contactgraph.envs import episodes as collecting
+from contactgraph.parallel import map_in_order
 from contactgraph_studies.cell import Cell, in_order
 from contactgraph_studies.record import Records
 from contactgraph_studies.runner import Failure, Standing, run_cells
@@ -27,8 +27,8 @@ pytest.importorskip("ray", reason="Ray is not installed: pip install 'contactgra
 
 from ray.cluster_utils import Cluster
 
-from contactgraph.parallel import ray_cluster
-from contactgraph.parallel.ray_cluster import RayCluster, connected
+from contactgraph import ray_cluster
+from contactgraph.ray_cluster import RayExecutor, connected
 
 # Ray starts its processes by fork, of which JAX warns where tests before used it.
 pytestmark = [
@@ -68,7 +68,7 @@ def test_recorded_on_a_cluster_a_file_is_the_same(
 
 
 @pytest.fixture(scope="module")
-def engine(nodes: Cluster) -> Iterator[RayCluster]:
+def engine(nodes: Cluster) -> Iterator[RayExecutor]:
     with connected(nodes.address) as engine:
         yield engine
 
@@ -92,28 +92,28 @@ class Errand:
         return work
 
 
-def test_answers_come_in_order_from_the_machines(engine: RayCluster) -> None:
+def test_answers_come_in_order_from_the_machines(engine: RayExecutor) -> None:
     assert engine.workers == 2
-    answers = list(answers_in_order(engine, Errand().begin, range(6)))
+    answers = list(map_in_order(engine, Errand().begin, range(6)))
     assert [unit for unit, _ in answers] == list(range(6))
     assert os.getpid() not in dict(answers).values()
 
 
 def test_what_goes_wrong_on_a_machine_is_told(
-    engine: RayCluster, monkeypatch: pytest.MonkeyPatch
+    engine: RayExecutor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for errand, error, said in [
         (Errand(refused=3), InvalidInputError, "^errand 3: nobody is in$"),
         (Errand(broken=3), RuntimeError, "(?s)Traceback.*in work.*KeyError: 'spoon'"),
     ]:
         with pytest.raises(error, match=said):
-            list(answers_in_order(engine, errand.begin, range(6)))
+            list(map_in_order(engine, errand.begin, range(6)))
     monkeypatch.setattr(ray_cluster, "version", lambda package: "9.9")
     with pytest.raises(InvalidInputError, match=r"has contactgraph 0\.\d.*, not 9\.9 as here"):
-        list(answers_in_order(engine, Errand().begin, range(6)))
+        list(map_in_order(engine, Errand().begin, range(6)))
 
 
-def study(folder: Path, cells: list[Cell], engine: RayCluster) -> tuple[list[Failure], list]:
+def study(folder: Path, cells: list[Cell], engine: RayExecutor) -> tuple[list[Failure], list]:
     steps: list[Standing] = []
     records, begin = Records(folder / "study", "1"), FakeWorker(folder).begin
     return run_cells(in_order(cells), records, engine, begin, steps.append), steps
@@ -126,7 +126,7 @@ def done(folder: Path) -> list[str]:
     return lines
 
 
-def test_files_are_carried_to_cells_and_back(tmp_path: Path, engine: RayCluster) -> None:
+def test_files_are_carried_to_cells_and_back(tmp_path: Path, engine: RayExecutor) -> None:
     both = Cell("deep/a", ("both", "deep/a"), "both", beside=("deep/a.more",))
     run = Cell("run", ("half", "run"), "half", checkpoints="checkpoint-*")
     joined = Cell("b", ("join", "b", "deep/a.more"), "join", (both,))
@@ -160,7 +160,7 @@ def children(begun: Path) -> dict[int, int]:
 
 
 def test_a_node_that_is_killed_costs_its_cell_alone(
-    tmp_path: Path, nodes: Cluster, engine: RayCluster
+    tmp_path: Path, nodes: Cluster, engine: RayExecutor
 ) -> None:
     doomed = nodes.add_node(num_cpus=1)
     (raylet,) = doomed.all_processes["raylet"]
@@ -187,7 +187,7 @@ def test_a_node_that_is_killed_costs_its_cell_alone(
     assert done(tmp_path) == []
 
 
-def test_ctrl_c_leaves_what_is_done(tmp_path: Path, engine: RayCluster) -> None:
+def test_ctrl_c_leaves_what_is_done(tmp_path: Path, engine: RayExecutor) -> None:
     cells = [Cell(f"{n}", ("make", f"{n}"), "make") for n in range(4)]
 
     def interrupted(standing: Standing) -> None:
@@ -242,7 +242,7 @@ def test_without_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    monkeypatch.delitem(sys.modules, "contactgraph.parallel.ray_cluster")
+    monkeypatch.delitem(sys.modules, "contactgraph.ray_cluster")
     arguments = ["collect", "pickup", "--out", str(tmp_path / "x.h5"), "--cluster", "ray"]
     assert cli.run(arguments) == 2
     assert capsys.readouterr().err == (

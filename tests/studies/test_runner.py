@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from fake_worker import FakeWorker
 
-from contactgraph.parallel import LocalProcesses
+from contactgraph.parallel import LocalExecutor
 from contactgraph_studies import worker
 from contactgraph_studies.cell import Cell, in_order
 from contactgraph_studies.record import Records
@@ -23,7 +23,7 @@ def run(
 ) -> tuple[list[Failure], list[Standing]]:
     steps: list[Standing] = []
     records = Records(folder, version)
-    engine, begin = LocalProcesses(workers), FakeWorker(folder.absolute()).begin
+    engine, begin = LocalExecutor(workers), FakeWorker(folder.absolute()).begin
     return run_cells(in_order(cells), records, engine, begin, steps.append), steps
 
 
@@ -163,7 +163,7 @@ def test_interrupted_it_ends_its_workers_and_goes_on_later(tmp_path: Path) -> No
         run_cells(
             cells,
             Records(tmp_path, "1"),
-            LocalProcesses(1),
+            LocalExecutor(1),
             FakeWorker(tmp_path).begin,
             interrupted,
         )
@@ -179,7 +179,7 @@ def test_a_real_cell(tmp_path: Path) -> None:
     cell = Cell("cells/data.h5", arguments, "collect")
     wrong = Cell("cells/no.h5", ("collect", "pickup", "--episodes", "0", "--out", "no.h5"), "x")
     failures = run_cells(
-        [wrong, cell], Records(tmp_path, "1"), LocalProcesses(1), worker.begin, lambda _: None
+        [wrong, cell], Records(tmp_path, "1"), LocalExecutor(1), worker.begin, lambda _: None
     )
     assert [failure.reason for failure in failures] == [
         "exit code 2; contactgraph: --episodes must be 1 to 100000, found 0"

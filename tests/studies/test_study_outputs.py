@@ -6,10 +6,10 @@ import io
 import pytest
 from made_up import AMOUNTS, by_the_paper, results
 
+from contactgraph.viz.number_table import csv_numbers, markdown_numbers
 from contactgraph_studies.claims import claims
 from contactgraph_studies.declared import DOOR, FRANKA, FULL_AB, GIM_TEMP, MODELS, PICKUP, TASKS
 from contactgraph_studies.findings import Findings, Picture
-from contactgraph_studies.number_table import csv_numbers, markdown_numbers
 from contactgraph_studies.plan_cells import Source, Where
 from contactgraph_studies.results import Figure, Reading, Results
 from contactgraph_studies.study_page import StudyPage, study_page

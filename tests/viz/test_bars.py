@@ -12,10 +12,9 @@ from test_report_browser import screenshot
 from test_report_page import bare
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
-from contactgraph.viz import ReportData, SceneRun, write_animation, write_still
-from contactgraph.viz.body_picture import bar_corners
-from contactgraph.viz.embed import embedded_json
-from contactgraph.viz.scene_picture import draw_scene, scene_limits
+from contactgraph.viz import ReportData, SceneRun, write_animation, write_summary_figure
+from contactgraph.viz.report import embedded_json
+from contactgraph.viz.scene_picture import bar_corners, draw_scene, scene_limits
 
 STEPS, DT = 20, 0.05
 HINGES = np.array([[np.nan, np.nan], [0.0, 0.0], [1.2, 0.4]])
@@ -77,7 +76,7 @@ def test_bars_are_drawn_and_inside_the_picture(doors):
 
 
 def test_still_and_film(tmp_path, doors):
-    write_still(tmp_path / "still.png", doors)
+    write_summary_figure(tmp_path / "still.png", doors)
     write_animation(tmp_path / "run.gif", dataclasses.replace(doors, plan=None))
     assert min(each.stat().st_size for each in tmp_path.iterdir()) > 5000
 

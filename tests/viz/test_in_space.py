@@ -16,13 +16,11 @@ from synthetic_sweep import BLOCK_SIZE, GOAL, GRASP, STEPS, sweep, sweep_traject
 from test_report_browser import pixels_of, screenshot
 
 from contactgraph.data import InvalidInputError, read_trajectories, write_trajectories
-from contactgraph.viz import ReportData, SceneRun, write_animation, write_still
-from contactgraph.viz.colours import SKELETON_COLOUR
-from contactgraph.viz.embed import embedded_json
-from contactgraph.viz.ground import ground_of
+from contactgraph.viz import ReportData, SceneRun, write_animation, write_summary_figure
 from contactgraph.viz.projection import projection_of
-from contactgraph.viz.scene_picture import draw_scene, scene_limits
-from contactgraph.viz.selection import shown_directions
+from contactgraph.viz.report import embedded_json
+from contactgraph.viz.scene_picture import SKELETON_COLOUR, draw_scene, scene_limits
+from contactgraph.viz.selection import ground_of, shown_directions
 
 BONE = np.array([int(SKELETON_COLOUR[i : i + 2], 16) for i in (1, 3, 5)])
 
@@ -137,7 +135,7 @@ def test_films_and_stills(tmp_path, run):
             bones.append(np.abs(pixels - BONE).sum(axis=-1) < 25)
     assert min(bone.sum() for bone in bones) > 800
     assert (bones[0] & ~bones[1]).sum() > 400, "the arm moves, and leaves nothing behind"
-    write_still(tmp_path / "still.png", run)
+    write_summary_figure(tmp_path / "still.png", run)
     assert (tmp_path / "still.png").stat().st_size > 20000
 
 

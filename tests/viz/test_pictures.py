@@ -8,9 +8,9 @@ from PIL import Image
 from test_report_page import bare
 
 from contactgraph.data import InvalidInputError
-from contactgraph.viz import write_animation, write_still
+from contactgraph.viz import write_animation, write_summary_figure
 from contactgraph.viz.animation import frame_states
-from contactgraph.viz.still import still_states
+from contactgraph.viz.summary_figure import summary_states
 
 GRIPPER = np.array([0x1B, 0x66, 0xA8])
 
@@ -87,16 +87,16 @@ def test_mp4_hands_every_frame_to_ffmpeg(tmp_path, run, monkeypatch):
 
 def test_still_is_a_picture_with_the_grasp_in_the_middle(tmp_path, run):
     path = tmp_path / "still.png"
-    write_still(path, run)
+    write_summary_figure(path, run)
     pixels = np.asarray(Image.open(path).convert("RGB")).astype(int)
     assert pixels.shape[1] > 1200
     assert (np.abs(pixels - GRIPPER).sum(axis=-1) < 30).sum() > 500
-    assert still_states(run)[2] == int(np.argmax(run.contact[:, 0]))
+    assert summary_states(run)[2] == int(np.argmax(run.contact[:, 0]))
 
 
 @pytest.mark.parametrize("nodes", [1, 2])
 def test_still_and_film_of_a_run_without_contacts_or_parameters(tmp_path, run, nodes):
-    write_still(tmp_path / "still.png", bare(run, nodes))
+    write_summary_figure(tmp_path / "still.png", bare(run, nodes))
     named = dataclasses.replace(bare(run, nodes), name="costs $5_x^ and $")
     write_animation(tmp_path / "run.gif", dataclasses.replace(named, dt=0.0008))
     assert (tmp_path / "run.gif").stat().st_size > 1000

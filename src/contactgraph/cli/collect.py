@@ -43,11 +43,15 @@ class Collect:
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.cli.engines import engine_of
-        from contactgraph.cli.names import looked_up
-        from contactgraph.cli.numbers import check_episodes, check_seed, check_share
+        from contactgraph.cli.options import (
+            check_episodes,
+            check_seed,
+            check_share,
+            choice,
+            open_executor,
+        )
         from contactgraph.cli.output import check_writable, progress, say
-        from contactgraph.cli.task_names import (
+        from contactgraph.cli.tasks import (
             TASKS,
             TaskOptions,
             mixed_factories,
@@ -56,18 +60,18 @@ class Collect:
         from contactgraph.cli.unfinished_runs import UnfinishedRuns
         from contactgraph.data import InvalidInputError, Metadata, write_trajectories
         from contactgraph.envs import RestPolicy
-        from contactgraph.envs.collect import collect, fixed_seed
+        from contactgraph.envs.episodes import collect, fixed_seed
 
         check_episodes(self.episodes)
         check_seed(self.seed)
-        shared = looked_up("--goal", self.goal, {"sampled": None, "fixed": fixed_seed(self.seed)})
+        shared = choice("--goal", self.goal, {"sampled": None, "fixed": fixed_seed(self.seed)})
         options = TaskOptions(self.distractors, self.objects, self.grasp, shared)
         if self.mixed:
             factories = mixed_factories(self.task, options)
         else:
             factories = [task_factory(self.task, options)]
-        task = looked_up("task", self.task, TASKS)
-        demonstrates = looked_up("--expert", self.expert, {"train": False, "demo": True})
+        task = choice("task", self.task, TASKS)
+        demonstrates = choice("--expert", self.expert, {"train": False, "demo": True})
         expert = task.demonstrator if demonstrates else task.expert
         check_share("--exploration", self.exploration)
         check_share("--resting", self.resting)
@@ -89,7 +93,7 @@ class Collect:
         if unfinished.found:
             say(f"{self.out}: goes on after {len(unfinished.found)} of {self.episodes} runs")
         with (
-            engine_of(self.cluster) as engine,
+            open_executor(self.cluster) as engine,
             progress("collecting", self.episodes) as steps,
             unfinished,
         ):

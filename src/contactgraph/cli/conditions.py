@@ -8,8 +8,8 @@ from typing import Any
 from contactgraph.cli.collect import Collect
 from contactgraph.cli.control import Control
 from contactgraph.cli.evaluate import Evaluate
+from contactgraph.viz.model_report import ConditionResult
 from contactgraph_studies.declared import StudyTask, TestCondition
-from contactgraph_studies.report_numbers import ConditionResult
 
 
 @dataclass(frozen=True)

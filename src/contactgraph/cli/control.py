@@ -64,12 +64,11 @@ class Control:
 
     def run(self) -> None:
         """Run the episodes and say how they went."""
-        from contactgraph.cli.model_names import model_path
-        from contactgraph.cli.names import looked_up
-        from contactgraph.cli.numbers import check_episodes, check_range, check_seed
+        from contactgraph.cli.models import model_path
+        from contactgraph.cli.options import check_episodes, check_range, check_seed, choice
         from contactgraph.cli.output import check_writable, progress, say, write_json
         from contactgraph.cli.sensor import sensor_faults
-        from contactgraph.cli.task_names import TASKS, TaskOptions, task_factory
+        from contactgraph.cli.tasks import TASKS, TaskOptions, task_factory
         from contactgraph.control import read_cost
         from contactgraph.data import (
             Dataset,
@@ -95,7 +94,7 @@ class Control:
             check_animation(self.video)
         check_episodes(self.episodes)
         check_seed(self.seed)
-        horizon = looked_up("task", self.task, TASKS).horizon
+        horizon = choice("task", self.task, TASKS).horizon
         if self.cost is not None:
             horizon *= _FARTHER
         if self.horizon is not None:

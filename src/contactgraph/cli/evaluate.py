@@ -31,10 +31,9 @@ class Evaluate:
 
     def run(self) -> None:
         """Evaluate and say."""
-        from contactgraph.cli.model_names import model_path
-        from contactgraph.cli.numbers import check_range
+        from contactgraph.cli.models import in_steps_of, model_path
+        from contactgraph.cli.options import check_range
         from contactgraph.cli.output import check_writable, say, write_json
-        from contactgraph.cli.recorded_runs import in_steps_of
         from contactgraph.cli.sensor import sensor_faults
         from contactgraph.data import read_trajectories
         from contactgraph.evaluate import evaluate_open_loop, rollout_growth

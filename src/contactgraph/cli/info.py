@@ -53,7 +53,7 @@ class Info:
             say(f"  checkpoint  {checkpoint.name}")
 
     def _model(self) -> None:
-        from contactgraph.cli.model_names import model_path
+        from contactgraph.cli.models import model_path
         from contactgraph.cli.output import say
         from contactgraph.model.storage import describe_model
 

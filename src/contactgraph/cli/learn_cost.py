@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
-    from contactgraph.cli.task_names import KnownTask
+    from contactgraph.cli.tasks import KnownTask
     from contactgraph.control import ControlLimits
     from contactgraph.data import Dataset
 
@@ -44,11 +44,16 @@ class LearnCost:
     def run(self) -> None:
         """Learn, and say what was found."""
         from contactgraph.cli.cost_words import participant_lines, term_lines
-        from contactgraph.cli.model_names import model_path
-        from contactgraph.cli.numbers import check_range, check_seed, check_weight
-        from contactgraph.cli.output import check_suffix, check_writable, progress, say
-        from contactgraph.cli.provenance import provenance, sha256
-        from contactgraph.cli.recorded_runs import in_steps_of
+        from contactgraph.cli.models import in_steps_of, model_path
+        from contactgraph.cli.options import check_range, check_seed, check_weight
+        from contactgraph.cli.output import (
+            check_suffix,
+            check_writable,
+            progress,
+            provenance,
+            say,
+            sha256,
+        )
         from contactgraph.control import CostLearningConfig, learn_cost, write_cost
         from contactgraph.data import InvalidInputError
         from contactgraph.model.storage import load_model
@@ -160,6 +165,6 @@ class LearnCost:
 
 def _task_of(dataset: "Dataset") -> "KnownTask | None":
     """The task that the data set names, if it is one of ours."""
-    from contactgraph.cli.task_names import TASKS
+    from contactgraph.cli.tasks import TASKS
 
     return TASKS.get(str(dataset.metadata.get("task")))

@@ -1,10 +1,14 @@
 """What commands print and write: lines for people, JSON for programs, progress for the patient."""
 
+import contextlib
+import hashlib
 import json
 import math
+import platform
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -103,3 +107,21 @@ def progress(title: str, total: int) -> Iterator[Steps]:
     )
     with Progress(*columns, console=console) as bar:
         yield _Bar(bar, bar.add_task(title, total=total, note=""))
+
+
+_PACKAGES = ("contactgraph", "jax", "equinox", "optax", "numpy", "box2d", "mujoco")
+
+
+def provenance() -> dict[str, dict[str, str]]:
+    """Versions of Python and of the packages that shape a result; of MuJoCo where it is there."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        with contextlib.suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return {"versions": found}
+
+
+def sha256(path: Path) -> str:
+    """The file's fingerprint."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

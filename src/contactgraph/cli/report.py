@@ -26,7 +26,7 @@ class Report:
     def run(self) -> None:
         """Test, and write the page."""
         from contactgraph.cli.conditions import Conditions
-        from contactgraph.cli.names import looked_up
+        from contactgraph.cli.options import choice
         from contactgraph.cli.output import check_writable
         from contactgraph.cli.report_files import measured, write_report_files
         from contactgraph.data import InvalidInputError
@@ -38,7 +38,7 @@ class Report:
         page = self.out or folder / "report" / "index.html"
         if page.parent.exists():
             check_writable(page)
-        task = looked_up("task", self.task, {task.name: task for task in EVERY_TASK})
+        task = choice("task", self.task, {task.name: task for task in EVERY_TASK})
         conditions = Conditions(task, self.test_runs, self.episodes, self.seed)
         result = measured(self.run_name, conditions, page.parent / "cells")
         command = f"contactgraph report {self.run_name} --task {task.name} --seed {self.seed}"

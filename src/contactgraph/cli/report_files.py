@@ -4,18 +4,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from contactgraph.cli.conditions import Conditions
-from contactgraph.cli.model_names import model_path
-from contactgraph.cli.output import say, write_json, write_text
-from contactgraph.cli.provenance import provenance
-from contactgraph.cli.task_names import TASKS, TaskOptions, task_factory
+from contactgraph.cli.models import model_path
+from contactgraph.cli.output import provenance, say, write_json, write_text
+from contactgraph.cli.tasks import TASKS, TaskOptions, task_factory
 from contactgraph.data import Trajectory
 from contactgraph.evaluate import EpisodeRecord, control_task
 from contactgraph.model.storage import describe_model, load_model
 from contactgraph.train import RunFolder
-from contactgraph.viz import SceneRun, write_report, write_still
-from contactgraph_studies.number_table import csv_numbers, markdown_numbers
-from contactgraph_studies.report_numbers import ModelResult, report_numbers
-from contactgraph_studies.report_page import model_report
+from contactgraph.viz import SceneRun, write_report, write_summary_figure
+from contactgraph.viz.model_report import ModelResult, model_report, report_numbers
+from contactgraph.viz.number_table import csv_numbers, markdown_numbers
 from contactgraph_studies.scenes import scene_run
 
 
@@ -43,7 +41,7 @@ def write_report_files(page: Path, result: ModelResult, run_name: str, command: 
     scenes = _scenes(run_name, result)
     versions = provenance()["versions"]
     write_report(page, model_report(result, numbers, scenes, metrics, versions, [command]))
-    write_still(folder / f"{result.task.name}.png", scenes[min(1, len(scenes) - 1)])
+    write_summary_figure(folder / f"{result.task.name}.png", scenes[min(1, len(scenes) - 1)])
     write_text(folder / "table.md", markdown_numbers(numbers))
     write_text(folder / "table.csv", csv_numbers(numbers))
     write_json(

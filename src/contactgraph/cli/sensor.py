@@ -1,6 +1,6 @@
 """The contact sensor that a user describes."""
 
-from contactgraph.cli.numbers import check_range
+from contactgraph.cli.options import check_range
 from contactgraph.data import InvalidInputError
 from contactgraph.evaluate import SensorFaults
 

@@ -55,11 +55,9 @@ class Train:
         """Train, saving checkpoints on the way."""
         import jax
 
-        from contactgraph.cli.model_names import MODELS
-        from contactgraph.cli.names import looked_up
-        from contactgraph.cli.numbers import check_range, check_seed, check_weight
-        from contactgraph.cli.output import progress, say
-        from contactgraph.cli.provenance import provenance, sha256
+        from contactgraph.cli.models import MODELS
+        from contactgraph.cli.options import check_range, check_seed, check_weight, choice
+        from contactgraph.cli.output import progress, provenance, say, sha256
         from contactgraph.data import (
             InvalidInputError,
             pad_trajectories,
@@ -87,7 +85,7 @@ class Train:
         distance = told.contact_distance
         if distance is not None and not (distance > 0 and math.isfinite(distance)):
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
-        build = looked_up("--model", told.model, MODELS)
+        build = choice("--model", told.model, MODELS)
         check_weight("--prior-weight", told.prior_weight)
         recipe = TrainConfig(
             **{name: getattr(told, name) for name in _RECIPE},

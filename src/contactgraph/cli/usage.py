@@ -6,7 +6,7 @@ The parser draws a box for people with time; a script's log, and most people, wa
 import re
 
 _STYLE = re.compile(r"\x1b\[[0-9;]*m")
-# Drawn with other signs where standard output is not Unicode.
+# Renderable with other signs where standard output is not Unicode.
 _BOX = re.compile(r"[╭╮╰╯│─┄┈╌]+|-{4,}|^[|+]-?(?=\s)|[|+]$", re.MULTILINE)
 _POINTER = re.compile(r" ?For full helptext, (run|see).*")
 _UNKNOWN = re.compile(r"Unrecognized options: (?P<found>.*?)(?: Perhaps you meant: (?P<near>.*))?$")

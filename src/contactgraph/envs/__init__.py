@@ -2,16 +2,16 @@
 
 from contactgraph.envs.check_task import check_task as check_task
 from contactgraph.envs.contract import ChainCost as ChainCost
-from contactgraph.envs.contract import Drawn as Drawn
 from contactgraph.envs.contract import Observation as Observation
 from contactgraph.envs.contract import Policy as Policy
+from contactgraph.envs.contract import Renderable as Renderable
 from contactgraph.envs.contract import Task as Task
 from contactgraph.envs.door import DoorTask as DoorTask
-from contactgraph.envs.door_expert import DoorExpert as DoorExpert
-from contactgraph.envs.excitation import ExplorationPolicy as ExplorationPolicy
-from contactgraph.envs.excitation import RestPolicy as RestPolicy
-from contactgraph.envs.expert import PickupExpert as PickupExpert
-from contactgraph.envs.multi_pickup import MultiPickupTask as MultiPickupTask
+from contactgraph.envs.experts import DoorExpert as DoorExpert
+from contactgraph.envs.experts import ExplorationPolicy as ExplorationPolicy
+from contactgraph.envs.experts import PickupExpert as PickupExpert
+from contactgraph.envs.experts import RestPolicy as RestPolicy
+from contactgraph.envs.pickup import MultiPickupTask as MultiPickupTask
 from contactgraph.envs.pickup import PickupTask as PickupTask
 from contactgraph.envs.pickup import pickup_success as pickup_success
 from contactgraph_franka.envs.expert import FrankaExpert as FrankaExpert

@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.contract import Drawn, Observation, Task
+from contactgraph.envs.contract import Observation, Renderable, Task
 
 _SEEDS = (0, 1, 12345)
 _CONTROL_HOLD = 10
@@ -146,8 +146,8 @@ def _check_observation(task: Task, observation: Observation, when: str) -> None:
 
 
 def _check_skeleton(task: Task, points: int | None, when: str) -> int | None:
-    """How many points a task that is `Drawn` has; ``points``, where that is known already."""
-    if not isinstance(task, Drawn):
+    """How many points a task that is `Renderable` has; ``points``, where that is known already."""
+    if not isinstance(task, Renderable):
         return None
     skeleton, dimension = task.skeleton(), task.scene.dimension
     if skeleton.ndim != 2 or len(skeleton) < 2 or skeleton.shape[1] != dimension:

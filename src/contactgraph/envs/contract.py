@@ -57,7 +57,7 @@ class Task(Protocol):
 
 
 @runtime_checkable
-class Drawn(Protocol):
+class Renderable(Protocol):
     """What a task may offer beside `Task`: a body to draw that is no node, such as an arm."""
 
     def skeleton(self) -> np.ndarray:

@@ -1,11 +1,22 @@
-"""Where things lie when a pickup of one or more targets begins."""
+"""Distances in the plane from the ways that something sweeps along."""
 
 import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
-from contactgraph.envs.ways import distance_to_way
+
+def distance_to_way(point: np.ndarray, start: np.ndarray, end: np.ndarray, beyond: float) -> float:
+    """Distance of a point from the way from start to end, all ``[2]`` m; m.
+
+    The way goes on straight for ``beyond`` m behind its end: nobody stops dead.
+    """
+    way = end - start
+    length = float(np.hypot(*way))
+    direction = way / length
+    along = np.clip(direction @ (point - start), 0.0, length + beyond)
+    return float(np.hypot(*(point - (start + along * direction))))
+
 
 HALF_WIDTH = 1.0
 """Half the side of the square that gripper, targets and goal lie in at the start, m."""

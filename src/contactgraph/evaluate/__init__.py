@@ -1,8 +1,8 @@
 """Running episodes, and the metrics over what was recorded."""
 
-from contactgraph.envs.collect import collect as collect
-from contactgraph.envs.collect import episode_seeds as episode_seeds
-from contactgraph.envs.run_episode import run_episode as run_episode
+from contactgraph.envs.episodes import collect as collect
+from contactgraph.envs.episodes import episode_seeds as episode_seeds
+from contactgraph.envs.episodes import run_episode as run_episode
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics as ClosedLoopMetrics
 from contactgraph.evaluate.closed_loop import closed_loop_metrics as closed_loop_metrics
 from contactgraph.evaluate.closed_loop import control_task as control_task

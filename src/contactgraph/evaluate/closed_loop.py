@@ -11,9 +11,8 @@ import numpy as np
 
 from contactgraph.control import ILQR, MPC, ControlLimits
 from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.envs.collect import episode_seeds
 from contactgraph.envs.contract import Task
-from contactgraph.envs.run_episode import run_episode
+from contactgraph.envs.episodes import episode_seeds, run_episode
 from contactgraph.evaluate.edge_scores import EstimatedContacts, estimated_contacts
 from contactgraph.evaluate.mpc_policy import MPCPolicy, SceneCost, TaskCost
 from contactgraph.evaluate.plan_tracking import (

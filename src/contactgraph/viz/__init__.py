@@ -9,4 +9,4 @@ from contactgraph.viz.report_data import NStepError as NStepError
 from contactgraph.viz.report_data import Number as Number
 from contactgraph.viz.report_data import ReportData as ReportData
 from contactgraph.viz.scene_run import SceneRun as SceneRun
-from contactgraph.viz.still import write_still as write_still
+from contactgraph.viz.summary_figure import write_summary_figure as write_summary_figure

@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from contactgraph.data import InvalidInputError
-from contactgraph.viz.colours import INK, SOFT
-from contactgraph.viz.scene_picture import draw_scene
+from contactgraph.viz.scene_picture import INK, SOFT, draw_scene
 from contactgraph.viz.scene_run import SceneRun
 
 _FRAME_SECONDS = 0.04

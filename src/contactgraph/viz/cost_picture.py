@@ -20,7 +20,7 @@ from matplotlib.transforms import blended_transform_factory
 from contactgraph.control import Cost, LearnedCost
 from contactgraph.control.cost_learning.learned_cost import relative_names, relative_terms
 from contactgraph.data import InvalidInputError, atomic_write
-from contactgraph.viz.colours import BODY_COLOURS, INK, RULE, SOFT
+from contactgraph.viz.scene_picture import BODY_COLOURS, INK, RULE, SOFT
 
 _DECADES = 2.5
 """From the largest entry down, in which colours tell sizes apart; the rest is next to white."""

@@ -201,9 +201,9 @@ def _objects(
     stack: ExitStack,
 ) -> tuple[TrackedObjects | None, AssumedBlock | None, float]:
     """Who tells where the block is, a camera or the user; and how it is turned, rad."""
-    from contactgraph.cli.names import looked_up
+    from contactgraph.cli.options import choice
 
-    looked_up("--camera", options.camera, dict.fromkeys(("none", "realsense", "rendered")))
+    choice("--camera", options.camera, dict.fromkeys(("none", "realsense", "rendered")))
     if options.camera == "none":
         if options.block is None:
             raise InvalidInputError("without a --camera, --block X Y Z must say where the block is")

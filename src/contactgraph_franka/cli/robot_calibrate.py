@@ -40,7 +40,7 @@ class Calibrate:
 
         import numpy as np
 
-        from contactgraph.cli.numbers import check_range
+        from contactgraph.cli.options import check_range
         from contactgraph.cli.output import check_suffix, check_writable, say
         from contactgraph.data import InvalidInputError
         from contactgraph_franka.cli.robot_options import FAKE

@@ -44,7 +44,7 @@ class Record:
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.cli.numbers import check_range, check_seed
+        from contactgraph.cli.options import check_range, check_seed
         from contactgraph.cli.output import check_writable, progress, say
         from contactgraph.data import InvalidInputError, Metadata, write_trajectories
         from contactgraph_franka.cli.robot_arms import opened

@@ -42,8 +42,8 @@ class RehearseControl:
 
     def run(self) -> None:
         """Control, and say how it went."""
-        from contactgraph.cli.model_names import model_path
-        from contactgraph.cli.numbers import check_range, check_seed
+        from contactgraph.cli.models import model_path
+        from contactgraph.cli.options import check_range, check_seed
         from contactgraph.cli.output import check_writable, progress, say, write_json
         from contactgraph.data import write_trajectories
         from contactgraph_franka.cli.rehearsed_arm import rehearsed_arm

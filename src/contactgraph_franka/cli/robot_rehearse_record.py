@@ -48,7 +48,7 @@ class RehearseRecord:
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.cli.numbers import check_range, check_seed, check_share
+        from contactgraph.cli.options import check_range, check_seed, check_share
         from contactgraph.cli.output import check_writable, say, write_json
         from contactgraph_franka.cli.robot_options import check_seconds
 

@@ -44,8 +44,8 @@ class Run:
 
     def run(self) -> None:
         """Run, and say how it went."""
-        from contactgraph.cli.model_names import model_path
-        from contactgraph.cli.numbers import check_range
+        from contactgraph.cli.models import model_path
+        from contactgraph.cli.options import check_range
         from contactgraph.cli.output import check_writable, say, write_json
         from contactgraph.data import write_trajectories
         from contactgraph_franka.cli.robot_arms import opened

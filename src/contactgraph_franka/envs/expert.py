@@ -6,7 +6,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
-from contactgraph.envs.excitation import CorrelatedNoise
+from contactgraph.envs.experts import CorrelatedNoise
 from contactgraph_franka.envs.pickup import APPARENT_MASS, HAND, TARGET
 
 STIFFNESS = np.array([600.0, 100.0, 600.0])

@@ -11,8 +11,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Feedback, Observation
-from contactgraph.envs.fixed_goal import fixed_layout, fixed_metadata
-from contactgraph.envs.gripper_task import GRIPPER, GripperTask
+from contactgraph.envs.gripper_task import GRIPPER, GripperTask, fixed_layout, fixed_metadata
 from contactgraph_franka.envs.arm_model import SIMULATOR, inverse_kinematics, mujoco
 from contactgraph_franka.envs.arm_world import BLOCK_MASS, ArmWorld, Grasp, arm_alone
 from contactgraph_franka.envs.pickup import (

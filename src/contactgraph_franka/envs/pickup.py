@@ -7,7 +7,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost
-from contactgraph.envs.ways import distance_to_way
+from contactgraph.envs.pickup_layout import distance_to_way
 
 HAND, TARGET = 0, 1
 """Nodes."""

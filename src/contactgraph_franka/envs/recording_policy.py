@@ -6,8 +6,8 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
-from contactgraph.envs.excitation import CorrelatedNoise
-from contactgraph.envs.ways import distance_to_way
+from contactgraph.envs.experts import CorrelatedNoise
+from contactgraph.envs.pickup_layout import distance_to_way
 from contactgraph_franka.envs.expert import FrankaExpert, HandPath, visit
 from contactgraph_franka.envs.pickup import (
     APPARENT_MASS,

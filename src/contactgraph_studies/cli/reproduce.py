@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
-    from contactgraph.parallel import Engine
+    from contactgraph.parallel import Executor
     from contactgraph_studies.findings import StudyPlan
 
 
@@ -35,7 +35,7 @@ class Reproduce:
 
     def run(self) -> None:
         """Run the study."""
-        from contactgraph.cli.names import looked_up
+        from contactgraph.cli.options import choice
         from contactgraph.data import InvalidInputError
         from contactgraph_studies.cli.study import Study
         from contactgraph_studies.cost.declared import COST_TASKS, FULL_COST, QUICK_COST
@@ -60,7 +60,7 @@ class Reproduce:
             "rehearsal": RehearsalStudy(QUICK_REHEARSAL if self.quick else FULL_REHEARSAL),
             "all": ModelStudy(TASKS, amounts),
         }
-        plan = looked_up("study", self.study, studies)
+        plan = choice("study", self.study, studies)
         folder = self.out or Path("results") / ("study" if self.study == "all" else self.study)
         if folder.exists() and not folder.is_dir():
             raise InvalidInputError(f"--out: {folder} must be a folder, found a file")
@@ -78,18 +78,18 @@ class Reproduce:
             # The page is written all the same; the exit code says that it is not whole.
             sys.exit(1)
 
-    def _engine(self, plan: "StudyPlan") -> "AbstractContextManager[Engine]":
+    def _engine(self, plan: "StudyPlan") -> "AbstractContextManager[Executor]":
         """Who makes the cells of a plan."""
-        from contactgraph.cli.engines import engine_of
+        from contactgraph.cli.options import open_executor
         from contactgraph.data import InvalidInputError
-        from contactgraph.parallel import WholeMachine
+        from contactgraph.parallel import WholeMachineExecutor
         from contactgraph_studies.sim.study import RehearsalStudy
 
         if not isinstance(plan, RehearsalStudy):
-            return engine_of(self.cluster)
+            return open_executor(self.cluster)
         if self.cluster != "local":
             raise InvalidInputError(
                 f"--cluster: a rehearsal is held on this machine (local), found {self.cluster!r}"
             )
         # Server, camera, planner and loop keep time together, on all cores there are.
-        return nullcontext(WholeMachine())
+        return nullcontext(WholeMachineExecutor())

@@ -9,12 +9,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from contactgraph.cli.output import progress, say, write_json, write_text
-from contactgraph.cli.provenance import provenance
-from contactgraph.parallel import Engine
+from contactgraph.cli.output import progress, provenance, say, write_json, write_text
+from contactgraph.parallel import Executor
+from contactgraph.viz.number_table import csv_numbers, markdown_numbers
 from contactgraph_studies.errand import Ended
 from contactgraph_studies.findings import Findings, StudyPlan
-from contactgraph_studies.number_table import csv_numbers, markdown_numbers
 from contactgraph_studies.record import Records
 from contactgraph_studies.runner import Failure, Standing, run_cells
 from contactgraph_studies.study_page import StudyPage, study_page
@@ -29,7 +28,7 @@ class Study:
     command: str
     """That makes the study."""
 
-    def measure(self, engine: Engine) -> list[Failure]:
+    def measure(self, engine: Executor) -> list[Failure]:
         """Make the cells that are not there yet; those that failed."""
         self.folder.mkdir(parents=True, exist_ok=True)
         records = Records(self.folder, version("contactgraph"))

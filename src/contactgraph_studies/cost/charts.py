@@ -10,7 +10,7 @@ from contactgraph.data import read_trajectories
 from contactgraph.model import shipped_model
 from contactgraph.model.storage import load_model
 from contactgraph.viz import cost_figure
-from contactgraph.viz.colours import BODY_COLOURS
+from contactgraph.viz.scene_picture import BODY_COLOURS
 from contactgraph_studies.chart import SOFT, chart, quiet
 from contactgraph_studies.cost.cells import Controlled, Learned, Place
 from contactgraph_studies.cost.declared import (

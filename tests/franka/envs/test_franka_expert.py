@@ -6,8 +6,7 @@ from franka_runs import HIGH, LOW, TORQUE, WatchedTask
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs import FrankaExpert
-from contactgraph.envs.collect import episode_seeds
-from contactgraph.envs.run_episode import run_episode
+from contactgraph.envs.episodes import episode_seeds, run_episode
 from contactgraph_franka.envs import FrankaTask
 
 RUNS = 20

@@ -6,7 +6,7 @@ import pytest
 from franka_runs import WatchedTask, pads_touching, push, tick, world_with_hand_at
 
 from contactgraph.envs import FrankaExpert
-from contactgraph.envs.run_episode import run_episode
+from contactgraph.envs.episodes import run_episode
 from contactgraph_franka.envs import FrankaTask, Grasp
 from contactgraph_franka.envs.arm_world import (
     HALF_BLOCK,

@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import FrankaExpert, check_task
-from contactgraph.envs.run_episode import run_episode
+from contactgraph.envs.episodes import run_episode
 from contactgraph_franka.envs import FrankaTask, Grasp
 from contactgraph_franka.envs.pickup import (
     CLEARANCE,
@@ -31,7 +31,7 @@ FINGERPRINT = """
 import hashlib
 from contactgraph.envs import FrankaExpert
 from contactgraph_franka.envs import FrankaTask
-from contactgraph.envs.run_episode import run_episode
+from contactgraph.envs.episodes import run_episode
 run = run_episode(FrankaTask(1), FrankaExpert(), 5)
 print(hashlib.sha256(run.position.tobytes() + run.velocity.tobytes()).hexdigest())
 """

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from contactgraph.cli.names import looked_up
+from contactgraph.cli.options import choice
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import (
     DoorExpert,
@@ -79,7 +79,7 @@ def _franka(options: TaskOptions) -> TaskFactory:
     task = partial(FrankaTask, options.distractors, fixed_seed=options.fixed_seed)
     if options.grasp is None:
         return task
-    grasp = looked_up("--grasp", options.grasp, {each.value: each for each in Grasp})
+    grasp = choice("--grasp", options.grasp, {each.value: each for each in Grasp})
     return partial(task, grasp=grasp)
 
 
@@ -124,7 +124,7 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
 
     Raises `InvalidInputError` for names and options that no task has.
     """
-    factory = looked_up("task", name, TASKS).factory(options)
+    factory = choice("task", name, TASKS).factory(options)
     if options.radius is not None and name != "pickup":
         raise InvalidInputError(f"--radius: only pickup has bodies of another size, found {name}")
     factory()  # a wrong count is refused before anything is begun

@@ -12,9 +12,7 @@ from importlib.metadata import version
 from typing import Any
 
 from contactgraph.data import InvalidInputError
-from contactgraph.parallel.attempt import attempt, told
-from contactgraph.parallel.engine import Begin, Crew, Outcome, Work
-from contactgraph.parallel.processes import keep_to_one_core
+from contactgraph.parallel import Begin, Outcome, Pool, Work, attempt, keep_to_one_core, told
 
 try:
     import ray
@@ -36,7 +34,7 @@ _GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _SETTINGS
 """How HTTP/2 begins, on which Ray's servers speak; they answer with settings of their own."""
 
 
-class RayCluster:
+class RayExecutor:
     """The machines of a Ray cluster: one unit a core at a time. See `connected`.
 
     They read no files of this machine's. They need this package in the same version, which is
@@ -51,9 +49,9 @@ class RayCluster:
         return max(1, int(ray.cluster_resources().get("CPU", 0)))
 
     @contextmanager
-    def crew(self, begin: Begin, units: int, units_a_worker: int = 0) -> Iterator[Crew]:
-        """See `Engine`; machines that come or go are made use of, or done without."""
-        crew = _Places(self, begin, units_a_worker)
+    def crew(self, begin: Begin, units: int, tasks_per_worker: int = 0) -> Iterator[Pool]:
+        """See `Executor`; machines that come or go are made use of, or done without."""
+        crew = _Places(self, begin, tasks_per_worker)
         try:
             yield crew
         finally:
@@ -61,7 +59,7 @@ class RayCluster:
 
 
 @contextmanager
-def connected(address: str | None = None) -> Iterator[RayCluster]:
+def connected(address: str | None = None) -> Iterator[RayExecutor]:
     """The cluster at ``HOST:PORT``, of which this machine is one.
 
     Without an address: that of RAY_ADDRESS, or that which this machine is in, or else one of this
@@ -79,7 +77,7 @@ def connected(address: str | None = None) -> Iterator[RayCluster]:
         where = "Ray" if address is None else f"the Ray cluster at {address}"
         raise InvalidInputError(f"{where} cannot be used: {_first_line(error)}") from error
     try:
-        yield RayCluster()
+        yield RayExecutor()
     finally:
         ray.shutdown()
 
@@ -105,10 +103,10 @@ def _check_answers(address: str) -> None:
 class _Places:
     """Units that the cluster was asked for, each in a place with a number."""
 
-    def __init__(self, cluster: RayCluster, begin: Begin, units_a_worker: int) -> None:
+    def __init__(self, cluster: RayExecutor, begin: Begin, tasks_per_worker: int) -> None:
         self._cluster = cluster
         self._begin = ray.put(begin)
-        self._perform = ray.remote(num_cpus=1, max_retries=_TRIES - 1, max_calls=units_a_worker)(
+        self._perform = ray.remote(num_cpus=1, max_retries=_TRIES - 1, max_calls=tasks_per_worker)(
             _perform
         )
         self._at: dict[Any, tuple[int, Any]] = {}

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from contactgraph.data import InvalidInputError
+from contactgraph.cli.output import say
+from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
     Preset,
     full_ab,
@@ -46,3 +47,20 @@ def model_path(run: str) -> Path:
         f"{run}: no such run folder or model file; models that ship are "
         f"{', '.join(shipped_models())}"
     )
+
+
+_WHOLE = 1e-6
+
+
+def in_steps_of(model: object, dataset: Dataset, name: str) -> Dataset:
+    """The runs of ``dataset``, in longer steps where the model's step is a multiple of theirs.
+
+    ``name`` is the data set's, for the line that says so. Where it is none, they are left as they
+    are, for whoever compares the two to refuse.
+    """
+    dt = getattr(model, "dt", dataset.dt)
+    every = round(dt / dataset.dt)
+    if every < 2 or abs(every * dataset.dt - dt) > _WHOLE * dt:
+        return dataset
+    say(f"{name}: every {every}th step is taken, since the model's are {dt:g} s long")
+    return subsample(dataset, every)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.parallel import LocalProcesses, answers_in_order, usable_cores
+from contactgraph.parallel import LocalExecutor, map_in_order, usable_cores
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Errand:
 
 
 def test_answers_come_in_order_from_processes_that_begin_once():
-    answers = list(answers_in_order(LocalProcesses(2), Errand().begin, range(2, 8)))
+    answers = list(map_in_order(LocalExecutor(2), Errand().begin, range(2, 8)))
     assert [index for index, _, _ in answers] == list(range(2, 8))
     begun = {(process, begun) for _, process, begun in answers}
     assert len(begun) == len(dict(begun)) and os.getpid() not in dict(begun)
@@ -57,7 +57,7 @@ def test_answers_come_in_order_from_processes_that_begin_once():
 )
 def test_what_goes_wrong_in_a_process_is_told(errand, error, said):
     with pytest.raises(error, match=said):
-        list(answers_in_order(LocalProcesses(2), errand.begin, range(8)))
+        list(map_in_order(LocalExecutor(2), errand.begin, range(8)))
     assert multiprocessing.active_children() == []
 
 
@@ -69,7 +69,7 @@ class Place:
 
 
 def test_each_process_stays_on_a_core_and_is_replaced_after_so_many_units():
-    with LocalProcesses(1).crew(Place().begin, 5, units_a_worker=2) as crew:
+    with LocalExecutor(1).crew(Place().begin, 5, tasks_per_worker=2) as crew:
         workers, processes = [], []
         for unit in range(5):
             (worker,) = crew.idle()
@@ -84,7 +84,7 @@ def test_each_process_stays_on_a_core_and_is_replaced_after_so_many_units():
 
 
 def test_a_process_that_died_is_told_and_another_takes_its_place():
-    with LocalProcesses(2).crew(Errand(deadly=3).begin, 8) as crew:
+    with LocalExecutor(2).crew(Errand(deadly=3).begin, 8) as crew:
         for worker, unit in zip(crew.idle(), (3, 7), strict=True):
             crew.give(worker, unit)
         outcomes = []
@@ -99,7 +99,7 @@ def test_a_process_that_died_is_told_and_another_takes_its_place():
 
 def test_there_must_be_a_process():
     with pytest.raises(InvalidInputError, match="processes must be at least 1, found 0"):
-        LocalProcesses(0)
+        LocalExecutor(0)
 
 
 def test_cores_are_as_many_as_nproc_says(monkeypatch):
@@ -111,7 +111,7 @@ def test_cores_are_as_many_as_nproc_says(monkeypatch):
 
 
 def test_processes_end_with_whoever_wants_no_more():
-    answers = answers_in_order(LocalProcesses(2), Errand(endless=1).begin, range(8))
+    answers = map_in_order(LocalExecutor(2), Errand(endless=1).begin, range(8))
     next(answers)
     assert len(multiprocessing.active_children()) == 2
     answers.close()
@@ -120,13 +120,13 @@ def test_processes_end_with_whoever_wants_no_more():
 
 UNGUARDED = """
 import functools, sys
-from contactgraph.parallel import LocalProcesses, answers_in_order
+from contactgraph.parallel import LocalExecutor, map_in_order
 
 def begin(ballast):
     return str
 
 work = functools.partial(begin, "x" * int(sys.argv[1]))
-print(list(answers_in_order(LocalProcesses(1), work, range(2))))
+print(list(map_in_order(LocalExecutor(1), work, range(2))))
 """
 
 

@@ -9,15 +9,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 
-from contactgraph.viz.colours import (
+from contactgraph.viz.scene_picture import (
     BELIEF_COLOUR,
     CONTACT_COLOUR,
     INK,
     RULE,
     SOFT,
     body_colour,
+    draw_scene,
 )
-from contactgraph.viz.scene_picture import draw_scene
 from contactgraph.viz.scene_run import SceneRun
 from contactgraph.viz.selection import (
     focus_nodes,
@@ -30,12 +30,12 @@ from contactgraph.viz.selection import (
 _MOMENTS = 5
 
 
-def write_still(path: str | Path, run: SceneRun) -> None:
+def write_summary_figure(path: str | Path, run: SceneRun) -> None:
     """Write a PNG of ``run``, whole or not at all: five moments, the belief and 1/m over time."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{os.getpid()}.{path.name}")
-    figure = still_figure(run)
+    figure = summary_figure(run)
     try:
         figure.savefig(unfinished, dpi=150, format="png")
         unfinished.replace(path)
@@ -43,7 +43,7 @@ def write_still(path: str | Path, run: SceneRun) -> None:
         unfinished.unlink(missing_ok=True)
 
 
-def still_figure(run: SceneRun) -> Figure:
+def summary_figure(run: SceneRun) -> Figure:
     """The picture as a matplotlib figure, drawn without a display."""
     plots = 1 + (run.inverse_mass is not None)
     figure = Figure(figsize=(11.0, 2.9 + 1.25 * plots), facecolor="white")
@@ -66,7 +66,7 @@ def still_figure(run: SceneRun) -> Figure:
         _draw_inverse_mass(axes[1], run, run.inverse_mass)
         axes[0].tick_params(labelbottom=False)
     axes[-1].set_xlabel("time, s", color=SOFT, fontsize=9, loc="right", labelpad=1)
-    for place, state in enumerate(still_states(run)):
+    for place, state in enumerate(summary_states(run)):
         scene = figure.add_subplot(grid[0, place])
         draw_scene(scene, run, state)
         time = state * run.dt
@@ -90,7 +90,7 @@ def _thread(scene: Axes, plot: Axes, time: float) -> ConnectionPatch:
     )
 
 
-def still_states(run: SceneRun) -> list[int]:
+def summary_states(run: SceneRun) -> list[int]:
     """Five moments: start, before, at and after the grasp, end; evenly spread without a grasp."""
     grasp = grasp_step(run)
     if grasp is None:

@@ -14,7 +14,7 @@ joint, that joint would bend a straight step into an arc and take away some of t
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.envs.box2d.engine import (
+from contactgraph.envs.circle_world import (
     POSITION_ITERATIONS,
     VELOCITY_ITERATIONS,
     Box2D,

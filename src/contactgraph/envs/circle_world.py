@@ -1,21 +1,34 @@
-"""Circles in the plane that collide purely inelastically and then hold.
+"""The one file that imports Box2D, and what all worlds on it share."""
 
-Box2D finds the touches, integrates the motion and carries the joints. What it does not offer is
-a perfectly inelastic impact at the moment of touch, so that is resolved here: within a substep a
-body moves in a straight line, hence the moment of touch is a root of a quadratic. The bodies are
-taken back to it and go on together, with momentum over mass as their common velocity. A touching
-pair is therefore held at exactly the sum of its radii, and the centre of mass moves as it must.
-"""
+import warnings
 
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.envs.box2d.engine import (
-    POSITION_ITERATIONS,
-    VELOCITY_ITERATIONS,
-    Box2D,
-    TouchListener,
-)
+
+with warnings.catch_warnings():
+    # Its wrapper warns of a deprecation when imported; where warnings are errors, it crashes.
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import Box2D as Box2D
+
+SIMULATOR = f"box2d {Box2D.__version__}"
+
+VELOCITY_ITERATIONS = 20
+POSITION_ITERATIONS = 5
+
+
+class TouchListener(Box2D.b2ContactListener):
+    """Notes pairs that begin to touch; the world is locked then, so that is all it may do."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.touched: list[tuple[int, int]] = []
+
+    def BeginContact(self, contact: Box2D.b2Contact) -> None:
+        """Called by Box2D, hence the name."""
+        pair = sorted((contact.fixtureA.body.userData, contact.fixtureB.body.userData))
+        self.touched.append((pair[0], pair[1]))
+
 
 _ROUNDING = 1e-6
 """By how much Box2D's single precision may take two bodies as touching too early, m."""

@@ -1,16 +1,82 @@
-"""Recording many runs, in this process or by an engine's workers."""
+"""Running a policy in a task, and recording what happened."""
 
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import cast
 
+import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.envs.contract import Policy, Task
-from contactgraph.envs.run_episode import run_episode
-from contactgraph.parallel import Engine, answers_in_order
+from contactgraph.envs.contract import (
+    FeedbackPolicy,
+    FeedbackTask,
+    InformedPolicy,
+    Observation,
+    Policy,
+    Renderable,
+    Task,
+)
+from contactgraph.parallel import Executor, map_in_order
+
+StepCallback = Callable[[int, Observation, np.ndarray], None]
+"""Called after every step with its index, the observation before it and the control ``[U]`` N."""
+
+
+def run_episode(
+    task: Task, policy: Policy, seed: int, on_step: StepCallback | None = None
+) -> Trajectory:
+    """Runs one episode and records it: ``T`` controls as applied, ``T + 1`` states and contacts.
+
+    ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
+    it. Where task and policy both know of it, feedback acts within the steps, and controls are
+    their means. The scene's metadata gains the policy's class name and whether the run succeeded.
+    A task that is `Renderable` has its skeleton recorded at every state.
+    """
+    if seed < 0:
+        raise InvalidInputError(f"seed must be at least 0, found {seed}")
+    box = cast(gymnasium.spaces.Box, task.action_space)
+    observation, _ = task.reset(seed=seed)
+    # A stream of its own: a noise drawn from the scene's numbers would depend on the layout.
+    policy.reset(task.scene, int(np.random.SeedSequence(seed).generate_state(1)[0]))
+    observations = [observation]
+    drawn = task if isinstance(task, Renderable) else None
+    # Copies: a simulator may well answer with a view of what it moves.
+    skeletons = [] if drawn is None else [np.array(drawn.skeleton())]
+    controls: list[np.ndarray] = []
+    done = False
+    while not done:
+        control = np.clip(policy(observation), box.low, box.high).astype(box.dtype)
+        if isinstance(task, FeedbackTask) and isinstance(policy, FeedbackPolicy):
+            following, _, terminated, truncated, info = task.step_under(policy.feedback())
+            control = info["control"]
+        else:
+            following, _, terminated, truncated, _ = task.step(control)
+        if isinstance(policy, InformedPolicy):
+            policy.applied(control)
+        if on_step is not None:
+            on_step(len(controls), observation, control)
+        observation, done = following, terminated or truncated
+        observations.append(observation)
+        if drawn is not None:
+            skeletons.append(np.array(drawn.skeleton()))
+        controls.append(control)
+    metadata = {
+        **task.scene.metadata,
+        "policy": type(policy).__name__,
+        "success": task.success(),
+    }
+    return Trajectory(
+        scene=replace(task.scene, metadata=metadata),
+        position=np.stack([each["position"] for each in observations]),
+        velocity=np.stack([each["velocity"] for each in observations]),
+        control=np.stack(controls),
+        contact=np.stack([each["contact"] for each in observations]).astype(bool),
+        skeleton=np.stack(skeletons) if skeletons else None,
+    )
+
 
 _ALONE_S = 1.0
 """For so long one process records, whatever there is to do: it tells how long a run takes."""
@@ -24,7 +90,7 @@ def collect(
     episodes: int,
     seed: int,
     on_episode: Callable[[Trajectory], None] | None = None,
-    engine: Engine | None = None,
+    engine: Executor | None = None,
     recorded: Sequence[Trajectory] = (),
 ) -> list[Trajectory]:
     """Records ``episodes`` runs; run ``i`` is by ``policies[i % len(policies)]``.
@@ -39,7 +105,7 @@ def collect(
 
     ``on_episode`` is called with every run as it is done, in order. This process records, or, where
     there is so much to do that starting them pays, an ``engine``'s workers; then factories and
-    policies must be what an `Engine` can send, which a lambda is not. ``recorded`` are the first
+    policies must be what an `Executor` can send, which a lambda is not. ``recorded`` are the first
     runs where an earlier call had come so far; they are not made again. Raises `InvalidInputError`
     where a count or the seed is out of range.
     """
@@ -95,7 +161,7 @@ class _Runs:
 
 
 def _made(
-    wanted: _Runs, numbers: range, engine: Engine | None
+    wanted: _Runs, numbers: range, engine: Executor | None
 ) -> Generator[Trajectory, None, None]:
     """The runs of these numbers, in order."""
     record, began = wanted.recorder(), time.perf_counter()
@@ -104,6 +170,6 @@ def _made(
         if done and engine is not None and spent > _ALONE_S:
             alone = spent / done * left
             if alone * (1.0 - 1.0 / engine.workers) > _START_S:
-                yield from answers_in_order(engine, wanted.recorder, numbers[done:])
+                yield from map_in_order(engine, wanted.recorder, numbers[done:])
                 return
         yield record(index)

@@ -1,0 +1,223 @@
+"""Random forces: noise that makes masses identifiable, and runs that explore or rest."""
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs.contract import Observation
+from contactgraph.envs.door import DOOR
+from contactgraph.envs.gripper_task import GRIPPER
+from contactgraph.envs.pickup import held
+
+
+class CorrelatedNoise:
+    """An Ornstein-Uhlenbeck process, stationary from its first value on.
+
+    ``deviation`` N is the standard deviation on each axis; after ``correlation_steps`` steps the
+    correlation has fallen to 1/e.
+    """
+
+    def __init__(self, deviation: float, correlation_steps: float) -> None:
+        if not (deviation >= 0.0 and correlation_steps > 0.0):
+            raise InvalidInputError(
+                f"noise needs deviation >= 0 and correlation_steps > 0, found "
+                f"{deviation} and {correlation_steps}"
+            )
+        self._deviation = deviation
+        self._keep = float(np.exp(-1.0 / correlation_steps))
+        self._rng = np.random.default_rng(0)
+        self._value = np.zeros(0)
+
+    def reset(self, size: int, seed: int) -> None:
+        """Starts anew with ``size`` axes."""
+        self._rng = np.random.default_rng(seed)
+        self._value = self._deviation * self._rng.standard_normal(size)
+
+    def __call__(self) -> np.ndarray:
+        """The next value, ``[size]`` N."""
+        value = self._value
+        fresh = self._deviation * self._rng.standard_normal(value.shape)
+        self._value = self._keep * value + np.sqrt(1.0 - self._keep**2) * fresh
+        return value
+
+
+class ExplorationPolicy:
+    """Wanders about with random forces and now and then hits something.
+
+    A spring (``stiffness`` N/m) to the middle of what is there at the start, nodes and goal, and a
+    damper (``damping`` N s/m) keep it about the scene. The defaults are for 1 kg and steps of
+    0.05 s: its position spreads by 0.6 m on each axis, and it hits a lone target in one run of
+    three.
+    """
+
+    def __init__(
+        self,
+        deviation: float = 2.0,
+        correlation_steps: float = 5.0,
+        stiffness: float = 3.0,
+        damping: float = 0.7,
+    ) -> None:
+        self._noise = CorrelatedNoise(deviation, correlation_steps)
+        self._stiffness, self._damping = stiffness, damping
+        self._actuated = 0
+        self._home: np.ndarray | None = None
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode."""
+        self._actuated = int(np.argmax(scene.actuated))
+        self._home = None
+        self._noise.reset(scene.dimension, seed)
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[D]`` N."""
+        if self._home is None:
+            places = np.concatenate([observation["position"], observation["goal"][None]])
+            self._home = (places.min(axis=0) + places.max(axis=0)) / 2.0
+        away = observation["position"][self._actuated] - self._home
+        velocity = observation["velocity"][self._actuated]
+        return self._noise() - self._stiffness * away - self._damping * velocity
+
+
+class RestPolicy:
+    """Does nothing: zero force."""
+
+    def __init__(self) -> None:
+        self._size = 0
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode."""
+        self._size = scene.dimension
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """Zeros ``[D]`` N."""
+        return np.zeros(self._size)
+
+
+STIFFNESS = 5.0
+"""Kp, N/m: on the way to a target for every body that moves, to the goal for every one held."""
+FREE_DAMPING = 0.5 * np.sqrt(STIFFNESS)
+"""On the way to the first target, N s/m."""
+HOLDING_DAMPING = 1.0 * np.sqrt(STIFFNESS)
+"""On the way to a further target, N s/m for every body that moves."""
+GOAL_DAMPING = 4.0 * np.sqrt(STIFFNESS)
+"""On the way to the goal with one target, and across the way to a target, N s/m."""
+
+
+class PickupExpert:
+    """Picks up the targets without stopping: a PD controller with the paper's gains.
+
+    It is lightly damped on the way to the next target, meets it at speed, and makes for the one
+    after it, and in the end for the goal, from the moment of touch on. Motion *across* the way to
+    a target is damped as strongly as on the way to the goal: with the light damping alone one run
+    in ten swings past a target of 0.04 m under noise, and turns round.
+
+    Gains grow with what is held, as far as the control's bounds allow, so that five targets and
+    the way to the goal fit into one episode.
+
+    ``noise`` N is the standard deviation of the force that is added on each axis, correlated over
+    ``correlation_steps`` steps: without it every force would be a function of the state, and a
+    mass could not be told from a drag.
+    """
+
+    def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
+        self._noise = CorrelatedNoise(noise, correlation_steps)
+        self._targets: list[int] = []
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode; raises `InvalidInputError` where ``scene`` is no pickup."""
+        targets = [i for i, name in enumerate(scene.node_name) if name.startswith("target")]
+        if scene.goal is None or not targets or not scene.actuated[GRIPPER]:
+            raise InvalidInputError(
+                "a pickup expert needs a goal, an actuated node 0 and nodes named target..., found "
+                f"nodes {list(scene.node_name)}"
+            )
+        self._targets = targets
+        self._noise.reset(scene.dimension, seed)
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[2]`` N."""
+        position, velocity = observation["position"], observation["velocity"][GRIPPER]
+        carried = held(observation["contact"])
+        due = [target for target in self._targets if target not in carried]
+        if due:
+            way = position[due[0]] - position[GRIPPER]
+            along = way * (way @ velocity) / (way @ way)
+            across = velocity - along
+            damping = HOLDING_DAMPING if carried else FREE_DAMPING
+            force = STIFFNESS * way - damping * along - GOAL_DAMPING * across
+            force = (1 + len(carried)) * force
+        else:
+            # The damping is 4 sqrt(Kp) for any Kp: with five held it nears the critical one.
+            way = observation["goal"] - position[self._targets[-1]]
+            force = len(carried) * STIFFNESS * way
+            force = force - np.sqrt(len(carried)) * GOAL_DAMPING * velocity
+        return force + self._noise()
+
+
+STIFFNESS_door_expert = 5.0
+"""Kp, N/m on the way to the door; on its turn N m/rad for every kg m^2."""
+FREE_DAMPING_door_expert = 1.0 * np.sqrt(STIFFNESS_door_expert)
+"""Along the way to the door, N s/m."""
+ACROSS_DAMPING = 4.0 * np.sqrt(STIFFNESS_door_expert)
+"""Across the way to the door, N s/m."""
+TURN_DAMPING = 2.0 * np.sqrt(STIFFNESS_door_expert)
+"""N m s/rad for every kg m^2: critical. The paper's 4 sqrt(Kp) would not be there in time."""
+_LEAST_LEVER = 0.1
+"""m, assumed where the gripper is pinned closer to the hinge, lest the force be without bound."""
+
+
+class DoorExpert:
+    """Strikes the door at its middle, at speed, and turns it to the goal: two PD controllers.
+
+    On the turn the torque is proportional to the moment of inertia of door and gripper about the
+    hinge, so that every door takes the same time. ``noise`` N is the standard deviation of the
+    force that is added on each axis, correlated over ``correlation_steps`` steps.
+    """
+
+    def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
+        self._noise = CorrelatedNoise(noise, correlation_steps)
+        self._hinge = np.zeros(2)
+        self._mass = np.zeros(2)
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode; raises `InvalidInputError` where ``scene`` has no door."""
+        hinged = scene.anchor is not None and scene.node_count > DOOR
+        if scene.anchor is None or not hinged or not np.isfinite(scene.anchor[DOOR]).all():
+            raise InvalidInputError(
+                f"a door expert needs a node {DOOR} with an anchor, found nodes "
+                f"{list(scene.node_name)} and anchor {scene.anchor}"
+            )
+        if scene.goal is None or scene.mass is None:
+            raise InvalidInputError(
+                f"a door expert needs a goal and masses, found {scene.goal} and {scene.mass}"
+            )
+        self._hinge, self._mass = scene.anchor[DOOR], scene.mass[[GRIPPER, DOOR]]
+        self._noise.reset(scene.dimension, seed)
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[2]`` N."""
+        position, velocity = observation["position"], observation["velocity"]
+        if observation["contact"][GRIPPER, DOOR]:
+            force = self._turn(position, velocity, observation["goal"])
+        else:
+            way = position[DOOR] - position[GRIPPER]
+            along = way * (way @ velocity[GRIPPER]) / (way @ way)
+            across = velocity[GRIPPER] - along
+            force = (
+                STIFFNESS_door_expert * way
+                - FREE_DAMPING_door_expert * along
+                - ACROSS_DAMPING * across
+            )
+        return force + self._noise()
+
+    def _turn(self, position: np.ndarray, velocity: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """[2] N across the gripper's lever."""
+        bar, aim = position[DOOR] - self._hinge, goal - self._hinge
+        lever = position[GRIPPER] - self._hinge
+        # A thin rod about its end: four thirds of m r^2, r from the hinge to the middle.
+        inertia = self._mass @ [lever @ lever, 4.0 / 3.0 * (bar @ bar)]
+        left = np.array([-bar[1], bar[0]])
+        missing = np.arctan2(left @ aim, bar @ aim)
+        rate = (left @ velocity[DOOR]) / (bar @ bar)
+        torque = inertia * (STIFFNESS_door_expert * missing - TURN_DAMPING * rate)
+        arm = float(np.linalg.norm(lever))
+        return torque / max(arm, _LEAST_LEVER) * np.array([-lever[1], lever[0]]) / arm
