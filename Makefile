@@ -1,5 +1,6 @@
 # make demo    from nothing to a report: environment, data, training, closed loop, page
-# make test    what CI runs: lint, format, types, tests
+# make test    lint, format, types and the fast tests
+# make test-all   the slow tests too: trainings, studies, simulated robots
 # make bench   times on this machine, and one table of ours beside its peers, where `make peers` was
 # make bench-quick   a few minutes: that all of the table runs; its figures are worth nothing
 # make peers   what the table compares with (torch, crocoddyl, mpc), in an environment of its own
@@ -20,7 +21,7 @@ RUN := $(DEMO)/run
 TRAINED := $(DEMO)/.trained
 REPORT := report/index.html
 
-.PHONY: help demo test bench bench-quick peers clean
+.PHONY: help demo test test-all bench bench-quick peers clean
 .DELETE_ON_ERROR:
 
 help:
@@ -52,8 +53,15 @@ test: $(DEVELOPMENT)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 -m "not realtime"
+	$(BIN)/pytest $(PARALLEL) -m "not slow and not realtime"
+
+# Tests that measure milliseconds run alone.
+test-all: test
+	$(BIN)/pytest $(PARALLEL) -m "slow and not realtime"
 	$(BIN)/pytest -m realtime
+
+# The tests of a file share compiled programs, so one process runs them all.
+PARALLEL = -n 2 --dist loadfile
 
 bench: $(PACKAGE)
 	$(BIN)/python benchmarks/training_time.py

@@ -1,4 +1,4 @@
-"""What all tests share: where compiled programs are kept, and one small trained run."""
+"""Shared by all tests: the folder of compiled programs, and one small trained run."""
 
 import os
 import tempfile
@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-# Before anything imports JAX. Compiling takes most of a test's time, so programs are kept from one
-# run to the next, in a folder of the repository; workers and subprocesses share it.
+# Set before anything imports JAX. Compilation takes most of a test's time, so compiled programs are
+# kept in a folder of the repository, which workers and subprocesses share.
 _CACHE = Path(__file__).resolve().parents[1] / ".cache" / "jax"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 import jax  # noqa: E402  after what it goes by
 
