@@ -40,7 +40,8 @@ def scene(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 def circles(hold, slip: float = 0.0) -> Circling:
     states = [jnp.asarray(values) for values in scene(slip)]
     seen = geometry(*states, jnp.asarray(PAIRS), 0.05, 0.08, None, jnp.asarray(ANCHOR))
-    return circling(jnp.asarray(ANCHOR), *states, jnp.asarray(hold), seen)
+    ends = jnp.stack([seen.first, seen.second])
+    return circling(jnp.asarray(ANCHOR), *states, jnp.asarray(hold), ends, seen.relative_velocity)
 
 
 def test_a_bars_spring_pulls_as_hard_as_turning_needs() -> None:

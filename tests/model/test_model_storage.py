@@ -231,10 +231,10 @@ def test_wrong_headers(change, message: str, good: Path, tmp_path: Path) -> None
 
 def fitting_checksum(header: dict, arrays: dict[str, np.ndarray]) -> str:
     """So that a wrong file is refused for what is wrong with it, not for its checksum."""
-    from contactgraph.model import storage
+    from contactgraph.model import storage as io
 
     rest = {name: value for name, value in header.items() if name != "checksum"}
-    return storage._checksum(rest, arrays)
+    return io._checksum(rest, arrays)
 
 
 @pytest.mark.parametrize(

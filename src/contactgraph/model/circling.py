@@ -2,10 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from contactgraph.model.edges import at_nodes
-from contactgraph.model.geometry import Geometry
 from contactgraph.model.hinges import Bars
 
 _SMALLEST = 1e-9
@@ -40,20 +39,21 @@ def circling(
     position: Float[Array, "N D"],
     velocity: Float[Array, "N D"],
     hold: Float[Array, " E"],
-    geometry: Geometry,
+    ends: Int[Array, "2 E"],
+    relative_velocity: Float[Array, "E D"],
 ) -> Circling:
     """The springs of a step, of nodes that move with `velocity` [m/s] in it.
 
-    `hold` in [0, 1] is how far each edge holds.
+    `hold` in [0, 1] is how far each edge holds, whose nodes are `ends`, of which the second has the
+    `relative_velocity` [m/s] against the first.
     """
     count = position.shape[0]
     bars = Bars(position, anchor)
     turning = jnp.sum(velocity**2, axis=-1) / bars.arm_squared
-    ends = jnp.stack([geometry.first, geometry.second])
     # From the hinged end of an edge to its free end.
     passes = bars.hinged[ends[::-1]] & ~bars.hinged[ends]
     weight = jnp.where(passes, hold, 0.0)
-    square = jnp.sum(geometry.relative_velocity**2, axis=-1)
+    square = jnp.sum(relative_velocity**2, axis=-1)
     rests = weight * _RESTING_SPEED**2 / (square + _RESTING_SPEED**2)
     other = ends[::-1]
     total = at_nodes(weight, ends, count)

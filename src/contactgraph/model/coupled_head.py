@@ -145,7 +145,15 @@ def _on_circles(
     theta, dt = step.theta, step.dt
     damper = dt * parameters.damping_rate
     change = damper * (parameters.equilibrium_velocity - local.velocity) / (1.0 + theta * damper)
-    circles = circling(local.anchor, local.position, local.velocity + change, hold, local.geometry)
+    geometry = local.geometry
+    circles = circling(
+        local.anchor,
+        local.position,
+        local.velocity + change,
+        hold,
+        jnp.stack([geometry.first, geometry.second]),
+        geometry.relative_velocity,
+    )
     stiffness = circles.rate[:, None] * jnp.ones_like(damper)
     before, after = 1.0 + theta * damper, 1.0 + theta * damper + theta**2 * dt**2 * stiffness
     sprung = SpringMassDamper(

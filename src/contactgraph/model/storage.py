@@ -29,6 +29,18 @@ _ENTRY = "contactgraph"
 _HEADER_LIMIT = 2_000_000
 _DTYPES = ("float32", "float64")
 
+_CLASSES_OF_VERSION_1 = {
+    "Reach": "SmoothCutoff",
+    "Everywhere": "NoCutoff",
+    "TouchPrior": "ClosestApproachPrior",
+}
+"""Names that classes have in files of version 1, and their names now."""
+_FIELDS_OF_VERSION_1 = {
+    "discretisation": "discretization",
+    "touch_distance": "contact_distance",
+}
+"""Names that constructor arguments and weights have in files of version 1, and their names now."""
+
 
 @dataclass(frozen=True)
 class StoredModel:
@@ -101,12 +113,13 @@ def load_model(path: str | Path) -> StoredModel:
     """
     path = Path(path)
     with _opened(path) as (file, header):
-        shapes = build(header["model"], f"{path}: model")
+        shapes = build(renamed_parts(header["model"]), f"{path}: model")
         arrays = {name: _weights(file, name, path) for name in file.keys()}  # noqa: SIM118
     _check_weights(arrays, str(path))
     if header.pop("checksum") != _checksum(header, arrays):
         raise InvalidInputError(f"{path}: checksum does not fit the content: the file is damaged")
     dtype = next(iter(arrays.values())).dtype if arrays else np.dtype("float32")
+    arrays = renamed_arrays(arrays)
     model: ContactDynamics = with_arrays(_of_dtype(shapes, dtype), arrays, str(path))
     _check_fit(model, str(path))
     return StoredModel(model, header["training"])
@@ -119,11 +132,11 @@ def describe_model(path: str | Path) -> ModelSummary:
     """
     path = Path(path)
     with _opened(path) as (file, header):
-        shapes = build(header["model"], f"{path}: model")
+        shapes = build(renamed_parts(header["model"]), f"{path}: model")
         sizes = [int(np.prod(file.get_slice(name).get_shape())) for name in file.keys()]  # noqa: SIM118
     return ModelSummary(
         format_version=VERSION,
-        model=header["model"],
+        model=renamed_parts(header["model"]),
         training=header["training"],
         dimension=shapes.dimension,
         control_size=shapes.control_size,
@@ -131,6 +144,32 @@ def describe_model(path: str | Path) -> ModelSummary:
         parameter_count=sum(sizes),
         size=path.stat().st_size,
     )
+
+
+def renamed_parts(description: Any) -> Any:
+    """A model's description of version 1, its classes and arguments named as now."""
+    if isinstance(description, list):
+        return [renamed_parts(part) for part in description]
+    if not isinstance(description, dict) or set(description) != {"type", "arguments"}:
+        return description
+    name, arguments = description["type"], description["arguments"]
+    if isinstance(name, str):
+        name = _CLASSES_OF_VERSION_1.get(name, name)
+    if isinstance(arguments, dict):
+        arguments = {
+            _FIELDS_OF_VERSION_1.get(argument, argument): renamed_parts(value)
+            for argument, value in arguments.items()
+        }
+    return {"type": name, "arguments": arguments}
+
+
+def renamed_arrays(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Arrays of a file of version 1, their paths as now."""
+
+    def renamed(path: str) -> str:
+        return ".".join(_FIELDS_OF_VERSION_1.get(part, part) for part in path.split("."))
+
+    return {renamed(path): array for path, array in arrays.items()}
 
 
 @contextmanager
