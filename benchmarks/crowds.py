@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data import pair_indices
-from contactgraph.model import ContactDynamics, NeighbourLists, Nodes
+from contactgraph.model import ContactDynamics, NeighborList, Nodes
 
 _SPACING = 0.15
 """m; of a grid on which objects stand, each moved by up to a third of it: a tenth of them touch."""
@@ -32,4 +32,4 @@ def crowd(count: int, seed: int = 0) -> tuple[jax.Array, jax.Array, Nodes]:
 
 def listing(model: ContactDynamics, count: int) -> ContactDynamics:
     """The same model with lists of about 1.5 times what is near in such a scene."""
-    return replace(model, neighbours=NeighbourLists(edges=5 * count, cell=12))
+    return replace(model, neighbours=NeighborList(edges=5 * count, cell=12))

@@ -23,14 +23,14 @@ from contactgraph.data import Dataset, Trajectory
 from contactgraph.evaluate import collect
 from contactgraph.model import (
     ContactDynamics,
-    GrowingLists,
+    ReallocatingModel,
     ModelState,
     Nodes,
     load_model,
-    scene_nodes,
     shipped_model,
 )
-from contactgraph.model.arrays import module_arrays
+from contactgraph.model import scene_nodes
+from contactgraph.model.serialization import module_arrays
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.train import LossTerms
 from contactgraph.train.batch import Window
@@ -46,7 +46,7 @@ def sample(bodies: int, runs: int) -> Sample:
     recorded = collect([lambda: PickupTask(bodies - 2)], [PickupExpert()], runs, seed=0)
     # With lists of near pairs where training and evaluation would use them.
     model = load_model(shipped_model("pickup")).model
-    model = GrowingLists(model, Dataset(tuple(recorded))).model
+    model = ReallocatingModel(model, Dataset(tuple(recorded))).model
     return model, recorded, scene_nodes(recorded[0].scene)
 
 
@@ -186,7 +186,7 @@ def plan(given: Sample) -> tuple[Way, Way | Missing]:
 
     def run() -> tuple:
         with torch.no_grad():
-            belief = eager.prior_belief(eager.perceive(x, v))
+            belief = eager.prior_belief(eager.encode(x, v))
         return eager_plan(eager, (x, v, belief), cost, HORIZON, ITERATIONS)
 
     return ours, Way(NAME, run, lambda found: tuple(np.asarray(part, float) for part in found))

@@ -25,7 +25,8 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 import numpy as np
 from contactgraph.control import ILQR, MPC, chain_cost
-from contactgraph.model import load_model, scene_nodes, shipped_model
+from contactgraph.model import (load_model, shipped_model)
+from contactgraph.model import scene_nodes
 from contactgraph.envs import PickupTask
 
 task = PickupTask(distractors=9)

@@ -24,7 +24,7 @@ from eager_comparison import Sample, sample, training
 from measuring import arguments, report
 
 from contactgraph.model import ContactDynamics, gim_temp
-from contactgraph.model.neighbours import edge_count
+from contactgraph.model.neighbor_list import edge_count
 
 PASSES = 4
 SIZE = 2048

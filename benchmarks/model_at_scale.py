@@ -25,12 +25,12 @@ from contactgraph.data import pair_indices
 from contactgraph.model import (
     ContactDynamics,
     ModelState,
-    NeighbourLists,
+    NeighborList,
     advance,
     load_model,
     shipped_model,
 )
-from contactgraph.model.neighbours import longest_ways
+from contactgraph.model.neighbor_list import travel_bound
 
 _ALL_PAIRS = 1000
 """Objects up to which every pair is an edge, too; a single call from here on."""
@@ -73,7 +73,7 @@ def list_call(model: ContactDynamics, count: int) -> Callable[[], object]:
 
     @jax.jit
     def made(position: jax.Array, velocity: jax.Array) -> object:
-        way = longest_ways(position, velocity, push, None, model.dt)
+        way = travel_bound(position, velocity, push, None, model.dt)
         return model.neighbours(position, way, nodes.mask, model.reach.far)
 
     return partial(made, position, velocity)
@@ -103,7 +103,7 @@ def measured(model: ContactDynamics, count: int, rounds: int) -> dict[str, float
             "difference m": "",
         }
     every = step_call(model, count)
-    lists = NeighbourLists(edges=pairs, cell=near.neighbours.cell)
+    lists = NeighborList(edges=pairs, cell=near.neighbours.cell)
     groups = step_call(replace(model, neighbours=lists), count)
     if count < _ALL_PAIRS:
         taken |= medians({"by groups": groups, "every": every}, rounds)

@@ -3,7 +3,7 @@
 Usage: python examples/06_compose_a_model.py
 
 Here: three edge types (inactive, and two kinds of active edge with a message network each), the
-paper's memoryless edges, free local parameters, and a discretisation that is not learned.
+paper's memoryless edges, free local parameters, and a discretization that is not learned.
 """
 
 import jax
@@ -19,7 +19,7 @@ from contactgraph.model import (
     InvariantFeatures,
     MemorylessEdges,
     MessagePassing,
-    Reach,
+    SmoothCutoff,
     SpringMassDamperDynamics,
     ThetaMethod,
     TypedMessagePassing,
@@ -40,11 +40,11 @@ model = ContactDynamics(
     local_dynamics=SpringMassDamperDynamics(
         message_passing=TypedMessagePassing([messages(key) for key in type_keys]),
         head=CoupledHead(WIDTH, features.kinds, length=DISTANCE, key=head_key),
-        discretisation=ThetaMethod(0.55, learned=False),  # ten symplectic substeps: (n+1)/2n
+        discretization=ThetaMethod(0.55, learned=False),  # ten symplectic substeps: (n+1)/2n
     ),
     features=features,
     prior=DistancePrior(threshold=DISTANCE),
-    reach=Reach(near=1.5 * DISTANCE, far=2.5 * DISTANCE),
+    reach=SmoothCutoff(near=1.5 * DISTANCE, far=2.5 * DISTANCE),
     sample=ArgmaxSample(),
     dt=DT,
     dimension=2,

@@ -18,7 +18,7 @@ class Geometry:
     relative_velocity: Tensor
     distance: Tensor
     nearest: Tensor
-    share_after_touch: Tensor
+    fraction_after_impact: Tensor
 
 
 def geometry(

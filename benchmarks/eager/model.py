@@ -10,7 +10,7 @@ from torch.nn.functional import one_hot, softplus
 
 from contactgraph.data import pair_indices
 from contactgraph.model import ContactDynamics
-from contactgraph.model.arrays import module_arrays
+from contactgraph.model.serialization import module_arrays
 from eager.geometry import Geometry, geometry
 
 MOST_HELD = 1.0 - 1e-3
@@ -19,7 +19,7 @@ NEAR = 0.03
 
 
 @dataclass
-class Percept:
+class EncodedGraph:
     """What does not depend on the belief."""
 
     geometry: Geometry
@@ -87,20 +87,20 @@ class EagerModel(nn.Module):
     @property
     def touch(self) -> Tensor:
         """The distance at which bodies touch, m."""
-        return self.weights["features.touch_distance"]
+        return self.weights["features.contact_distance"]
 
     @property
     def theta(self) -> Tensor:
         """Of the theta method."""
-        return 0.5 + 0.5 * torch.sigmoid(self.weights["local_dynamics.discretisation.raw"])
+        return 0.5 + 0.5 * torch.sigmoid(self.weights["local_dynamics.discretization.raw"])
 
-    def perceive(
+    def encode(
         self,
         position: Tensor,
         velocity: Tensor,
         push: Tensor | None = None,
         candidate: Tensor | None = None,
-    ) -> Percept:
+    ) -> EncodedGraph:
         """``position``, ``velocity``, ``push`` [..., N, D]; ``candidate`` [..., E] bool."""
         seen = geometry(position, velocity, self.pairs, self.dt, self.touch, push)
         speed = torch.sqrt((velocity**2).sum(-1) + 1e-12)
@@ -109,16 +109,16 @@ class EagerModel(nn.Module):
         gaps = torch.stack([seen.distance, seen.nearest], dim=-1) / self.touch.detach() - 1.0
         close = gaps / (NEAR + gaps.abs())
         distance = seen.distance[..., None] / self.length - 1.0
-        edge = torch.cat([close, distance, seen.share_after_touch[..., None]], dim=-1)
+        edge = torch.cat([close, distance, seen.fraction_after_impact[..., None]], dim=-1)
         part = (self.reach.far - seen.nearest) / (self.reach.far - self.reach.near)
         part = part.clamp(0.0, 1.0)
         weight = part**2 * (3.0 - 2.0 * part)
         if candidate is not None:
             weight = weight * candidate
         message = 2.0 * self.edge_network(edge) * weight[..., None]
-        return Percept(seen, node, edge, weight, message)
+        return EncodedGraph(seen, node, edge, weight, message)
 
-    def prior_belief(self, percept: Percept) -> Tensor:
+    def prior_belief(self, percept: EncodedGraph) -> Tensor:
         """[..., E, 2] What distance alone says."""
         touch, prior = self.touch.detach(), self.prior
         margin = (prior.margin * touch - percept.geometry.nearest) / (prior.sharpness * touch)
@@ -133,7 +133,7 @@ class EagerModel(nn.Module):
         active = active * weight
         return torch.stack([1.0 - active, active], dim=-1)
 
-    def linear(self, percept: Percept, belief: Tensor, velocity: Tensor) -> Linear:
+    def linear(self, percept: EncodedGraph, belief: Tensor, velocity: Tensor) -> Linear:
         """The linear step, given which edges are active."""
         hard = one_hot(belief.argmax(-1), 2).to(belief.dtype)
         active = (hard + belief - belief.detach())[..., 1] * percept.weight
@@ -165,7 +165,7 @@ class EagerModel(nn.Module):
         direction = seen.displacement / seen.distance[..., None]
         stretch = seen.displacement - rest[..., None] * direction
         impulse = stiff[..., None] * seen.relative_velocity + spring[..., None] * stretch / dt
-        late = (seen.share_after_touch - theta) * hold
+        late = (seen.fraction_after_impact - theta) * hold
         change = -inverse @ (J.T @ impulse + ground[..., None] * velocity)
         shift = -dt * inverse @ (J.T @ (late[..., None] * seen.relative_velocity))
         response = inverse @ gain
@@ -203,11 +203,11 @@ class EagerModel(nn.Module):
         candidate: Tensor | None = None,
     ) -> tuple[Linear, Tensor]:
         """The dynamics of the coming step, and the belief they rest on."""
-        percept = self.perceive(position, velocity, push, candidate)
+        percept = self.encode(position, velocity, push, candidate)
         belief = self.predict_belief(belief, percept.message, percept.weight)
         return self.linear(percept, belief, velocity), belief
 
-    def held_response(self, position: Tensor, velocity: Tensor, belief: Tensor) -> Tensor:
+    def control_sensitivity(self, position: Tensor, velocity: Tensor, belief: Tensor) -> Tensor:
         """[N, D, U] m/N, if only the present contacts hold."""
         holds = 1.0 - belief[..., 0] > 0.5
         return self.linear_step(position, velocity, belief, None, holds)[0].B[..., 0, :]
@@ -215,8 +215,8 @@ class EagerModel(nn.Module):
     @torch.no_grad()
     def rollout(self, position: Tensor, velocity: Tensor, controls: Tensor) -> Tensor:
         """[T, N, D] All positions that follow; in a loop over time."""
-        belief = self.prior_belief(self.perceive(position, velocity))
-        response = self.held_response(position, velocity, belief)
+        belief = self.prior_belief(self.encode(position, velocity))
+        response = self.control_sensitivity(position, velocity, belief)
         positions = []
         for control in controls:
             push = (response * control).sum(-1)

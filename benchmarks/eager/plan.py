@@ -47,7 +47,7 @@ def roll_out(
 ) -> Reference:
     """Follow ``u = K x + k``. ``start``: position, velocity and belief."""
     position, velocity, belief = start
-    response = model.held_response(position, velocity, belief)
+    response = model.control_sensitivity(position, velocity, belief)
     found = Reference(np.zeros((0,)), np.zeros((0,)), [], [], [])
     states, controls = [_state(position, velocity)], []
     for gain, constant in zip(K, k, strict=True):

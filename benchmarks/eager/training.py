@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from eager.model import EagerModel, Linear, Percept
+from eager.model import EagerModel, EncodedGraph, Linear
 
 SMALLEST = 1e-6
 
@@ -54,9 +54,9 @@ class Training:
         before = torch.cat([response[:, :1], response[:, :-1]], dim=1)
         return (before * self.control[:, :, None, None, :]).sum(-1)
 
-    def _believed(self, push: Tensor | None) -> tuple[Percept, Tensor, Tensor]:
+    def _believed(self, push: Tensor | None) -> tuple[EncodedGraph, Tensor, Tensor]:
         model = self.model
-        percept = model.perceive(self.position[:, :-1], self.velocity[:, :-1], push)
+        percept = model.encode(self.position[:, :-1], self.velocity[:, :-1], push)
         prior = model.prior_belief(percept)
         belief, beliefs = prior[:, 0], []
         for t in range(self.control.shape[1]):

@@ -6,7 +6,7 @@ from pathlib import Path
 from matplotlib.figure import Figure as Chart
 
 from contactgraph.data import read_trajectories
-from contactgraph.model.storage import load_model
+from contactgraph.model.io import load_model
 from contactgraph.viz import SceneRun, write_summary_figure
 from contactgraph_studies.chart import svg, write_chart
 from contactgraph_studies.declared import GIM_TEMP, Amounts, StudyTask

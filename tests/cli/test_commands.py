@@ -13,7 +13,7 @@ import safetensors
 from contactgraph.cli import main as cli
 from contactgraph.data import describe_file, read_trajectories
 from contactgraph.model import gim_temp
-from contactgraph.model.storage import describe_model, save_model
+from contactgraph.model.io import describe_model, save_model
 
 OPEN_LOOP = {
     "n_step_rmse_m",

@@ -187,7 +187,7 @@ def test_a_model_and_a_task_that_do_not_fit(mistake, tmp_path: Path) -> None:
     import jax
 
     from contactgraph.model import gim_temp
-    from contactgraph.model.storage import save_model
+    from contactgraph.model.io import save_model
 
     save_model(tmp_path / "m.safetensors", gim_temp(3, 2, 0.05, key=jax.random.key(0)))
     with pytest.MonkeyPatch.context() as patch:

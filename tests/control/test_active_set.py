@@ -10,9 +10,9 @@ from contactgraph.control.in_play import Surroundings, always_in_play, padded, r
 from contactgraph.control.part import part_of
 from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.data import pair_indices
-from contactgraph.model import Locality, Nodes
+from contactgraph.model import InteractionCutoff, Nodes
 
-NEAR = Locality(far=0.2, dt=0.1)
+NEAR = InteractionCutoff(far=0.2, dt=0.1)
 HORIZON = 10
 ALONE = np.array([0]), np.array([True])
 """Who is in play: one, always."""

@@ -11,8 +11,7 @@ from evaluation_worlds import DT, GluedBodies, random_run
 
 from contactgraph.data import Dataset
 from contactgraph.evaluate import evaluate_open_loop
-from contactgraph.model import GrowingLists, NeighbourLists, gim_temp, no_gim
-from contactgraph.model import listed as locality
+from contactgraph.model import NeighborList, ReallocatingModel, gim_temp, locality, no_gim
 from contactgraph.train import FitStatus, TrainConfig, fit, initial_state
 
 COUNT = 6
@@ -46,8 +45,8 @@ def sparse() -> Dataset:
 
 
 def test_small_scenes_have_lists_where_few_pairs_are_near(model, apart, sparse) -> None:
-    assert GrowingLists(model, apart).model is model
-    lists = GrowingLists(model, sparse).model.neighbours
+    assert ReallocatingModel(model, apart).model is model
+    lists = ReallocatingModel(model, sparse).model.neighbours
     assert lists.cell is None and lists.group is None
     assert 13 < lists.edges < 45
 
@@ -69,38 +68,38 @@ def test_small_scenes_with_lists_come_out_the_same(model, sparse, monkeypatch, c
 
 @pytest.mark.usefixtures("large")
 def test_who_has_lists_in_large_scenes(model, apart) -> None:
-    lists = GrowingLists(model, apart)
+    lists = ReallocatingModel(model, apart)
     assert lists.given is model
     assert lists.model.neighbours is not None
     assert COUNT - 1 < lists.model.neighbours.edges < 1.5 * COUNT * (COUNT - 1) / 2
-    given = dataclasses.replace(model, neighbours=NeighbourLists(3, 4))
+    given = dataclasses.replace(model, neighbours=NeighborList(3, 4))
     for other in (given, no_gim(2, 2, DT, width=4, key=jax.random.key(0)), GluedBodies()):
-        assert GrowingLists(other, apart).model is other
+        assert ReallocatingModel(other, apart).model is other
 
 
 @pytest.mark.usefixtures("large")
 def test_room_grows_once_and_the_log_says_so(model, apart, caplog) -> None:
-    lists = GrowingLists(model, apart)
+    lists = ReallocatingModel(model, apart)
     rooms = []
 
     def predict(model) -> int:
         rooms.append(model.neighbours)
         return len(rooms)
 
-    assert lists.until_finite(predict, lambda found: found != 1) == 2
+    assert lists.reallocate_on_overflow(predict, lambda found: found != 1) == 2
     first, grown = rooms
     assert (grown.edges, grown.cell, grown.group) == (4 * first.edges, 4 * first.cell, 64)
     assert caplog.text.count("compiled anew") == 1
-    assert lists.until_finite(predict, lambda found: False) == 3
+    assert lists.reallocate_on_overflow(predict, lambda found: False) == 3
     assert rooms[2] == grown
     assert caplog.text.count("compiled anew") == 1
 
 
 @pytest.mark.usefixtures("large")
 def test_the_room_given_is_the_limit(model, apart) -> None:
-    given = dataclasses.replace(model, neighbours=NeighbourLists(3, 4))
+    given = dataclasses.replace(model, neighbours=NeighborList(3, 4))
     calls = []
-    GrowingLists(given, apart).until_finite(calls.append, lambda found: False)
+    ReallocatingModel(given, apart).reallocate_on_overflow(calls.append, lambda found: False)
     assert calls == [given]
 
 

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from contactgraph.model import ThetaMethod, from_physical, stack_state
-from contactgraph.model.contact_network import ContactNetwork
-from contactgraph.model.geometry import geometry
+from contactgraph.model.collision import geometry
+from contactgraph.model.contact_solver import ContactSolver
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -146,7 +146,7 @@ def test_a_chain_that_is_coupled(integrator: str) -> None:
 
     if not SPRINGS_AT_THE_END[integrator]:
         damping = damping - DT * stiffness
-    network = ContactNetwork(
+    network = ContactSolver(
         mass=jnp.array([1e12, *mass]),  # The wall is a body that nothing moves.
         ground=jnp.zeros(N + 1),
         hold=DT * jnp.asarray(damping),
@@ -161,7 +161,7 @@ def test_a_chain_that_is_coupled(integrator: str) -> None:
     @jax.jit
     def moved(state: jax.Array, control: jax.Array) -> jax.Array:
         places, speeds = (jnp.array([0.0, *half])[:, None] for half in (state[:N], state[N:]))
-        seen = geometry(places, speeds, pairs, DT, touch_distance=0.01)
+        seen = geometry(places, speeds, pairs, DT, contact_distance=0.01)
         motion = network.step(speeds, gain, seen, DT, control_size=1, weight=weight)
         assert motion.acceleration is not None
         pulled = motion.acceleration + motion.response @ control

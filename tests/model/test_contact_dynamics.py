@@ -31,13 +31,13 @@ from contactgraph.model import (
     MessagePassing,
     ModelState,
     Nodes,
-    Reach,
     RecurrentEdges,
+    SmoothCutoff,
     SpringMassDamperDynamics,
     ThetaMethod,
     TypedMessagePassing,
+    control_sensitivity,
     correct,
-    held_response,
     pushed,
     response_of,
 )
@@ -310,7 +310,7 @@ def test_derivatives_of_a_rollout_against_finite_differences(name, hinges) -> No
     position, velocity = state.position, 0.3 * state.velocity
     learned = jax.tree.map(eqx.is_inexact_array, model)
     if name == "gim_temp":  # Features and prior only look at it: `test_geometry.py`.
-        learned = eqx.tree_at(lambda model: model.features.touch_distance, learned, False)
+        learned = eqx.tree_at(lambda model: model.features.contact_distance, learned, False)
     arrays, rest = eqx.partition(model, learned)
 
     @jax.jit
@@ -357,11 +357,11 @@ def three_types() -> ContactDynamics:
         local_dynamics=SpringMassDamperDynamics(
             message_passing=TypedMessagePassing(networks),
             head=CoupledHead(8, features.kinds, length=0.1, key=keys[4]),
-            discretisation=ThetaMethod(),
+            discretization=ThetaMethod(),
         ),
         features=features,
         prior=DistancePrior(),
-        reach=Reach(),
+        reach=SmoothCutoff(),
         sample=ArgmaxSample(),
         dt=DT,
         dimension=2,
@@ -382,7 +382,7 @@ def test_three_edge_types_work_end_to_end() -> None:
 
     @jax.jit
     def velocity_if(certain):
-        percept = model.perceive(state.position, state.velocity, nodes)
+        percept = model.encode(state.position, state.velocity, nodes)
         belief = ContactBelief(certain)
         local = model.local_input(percept, belief, state.position, state.velocity, nodes)
         linear = model.local_dynamics(local, DT, 2)
@@ -400,7 +400,7 @@ def test_parameters_are_positive_and_those_of_the_step() -> None:
     for rate in (parameters.inverse_mass, parameters.stiffness_rate, parameters.damping_rate):
         assert np.all(rate >= 0)
     linear, _ = linear_step(model, state, nodes)
-    assert_same(model.local_dynamics.discretisation(parameters, DT), linear)
+    assert_same(model.local_dynamics.discretization(parameters, DT), linear)
 
 
 def test_free_matrices_have_no_spring() -> None:
@@ -432,7 +432,7 @@ def test_the_papers_form_gives_the_papers_matrices() -> None:
 def test_a_step_is_its_linear_step_under_its_push(name) -> None:
     model, nodes = preset(name), nodes_of(4)
     state = crowd(model, nodes)
-    response = held_response(model, state, nodes)
+    response = control_sensitivity(model, state, nodes)
     linear, belief = linear_step(model, pushed(state, response, CONTROL), nodes)
     position, velocity = linear(state.position, state.velocity, CONTROL)
     found = step(model, state, CONTROL, nodes)
@@ -445,7 +445,7 @@ def test_a_rollout_knows_each_push_by_the_step_before() -> None:
     state = crowd(model, nodes)
     controls = jnp.array([[4.0, -2.0], [-8.0, 3.0], [5.0, 9.0]])
     found = roll_out(model, state, controls, nodes)
-    response = held_response(model, state, nodes)
+    response = control_sensitivity(model, state, nodes)
     for index, control in enumerate(controls):
         linear, belief = linear_step(model, pushed(state, response, control), nodes)
         state = ModelState(*linear(state.position, state.velocity, control), belief)

@@ -11,9 +11,9 @@ import pytest
 from model_scenes import DT, with_random_weights
 
 from contactgraph.model import CoupledHead, SpringMassDamper, ThetaMethod
-from contactgraph.model.contact_network import ContactNetwork
-from contactgraph.model.geometry import geometry
-from contactgraph.model.local_input import LocalInput, Step
+from contactgraph.model.collision import geometry
+from contactgraph.model.contact_solver import ContactSolver
+from contactgraph.model.types import LocalInput, Step
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 WIDTH, LENGTH, NODES, TYPES = 6, 0.1, 4, 2
@@ -77,13 +77,13 @@ def by_hand(head: CoupledHead, local: LocalInput, message, theta: float):
     out = jax.vmap(jax.vmap(head.edge))(message[:, 0] + message[:, 1])
     weight, softplus = local.weight.T, jax.nn.softplus
     hold = 0.999 * jnp.sum(weight * jax.nn.sigmoid(out[..., 0] + 5), axis=0)
-    network = ContactNetwork(
+    network = ContactSolver(
         mass=jnp.exp(5 * local.kind @ head.log_mass),
         ground=softplus(jax.vmap(head.ground)(local.node_features)[:, 0] - 6),
         hold=hold / (1 - hold),
         spring=jnp.sum(weight * softplus(out[..., 1] - 6), axis=0),
         rest=jnp.sum(weight * softplus(out[..., 2]), axis=0) * LENGTH,
-        displaces=local.geometry.share_after_touch - theta,
+        displaces=local.geometry.fraction_after_impact - theta,
     )
     gain = (5 * local.kind @ head.gain_root) ** 2
     return network, network.step(local.velocity, gain, local.geometry, DT, 2)
@@ -169,7 +169,7 @@ def test_a_hinged_body_stays_on_its_circle() -> None:
     radius = np.linalg.norm(local.position[1] - HINGE)
     assert np.linalg.norm(position[1] - HINGE) == pytest.approx(radius, abs=1e-7)
     assert found.stiffness_rate[1, 0] > 0
-    # The springs of circling leave alone what the control does to velocities.
+    # The springs of hinge_constraint leave alone what the control does to velocities.
     _, motion = by_hand(head, local, message, 0.6)
     B = ThetaMethod(0.6, learned=False)(found, DT).B
     np.testing.assert_allclose(B[..., 1, :] / DT, motion.response, rtol=1e-6, atol=1e-9)

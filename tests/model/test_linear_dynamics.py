@@ -14,7 +14,7 @@ from contactgraph.model import (
     stack_state,
     unstack_state,
 )
-from contactgraph.model.spring_mass_damper import own_component
+from contactgraph.model.types import own_component
 
 
 def random_step(nodes: int, dimension: int, size: int, lead: tuple[int, ...] = ()):

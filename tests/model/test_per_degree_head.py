@@ -9,8 +9,8 @@ from model_scenes import DT
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import PerDegreeHead
-from contactgraph.model.geometry import geometry
-from contactgraph.model.local_input import LocalInput, Step
+from contactgraph.model.collision import geometry
+from contactgraph.model.types import LocalInput, Step
 
 WIDTH, NODES = 6, 3
 STEP = Step(jnp.zeros(()), DT, 2)

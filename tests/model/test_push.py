@@ -11,7 +11,7 @@ from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
     LinearDynamics,
     ModelState,
-    held_response,
+    control_sensitivity,
     pushed,
     response_of,
     two_type_belief,
@@ -36,7 +36,7 @@ def test_only_the_contacts_of_now_hold() -> None:
     nodes = nodes_of(3, capacity=COUNT)
     probability = jnp.array([0.9, 0.4, 0.51, 0.9, 0.9, 0.9])  # The last three: with padding.
     state = ModelState(jnp.zeros((COUNT, 2)), jnp.ones((COUNT, 2)), two_type_belief(probability))
-    response = held_response(Counts(), state, nodes)
+    response = control_sensitivity(Counts(), state, nodes)
     # Pairs in order: 0-1, 0-2, 1-2.
     np.testing.assert_array_equal(response, jnp.array([1.0, 2, 1, 0])[:, None, None] * jnp.eye(2))
     # In metres a newton: the row of the positions.
@@ -66,7 +66,7 @@ def test_the_contact_that_a_push_would_bring_does_not_push() -> None:
     state = state_at(model, position, jnp.zeros((2, 2)), nodes)
     apart = dataclasses.replace(state, belief=two_type_belief(jnp.zeros(1)))
     held = dataclasses.replace(state, belief=two_type_belief(jnp.ones(1)))
-    alone, together = (held_response(model, each, nodes) for each in (apart, held))
+    alone, together = (control_sensitivity(model, each, nodes) for each in (apart, held))
     assert np.any(alone[0] > 0) and np.all(np.abs(together[0]) <= np.abs(alone[0]))
     linear, _ = model.linear_step(apart, nodes)
     np.testing.assert_allclose(response_of(linear, together), together, rtol=1e-5)
@@ -76,11 +76,11 @@ def test_the_contact_that_a_push_would_bring_does_not_push() -> None:
 def test_a_push_decides_who_touches_whom() -> None:
     """Bodies at rest, 2 cm from touch: pushed together within the step they meet in it."""
     model, nodes = preset("gim_temp"), nodes_of(2)
-    touch = float(model.features.touch_distance)
+    touch = float(model.features.contact_distance)
     position, still = jnp.array([[0.0, 0.0], [touch + 0.02, 0.0]]), jnp.zeros((2, 2))
     shares = []
     for push in (None, jnp.array([[0.03, 0.0], [0.0, 0.0]]), jnp.array([[-0.03, 0.0], [0.0, 0.0]])):
-        percept = model.perceive(position, still, nodes, push)
-        shares.append(float(percept.geometry.share_after_touch[0]))
+        percept = model.encode(position, still, nodes, push)
+        shares.append(float(percept.geometry.fraction_after_impact[0]))
     assert shares[0] == shares[2] == 0.0
     assert 0.0 < shares[1] < 0.5

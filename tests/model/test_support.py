@@ -16,8 +16,8 @@ from contactgraph.model import (
     load_model,
     save_model,
 )
-from contactgraph.model.geometry import geometry
-from contactgraph.model.support import carried
+from contactgraph.model.collision import geometry
+from contactgraph.model.heads import carried
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 DT = 0.01
@@ -65,7 +65,7 @@ def change(active: list[float], velocity: np.ndarray, control: np.ndarray) -> np
 
     @eqx.filter_jit
     def step(start: ModelState, control: jax.Array) -> jax.Array:
-        percept = model.perceive(start.position, start.velocity, nodes)
+        percept = model.encode(start.position, start.velocity, nodes)
         local = model.local_input(percept, start.belief, start.position, start.velocity, nodes)
         linear = model.local_dynamics(local, DT, 3)
         return linear(start.position, start.velocity, control)[1]
@@ -120,8 +120,8 @@ def test_a_model_with_weight_is_stored_and_loaded(tmp_path) -> None:
 
 
 def test_a_distance_of_touch_that_is_told_is_no_weight_of_the_model(tmp_path) -> None:
-    model = gim_temp(3, 3, DT, 0.02, learned_touch=False, key=jax.random.PRNGKey(0))
-    assert model.features.touch_distance == 0.02
-    assert not eqx.is_array(model.features.touch_distance)
+    model = gim_temp(3, 3, DT, 0.02, learned_contact_distance=False, key=jax.random.PRNGKey(0))
+    assert model.features.contact_distance == 0.02
+    assert not eqx.is_array(model.features.contact_distance)
     save_model(tmp_path / "model.safetensors", model)
-    assert load_model(tmp_path / "model.safetensors").model.features.touch_distance == 0.02
+    assert load_model(tmp_path / "model.safetensors").model.features.contact_distance == 0.02

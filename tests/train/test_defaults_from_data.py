@@ -23,13 +23,13 @@ def scene(**told: float) -> Scene:
 
 def test_runs_that_tell_nothing_have_the_usual_distance_which_is_learned() -> None:
     found = defaults_from_data(runs(scene()))
-    assert (found.contact_distance, found.learned_touch) == (0.085, True)
+    assert (found.contact_distance, found.learned_contact_distance) == (0.085, True)
     assert (found.hinges, found.weight, found.rollout_from) == (False, False, 0.5)
 
 
 def test_a_distance_that_is_told_is_kept() -> None:
     found = defaults_from_data(runs(scene(contact_distance=0.02), scene(contact_distance=0.02)))
-    assert (found.contact_distance, found.learned_touch) == (0.02, False)
+    assert (found.contact_distance, found.learned_contact_distance) == (0.02, False)
 
 
 def test_weight_and_hinges_are_seen_in_any_run() -> None:

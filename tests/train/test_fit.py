@@ -30,7 +30,7 @@ from contactgraph.data import (
 )
 from contactgraph.evaluate import evaluate_open_loop
 from contactgraph.model import gim_temp
-from contactgraph.model.storage import load_model
+from contactgraph.model.io import load_model
 from contactgraph.train import FitStatus, RunFolder, TrainConfig, fit, initial_state
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "short_training.json"
@@ -172,7 +172,7 @@ def test_a_short_training_is_what_it_was(trained: Path) -> None:
         for name, value in expected.items():
             assert row[name] == pytest.approx(value, rel=0.2), (row["step"], name)
     model = load_model(trained / "model.safetensors").model
-    touch = float(model.features.touch_distance)
+    touch = float(model.features.contact_distance)
     assert touch == pytest.approx(golden["touch_distance_m"], rel=0.05)
-    theta = float(model.local_dynamics.discretisation.theta)
+    theta = float(model.local_dynamics.discretization.theta)
     assert theta == pytest.approx(golden["theta"], abs=0.02)

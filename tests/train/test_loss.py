@@ -28,7 +28,7 @@ class Still(eqx.Module):
     control_size: int = 2
     neighbours: None = None
 
-    def perceive(self, position, velocity, nodes, push=None):
+    def encode(self, position, velocity, nodes, push=None):
         exists = nodes.mask[:1] & nodes.mask[1:2] & nodes.candidate[:1]
         return Seen(jnp.where(exists, 1.0, 0.0))
 
@@ -111,7 +111,7 @@ class TellsPush(Still):
 
     gain: jax.Array = eqx.field(default_factory=lambda: jnp.ones(()))
 
-    def perceive(self, position, velocity, nodes, push=None):
+    def encode(self, position, velocity, nodes, push=None):
         return Told(jnp.ones(1), jnp.zeros_like(position) if push is None else push)
 
     def local_input(self, percept, belief, position, velocity, nodes, key=None):

@@ -9,7 +9,7 @@ import numpy as np
 
 from contactgraph.data import Dataset, read_trajectories, split_by_trajectory
 from contactgraph.model import gim_temp
-from contactgraph.model.arrays import module_arrays
+from contactgraph.model.serialization import module_arrays
 from contactgraph.train import FitProgress, FitResult, FitState, TrainConfig, fit, initial_state
 
 RECIPE = TrainConfig(steps=300)

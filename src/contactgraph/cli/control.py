@@ -84,7 +84,7 @@ class Control:
             evaluate_open_loop,
         )
         from contactgraph.model import MotionNoise
-        from contactgraph.model.storage import load_model
+        from contactgraph.model.io import load_model
         from contactgraph.viz.animation import check_animation, write_animation
         from contactgraph_studies.scenes import scene_run
 

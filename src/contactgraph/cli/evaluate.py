@@ -38,7 +38,7 @@ class Evaluate:
         from contactgraph.data import read_trajectories
         from contactgraph.evaluate import evaluate_open_loop, rollout_growth
         from contactgraph.model import MotionNoise
-        from contactgraph.model.storage import load_model
+        from contactgraph.model.io import load_model
 
         check_writable(self.json)
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, seed=0)

@@ -55,7 +55,7 @@ class Info:
     def _model(self) -> None:
         from contactgraph.cli.models import model_path
         from contactgraph.cli.output import say
-        from contactgraph.model.storage import describe_model
+        from contactgraph.model.io import describe_model
 
         path = model_path(self.file)
         summary = describe_model(path)

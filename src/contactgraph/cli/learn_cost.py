@@ -56,7 +56,7 @@ class LearnCost:
         )
         from contactgraph.control import CostLearningConfig, learn_cost, write_cost
         from contactgraph.data import InvalidInputError
-        from contactgraph.model.storage import load_model
+        from contactgraph.model.io import load_model
         from contactgraph.viz import write_cost_picture
 
         check_suffix("--out", self.out, ".json")

@@ -9,7 +9,7 @@ from contactgraph.cli.output import provenance, say, write_json, write_text
 from contactgraph.cli.tasks import TASKS, TaskOptions, task_factory
 from contactgraph.data import Trajectory
 from contactgraph.evaluate import EpisodeRecord, control_task
-from contactgraph.model.storage import describe_model, load_model
+from contactgraph.model.io import describe_model, load_model
 from contactgraph.train import RunFolder
 from contactgraph.viz import SceneRun, write_report, write_summary_figure
 from contactgraph.viz.model_report import ModelResult, model_report, report_numbers

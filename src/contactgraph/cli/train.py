@@ -66,7 +66,7 @@ class Train:
             subsample,
             window_weights,
         )
-        from contactgraph.model.storage import save_model
+        from contactgraph.model.io import save_model
         from contactgraph.train import (
             FitProgress,
             FitState,
@@ -109,7 +109,7 @@ class Train:
             suited.contact_distance if distance is None else distance,
             hinges=suited.hinges,
             weight=suited.weight,
-            learned_touch=suited.learned_touch or distance is not None,
+            learned_contact_distance=suited.learned_contact_distance or distance is not None,
             key=jax.random.key(told.seed),
         )
         state = initial_state(model, recipe, told.seed)

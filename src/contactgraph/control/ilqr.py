@@ -12,7 +12,7 @@ from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.riccati_form import block_form
 from contactgraph.control.rollout import Rollout, block_index, in_blocks, roll_out
 from contactgraph.control.swept_bounds import SweptBounds
-from contactgraph.model import ModelState, Nodes, StepModel, held_response, stack_state
+from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity, stack_state
 
 _RUNNING = -1
 _ARMIJO = 1e-4
@@ -93,7 +93,7 @@ class ILQR(eqx.Module):
 
         # Within `jax.jit` it is traced once, not for its shape and then again.
         follow = eqx.filter_jit(roll_out)
-        begin = state, held_response(model, state, nodes)
+        begin = state, control_sensitivity(model, state, nodes)
         shape = jax.eval_shape(
             lambda: follow(model, begin, nodes, trial, self.limits, involved),
         )

@@ -15,7 +15,7 @@ import numpy as np
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.host import Motion
 from contactgraph.control.swept_bounds import SweptBounds
-from contactgraph.model import Locality, Nodes
+from contactgraph.model import InteractionCutoff, Nodes
 
 _STILL = 0.005
 """Of the reach: who moves by less in every rollout was struck by nobody."""
@@ -84,7 +84,7 @@ class Surroundings:
         swept: SweptBounds,
         who: np.ndarray,
         always: np.ndarray,
-        locality: Locality,
+        locality: InteractionCutoff,
         reaches: float = 1.0,
     ) -> np.ndarray:
         """Those who should have been in play with ``who`` [n], most urgent first.
@@ -115,7 +115,11 @@ class Surroundings:
 
 
 def staying(
-    swept: SweptBounds, who: np.ndarray, always: np.ndarray, motion: Motion, locality: Locality
+    swept: SweptBounds,
+    who: np.ndarray,
+    always: np.ndarray,
+    motion: Motion,
+    locality: InteractionCutoff,
 ) -> np.ndarray:
     """Those of ``who`` [n] in play who matter still: whom something that moves came near.
 
@@ -134,7 +138,7 @@ def staying(
 
 
 def _matter(
-    swept: SweptBounds, who: np.ndarray, always: np.ndarray, locality: Locality
+    swept: SweptBounds, who: np.ndarray, always: np.ndarray, locality: InteractionCutoff
 ) -> np.ndarray:
     """[n] Which of those in play others must not be near without being in play: all but those
     at rest, whatever was tried, who are in play because they were near themselves."""
@@ -143,7 +147,7 @@ def _matter(
     return (moves | always) & (who >= 0)
 
 
-def _is_fast(speed: np.ndarray, horizon: int, locality: Locality) -> np.ndarray:
+def _is_fast(speed: np.ndarray, horizon: int, locality: InteractionCutoff) -> np.ndarray:
     """Whether nodes of such a speed, m/s, may get farther in a plan than the model reaches."""
     return speed * locality.dt * horizon > locality.far
 

@@ -19,7 +19,7 @@ from contactgraph.control.mpc_state import MPCState
 from contactgraph.control.part import carried_over, part_of
 from contactgraph.control.plan import Plan
 from contactgraph.data import InvalidInputError
-from contactgraph.model import Locality, Nodes
+from contactgraph.model import InteractionCutoff, Nodes
 
 _READY = 18
 """Nodes in play that are compiled for before a run, where no limit is given."""
@@ -32,7 +32,9 @@ class LocalTick:
     began. So its answer is that of a tick with all nodes.
     """
 
-    def __init__(self, compiled: CompiledTick, locality: Locality | None, most: int | None) -> None:
+    def __init__(
+        self, compiled: CompiledTick, locality: InteractionCutoff | None, most: int | None
+    ) -> None:
         """``locality`` None: everyone is in play, always. ``most`` nodes may be; None: all."""
         self._compiled, self._locality, self._most = compiled, locality, most
 

@@ -21,7 +21,7 @@ from contactgraph.model import (
     MotionNoise,
     Nodes,
     StepModel,
-    judging_motion,
+    check_motion_model,
     locality,
 )
 
@@ -42,7 +42,8 @@ class MPC:
     A tick corrects the belief about the step just made by the contacts measured now (the paper's
     posterior), plans from there with the last plan as the guess, and carries the belief that the
     model predicts for the step it is about to make. With a ``motion_noise`` the motion observed
-    corrects the belief too, so that a contact is found without a sensor: see `judge_motion`.
+    corrects the belief too, so that a contact is found without a sensor: see
+    `contact_log_likelihood_ratio`.
 
     **Who matters.** With a model whose edges have an end (`locality`), a tick is about the nodes
     in play alone, and takes next to no longer for all the bystanders that a scene may hold; the
@@ -91,7 +92,7 @@ class MPC:
         if deadline is not None and not deadline > 0:
             raise InvalidInputError(f"deadline must be positive seconds, found {deadline}")
         if motion_noise is not None:
-            judging_motion(model)
+            check_motion_model(model)
         if max_active_nodes is not None and max_active_nodes < 1:
             raise InvalidInputError(
                 f"max_active_nodes must be at least 1, found {max_active_nodes}"

@@ -75,7 +75,7 @@ def roll_out(
 ) -> Rollout:
     """Follow a policy on ``block_state`` for H steps through the model, in one scan.
 
-    It begins with a state and its `held_response`.
+    It begins with a state and its `control_sensitivity`.
     Whether bodies touch within a step depends on the step's own control. A planner to which the
     model did not say so would count on a touch that its own braking prevents: see `pushed`.
     """

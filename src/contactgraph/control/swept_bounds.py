@@ -15,7 +15,7 @@ from contactgraph.model import Nodes
 class SweptBounds(eqx.Module):
     """Boxes around all the places where a rollout had a node in a step: one each of ``R`` rollouts.
 
-    A step's places are those on the way that `contactgraph.model.geometry` looks at: from where
+    A step's places are those on the way that `contactgraph.model.collision` looks at: from where
     the node is to where it would get in the step if nothing hindered it; and where it gets. Of a
     body on a hinge they are those of the whole bar.
     """

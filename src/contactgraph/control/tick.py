@@ -14,14 +14,14 @@ from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,
-    Locality,
+    InteractionCutoff,
     ModelState,
     MotionNoise,
     Nodes,
     StepModel,
+    check_motion_model,
     correct,
     correct_by_motion,
-    judging_motion,
     stack_state,
 )
 
@@ -36,7 +36,7 @@ class Controller(eqx.Module):
     """None: motion does not correct beliefs."""
     replan_every: int = eqx.field(static=True)
     """Ticks from plan to plan; in between the running plan's feedback acts."""
-    locality: Locality | None = eqx.field(static=True)
+    locality: InteractionCutoff | None = eqx.field(static=True)
     """None: everyone may matter to everyone, so where plans lead is not looked at."""
 
     def first_memory(
@@ -170,7 +170,7 @@ class Controller(eqx.Module):
             return memory.belief, memory.seen.told
         seen = memory.seen
         return correct_by_motion(
-            judging_motion(self.model),
+            check_motion_model(self.model),
             memory.belief,
             ModelState(seen.position, seen.velocity, seen.belief),
             seen.told,

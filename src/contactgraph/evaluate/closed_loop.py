@@ -23,7 +23,7 @@ from contactgraph.evaluate.plan_tracking import (
 from contactgraph.evaluate.sensor_faults import ObservationNoise, SensorFaults
 from contactgraph.evaluate.statistics import wilson_interval
 from contactgraph.model import ContactSensor, MotionNoise, StepModel
-from contactgraph.model.model_fit import check_fit
+from contactgraph.model.filter import check_fit
 
 _NOTHING_PLANNED = PlanTrackingError()
 _NOTHING_FOUND = EstimatedContacts()

@@ -17,15 +17,13 @@ from contactgraph.model import (
     Nodes,
     StepModel,
     advance,
-    held_response,
+    control_sensitivity,
     scene_nodes,
     stack_state,
 )
-from contactgraph.model.follow import follow_run
+from contactgraph.model.filter import Recording, check_fit, dtype_of, filter_trajectory, recording
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
-from contactgraph.model.model_fit import check_fit
-from contactgraph.model.recording import Recording, number_type, recording
-from contactgraph.model.spring_mass_damper import SpringMassDamper
+from contactgraph.model.types import SpringMassDamper
 
 _EXACT = ContactSensor()
 
@@ -59,7 +57,7 @@ def model_diagnostics(
     check_fit(model, run.scene, run.control_size, "the run")
     count = run.scene.node_count
     capacity = count if node_capacity is None else node_capacity
-    padded = recording(run, run.steps, capacity, number_type(model), measured)
+    padded = recording(run, run.steps, capacity, dtype_of(model), measured)
     edges = pair_indices(count)
     belief, parameters = _along(model, padded, sensor)
     if parameters is not None:
@@ -71,7 +69,7 @@ def model_diagnostics(
 def _along(
     model: ContactDynamics, run: Recording, sensor: ContactSensor
 ) -> tuple[jax.Array, SpringMassDamper | None]:
-    carried = follow_run(model, run, sensor)
+    carried = filter_trajectory(model, run, sensor)
     parameters = None
     if isinstance(model.local_dynamics, SpringMassDamperDynamics):
         states = ModelState(run.position, run.velocity, carried.now)
@@ -117,7 +115,7 @@ def rollout_growth(model: StepModel, dataset: Dataset, steps: int) -> RolloutGro
     if steps < 1:
         raise InvalidInputError(f"steps must be at least 1, found {steps}")
     capacity = max(run.scene.node_count for run in dataset)
-    dtype = number_type(model)
+    dtype = dtype_of(model)
     growth: dict[str, list[float]] = {"free": [], "driven": [], "recorded": []}
     finite: list[bool] = []
     first_radius: list[float] = []
@@ -180,7 +178,7 @@ def _rollout(
 
     start, speed = jnp.asarray(position), jnp.asarray(velocity)
     first = ModelState(start, speed, model.initial_belief(start, speed, nodes))
-    begin = first, held_response(model, first, nodes)
+    begin = first, control_sensitivity(model, first, nodes)
     return jax.lax.scan(step, begin, jnp.asarray(controls))[1]
 
 

@@ -13,8 +13,14 @@ from contactgraph.evaluate.prediction_windows import (
     trajectory_detail,
 )
 from contactgraph.evaluate.sensor_faults import SensorFaults
-from contactgraph.model import ContactSensor, GrowingLists, MotionNoise, StepModel, judging_motion
-from contactgraph.model.model_fit import check_fit
+from contactgraph.model import (
+    ContactSensor,
+    MotionNoise,
+    ReallocatingModel,
+    StepModel,
+    check_motion_model,
+)
+from contactgraph.model.filter import check_fit
 
 _EXACT = SensorFaults()
 _NOT_SCORED = EdgeScores(None, None, None, None, None, None, None)
@@ -122,7 +128,7 @@ def evaluate_open_loop(
     for run in dataset:
         check_fit(model, run.scene, run.control_size, "the data")
     if motion_noise is not None:
-        judging_motion(model)
+        check_motion_model(model)
     steps = _steps(dataset, horizon_s)
     known = all(run.contact is not None for run in dataset)
     if not (known or faults.exact):
@@ -131,7 +137,7 @@ def evaluate_open_loop(
             f"faults spoil measured contacts, but {lacking} of {len(dataset)} runs have no contact "
             f"field; it must be in every run"
         )
-    lists = GrowingLists(model, dataset)
+    lists = ReallocatingModel(model, dataset)
     detail = concatenated_details(
         [
             trajectory_detail(

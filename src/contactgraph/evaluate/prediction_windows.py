@@ -15,16 +15,15 @@ from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
     ContactSensor,
-    GrowingLists,
     ModelState,
     MotionNoise,
+    ReallocatingModel,
     StepModel,
     advance,
-    held_response,
+    control_sensitivity,
 )
-from contactgraph.model.follow import follow_run
-from contactgraph.model.neighbours import edge_count
-from contactgraph.model.recording import Recording, number_type, recording
+from contactgraph.model.filter import Recording, dtype_of, filter_trajectory, recording
+from contactgraph.model.neighbor_list import edge_count
 
 _SMALL_GRAPH = 28
 """Edges up to which rollouts side by side are faster on a CPU than one after the other: from
@@ -53,7 +52,7 @@ def predict_trajectory(
     motion_noise: MotionNoise | None = None,
 ) -> TrajectoryPrediction:
     """Rolls the model out for ``steps`` from each of the states ``starts``."""
-    carried = follow_run(model, run, sensor, motion_noise)
+    carried = filter_trajectory(model, run, sensor, motion_noise)
     edges = run.contact.shape[-1]
 
     def likely(belief: ContactBelief) -> Array:
@@ -70,7 +69,7 @@ def predict_trajectory(
             after, response, _ = advance(model, *carry, control, run.nodes)
             return (after, response), (after.position, likely(after.belief))
 
-        response = held_response(model, state, run.nodes)
+        response = control_sensitivity(model, state, run.nodes)
         return jax.lax.scan(step, (state, response), controls)[1]
 
     count = starts.shape[0]
@@ -189,7 +188,7 @@ _MOVES_M = 1e-3
 
 
 def trajectory_detail(
-    lists: GrowingLists[StepModel],
+    lists: ReallocatingModel[StepModel],
     dataset: Dataset,
     number: int,
     steps: int,
@@ -295,7 +294,7 @@ def concatenated_details(parts: Sequence[OpenLoopDetail]) -> OpenLoopDetail:
 
 
 def _predicted(
-    lists: GrowingLists[StepModel],
+    lists: ReallocatingModel[StepModel],
     dataset: Dataset,
     run: Trajectory,
     steps: int,
@@ -306,7 +305,7 @@ def _predicted(
     def finite(found: TrajectoryPrediction) -> bool:
         return bool(jnp.all(jnp.isfinite(found.position[:starts, :, :count])))
 
-    return lists.until_finite(
+    return lists.reallocate_on_overflow(
         lambda model: _from_every_state(model, dataset, run, steps, sensor, None), finite
     )
 
@@ -320,7 +319,7 @@ def _from_every_state(
     motion_noise: MotionNoise | None,
 ) -> TrajectoryPrediction:
     longest = max(each.steps for each in dataset)
-    padded = recording(run, longest, _capacity(dataset), number_type(model), True)
+    padded = recording(run, longest, _capacity(dataset), dtype_of(model), True)
     starts = jnp.arange(longest - steps + 1)
     return predict_trajectory(model, padded, starts, steps, sensor, motion_noise)
 

@@ -1,34 +1,37 @@
 """The whole model: inference of the edges, and local dynamics given the edges."""
 
 import dataclasses
+from collections.abc import Callable
+from typing import Protocol
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.belief import ContactBelief
-from contactgraph.model.edges import Edges, all_pairs, pair_count
+from contactgraph.model.collision import Geometry, geometry
+from contactgraph.model.contact_belief import (
+    ArgmaxSample,
+    ClosestApproachPrior,
+    ContactBelief,
+    DistancePrior,
+    GumbelSample,
+    NoCutoff,
+    SmoothCutoff,
+)
+from contactgraph.model.edge_inference import AllEdges, MemorylessEdges, RecurrentEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.geometry import Geometry, geometry
-from contactgraph.model.inference import AllEdges, MemorylessEdges, RecurrentEdges
-from contactgraph.model.linear_dynamics import LinearDynamics
+from contactgraph.model.graph import Edges, all_pairs, pair_count
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
-from contactgraph.model.local_input import LocalInput
-from contactgraph.model.neighbours import NeighbourLists, edge_count, longest_ways
-from contactgraph.model.prior import DistancePrior, TouchPrior
-from contactgraph.model.push import advance, following, held_response
-from contactgraph.model.reach import Everywhere, Reach
-from contactgraph.model.sampling import ArgmaxSample, GumbelSample
-from contactgraph.model.spring_mass_damper import SpringMassDamper
-from contactgraph.model.state import ModelState, Nodes
+from contactgraph.model.neighbor_list import NeighborList, edge_count, travel_bound
+from contactgraph.model.types import LinearDynamics, LocalInput, ModelState, Nodes, SpringMassDamper
 
 _MANY_EDGES = 500
 """A scene is large that has more."""
 
 
-class Percept(eqx.Module):
+class EncodedGraph(eqx.Module):
     """One step's graph as the model sees it, before anything is inferred."""
 
     geometry: Geometry
@@ -37,7 +40,7 @@ class Percept(eqx.Module):
     node_features: Float[Array, "N F"]
     edge_features: Float[Array, "2 E G"]
     weight: Float[Array, " E"]
-    """Reach of every edge in [0, 1]; 0 for edges that are no candidates."""
+    """SmoothCutoff of every edge in [0, 1]; 0 for edges that are no candidates."""
     embedding: Float[Array, "E M"]
 
 
@@ -51,14 +54,14 @@ class ContactDynamics(eqx.Module):
     inference: RecurrentEdges | MemorylessEdges | AllEdges
     local_dynamics: SpringMassDamperDynamics | FreeLinearDynamics
     features: InvariantFeatures | AbsoluteFeatures
-    prior: DistancePrior | TouchPrior
-    reach: Reach | Everywhere
+    prior: DistancePrior | ClosestApproachPrior
+    reach: SmoothCutoff | NoCutoff
     sample: ArgmaxSample | GumbelSample
     dt: float = eqx.field(static=True)
     """s"""
     dimension: int = eqx.field(static=True)
     control_size: int = eqx.field(static=True)
-    neighbours: NeighbourLists | None = None
+    neighbours: NeighborList | None = None
     """How near pairs are found; None: every pair is an edge, near or far."""
 
     def __check_init__(self) -> None:
@@ -71,37 +74,37 @@ class ContactDynamics(eqx.Module):
                 f"local_dynamics must have one message network for each of the {active_types} "
                 f"active edge types (edge_types less the inactive one), found {networks}"
             )
-        if self.neighbours is not None and not isinstance(self.reach, Reach):
+        if self.neighbours is not None and not isinstance(self.reach, SmoothCutoff):
             raise InvalidInputError(
-                "neighbours: lists of near pairs need a Reach, beyond which no edge is active; "
-                f"found {type(self.reach).__name__}"
+                "neighbours: lists of near pairs need a SmoothCutoff, beyond which no edge is "
+                f"active; found {type(self.reach).__name__}"
             )
 
-    def perceive(
+    def encode(
         self,
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
         nodes: Nodes,
         push: Float[Array, "N D"] | None = None,
-        touch_distance: Float[Array, " E"] | None = None,
-    ) -> Percept:
+        contact_distance: Float[Array, " E"] | None = None,
+    ) -> EncodedGraph:
         """What does not depend on the belief: geometry, features and edge embeddings.
 
-        ``touch_distance`` [m]: at which the ends of each edge touch; None: as the model knows it.
+        ``contact_distance`` [m]: at which the ends of each edge touch; None: as the model knows it.
         """
         edges = self._edges(position, velocity, nodes, push)
         if edges.number is not None:
             # What outgrows a list has no prediction, for anybody.
             velocity = jnp.where(edges.fits, velocity, jnp.nan)
-        touch = self.features.touch_distance if touch_distance is None else touch_distance
+        touch = self.features.contact_distance if contact_distance is None else contact_distance
         seen = geometry(position, velocity, edges.pairs, self.dt, touch, push, nodes.anchor)
         node_features = self.features.node(position, velocity, nodes)
-        edge_features = self.features.edge(seen, touch_distance)
+        edge_features = self.features.edge(seen, contact_distance)
         exists = edges.candidate(nodes.candidate) & nodes.mask[seen.first] & nodes.mask[seen.second]
         weight = jnp.where(exists, self.reach(seen), 0.0)
         ends = jnp.stack([seen.first, seen.second])
         embedding = self.inference.embed(node_features, edge_features, weight, ends)
-        return Percept(seen, edges.number, node_features, edge_features, weight, embedding)
+        return EncodedGraph(seen, edges.number, node_features, edge_features, weight, embedding)
 
     def _edges(
         self,
@@ -112,13 +115,13 @@ class ContactDynamics(eqx.Module):
     ) -> Edges:
         if self.neighbours is None:
             return all_pairs(position.shape[0])
-        assert isinstance(self.reach, Reach)
-        way = longest_ways(position, velocity, push, nodes.anchor, self.dt)
+        assert isinstance(self.reach, SmoothCutoff)
+        way = travel_bound(position, velocity, push, nodes.anchor, self.dt)
         return self.neighbours(position, way, nodes.mask, self.reach.far)
 
-    def prior_belief(self, percept: Percept) -> ContactBelief:
+    def prior_belief(self, percept: EncodedGraph) -> ContactBelief:
         """What distance alone says, the active part spread evenly over the active types."""
-        active = self.prior(percept.geometry, self.features.touch_distance) * percept.weight
+        active = self.prior(percept.geometry, self.features.contact_distance) * percept.weight
         active_types = self.inference.edge_types - 1
         spread = jnp.repeat(active[:, None] / active_types, active_types, axis=-1)
         types = jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
@@ -128,9 +131,9 @@ class ContactDynamics(eqx.Module):
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
     ) -> ContactBelief:
         """The belief before anything was seen: the distance prior."""
-        return self.prior_belief(self.perceive(position, velocity, nodes))
+        return self.prior_belief(self.encode(position, velocity, nodes))
 
-    def predict_belief(self, belief: ContactBelief, percept: Percept) -> ContactBelief:
+    def predict_belief(self, belief: ContactBelief, percept: EncodedGraph) -> ContactBelief:
         """The belief about the coming step. An edge out of reach is inactive, surely."""
         count = pair_count(percept.node_features.shape[0])
         before = belief.over(percept.number, count)
@@ -141,7 +144,7 @@ class ContactDynamics(eqx.Module):
 
     def local_input(
         self,
-        percept: Percept,
+        percept: EncodedGraph,
         belief: ContactBelief,
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
@@ -168,14 +171,14 @@ class ContactDynamics(eqx.Module):
 
         Neither depends on the control but through ``state.push``, where that is known.
         """
-        percept = self.perceive(state.position, state.velocity, nodes, state.push)
+        percept = self.encode(state.position, state.velocity, nodes, state.push)
         belief = self.predict_belief(state.belief, percept)
         local = self.local_input(percept, belief, state.position, state.velocity, nodes)
         return self.local_dynamics(local, self.dt, self.control_size), belief
 
     def step(self, state: ModelState, control: Float[Array, " U"], nodes: Nodes) -> ModelState:
         """The next state under a control [N]."""
-        return advance(self, state, held_response(self, state, nodes), control, nodes)[0]
+        return advance(self, state, control_sensitivity(self, state, nodes), control, nodes)[0]
 
     def rollout(self, state: ModelState, controls: Float[Array, "H U"], nodes: Nodes) -> ModelState:
         """All states that follow, ``[H, …]``; belief h is about the step that led to state h."""
@@ -191,7 +194,109 @@ class ContactDynamics(eqx.Module):
         """
         if not isinstance(self.local_dynamics, SpringMassDamperDynamics):
             raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
-        percept = self.perceive(state.position, state.velocity, nodes)
+        percept = self.encode(state.position, state.velocity, nodes)
         belief = self.predict_belief(state.belief, percept)
         local = self.local_input(percept, belief, state.position, state.velocity, nodes)
         return self.local_dynamics.parameters(local, self.dt, self.control_size)
+
+
+class _LinearModel(Protocol):
+    def linear_step(
+        self, state: ModelState, nodes: Nodes
+    ) -> tuple[LinearDynamics, ContactBelief]: ...
+
+
+@eqx.filter_jit
+def _linear_step(
+    model: _LinearModel, state: ModelState, nodes: Nodes
+) -> tuple[LinearDynamics, ContactBelief]:
+    """Traced once, however often a program takes a step."""
+    return model.linear_step(state, nodes)
+
+
+def control_sensitivity(
+    model: _LinearModel, state: ModelState, nodes: Nodes
+) -> Float[Array, "N D U"]:
+    """[m/N] How far each node is moved by the control, if only the present contacts hold."""
+    unpushed = dataclasses.replace(state, push=jnp.zeros_like(state.velocity))
+    held = dataclasses.replace(nodes, candidate=_holding(state, nodes))
+    linear, _ = _linear_step(model, unpushed, held)
+    return response_of(linear, state.position)
+
+
+def _holding(state: ModelState, nodes: Nodes) -> Bool[Array, " E"]:
+    believed = state.belief.over(None, nodes.candidate.shape[0])
+    return nodes.candidate & (believed.probability > 0.5)
+
+
+def pushed(
+    state: ModelState, response: Float[Array, "N D U"], control: Float[Array, " U"]
+) -> ModelState:
+    """The state, told how far the coming step's control [N] alone moves each node."""
+    push = jnp.sum(response * control, axis=-1)
+    return dataclasses.replace(state, push=push.astype(state.velocity.dtype))
+
+
+def response_of(linear: LinearDynamics, like: Array) -> Float[Array, "N D U"]:
+    """[m/N] The response in the step after one of these dynamics; of `like`'s number type."""
+    return linear.B[..., 0, :].astype(like.dtype)
+
+
+def advance(
+    model: _LinearModel,
+    state: ModelState,
+    response: Float[Array, "N D U"],
+    control: Float[Array, " U"],
+    nodes: Nodes,
+) -> tuple[ModelState, Float[Array, "N D U"], LinearDynamics]:
+    """One step under a control [N]: the next state, the response after it, and the dynamics.
+
+    States keep their number types: a model of float32 may meet states of float64.
+    """
+    linear, belief = _linear_step(model, pushed(state, response, control), nodes)
+    position, velocity = linear(state.position, state.velocity, control)
+    after = ModelState(
+        position=position.astype(state.position.dtype),
+        velocity=velocity.astype(state.velocity.dtype),
+        belief=cast_like(belief, state.belief),
+    )
+    return after, response_of(linear, response), linear
+
+
+def following(
+    model: _LinearModel,
+    state: ModelState,
+    controls: Float[Array, "H U"],
+    nodes: Nodes,
+    wrapped: Callable[[Callable], Callable] | None = None,
+) -> ModelState:
+    """All states that follow, ``[H, …]``; ``wrapped`` is each step's function, if by something.
+
+    As `advance` from the `control_sensitivity` on. That is found by a turn of the same loop before
+    the first step, so that a program holds one step and one derivative of it, not two.
+    """
+    holds = _holding(state, nodes)
+
+    def step(
+        carry: tuple[ModelState, Float[Array, "N D U"]], told: tuple[Array, Array]
+    ) -> tuple[tuple[ModelState, Float[Array, "N D U"]], ModelState]:
+        before, response = carry
+        control, begins = told
+        candidate = jnp.where(begins, holds, nodes.candidate)
+        known = dataclasses.replace(nodes, candidate=candidate)
+        after, response, _ = advance(model, before, response, control, known)
+        after = jax.tree.map(lambda old, new: jnp.where(begins, old, new), before, after)
+        return (after, response), after
+
+    unknown = jnp.zeros((*state.position.shape, controls.shape[-1]), state.position.dtype)
+    begins = jnp.arange(controls.shape[0] + 1) == 0
+    told = jnp.concatenate([jnp.zeros_like(controls[:1]), controls]), begins
+    each = step if wrapped is None else wrapped(step)
+    _, states = jax.lax.scan(each, (state, unknown), told)
+    return jax.tree.map(lambda leaf: leaf[1:], states)
+
+
+def cast_like(belief: ContactBelief, other: ContactBelief) -> ContactBelief:
+    """The belief in the number type of another, which may be about other edges."""
+    types = belief.type_probability.astype(other.type_probability.dtype)
+    return dataclasses.replace(belief, type_probability=types)

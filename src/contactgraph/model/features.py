@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from contactgraph.model.geometry import Geometry
-from contactgraph.model.state import Nodes
+from contactgraph.model.collision import Geometry
+from contactgraph.model.types import Nodes
 
 _NEAR = 0.03
 """Gap, in distances of touch, that tells bodies which touch from those which are merely near."""
@@ -24,7 +24,7 @@ class InvariantFeatures(eqx.Module):
     there on; speeds are measured in `speed` [m/s].
     """
 
-    touch_distance: Float[Array, ""] | float
+    contact_distance: Float[Array, ""] | float
     """m, centre to centre, or to a bar's middle line; a plain number where it is not learned."""
     length: float = eqx.field(static=True)
     speed: float = eqx.field(static=True)
@@ -43,7 +43,7 @@ class InvariantFeatures(eqx.Module):
         Impacts within one step tell it; a grasp that takes several steps does not.
         """
         # A product, so that its type is not weak: else the first update of training recompiles.
-        self.touch_distance = length * jnp.ones(()) if learned else length
+        self.contact_distance = length * jnp.ones(()) if learned else length
         self.length = length
         self.speed = speed
         self.hinges = hinges
@@ -75,20 +75,20 @@ class InvariantFeatures(eqx.Module):
         return jnp.concatenate([self.kind(nodes, speed.dtype), bounded], axis=-1)
 
     def edge(
-        self, geometry: Geometry, touch_distance: Float[Array, " E"] | None = None
+        self, geometry: Geometry, contact_distance: Float[Array, " E"] | None = None
     ) -> Float[Array, "2 E F"]:
         """Features of every edge, for the message to its first and to its second node.
 
-        `touch_distance` [m] is each edge's own; None: that of all.
+        `contact_distance` [m] is each edge's own; None: that of all.
         """
         # The distance of touch is learned from the impacts' timing alone.
-        touch = jax.lax.stop_gradient(self.touch_distance)
-        touch = touch if touch_distance is None else touch_distance[:, None]
+        touch = jax.lax.stop_gradient(self.contact_distance)
+        touch = touch if contact_distance is None else contact_distance[:, None]
         gaps = jnp.stack([geometry.distance, geometry.nearest], axis=-1) / touch - 1.0
         # Touching or merely near: a few hundredths of the distance decide.
         close = gaps / (_NEAR + jnp.abs(gaps))
         distance = geometry.distance[:, None] / self.length - 1.0
-        share = geometry.share_after_touch[:, None]
+        share = geometry.fraction_after_impact[:, None]
         features = jnp.concatenate([close, distance, share], axis=-1)
         return jnp.stack([features, features])
 
@@ -96,7 +96,7 @@ class InvariantFeatures(eqx.Module):
 class AbsoluteFeatures(eqx.Module):
     """The paper's own: position, velocity and actuated flag of a node; distance of an edge."""
 
-    touch_distance: float = eqx.field(static=True, default=0.1)
+    contact_distance: float = eqx.field(static=True, default=0.1)
     """m, centre to centre; these features do not use it."""
     hinges: bool = eqx.field(static=True, default=False)
     """Whether nodes may hang on hinges; the way from the hinge is a feature then."""
@@ -131,7 +131,7 @@ class AbsoluteFeatures(eqx.Module):
         return jnp.concatenate(features, axis=-1)
 
     def edge(
-        self, geometry: Geometry, touch_distance: Float[Array, " E"] | None = None
+        self, geometry: Geometry, contact_distance: Float[Array, " E"] | None = None
     ) -> Float[Array, "2 E F"]:
         """Features of every edge, for the message to its first and to its second node."""
         features = geometry.distance[:, None]

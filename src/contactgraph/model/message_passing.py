@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.model.edges import at_nodes
+from contactgraph.model.graph import sum_at_nodes
 
 
 class _Round(eqx.Module):
@@ -39,7 +39,7 @@ class _Round(eqx.Module):
         received, sent = jax.vmap(self.receiver)(node), jax.vmap(self.sender)(node)
         hidden = jax.nn.relu(received[ends] + sent[ends[::-1]] + _along_edges(self.edge, edge))
         message = jax.nn.relu(_along_edges(self.message, hidden)) * weight[:, None]
-        total = at_nodes(message, ends, node.shape[0])
+        total = sum_at_nodes(message, ends, node.shape[0])
         return jax.vmap(self.update)(jnp.concatenate([node, total], axis=-1)), message
 
 

@@ -13,18 +13,23 @@ from typing import Protocol
 import jax
 from jaxtyping import PRNGKeyArray
 
+from contactgraph.model.contact_belief import (
+    ArgmaxSample,
+    ClosestApproachPrior,
+    DistancePrior,
+    NoCutoff,
+    SmoothCutoff,
+)
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.coupled_head import CoupledHead
+from contactgraph.model.edge_inference import AllEdges, MemorylessEdges, RecurrentEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.inference import AllEdges, MemorylessEdges, RecurrentEdges
-from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
+from contactgraph.model.heads import CoupledHead, PerDegreeHead, Support
+from contactgraph.model.local_dynamics import (
+    FreeLinearDynamics,
+    SpringMassDamperDynamics,
+    ThetaMethod,
+)
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
-from contactgraph.model.per_degree_head import PerDegreeHead
-from contactgraph.model.prior import DistancePrior, TouchPrior
-from contactgraph.model.reach import Everywhere, Reach
-from contactgraph.model.sampling import ArgmaxSample
-from contactgraph.model.support import Support
-from contactgraph.model.theta_method import ThetaMethod
 
 
 class Preset(Protocol):
@@ -39,7 +44,7 @@ class Preset(Protocol):
         width: int = 32,
         hinges: bool = False,
         weight: bool = False,
-        learned_touch: bool = True,
+        learned_contact_distance: bool = True,
         *,
         key: PRNGKeyArray,
     ) -> ContactDynamics:
@@ -54,19 +59,19 @@ def gim_temp(
     width: int = 32,
     hinges: bool = False,
     weight: bool = False,
-    learned_touch: bool = True,
+    learned_contact_distance: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """Recurrent edges; bodies that hold are solved as groups; local, and blind to the axes."""
-    features = InvariantFeatures(contact_distance, hinges=hinges, learned=learned_touch)
+    features = InvariantFeatures(contact_distance, hinges=hinges, learned=learned_contact_distance)
     messages_key, cell_key, dynamics_key = jax.random.split(key, 3)
     messages = EdgeNetwork(features.edge_size(dimension), width, key=messages_key)
     return ContactDynamics(
         inference=RecurrentEdges(messages, key=cell_key),
         local_dynamics=_coupled(features, dimension, contact_distance, width, weight, dynamics_key),
         features=features,
-        prior=TouchPrior(),
+        prior=ClosestApproachPrior(),
         reach=_reach(contact_distance),
         sample=ArgmaxSample(),
         dt=dt,
@@ -83,7 +88,7 @@ def gim_non_temp(
     width: int = 32,
     hinges: bool = False,
     weight: bool = False,
-    learned_touch: bool = True,
+    learned_contact_distance: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
@@ -97,7 +102,7 @@ def gim_non_temp(
         width,
         hinges,
         weight,
-        learned_touch,
+        learned_contact_distance,
         key=model_key,
     )
     messages = EdgeNetwork(model.features.edge_size(dimension), width, key=messages_key)
@@ -112,15 +117,23 @@ def no_gim(
     width: int = 32,
     hinges: bool = False,
     weight: bool = False,
-    learned_touch: bool = True,
+    learned_contact_distance: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """No inference: every edge is active at every step, at any distance."""
     model = gim_temp(
-        dimension, control_size, dt, contact_distance, width, hinges, weight, learned_touch, key=key
+        dimension,
+        control_size,
+        dt,
+        contact_distance,
+        width,
+        hinges,
+        weight,
+        learned_contact_distance,
+        key=key,
     )
-    return dataclasses.replace(model, inference=AllEdges(), reach=Everywhere())
+    return dataclasses.replace(model, inference=AllEdges(), reach=NoCutoff())
 
 
 def full_ab(
@@ -131,13 +144,21 @@ def full_ab(
     width: int = 32,
     hinges: bool = False,
     weight: bool = False,
-    learned_touch: bool = True,
+    learned_contact_distance: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """Recurrent, local edges as in `gim_temp`, but free matrices, of absolute positions."""
     model = paper_literal(
-        dimension, control_size, dt, contact_distance, width, hinges, weight, learned_touch, key=key
+        dimension,
+        control_size,
+        dt,
+        contact_distance,
+        width,
+        hinges,
+        weight,
+        learned_contact_distance,
+        key=key,
     )
     return dataclasses.replace(
         model,
@@ -147,7 +168,7 @@ def full_ab(
             control_size=control_size,
             key=jax.random.fold_in(key, 1),
         ),
-        prior=TouchPrior(),
+        prior=ClosestApproachPrior(),
         reach=_reach(contact_distance),
     )
 
@@ -160,7 +181,7 @@ def paper_literal(
     width: int = 64,
     hinges: bool = False,
     weight: bool = False,
-    learned_touch: bool = True,
+    learned_contact_distance: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
@@ -174,11 +195,11 @@ def paper_literal(
         local_dynamics=SpringMassDamperDynamics(
             message_passing=passing,
             head=PerDegreeHead(width, dimension, key=head_key),
-            discretisation=ThetaMethod(0.0, learned=False),
+            discretization=ThetaMethod(0.0, learned=False),
         ),
         features=features,
         prior=DistancePrior(threshold=contact_distance),
-        reach=Everywhere(),
+        reach=NoCutoff(),
         sample=ArgmaxSample(),
         dt=dt,
         dimension=dimension,
@@ -194,13 +215,21 @@ def paper_literal_no_gim(
     width: int = 64,
     hinges: bool = False,
     weight: bool = False,
-    learned_touch: bool = True,
+    learned_contact_distance: bool = True,
     *,
     key: PRNGKeyArray,
 ) -> ContactDynamics:
     """The paper's own form without inference: every edge is active at every step."""
     model = paper_literal(
-        dimension, control_size, dt, contact_distance, width, hinges, weight, learned_touch, key=key
+        dimension,
+        control_size,
+        dt,
+        contact_distance,
+        width,
+        hinges,
+        weight,
+        learned_contact_distance,
+        key=key,
     )
     return dataclasses.replace(model, inference=AllEdges())
 
@@ -235,9 +264,9 @@ def _coupled(
             support=Support(features.kinds, dimension) if weight else None,
             key=head_key,
         ),
-        discretisation=ThetaMethod(),
+        discretization=ThetaMethod(),
     )
 
 
-def _reach(contact_distance: float) -> Reach:
-    return Reach(near=1.5 * contact_distance, far=2.5 * contact_distance)
+def _reach(contact_distance: float) -> SmoothCutoff:
+    return SmoothCutoff(near=1.5 * contact_distance, far=2.5 * contact_distance)

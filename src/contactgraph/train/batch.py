@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import Windows
-from contactgraph.model.state import Nodes
+from contactgraph.model.types import Nodes
 
 _RUNS = 256
 

@@ -69,7 +69,7 @@ class DataDefaults:
 
     contact_distance: float
     """m; the one that the scenes' metadata tell, or 0.085."""
-    learned_touch: bool
+    learned_contact_distance: bool
     """Not where it is told: who tells it may have fingers, which close when they like."""
     hinges: bool
     weight: bool
@@ -91,7 +91,7 @@ def defaults_from_data(dataset: Dataset) -> DataDefaults:
     weight = any(run.scene.has_weight for run in dataset)
     return DataDefaults(
         contact_distance=_CONTACT_DISTANCE if distance is None else float(distance),
-        learned_touch=distance is None,
+        learned_contact_distance=distance is None,
         hinges=any(run.scene.has_hinges for run in dataset),
         weight=weight,
         rollout_from=0.0 if weight else 0.5,

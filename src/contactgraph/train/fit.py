@@ -17,8 +17,8 @@ from contactgraph.data.dataset import Dataset
 from contactgraph.data.trajectory_batch import pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.listed import GrowingLists
-from contactgraph.model.neighbours import NeighbourLists
+from contactgraph.model.locality import ReallocatingModel
+from contactgraph.model.neighbor_list import NeighborList
 from contactgraph.train.batch import (
     BatchSplit,
     Window,
@@ -106,7 +106,7 @@ def fit(
 ) -> FitResult:
     """Train from `state` to the recipe's last step, or until the held-out error stops falling.
 
-    Large scenes are trained on by lists of near pairs: see `GrowingLists`. Contact labels in the
+    Large scenes are trained on with neighbor lists: see `ReallocatingModel`. Contact labels in the
     data are not read. `on_check` sees every check and may save its state; an exception it raises
     (Ctrl-C, say) ends the training there. Each of several `devices` takes a like part of every
     batch: the same result but for rounding. Raises `InvalidInputError` where runs are shorter than
@@ -117,13 +117,13 @@ def fit(
     if split is not None:
         state, source, checked = split.everywhere((state, source, checked))
     bystanders = recipe.bystanders if has_resting_bodies(pad_trajectories(train)) else 0
-    lists = GrowingLists(state.model, train)
+    lists = ReallocatingModel(state.model, train)
 
     def advance(state: FitState, count: int) -> tuple[FitState, dict[str, Array]]:
         with_rollout = None
         if recipe.rollout_from < 1.0:
             with_rollout = np.asarray(int(state.step) >= recipe.rollout_from * recipe.steps)
-        after, arrays = lists.until_finite(
+        after, arrays = lists.reallocate_on_overflow(
             lambda model: _advance(
                 _with_lists(state, model.neighbours),
                 *(source, checked, recipe, count, bystanders, with_rollout, split),
@@ -157,7 +157,7 @@ def fit(
     return FitResult(state.best_model, float(state.best_error), status, state)
 
 
-def _with_lists(state: FitState, lists: NeighbourLists | None) -> FitState:
+def _with_lists(state: FitState, lists: NeighborList | None) -> FitState:
     """The state with these lists in the models, and in the averages that mirror them."""
 
     def is_model(part: object) -> bool:
@@ -216,7 +216,7 @@ def _advance(
     """
     optimiser = _optimiser(recipe)
     # Just out of touch, as far as the model knows where touch is: so it learns how near is near.
-    nearest = _CLEARANCE * jnp.asarray(state.model.features.touch_distance)
+    nearest = _CLEARANCE * jnp.asarray(state.model.features.contact_distance)
     params, static = eqx.partition(state.model, eqx.is_inexact_array)
     devices = 1 if split is None else split.mesh.size
 

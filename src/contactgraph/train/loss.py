@@ -10,13 +10,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from contactgraph.model.belief import ContactBelief
-from contactgraph.model.contact_dynamics import ContactDynamics, Percept
-from contactgraph.model.linear_dynamics import LinearDynamics
-from contactgraph.model.neighbours import edge_count
-from contactgraph.model.state import ModelState, Nodes
+from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
+from contactgraph.model.neighbor_list import edge_count
+from contactgraph.model.types import LinearDynamics, ModelState, Nodes
 from contactgraph.train.batch import Window
-from contactgraph.train.in_chunks import in_chunks
+from contactgraph.train.chunked_vmap import chunked_vmap
 
 _Result = TypeVar("_Result")
 _SMALLEST = 1e-6
@@ -72,7 +71,7 @@ def window_loss(
 def rollout_loss(model: ContactDynamics, windows: Window, devices: int = 1) -> Float[Array, ""]:
     """`LossTerms.rollout` over a batch of windows, of which it is all that goes through time."""
     edges = edge_count(model.neighbours, windows.position.shape[-2])
-    missed = in_chunks(partial(_rolled_out, model), (windows,), edges, devices)
+    missed = chunked_vmap(partial(_rolled_out, model), (windows,), edges, devices)
     return _mean(missed, jnp.broadcast_to(windows.nodes.mask[:, None], missed.shape))
 
 
@@ -109,7 +108,7 @@ class _Steps:
 
         flat = jax.tree.map(lambda leaf: leaf.reshape(count * self.length, *leaf.shape[2:]), given)
         window = jnp.repeat(jnp.arange(count), self.length)
-        found = in_chunks(of_step, (window, flat), self.edges, self.devices)
+        found = chunked_vmap(of_step, (window, flat), self.edges, self.devices)
         return jax.tree.map(lambda leaf: leaf.reshape(count, self.length, *leaf.shape[1:]), found)
 
 
@@ -124,7 +123,7 @@ def _teacher_forced(
         nodes: Nodes,
         x: Array,
         v: Array,
-        percept: Percept,
+        percept: EncodedGraph,
         belief: ContactBelief,
         u: Array,
         then: tuple[Array, Array],
@@ -150,7 +149,7 @@ def _pushes(steps: _Steps) -> Float[Array, "B L N D"]:
     percept, _, belief = _believed(steps, None)
 
     def response(
-        nodes: Nodes, x: Array, v: Array, percept: Percept, belief: ContactBelief
+        nodes: Nodes, x: Array, v: Array, percept: EncodedGraph, belief: ContactBelief
     ) -> Array:
         return _linear(steps.model, nodes, x, v, percept, belief).B[..., 0, :]
 
@@ -161,17 +160,19 @@ def _pushes(steps: _Steps) -> Float[Array, "B L N D"]:
 
 def _believed(
     steps: _Steps, push: Float[Array, "B L N D"] | None
-) -> tuple[Percept, ContactBelief, ContactBelief]:
-    """Percept, prior and belief about every step, from the recorded states."""
+) -> tuple[EncodedGraph, ContactBelief, ContactBelief]:
+    """EncodedGraph, prior and belief about every step, from the recorded states."""
     model = steps.model
-    percept = steps.each(lambda nodes, x, v, push: model.perceive(x, v, nodes, push), push)
+    percept = steps.each(lambda nodes, x, v, push: model.encode(x, v, nodes, push), push)
     prior = jax.vmap(jax.vmap(model.prior_belief))(percept)
 
-    def advance(belief: ContactBelief, percept: Percept) -> tuple[ContactBelief, ContactBelief]:
+    def advance(
+        belief: ContactBelief, percept: EncodedGraph
+    ) -> tuple[ContactBelief, ContactBelief]:
         belief = model.predict_belief(belief, percept)
         return belief, belief
 
-    def along(prior: ContactBelief, percept: Percept) -> ContactBelief:
+    def along(prior: ContactBelief, percept: EncodedGraph) -> ContactBelief:
         first = jax.tree.map(lambda leaf: leaf[0], prior)
         return jax.lax.scan(advance, first, percept)[1]
 
@@ -183,7 +184,7 @@ def _linear(
     nodes: Nodes,
     position: Float[Array, "N D"],
     velocity: Float[Array, "N D"],
-    percept: Percept,
+    percept: EncodedGraph,
     belief: ContactBelief,
     key: PRNGKeyArray | None = None,
 ) -> LinearDynamics:
@@ -219,4 +220,4 @@ def rollout_rmse(model: ContactDynamics, windows: Window) -> Float[Array, ""]:
         return jnp.sqrt(_mean(squared, counts))
 
     edges = edge_count(model.neighbours, windows.position.shape[-2])
-    return jnp.mean(in_chunks(rmse, (windows,), edges))
+    return jnp.mean(chunked_vmap(rmse, (windows,), edges))

@@ -9,8 +9,8 @@ import safetensors.numpy
 
 from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.arrays import module_arrays, with_arrays
-from contactgraph.model.storage import renamed_arrays
+from contactgraph.model.io import renamed_arrays
+from contactgraph.model.serialization import module_arrays, with_arrays
 from contactgraph.train.fit import FitProgress, FitState
 
 FORMAT = "contactgraph-checkpoint"

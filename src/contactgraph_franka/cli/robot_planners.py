@@ -22,7 +22,7 @@ def mpc_planner(path: Path, max_force: float, horizon: int, infer_contacts: bool
     from contactgraph.data import InvalidInputError
     from contactgraph.evaluate.mpc_policy import TaskCost
     from contactgraph.model import ContactDynamics, MotionNoise
-    from contactgraph.model.storage import load_model
+    from contactgraph.model.io import load_model
     from contactgraph_franka.envs.pickup import pickup_cost, pickup_scene
     from contactgraph_franka.loop.mpc_planner import MPCPlanner
 

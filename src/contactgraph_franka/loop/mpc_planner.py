@@ -10,7 +10,7 @@ from contactgraph.control import ILQR, MPC, ControlLimits, MPCState
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.evaluate.mpc_policy import SceneCost
 from contactgraph.model import ContactDynamics, ContactSensor, MotionNoise, scene_nodes
-from contactgraph.model.model_fit import check_fit
+from contactgraph.model.filter import check_fit
 from contactgraph_franka.loop import FeedbackLaw, Moment, Start
 from contactgraph_franka.loop.plan_feedback import plan_feedback
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Chart
 from contactgraph.control import read_cost
 from contactgraph.data import read_trajectories
 from contactgraph.model import shipped_model
-from contactgraph.model.storage import load_model
+from contactgraph.model.io import load_model
 from contactgraph.viz import cost_figure
 from contactgraph.viz.scene_picture import BODY_COLOURS
 from contactgraph_studies.chart import SOFT, chart, quiet

@@ -12,9 +12,14 @@ from contactgraph.control.box_qp import ControlLimits
 from contactgraph.control.cost_learning.learned_cost import TaskNode
 from contactgraph.data import Dataset, InvalidInputError, pair_indices
 from contactgraph.model import ContactSensor, LinearDynamics, StepModel
-from contactgraph.model.follow import FollowedRun, follow_run
-from contactgraph.model.model_fit import check_fit
-from contactgraph.model.recording import Recording, number_type, recording
+from contactgraph.model.filter import (
+    FilteredTrajectory,
+    Recording,
+    check_fit,
+    dtype_of,
+    filter_trajectory,
+    recording,
+)
 
 _AT_LIMIT = 1e-4
 """Part of the range of a control within which it counts as at a limit."""
@@ -61,7 +66,7 @@ class Demonstrations(eqx.Module):
 
 def demonstrations_of(
     dataset: Dataset,
-    followed: FollowedRun,
+    followed: FilteredTrajectory,
     names: Sequence[str],
     goal: np.ndarray | None = None,
     limits: ControlLimits | None = None,
@@ -136,7 +141,7 @@ def _stacked(dynamics: LinearDynamics) -> tuple[Array, Array, Array]:
 _EXACT = ContactSensor()
 
 
-def follow_all(model: StepModel, demonstrations: Dataset) -> FollowedRun:
+def follow_all(model: StepModel, demonstrations: Dataset) -> FilteredTrajectory:
     """[runs, T, …] What the model infers along every run, padded to the longest and the largest.
 
     Contacts correct the beliefs where they were recorded. Raises `InvalidInputError`, naming the
@@ -150,12 +155,12 @@ def follow_all(model: StepModel, demonstrations: Dataset) -> FollowedRun:
         check_fit(model, run.scene, run.control_size, f"run {number}")
     steps = max(run.steps for run in demonstrations)
     capacity = max(run.scene.node_count for run in demonstrations)
-    dtype = number_type(model)
+    dtype = dtype_of(model)
     padded = [recording(run, steps, capacity, dtype, True) for run in demonstrations]
     return _followed(model, jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded))
 
 
-def participants(demonstrations: Dataset, followed: FollowedRun) -> tuple[TaskNode, ...]:
+def participants(demonstrations: Dataset, followed: FilteredTrajectory) -> tuple[TaskNode, ...]:
     """What the runs tell of every node, by name; kept ones first, in the order of their contacts.
 
     An edge is active where its probability is above 1/2. The paper drops a node that is not
@@ -215,5 +220,5 @@ def _check_everywhere(each: TaskNode, demonstrations: Dataset) -> None:
 
 
 @eqx.filter_jit
-def _followed(model: StepModel, runs: Recording) -> FollowedRun:
-    return jax.lax.map(lambda run: follow_run(model, run, _EXACT), runs)
+def _followed(model: StepModel, runs: Recording) -> FilteredTrajectory:
+    return jax.lax.map(lambda run: filter_trajectory(model, run, _EXACT), runs)

@@ -1,0 +1,298 @@
+"""Model files: safetensors weights with a JSON header that rebuilds the model."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+from contactgraph.data.atomic_file import atomic_write
+from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.json_fields import check_version, parse_json
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.serialization import (
+    Description,
+    build,
+    describe,
+    module_arrays,
+    with_arrays,
+)
+from contactgraph.model.types import ModelState, Nodes
+
+FORMAT = "contactgraph-model"
+VERSION = 1
+# One entry, not several: safetensors writes its metadata in an order that changes from run to run.
+_ENTRY = "contactgraph"
+_HEADER_LIMIT = 2_000_000
+_DTYPES = ("float32", "float64")
+
+_CLASSES_OF_VERSION_1 = {
+    "Reach": "SmoothCutoff",
+    "Everywhere": "NoCutoff",
+    "TouchPrior": "ClosestApproachPrior",
+}
+"""Names that classes have in files of version 1, and their names now."""
+_FIELDS_OF_VERSION_1 = {
+    "discretisation": "discretization",
+    "touch_distance": "contact_distance",
+}
+"""Names that constructor arguments and weights have in files of version 1, and their names now."""
+
+
+@dataclass(frozen=True)
+class StoredModel:
+    """A model and what its file says about how it was made."""
+
+    model: ContactDynamics
+    training: dict[str, Any] = field(default_factory=dict)
+    """Free-form JSON: command, seed, data, errors, versions, …"""
+
+
+@dataclass(frozen=True)
+class ModelSummary:
+    """What is in a model file."""
+
+    format_version: int
+    model: Description
+    """Constructor arguments, nested."""
+    training: dict[str, Any]
+    """Free-form JSON: command, seed, data, errors, versions, …"""
+    dimension: int
+    """D, degrees of freedom a node."""
+    control_size: int
+    """U"""
+    dt: float
+    """s"""
+    parameter_count: int
+    size: int
+    """Size of the file, bytes."""
+
+
+def save_model(
+    path: str | Path, model: ContactDynamics, training: Mapping[str, Any] | None = None
+) -> None:
+    """Write a model to ``path``; whoever looks sees the old file or the whole new one, never half.
+
+    `training` is anything JSON can hold. The same model gives the same bytes. Raises
+    `InvalidInputError` where a part of the model is not of this package, a weight is not finite,
+    `training` is not JSON, or the folder cannot be written to.
+    """
+    path = Path(path)
+    arrays = module_arrays(model)
+    _check_weights(arrays, str(path))
+    header = {
+        "format": FORMAT,
+        "format_version": VERSION,
+        "model": describe(model),
+        "training": dict(training or {}),
+    }
+    try:
+        header["checksum"] = _checksum(header, arrays)
+        text = _json(header)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InvalidInputError(f"{path}: training must hold only JSON values ({error})") from error
+    if json.loads(text)["training"] != header["training"]:
+        raise InvalidInputError(f"{path}: training must hold only JSON values (and texts as keys)")
+    if len(text) > _HEADER_LIMIT:
+        raise InvalidInputError(
+            f"{path}: training must be shorter than {_HEADER_LIMIT} characters, found {len(text)}"
+        )
+    content = safetensors.numpy.save(arrays, metadata={_ENTRY: text})
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def load_model(path: str | Path) -> StoredModel:
+    """Read a model that `save_model` has written; it predicts bit for bit as the saved one did.
+
+    Nothing in the file is executed. Raises `InvalidInputError` naming file and field for whatever
+    is wrong with it.
+    """
+    path = Path(path)
+    with _opened(path) as (file, header):
+        shapes = build(renamed_parts(header["model"]), f"{path}: model")
+        arrays = {name: _weights(file, name, path) for name in file.keys()}  # noqa: SIM118
+    _check_weights(arrays, str(path))
+    if header.pop("checksum") != _checksum(header, arrays):
+        raise InvalidInputError(f"{path}: checksum does not fit the content: the file is damaged")
+    dtype = next(iter(arrays.values())).dtype if arrays else np.dtype("float32")
+    arrays = renamed_arrays(arrays)
+    model: ContactDynamics = with_arrays(_of_dtype(shapes, dtype), arrays, str(path))
+    _check_fit(model, str(path))
+    return StoredModel(model, header["training"])
+
+
+def describe_model(path: str | Path) -> ModelSummary:
+    """What is in a model file, from its header alone.
+
+    Raises `InvalidInputError` as `load_model` does; the weights are not looked at.
+    """
+    path = Path(path)
+    with _opened(path) as (file, header):
+        shapes = build(renamed_parts(header["model"]), f"{path}: model")
+        sizes = [int(np.prod(file.get_slice(name).get_shape())) for name in file.keys()]  # noqa: SIM118
+    return ModelSummary(
+        format_version=VERSION,
+        model=renamed_parts(header["model"]),
+        training=header["training"],
+        dimension=shapes.dimension,
+        control_size=shapes.control_size,
+        dt=shapes.dt,
+        parameter_count=sum(sizes),
+        size=path.stat().st_size,
+    )
+
+
+def renamed_parts(description: Any) -> Any:
+    """A model's description of version 1, its classes and arguments named as now."""
+    if isinstance(description, list):
+        return [renamed_parts(part) for part in description]
+    if not isinstance(description, dict) or set(description) != {"type", "arguments"}:
+        return description
+    name, arguments = description["type"], description["arguments"]
+    if isinstance(name, str):
+        name = _CLASSES_OF_VERSION_1.get(name, name)
+    if isinstance(arguments, dict):
+        arguments = {
+            _FIELDS_OF_VERSION_1.get(argument, argument): renamed_parts(value)
+            for argument, value in arguments.items()
+        }
+    return {"type": name, "arguments": arguments}
+
+
+def renamed_arrays(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Arrays of a file of version 1, their paths as now."""
+
+    def renamed(path: str) -> str:
+        return ".".join(_FIELDS_OF_VERSION_1.get(part, part) for part in path.split("."))
+
+    return {renamed(path): array for path, array in arrays.items()}
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """The safetensors file and its header, whose four fields have the right types."""
+    if not path.exists():
+        raise InvalidInputError(f"{path}: does not exist")
+    if not path.is_file():
+        raise InvalidInputError(f"{path}: must be a file, found a folder or device")
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            yield file, _header(path, file.metadata() or {})
+    except (safetensors.SafetensorError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise InvalidInputError(
+            f"{path}: must be a model file (safetensors), found something else or a damaged file "
+            f"({reason})"
+        ) from error
+
+
+def _header(path: Path, metadata: dict[str, str]) -> dict[str, Any]:
+    text = metadata.get(_ENTRY)
+    if text is None:
+        raise InvalidInputError(
+            f"{path}: header has no entry {_ENTRY!r}: this safetensors file holds something else"
+        )
+    if len(text) > _HEADER_LIMIT:
+        raise InvalidInputError(f"{path}: header must be shorter than {_HEADER_LIMIT} characters")
+    try:
+        header = parse_json(text)
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError(f"{path}: header must be JSON ({error})") from error
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise InvalidInputError(f"{path}: header field 'format' must be {FORMAT!r}")
+    check_version(f"{path}: header field", header, VERSION)
+    for name, kind in {"model": dict, "training": dict, "checksum": str}.items():
+        if not isinstance(header.get(name), kind):
+            raise InvalidInputError(f"{path}: header field {name!r} is missing or of another type")
+    return header
+
+
+def _weights(file: Any, name: str, path: Path) -> np.ndarray:
+    found = file.get_slice(name).get_dtype()
+    if found not in ("F32", "F64"):
+        raise InvalidInputError(f"{path}: array {name!r} must be F32 or F64, found {found}")
+    return file.get_tensor(name)
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, sort_keys=True, allow_nan=False)
+
+
+def _checksum(header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
+    digest = hashlib.sha256(_json(header).encode())
+    for name in sorted(arrays):
+        array = arrays[name]
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _check_weights(arrays: Mapping[str, np.ndarray], where: str) -> None:
+    for name, array in arrays.items():
+        if array.dtype not in _DTYPES:
+            raise InvalidInputError(
+                f"{where}: array {name!r} must be {' or '.join(_DTYPES)}, found {array.dtype}"
+            )
+        if array.dtype == "float64" and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+            raise InvalidInputError(
+                f"{where}: array {name!r} must be float32, found float64 (or enable jax_enable_x64)"
+            )
+        if not np.all(np.isfinite(array)):
+            raise InvalidInputError(f"{where}: array {name!r} must be finite")
+
+
+def _of_dtype(shapes: ContactDynamics, dtype: np.dtype) -> ContactDynamics:
+    """The same shapes in the file's precision, whatever this session's default is."""
+
+    def change(leaf: Any) -> Any:
+        if isinstance(leaf, jax.ShapeDtypeStruct):
+            return jax.ShapeDtypeStruct(leaf.shape, dtype)
+        return leaf
+
+    return jax.tree.map(change, shapes)
+
+
+def _check_fit(model: ContactDynamics, where: str) -> None:
+    """Whether the parts fit together: one step of two nodes, without computing it."""
+    still = jnp.zeros((2, model.dimension))
+    nodes = Nodes(jnp.array([True, False]), jnp.ones(2, bool), jnp.ones(1, bool))
+
+    def step(control: jax.Array) -> ModelState:
+        belief = model.initial_belief(still, still, nodes)
+        return model.step(ModelState(still, still, belief), control, nodes)
+
+    try:
+        jax.eval_shape(step, jnp.zeros(model.control_size))
+    except (TypeError, ValueError, ArithmeticError, LookupError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise InvalidInputError(f"{where}: the model's parts do not fit ({reason})") from error
+
+
+_FOLDER = Path(__file__).resolve().parent.parent / "pretrained"
+
+
+def shipped_models() -> tuple[str, ...]:
+    """Names of the models that come with the package, e.g. ``("pickup",)``."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.safetensors")))
+
+
+def shipped_model(name: str) -> Path:
+    """The file of a model that comes with the package: ``load_model(shipped_model("pickup"))``.
+
+    Raises `InvalidInputError` where there is none of that name.
+    """
+    if name not in shipped_models():
+        raise InvalidInputError(
+            f"no model {name!r} comes with the package; those that do are "
+            f"{', '.join(shipped_models()) or 'none'}"
+        )
+    return _FOLDER / f"{name}.safetensors"

@@ -1,0 +1,263 @@
+"""The arrays of a pytree by the names of their paths: what model files and checkpoints store."""
+
+import dataclasses
+import inspect
+import math
+import types
+import typing
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from contactgraph.data.errors import InvalidInputError
+from contactgraph.model.contact_belief import (
+    ArgmaxSample,
+    ClosestApproachPrior,
+    DistancePrior,
+    GumbelSample,
+    NoCutoff,
+    SmoothCutoff,
+)
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.edge_inference import AllEdges, MemorylessEdges, RecurrentEdges
+from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
+from contactgraph.model.heads import CoupledHead, PerDegreeHead, Support
+from contactgraph.model.local_dynamics import (
+    FreeLinearDynamics,
+    SpringMassDamperDynamics,
+    ThetaMethod,
+)
+from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
+
+Tree = TypeVar("Tree")
+
+
+def module_arrays(tree: Any) -> dict[str, np.ndarray]:
+    """Every array of a tree (modules, optimiser states, lists, …) by its path, dtypes kept.
+
+    A path reads like ``inference.message_passing.steps.0.edge.weight``. Leaves that are no arrays
+    (activation functions, Python numbers) are left out. Raises `InvalidInputError` where a leaf
+    is a typed random key (store its `jax.random.key_data`) or two paths read the same.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        if not _is_array(leaf):
+            continue
+        name = _name(path)
+        if name in arrays:
+            raise InvalidInputError(f"array {name!r}: two paths of the tree have this name")
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            raise InvalidInputError(
+                f"array {name!r} is a typed random key, must be plain numbers (jax.random.key_data)"
+            )
+        arrays[name] = np.asarray(leaf, order="C")
+    return arrays
+
+
+def with_arrays(tree: Tree, arrays: Mapping[str, np.ndarray], where: str) -> Tree:
+    """The tree with its arrays replaced by those that `module_arrays` once named.
+
+    The tree's own arrays say what is expected, so they may be shapes alone
+    (`jax.ShapeDtypeStruct`). Raises `InvalidInputError`, starting with `where`, for an array that
+    is missing, unknown, or of another shape or dtype.
+    """
+    left = dict(arrays)
+
+    def replace(path: tuple[Any, ...], leaf: Any) -> Any:
+        if not (_is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)):
+            return leaf
+        name = _name(path)
+        if name not in left:
+            raise InvalidInputError(f"{where}: array {name!r} is missing")
+        array = left.pop(name)
+        if array.shape != leaf.shape or array.dtype != leaf.dtype:
+            raise InvalidInputError(
+                f"{where}: array {name!r} must be {leaf.dtype} of shape {leaf.shape}, "
+                f"found {array.dtype} of shape {array.shape}"
+            )
+        return jax.device_put(array)  # `jnp.asarray` would compile a program for every shape.
+
+    filled = jax.tree_util.tree_map_with_path(replace, tree)
+    if left:
+        raise InvalidInputError(f"{where}: array {min(left)!r} is not part of it")
+    return filled
+
+
+def _is_array(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array | np.ndarray | np.generic)
+
+
+def _name(path: tuple[Any, ...]) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".")
+
+
+_CLASSES: dict[str, type[eqx.Module]] = {
+    known.__name__: known
+    for known in (
+        AbsoluteFeatures,
+        AllEdges,
+        ArgmaxSample,
+        ContactDynamics,
+        CoupledHead,
+        DistancePrior,
+        EdgeNetwork,
+        NoCutoff,
+        FreeLinearDynamics,
+        GumbelSample,
+        InvariantFeatures,
+        MemorylessEdges,
+        MessagePassing,
+        PerDegreeHead,
+        SmoothCutoff,
+        RecurrentEdges,
+        SpringMassDamperDynamics,
+        Support,
+        ThetaMethod,
+        ClosestApproachPrior,
+        TypedMessagePassing,
+    )
+}
+_LARGEST_SIZE = 1024
+"""Of any width, count or dimension: what a damaged file cannot ask memory beyond."""
+
+Description = dict[str, Any]
+
+
+def describe(model: ContactDynamics) -> Description:
+    """The model's construction as data that JSON can hold, weights left out.
+
+    Neighbour lists are left out too: they are made for a scene, and change no prediction. Raises
+    `InvalidInputError` for parts that are not of this package.
+    """
+    if isinstance(model, ContactDynamics):
+        model = dataclasses.replace(model, neighbours=None)
+    return _describe(model, (ContactDynamics,), "model")
+
+
+def build(description: object, where: str) -> ContactDynamics:
+    """A model of this construction whose weights are shapes alone (`jax.ShapeDtypeStruct`).
+
+    Raises `InvalidInputError`, starting with `where`, for anything that no model has.
+    """
+
+    def construct() -> ContactDynamics:
+        return _build(description, (ContactDynamics,), where)
+
+    return eqx.filter_eval_shape(construct)
+
+
+def _describe(module: object, allowed: tuple[type, ...], where: str) -> Description:
+    if type(module) not in allowed:
+        raise InvalidInputError(
+            f"{where}: must be {_names(allowed)} to be stored, found {type(module).__name__}"
+        )
+    arguments = {
+        name: _describe_value(getattr(module, name), kinds, f"{where}.{name}")
+        for name, kinds in _arguments(type(module)).items()
+        if getattr(module, name) is not None
+    }
+    return {"type": type(module).__name__, "arguments": arguments}
+
+
+def _describe_value(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
+    if kinds[0] in (bool, int, float):
+        return kinds[0](value)
+    if typing.get_origin(kinds[0]) is list:
+        return [
+            _describe(part, _part_types(kinds[0]), f"{where}.{index}")
+            for index, part in enumerate(value)
+        ]
+    return _describe(value, kinds, where)
+
+
+def _build(value: object, allowed: tuple[type, ...], where: str) -> Any:
+    if not isinstance(value, dict) or set(value) != {"type", "arguments"}:
+        raise InvalidInputError(f"{where}: must be an object of 'type' and 'arguments'")
+    name, given = value["type"], value["arguments"]
+    if not isinstance(name, str) or _CLASSES.get(name) not in allowed:
+        raise InvalidInputError(f"{where}.type: must be {_names(allowed)}, found {_short(name)}")
+    expected = _arguments(_CLASSES[name])
+    needed = _needed(_CLASSES[name])
+    if not isinstance(given, dict) or not needed <= set(given) <= set(expected):
+        found = sorted(given) if isinstance(given, dict) else given
+        raise InvalidInputError(
+            f"{where}.arguments: must be those of {name} ({', '.join(expected) or 'none'}), "
+            f"found {_short(found)}"
+        )
+    values = {
+        argument: _build_value(value, expected[argument], f"{where}.arguments.{argument}")
+        for argument, value in given.items()
+    }
+    if "key" in inspect.signature(_CLASSES[name].__init__).parameters:
+        values["key"] = jax.random.PRNGKey(0)
+    try:
+        return _CLASSES[name](**values)
+    except (TypeError, ValueError, ArithmeticError) as error:
+        reason = " ".join(str(error).split())
+        raise InvalidInputError(f"{where}: cannot be built ({reason})") from error
+
+
+def _build_value(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
+    kind = kinds[0]
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise InvalidInputError(f"{where}: must be true or false, found {_short(value)}")
+        return value
+    if kind is int:
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if not whole or not 0 <= value <= _LARGEST_SIZE:
+            raise InvalidInputError(
+                f"{where}: must be an integer from 0 to {_LARGEST_SIZE}, found {_short(value)}"
+            )
+        return value
+    if kind is float:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not number or not math.isfinite(value):
+            raise InvalidInputError(f"{where}: must be a finite number, found {_short(value)}")
+        return float(value)
+    if typing.get_origin(kind) is list:
+        if not isinstance(value, list) or not 1 <= len(value) <= _LARGEST_SIZE:
+            raise InvalidInputError(f"{where}: must be a list of 1 to {_LARGEST_SIZE} parts")
+        parts = _part_types(kind)
+        return [_build(part, parts, f"{where}.{index}") for index, part in enumerate(value)]
+    return _build(value, kinds, where)
+
+
+def _arguments(known: Any) -> dict[str, tuple[Any, ...]]:
+    """The constructor's arguments, and the types that each may have."""
+    return {
+        name: (
+            typing.get_args(parameter.annotation)
+            if isinstance(parameter.annotation, types.UnionType)
+            else (parameter.annotation,)
+        )
+        for name, parameter in inspect.signature(known.__init__).parameters.items()
+        if name not in ("self", "key")
+    }
+
+
+def _needed(known: Any) -> set[str]:
+    """The arguments without a default: files of before the others came have only these."""
+    parameters = inspect.signature(known.__init__).parameters
+    return {
+        name for name in _arguments(known) if parameters[name].default is inspect.Parameter.empty
+    }
+
+
+def _part_types(kind: Any) -> tuple[Any, ...]:
+    """What the parts of a list may be."""
+    (part,) = typing.get_args(kind)
+    return typing.get_args(part) if isinstance(part, types.UnionType) else (part,)
+
+
+def _names(allowed: tuple[type, ...]) -> str:
+    return " or ".join(known.__name__ for known in allowed)
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

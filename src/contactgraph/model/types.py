@@ -1,0 +1,253 @@
+"""What the model knows at one step, and who the nodes are."""
+
+from typing import Protocol
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from contactgraph.data import InvalidInputError, Scene, candidate_pairs
+from contactgraph.model.collision import Geometry
+from contactgraph.model.contact_belief import ContactBelief
+
+
+class Nodes(eqx.Module):
+    """What does not change over a run, padded to a capacity of ``N`` nodes."""
+
+    actuated: Bool[Array, " N"]
+    mask: Bool[Array, " N"]
+    """False for padding, which takes part in nothing."""
+    candidate: Bool[Array, " E"]
+    """Whether an edge may ever be active; edges in `pair_indices`' order."""
+    anchor: Float[Array, "N D"] | None = None
+    """m; where a node is hinged, NaN where it is not. None: nobody is."""
+
+    @property
+    def hinged(self) -> Bool[Array, " N"]:
+        """Whether a node hangs on a hinge."""
+        if self.anchor is None:
+            return jnp.zeros_like(self.mask)
+        return jnp.isfinite(self.anchor[:, 0])
+
+
+class ModelState(eqx.Module):
+    """State of the scene and what is believed about its contacts."""
+
+    position: Float[Array, "N D"]
+    """m"""
+    velocity: Float[Array, "N D"]
+    """m/s"""
+    belief: ContactBelief
+    """About the step that led here; the next step's belief is predicted from it."""
+    push: Float[Array, "N D"] | None = None
+    """m; how far the coming step's control alone moves each node. Whether bodies touch within the
+    step depends on it. None: not known."""
+
+
+def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
+    """The nodes of a scene, padded to ``node_capacity`` (default: no padding).
+
+    Raises `InvalidInputError` where the scene has more nodes.
+    """
+    count = scene.node_count
+    capacity = count if node_capacity is None else node_capacity
+    if capacity < count:
+        raise InvalidInputError(f"node_capacity must be at least {count}, found {capacity}")
+    exists = np.arange(capacity) < count
+    candidate = candidate_pairs(scene, capacity)
+    actuated = np.zeros(capacity, dtype=bool)
+    actuated[:count] = scene.actuated
+    anchor = None
+    if scene.anchor is not None and scene.has_hinges:
+        anchor = np.full((capacity, scene.dimension), np.nan)
+        anchor[:count] = scene.anchor
+    return Nodes(
+        actuated=jnp.asarray(actuated),
+        mask=jnp.asarray(exists),
+        candidate=jnp.asarray(candidate),
+        anchor=None if anchor is None else jnp.asarray(anchor),
+    )
+
+
+class LinearDynamics(eqx.Module):
+    """``x' = A x + B u + offset`` for every node and degree of freedom on its own.
+
+    ``x = [position, velocity]`` of one degree of freedom [m, m/s]; ``u`` [N] reaches every node.
+    """
+
+    A: Float[Array, "*T N D 2 2"]
+    B: Float[Array, "*T N D 2 U"]
+    offset: Float[Array, "*T N D 2"]
+
+    def __call__(
+        self,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        control: Float[Array, " U"],
+    ) -> tuple[Float[Array, "N D"], Float[Array, "N D"]]:
+        """Next position [m] and velocity [m/s]."""
+        state = jnp.stack([position, velocity], axis=-1)
+        moved = jnp.sum(self.A * state[..., None, :], axis=-1)
+        moved = moved + jnp.sum(self.B * control, axis=-1) + self.offset
+        return moved[..., 0], moved[..., 1]
+
+    def stacked(self) -> tuple[Array, Array, Array]:
+        """Dense ``A [2ND, 2ND]``, ``B [2ND, U]``, ``offset [2ND]`` in `stack_state`'s order."""
+        nodes, dimension = self.A.shape[-4:-2]
+        lead = self.A.shape[:-4]
+        size = 2 * nodes * dimension
+        node = jnp.arange(nodes)[:, None, None, None]
+        dof = jnp.arange(dimension)[None, :, None, None]
+        row = jnp.arange(2)[None, None, :, None]
+        column = jnp.arange(2)[None, None, None, :]
+        first = (node * 2 + row) * dimension + dof
+        second = (node * 2 + column) * dimension + dof
+        A = jnp.zeros((*lead, size, size), self.A.dtype).at[..., first, second].set(self.A)
+        B = jnp.swapaxes(self.B, -3, -2).reshape(*lead, size, self.B.shape[-1])
+        offset = jnp.swapaxes(self.offset, -2, -1).reshape(*lead, size)
+        return A, B, offset
+
+
+def stack_state(
+    position: Float[Array, "*T N D"], velocity: Float[Array, "*T N D"]
+) -> Float[Array, "*T 2*N*D"]:
+    """One vector ``[2ND]``: for each node its D positions [m], then its D velocities [m/s]."""
+    both = jnp.stack([position, velocity], axis=-2)
+    return both.reshape(*position.shape[:-2], -1)
+
+
+def unstack_state(
+    state: Float[Array, "*T n"], dimension: int
+) -> tuple[Float[Array, "*T N D"], Float[Array, "*T N D"]]:
+    """Position and velocity back from `stack_state`'s vector."""
+    both = state.reshape(*state.shape[:-1], -1, 2, dimension)
+    return both[..., 0, :], both[..., 1, :]
+
+
+_SMALLEST = 1e-6
+
+
+class SpringMassDamper(eqx.Module):
+    r"""A mass on a spring and a damper, for every node and degree of freedom on its own.
+
+    $$ \ddot x = w u - \kappa (x - \hat x) - \gamma (v - \hat v) + a, \qquad
+       w = 1/m,\ \kappa = k/m,\ \gamma = c/m $$
+
+    Stiffness and damping are kept as rates, so that a body which no control moves ($w = 0$) can
+    still be struck. The spring's other end is at $\hat x$, the damper's moves with $\hat v$: with
+    $\hat v = 0$ this is the paper's model. `shift` moves the position within the step besides:
+    an impact in the middle of a step displaces what it stops.
+    """
+
+    response: Float[Array, "*T N D U"]
+    """w, 1/kg: acceleration by each component of the control. Off its diagonal only where a
+    hinge turns a push."""
+    stiffness_rate: Float[Array, "*T N D"]
+    """k/m, 1/s^2."""
+    damping_rate: Float[Array, "*T N D"]
+    """c/m, 1/s."""
+    equilibrium: Float[Array, "*T N D"]
+    """m; where the spring is at rest."""
+    equilibrium_velocity: Float[Array, "*T N D"]
+    """m/s; where the damper is at rest."""
+    shift: Float[Array, "*T N D"]
+    """m; displacement by an impact within the step."""
+    acceleration: Float[Array, "*T N D"] | None = None
+    """a, m/s^2, by forces that depend on nothing here, such as weight. None: there are none."""
+
+    @property
+    def inverse_mass(self) -> Float[Array, "*T N D"]:
+        """1/m, 1/kg: the response of each degree of freedom to its own component of the control."""
+        dimension, size = self.response.shape[-2:]
+        own = jnp.diagonal(self.response, axis1=-2, axis2=-1)
+        return jnp.pad(own, [(0, 0)] * (own.ndim - 1) + [(0, dimension - min(dimension, size))])
+
+    @property
+    def stiffness(self) -> Float[Array, "*T N D"]:
+        """k, N/m: the rate times the mass; large where nothing moves the node."""
+        return self.stiffness_rate / jnp.maximum(self.inverse_mass, _SMALLEST)
+
+    @property
+    def damping(self) -> Float[Array, "*T N D"]:
+        """c, N s/m: the rate times the mass; large where nothing moves the node."""
+        return self.damping_rate / jnp.maximum(self.inverse_mass, _SMALLEST)
+
+
+def from_physical(
+    inverse_mass: Float[Array, "*T N D"],
+    stiffness: Float[Array, "*T N D"],
+    damping: Float[Array, "*T N D"],
+    equilibrium: Float[Array, "*T N D"],
+) -> SpringMassDamper:
+    """The paper's own parameters: 1/m [1/kg], k [N/m], c [N s/m] and equilibrium [m].
+
+    Component d of the control acts on degree of freedom d.
+    """
+    still = jnp.zeros_like(equilibrium)
+    return SpringMassDamper(
+        response=own_component(inverse_mass, inverse_mass.shape[-1]),
+        stiffness_rate=inverse_mass * stiffness,
+        damping_rate=inverse_mass * damping,
+        equilibrium=equilibrium,
+        equilibrium_velocity=still,
+        shift=still,
+    )
+
+
+def own_component(
+    inverse_mass: Float[Array, "*T N D"], control_size: int
+) -> Float[Array, "*T N D U"]:
+    """The response of degrees of freedom that component d of the control moves along d alone."""
+    dimension = inverse_mass.shape[-1]
+    return inverse_mass[..., None] * jnp.eye(dimension, control_size, dtype=inverse_mass.dtype)
+
+
+class LocalInput(eqx.Module):
+    """One step's state and the graph that is left when inactive edges are cut."""
+
+    position: Float[Array, "N D"]
+    """m"""
+    velocity: Float[Array, "N D"]
+    """m/s"""
+    kind: Float[Array, "N kinds"]
+    """What of a node does not change."""
+    actuated: Float[Array, " N"]
+    """1 where the control acts on the node itself, else 0."""
+    node_features: Float[Array, "N F"]
+    edge_features: Float[Array, "2 E G"]
+    weight: Float[Array, "E active"]
+    """How active each edge is of each active type; 0 where it does not exist."""
+    geometry: Geometry
+    anchor: Float[Array, "N D"] | None
+    """m; where a node is hinged, NaN where it is not. None: nobody is."""
+    room: int | None = eqx.field(static=True, default=None)
+    """For so many nodes that hold each other, directly or through others; None: for all."""
+
+
+class Step(eqx.Module):
+    """The step that local dynamics are made for."""
+
+    theta: Float[Array, ""]
+    """Of the `ThetaMethod` that will make it discrete."""
+    dt: float = eqx.field(static=True)
+    """s"""
+    control_size: int = eqx.field(static=True)
+
+
+class StepModel(Protocol):
+    """A locally linear model, whose linearisation knows the control through `ModelState.push` only.
+
+    It must be a pytree (an `equinox.Module` is), so that its weights can be passed to compiled
+    functions.
+    """
+
+    def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
+        """The linear dynamics of the coming step, and the belief they rest on."""
+        ...
+
+    def initial_belief(
+        self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
+    ) -> ContactBelief:
+        """The belief before anything was seen."""
+        ...

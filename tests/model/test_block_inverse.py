@@ -1,0 +1,106 @@
+"""The inertia by groups: the numbers and the derivatives of the whole."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from contactgraph.data.graph import pair_indices
+from contactgraph.model.block_inverse import (
+    Inertia,
+    find_groups,
+    solve_block_diagonal,
+    solve_dense,
+    spd_inverse,
+)
+from contactgraph.model.collision import geometry
+
+COUNT = 7
+
+
+def scene(hinges: bool) -> tuple[Inertia, jnp.ndarray]:
+    """Two groups, of three and of two, and two nodes alone, every pair an edge."""
+    rng = np.random.default_rng(3)
+    pairs = pair_indices(COUNT)
+    position, velocity = rng.normal(size=(2, COUNT, 2))
+    anchor = None
+    if hinges:
+        hung = np.full((COUNT, 2), np.nan)
+        hung[[1, 4]] = rng.normal(size=(2, 2))
+        anchor = jnp.asarray(hung)
+    states = map(jnp.asarray, (position, velocity, pairs))
+    seen = geometry(*states, 0.05, 0.08, None, anchor)
+    holding = {(0, 4), (2, 4), (1, 6)}
+    holds = np.array([tuple(pair) in holding for pair in pairs.tolist()])
+    stiff = jnp.asarray(np.where(holds, rng.uniform(1, 9, len(pairs)), 0.0))
+    inertia = Inertia(jnp.asarray(rng.uniform(0.5, 2.0, COUNT)), stiff, seen)
+    columns = 3 if hinges else 4
+    return inertia, jnp.asarray(rng.normal(size=(COUNT, inertia.size, columns)))
+
+
+@pytest.mark.usefixtures("double_precision")
+@pytest.mark.parametrize("hinges", [False, True])
+def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
+    inertia, vectors = scene(hinges)
+
+    def by(solve):
+        def total(node, stiff, lever, vectors):
+            seen = dataclasses.replace(inertia.geometry, lever=lever)
+            solved = solve(Inertia(node, stiff, seen), vectors)
+            weights = jnp.arange(1.0, 1.0 + solved.solution.size).reshape(solved.solution.shape)
+            share = jnp.arange(1.0, COUNT + 1.0)
+            return jnp.sum(jnp.sin(weights) * solved.solution) + jnp.sum(share * solved.own), solved
+
+        arguments = (inertia.node, inertia.stiff, inertia.geometry.lever, vectors)
+        return jax.jit(jax.grad(total, argnums=(0, 1, 2, 3), has_aux=True))(*arguments)
+
+    derivatives, solved = by(solve_dense)
+    grouped_derivatives, grouped = by(lambda *arguments: solve_block_diagonal(*arguments, room=4))
+    close = {"rtol": 1e-9, "atol": 1e-10}
+    np.testing.assert_allclose(grouped.solution, solved.solution, **close)
+    np.testing.assert_allclose(grouped.own, solved.own, **close)
+    # Edges that hold nothing would join groups if they held: these have derivatives, too.
+    idle = np.asarray(inertia.stiff) == 0
+    assert (np.abs(np.asarray(derivatives[1])[idle]) > 1e-6).all()
+    node, stiff, lever, right = zip(grouped_derivatives, derivatives, strict=True)
+    for found, expected in (node, stiff, right):
+        np.testing.assert_allclose(found, expected, **close)
+    if hinges:  # levers of one row are ones, and no variables
+        np.testing.assert_allclose(*lever, **close)
+
+
+def test_a_group_without_room_has_no_solution() -> None:
+    inertia, vectors = scene(hinges=False)
+    assert np.isfinite(solve_block_diagonal(inertia, vectors, room=3).solution).all()
+    assert np.isnan(solve_block_diagonal(inertia, vectors, room=2).solution).all()
+
+
+def test_groups_are_connected_components() -> None:
+    rng = np.random.default_rng(0)
+    count, edges = 60, 100
+    ends = rng.integers(0, count, (2, edges)).astype(np.int32)
+    for share in (0.0, 0.2, 0.5, 1.0):
+        joins = rng.random(edges) < share
+        found = jax.jit(find_groups, static_argnums=2)(joins, ends, count)
+        group, slot = np.asarray(found.group), np.asarray(found.slot)
+        matrix = coo_matrix((joins[joins], ends[:, joins]), (count, count))
+        _, label = connected_components(matrix, directed=False)
+        np.testing.assert_array_equal(group[:, None] == group, label[:, None] == label)
+        for one in np.unique(group):
+            members = np.flatnonzero(group == one)
+            assert one == members[0]
+            assert sorted(slot[members]) == list(range(len(members)))
+        assert int(found.largest) == np.bincount(label).max()
+
+
+def test_inverses_side_by_side() -> None:
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(5, 4, 4))
+    matrix = np.tile(np.eye(6), (5, 1, 1))
+    matrix[:, :4, :4] = root @ np.swapaxes(root, 1, 2) + 0.5 * np.eye(4)
+    found = jax.jit(spd_inverse)(jnp.asarray(matrix, jnp.float32), 4)
+    np.testing.assert_allclose(found, np.linalg.inv(matrix), rtol=2e-3, atol=2e-4)

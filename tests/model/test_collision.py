@@ -1,0 +1,235 @@
+"""Distances, the moment of touch, the prior and the reach of an edge."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from jax.test_util import check_grads
+from model_scenes import DT
+
+from contactgraph.data.graph import pair_indices
+from contactgraph.model import (
+    ClosestApproachPrior,
+    DistancePrior,
+    InvariantFeatures,
+    NoCutoff,
+    SmoothCutoff,
+)
+from contactgraph.model.collision import Geometry, geometry
+
+TOUCH = 0.08
+
+
+def between(displacement, velocity, push=None) -> Geometry:
+    """Of one edge: the second node lies at `displacement`, moves with `velocity`, and is pushed."""
+    given = displacement, velocity, *([] if push is None else [push])
+    pairs = jnp.asarray(pair_indices(2))
+    moved = [jnp.stack([jnp.zeros(len(value)), jnp.asarray(value)]) for value in given]
+    return geometry(*moved[:2], pairs, DT, TOUCH, *moved[2:])
+
+
+def test_an_edge_by_hand() -> None:
+    found = between([0.3, 0.4], [-2.0, 0.0])
+    np.testing.assert_allclose(found.distance, [0.5], rtol=1e-6)
+    np.testing.assert_allclose(found.direction, [[0.6, 0.8]], rtol=1e-6)
+    np.testing.assert_allclose(found.predicted_distance, [np.hypot(0.2, 0.4)], rtol=1e-6)
+    np.testing.assert_allclose(found.nearest, found.predicted_distance)
+    assert found.fraction_after_impact == 0
+
+
+def test_the_nearest_is_the_closest_approach_within_the_step() -> None:
+    """A body that passes by within the step is farther away at both of its ends."""
+    passing = between([0.03, 0.04], [-1.2, 0.0])
+    np.testing.assert_allclose(passing.nearest, [0.04], rtol=1e-5)
+    np.testing.assert_allclose(passing.predicted_distance, [0.05], rtol=1e-5)
+    leaving = between([0.03, 0.04], [1.2, 0.0])
+    np.testing.assert_allclose(leaving.nearest, leaving.distance)
+    pushed = between([0.03, 0.04], [0.0, 0.0], push=[-0.02, 0.0])
+    np.testing.assert_allclose(pushed.nearest, [np.hypot(0.01, 0.04)], rtol=1e-5)
+
+
+coordinate = st.floats(-0.3, 0.3)
+speed = st.floats(-4.0, 4.0)
+
+
+@pytest.mark.usefixtures("double_precision")
+@settings(
+    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(x=coordinate, y=coordinate, v=speed, w=speed)
+def test_the_share_after_touch_is_that_of_a_numeric_root(x, y, v, w) -> None:
+    r, u = np.array([x, y]), np.array([v, w])
+    share = float(between(r, u).fraction_after_impact[0])
+
+    def gap(time):
+        return np.linalg.norm(r + u * time) - TOUCH
+
+    square = u @ u
+    damped = square / (square + 0.01**2)
+    nearest = -(r @ u) / square if square > 1e-12 else 0.0
+    graze = abs(gap(max(nearest, 0.0))) < 1e-6 or abs(gap(0.0)) < 1e-9
+    if graze or square < 1e-6 or abs(nearest) < 1e-9:
+        assert 0 <= share <= 1  # Whether they touch, or approach, is a matter of rounding.
+    elif gap(0.0) < 0:
+        # They overlap already: all of the step comes after, if they still approach.
+        assert abs(share - (damped if r @ u < 0 else 0.0)) < 1e-9
+    elif nearest <= 0 or gap(nearest) > 0:
+        assert share == 0
+    else:
+        touch = scipy.optimize.brentq(gap, 0.0, nearest, xtol=1e-14)
+        assert abs(share - damped * np.clip(1 - touch / DT, 0, 1)) < 1e-7
+
+
+@pytest.mark.usefixtures("double_precision")
+def test_under_a_push_the_share_is_nearly_that_of_a_numeric_root() -> None:
+    """A constant force has done a part squared of its work: |r + v t + a t^2 / 2| = touch.
+
+    Three refinements take the force's part at the last guess, so the root is met to a hundredth of
+    a step or two, not exactly.
+    """
+    rng, count = np.random.default_rng(0), 3000
+    r = np.stack([TOUCH + rng.uniform(0.0, 0.1, count), rng.uniform(-0.05, 0.05, count)], axis=-1)
+    u = np.stack([rng.uniform(-4.0, -1.0, count), rng.uniform(-1.0, 1.0, count)], axis=-1)
+    push = rng.uniform(-0.01, 0.01, (count, 2))
+    seen = jax.jit(jax.vmap(between))(r, u, push)
+    part = np.linspace(0.0, 1.0, 2001)[:, None, None]
+    distance = np.linalg.norm(r + part * DT * u + part**2 * push, axis=-1)
+    touches = distance.min(axis=0) < TOUCH
+    expected = np.where(touches, 1.0 - part[np.argmax(distance < TOUCH, axis=0), 0, 0], 0.0)
+    error = np.abs(np.asarray(seen.fraction_after_impact[:, 0]) - expected)
+    assert 0.3 < touches.mean() < 0.9
+    assert error.max() < 0.03 and np.quantile(error, 0.99) < 0.003
+    np.testing.assert_allclose(seen.nearest[:, 0], distance.min(axis=0), atol=1e-4)
+    # Without its force the touch is elsewhere.
+    blind = jax.jit(jax.vmap(between))(r, u).fraction_after_impact[:, 0]
+    assert np.quantile(np.abs(blind - expected), 0.99) > 0.1
+
+
+def scene_quantities(position, velocity, contact_distance, push=None):
+    pairs = jnp.asarray(pair_indices(len(position)))
+    seen = geometry(position, velocity, pairs, DT, contact_distance, push)
+    features = InvariantFeatures(length=TOUCH)
+    return (
+        seen.distance,
+        seen.predicted_distance,
+        seen.direction,
+        seen.fraction_after_impact,
+        features.edge(seen),
+        seen.nearest,
+        SmoothCutoff()(seen),
+        DistancePrior()(seen, contact_distance),
+        # Nothing learns where bodies touch from what is only a guess at it.
+        ClosestApproachPrior()(seen, TOUCH),
+    )
+
+
+@pytest.mark.usefixtures("double_precision")
+def test_derivatives_against_finite_differences() -> None:
+    # One pair meets within the step, one approaches, one overlaps: all away from the kinks.
+    position = jnp.array([[0.0, 0.0], [0.11, 0.01], [-0.13, 0.02], [0.02, -0.06]])
+    velocity = jnp.array([[0.4, 0.1], [-1.0, 0.2], [0.1, 0.3], [0.0, 0.5]])
+    push = jnp.array([[0.004, 0.001], [-0.006, 0.002], [0.0, 0.0], [0.003, -0.002]])
+    shares = scene_quantities(position, velocity, TOUCH, push)[3]
+    assert np.sum((shares > 0.05) & (shares < 0.95)) >= 1
+    # Compiled, because check_grads calls with numpy arrays, which the annotations refuse.
+    for values in ((position, velocity, TOUCH), (position, velocity, TOUCH, push)):
+        check_grads(jax.jit(scene_quantities), values, order=1, eps=1e-6)
+
+
+def test_no_prior_teaches_where_bodies_touch() -> None:
+    for prior in (DistancePrior(threshold=0.085), ClosestApproachPrior()):
+        slope = jax.grad(lambda touch: prior(between([0.082, 0.0], [0.0, 0.0]), touch)[0])  # noqa: B023
+        assert slope(TOUCH) == 0.0
+    features = InvariantFeatures(length=TOUCH)
+    seen = between([0.082, 0.0], [0.0, 0.0])
+    slopes = eqx.filter_grad(lambda features: jnp.sum(features.edge(seen)))(features)
+    assert slopes.contact_distance == 0.0
+
+
+@pytest.mark.parametrize(
+    ("displacement", "velocity"),
+    [
+        ([0.0, 0.0], [0.0, 0.0]),  # Two nodes in one place: padding.
+        ([0.0, 0.0], [1.0, 0.0]),
+        ([0.1, 0.0], [0.0, 0.0]),
+        ([0.05, 0.0], [0.0, 0.0]),
+        ([0.08, 0.0], [-1.0, 0.0]),  # Exactly in touch.
+        ([0.1, 0.08], [-1.0, 0.0]),  # A graze.
+        ([0.13, 0.0], [-1.0, 0.0]),  # A touch exactly at the end of the step.
+        ([1e-20, 0.0], [1e-20, 0.0]),
+        ([1e4, 1e4], [-1e4, 1e4]),
+    ],
+)
+def test_values_and_gradients_are_finite_everywhere(displacement, velocity) -> None:
+    states = jnp.array([[0.0, 0.0], displacement]), jnp.array([[0.0, 0.0], velocity])
+    found = scene_quantities(*states, jnp.asarray(TOUCH))
+    slopes = jax.jacrev(scene_quantities, argnums=(0, 1, 2))(*states, jnp.asarray(TOUCH))
+    for leaf in jax.tree.leaves((found, slopes)):
+        assert np.all(np.isfinite(leaf))
+
+
+def test_bodies_that_hold_together_have_no_impact() -> None:
+    assert between([0.0799, 0.0], [-1e-4, 0.0]).fraction_after_impact[0] < 1e-3
+    assert between([0.0799, 0.0], [-1.0, 0.0]).fraction_after_impact[0] > 0.99
+
+
+def paper_prior(distance: float, threshold: float) -> float:
+    return float(jax.nn.softmax(jnp.array([threshold - distance, distance - threshold]))[0])
+
+
+@pytest.mark.parametrize("distance", [0.01, 0.09, 0.1, 0.3, 2.0])
+def test_the_papers_prior_is_a_setting_of_ours(distance: float) -> None:
+    approaching = between([distance, 0.0], [-1.0, 0.0])
+    paper = DistancePrior(threshold=0.1, inside=1.0, outside=1.0)
+    expected = paper_prior(distance, 0.1)
+    np.testing.assert_allclose(paper(approaching, TOUCH)[0], expected, atol=1e-6)
+    # The authors' code multiplies the scores by 10 inside the threshold, as `paper_literal` does.
+    times = 10 if distance < 0.1 else 1
+    margin = times * (0.1 - distance)
+    np.testing.assert_allclose(
+        DistancePrior(threshold=0.1)(approaching, TOUCH)[0],
+        jax.nn.softmax(jnp.array([margin, -margin]))[0],
+        atol=1e-6,
+    )
+
+
+@pytest.mark.parametrize("touch", [0.08, 0.3])
+def test_the_touch_prior_is_sharp_at_the_distance_of_touch(touch: float) -> None:
+    prior, still = ClosestApproachPrior(), [0.0, 0.0]
+
+    def at(distances_of_touch: float) -> float:
+        return float(prior(between([distances_of_touch * touch, 0.0], still), touch)[0])
+
+    assert at(1.03) == pytest.approx(0.5, abs=1e-4)
+    expected = 0.01 + 0.98 / (1 + np.exp(-2 * 0.01 / 0.02))
+    assert at(1.02) == pytest.approx(expected, abs=1e-4)
+    assert at(1.0) > 0.9 and at(1.1) < 0.02
+    assert at(0.2) == pytest.approx(0.99, abs=1e-6) and at(5.0) == pytest.approx(0.01, abs=1e-6)
+
+
+def test_the_touch_prior_looks_at_the_whole_coming_step() -> None:
+    prior = ClosestApproachPrior()
+    assert prior(between([0.2, 0.0], [-3.0, 0.0]), TOUCH)[0] > 0.9
+    assert prior(between([0.2, 0.0], [3.0, 0.0]), TOUCH)[0] < 0.02
+    # What leaves contact has its distance now; what only passes by touches in between.
+    assert prior(between([0.05, 0.0], [3.0, 0.0]), TOUCH)[0] > 0.9
+    assert prior(between([0.09, 0.06], [-3.6, 0.0]), TOUCH)[0] > 0.9
+    # And a push decides whether it gets there.
+    near = [0.1, 0.0], [0.0, 0.0]
+    assert prior(between(*near), TOUCH)[0] < 0.02
+    assert prior(between(*near, push=[-0.02, 0.0]), TOUCH)[0] > 0.8
+
+
+def test_reach_is_one_near_and_exactly_zero_far() -> None:
+    reach = SmoothCutoff(near=0.15, far=0.25)
+    still = [0.0, 0.0]
+    assert reach(between([0.15, 0.0], still))[0] == 1
+    assert reach(between([0.25, 0.0], still))[0] == 0
+    assert reach(between([0.2, 0.0], still))[0] == pytest.approx(0.5, abs=1e-5)
+    weights = [float(reach(between([d, 0.0], still))[0]) for d in np.linspace(0.1, 0.3, 41)]
+    assert weights == sorted(weights, reverse=True)
+    assert NoCutoff()(between([9.0, 0.0], still))[0] == 1

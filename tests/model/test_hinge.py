@@ -1,0 +1,123 @@
+"""Bars on hinges: levers against rigid rotation, nearest points, and what of them geometry sees."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from contactgraph.model.collision import geometry
+from contactgraph.model.hinge import Bars
+
+pytestmark = pytest.mark.usefixtures("double_precision")
+HINGE, ARM = np.array([0.2, -0.1]), np.array([0.3, 0.4])
+ANCHOR = np.array([[np.nan, np.nan], HINGE])
+POSITION = np.array([[0.9, 0.7], HINGE + ARM])
+BAR, FREE = jnp.array([1]), jnp.array([0])
+
+
+def bars() -> Bars:
+    return Bars(jnp.asarray(POSITION), jnp.asarray(ANCHOR))
+
+
+def lever(point, node=BAR) -> np.ndarray:
+    return np.asarray(bars().lever(node, jnp.asarray(point)[None])[0])
+
+
+def turned(vector, angle) -> np.ndarray:
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[cosine, -sine], [sine, cosine]]) @ vector
+
+
+@pytest.mark.parametrize("point", [[0.5, 0.2], [0.2, 0.6], [-0.4, 0.3], HINGE, HINGE + ARM])
+def test_a_lever_is_that_of_a_rigid_rotation(point) -> None:
+    reach, angle = np.asarray(point) - HINGE, 1e-6
+    arm_moved = (turned(ARM, angle) - turned(ARM, -angle)) / 2
+    point_moved = (turned(reach, angle) - turned(reach, -angle)) / 2
+    np.testing.assert_allclose(lever(point) @ arm_moved, point_moved, atol=1e-15)
+
+
+def test_a_lever_in_space_is_that_of_a_rigid_rotation() -> None:
+    rng = np.random.default_rng(0)
+    hinge, arm, reach, spin = rng.normal(size=(4, 3))
+    # About any axis across the arm, and for a point in the plane in which the arm turns.
+    spin -= (spin @ arm) / (arm @ arm) * arm
+    reach -= (reach @ spin) / (spin @ spin) * spin
+    one = Bars(jnp.asarray(hinge + arm)[None], jnp.asarray(hinge)[None])
+    found = np.asarray(one.lever(jnp.array([0]), jnp.asarray(hinge + reach)[None])[0])
+    np.testing.assert_allclose(found @ np.cross(spin, arm), np.cross(spin, reach), atol=1e-12)
+
+
+def test_the_hinge_bears_what_acts_along_the_arm() -> None:
+    rng = np.random.default_rng(0)
+    for point, force in zip(rng.normal(size=(20, 2)), rng.normal(size=(20, 2)), strict=True):
+        at_node = lever(point).T @ force
+        assert abs(at_node @ ARM) < 1e-12
+        # What is left turns the node about the hinge as the force turns the bar.
+        reach = point - HINGE
+        torque = reach[0] * force[1] - reach[1] * force[0]
+        assert ARM[0] * at_node[1] - ARM[1] * at_node[0] == pytest.approx(torque)
+
+
+def test_without_a_hinge_a_node_is_its_only_point() -> None:
+    np.testing.assert_array_equal(lever([5.0, 3.0], FREE), np.eye(2))
+    place, slides = bars().nearest(FREE, jnp.array([[5.0, 3.0]]))
+    np.testing.assert_array_equal(place[0], POSITION[0])
+    assert not np.any(slides)
+
+
+@pytest.mark.parametrize(
+    ("along", "across", "expected"),
+    [
+        (0.4, 0.3, 0.4),
+        (1.9, -0.2, 1.9),
+        (-0.5, 0.1, 0.0),  # Beyond the hinge.
+        (2.7, -0.3, 2.0),  # Beyond the free end, twice the arm away from the hinge.
+    ],
+)
+def test_the_nearest_point_of_a_bar(along, across, expected) -> None:
+    side = np.array([-0.8, 0.6])
+    point = HINGE + along * ARM + across * side
+    place, slides = bars().nearest(BAR, jnp.asarray(point)[None])
+    np.testing.assert_allclose(place[0], HINGE + expected * ARM, atol=1e-12)
+    inside = along == expected
+    np.testing.assert_allclose(slides[0], inside * ARM / 0.5, atol=1e-12)
+    # No point of the bar is nearer.
+    bar = HINGE + np.linspace(0, 2, 20_001)[:, None] * ARM
+    least = np.linalg.norm(bar - point, axis=-1).min()
+    assert np.linalg.norm(place[0] - point) == pytest.approx(least, abs=1e-6)
+
+
+def test_a_node_on_its_own_hinge_is_finite() -> None:
+    degenerate = Bars(jnp.asarray([[0.2, -0.1]]), jnp.asarray([HINGE]))
+    point = jnp.array([[0.3, 0.1]])
+    found = degenerate.lever(jnp.array([0]), point), *degenerate.nearest(jnp.array([0]), point)
+    for leaf in found:
+        assert np.all(np.isfinite(leaf))
+
+
+def test_geometry_sees_a_bar_where_it_is_touched() -> None:
+    """A body that strikes the bar's side at three quarters of its length."""
+    side = np.array([-0.8, 0.6])
+    body = HINGE + 1.5 * ARM + 0.1 * side
+    spin = 0.8  # rad/s
+    velocity = np.stack([-1.0 * side, spin * np.array([-ARM[1], ARM[0]])])
+    states = jnp.asarray([body, HINGE + ARM]), jnp.asarray(velocity)
+    seen = geometry(*states, jnp.array([[0, 1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    np.testing.assert_allclose(seen.distance, [0.1], rtol=1e-6)
+    np.testing.assert_allclose(seen.direction, [-side], atol=1e-6)
+    # The material at the point turns with the bar, at 0.75 m from the hinge (and 0.1 beside it).
+    reach = body - HINGE
+    material = spin * np.array([-reach[1], reach[0]])
+    np.testing.assert_allclose(seen.relative_velocity, [material - velocity[0]], atol=1e-12)
+    closing = (material - velocity[0]) @ side
+    assert closing == pytest.approx(1.0 + 0.75 * spin)
+    np.testing.assert_allclose(seen.fraction_after_impact, [1 - 0.02 / closing / 0.05], atol=1e-3)
+
+
+def test_sliding_along_a_bar_brings_nothing_nearer() -> None:
+    side = np.array([-0.8, 0.6])
+    body = HINGE + 1.0 * ARM + 0.1 * side
+    velocity = np.stack([3.0 * ARM, 0 * ARM])
+    states = jnp.asarray([body, HINGE + ARM]), jnp.asarray(velocity)
+    seen = geometry(*states, jnp.array([[0, 1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    np.testing.assert_allclose(seen.predicted_distance, seen.distance, rtol=1e-9)
+    assert seen.fraction_after_impact[0] == 0

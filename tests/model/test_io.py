@@ -1,0 +1,362 @@
+"""A model file rebuilds the model bit for bit, or is refused in one line."""
+
+import json
+from pathlib import Path
+
+import equinox as eqx
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+import safetensors.numpy
+from hypothesis import given, settings
+from model_scenes import DT, PRESETS, crowd, hinged, nodes_of, preset
+
+from contactgraph.data import InvalidInputError
+from contactgraph.model import (
+    ContactDynamics,
+    GumbelSample,
+    SmoothCutoff,
+    TypedMessagePassing,
+    describe_model,
+    load_model,
+    module_arrays,
+    save_model,
+    with_arrays,
+)
+
+TRAINING = {"command": "contactgraph train ä.h5", "seed": 3, "rmse_m": [0.001, None, True]}
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("models") / "good.safetensors"
+    save_model(path, preset("gim_temp"), TRAINING)
+    return path
+
+
+@pytest.mark.parametrize("hinges", [False, True])
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_a_loaded_model_predicts_bit_for_bit_the_same(
+    name: str, hinges: bool, tmp_path: Path
+) -> None:
+    model = preset(name, hinges=hinges)
+    save_model(tmp_path / "model", model, TRAINING)
+    stored = load_model(tmp_path / "model")
+    assert stored.training == TRAINING
+    assert jax.tree.structure(stored.model) == jax.tree.structure(model)
+    assert stored.model.features.hinges == hinges
+    nodes = hinged(nodes_of(3), (0.3, 0.2)) if hinges else nodes_of(3)
+    state = crowd(model, nodes)
+    controls = jnp.ones((4, 2))
+    rollout = eqx.filter_jit(lambda model: model.rollout(state, controls, nodes))
+    for ours, theirs in zip(
+        jax.tree.leaves(rollout(model)), jax.tree.leaves(rollout(stored.model)), strict=True
+    ):
+        assert np.array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_a_file_of_full_width_stays_under_one_megabyte(name: str, tmp_path: Path) -> None:
+    model = eqx.filter_eval_shape(PRESETS[name], 3, 3, DT, key=jax.random.PRNGKey(0))
+    zeros = jax.tree.map(
+        lambda leaf: (
+            jnp.zeros(leaf.shape, leaf.dtype) if isinstance(leaf, jax.ShapeDtypeStruct) else leaf
+        ),
+        model,
+    )
+    save_model(tmp_path / "model", zeros)
+    assert (tmp_path / "model").stat().st_size < 1e6
+
+
+def test_the_same_model_gives_the_same_bytes(good: Path, tmp_path: Path) -> None:
+    save_model(tmp_path / "again", preset("gim_temp"), TRAINING)
+    assert (tmp_path / "again").read_bytes() == good.read_bytes()
+
+
+def test_every_argument_comes_back(tmp_path: Path) -> None:
+    model = eqx.tree_at(
+        lambda model: (model.sample, model.reach),
+        preset("gim_temp", dimension=3),
+        (GumbelSample(0.3), SmoothCutoff(0.1, 0.7)),
+    )
+    save_model(tmp_path / "model", model)
+    found = load_model(tmp_path / "model").model
+    assert found.sample == GumbelSample(0.3)
+    assert found.reach == SmoothCutoff(0.1, 0.7)
+    assert (found.dimension, found.control_size, found.dt) == (3, 2, DT)
+
+
+def test_the_summary_says_what_is_in_the_file(good: Path) -> None:
+    summary = describe_model(good)
+    assert summary.training == TRAINING
+    assert (summary.dimension, summary.control_size, summary.dt) == (2, 2, DT)
+    assert summary.size == good.stat().st_size
+    arrays = module_arrays(preset("gim_temp"))
+    assert summary.parameter_count == sum(array.size for array in arrays.values())
+    assert summary.model["arguments"]["inference"]["type"] == "RecurrentEdges"
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(InvalidInputError) as caught:
+        load_model(path)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    return message
+
+
+def parts(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
+    with safetensors.safe_open(path, framework="numpy") as file:
+        header = json.loads(file.metadata()["contactgraph"])
+    return header, safetensors.numpy.load_file(path)
+
+
+def write(path: Path, header: object, arrays: dict[str, np.ndarray]) -> Path:
+    text = header if isinstance(header, str) else json.dumps(header)
+    safetensors.numpy.save_file(arrays, path, {"contactgraph": text})
+    return path
+
+
+def test_truncated_anywhere(good: Path, tmp_path: Path) -> None:
+    content = good.read_bytes()
+    for length in np.linspace(0, len(content) - 1, 60).astype(int):
+        (tmp_path / "short").write_bytes(content[:length])
+        refusal(tmp_path / "short")
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    changes=st.lists(
+        st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=4
+    ),
+    front=st.booleans(),
+)
+def test_a_changed_byte_is_found_or_without_effect(
+    changes: list[tuple[float, int]],
+    front: bool,
+    good: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    content = bytearray(good.read_bytes())
+    for place, value in changes:
+        content[int(place * (5000 if front else len(content)))] = value
+    path = tmp_path_factory.getbasetemp() / "flipped"
+    path.write_bytes(content)
+    try:
+        describe_model(path)
+        stored = load_model(path)
+    except InvalidInputError as error:
+        assert "\n" not in str(error)
+        return
+    assert stored.training == TRAINING
+    original = module_arrays(load_model(good).model)
+    for name, array in module_arrays(stored.model).items():
+        np.testing.assert_array_equal(array, original[name])
+
+
+def test_files_of_another_kind(tmp_path: Path) -> None:
+    assert "does not exist" in refusal(tmp_path / "none")
+    assert "must be a file" in refusal(tmp_path)
+    (tmp_path / "text").write_text("weights: none\n" * 20)
+    assert "must be a model file (safetensors)" in refusal(tmp_path / "text")
+    safetensors.numpy.save_file({"a": np.zeros(3)}, tmp_path / "other")
+    assert "holds something else" in refusal(tmp_path / "other")
+
+
+def at(*names: str):
+    """A setter of one place in the header's model."""
+
+    def change(value: object):
+        def apply(header: dict) -> None:
+            place = header["model"]
+            for name in names[:-1]:
+                place = place["arguments"][name]
+            if names[-1] == "type":
+                place["type"] = value
+            else:
+                place["arguments"][names[-1]] = value
+
+        return apply
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda header: header.update(format="x"), "field 'format' must be 'contactgraph-model'"),
+        (lambda header: header.update(format_version=2), "'format_version' must be 1, found 2"),
+        (lambda header: header.update(format_version=True), "must be 1, found True"),
+        (lambda header: header.pop("training"), "field 'training' is missing"),
+        (lambda header: header.update(model=[]), "field 'model' is missing or of another type"),
+        (lambda header: header.update(checksum="0"), "checksum does not fit"),
+        (lambda header: header["training"].update(seed=4), "checksum does not fit"),
+        (at("type")("AllEdges"), "model.type: must be ContactDynamics, found 'AllEdges'"),
+        (at("type")("os.system"), "model.type: must be ContactDynamics, found 'os.system'"),
+        (
+            at("reach", "type")("Nowhere"),
+            "model.arguments.reach.type: must be SmoothCutoff or NoCutoff, found 'Nowhere'",
+        ),
+        (
+            at("prior", "type")("NoPrior"),
+            "prior.type: must be DistancePrior or ClosestApproachPrior, found 'NoPrior'",
+        ),
+        (at("reach")(3), "model.arguments.reach: must be an object of 'type' and 'arguments'"),
+        (
+            at("reach", "size")(1),
+            "must be those of SmoothCutoff (near, far), found ['far', 'near', 'size']",
+        ),
+        (at("reach", "far")("wide"), "reach.arguments.far: must be a finite number, found 'wide'"),
+        (at("reach", "far")(True), "reach.arguments.far: must be a finite number, found True"),
+        (at("features", "hinges")(1), "hinges: must be true or false, found 1"),
+        (at("dimension")(10**9), "dimension: must be an integer from 0 to 1024, found 1000000000"),
+        (at("dimension")(2.0), "dimension: must be an integer from 0 to 1024, found 2.0"),
+        (at("dt")(-1), "dt must be a positive number of seconds, found -1.0"),
+        (at("inference", "edge_types")(3), "one message network for each of the 2 active"),
+        (at("local_dynamics", "message_passing", "types")([]), "must be a list of 1 to 1024 parts"),
+        (at("inference", "message_passing", "width")(8), "array 'inference.message_passing."),
+        (at("dimension")(3), "checksum does not fit"),
+    ],
+)
+def test_wrong_headers(change, message: str, good: Path, tmp_path: Path) -> None:
+    header, arrays = parts(good)
+    change(header)
+    if "checksum" not in message:
+        header["checksum"] = header.get("checksum", "") and fitting_checksum(header, arrays)
+    assert message in refusal(write(tmp_path / "wrong", header, arrays))
+
+
+def fitting_checksum(header: dict, arrays: dict[str, np.ndarray]) -> str:
+    """So that a wrong file is refused for what is wrong with it, not for its checksum."""
+    from contactgraph.model import io
+
+    rest = {name: value for name, value in header.items() if name != "checksum"}
+    return io._checksum(rest, arrays)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "header must be JSON"),
+        ("[" * 100_000, "header must be JSON"),
+        ('{"format": NaN}', "numbers must be finite, found NaN"),
+        ("1", "field 'format' must be"),
+        ("[]", "field 'format' must be"),
+        (" " * 3_000_000, "header must be shorter than"),
+    ],
+)
+def test_headers_that_are_none(text: str, message: str, good: Path, tmp_path: Path) -> None:
+    assert message in refusal(write(tmp_path / "wrong", text, parts(good)[1]))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda array: array[:-1], "must be float32 of shape (), found float32 of shape (1,)"),
+        (lambda array: array.astype(np.float16), "must be F32 or F64, found F16"),
+        (lambda array: array.astype(np.float64), "must be float32, found float64"),
+        (lambda array: array * np.nan, "must be finite"),
+        (lambda array: None, "is missing"),
+    ],
+)
+def test_wrong_weights(change, message: str, good: Path, tmp_path: Path) -> None:
+    header, arrays = parts(good)
+    name = "features.contact_distance"
+    changed = change(np.stack([arrays[name], arrays[name]]) if "(1,)" in message else arrays[name])
+    arrays.pop(name)
+    if changed is not None:
+        arrays[name] = np.asarray(changed)
+    header["checksum"] = fitting_checksum(header, arrays)
+    found = refusal(write(tmp_path / "wrong", header, arrays))
+    assert message in found
+    assert name in found
+
+
+def test_an_array_too_many(good: Path, tmp_path: Path) -> None:
+    header, arrays = parts(good)
+    arrays["extra"] = np.zeros(2, np.float32)
+    header["checksum"] = fitting_checksum(header, arrays)
+    assert "array 'extra' is not part of it" in refusal(write(tmp_path / "wrong", header, arrays))
+
+
+@pytest.mark.usefixtures("double_precision")
+def test_single_precision_weights_are_read_as_such_in_a_double_session(good: Path) -> None:
+    arrays = module_arrays(load_model(good).model)
+    assert {array.dtype for array in arrays.values()} == {np.dtype("float32")}
+
+
+def test_what_cannot_be_saved(tmp_path: Path) -> None:
+    model, path = preset("gim_temp"), tmp_path / "model"
+    bad = eqx.tree_at(lambda model: model.features.contact_distance, model, jnp.array(jnp.nan))
+    with pytest.raises(InvalidInputError, match=r"'features\.contact_distance' must be finite"):
+        save_model(path, bad)
+    for training in ({"loss": np.nan}, {"when": object()}, {1: "number as key"}):
+        with pytest.raises(InvalidInputError, match="training must hold only JSON values"):
+            save_model(path, model, training)
+
+    class MyReach(eqx.Module):
+        pass
+
+    own = eqx.tree_at(lambda model: model.reach, model, MyReach())
+    with pytest.raises(InvalidInputError, match=r"model\.reach: must be SmoothCutoff or NoCutoff"):
+        save_model(path, own)
+    assert not list(tmp_path.iterdir())
+
+
+def test_arrays_of_any_tree_come_back_with_their_dtypes() -> None:
+    model = preset("gim_temp")
+    weights = eqx.filter(model, eqx.is_inexact_array)
+    state = optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(1e-3)).init(weights)
+    tree = {"optimiser": state, "key": jax.random.PRNGKey(5), "step": jnp.int32(7), "name": "run"}
+    arrays = module_arrays(tree)
+    assert arrays["key"].dtype == np.uint32
+    assert arrays["step"].dtype == np.int32 and arrays["step"].shape == ()
+    emptied = jax.tree.map(lambda leaf: leaf * 0 if eqx.is_array(leaf) else leaf, tree)
+    found = with_arrays(emptied, arrays, "test")
+    assert jax.tree.structure(found) == jax.tree.structure(tree)
+    for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(tree), strict=True):
+        if isinstance(theirs, str):
+            assert ours == theirs
+        else:
+            assert ours.dtype == theirs.dtype
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_names_that_clash_and_keys_that_hide_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match=r"two paths of the tree have this name"):
+        module_arrays({"a": {"b": np.zeros(1)}, "a.b": np.zeros(1)})
+    with pytest.raises(InvalidInputError, match="'key' is a typed random key"):
+        module_arrays({"key": jax.random.key(0)})
+
+
+def test_parts_that_do_not_fit_are_found_at_loading(tmp_path: Path) -> None:
+    model, wide = preset("gim_temp"), preset("gim_temp", width=8)
+    head = wide.local_dynamics.head
+    mixed = eqx.tree_at(lambda model: model.local_dynamics.head, model, head)
+    save_model(tmp_path / "mixed", mixed)
+    assert "the model's parts do not fit" in refusal(tmp_path / "mixed")
+
+
+def test_the_number_of_networks_must_be_that_of_the_active_types() -> None:
+    model = preset("gim_temp")
+    network = model.local_dynamics.message_passing.types[0]
+    two = eqx.tree_at(
+        lambda local: local.message_passing,
+        model.local_dynamics,
+        TypedMessagePassing([network, network]),
+    )
+    with pytest.raises(InvalidInputError, match=r"1 active edge types .* found 2"):
+        ContactDynamics(
+            inference=model.inference,
+            local_dynamics=two,
+            features=model.features,
+            prior=model.prior,
+            reach=model.reach,
+            sample=model.sample,
+            dt=DT,
+            dimension=2,
+            control_size=2,
+        )

@@ -1,0 +1,82 @@
+"""Training in scenes large enough for neighbour lists: the loss and gradient of all pairs."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from contactgraph.data import pair_indices
+from contactgraph.model import ContactDynamics, NeighborList, Nodes, gim_temp
+from contactgraph.train import LossTerms
+from contactgraph.train import chunked_vmap as chunked_vmap
+from contactgraph.train.batch import Window
+from contactgraph.train.loss import window_loss
+
+COUNT, STEPS = 5, 3
+
+
+def windows() -> Window:
+    """Two windows of bodies that move through each other, some in reach and some not."""
+    rng = np.random.default_rng(0)
+    velocity = np.repeat(rng.normal(size=(2, 1, COUNT, 2)), STEPS + 1, axis=1)
+    position = rng.uniform(-0.4, 0.4, (2, 1, COUNT, 2)) + 0.05 * np.cumsum(velocity, axis=1)
+    pairs = len(pair_indices(COUNT))
+    return Window(
+        position=jnp.asarray(position, jnp.float32),
+        velocity=jnp.asarray(velocity, jnp.float32),
+        control=jnp.asarray(rng.normal(size=(2, STEPS, 2)), jnp.float32),
+        nodes=Nodes(
+            actuated=jnp.tile(jnp.arange(COUNT) == 0, (2, 1)),
+            mask=jnp.ones((2, COUNT), bool),
+            candidate=jnp.ones((2, pairs), bool),
+        ),
+    )
+
+
+@pytest.mark.parametrize("lists", [NeighborList(9, 5, 5), NeighborList(9, None, None)])
+def test_loss_and_gradient_are_those_of_all_pairs(lists: NeighborList) -> None:
+    model = gim_temp(2, 2, 0.05, width=8, key=jax.random.key(1))
+    near = dataclasses.replace(model, neighbours=lists)
+    drawn, key = windows(), jax.random.key(0)
+
+    @eqx.filter_jit
+    @eqx.filter_value_and_grad
+    def loss(model: ContactDynamics):
+        return window_loss(model, drawn, key, with_rollout=True).total(LossTerms())
+
+    value, gradient = loss(model)
+    near_value, near_gradient = loss(near)
+    assert np.isfinite(value)
+    np.testing.assert_allclose(near_value, value, rtol=1e-5)
+    for found, expected in zip(
+        jax.tree.leaves(near_gradient), jax.tree.leaves(gradient), strict=True
+    ):
+        scale = float(np.abs(expected).max())
+        np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-5 + 1e-3 * scale)
+
+
+def test_chunk_after_chunk_is_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = gim_temp(2, 2, 0.05, width=8, key=jax.random.key(1))
+    pair = windows()
+    drawn = jax.tree.map(lambda leaf: jnp.concatenate([leaf, 0.9 * leaf]).astype(leaf.dtype), pair)
+
+    def loss(devices: int) -> tuple[jax.Array, ContactDynamics]:
+        @eqx.filter_jit
+        @eqx.filter_value_and_grad
+        def total(model: ContactDynamics) -> jax.Array:
+            terms = window_loss(model, drawn, jax.random.key(0), True, devices)
+            return terms.total(LossTerms())
+
+        return total(model)
+
+    at_once, gradient = loss(1)
+    monkeypatch.setattr(chunked_vmap, "_EDGES", 30)  # chunks that do not come out even
+    for devices in (1, 2):
+        value, found = loss(devices)
+        np.testing.assert_allclose(value, at_once, rtol=1e-5)
+        for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(gradient), strict=True):
+            scale = float(np.abs(other).max())
+            np.testing.assert_allclose(one, other, rtol=2e-3, atol=1e-5 + 1e-3 * scale)
