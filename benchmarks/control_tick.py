@@ -205,7 +205,7 @@ def main() -> None:
     rows = with_bystanders(model, [2, 11, 100, 1000], episodes, heard)
     rows += of_task(model, [PickupTask(n - 2) for n in (2, 11, 21)], 20, 5 * episodes, heard)
     if find_spec("mujoco") is not None:
-        from contactgraph_franka.envs import FrankaTask
+        from contactgraph_franka.envs.franka_task import FrankaTask
 
         model = load_model(shipped_model("franka")).model
         rows += of_task(model, [FrankaTask(n - 2) for n in (2, 7)], 50, episodes, heard)

@@ -17,7 +17,7 @@ from contactgraph.envs import (
     PickupTask,
 )
 from contactgraph.envs.episodes import run_episode
-from contactgraph_franka.envs import FrankaTask
+from contactgraph_franka.envs.franka_task import FrankaTask
 
 PARTS = {
     "pickup": (PickupTask, PickupExpert, 1),

@@ -18,7 +18,7 @@ from contactgraph.envs import (
 from contactgraph.envs import episodes as collecting
 from contactgraph.envs.episodes import collect, episode_seeds, fixed_seed, run_episode
 from contactgraph.parallel import LocalExecutor
-from contactgraph_franka.envs import FrankaTask
+from contactgraph_franka.envs.franka_task import FrankaTask
 
 SEEDS = range(20)
 TARGETS = {PickupTask: 1, partial(MultiPickupTask, 3): 3, DoorTask: 1, FrankaTask: 1}

@@ -73,7 +73,8 @@ def _door(options: TaskOptions) -> TaskFactory:
 
 def _franka(options: TaskOptions) -> TaskFactory:
     # Imported when it is asked for: MuJoCo may be missing, which this import says.
-    from contactgraph_franka.envs import FrankaTask, Grasp
+    from contactgraph_franka.envs.franka_task import FrankaTask
+    from contactgraph_franka.envs.pickup import Grasp
 
     _check_one_object("franka", options)
     task = partial(FrankaTask, options.distractors, fixed_seed=options.fixed_seed)

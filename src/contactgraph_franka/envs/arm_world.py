@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable
-from enum import Enum
 from importlib.resources import files
 
 import numpy as np
 
 from contactgraph_franka.envs.arm_model import JOINTS, Impedance, JointLimitBrakes, mujoco
+from contactgraph_franka.envs.pickup import Grasp
 
 OPEN = 0.03
 """Way of each finger from the middle while there is nothing to grasp, m."""
@@ -118,15 +118,6 @@ _BLOCK = """
 <body name="block{index}" pos="{x} {y} {z}" euler="0 0 {yaw}">
   <freejoint/><geom name="block{index}" class="block" mass="{mass}" rgba="{colour}"/>
 </body>"""
-
-
-class Grasp(Enum):
-    """How the hand holds a block."""
-
-    FRICTION = "friction"
-    """By what its fingers press."""
-    WELD = "weld"
-    """Rigidly, from the moment both fingers touch it."""
 
 
 class ArmWorld:

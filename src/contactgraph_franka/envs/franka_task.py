@@ -13,14 +13,16 @@ from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Feedback, Observation
 from contactgraph.envs.gripper_task import GRIPPER, GripperTask, fixed_layout, fixed_metadata
 from contactgraph_franka.envs.arm_model import SIMULATOR, inverse_kinematics, mujoco
-from contactgraph_franka.envs.arm_world import BLOCK_MASS, ArmWorld, Grasp, arm_alone
+from contactgraph_franka.envs.arm_world import BLOCK_MASS, ArmWorld, arm_alone
 from contactgraph_franka.envs.pickup import (
     APPARENT_MASS,
     BLOCK,
     CONTACT_DISTANCE,
     GOAL_RADIUS,
     HIGH,
+    MAX_FORCE,
     TARGET,
+    Grasp,
     pickup_cost,
     sample_layout,
 )
@@ -29,8 +31,6 @@ DT = 0.01
 """s"""
 MAX_STEPS = 400
 MAX_DISTRACTORS = 5
-MAX_FORCE = 20.0
-"""Bound of the control on each axis, N."""
 
 
 class FrankaTask(GripperTask):

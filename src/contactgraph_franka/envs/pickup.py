@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
@@ -28,6 +29,19 @@ GOAL_WEIGHTS = np.array([30.0, 30.0, 30.0, 3.0, 3.0, 3.0])
 CONTROL_WEIGHT = 0.01
 _HELD = 0.03
 """m: a block in the air that is so near to the grasp point is held; its half diagonal is 0.028."""
+
+
+MAX_FORCE = 20.0
+"""Bound of the control on each axis, N."""
+
+
+class Grasp(Enum):
+    """How the hand holds a block."""
+
+    FRICTION = "friction"
+    """By what its fingers press."""
+    WELD = "weld"
+    """Rigidly, from the moment both fingers touch it."""
 
 
 def pickup_cost() -> ChainCost:

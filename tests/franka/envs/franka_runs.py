@@ -3,9 +3,10 @@
 import mujoco
 import numpy as np
 
-from contactgraph_franka.envs import ArmWorld, FrankaTask, Grasp
 from contactgraph_franka.envs.arm_model import inverse_kinematics
-from contactgraph_franka.envs.franka_task import DT
+from contactgraph_franka.envs.arm_world import ArmWorld
+from contactgraph_franka.envs.franka_task import DT, FrankaTask
+from contactgraph_franka.envs.pickup import Grasp
 
 TORQUE = np.array([87.0] * 4 + [12.0] * 3)
 """The maker's, N m."""

@@ -6,8 +6,8 @@ import pytest
 from franka_runs import HIGH, LOW, TORQUE, Watched, push, tick, world_with_hand_at
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.envs import FrankaTask
 from contactgraph_franka.envs.arm_model import inverse_kinematics
+from contactgraph_franka.envs.franka_task import FrankaTask
 from contactgraph_franka.envs.pickup import sample_layout
 
 POINTS = [(0.45, 0.0, 0.25), (0.35, -0.3, 0.2), (0.65, 0.3, 0.1)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.envs import FrankaTask
+from contactgraph_franka.envs.franka_task import FrankaTask
 
 PICTURES = """
 import sys
@@ -16,7 +16,7 @@ import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from contactgraph_franka.envs import FrankaTask
+from contactgraph_franka.envs.franka_task import FrankaTask
 
 task, blind = FrankaTask(1, render_mode="rgb_array"), FrankaTask(1)
 pictures, same = [], True
@@ -113,7 +113,7 @@ def test_without_opengl_one_line_says_what_to_set(opengl, said, tmp_path):
 
 
 def test_without_opengl_all_but_pictures_works():
-    script = "from contactgraph_franka.envs import FrankaTask as T; T().reset(seed=0)"
+    script = "from contactgraph_franka.envs.franka_task import FrankaTask as T; T().reset(seed=0)"
     assert in_process(script, "disabled").returncode == 0
 
 

@@ -7,7 +7,7 @@ from franka_runs import HIGH, LOW, TORQUE, WatchedTask
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs import FrankaExpert
 from contactgraph.envs.episodes import episode_seeds, run_episode
-from contactgraph_franka.envs import FrankaTask
+from contactgraph_franka.envs.franka_task import FrankaTask
 
 RUNS = 20
 

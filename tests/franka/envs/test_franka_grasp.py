@@ -7,7 +7,6 @@ from franka_runs import WatchedTask, pads_touching, push, tick, world_with_hand_
 
 from contactgraph.envs import FrankaExpert
 from contactgraph.envs.episodes import run_episode
-from contactgraph_franka.envs import FrankaTask, Grasp
 from contactgraph_franka.envs.arm_world import (
     HALF_BLOCK,
     LAG,
@@ -17,6 +16,8 @@ from contactgraph_franka.envs.arm_world import (
     SPEED,
     GraspReflex,
 )
+from contactgraph_franka.envs.franka_task import FrankaTask
+from contactgraph_franka.envs.pickup import Grasp
 
 BOTH = {"left_pad", "right_pad"}
 BLOCK = (0.5, 0.1, 0.05)

@@ -16,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import FrankaExpert, check_task
 from contactgraph.envs.episodes import run_episode
-from contactgraph_franka.envs import FrankaTask, Grasp
+from contactgraph_franka.envs.franka_task import FrankaTask
 from contactgraph_franka.envs.pickup import (
     CLEARANCE,
     CORRIDOR,
@@ -24,13 +24,14 @@ from contactgraph_franka.envs.pickup import (
     LOW,
     RUN_UP,
     START_HEIGHT,
+    Grasp,
 )
 
 SEEDS = range(40)
 FINGERPRINT = """
 import hashlib
 from contactgraph.envs import FrankaExpert
-from contactgraph_franka.envs import FrankaTask
+from contactgraph_franka.envs.franka_task import FrankaTask
 from contactgraph.envs.episodes import run_episode
 run = run_episode(FrankaTask(1), FrankaExpert(), 5)
 print(hashlib.sha256(run.position.tobytes() + run.velocity.tobytes()).hexdigest())

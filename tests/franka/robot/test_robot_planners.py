@@ -32,7 +32,7 @@ class SimulatedArm:
     """A `Robot` and a `Clock`: the task's arm, a tick at a time."""
 
     def __init__(self, seed: int, sensor: bool) -> None:
-        from contactgraph_franka.envs import ArmWorld
+        from contactgraph_franka.envs.arm_world import ArmWorld
         from contactgraph_franka.envs.franka_task import (
             FrankaTask,
             inverse_kinematics,
