@@ -2,11 +2,10 @@
 
 from functools import partial
 
-from contactgraph.envs.excitation import ExplorationPolicy
-
 from contactgraph.cli.options import choice
 from contactgraph.cli.tasks import KnownTask, TaskFactory, TaskOptions
 from contactgraph.data import InvalidInputError
+from contactgraph.envs.experts import ExplorationPolicy
 from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.pickup import MAX_FORCE, Grasp
 
