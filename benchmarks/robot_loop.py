@@ -13,9 +13,9 @@ from importlib.util import find_spec
 import numpy as np
 from measuring import arguments, report
 
-from contactgraph_franka.driver.loop_timing import measure_loop
 from contactgraph_franka.loop import WallClock
-from contactgraph_franka.robot import Robot, RobotReading, SafetyLimits, Stop
+from contactgraph_franka.loop.control_loop import measure_loop
+from contactgraph_franka.safety import Robot, RobotReading, SafetyLimits, Stop
 
 LIMITS = SafetyLimits(max_force=14.0, longest_gap=0.1, longest_age=0.1, stop_within=0.2)
 """With deadlines so long that what is late is measured, and not the end of the measurement."""

@@ -22,8 +22,8 @@ from contactgraph.cli.report import Report
 from contactgraph.cli.train import Train
 from contactgraph.cli.usage import one_line
 from contactgraph.data import InvalidInputError
+from contactgraph_franka.cli.options import RobotFault
 from contactgraph_franka.cli.robot import ACTIONS, Robot
-from contactgraph_franka.cli.robot_fault import RobotFault
 from contactgraph_studies.cli.reproduce import Reproduce
 
 Command = (

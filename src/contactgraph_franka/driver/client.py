@@ -1,8 +1,11 @@
 """The one file that imports franky, the arm's client, and how a connection is made."""
 
+import math
 import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
+
+import numpy as np
 
 from contactgraph.data import InvalidInputError
 
@@ -25,7 +28,7 @@ comes once in 20 motions, and another try, some milliseconds later, finds one.""
 Connection = TypeVar("Connection")
 
 
-def connected(address: str) -> franky.Robot:
+def connect(address: str) -> franky.Robot:
     """The arm at ``address``. Nothing moves.
 
     Raises `InvalidInputError` where none answers, or one that speaks another protocol.
@@ -49,8 +52,8 @@ def first_state(arm: "franky.Robot | franky.Gripper", address: str) -> Any:
         ) from error
 
 
-def connected_gripper(address: str) -> franky.Gripper:
-    """The gripper of the arm at ``address``; raises as `connected` does."""
+def connect_gripper(address: str) -> franky.Gripper:
+    """The gripper of the arm at ``address``; raises as `connect` does."""
     return _within_patience(lambda: franky.Gripper(address), address, "gripper")
 
 
@@ -84,3 +87,54 @@ def _within_patience(connect: Callable[[], Connection], address: str, what: str)
             "activated in Desk)"
         ) from answer
     return answer
+
+
+_ATTEMPTS = 3
+"""To find a motion."""
+_RESTING = 2e-4
+"""rad/s: a joint that is slower rests."""
+_SETTLED_WITHIN = 2.0
+"""s"""
+
+
+def check_transfer(position: np.ndarray, yaw: float, speed: float) -> None:
+    """Raises `InvalidInputError` where these do not say where to, or how fast."""
+    place = np.asarray(position, dtype=np.float64)
+    if place.shape != (3,) or not np.isfinite([*place, yaw]).all():
+        raise InvalidInputError(f"position must be [3] m, and yaw rad, found {position}, {yaw}")
+    if not 0.0 < speed <= 1.0:
+        raise InvalidInputError(f"speed must be above 0 and at most 1, found {speed}")
+
+
+def transfer(
+    arm: "franky.Robot",
+    position: np.ndarray,
+    yaw: float,
+    speed: float,
+    point: "franky.Affine",
+    clock: Callable[[], float],
+) -> None:
+    """Moves ``point``, as seen from the hand's own frame, to ``position`` [3] m, and waits for it.
+
+    The hand points down, turned by ``yaw`` rad; ``speed`` is the share of the arm's own limits.
+    Raises what the arm's client does.
+    """
+    down = np.array([math.cos(yaw / 2.0), math.sin(yaw / 2.0), 0.0, 0.0])
+    target = franky.Affine(np.asarray(position, dtype=np.float64), down)
+    for attempt in range(1, _ATTEMPTS + 1):
+        motion = franky.CartesianMotion(target, relative_dynamics_factor=speed, ee_frame=point)
+        try:
+            arm.move(motion)
+            break
+        except CLIENT_FAULTS as error:
+            if PLANNER_FAULT not in str(error) or attempt == _ATTEMPTS:
+                raise
+        _settle(arm, clock)
+    _settle(arm, clock)
+
+
+def _settle(arm: "franky.Robot", clock: Callable[[], float]) -> None:
+    """Waits until ``arm`` rests, for at most 2 s: it follows what it is told with a lag."""
+    until = clock() + _SETTLED_WITHIN
+    while np.abs(arm.state.dq).max() > _RESTING and clock() < until:
+        pass  # a state takes its tick to come

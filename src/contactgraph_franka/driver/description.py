@@ -6,8 +6,8 @@ import numpy as np
 
 from contactgraph_franka.driver.arm import JointLimits
 from contactgraph_franka.driver.client import franky
-from contactgraph_franka.driver.finger_contact import DELAY, FALSE_ALARM, MISS
-from contactgraph_franka.robot.limits import SafetyLimits
+from contactgraph_franka.driver.fingers import DELAY, FALSE_ALARM, MISS
+from contactgraph_franka.safety.limits import SafetyLimits
 
 Lines = list[tuple[str, str]]
 """Names and what there is to say."""
@@ -23,7 +23,7 @@ _MODES = {
 }
 
 
-def described_arm(state: franky.RobotState, limits: JointLimits) -> Lines:
+def describe_arm(state: franky.RobotState, limits: JointLimits) -> Lines:
     """Versions and state of the arm."""
     errors = [
         name.replace("_", " ")
@@ -41,7 +41,7 @@ def described_arm(state: franky.RobotState, limits: JointLimits) -> Lines:
     ]
 
 
-def described_gripper(width: float, largest: float, protocol: int) -> Lines:
+def describe_gripper(width: float, largest: float, protocol: int) -> Lines:
     """State of the fingers: ``width`` m and ``largest`` m apart; 0 m before they were homed."""
     homed = f"of {1e3 * largest:.0f} mm" if largest else "not homed yet: do that in Desk first"
     return [
@@ -55,7 +55,7 @@ def described_gripper(width: float, largest: float, protocol: int) -> Lines:
     ]
 
 
-def described_limits(
+def describe_limits(
     limits: SafetyLimits, joints: JointLimits, reflex: tuple[float, float]
 ) -> Lines:
     """What is never exceeded. ``reflex``: N m in a joint and N on the hand that stop the arm."""

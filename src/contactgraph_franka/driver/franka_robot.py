@@ -11,24 +11,24 @@ from contactgraph_franka.driver.arm import (
     FR3_LIMITS,
     NO_DRIVES,
     ArmState,
+    ClockOffset,
     JointDrives,
     JointLimits,
 )
-from contactgraph_franka.driver.arm_clock import ArmClock
 from contactgraph_franka.driver.client import (
     CLIENT_FAULTS,
     PLANNER_FAULT,
-    connected,
+    check_transfer,
+    connect,
     first_state,
     franky,
+    transfer,
 )
-from contactgraph_franka.driver.description import described_arm, described_limits
-from contactgraph_franka.driver.hand_impedance import HandImpedance
-from contactgraph_franka.driver.nodes import Fingers, Nodes, ObjectSource
-from contactgraph_franka.driver.transfer import check_transfer, transfer
-from contactgraph_franka.robot.contract import RobotReading
-from contactgraph_franka.robot.limits import SafetyLimits
-from contactgraph_franka.robot.stop import Stop, StopReason
+from contactgraph_franka.driver.description import describe_arm, describe_limits
+from contactgraph_franka.driver.impedance import HandImpedance
+from contactgraph_franka.driver.readings import Fingers, ObjectSource, ReadingBuilder
+from contactgraph_franka.safety.limits import SafetyLimits
+from contactgraph_franka.safety.robot import RobotReading, Stop, StopReason
 
 GRASP_POINT = (0.0, 0.0, 0.1254)
 """m, from the flange: between the fingers where they hold a block, 22 mm beyond the middle of the
@@ -80,12 +80,12 @@ class FrankaRobot:
         """Why and when the arm ended its motion by itself; None while it has not."""
         self.last_error = ""
         """What the arm's client said about that."""
-        self._nodes = Nodes(objects, fingers)
+        self._nodes = ReadingBuilder(objects, fingers)
         self._clock = clock
-        self._arm = connected(address)
+        self._arm = connect(address)
         self._model = self._arm.model
         self._law = HandImpedance(limits, drives)
-        self._arm_clock = ArmClock()
+        self._arm_clock = ClockOffset()
         self._motion: franky.SimpleTorqueMotion | None = None
         self._running = False
         """Whether a motion of ours was begun whose end has not been noted."""
@@ -230,9 +230,9 @@ class FrankaRobot:
     def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
         """Versions, state and limits as names and words. Raises nothing of the arm's."""
         reflex = (COLLISION_TORQUE, COLLISION_FORCE)
-        told = described_limits(limits, self.limits, reflex)
+        told = describe_limits(limits, self.limits, reflex)
         try:
-            return [("address", self.address), *described_arm(self._arm.state, self.limits), *told]
+            return [("address", self.address), *describe_arm(self._arm.state, self.limits), *told]
         except CLIENT_FAULTS as error:
             self._end(StopReason.CONNECTION_LOST, error)
             return [("address", self.address), ("connection", f"lost: {error}"), *told]

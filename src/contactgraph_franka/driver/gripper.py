@@ -7,9 +7,8 @@ from types import TracebackType
 
 import numpy as np
 
-from contactgraph_franka.driver.client import CLIENT_FAULTS, connected_gripper, first_state, franky
-from contactgraph_franka.driver.finger_contact import FingerContact
-from contactgraph_franka.driver.grasp_reflex import LAG, OPEN_WIDTH, GraspReflex
+from contactgraph_franka.driver.client import CLIENT_FAULTS, connect_gripper, first_state, franky
+from contactgraph_franka.driver.fingers import LAG, OPEN_WIDTH, FingerContact, GraspTrigger
 
 SPEED = 0.1
 """m/s, of the width: 0.05 m/s for each finger, the maker's largest."""
@@ -35,9 +34,9 @@ class FrankaGripper:
     ) -> None:
         """``clock`` gives s; ``lag`` s is how late the fingers begin to move, an arm's own to be
         measured. Raises `InvalidInputError` where no gripper answers at ``address``."""
-        self._gripper = connected_gripper(address)
+        self._gripper = connect_gripper(address)
         self._clock = clock
-        self._reflex = GraspReflex(lag)
+        self._reflex = GraspTrigger(lag)
         self._sensor = FingerContact()
         self._pending: franky.BoolFuture | None = None
         self._closing = False
@@ -72,7 +71,7 @@ class FrankaGripper:
         return self._reflex.block
 
     def follow(self, offset: np.ndarray, velocity: np.ndarray, tracked: np.ndarray) -> None:
-        """Closes or opens the fingers by where the blocks are: see `GraspReflex.step`."""
+        """Closes or opens the fingers by where the blocks are: see `GraspTrigger.step`."""
         before = self._reflex.closed
         if self._reflex.step(offset, velocity, tracked, self.width) != before:
             self._news.set()

@@ -2,19 +2,22 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.loop.clock import Clock
-from contactgraph_franka.loop.planner import Moment, Start
-from contactgraph_franka.loop.planning import Planned, Planning
-from contactgraph_franka.loop.report import LoopReport
-from contactgraph_franka.loop.tally import Tally
-from contactgraph_franka.loop.undisturbed import undisturbed
-from contactgraph_franka.robot.contract import Command, RobotReading
-from contactgraph_franka.robot.safe_robot import SafeRobot
-from contactgraph_franka.robot.stop import StopReason
+from contactgraph_franka.loop.planner import (
+    AsyncPlanner,
+    EpisodeStart,
+    PlanResult,
+    TimedObservation,
+)
+from contactgraph_franka.loop.realtime import Clock, realtime_priority
+from contactgraph_franka.loop.statistics import LoopReport, LoopStatistics
+from contactgraph_franka.safety.filter import SafeRobot
+from contactgraph_franka.safety.limits import SafetyLimits
+from contactgraph_franka.safety.robot import Command, Robot, RobotReading, StopReason
 
 OnTick = Callable[[float, RobotReading | None, np.ndarray | None], None]
 """Called in every tick with the time s, what was read (None: nothing new) and the force [D] N that
@@ -40,7 +43,7 @@ class ControlLoop:
     def __init__(
         self,
         robot: SafeRobot,
-        planning: Planning,
+        planning: AsyncPlanner,
         clock: Clock,
         *,
         period: float = 0.001,
@@ -78,8 +81,8 @@ class ControlLoop:
         sends nothing to begin with, and, once the robot rests, whatever planning ended with.
         """
         reading = self._first_reading()
-        self._planning.begin(Start(reading, goal, seed))
-        with undisturbed():
+        self._planning.begin(EpisodeStart(reading, goal, seed))
+        with realtime_priority():
             return self._run(reading, seconds, on_tick, asked_to_stop)
 
     def _first_reading(self) -> RobotReading:
@@ -103,8 +106,8 @@ class ControlLoop:
     ) -> LoopReport:
         robot, clock, planning, period = self._robot, self._clock, self._planning, self._period
         shape = reading.position.shape
-        tally = Tally(period, self._plan_deadline)
-        running: Planned | None = None
+        statistics = LoopStatistics(period, self._plan_deadline)
+        running: PlanResult | None = None
         fault: Exception | None = None
         applied, sent_ticks = np.zeros(shape[1]), 0
         robot.reset()
@@ -112,27 +115,27 @@ class ControlLoop:
         while True:
             clock.wait_until(due)
             now = clock()
-            tally.tick(now, due)
+            statistics.tick(now, due)
             due += period * (1 + max(0, int((now - due) / period)))
             news = robot.read()
-            tally.readings += news is not None
+            statistics.readings += news is not None
             if news is not None and _usable(news, shape):
                 reading = news
             try:
-                planned = planning.done() if fault is None else None
+                planned = planning.poll() if fault is None else None
             except Exception as error:  # whatever it is: first the robot is brought to rest
                 planned, fault = None, error
             if planned is not None:
-                tally.planned(now, planned)
+                statistics.planned(now, planned)
                 running = planned if planned.law is not None else running
             if robot.stop is None:
-                tally.follows(now, running)
+                statistics.follows(now, running)
             sent = robot.send(self._command(running, reading, now))
             if on_tick is not None:
                 on_tick(now, news, sent)
             if sent is not None:
                 applied, sent_ticks = applied + sent, sent_ticks + 1
-            believed = robot.believed
+            accepted = robot.accepted
             if robot.stop is not None:
                 if now - robot.stop.time > _BRAKING_S:
                     break
@@ -142,18 +145,18 @@ class ControlLoop:
                 robot.end(StopReason.ASKED)
             elif now - began >= seconds:
                 robot.end(StopReason.FINISHED)
-            elif now >= next_moment - period / 2.0 and believed is not None:
-                planning.offer(Moment(now, believed, applied / max(1, sent_ticks)))
+            elif now >= next_moment - period / 2.0 and accepted is not None:
+                planning.submit(TimedObservation(now, accepted, applied / max(1, sent_ticks)))
                 applied, sent_ticks = np.zeros(shape[1]), 0
                 # On the grid of steps that a model was made for, but never two in one tick.
                 behind = int(max(0.0, now + period / 2.0 - next_moment) / planning.interval)
                 next_moment += planning.interval * (1 + behind)
         if fault is not None:
             raise fault
-        return tally.report(robot.stop)
+        return statistics.report(robot.stop)
 
     def _command(
-        self, running: Planned | None, reading: RobotReading, now: float
+        self, running: PlanResult | None, reading: RobotReading, now: float
     ) -> Command | None:
         """None: there is nothing to do by. Before the first plan, the robot waits for it."""
         if running is None or running.law is None:
@@ -165,9 +168,101 @@ class ControlLoop:
 
 
 def _usable(reading: RobotReading, shape: tuple[int, ...]) -> bool:
-    """Whether a law can be asked with it; whether it is to be believed is for the limits."""
+    """Whether a law can be asked with it; whether it is to be accepted is for the limits."""
     return (
         reading.position.shape == shape
         and bool(np.isfinite(reading.position).all())
         and bool(np.isfinite(reading.velocity).all())
+    )
+
+
+_STIFFNESS = 200.0
+"""N/m"""
+_DAMPING = 57.0
+"""N s/m: critical for the hand's 4 kg."""
+_LARGEST = 8.0
+"""N: what pushes harder than this moves the hand."""
+
+
+@dataclass(frozen=True)
+class LoopTiming:
+    """What `measure_loop` found; ms between states are on the robot's own clock."""
+
+    report: LoopReport
+    """Of the loop: its rate, and how late its ticks were."""
+    states_hz: float
+    """New states of the robot that the loop got, a second."""
+    state_gap_ms_p50: float
+    """From one of these to the next."""
+    state_gap_ms_p99: float
+    state_gap_ms_worst: float
+
+    def lines(self) -> list[str]:
+        """The same for people."""
+        return [
+            *(line for line in self.report.lines() if not line.startswith("plans")),
+            f"states     {self.states_hz:.0f} Hz, the next after {self.state_gap_ms_p50:.2f} ms "
+            f"median, {self.state_gap_ms_p99:.2f} ms 99 %, {self.state_gap_ms_worst:.2f} ms worst",
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class PositionHold:
+    """Holds the hand where it was, as a soft spring."""
+
+    place: np.ndarray
+    """[D] m"""
+    duration: float
+    """s"""
+
+    def __call__(self, elapsed: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """[D] N, at [N, D] m and m/s."""
+        force = _STIFFNESS * (self.place - position[0]) - _DAMPING * velocity[0]
+        return force * min(1.0, _LARGEST / max(float(np.linalg.norm(force)), 1e-9))
+
+
+class PositionHoldPlanner:
+    """AsyncPlanner that takes no time: the hand stays."""
+
+    interval = 0.05
+    """s"""
+
+    def begin(self, start: EpisodeStart) -> None:
+        """Where the hand is now is where it stays."""
+        self._law = PositionHold(start.reading.position[0].copy(), duration=1.0)
+        self._planned: PlanResult | None = None
+
+    def submit(self, moment: TimedObservation) -> None:
+        """Goes on."""
+        self._planned = PlanResult(self._law, moment.time, 0.0)
+
+    def poll(self) -> PlanResult | None:
+        """The law, once for each moment."""
+        planned, self._planned = self._planned, None
+        return planned
+
+
+def measure_loop(robot: Robot, limits: SafetyLimits, clock: Clock, seconds: float) -> LoopTiming:
+    """Holds the hand for ``seconds`` with all that a tick needs: read, limits, law, send.
+
+    ``clock`` must be the robot's. Raises `InvalidInputError` where ``seconds`` is not positive, or
+    the robot sends nothing.
+    """
+    if not seconds > 0.0:
+        raise InvalidInputError(f"seconds must be positive, found {seconds}")
+    times: list[float] = []
+
+    def note(now: float, reading: RobotReading | None, sent: np.ndarray | None) -> None:
+        if reading is not None:
+            times.append(reading.robot_time)
+
+    loop = ControlLoop(SafeRobot(robot, limits, clock), PositionHoldPlanner(), clock)
+    report = loop.run(seconds, np.zeros(len(limits.workspace_low)), on_tick=note)
+    gaps = 1e3 * np.diff(times) if len(times) > 1 else np.full(1, np.nan)
+    return LoopTiming(
+        report=report,
+        states_hz=len(times) / max(report.seconds, 1e-9),
+        state_gap_ms_p50=float(np.percentile(gaps, 50)),
+        state_gap_ms_p99=float(np.percentile(gaps, 99)),
+        state_gap_ms_worst=float(gaps.max()),
     )

@@ -54,7 +54,7 @@ class FeedbackLaw:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldForce:
+class ZeroOrderHold:
     """The same force for as long as it counts."""
 
     force: np.ndarray

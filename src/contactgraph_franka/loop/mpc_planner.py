@@ -11,7 +11,7 @@ from contactgraph.data import InvalidInputError, Scene
 from contactgraph.evaluate.mpc_policy import SceneCost
 from contactgraph.model import ContactDynamics, ContactSensor, MotionNoise, scene_nodes
 from contactgraph.model.filter import check_fit
-from contactgraph_franka.loop import FeedbackLaw, Moment, Start
+from contactgraph_franka.loop import EpisodeStart, FeedbackLaw, TimedObservation
 from contactgraph_franka.loop.plan_feedback import plan_feedback
 
 _SHARES = np.array([0.5, 0.5, np.sqrt(0.5)])
@@ -66,14 +66,14 @@ class MPCPlanner:
         self.interval = float(scene.dt)
         """s: the model's step."""
 
-    def begin(self, start: Start) -> None:
+    def begin(self, start: EpisodeStart) -> None:
         """See `contactgraph_franka.loop.Planner`. Compiles, where that has not been done."""
         scene = replace(self._scene, goal=start.goal)
         nodes = scene_nodes(scene, scene.node_count)
         observation = start.reading.observation(start.goal)
         self._state = self._mpc.reset(observation, nodes, self._cost.in_scene(scene))
 
-    def plan(self, moments: Sequence[Moment]) -> FeedbackLaw | None:
+    def plan(self, moments: Sequence[TimedObservation]) -> FeedbackLaw | None:
         """See `contactgraph_franka.loop.Planner`."""
         if self._state is None:
             raise InvalidInputError("call begin(start) first")

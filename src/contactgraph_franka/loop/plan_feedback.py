@@ -10,7 +10,7 @@ from contactgraph_franka.loop.laws import FeedbackLaw
 def plan_feedback(plan: Plan, dt: float, capacity: int) -> FeedbackLaw:
     """The law of a plan with steps of ``dt`` s, padded to a ``capacity`` of nodes.
 
-    Nodes that are not in play have no say in it.
+    ReadingBuilder that are not in play have no say in it.
     """
     who, slots = present(plan, capacity)
     count, horizon = len(plan.who), len(plan.controls)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.loop.undisturbed import give_way
+from contactgraph_franka.loop.realtime import set_nice
 from contactgraph_franka.perception.calibration import CameraCalibration
 from contactgraph_franka.perception.camera import Camera, Intrinsics
 from contactgraph_franka.perception.detector import ObjectDetector
@@ -289,7 +289,7 @@ def _watch(
     """The camera's process: tells None when it begins, and the error that ends it."""
     # Ctrl-C is for the loop, which ends its run gently, and then this.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    give_way(_BEHIND)
+    set_nice(_BEHIND)
     try:
         camera = open_camera()
         try:

@@ -13,7 +13,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.envs.arm_model import JOINTS, mujoco
-from contactgraph_franka.loop.undisturbed import undisturbed
+from contactgraph_franka.loop.realtime import realtime_priority
 from contactgraph_franka.sim.blocks import CONTACT, MASS, WOOD_FRICTION, scene_blocks
 from contactgraph_franka.sim.session import read_session
 from contactgraph_franka.sim.shared_state import (
@@ -256,7 +256,7 @@ def main() -> None:
             truth = GroundTruthWriter(folder, session.blocks, scene.model.nq)
             counters = ServerCounters(folder, scene.model.nq, session.pace * TICK)
             # As an arm's own computer does, it goes first where cores are few.
-            with undisturbed():
+            with realtime_priority():
                 _serve(scene, ends, truth, counters, SceneResetService(folder), session.pace)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.envs.arm_model import mujoco
-from contactgraph_franka.loop.undisturbed import give_way
+from contactgraph_franka.loop.realtime import set_nice
 from contactgraph_franka.perception.camera import CameraFrame, Intrinsics
 from contactgraph_franka.sim.camera import FrameWriter
 from contactgraph_franka.sim.session import read_session
@@ -229,7 +229,7 @@ def main() -> None:
     settings = session.camera
     if settings is None:
         raise InvalidInputError("this rehearsal has no camera")
-    give_way(_BEHIND)
+    set_nice(_BEHIND)
     model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
     # The hand must hide what it hides; drawn with its maker's surfaces it takes twice as long.
     group = model.geom_group

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.loop.clock import WallClock
+from contactgraph_franka.loop.realtime import WallClock
 from contactgraph_franka.perception.calibration import CameraCalibration
 from contactgraph_franka.perception.camera import pose, rotation_of
 from contactgraph_franka.sim.blocks import MASS, block_names, scene_blocks

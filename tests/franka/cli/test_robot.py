@@ -12,10 +12,10 @@ import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.data import describe_file, read_trajectories
-from contactgraph_franka.cli.robot_options import ArmOptions
+from contactgraph_franka.cli.options import ArmOptions
 from contactgraph_franka.envs.pickup import sweep_fits, sweep_start, sweep_yaw
-from contactgraph_franka.robot import FakeRobot
-from contactgraph_franka.robot.faults import frozen_fault
+from contactgraph_franka.safety import FakeRobot
+from contactgraph_franka.safety.faults import frozen_fault
 
 GOAL = ["--goal", "0.5", "0.2", "0.3"]
 
@@ -112,7 +112,7 @@ def test_a_stop_is_told_and_what_came_before_it_is_kept(
         def __init__(self) -> None:
             super().__init__(0, [frozen_fault(300, 10**9)])
 
-    monkeypatch.setattr("contactgraph_franka.cli.robot_arms.FakeRobot", Freezes)
+    monkeypatch.setattr("contactgraph_franka.cli.arms.FakeRobot", Freezes)
     save = tmp_path / "run.h5"
     assert told("robot", "run", "franka", "fake", *GOAL, "--save", save, "--stay") == 1
     said = capsys.readouterr()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from contactgraph_franka.driver.arm import JOINTS, ArmState, JointDrives
-from contactgraph_franka.driver.hand_impedance import HandImpedance
+from contactgraph_franka.driver.impedance import HandImpedance
 from contactgraph_franka.envs.arm_model import mujoco
 from contactgraph_franka.envs.arm_world import ArmWorld
 

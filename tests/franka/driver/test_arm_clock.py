@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from contactgraph_franka.driver.arm_clock import ArmClock
+from contactgraph_franka.driver.arm import ClockOffset
 
 TICK = 0.001
 
 
 def test_stamps_have_no_jitter_of_who_reads() -> None:
-    clock, random, offset = ArmClock(), np.random.default_rng(0), 100.0
+    clock, random, offset = ClockOffset(), np.random.default_rng(0), 100.0
     errors, now = [], 0.0
     for tick in range(2000):
         # Looks at any time within the tick in which the state came.
@@ -20,7 +20,7 @@ def test_stamps_have_no_jitter_of_who_reads() -> None:
 
 
 def test_an_arm_whose_clock_is_slow_or_stands_still_is_followed() -> None:
-    clock = ArmClock()
+    clock = ClockOffset()
     arm_time = worst = 0.0
     for look in range(20000):
         now = look * 1e-4
@@ -35,7 +35,7 @@ def test_an_arm_whose_clock_is_slow_or_stands_still_is_followed() -> None:
 
 @pytest.mark.parametrize("gap", [0.004, 0.05])
 def test_a_reader_that_was_away_stamps_no_later_than_it_looks(gap: float) -> None:
-    clock = ArmClock()
+    clock = ClockOffset()
     for tick in range(100):
         clock.changed(tick * TICK, tick * TICK)
     late = 0.099 + gap

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from contactgraph_franka.driver.finger_contact import DELAY, FingerContact
-from contactgraph_franka.driver.grasp_reflex import OPEN_WIDTH, GraspReflex
+from contactgraph_franka.driver.fingers import DELAY, OPEN_WIDTH, FingerContact, GraspTrigger
 
 LOOK = 0.01
 SPEED = 0.11
@@ -53,10 +52,12 @@ def test_fingers_that_open_or_rest_tell_nothing() -> None:
     assert math.isnan(sensor.value)
 
 
-def swept(miss: float, speed: float = 0.4, block: float = 0.04) -> tuple[float | None, GraspReflex]:
+def swept(
+    miss: float, speed: float = 0.4, block: float = 0.04
+) -> tuple[float | None, GraspTrigger]:
     """Passes a block at ``speed`` m/s, ``miss`` m beside it: how far, m, the hand was past the
     block's centre as fingers of the maker's speed met on it; None where they never did."""
-    reflex, width, way = GraspReflex(lag=0.03), OPEN_WIDTH, -0.3
+    reflex, width, way = GraspTrigger(lag=0.03), OPEN_WIDTH, -0.3
     since_decided, velocity = 0.0, np.array([[speed, 0.0, 0.0]])
     met = None
     while way < 0.1:
@@ -85,7 +86,7 @@ def test_a_block_that_passes_too_far_off_is_let_pass() -> None:
 
 
 def test_a_hand_that_moves_away_or_sees_nothing_keeps_its_fingers_open() -> None:
-    reflex = GraspReflex()
+    reflex = GraspTrigger()
     near = np.array([[0.05, 0.0, 0.0]])
     assert not reflex.step(near, np.array([[-0.4, 0.0, 0.0]]), SEEN, OPEN_WIDTH)
     assert not reflex.step(near, np.array([[0.4, 0.0, 0.0]]), ~SEEN, OPEN_WIDTH)
@@ -93,7 +94,7 @@ def test_a_hand_that_moves_away_or_sees_nothing_keeps_its_fingers_open() -> None
 
 
 def test_what_is_held_is_held_until_it_is_seen_elsewhere() -> None:
-    reflex, still = GraspReflex(), np.zeros((1, 3))
+    reflex, still = GraspTrigger(), np.zeros((1, 3))
     here, there = np.zeros((1, 3)), np.array([[0.0, 0.2, 0.0]])
     assert reflex.step(here, still, SEEN, 0.04)
     # Hidden by the hand, the block is where it was.
@@ -102,14 +103,14 @@ def test_what_is_held_is_held_until_it_is_seen_elsewhere() -> None:
 
 
 def test_fingers_that_met_nothing_open_again() -> None:
-    reflex = GraspReflex()
+    reflex = GraspTrigger()
     assert reflex.step(np.zeros((1, 3)), np.zeros((1, 3)), SEEN, OPEN_WIDTH)
     assert reflex.step(np.zeros((1, 3)), np.zeros((1, 3)), SEEN, 0.02)
     assert not reflex.step(np.zeros((1, 3)), np.zeros((1, 3)), SEEN, 0.001)
 
 
 def test_the_nearest_of_several_is_the_one_that_is_told() -> None:
-    reflex = GraspReflex()
+    reflex = GraspTrigger()
     offset = np.array([[0.3, 0.0, 0.0], [0.0, 0.005, 0.0]])
     assert reflex.step(offset, np.zeros((2, 3)), np.ones(2, bool), OPEN_WIDTH)
     assert reflex.block == 1

@@ -14,14 +14,13 @@ import pytest
 pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehearsal]'")
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.driver.client import franky
+from contactgraph_franka.driver.client import franky, transfer
 from contactgraph_franka.driver.franka_robot import SILENCE, FrankaRobot
 from contactgraph_franka.driver.gripper import FrankaGripper
-from contactgraph_franka.driver.loop_timing import measure_loop
-from contactgraph_franka.driver.transfer import transfer
 from contactgraph_franka.loop import WallClock
-from contactgraph_franka.loop.undisturbed import undisturbed
-from contactgraph_franka.robot import Command, SafeRobot, SafetyLimits, Stop, StopReason
+from contactgraph_franka.loop.control_loop import measure_loop
+from contactgraph_franka.loop.realtime import realtime_priority
+from contactgraph_franka.safety import Command, SafeRobot, SafetyLimits, Stop, StopReason
 from contactgraph_franka.sim.simulated_robot import RobotSimulator, SimulatedRobot
 
 pytestmark = pytest.mark.realtime
@@ -45,9 +44,9 @@ def arm(server_turn: None) -> Iterator[SimulatedRobot]:
 
 @pytest.fixture(scope="module")
 def robot(arm: SimulatedRobot) -> Iterator[FrankaRobot]:
-    with FrankaRobot(arm.address, clock=arm.clock) as connected:
-        assert connected.move_to(PLACE, speed=0.5) is None, connected.last_error
-        yield connected
+    with FrankaRobot(arm.address, clock=arm.clock) as connect:
+        assert connect.move_to(PLACE, speed=0.5) is None, connect.last_error
+        yield connect
 
 
 def stolen() -> int:
@@ -74,7 +73,7 @@ def patiently(attempt: Callable[[], None], robot: FrankaRobot | None = None) -> 
 def pushed(robot: FrankaRobot, force: np.ndarray, seconds: float, stop: bool = True) -> np.ndarray:
     """[K, 8]: the robot's time s, position [3] m, velocity [3] m/s of the hand, and its stamp s."""
     rows: list[list[float]] = []
-    with undisturbed():
+    with realtime_priority():
         robot.resume()
         while not rows or rows[-1][0] < rows[0][0] + seconds:
             reading = robot.read()
@@ -257,7 +256,7 @@ def test_a_lost_arm_is_noticed_within_20_ms(server_turn: None, how: signal.Signa
         with rehearsal as running, FrankaRobot(running.address, clock=running.clock) as robot:
             server = rehearsal._children[0]._process
             safe = SafeRobot(robot, LIMITS, running.clock)
-            with undisturbed():
+            with realtime_priority():
                 for _ in range(3):
                     safe.reset()
                     if held(safe, running.clock, 0.1) is None:

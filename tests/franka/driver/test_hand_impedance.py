@@ -16,8 +16,7 @@ from contactgraph_franka.driver.arm import (
     JointDrives,
     JointLimits,
 )
-from contactgraph_franka.driver.hand_impedance import HandImpedance
-from contactgraph_franka.driver.hand_motion import bias_acceleration, rotation_between
+from contactgraph_franka.driver.impedance import HandImpedance, bias_acceleration, rotation_between
 
 MASS = 4.0
 FORCES = [[4.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 4.0], [-2.0, 3.0, -2.0]]

@@ -5,7 +5,7 @@ import pytest
 
 from contactgraph_franka.perception.perception import PositionMeasurement
 from contactgraph_franka.perception.tracked_objects import GraspOffsetHistory, TrackedObjects
-from contactgraph_franka.recording import smoothed
+from contactgraph_franka.recording import smooth_track
 
 RATE, DELAY, NOISE = 30.0, 0.055, 0.001
 GRASPED, TOLD = 1.0, 1.035
@@ -95,7 +95,7 @@ def test_what_is_held_and_hidden_for_longer_is_lost() -> None:
 def test_a_run_is_smoothed_as_what_carried_it_went() -> None:
     seen, _ = lived(hold=True)
     at = np.arange(0.2, 1.9, 0.001)
-    position, velocity = smoothed(seen.tracks[1], at)
+    position, velocity = smooth_track(seen.tracks[1], at)
     truth = [block(time) for time in at]
     error = np.linalg.norm(position - [each[0] for each in truth], axis=1)
     late = np.linalg.norm(velocity - [each[1] for each in truth], axis=1)

@@ -1,0 +1,148 @@
+"""Why a robot was stopped, in words."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+
+
+class StopReason(Enum):
+    """What stopped the robot. The value is the sentence that a user reads."""
+
+    FINISHED = "the run is over"
+    ASKED = "somebody asked for it"
+    PLANNER_FAILED = "the planner broke down"
+    COMMAND_UNUSABLE = "the controller's command is not a force of finite numbers"
+    COMMAND_LATE = "no new command came from the controller in time"
+    LOOP_LATE = "the control loop itself came too late"
+    CLOCK_BROKEN = "the clock ran backwards or gave no number"
+    ARM_STOPPED = "the arm stopped by itself: a reflex, a joint's limit, or its stop button"
+    CONNECTION_LOST = "the robot sends no readings, or commands do not reach it"
+    READING_NOT_FINITE = "a reading is not made of finite numbers"
+    READING_UNFIT = "a reading has other nodes or dimensions than it should"
+    READING_STALE = "what was read is too old"
+    READING_FROZEN = "the robot's clock stands still"
+    POSITION_JUMPED = "a position moved farther than a body can"
+    OBJECT_LOST = "an object is no longer tracked"
+    OUTSIDE_WORKSPACE = "the hand is outside its workspace"
+    TOO_FAST = "the hand is faster than it may be"
+
+    @property
+    def wanted(self) -> bool:
+        """Whether the robot stopped because it should, and not because something was wrong."""
+        return self in (StopReason.FINISHED, StopReason.ASKED)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """That a robot was stopped."""
+
+    reason: StopReason
+    time: float
+    """s, on the clock of whoever stopped it."""
+
+    def __str__(self) -> str:
+        return f"stopped at {self.time:.3f} s: {self.reason.value}"
+
+
+@dataclass(frozen=True, eq=False)
+class RobotReading:
+    """Where everything was, when, and how sure that is. ``N`` nodes in ``D`` dimensions.
+
+    Shapes are checked; values are not, because a bad value is not the user's mistake but a fault,
+    and `SafetyFilter` judges it. Raises `InvalidInputError` where shapes do not fit.
+    """
+
+    position: np.ndarray
+    """[N, D] m, in the frame of the robot's base."""
+    velocity: np.ndarray
+    """[N, D] m/s."""
+    time: np.ndarray
+    """[N] s, on the reader's clock: when each node was where ``position`` says, not when it was
+    told. An arm knows its hand from a millisecond ago, a camera an object from some thirty."""
+    robot_time: float
+    """s, on the robot's own clock. Whether it still advances says whether the robot lives."""
+    tracked: np.ndarray
+    """[N] bool: whether whoever measures the node still knows where it is."""
+    variance: np.ndarray | None = None
+    """[N, D] m^2, of ``position``; None where it is not known."""
+    contact: np.ndarray | None = None
+    """[N, N] 0 to 1, symmetric, zero diagonal: how surely two nodes touch; NaN where that was not
+    measured. None without any such sensor."""
+
+    def __post_init__(self) -> None:
+        for name, kind in (("position", float), ("velocity", float), ("time", float)):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=kind))
+        object.__setattr__(self, "tracked", np.asarray(self.tracked, dtype=bool))
+        if self.position.ndim != 2:
+            raise InvalidInputError(f"position must be [N, D], found {self.position.shape}")
+        count, dimension = self.position.shape
+        shapes = {
+            "velocity": (count, dimension),
+            "time": (count,),
+            "tracked": (count,),
+            "variance": (count, dimension),
+            "contact": (count, count),
+        }
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise InvalidInputError(f"{name} must be {list(shape)}, found {np.shape(value)}")
+
+    def observation(self, goal: np.ndarray) -> dict[str, np.ndarray]:
+        """As a task's observation, for policies: position, velocity, contact, and ``goal`` [D] m.
+
+        ``contact`` [N, N] is NaN where it was not measured: "no contact" is news, too, and nobody
+        may be told it by a robot that cannot know.
+        """
+        count = len(self.position)
+        contact = np.full((count, count), np.nan) if self.contact is None else self.contact
+        return {
+            "position": self.position,
+            "velocity": self.velocity,
+            "contact": np.asarray(contact, dtype=np.float64),
+            "goal": np.asarray(goal, dtype=np.float64),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """A force that a controller asks for. It may be anything; `SafetyFilter` judges it."""
+
+    force: np.ndarray
+    """[D] N, on the hand, in the frame of the robot's base."""
+    time: float
+    """s, on the reader's clock: when it was decided. A late plan is an old command."""
+
+
+class Robot(Protocol):
+    """An arm, or what stands for one. No method blocks for longer than a tick of the robot.
+
+    Nobody but the robot can stop a robot that no longer hears: one that is sent nothing for a few
+    ticks must ease its force off by itself, as arms with a real-time interface do.
+    """
+
+    @property
+    def ended(self) -> Stop | None:
+        """Why and when the robot stopped by itself: a reflex, a button. None while it did not."""
+
+    def read(self) -> RobotReading | None:
+        """The newest reading; None where none has come since the last call."""
+
+    def send(self, force: np.ndarray, now: float) -> np.ndarray | None:
+        """Asks for a force ``[D]`` N on the hand at the time ``now`` s.
+
+        Returns what was really sent, ``[D]`` N, or None where it got lost.
+        """
+
+    def stop(self, stop: Stop) -> None:
+        """Brakes and holds by the robot's own means. Forces are ignored until `resume`.
+
+        Called again in every tick, since a call may get lost on its way.
+        """
+
+    def resume(self) -> None:
+        """Ends `stop`: forces count again."""

@@ -1,0 +1,182 @@
+"""What a robot did becomes a run; tracks are smooth_track by what was seen afterwards."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scripted import Delayed, Push, Scripted, StepTime
+
+from contactgraph.data import InvalidInputError, Scene, read_trajectories, write_trajectories
+from contactgraph_franka.loop import ControlLoop
+from contactgraph_franka.perception.tracked_objects import GraspOffsetHistory, Track
+from contactgraph_franka.perception.tracker import FilterState, ObjectTracker
+from contactgraph_franka.recording import TrajectoryRecorder, smooth_track
+from contactgraph_franka.safety import FakeRobot, RobotReading, SafeRobot, SafetyLimits
+from contactgraph_franka.safety.faults import Fault, lost_packet_fault
+
+SCENE = Scene(("hand", "block"), ("hand", "block"), np.array([True, False]), 0.01, 3)
+GOAL = np.array([0.5, 0.0, 0.3])
+
+
+def recorded(seconds: float, *faults: Fault) -> TrajectoryRecorder:
+    robot = FakeRobot(0, faults)
+    clock = StepTime(robot)
+    recorder = TrajectoryRecorder(seconds, 2)
+    planning = Delayed(Scripted(lambda moment: Push((3.0, 1.0, 0.0))), clock)
+    loop = ControlLoop(SafeRobot(robot, SafetyLimits(), clock), planning, clock)
+    loop.run(seconds, GOAL, on_tick=recorder)
+    return recorder
+
+
+def test_a_run_moves_as_its_controls_say(tmp_path: Path) -> None:
+    run = recorded(0.4).run(SCENE)
+    assert run is not None
+    assert run.scene.dt == 0.001 and 395 <= run.steps <= 405
+    # The fake hand weighs 4 kg: steps of 1 ms under the recorded forces lead where it went.
+    gained = np.diff(run.velocity[:, 0], axis=0)
+    np.testing.assert_allclose(gained, run.control / 4.0 * 0.001, atol=1e-9)
+    assert run.contact is not None and not run.contact.any()
+    assert run.tracked is not None and run.tracked.all()
+    assert run.measured_at is not None
+    np.testing.assert_allclose(run.measured_at[:, 0], np.arange(run.steps + 1) * 0.001, atol=1e-9)
+    write_trajectories(tmp_path / "run.h5", [run])
+    (again,) = read_trajectories(tmp_path / "run.h5")
+    np.testing.assert_array_equal(again.position, run.position)
+    np.testing.assert_array_equal(again.tracked, run.tracked)
+
+
+def test_what_was_recorded_before_a_stop_is_a_run() -> None:
+    run = recorded(0.4, lost_packet_fault(100, 10**6)).run(SCENE)
+    assert run is not None and 95 <= run.steps <= 105
+
+
+def test_readings_that_did_not_come_are_bridged() -> None:
+    whole, lost = recorded(0.2).run(SCENE), recorded(0.2, lost_packet_fault(50, 52)).run(SCENE)
+    assert whole is not None and lost is not None
+    near = slice(0, 60)
+    np.testing.assert_allclose(lost.position[near], whole.position[near], atol=2e-4)
+
+
+def test_nothing_sent_is_no_run() -> None:
+    recorder = TrajectoryRecorder(0.1, 2)
+    reading = FakeRobot().read()
+    assert reading is not None
+    recorder(0.0, reading, None)
+    assert recorder.run(SCENE) is None
+    recorder(0.001, None, np.zeros(3))
+    recorder(0.002, None, np.zeros(3))
+    assert recorder.run(SCENE) is not None
+    recorder.begin()
+    assert recorder.run(SCENE) is None
+
+
+def test_contact_that_was_not_measured_is_not_recorded() -> None:
+    contact = np.full((2, 2), np.nan)
+    for known in (False, True):
+        recorder = TrajectoryRecorder(0.1, 2)
+        for tick in range(5):
+            touch = contact.copy()
+            touch[0, 1] = touch[1, 0] = 0.9 if known or tick else np.nan
+            now = 0.001 * tick
+            reading = RobotReading(
+                np.zeros((2, 3)), np.zeros((2, 3)), np.full(2, now), now, np.ones(2), contact=touch
+            )
+            recorder(now, reading, np.zeros(3))
+        run = recorder.run(SCENE)
+        assert run is not None and (run.contact is not None) == known
+        assert not known or (run.contact[:, 0, 1].all() and not run.contact[:, 0, 0].any())
+
+
+def test_more_ticks_than_there_is_room_for_are_left_out() -> None:
+    recorder = TrajectoryRecorder(0.1, 2)
+    reading = FakeRobot().read()
+    assert reading is not None
+    for tick in range(1000):
+        now = 0.001 * tick
+        recorder(now, replace(reading, time=np.full(2, now)), np.zeros(3))
+    run = recorder.run(SCENE)
+    assert run is not None and run.steps == 199
+
+
+@pytest.mark.parametrize("times", [(0.0, 0.001), (0.1, 0.0), (float("inf"), 0.001)])
+def test_times_that_are_none(times: tuple[float, float]) -> None:
+    with pytest.raises(InvalidInputError, match="seconds and period must be positive"):
+        TrajectoryRecorder(times[0], 2, period=times[1])
+
+
+def swept(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rests for a second, then is taken along: 0.4 m/s is reached within 0.3 s."""
+    s = np.clip((time - 1.0) / 0.3, 0.0, None)
+    speed = 0.4 * np.where(
+        s < 1.0, 3.0 * np.minimum(s, 1.0) ** 2 - 2.0 * np.minimum(s, 1.0) ** 3, 1.0
+    )
+    way = 0.12 * np.where(s < 1.0, s**3 - s**4 / 2.0, 0.5 + (s - 1.0))
+    position = np.stack([way, 0.0 * way, 0.05 + 0.0 * way], axis=1)
+    return position, np.stack([speed, 0.0 * speed, 0.0 * speed], axis=1)
+
+
+def tracked(noise: float, seed: int) -> list[FilterState]:
+    random = np.random.default_rng(seed)
+    tracker, states = ObjectTracker(), []
+    for time in np.arange(0.0, 3.0, 1.0 / 30.0):
+        position = swept(np.array([time]))[0][0] + noise * random.standard_normal(3)
+        if tracker.measure(position, noise**2 * np.eye(3), time):
+            assert tracker.state is not None
+            states.append(tracker.state)
+    return states
+
+
+def track_of(states: list[FilterState]) -> Track:
+    """Of an object that nothing carries."""
+    return Track(GraspOffsetHistory(1), 0, states)
+
+
+def test_what_was_seen_later_takes_the_lag_away() -> None:
+    at = np.arange(0.5, 2.5, 0.001)
+    truth, speed = swept(at)
+    errors = []
+    for seed in range(5):
+        states = tracked(0.001, seed)
+        position, velocity = smooth_track(track_of(states), at)
+        live = [next(s for s in reversed(states) if s.time <= t - 0.03) for t in at]
+        guess = np.stack([s.estimate(t).velocity for s, t in zip(live, at, strict=True)])
+        errors.append(
+            [
+                np.sqrt(np.mean(np.sum((position - truth) ** 2, axis=1))),
+                np.sqrt(np.mean(np.sum((velocity - speed) ** 2, axis=1))),
+                np.sqrt(np.mean(np.sum((guess - speed) ** 2, axis=1))),
+            ]
+        )
+    position_error, velocity_error, live_error = np.mean(errors, axis=0)
+    assert position_error < 0.0010
+    assert velocity_error < 0.03 and velocity_error < 0.5 * live_error
+
+
+def test_straight_motion_is_found_exactly() -> None:
+    tracker, states = ObjectTracker(), []
+    for time in np.arange(20) / 30.0:
+        tracker.measure(np.array([0.1 * time, 0.0, 0.0]), 1e-6 * np.eye(3), float(time))
+        assert tracker.state is not None
+        states.append(tracker.state)
+    at = np.array([-0.1, 0.0, 0.25, 0.31, 0.9])
+    position, velocity = smooth_track(track_of(states), at)
+    np.testing.assert_allclose(velocity[:, 0], 0.1, atol=1e-3)
+    np.testing.assert_allclose(position[:, 0], 0.1 * at, atol=3e-4)
+
+
+def test_a_block_that_somebody_moved_is_not_smoothed_over() -> None:
+    tracker, states = ObjectTracker(), []
+    for frame in range(40):
+        x = 0.0 if frame < 20 else 0.4
+        if tracker.measure(np.array([x, 0.0, 0.0]), 1e-6 * np.eye(3), frame / 30.0):
+            assert tracker.state is not None
+            states.append(tracker.state)
+    position, _ = smooth_track(track_of(states), np.array([0.5, 0.6, 0.75, 1.0]))
+    np.testing.assert_allclose(position[:2, 0], 0.0, atol=1e-3)
+    np.testing.assert_allclose(position[2:, 0], 0.4, atol=1e-3)
+
+
+def test_an_object_in_no_frame() -> None:
+    with pytest.raises(InvalidInputError, match="the object was in no frame"):
+        smooth_track(track_of([]), np.zeros(3))

@@ -1,0 +1,318 @@
+"""Each limit and each reason to stop, one at a time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.safety import Command, RobotReading, SafetyFilter, SafetyLimits, StopReason
+from contactgraph_franka.safety.limits import apply_virtual_walls
+
+LIMITS = SafetyLimits()
+TICK = 0.001
+EASE_TICKS = 17
+"""From the largest force to none."""
+CENTRE = (0.5, 0.0, 0.2)
+PUSH = np.array([0.0, 100.0, 0.0])
+
+
+def reading(tick: int, **changes: object) -> RobotReading:
+    whole = RobotReading(
+        position=np.array([CENTRE, (0.6, 0.1, 0.1)]),
+        velocity=np.zeros((2, 3)),
+        time=np.full(2, tick * TICK),
+        robot_time=5.0 + tick * TICK,
+        tracked=np.ones(2, dtype=bool),
+    )
+    return replace(whole, **changes)
+
+
+def command(tick: int, force: np.ndarray = PUSH) -> Command:
+    return Command(force, tick * TICK)
+
+
+def pushed(limits: SafetyLimits = LIMITS, ticks: int = 30) -> SafetyFilter:
+    """A filter after ``ticks`` ticks of pushing: the next is that of this number."""
+    safety = SafetyFilter(limits, -TICK)
+    for tick in range(ticks):
+        safety(command(tick), reading(tick), tick * TICK)
+    assert safety.stop is None
+    return safety
+
+
+def test_a_force_is_kept_short_and_its_direction() -> None:
+    force = pushed()(command(30), reading(30), 0.030)
+    np.testing.assert_allclose(force, [0.0, LIMITS.max_force, 0.0], rtol=1e-12)
+
+
+def test_a_force_that_is_allowed_passes_as_it_is() -> None:
+    wanted = np.array([0.3, -0.4, 0.5])
+    force = SafetyFilter(LIMITS, 0.0)(command(1, wanted), reading(1), TICK)
+    np.testing.assert_array_equal(force, wanted)
+
+
+def test_a_force_changes_no_faster_than_allowed() -> None:
+    safety = SafetyFilter(LIMITS, 0.0)
+    np.testing.assert_allclose(safety(command(1), reading(1), TICK), [0.0, 1.2, 0.0], rtol=1e-9)
+    np.testing.assert_allclose(
+        safety(command(2, -PUSH), reading(2), 2 * TICK), [0.0, 0.0, 0.0], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("size", [1e200, np.finfo(float).max])
+def test_huge_forces_do_not_overflow(size: float) -> None:
+    force = SafetyFilter(LIMITS, 0.0)(command(1, np.full(3, size)), reading(1), TICK)
+    assert np.isfinite(force).all() and np.linalg.norm(force) <= 1.2 + 1e-9
+
+
+def test_a_command_counts_as_it_was_given() -> None:
+    safety = SafetyFilter(LIMITS, 0.0)
+    asked = command(1, np.array([0.3, 0.0, 0.0]))
+    safety(asked, reading(1), TICK)
+    asked.force[:] = np.nan
+    np.testing.assert_array_equal(safety(None, reading(2), 2 * TICK), [0.3, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("said", [np.full(3, np.nan), np.full(3, 1e9), np.zeros(2)])
+def test_a_robot_that_says_nonsense_about_what_it_sent(said: np.ndarray) -> None:
+    safety = pushed()
+    safety.sent(said)
+    force = safety(command(30), reading(30), 0.030)
+    assert np.isfinite(force).all() and np.linalg.norm(force) <= LIMITS.max_force + 1e-9
+
+
+def test_a_force_follows_what_was_really_sent() -> None:
+    safety = pushed()
+    safety.sent(np.zeros(3))
+    np.testing.assert_allclose(safety(command(30), reading(30), 0.030), [0.0, 1.2, 0.0], rtol=1e-9)
+
+
+def test_anything_at_all_comes_out_finite_and_within_limits() -> None:
+    random = np.random.default_rng(0)
+    odd = np.array([0.0, 1.0, -1.0, 40.0, 1e-320, 1e11, -1e200, np.inf, -np.inf, np.nan])
+    safety, last = SafetyFilter(LIMITS, 0.0), np.zeros(3)
+    for tick in range(1, 4000):
+        now = reading(tick)
+        shaken = now.position + 0.3 * random.standard_normal((2, 3)) * (random.random() < 0.1)
+        speeds = random.standard_normal((2, 3)) * random.choice([0.1, 0.5])
+        if random.random() < 0.1:
+            speeds[random.integers(2), random.integers(3)] = random.choice(odd)
+        now = replace(now, position=shaken, velocity=speeds)
+        wanted = 30.0 * random.standard_normal(3)
+        if random.random() < 0.1:
+            wanted[random.integers(3)] = random.choice(odd)
+        force = safety(command(tick, wanted), now, tick * TICK)
+        assert np.isfinite(force).all()
+        assert np.linalg.norm(force) <= LIMITS.max_force * (1.0 + 1e-9)
+        assert np.linalg.norm(force - last) <= LIMITS.max_force_rate * TICK * (1.0 + 1e-9)
+        # What is eased is not sent: the robot brakes, and begins again from nothing.
+        last = np.zeros(3) if safety.eased else force
+        if safety.stop is not None and random.random() < 0.2:
+            safety.reset(tick * TICK)
+
+
+def test_a_guard_asks_for_no_more_than_the_largest_force() -> None:
+    racing = np.array([0.0, 0.9, 0.0])
+    force = apply_virtual_walls(np.zeros(3), np.array([0.5, 0.36, 0.2]), racing, LIMITS)
+    np.testing.assert_allclose(force, [0.0, -LIMITS.max_force, 0.0], rtol=1e-9)
+
+
+def ridden(push: np.ndarray, limits: SafetyLimits) -> tuple[SafetyFilter, np.ndarray, float]:
+    """A 4 kg hand pushed for three seconds: the filter, where it ended, and its top speed."""
+    safety = SafetyFilter(limits, -TICK)
+    position, velocity, fastest = np.array(CENTRE), np.zeros(3), 0.0
+    for tick in range(3000):
+        both = np.stack([position, CENTRE])
+        now = reading(tick, position=both, velocity=np.stack([velocity, np.zeros(3)]))
+        velocity = velocity + safety(command(tick, push), now, tick * TICK) / 4.0 * TICK
+        position = position + velocity * TICK
+        fastest = max(fastest, float(np.linalg.norm(velocity)))
+    return safety, position, fastest
+
+
+@pytest.mark.parametrize("push", [[0, 50, 0], [-50, 0, 0], [0, 0, -50], [30, -30, 30]])
+def test_walls_end_motion_before_the_workspace_does(push: list[float]) -> None:
+    safety, position, _ = ridden(np.array(push, dtype=float), LIMITS)
+    assert safety.stop is None
+    assert np.all(position > LIMITS.workspace_low) and np.all(position < LIMITS.workspace_high)
+    assert np.linalg.norm(position - CENTRE) > 0.1
+
+
+def test_speed_ends_before_its_limit() -> None:
+    wide = replace(LIMITS, workspace_low=(-9.0,) * 3, workspace_high=(9.0,) * 3)
+    safety, _, fastest = ridden(PUSH, wide)
+    assert safety.stop is None
+    assert 0.8 * LIMITS.max_speed < fastest < LIMITS.max_speed
+
+
+NAN = np.full((2, 3), np.nan)
+FAST = np.array([[0.0, 1.1, 0.0], [0.0, 0.0, 0.0]])
+OUTSIDE = np.array([(0.721, 0.0, 0.2), (0.6, 0.1, 0.1)])
+FAR = np.array([CENTRE, (0.6, 0.1, 0.15)])
+
+
+@pytest.mark.parametrize(
+    ("reason", "changes"),
+    [
+        (StopReason.READING_NOT_FINITE, {"position": NAN}),
+        (StopReason.READING_NOT_FINITE, {"velocity": NAN}),
+        (StopReason.READING_NOT_FINITE, {"velocity": np.full((2, 3), 1e300)}),
+        (StopReason.READING_NOT_FINITE, {"robot_time": np.nan}),
+        (StopReason.READING_STALE, {"time": np.zeros(2)}),
+        (StopReason.READING_NOT_FINITE, {"time": np.array([np.inf, 0.0])}),
+        (StopReason.READING_STALE, {"time": np.full(2, 9.0)}),
+        (StopReason.READING_FROZEN, {"robot_time": 5.029}),
+        (StopReason.OBJECT_LOST, {"tracked": np.array([True, False])}),
+        (StopReason.POSITION_JUMPED, {"position": FAR}),
+    ],
+)
+def test_a_reading_not_to_be_believed(reason: StopReason, changes: dict[str, object]) -> None:
+    safety = pushed()
+    for tick in range(30, 33 + EASE_TICKS):
+        force = safety(command(tick), reading(tick, **changes), tick * TICK)
+        # Eased off at once (what may yet come is waited for), stopped when it lasts.
+        waits = reason is StopReason.READING_FROZEN and tick < 33
+        assert (np.linalg.norm(force) > LIMITS.max_force - 1.0) == waits
+        assert (safety.stop is None) == (tick < 33)
+    assert safety.stop is not None and safety.stop.reason is reason
+    assert safety.eased and not force.any()
+
+
+def test_no_readings_at_all() -> None:
+    safety = pushed()
+    for tick in range(30, 34):
+        safety(command(tick), None, tick * TICK)
+    assert safety.stop is not None and safety.stop.reason is StopReason.CONNECTION_LOST
+    assert str(safety.stop) == (
+        "stopped at 0.033 s: the robot sends no readings, or commands do not reach it"
+    )
+
+
+def test_a_robot_slower_than_the_loop_is_not_eased_off() -> None:
+    safety = pushed()
+    for tick in range(30, 60):
+        force = safety(command(tick), None if tick % 2 else reading(tick), tick * TICK)
+        assert force[1] == pytest.approx(LIMITS.max_force)
+    assert safety.stop is None
+
+
+def test_other_nodes_than_before() -> None:
+    safety = pushed()
+    for tick in range(30, 34):
+        one = reading(tick)
+        few = RobotReading(one.position[:1], one.velocity[:1], one.time[:1], 9.0, one.tracked[:1])
+        safety(command(tick), few, tick * TICK)
+    assert safety.stop is not None and safety.stop.reason is StopReason.READING_UNFIT
+
+
+@pytest.mark.parametrize(
+    ("reason", "changes"),
+    [
+        (StopReason.TOO_FAST, {"velocity": FAST}),
+        (StopReason.OUTSIDE_WORKSPACE, {"position": OUTSIDE}),
+    ],
+)
+def test_a_hand_past_its_limits(reason: StopReason, changes: dict[str, object]) -> None:
+    safety = pushed(replace(LIMITS, largest_jump=1.0))
+    safety(command(30), reading(30, **changes), 0.030)
+    assert safety.stop is not None and safety.stop.reason is reason
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        Command(np.array([0.0, np.nan, 0.0]), 0.030),
+        Command(np.array([0.0, np.inf, 0.0]), 0.030),
+        Command(np.zeros(2), 0.030),
+        Command(np.array(["0", "0", "0"]), 0.030),
+        Command(np.zeros(3), np.nan),
+        Command(np.zeros(3), 0.040),
+    ],
+)
+def test_a_command_that_is_none_stops_at_once(bad: Command) -> None:
+    safety = pushed()
+    assert np.isfinite(safety(bad, reading(30), 0.030)).all()
+    assert safety.stop is not None and safety.stop.reason is StopReason.COMMAND_UNUSABLE
+
+
+def test_late_commands() -> None:
+    safety = pushed()
+    for tick in (30, 31, 32):
+        force = safety(None, reading(tick), tick * TICK)
+        assert safety.stop is None and force[1] == pytest.approx(LIMITS.max_force)
+    safety(command(29), reading(33), 0.033)
+    assert safety.stop is not None and safety.stop.reason is StopReason.COMMAND_LATE
+
+
+def test_a_late_loop() -> None:
+    safety = pushed()
+    force = safety(command(34), reading(34), 0.034)
+    assert safety.stop is not None and safety.stop.reason is StopReason.LOOP_LATE
+    assert force[1] >= LIMITS.max_force - LIMITS.max_force_rate * LIMITS.longest_gap - 1e-9
+
+
+@pytest.mark.parametrize("now", [0.0, np.nan, np.inf])
+def test_a_broken_clock(now: float) -> None:
+    safety = pushed()
+    safety(command(0), reading(30), now)
+    assert safety.stop is not None and safety.stop.reason is StopReason.CLOCK_BROKEN
+    assert safety.eased
+
+
+def test_commands_that_do_not_arrive() -> None:
+    safety = pushed()
+    before = safety(command(30, -PUSH), reading(30), 0.030)
+    for tick in range(31, 35):
+        force = safety(command(tick, -PUSH), reading(tick), tick * TICK)
+        # Each follows the last one that arrived.
+        assert np.linalg.norm(force - before) <= LIMITS.max_force_rate * TICK + 1e-9
+        safety.sent(None)
+    assert safety.stop is not None and safety.stop.reason is StopReason.CONNECTION_LOST
+    assert safety.eased
+
+
+def test_only_a_reset_ends_a_stop() -> None:
+    safety = pushed()
+    safety(command(30, NAN[0]), reading(30), 0.030)
+    for tick in range(31, 100):
+        force = safety(command(tick), reading(tick), tick * TICK)
+    assert safety.stop is not None and safety.stop.time == 0.030
+    assert not force.any()
+    safety.reset(0.099)
+    assert safety(command(100), reading(100), 0.100).any() and safety.stop is None
+
+
+def test_nothing_moves_before_a_reading() -> None:
+    safety = SafetyFilter(LIMITS, 0.0)
+    for tick in range(1, 20):
+        assert not safety(command(tick), None, tick * TICK).any()
+
+
+def test_a_robot_waits_for_its_first_command() -> None:
+    safety = SafetyFilter(LIMITS, 0.0)
+    for tick in range(1, 20):
+        assert not safety(None, reading(tick), tick * TICK).any()
+    assert safety.stop is None
+    assert safety(command(20), reading(20), 0.020).any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"max_force": 0.0}, "max_force must be a positive number, found 0.0"),
+        ({"largest_jump": float("nan")}, "largest_jump must be a positive number, found nan"),
+        ({"workspace_low": (1.0, 0.0, 0.0)}, "workspace_low must be below workspace_high"),
+        ({"workspace_low": (0.0, -1.0)}, "workspace_low must be below workspace_high"),
+        ({"longest_age": 0.01}, "stop_within is 0.02 s, but longest_gap or longest_age"),
+        ({"max_force": 30.0}, "stop_within is 0.02 s, but longest_gap or longest_age"),
+    ],
+)
+def test_limits_that_cannot_be_kept(changes: dict[str, float], text: str) -> None:
+    with pytest.raises(InvalidInputError, match=text):
+        replace(LIMITS, **changes)
+
+
+def test_a_hand_that_is_no_node() -> None:
+    with pytest.raises(InvalidInputError, match="hand must be the index of a node, found -1"):
+        SafetyFilter(LIMITS, 0.0, hand=-1)
