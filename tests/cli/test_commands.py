@@ -78,10 +78,10 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str], arguments:
             "TASK --out --episodes --seed --distractors --objects --grasp --mixed --goal --expert",
         ),
         ("train", "DATA --out --model --seed --resume gim-temp gim-non-temp no-gim full-ab"),
-        ("evaluate", "RUN DATA --json"),
+        ("evaluate", "MODEL DATA --json"),
         (
             "control",
-            "RUN TASK --episodes --seed --distractors --objects --grasp --json --video --save",
+            "MODEL TASK --episodes --seed --distractors --objects --grasp --json --video --save",
         ),
         ("learn-cost", "RUN DEMOS --out --horizon --steps --runs --goal --prior-weight --picture"),
         ("reproduce", "--quick --out"),

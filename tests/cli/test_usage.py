@@ -40,7 +40,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("--out x", "no command '--out'; the commands are collect"),
         ("train", "train needs DATA and --out (see contactgraph train --help)"),
         ("collect", "collect needs TASK and --out (see contactgraph collect --help)"),
-        ("evaluate", "evaluate needs RUN and DATA (see"),
+        ("evaluate", "evaluate needs MODEL and DATA (see"),
         ("control x", "control needs TASK (see"),
         ("info", "info needs FILE (see"),
         ("info a b", "info does not take b (see"),
@@ -191,7 +191,7 @@ def test_a_model_and_a_task_that_do_not_fit(mistake, tmp_path: Path) -> None:
 
     save_model(tmp_path / "m.safetensors", gim_temp(3, 2, 0.05, key=jax.random.key(0)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("contactgraph.cli.output._Lines.advance", lambda *arguments: None)
+        patch.setattr("contactgraph.cli.output.Progress.advance", lambda *arguments: None)
         said = mistake("control", "m.safetensors", "pickup", "--episodes", 1, "--save", "a.h5")
     assert said == "the model is for dimension D 3, but the task has 2; they must agree"
 

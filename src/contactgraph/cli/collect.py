@@ -50,7 +50,7 @@ class Collect:
             choice,
             open_executor,
         )
-        from contactgraph.cli.output import check_writable, progress, say
+        from contactgraph.cli.output import check_writable, progress
         from contactgraph.cli.tasks import (
             TASKS,
             TaskOptions,
@@ -91,7 +91,7 @@ class Collect:
         policies += [RestPolicy() for _ in range(rests)]
         unfinished = UnfinishedRuns(self.out, self._inputs())
         if unfinished.found:
-            say(f"{self.out}: goes on after {len(unfinished.found)} of {self.episodes} runs")
+            print(f"{self.out}: goes on after {len(unfinished.found)} of {self.episodes} runs")
         with (
             open_executor(self.cluster) as engine,
             progress("collecting", self.episodes) as steps,
@@ -113,10 +113,10 @@ class Collect:
             metadata["expert"] = self.expert
         write_trajectories(self.out, runs, metadata)
         unfinished.remove()
-        say(f"{self.out}: {len(runs)} runs of {self.task}, seed {self.seed}")
+        print(f"{self.out}: {len(runs)} runs of {self.task}, seed {self.seed}")
         if experts:
             succeeded = sum(bool(run.scene.metadata["success"]) for run in runs[:experts])
-            say(f"the expert succeeded in {succeeded} of {experts} runs")
+            print(f"the expert succeeded in {succeeded} of {experts} runs")
 
     def _inputs(self) -> dict[str, Any]:
         """All on which the runs depend; not where they are written, nor by whom."""

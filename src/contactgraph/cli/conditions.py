@@ -23,20 +23,20 @@ class Conditions:
     """Closed-loop episodes a condition."""
     seed: int
 
-    def measure(self, run_name: str, folder: Path) -> tuple[ConditionResult, ...]:
+    def measure(self, model_name: str, folder: Path) -> tuple[ConditionResult, ...]:
         """Run every condition's commands; what they write is left in the folder."""
         folder.mkdir(parents=True, exist_ok=True)
-        return tuple(self._one(run_name, folder, condition) for condition in self.task.conditions)
+        return tuple(self._one(model_name, folder, condition) for condition in self.task.conditions)
 
-    def _one(self, run_name: str, folder: Path, condition: TestCondition) -> ConditionResult:
+    def _one(self, model_name: str, folder: Path, condition: TestCondition) -> ConditionResult:
         task, distractors, objects = self.task.name, condition.distractors, condition.objects
         data = folder / f"test-{condition.slug}.h5"
         Collect(task, data, self.test_runs, self.seed, distractors, objects).run()
         open_loop = folder / f"evaluate-{condition.slug}.json"
-        Evaluate(run_name, data, open_loop).run()
+        Evaluate(model_name, data, open_loop).run()
         closed_loop = folder / f"control-{condition.slug}.json"
         Control(
-            run_name,
+            model_name,
             task,
             self.episodes,
             self.seed,
@@ -50,8 +50,8 @@ class Conditions:
             condition=condition,
             open_loop=_read(open_loop),
             closed_loop=_read(closed_loop),
-            open_loop_command=f"contactgraph evaluate {run_name} {data.name}",
-            closed_loop_command=f"contactgraph control {run_name} {task} "
+            open_loop_command=f"contactgraph evaluate {model_name} {data.name}",
+            closed_loop_command=f"contactgraph control {model_name} {task} "
             f"--episodes {self.episodes} --seed {self.seed}{options}",
             seed=self.seed,
         )

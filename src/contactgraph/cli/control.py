@@ -17,7 +17,7 @@ it does not pay, and hover before it."""
 class Control:
     """Control a task through contact by iLQR-MPC with a learned model, episode after episode."""
 
-    run_name: Positional[Annotated[str, arg(metavar="RUN")]]
+    model: Positional[Annotated[str, arg(metavar="MODEL")]]
     """A run folder, a model file, or a model that ships with the package (pickup)."""
     task: Positional[Annotated[str, arg(metavar="TASK")]]
     """The task: pickup, multi-pickup, door or franka (an arm; needs the extra mujoco)."""
@@ -66,7 +66,7 @@ class Control:
         """Run the episodes and say how they went."""
         from contactgraph.cli.models import model_path
         from contactgraph.cli.options import check_episodes, check_range, check_seed, choice
-        from contactgraph.cli.output import check_writable, progress, say, write_json
+        from contactgraph.cli.output import check_writable, progress, write_json
         from contactgraph.cli.sensor import sensor_faults
         from contactgraph.cli.tasks import TASKS, TaskOptions, task_factory
         from contactgraph.control import read_cost
@@ -113,7 +113,7 @@ class Control:
         options = TaskOptions(self.distractors, self.objects, self.grasp, radius=self.radius)
         factory = task_factory(self.task, options)
         cost = None if self.cost is None else read_cost(self.cost)
-        model = load_model(model_path(self.run_name)).model
+        model = load_model(model_path(self.model)).model
         first: list[EpisodeRecord] = []
         done = itertools.count(1)
 
@@ -143,7 +143,7 @@ class Control:
         dataset = Dataset(tuple(runs), told)
         predicted = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)
         values = {
-            "run": self.run_name,
+            "run": self.model,
             **told,
             "cost": None if self.cost is None else str(self.cost),
             "horizon": horizon,
@@ -165,21 +165,21 @@ class Control:
             write_animation(self.video, scene_run(model, name, runs[0], first[0].plan))
         write_json(self.json, values)
         low, high = metrics.success_interval
-        say(
+        print(
             f"success                    {100 * metrics.success_rate:.0f} % of "
             f"{metrics.episodes} episodes (95 %: {100 * low:.0f} to {100 * high:.0f})"
         )
         speed = metrics.contact_speed_m_s
-        say(f"speed at contact, median   {'no contact' if speed is None else f'{speed:.2f} m/s'}")
-        say(f"touched a bystander        {metrics.touched_bystanders} episodes")
-        say(
+        print(f"speed at contact, median   {'no contact' if speed is None else f'{speed:.2f} m/s'}")
+        print(f"touched a bystander        {metrics.touched_bystanders} episodes")
+        print(
             f"control tick               {metrics.plan_ms_p50:.2f} ms median, "
             f"{metrics.plan_ms_p99:.2f} ms 99 %"
         )
         f1 = metrics.found.edges.f1
-        say(f"contacts known, F1          {'no contact' if f1 is None else f'{f1:.4f}'}")
+        print(f"contacts known, F1          {'no contact' if f1 is None else f'{f1:.4f}'}")
         error = f"{100 * predicted.n_step_rmse_m:.3f} cm"
-        say(f"predicted, over {predicted.n_steps} steps   {error}")
+        print(f"predicted, over {predicted.n_steps} steps   {error}")
         planned = metrics.planned.planned.rmse
         if planned is not None:
-            say(f"planned, over {predicted.n_steps} steps     {100 * planned:.3f} cm")
+            print(f"planned, over {predicted.n_steps} steps     {100 * planned:.3f} cm")

@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 class Evaluate:
     """Predict recorded runs half a second ahead from every state, and measure the errors."""
 
-    run_name: Positional[Annotated[str, arg(metavar="RUN")]]
+    model: Positional[Annotated[str, arg(metavar="MODEL")]]
     """A run folder, a model file, or a model that ships with the package (pickup)."""
     data: Positional[Annotated[Path, arg(metavar="DATA")]]
     """A dataset file (HDF5)."""
@@ -33,7 +33,7 @@ class Evaluate:
         """Evaluate and say."""
         from contactgraph.cli.models import in_steps_of, model_path
         from contactgraph.cli.options import check_range
-        from contactgraph.cli.output import check_writable, say, write_json
+        from contactgraph.cli.output import check_writable, write_json
         from contactgraph.cli.sensor import sensor_faults
         from contactgraph.data import read_trajectories
         from contactgraph.evaluate import evaluate_open_loop, rollout_growth
@@ -44,13 +44,13 @@ class Evaluate:
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, seed=0)
         if self.growth_steps is not None:
             check_range("--growth-steps", self.growth_steps, 1, 100_000)
-        model = load_model(model_path(self.run_name)).model
+        model = load_model(model_path(self.model)).model
         dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
         motion_noise = MotionNoise() if self.infer_contacts else None
         measured = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)
         metrics = measured.to_json()
         values = {
-            "run": self.run_name,
+            "run": self.model,
             "data": str(self.data),
             "episodes": len(dataset),
             "seed": dataset.metadata.get("seed"),
@@ -65,15 +65,15 @@ class Evaluate:
             values.update(growth.to_json())
         write_json(self.json, values)
         for line in _lines(values):
-            say(line)
+            print(line)
         if self.growth_steps is not None:
-            say(
+            print(
                 f"over {self.growth_steps} steps the state grows {_times(growth.growth_free)} "
                 f"without control, {_times(growth.growth_driven)} with it"
             )
         lacking = sum(run.contact is None for run in dataset)
         if lacking:
-            say(
+            print(
                 f"edges were not scored: {lacking} of {len(dataset)} runs in {self.data} have no "
                 "contact field"
             )

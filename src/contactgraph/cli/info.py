@@ -35,67 +35,63 @@ class Info:
             )
 
     def _run_folder(self, path: Path) -> None:
-        from contactgraph.cli.output import say
         from contactgraph.train import RunFolder
 
         folder = RunFolder(path)
         config, rows = folder.config(), folder.metrics()
-        say(f"{path}: run folder, {config.get('model')}, seed {config.get('seed')}")
-        say(f"  data        {config.get('data')}")
+        print(f"{path}: run folder, {config.get('model')}, seed {config.get('seed')}")
+        print(f"  data        {config.get('data')}")
         if rows:
             last = rows[-1]
-            say(f"  trained     {last['step']:.0f} of {config.get('steps')} steps")
+            print(f"  trained     {last['step']:.0f} of {config.get('steps')} steps")
             best = min(row["held_out_rmse_m"] for row in rows)
-            say(f"  held-out    {100 * best:.3f} cm")
+            print(f"  held-out    {100 * best:.3f} cm")
         else:
-            say("  trained     no checkpoint yet")
+            print("  trained     no checkpoint yet")
         for checkpoint in folder.checkpoints():
-            say(f"  checkpoint  {checkpoint.name}")
+            print(f"  checkpoint  {checkpoint.name}")
 
     def _model(self) -> None:
         from contactgraph.cli.models import model_path
-        from contactgraph.cli.output import say
         from contactgraph.model.io import describe_model
 
         path = model_path(self.file)
         summary = describe_model(path)
-        say(f"{self.file}: model, {summary.parameter_count} parameters, {summary.size} bytes")
-        say(f"  degrees of freedom  {summary.dimension} a node, control {summary.control_size}")
-        say(f"  dt                  {summary.dt} s")
+        print(f"{self.file}: model, {summary.parameter_count} parameters, {summary.size} bytes")
+        print(f"  degrees of freedom  {summary.dimension} a node, control {summary.control_size}")
+        print(f"  dt                  {summary.dt} s")
         for name, value in summary.training.items():
-            say(f"  {name:<19} {_text(value)}")
-        say(f"  parts               {_text(summary.model)}")
+            print(f"  {name:<19} {_text(value)}")
+        print(f"  parts               {_text(summary.model)}")
 
     def _cost(self, path: Path) -> None:
         from contactgraph.cli.cost_words import participant_lines, term_lines
-        from contactgraph.cli.output import say
         from contactgraph.control import describe_cost
 
         summary = describe_cost(path)
         cost = summary.cost
         goal = ", ".join(f"{float(number):.3g}" for number in cost.goal)
-        say(f"{path}: learned cost about {', '.join(cost.kept_nodes)}")
-        say(f"  degrees of freedom  {len(cost.goal)} a node, control {len(cost.R)}")
-        say(f"  goal                {goal} m; control takes the scene's")
+        print(f"{path}: learned cost about {', '.join(cost.kept_nodes)}")
+        print(f"  degrees of freedom  {len(cost.goal)} a node, control {len(cost.R)}")
+        print(f"  goal                {goal} m; control takes the scene's")
         for line in (*participant_lines(cost), *term_lines(cost)):
-            say(f"  {line}")
+            print(f"  {line}")
         for name, value in summary.made.items():
-            say(f"  {name:<22}{_text(value)}")
+            print(f"  {name:<22}{_text(value)}")
 
     def _dataset(self, path: Path) -> None:
-        from contactgraph.cli.output import say
         from contactgraph.data import describe_file
 
         summary = describe_file(path)
         nodes = [len(names) for names in summary.node_name]
-        say(f"{path}: dataset, {len(summary.steps)} runs, {summary.size} bytes")
-        say(f"  steps     {_span(summary.steps)} of {summary.dt[0]} s")
-        say(f"  nodes     {_span(nodes)}: {', '.join(summary.node_name[0])}")
-        say(f"  control   {_span(summary.control_size)}")
+        print(f"{path}: dataset, {len(summary.steps)} runs, {summary.size} bytes")
+        print(f"  steps     {_span(summary.steps)} of {summary.dt[0]} s")
+        print(f"  nodes     {_span(nodes)}: {', '.join(summary.node_name[0])}")
+        print(f"  control   {_span(summary.control_size)}")
         labelled = sum(bool(has) for has in summary.has_contact)
-        say(f"  contacts  in {labelled} of {len(summary.steps)} runs")
+        print(f"  contacts  in {labelled} of {len(summary.steps)} runs")
         for name, value in summary.metadata.items():
-            say(f"  {name:<9} {_text(value)}")
+            print(f"  {name:<9} {_text(value)}")
 
 
 def _span(values: Any) -> str:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class LearnCost:
     """Learn from demonstrations what they want: a quadratic cost that control can plan with."""
 
-    run_name: Positional[Annotated[str, arg(metavar="RUN")]]
+    model: Positional[Annotated[str, arg(metavar="MODEL")]]
     """A run folder, a model file, or a model that ships with the package (pickup)."""
     demonstrations: Positional[Annotated[Path, arg(metavar="DEMOS")]]
     """The dataset file (HDF5) of runs that do what is wanted, each of a scene with a goal."""
@@ -51,7 +51,6 @@ class LearnCost:
             check_writable,
             progress,
             provenance,
-            say,
             sha256,
         )
         from contactgraph.control import CostLearningConfig, learn_cost, write_cost
@@ -70,7 +69,7 @@ class LearnCost:
         if self.max_force is not None and not 0.0 < self.max_force < math.inf:
             raise InvalidInputError(f"--max-force must be positive, found {self.max_force}")
         check_weight("--prior-weight", self.prior_weight)
-        model_file = model_path(self.run_name)
+        model_file = model_path(self.model)
         dataset = self._dataset()
         recipe = CostLearningConfig(
             horizon=self._horizon(dataset) if self.horizon is None else self.horizon,
@@ -95,7 +94,7 @@ class LearnCost:
                 raise InvalidInputError(f"{self.demonstrations}: {error}") from error
         seconds = time.perf_counter() - began
         made: dict[str, Any] = {
-            "model": self.run_name,
+            "model": self.model,
             "model_sha256": sha256(model_file),
             "demonstrations": str(self.demonstrations),
             "demonstrations_sha256": sha256(self.demonstrations),
@@ -112,11 +111,11 @@ class LearnCost:
         if self.picture is not None:
             write_cost_picture(self.picture, cost)
         for line in (*participant_lines(cost), *term_lines(cost)):
-            say(line)
+            print(line)
         many = f"{len(dataset)} demonstrations" if len(dataset) > 1 else "1 demonstration"
-        say(f"{self.out}: learned from {many} in {seconds:.1f} s")
+        print(f"{self.out}: learned from {many} in {seconds:.1f} s")
         if self.picture is not None:
-            say(f"{self.picture}: the cost as a picture")
+            print(f"{self.picture}: the cost as a picture")
 
     def _dataset(self) -> "Dataset":
         """The runs to learn from; whatever can be said against them without a model is said."""

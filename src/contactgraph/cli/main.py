@@ -53,6 +53,8 @@ _COMMANDS = (
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)  # long commands print into logs as they go
     sys.exit(run(sys.argv[1:] if arguments is None else arguments))
 
 

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from contactgraph.cli.output import say
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
     Preset,
@@ -62,5 +61,5 @@ def in_steps_of(model: object, dataset: Dataset, name: str) -> Dataset:
     every = round(dt / dataset.dt)
     if every < 2 or abs(every * dataset.dt - dt) > _WHOLE * dt:
         return dataset
-    say(f"{name}: every {every}th step is taken, since the model's are {dt:g} s long")
+    print(f"{name}: every {every}th step is taken, since the model's are {dt:g} s long")
     return subsample(dataset, every)

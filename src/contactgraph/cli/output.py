@@ -12,15 +12,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from rich import progress as rich_progress
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from contactgraph.data import InvalidInputError, atomic_write
-
-
-def say(text: str) -> None:
-    """One plain line on standard output."""
-    print(text, flush=True)
 
 
 def check_writable(path: Path | None) -> None:
@@ -65,48 +60,46 @@ def _finite(value: Any) -> Any:
     return value
 
 
-class Steps:
-    """Progress over a known number of steps."""
+class Progress:
+    """Progress over ``total`` steps, as a plain line on stderr after every tenth of them."""
 
-    def advance(self, done: int, note: str = "") -> None:
-        """So many steps are done; `note` says how it stands."""
-
-
-class _Bar(Steps):
-    def __init__(self, progress: Progress, task: Any) -> None:
-        self._progress, self._task = progress, task
-
-    def advance(self, done: int, note: str = "") -> None:
-        self._progress.update(self._task, completed=done, note=note)
-
-
-class _Lines(Steps):
     def __init__(self, title: str, total: int) -> None:
-        self._title, self._total, self._said = title, total, 0.0
+        self._title, self._total, self._printed = title, total, 0.0
 
     def advance(self, done: int, note: str = "") -> None:
-        share = done / self._total
-        if share >= self._said + 0.1 or done == self._total:
-            self._said = share
+        """Report that ``done`` steps are complete; ``note`` is a short status text."""
+        fraction = done / self._total
+        if fraction >= self._printed + 0.1 or done == self._total:
+            self._printed = fraction
             print(f"{self._title}: {done} of {self._total} {note}".rstrip(), file=sys.stderr)
 
 
+class _ProgressBar(Progress):
+    """The same as a bar with an estimate of the remaining time."""
+
+    def __init__(self, bar: rich_progress.Progress, task: rich_progress.TaskID) -> None:
+        self._bar, self._task = bar, task
+
+    def advance(self, done: int, note: str = "") -> None:
+        self._bar.update(self._task, completed=done, note=note)
+
+
 @contextmanager
-def progress(title: str, total: int) -> Iterator[Steps]:
-    """A bar with an estimate on a terminal, a plain line every tenth elsewhere; on stderr."""
+def progress(title: str, total: int) -> Iterator[Progress]:
+    """A progress bar on a terminal, `Progress` lines elsewhere; both on stderr."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _Lines(title, total)
+        yield Progress(title, total)
         return
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
+        rich_progress.TextColumn("{task.description}"),
+        rich_progress.BarColumn(),
+        rich_progress.MofNCompleteColumn(),
+        rich_progress.TimeRemainingColumn(),
+        rich_progress.TextColumn("{task.fields[note]}"),
     )
-    with Progress(*columns, console=console) as bar:
-        yield _Bar(bar, bar.add_task(title, total=total, note=""))
+    with rich_progress.Progress(*columns, console=console) as bar:
+        yield _ProgressBar(bar, bar.add_task(title, total=total, note=""))
 
 
 _PACKAGES = ("contactgraph", "jax", "equinox", "optax", "numpy", "box2d", "mujoco")

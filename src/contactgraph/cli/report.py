@@ -2,15 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 
 @dataclass(frozen=True)
 class Report:
     """Test a model on fresh scenes, and write a page that shows what it learned and how well."""
 
-    run_name: Positional[str]
+    model: Positional[Annotated[str, arg(metavar="MODEL")]]
     """A run folder, a model file, or a model that ships with the package (pickup)."""
     task: str = "pickup"
     """The task to test it on: pickup, multi-pickup, door or franka."""
@@ -34,12 +35,12 @@ class Report:
 
         if self.test_runs < 1:
             raise InvalidInputError(f"--test-runs must be at least 1, found {self.test_runs}")
-        folder = Path(self.run_name) if Path(self.run_name).is_dir() else Path()
+        folder = Path(self.model) if Path(self.model).is_dir() else Path()
         page = self.out or folder / "report" / "index.html"
         if page.parent.exists():
             check_writable(page)
         task = choice("task", self.task, {task.name: task for task in EVERY_TASK})
         conditions = Conditions(task, self.test_runs, self.episodes, self.seed)
-        result = measured(self.run_name, conditions, page.parent / "cells")
-        command = f"contactgraph report {self.run_name} --task {task.name} --seed {self.seed}"
-        write_report_files(page, result, self.run_name, command)
+        result = measured(self.model, conditions, page.parent / "cells")
+        command = f"contactgraph report {self.model} --task {task.name} --seed {self.seed}"
+        write_report_files(page, result, self.model, command)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from contactgraph.cli.conditions import Conditions
 from contactgraph.cli.models import model_path
-from contactgraph.cli.output import provenance, say, write_json, write_text
+from contactgraph.cli.output import provenance, write_json, write_text
 from contactgraph.cli.tasks import TASKS, TaskOptions, task_factory
 from contactgraph.data import Trajectory
 from contactgraph.evaluate import EpisodeRecord, control_task
@@ -17,11 +17,11 @@ from contactgraph.viz.number_table import csv_numbers, markdown_numbers
 from contactgraph_studies.scenes import scene_run
 
 
-def measured(run_name: str, conditions: Conditions, folder: Path) -> ModelResult:
+def measured(model_name: str, conditions: Conditions, folder: Path) -> ModelResult:
     """One model under all test conditions."""
-    path = model_path(run_name)
+    path = model_path(model_name)
     training = describe_model(path).training
-    done = conditions.measure(run_name, folder)
+    done = conditions.measure(model_name, folder)
     return ModelResult(
         task=conditions.task,
         seed=int(training.get("seed", 0)),
@@ -32,13 +32,13 @@ def measured(run_name: str, conditions: Conditions, folder: Path) -> ModelResult
     )
 
 
-def write_report_files(page: Path, result: ModelResult, run_name: str, command: str) -> None:
+def write_report_files(page: Path, result: ModelResult, model_name: str, command: str) -> None:
     """The page, and beside it the table (Markdown, CSV, JSON) and a still of one scene."""
-    metrics = RunFolder(Path(run_name)).metrics() if Path(run_name).is_dir() else []
+    metrics = RunFolder(Path(model_name)).metrics() if Path(model_name).is_dir() else []
     numbers = report_numbers(result)
     folder = page.parent
     folder.mkdir(parents=True, exist_ok=True)
-    scenes = _scenes(run_name, result)
+    scenes = _scenes(model_name, result)
     versions = provenance()["versions"]
     write_report(page, model_report(result, numbers, scenes, metrics, versions, [command]))
     write_summary_figure(folder / f"{result.task.name}.png", scenes[min(1, len(scenes) - 1)])
@@ -65,13 +65,13 @@ def write_report_files(page: Path, result: ModelResult, run_name: str, command: 
             **provenance(),
         },
     )
-    say(markdown_numbers(numbers))
-    say(f"the report: {page}")
+    print(markdown_numbers(numbers))
+    print(f"the report: {page}")
 
 
-def _scenes(run_name: str, result: ModelResult) -> list[SceneRun]:
+def _scenes(model_name: str, result: ModelResult) -> list[SceneRun]:
     """The first closed-loop episode of every condition, with its plans."""
-    model = load_model(model_path(run_name)).model
+    model = load_model(model_path(model_name)).model
     scenes = []
     for one in result.conditions:
         records: list[EpisodeRecord] = []

@@ -57,7 +57,7 @@ class Train:
 
         from contactgraph.cli.models import MODELS
         from contactgraph.cli.options import check_range, check_seed, check_weight, choice
-        from contactgraph.cli.output import progress, provenance, say, sha256
+        from contactgraph.cli.output import progress, provenance, sha256
         from contactgraph.data import (
             InvalidInputError,
             pad_trajectories,
@@ -161,7 +161,7 @@ class Train:
             result = fit(state, train, held_out, recipe, on_check, devices)
         if result.status is FitStatus.not_finite:
             raise InvalidInputError(f"{self.out}: {result.status.value}")
-        say(
+        print(
             f"{folder.model_path}: held-out error {100 * result.held_out_rmse_m:.3f} cm over "
             f"{recipe.window_length} steps; {result.status.value}"
         )

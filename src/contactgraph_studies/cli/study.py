@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from contactgraph.cli.output import progress, provenance, say, write_json, write_text
+from contactgraph.cli.output import progress, provenance, write_json, write_text
 from contactgraph.parallel import Executor
 from contactgraph.viz.number_table import csv_numbers, markdown_numbers
 from contactgraph_studies.errand import Ended
@@ -65,10 +65,10 @@ class Study:
         )
         write_text(self.folder / "index.html", study_page(page))
         for claim in found.claims:
-            say(f"{claim.number}. {_WORDS[claim.holds]}: {claim.title}")
-            say(f"   {claim.sentence}")
-        say(markdown_numbers(found.targets))
-        say(f"the page: {self.folder / 'index.html'}")
+            print(f"{claim.number}. {_WORDS[claim.holds]}: {claim.title}")
+            print(f"   {claim.sentence}")
+        print(markdown_numbers(found.targets))
+        print(f"the page: {self.folder / 'index.html'}")
 
     def _origin(self, found: Findings, lost: Sequence[tuple[str, str]], cores: int) -> dict:
         return {
