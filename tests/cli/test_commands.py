@@ -83,7 +83,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str], arguments:
             "control",
             "MODEL TASK --episodes --seed --distractors --objects --grasp --json --video --save",
         ),
-        ("learn-cost", "RUN DEMOS --out --horizon --steps --runs --goal --prior-weight --picture"),
+        ("learn-cost", "MODEL DEMOS --out --horizon --steps --runs --goal --prior-weight"),
         ("reproduce", "--quick --out"),
         ("report", ""),
         ("info", "FILE"),
