@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class Run:
     """Let an arm pick up a block and bring it to a goal, by MPC with a learned model."""
 
-    run_name: Positional[Annotated[str, arg(metavar="RUN")]]
+    model: Positional[Annotated[str, arg(metavar="MODEL")]]
     """A run folder, a model file, or a model that ships with the package (franka)."""
     address: Positional[Annotated[str, arg(metavar="ADDR")]]
     """The arm's address, one in a rehearsal, or fake."""
@@ -48,7 +48,7 @@ class Run:
         """Run, and say how it went."""
         from contactgraph.cli.models import model_path
         from contactgraph.cli.options import check_range
-        from contactgraph.cli.output import check_writable, say, write_json
+        from contactgraph.cli.output import check_writable, write_json
         from contactgraph.data import write_trajectories
         from contactgraph_franka.cli.arms import open_arm
         from contactgraph_franka.cli.control import mpc_planner
@@ -71,7 +71,7 @@ class Run:
         goal = place("--goal", self.goal, limits)
         make = partial(
             mpc_planner,
-            model_path(self.run_name),
+            model_path(self.model),
             limits.max_force,
             self.horizon,
             self.infer_contacts,
@@ -86,16 +86,16 @@ class Run:
                 with ctrl_c() as pressed:
                     report = session.run(goal, 0, pressed)
                 said = "" if report.completed else arm.said()
-            run = session.recorded(goal, {"model": self.run_name, "address": self.address})
+            run = session.recorded(goal, {"model": self.model, "address": self.address})
         if run is not None and self.save is not None:
             write_trajectories(self.save, [run], {"task": "franka"})
         for line in report.lines():
-            say(line)
+            print(line)
         ended = session.ended(goal)
         write_json(
             self.json,
             {
-                "run": self.run_name,
+                "run": self.model,
                 "address": self.address,
                 "goal": goal.tolist(),
                 "dry_run": self.dry_run,
@@ -107,7 +107,7 @@ class Run:
         if not report.completed:
             raise RobotFault(f"the arm stopped: {report.stop.reason.value}. {said}".strip())
         if not self.dry_run:
-            say(ended.words)
+            print(ended.words)
 
     def _words(self, goal: "np.ndarray") -> str:
         where = ", ".join(f"{number:g}" for number in goal)
@@ -152,7 +152,7 @@ class RehearseControl:
     finger touches the block within 0.05 m of the goal.
     """
 
-    run_name: Positional[Annotated[str, arg(metavar="RUN")]]
+    model: Positional[Annotated[str, arg(metavar="MODEL")]]
     """A run folder, a model file, or a model that ships with the package (franka)."""
     episodes: int = 20
     """How many."""
@@ -175,7 +175,7 @@ class RehearseControl:
         """Control, and say how it went."""
         from contactgraph.cli.models import model_path
         from contactgraph.cli.options import check_range, check_seed
-        from contactgraph.cli.output import check_writable, progress, say, write_json
+        from contactgraph.cli.output import check_writable, progress, write_json
         from contactgraph.data import write_trajectories
         from contactgraph_franka.cli.control import mpc_planner
         from contactgraph_franka.cli.options import check_seconds
@@ -188,7 +188,7 @@ class RehearseControl:
         check_range("--horizon", self.horizon, 1, 1000)
         check_seed(self.seed)
         check_seconds("--seconds", self.seconds, 25.0)
-        model = model_path(self.run_name)
+        model = model_path(self.model)
         found: list[dict[str, Any]] = []
         runs: list[Trajectory] = []
         with simulated_setup(self.pace) as stage:
@@ -207,10 +207,11 @@ class RehearseControl:
         summary = self._summary(found)
         write_json(self.json, {**summary, "server_ticks_per_wall_s": server.rate, "each": found})
         low, high = summary["success_interval"]
-        say(f"success {100 * summary['success_rate']:.0f} % ({100 * low:.0f} to {100 * high:.0f})")
+        rate = summary["success_rate"]
+        print(f"success {100 * rate:.0f} % ({100 * low:.0f} to {100 * high:.0f})")
         for each in found:
             if not each["success"]:
-                say(f"  {each['number']}: {100 * each['distance_m']:.1f} cm; {each['end']}")
+                print(f"  {each['number']}: {100 * each['distance_m']:.1f} cm; {each['end']}")
 
     def _episode(
         self, stage: "SimulatedSetup", session: "Session", number: int
@@ -225,7 +226,7 @@ class RehearseControl:
         layout = episode_layout(self.seed, number, stage.limits)
         stage.arrange(layout)
         report = session.run(layout.goal, episode_seed(self.seed, number), lambda: False)
-        run = session.recorded(layout.goal, {"number": number, "model": self.run_name})
+        run = session.recorded(layout.goal, {"number": number, "model": self.model})
         last = stage.rehearsal.ground_truth.newest()
         distance = float(np.linalg.norm(last["position"][TARGET] - layout.goal))
         held = bool(last["fingers"][TARGET - 1].any())
@@ -267,7 +268,7 @@ class RehearseControl:
         successes = sum(each["success"] for each in found)
         speeds = [one for each in found if (one := each["contact_speed_m_s"]) is not None]
         return {
-            "run": self.run_name,
+            "run": self.model,
             "seed": self.seed,
             "episodes": self.episodes,
             "seconds": self.seconds,

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from contactgraph.cli.output import say
-
 if TYPE_CHECKING:
     import numpy as np
 
@@ -135,12 +133,12 @@ def ctrl_c() -> Iterator[Callable[[], bool]]:
 
 def count_down(arm: "Arm", what: str) -> None:
     """Says what will happen, and leaves a real arm's person time to prevent it."""
-    say(f"{arm.words}: {what}")
+    print(f"{arm.words}: {what}")
     if not arm.real:
         return
-    say("Keep a hand on its stop button, and nobody in its reach. Ctrl-C stops it gently.")
+    print("Keep a hand on its stop button, and nobody in its reach. Ctrl-C stops it gently.")
     for left in range(_COUNT, 0, -1):
-        say(f"in {left} s ...")
+        print(f"in {left} s ...")
         time.sleep(1.0)
 
 

@@ -45,7 +45,7 @@ class Record:
     def run(self) -> None:
         """Record and write."""
         from contactgraph.cli.options import check_range, check_seed
-        from contactgraph.cli.output import check_writable, progress, say
+        from contactgraph.cli.output import check_writable, progress
         from contactgraph.data import InvalidInputError, Metadata, write_trajectories
         from contactgraph_franka.cli.arms import open_arm
         from contactgraph_franka.cli.control import expert_planner
@@ -62,7 +62,7 @@ class Record:
         limits = self.arm.limits(self.address)
         done = self._done()
         if len(done) >= self.runs:
-            say(f"{self.out}: has its {len(done)} runs already")
+            print(f"{self.out}: has its {len(done)} runs already")
             return
         told: Metadata = {"task": "franka", "seed": self.seed, "noise": self.noise}
         make = partial(expert_planner, self.noise)
@@ -93,10 +93,10 @@ class Record:
                 if pressed():
                     break
                 steps.advance(number + 1, f"{held}, {report.rate_hz:.0f} Hz")
-        say(f"{self.out}: {len(done)} runs of {self.runs}")
+        print(f"{self.out}: {len(done)} runs of {self.runs}")
         if done:
             succeeded = sum(bool(run.scene.metadata.get("success")) for run in done)
-            say(f"the expert succeeded in {succeeded} of {len(done)} runs")
+            print(f"the expert succeeded in {succeeded} of {len(done)} runs")
 
     def _done(self) -> "list[Trajectory]":
         """What the file holds already."""
@@ -187,7 +187,7 @@ class RehearseRecord:
     def run(self) -> None:
         """Record and write."""
         from contactgraph.cli.options import check_range, check_seed, check_share
-        from contactgraph.cli.output import check_writable, say, write_json
+        from contactgraph.cli.output import check_writable, write_json
         from contactgraph_franka.cli.options import check_seconds
 
         for path in (self.out, self.json):
@@ -206,7 +206,7 @@ class RehearseRecord:
         done, true, _ = kept
         values = _summary(done, true)
         write_json(self.json, {"data": str(self.out), "seed": self.seed, **values})
-        say(
+        print(
             f"{self.out}: {len(done)} runs, {values['completed']} of them to their end; the block "
             f"is off by {1e3 * values['position_error_m']:.2f} mm (median), "
             f"{1e3 * values['position_error_worst_m']:.1f} mm (worst)"

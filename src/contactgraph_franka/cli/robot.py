@@ -34,7 +34,7 @@ class Check:
 
     def run(self) -> None:
         """Look, measure and say."""
-        from contactgraph.cli.output import check_writable, say, write_json
+        from contactgraph.cli.output import check_writable, write_json
         from contactgraph_franka.cli.arms import open_arm
         from contactgraph_franka.cli.options import FAKE, RobotFault, check_seconds
         from contactgraph_franka.loop.control_loop import measure_loop
@@ -46,11 +46,11 @@ class Check:
         limits = options.limits(self.address)
         with open_arm(self.address, options) as arm:
             for name, words in arm.describe(limits):
-                say(f"{name:<11}{words}")
+                print(f"{name:<11}{words}")
             timing = measure_loop(arm.robot, limits, arm.clock, self.seconds)
             said = arm.said()
         for line in timing.lines():
-            say(line)
+            print(line)
         report = timing.report
         write_json(
             self.json,
@@ -71,7 +71,7 @@ class Check:
                 f"ms late (99 %); it needs {_LEAST_HZ:.0f} Hz and {_MOST_LATE_MS:g} ms: let this "
                 "computer do nothing else, and see docs/real-arm.md about real-time priority"
             )
-        say("fit to be controlled")
+        print("fit to be controlled")
 
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class Calibrate:
         import numpy as np
 
         from contactgraph.cli.options import check_range
-        from contactgraph.cli.output import check_suffix, check_writable, say
+        from contactgraph.cli.output import check_suffix, check_writable
         from contactgraph.data import InvalidInputError
         from contactgraph_franka.cli.options import FAKE
         from contactgraph_franka.perception import (
@@ -142,7 +142,7 @@ class Calibrate:
                     input(f"{place}: guide the hand there, hold it still, then Enter ")
                     found = _seen(camera, marker)
                     if found is None:
-                        say(f"the camera does not see tag {self.tag}: turn it towards the camera")
+                        print(f"the camera does not see tag {self.tag}: turn it towards the camera")
                         continue
                     hands.append(robot.hand_pose())
                     sightings.append(found)
@@ -156,8 +156,8 @@ class Calibrate:
         write_calibration(self.out, calibration)
         told = solved.residuals
         where = ", ".join(f"{number:.3f}" for number in solved.camera_pose[:3, 3])
-        say(f"{self.out}: the camera is at ({where}) m from the arm's base")
-        say(
+        print(f"{self.out}: the camera is at ({where}) m from the arm's base")
+        print(
             f"off by {told.pixel:.2f} px; {1e3 * told.left_out:.1f} mm at places left out, "
             f"{1e3 * told.left_out_worst:.1f} mm at worst: a pickup needs 5"
         )
@@ -199,7 +199,6 @@ class Rehearse:
 
     def run(self) -> None:
         """EpisodeStart, say where, and wait."""
-        from contactgraph.cli.output import say
         from contactgraph_franka.sim.camera import CameraSettings
         from contactgraph_franka.sim.simulated_robot import ADDRESSES, RobotSimulator
 
@@ -210,18 +209,18 @@ class Rehearse:
             addresses=ADDRESSES if self.address is None else (self.address,),
         )
         with rehearsal as running:
-            say(f"an arm is simulated at {running.address}, {self.pace:g} times slower than real")
+            print(f"an arm is simulated at {running.address}, {self.pace:g} times slower than real")
             how = "--camera rendered" if self.camera else "--block 0.5 -0.15 0.05"
-            say("in another terminal:")
-            say(f"  contactgraph robot check {running.address}")
-            say(f"  contactgraph robot run franka {running.address} --goal 0.45 0.1 0.3 {how}")
-            say("Ctrl-C ends it")
+            print("in another terminal:")
+            print(f"  contactgraph robot check {running.address}")
+            print(f"  contactgraph robot run franka {running.address} --goal 0.45 0.1 0.3 {how}")
+            print("Ctrl-C ends it")
             try:
                 while True:
                     rehearsal.check()
                     time.sleep(0.5)
             except KeyboardInterrupt:
-                say("ended")
+                print("ended")
 
 
 ACTIONS = ("check", "run", "record", "calibrate", "rehearse", "rehearse-record", "rehearse-control")

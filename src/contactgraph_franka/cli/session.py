@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contactgraph.cli.output import say
 from contactgraph.data import Metadata, Trajectory
 from contactgraph_franka.cli.arms import Arm
 from contactgraph_franka.envs.pickup import TARGET, is_success, pickup_scene
@@ -82,7 +81,7 @@ class PrintedPlans:
         if isinstance(planned.law, FeedbackLaw):
             hand, block = planned.law.states[-1, :2, 0]
             push = _numbers(1, planned.law.controls[0])
-            say(
+            print(
                 f"at {planned.moment - self._began:4.1f} s: first push {push} N; "
                 f"in {planned.law.duration:g} s the hand at {_numbers(2, hand)} m, "
                 f"the block at {_numbers(2, block)} m"
