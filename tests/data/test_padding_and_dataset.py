@@ -53,8 +53,7 @@ def test_padding_holds_the_runs_and_nothing_else(capacity: int | None) -> None:
     padded = pad_trajectories(RAGGED, capacity)
     nodes = capacity or 4
     assert padded.position.shape == (3, 8, nodes, 2)
-    assert padded.candidate.shape == (3, nodes * (nodes - 1) // 2)
-    assert padded.dt == RAGGED.dt
+    assert padded.nodes.candidate.shape == (3, nodes * (nodes - 1) // 2)
     total = {"position": 0.0, "velocity": 0.0, "control": 0.0}
     for index, run in enumerate(RAGGED):
         count, steps = run.scene.node_count, run.steps
@@ -62,16 +61,16 @@ def test_padding_holds_the_runs_and_nothing_else(capacity: int | None) -> None:
         np.testing.assert_array_equal(real, run.position)
         np.testing.assert_array_equal(padded.velocity[index, : steps + 1, :count], run.velocity)
         np.testing.assert_array_equal(padded.control[index, :steps], run.control)
-        np.testing.assert_array_equal(np.flatnonzero(padded.node_mask[index]), range(count))
+        np.testing.assert_array_equal(np.flatnonzero(padded.nodes.mask[index]), range(count))
         np.testing.assert_array_equal(np.flatnonzero(padded.step_mask[index]), range(steps))
-        np.testing.assert_array_equal(padded.actuated[index, :count], run.scene.actuated)
-        assert padded.actuated[index].sum() == run.scene.actuated.sum()
+        np.testing.assert_array_equal(padded.nodes.actuated[index, :count], run.scene.actuated)
+        assert padded.nodes.actuated[index].sum() == run.scene.actuated.sum()
         for edge, (first, second) in enumerate(pair_indices(nodes)):
             exists = first < count and second < count
-            assert padded.candidate[index, edge] == exists
-            expected = run.contact[:, first, second] if exists else np.zeros(steps + 1, bool)
+            assert padded.nodes.candidate[index, edge] == exists
+            expected = run.contact[:, first, second] if exists else np.full(steps + 1, np.nan)
             np.testing.assert_array_equal(padded.contact[index, : steps + 1, edge], expected)
-            assert not padded.contact[index, steps + 1 :, edge].any()
+            assert np.isnan(padded.contact[index, steps + 1 :, edge]).all()
         for name in total:
             total[name] += np.abs(getattr(run, name)).sum()
     for name, expected in total.items():
@@ -81,17 +80,19 @@ def test_padding_holds_the_runs_and_nothing_else(capacity: int | None) -> None:
 def test_candidate_edges_count_in_either_direction() -> None:
     for edges in ([[2, 0]], [[0, 2]], [[2, 0], [0, 2]]):
         padded = pad_trajectories(Dataset((random_run(0, 2, 3, edges=np.array(edges)),)), 4)
-        assert padded.candidate.tolist() == [[False, True, False, False, False, False]]
+        assert padded.nodes.candidate.tolist() == [[False, True, False, False, False, False]]
     empty = pad_trajectories(Dataset((random_run(0, 2, 3, edges=np.zeros((0, 2), int)),)))
-    assert not empty.candidate.any()
+    assert not empty.nodes.candidate.any()
 
 
-def test_contacts_that_one_run_lacks_are_left_out() -> None:
+def test_contacts_that_are_not_recorded_are_not_known() -> None:
     unlabelled = strip_contacts(RAGGED)
     assert all(run.contact is None for run in unlabelled)
     assert unlabelled.metadata == RAGGED.metadata
     mixed = Dataset((RAGGED.trajectories[0], unlabelled.trajectories[1]))
-    assert pad_trajectories(mixed).contact is None
+    first, second = pad_trajectories(mixed).contact
+    assert np.isnan(second).all() and np.isfinite(first[:, :3]).all()
+    assert pad_trajectories(mixed, contacts=False).contact is None
     np.testing.assert_array_equal(
         pad_trajectories(unlabelled).position, pad_trajectories(RAGGED).position
     )

@@ -143,12 +143,14 @@ def test_the_asked_fraction_of_windows_holds_an_event(fraction: float) -> None:
     windows = window_weights(padded, 12, fraction)
     assert windows.probability.sum() == pytest.approx(1.0)
     assert windows.probability[windows.has_event].sum() == pytest.approx(fraction)
-    assert len(windows.run) == 20 * 189 + 19, "every window of real steps, once"
-    assert len(set(zip(windows.run.tolist(), windows.start.tolist(), strict=True))) == 20 * 189 + 19
+    assert len(windows.trajectory) == 20 * 189 + 19, "every window of real steps, once"
+    assert len(set(zip(windows.trajectory, windows.start, strict=True))) == 20 * 189 + 19
     lengths = padded.step_mask.sum(axis=1)
-    assert np.all(windows.start + 12 <= lengths[windows.run])
+    assert np.all(windows.start + 12 <= lengths[windows.trajectory])
     found = event_steps(padded)
-    for run, start, has_event in zip(windows.run, windows.start, windows.has_event, strict=True):
+    for run, start, has_event in zip(
+        windows.trajectory, windows.start, windows.has_event, strict=True
+    ):
         assert found[run, start : start + 12].any() == has_event
 
 

@@ -5,8 +5,7 @@ import pytest
 from evaluation_worlds import DT, random_run, scene_of
 
 from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.evaluate import EstimatedContacts, ObservationNoise
-from contactgraph.evaluate import edge_scores as estimated_contacts
+from contactgraph.evaluate import EstimatedContacts, ObservationNoise, estimated_contacts
 
 
 def run_of(contact) -> Trajectory:

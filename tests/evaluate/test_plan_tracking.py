@@ -10,8 +10,12 @@ from evaluation_worlds import DT, GluedBodies, random_run
 from contactgraph.control import PlanStatus
 from contactgraph.data import pair_indices
 from contactgraph.envs import PickupTask
-from contactgraph.evaluate import EpisodeRecord, PlanTrackingError, control_task
-from contactgraph.evaluate import plan_tracking as plan_tracking_error
+from contactgraph.evaluate import (
+    EpisodeRecord,
+    PlanTrackingError,
+    control_task,
+    plan_tracking_error,
+)
 from contactgraph.evaluate.baselines import constant_velocity, frozen_contact
 
 HORIZON, STEPS = 12, 10  # 0.5 s are 10 steps

@@ -1,6 +1,5 @@
 """Scenes and models that the model tests share."""
 
-import dataclasses
 from collections.abc import Callable
 from functools import cache
 
@@ -83,7 +82,7 @@ def hinged(nodes: Nodes, *anchors: tuple[float, ...]) -> Nodes:
     """The same nodes, of which those from the second on hang on hinges there."""
     anchor = np.full((len(nodes.mask), len(anchors[0])), np.nan)
     anchor[1 : 1 + len(anchors)] = anchors
-    return dataclasses.replace(nodes, anchor=jnp.asarray(anchor))
+    return nodes._replace(anchor=jnp.asarray(anchor))
 
 
 def crowd(model: ContactDynamics, nodes: Nodes, seed: int = 0, size: float = 0.15) -> ModelState:

@@ -33,7 +33,7 @@ def test_windows_are_drawn_as_often_as_told(padded) -> None:
     assert windows.has_event.any() and not windows.has_event.all()
     drawn = window_source(padded, windows).draw(20_000, jax.random.key(0))
     number = np.asarray(drawn.position[:, 0, 0, 0])
-    expected = np.where(windows.run == 0, 100.0, 200.0) + windows.start
+    expected = np.where(windows.trajectory == 0, 100.0, 200.0) + windows.start
     assert set(number) == set(expected)
     found = np.array([(number == each).mean() for each in expected])
     np.testing.assert_allclose(found, windows.probability, atol=0.012)
@@ -42,14 +42,14 @@ def test_windows_are_drawn_as_often_as_told(padded) -> None:
 
 def test_a_window_is_a_stretch_of_its_run(padded) -> None:
     windows = window_weights(padded, 3, 0.6)
-    batch = window_source(padded, windows).take(jnp.arange(len(windows.run)))
-    for index, (number, start) in enumerate(zip(windows.run, windows.start, strict=True)):
+    batch = window_source(padded, windows).take(jnp.arange(len(windows.trajectory)))
+    for index, (number, start) in enumerate(zip(windows.trajectory, windows.start, strict=True)):
         for name, end in (("position", 4), ("velocity", 4), ("control", 3)):
             expected = getattr(padded, name)[number, start : start + end]
             np.testing.assert_array_equal(getattr(batch, name)[index], expected, err_msg=name)
-        np.testing.assert_array_equal(batch.nodes.mask[index], padded.node_mask[number])
-        np.testing.assert_array_equal(batch.nodes.actuated[index], padded.actuated[number])
-        np.testing.assert_array_equal(batch.nodes.candidate[index], padded.candidate[number])
+        np.testing.assert_array_equal(batch.nodes.mask[index], padded.nodes.mask[number])
+        np.testing.assert_array_equal(batch.nodes.actuated[index], padded.nodes.actuated[number])
+        np.testing.assert_array_equal(batch.nodes.candidate[index], padded.nodes.candidate[number])
 
 
 def test_hinges_go_with_their_runs(padded) -> None:
@@ -58,14 +58,18 @@ def test_hinges_go_with_their_runs(padded) -> None:
     hung = dataclasses.replace(hung, scene=dataclasses.replace(hung.scene, anchor=anchor))
     runs = pad_trajectories(Dataset((free, hung)))
     windows = window_weights(runs, 3, 0.6)
-    nodes = window_source(runs, windows).take(jnp.arange(len(windows.run))).nodes
+    nodes = window_source(runs, windows).take(jnp.arange(len(windows.trajectory))).nodes
     hinged = np.asarray(jax.vmap(lambda nodes: nodes.hinged)(nodes))
-    np.testing.assert_array_equal(hinged, (windows.run == 1)[:, None] & [False, True, False])
+    np.testing.assert_array_equal(hinged, (windows.trajectory == 1)[:, None] & [False, True, False])
     np.testing.assert_allclose(nodes.anchor[hinged], np.tile(anchor[1], (hinged.sum(), 1)))
-    assert window_source(padded, window_weights(padded, 3, 0.6)).nodes.anchor is None
+    assert window_source(padded, window_weights(padded, 3, 0.6)).trajectories.nodes.anchor is None
 
 
-def test_what_training_sees_has_no_place_for_labels(padded) -> None:
-    assert padded.contact is None
+def test_training_sees_no_contact_labels() -> None:
+    labelled = run(3, 8, 200.0)
+    contact = np.ones((9, 3, 3), dtype=bool)
+    padded = pad_trajectories((dataclasses.replace(labelled, contact=contact),))
+    assert padded.contact is not None
     source = window_source(padded, window_weights(padded, 3, 0.6))
-    assert {name for name in vars(source) if "contact" in name} == set()
+    assert source.trajectories.contact is None
+    assert {name for name in vars(source.take(jnp.arange(2))) if "contact" in name} == set()

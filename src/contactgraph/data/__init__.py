@@ -17,6 +17,7 @@ from contactgraph.data.storage import read_trajectories as read_trajectories
 from contactgraph.data.storage import write_trajectories as write_trajectories
 from contactgraph.data.trajectory import Scene as Scene
 from contactgraph.data.trajectory import Trajectory as Trajectory
+from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import TrajectoryBatch as TrajectoryBatch
 from contactgraph.data.trajectory_batch import pad_trajectories as pad_trajectories
 from contactgraph.data.windows import Windows as Windows

@@ -1,85 +1,138 @@
-"""Runs of different length and size in arrays of one shape, with masks that say what is real."""
+"""Trajectories of different length and size in arrays of one shape, as a JAX pytree.
 
-from dataclasses import dataclass
+Nothing here imports JAX: the fields are NumPy arrays until a caller maps them to JAX arrays.
+"""
+
+from collections.abc import Iterable
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import candidate_pairs, pair_indices
+from contactgraph.data.trajectory import Scene, Trajectory
+
+Array = TypeVar("Array")
 
 
-@dataclass(frozen=True, eq=False)
-class TrajectoryBatch:
-    """``R`` runs padded to common ``T`` and ``N``; padding is zero in numbers, False in masks.
+class Nodes(NamedTuple, Generic[Array]):
+    """Properties of ``N`` nodes that stay constant along a trajectory, with leading batch axes."""
 
-    Real nodes come first on the node axis and real steps first on the time axis.
+    actuated: Array
+    """[..., N] bool: whether the control acts on the node itself."""
+    mask: Array
+    """[..., N] bool: False for padding, which interacts with nothing."""
+    candidate: Array
+    """[..., E] bool: whether an edge may ever be active; edges in `pair_indices`' order."""
+    anchor: Array | None = None
+    """[..., N, D] m: hinge position, NaN for a node without one. None: no node has one."""
+
+    @property
+    def hinged(self) -> Any:
+        """[..., N] bool: whether a node hangs on a hinge."""
+        mask, anchor = cast(Any, self.mask), cast(Any, self.anchor)
+        return mask & False if anchor is None else anchor[..., 0] == anchor[..., 0]  # NaN differs
+
+
+class TrajectoryBatch(NamedTuple, Generic[Array]):
+    """Trajectories padded to common ``T`` steps and ``N`` nodes, or one without the batch axis.
+
+    Real nodes come first on the node axis and real steps first on the time axis. Padding is zero
+    in numbers and False in masks.
     """
 
-    position: np.ndarray
-    """[R, T+1, N, D] m."""
-    velocity: np.ndarray
-    """[R, T+1, N, D] m/s."""
-    control: np.ndarray
-    """[R, T, U] N."""
-    node_mask: np.ndarray
-    """[R, N] bool: whether the node exists."""
-    actuated: np.ndarray
-    """[R, N] bool: whether the control acts on the node itself."""
-    step_mask: np.ndarray
-    """[R, T] bool: whether the step from ``t`` to ``t + 1`` exists."""
-    candidate: np.ndarray
-    """[R, E] bool: whether the two nodes could touch; edges in `pair_indices`' order."""
-    contact: np.ndarray | None
-    """[R, T+1, E] bool: whether they do. For evaluation only. None: not recorded in every run."""
-    anchor: np.ndarray | None
-    """[R, N, D] m: where a node is hinged, NaN where it is not. None: nobody is in any run."""
-    dt: float
-    """Time between two steps, s."""
+    position: Array
+    """[..., T+1, N, D] m."""
+    velocity: Array
+    """[..., T+1, N, D] m/s."""
+    control: Array
+    """[..., T, U] N."""
+    contact: Array | None
+    """[..., T+1, E]: 1 touching, 0 not, NaN not measured or padding. None: left out."""
+    nodes: Nodes[Array]
+    steps: Array
+    """[...] int: number of real steps."""
+
+    @property
+    def step_mask(self) -> np.ndarray:
+        """[..., T] bool: whether the step from ``t`` to ``t + 1`` is real."""
+        count = np.shape(cast(Any, self.control))[-2]
+        return np.arange(count) < np.asarray(self.steps)[..., None]
+
+    def at(self, index: Any) -> "TrajectoryBatch[Array]":
+        """The trajectory, or trajectories, of an index into the batch axis."""
+
+        def chosen(arrays: Iterable[Any]) -> list[Any]:
+            return [None if each is None else each[index] for each in arrays]
+
+        *arrays, nodes, steps = cast(Any, self)
+        return TrajectoryBatch._make([*chosen(arrays), Nodes._make(chosen(nodes)), steps[index]])
 
 
-def pad_trajectories(dataset: Dataset, node_capacity: int | None = None) -> TrajectoryBatch:
-    """Pad all runs to the longest run and to ``node_capacity`` nodes (default: the most in a run).
+def pad_trajectories(
+    trajectories: Iterable[Trajectory],
+    node_capacity: int | None = None,
+    steps: int | None = None,
+    contacts: bool = True,
+) -> TrajectoryBatch[np.ndarray]:
+    """Pad to ``steps`` (default: the longest) and ``node_capacity`` (default: the most nodes).
 
-    Raises `InvalidInputError` where a run has more nodes than the capacity.
+    Contact labels are left out unless ``contacts``. Raises `InvalidInputError` where a trajectory
+    has more nodes than the capacity.
     """
-    most_nodes = max(run.scene.node_count for run in dataset)
-    nodes = most_nodes if node_capacity is None else node_capacity
-    if nodes < most_nodes:
-        raise InvalidInputError(
-            f"node_capacity must be at least {most_nodes}, the most nodes of a run, found {nodes}"
-        )
-    runs, steps = len(dataset), max(run.steps for run in dataset)
-    pairs = pair_indices(nodes)
-    labelled = all(run.contact is not None for run in dataset)
-    hinges = any(run.scene.has_hinges for run in dataset)
-    padded = TrajectoryBatch(
-        position=np.zeros((runs, steps + 1, nodes, dataset.dimension)),
-        velocity=np.zeros((runs, steps + 1, nodes, dataset.dimension)),
-        control=np.zeros((runs, steps, dataset.control_size)),
-        node_mask=np.zeros((runs, nodes), dtype=bool),
-        actuated=np.zeros((runs, nodes), dtype=bool),
-        step_mask=np.zeros((runs, steps), dtype=bool),
-        candidate=np.zeros((runs, len(pairs)), dtype=bool),
-        contact=np.zeros((runs, steps + 1, len(pairs)), dtype=bool) if labelled else None,
-        anchor=np.full((runs, nodes, dataset.dimension), np.nan) if hinges else None,
-        dt=dataset.dt,
+    trajectories = tuple(trajectories)
+    capacity = max(each.scene.node_count for each in trajectories)
+    if node_capacity is not None:
+        if node_capacity < capacity:
+            raise InvalidInputError(
+                f"node_capacity must be at least {capacity}, the most nodes of a trajectory, "
+                f"found {node_capacity}"
+            )
+        capacity = node_capacity
+    count, first = len(trajectories), trajectories[0]
+    longest = max(each.steps for each in trajectories) if steps is None else steps
+    position = np.zeros((count, longest + 1, capacity, first.scene.dimension))
+    velocity = np.zeros_like(position)
+    control = np.zeros((count, longest, first.control_size))
+    edges = capacity * (capacity - 1) // 2
+    contact = np.full((count, longest + 1, edges), np.nan) if contacts else None
+    for index, each in enumerate(trajectories):
+        real = slice(0, each.steps + 1), slice(0, each.scene.node_count)
+        position[index][real], velocity[index][real] = each.position, each.velocity
+        control[index, : each.steps] = each.control
+        if contact is not None and each.contact is not None:
+            # The edges of fewer nodes are a prefix of those of the capacity: see `pair_indices`.
+            pairs = pair_indices(each.scene.node_count)
+            labels = each.contact[:, pairs[:, 0], pairs[:, 1]]
+            contact[index, : each.steps + 1, : len(pairs)] = labels
+    hinged = any(each.scene.has_hinges for each in trajectories)
+    nodes = zip(*(pad_nodes(each.scene, capacity, hinged) for each in trajectories), strict=True)
+    return TrajectoryBatch(
+        position=position,
+        velocity=velocity,
+        control=control,
+        contact=contact,
+        nodes=Nodes._make(None if leaves[0] is None else np.stack(leaves) for leaves in nodes),
+        steps=np.array([each.steps for each in trajectories]),
     )
-    for index, run in enumerate(dataset):
-        count = run.scene.node_count
-        padded.position[index, : run.steps + 1, :count] = run.position
-        padded.velocity[index, : run.steps + 1, :count] = run.velocity
-        padded.control[index, : run.steps] = run.control
-        padded.node_mask[index, :count] = True
-        padded.actuated[index, :count] = run.scene.actuated
-        if padded.anchor is not None and run.scene.anchor is not None:
-            padded.anchor[index, :count] = run.scene.anchor
-        padded.step_mask[index, : run.steps] = True
-        # A run's own pairs are a prefix of those of the capacity: see `pair_indices`.
-        own = pairs[: count * (count - 1) // 2]
-        padded.candidate[index] = candidate_pairs(run.scene, nodes)
-        if padded.contact is not None and run.contact is not None:
-            padded.contact[index, : run.steps + 1, : len(own)] = run.contact[
-                :, own[:, 0], own[:, 1]
-            ]
-    return padded
+
+
+def pad_nodes(scene: Scene, capacity: int, hinged: bool | None = None) -> Nodes[np.ndarray]:
+    """The nodes of a scene, padded to ``capacity``, with anchors if ``hinged`` (default: if any).
+
+    Raises `InvalidInputError` where the scene has more nodes.
+    """
+    count = scene.node_count
+    if capacity < count:
+        raise InvalidInputError(f"node_capacity must be at least {count}, found {capacity}")
+    actuated = np.zeros(capacity, dtype=bool)
+    actuated[:count] = scene.actuated
+    anchor = np.full((capacity, scene.dimension), np.nan)
+    if scene.anchor is not None:
+        anchor[:count] = scene.anchor
+    return Nodes(
+        actuated=actuated,
+        mask=np.arange(capacity) < count,
+        candidate=candidate_pairs(scene, capacity),
+        anchor=anchor if (scene.has_hinges if hinged is None else hinged) else None,
+    )

@@ -32,8 +32,8 @@ def event_steps(padded: TrajectoryBatch) -> np.ndarray:
     """
     floor = _SPEED_FRACTION * _typical_top_speed(padded)
     change = np.diff(padded.velocity, axis=1)
-    exists = padded.step_mask[:, :, None] & padded.node_mask[:, None, :]
-    driven = exists & padded.actuated[:, None, :]
+    exists = padded.step_mask[:, :, None] & padded.nodes.mask[:, None, :]
+    driven = exists & padded.nodes.actuated[:, None, :]
     change = change - _explained_by_control(padded, change, driven)
     jump = _unlike_neighbours(change, padded.step_mask)
     event = np.zeros(padded.step_mask.shape, dtype=bool)
@@ -84,7 +84,7 @@ def _unlike_neighbours(change: np.ndarray, step_mask: np.ndarray) -> np.ndarray:
 class Windows:
     """All ``W`` windows of ``length`` real steps, from state ``start`` to ``start + length``."""
 
-    run: np.ndarray
+    trajectory: np.ndarray
     """[W] int."""
     start: np.ndarray
     """[W] int: first step."""
@@ -114,15 +114,15 @@ def window_weights(
     if not 0.0 <= event_fraction <= 1.0:
         raise InvalidInputError(f"event_fraction must be 0 to 1, found {event_fraction}")
     complete = np.all(_windowed(padded.step_mask, window_length), axis=-1)
-    run, start = np.nonzero(complete)
+    trajectory, start = np.nonzero(complete)
     eventful = np.asarray(_windowed(event_steps(padded), window_length).any(axis=-1))
-    has_event = eventful[run, start]
+    has_event = eventful[trajectory, start]
     events, others = int(has_event.sum()), int((~has_event).sum())
     if events and others:
         probability = np.where(has_event, event_fraction / events, (1 - event_fraction) / others)
     else:
-        probability = np.full(len(run), 1.0 / len(run))
-    return Windows(run, start, probability, has_event, window_length)
+        probability = np.full(len(trajectory), 1.0 / len(trajectory))
+    return Windows(trajectory, start, probability, has_event, window_length)
 
 
 def _windowed(per_step: np.ndarray, length: int) -> np.ndarray:

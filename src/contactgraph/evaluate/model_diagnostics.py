@@ -9,7 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from contactgraph.data import Dataset, InvalidInputError, Trajectory, pair_indices
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    Trajectory,
+    TrajectoryBatch,
+    pad_trajectories,
+    pair_indices,
+)
 from contactgraph.model import (
     ContactDynamics,
     ContactSensor,
@@ -21,7 +28,7 @@ from contactgraph.model import (
     scene_nodes,
     stack_state,
 )
-from contactgraph.model.filter import Recording, check_fit, dtype_of, filter_trajectory, recording
+from contactgraph.model.filter import check_fit, dtype_of, filter_trajectory, on_device
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.types import SpringMassDamper
 
@@ -57,7 +64,8 @@ def model_diagnostics(
     check_fit(model, run.scene, run.control_size, "the run")
     count = run.scene.node_count
     capacity = count if node_capacity is None else node_capacity
-    padded = recording(run, run.steps, capacity, dtype_of(model), measured)
+    batch = pad_trajectories((run,), capacity, contacts=measured)
+    padded = on_device(batch.at(0), dtype_of(model))
     edges = pair_indices(count)
     belief, parameters = _along(model, padded, sensor)
     if parameters is not None:
@@ -67,7 +75,7 @@ def model_diagnostics(
 
 @eqx.filter_jit
 def _along(
-    model: ContactDynamics, run: Recording, sensor: ContactSensor
+    model: ContactDynamics, run: TrajectoryBatch[Array], sensor: ContactSensor
 ) -> tuple[jax.Array, SpringMassDamper | None]:
     carried = filter_trajectory(model, run, sensor)
     parameters = None

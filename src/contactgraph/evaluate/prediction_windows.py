@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.data import Dataset, Trajectory, pair_indices
+from contactgraph.data import Dataset, Trajectory, TrajectoryBatch, pad_trajectories, pair_indices
 from contactgraph.evaluate.baselines import constant_velocity, frozen_contact
 from contactgraph.model import (
     ContactBelief,
@@ -22,7 +22,7 @@ from contactgraph.model import (
     advance,
     control_sensitivity,
 )
-from contactgraph.model.filter import Recording, dtype_of, filter_trajectory, recording
+from contactgraph.model.filter import dtype_of, filter_trajectory, on_device
 from contactgraph.model.neighbor_list import edge_count
 
 _SMALL_GRAPH = 28
@@ -45,7 +45,7 @@ class TrajectoryPrediction(eqx.Module):
 @eqx.filter_jit
 def predict_trajectory(
     model: StepModel,
-    run: Recording,
+    run: TrajectoryBatch[Array],
     starts: Int[Array, " S"],
     steps: int,
     sensor: ContactSensor,
@@ -53,7 +53,7 @@ def predict_trajectory(
 ) -> TrajectoryPrediction:
     """Rolls the model out for ``steps`` from each of the states ``starts``."""
     carried = filter_trajectory(model, run, sensor, motion_noise)
-    edges = run.contact.shape[-1]
+    edges = run.nodes.candidate.shape[-1]
 
     def likely(belief: ContactBelief) -> Array:
         return belief.over(None, edges).probability > 0.5
@@ -319,7 +319,8 @@ def _from_every_state(
     motion_noise: MotionNoise | None,
 ) -> TrajectoryPrediction:
     longest = max(each.steps for each in dataset)
-    padded = recording(run, longest, _capacity(dataset), dtype_of(model), True)
+    batch = pad_trajectories((run,), _capacity(dataset), longest)
+    padded = on_device(batch.at(0), dtype_of(model))
     starts = jnp.arange(longest - steps + 1)
     return predict_trajectory(model, padded, starts, steps, sensor, motion_noise)
 

@@ -219,7 +219,7 @@ def control_sensitivity(
 ) -> Float[Array, "N D U"]:
     """[m/N] How far each node is moved by the control, if only the present contacts hold."""
     unpushed = dataclasses.replace(state, push=jnp.zeros_like(state.velocity))
-    held = dataclasses.replace(nodes, candidate=_holding(state, nodes))
+    held = nodes._replace(candidate=_holding(state, nodes))
     linear, _ = _linear_step(model, unpushed, held)
     return response_of(linear, state.position)
 
@@ -283,7 +283,7 @@ def following(
         before, response = carry
         control, begins = told
         candidate = jnp.where(begins, holds, nodes.candidate)
-        known = dataclasses.replace(nodes, candidate=candidate)
+        known = nodes._replace(candidate=candidate)
         after, response, _ = advance(model, before, response, control, known)
         after = jax.tree.map(lambda old, new: jnp.where(begins, old, new), before, after)
         return (after, response), after

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from contactgraph.data import InvalidInputError, Scene, Trajectory, pair_indices
+from contactgraph.data import InvalidInputError, Scene, TrajectoryBatch
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, correct
 from contactgraph.model.contact_dynamics import (
     ContactDynamics,
@@ -19,7 +19,7 @@ from contactgraph.model.contact_dynamics import (
     response_of,
 )
 from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
-from contactgraph.model.types import LinearDynamics, ModelState, Nodes, StepModel, scene_nodes
+from contactgraph.model.types import LinearDynamics, ModelState, StepModel
 
 
 def check_fit(model: object, scene: Scene, control_size: int, other: str) -> None:
@@ -58,44 +58,13 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
         )
 
 
-class Recording(eqx.Module):
-    """A run on the device, padded to capacities of ``T`` steps and ``N`` nodes."""
+def on_device(batch: TrajectoryBatch[np.ndarray], dtype: np.dtype) -> TrajectoryBatch[Array]:
+    """The same trajectories as JAX arrays; numbers have the type ``dtype``."""
 
-    position: Float[Array, "T+1 N D"]
-    velocity: Float[Array, "T+1 N D"]
-    control: Float[Array, "T U"]
-    contact: Float[Array, "T+1 E"]
-    """1 touching, 0 not, NaN not measured."""
-    nodes: Nodes
+    def moved(leaf: np.ndarray) -> Array:
+        return jnp.asarray(leaf, dtype if np.issubdtype(leaf.dtype, np.floating) else None)
 
-
-def recording(
-    run: Trajectory, steps: int, node_capacity: int, dtype: np.dtype, measured: bool
-) -> Recording:
-    """Pads a run with zeros to ``steps`` and ``node_capacity``.
-
-    Without ``measured``, or where the run has no contacts, none count as measured.
-    """
-    count = run.scene.node_count
-    pairs = pair_indices(count)
-    edges = node_capacity * (node_capacity - 1) // 2
-    position = np.zeros((steps + 1, node_capacity, run.scene.dimension), dtype)
-    velocity = np.zeros_like(position)
-    control = np.zeros((steps, run.control_size), dtype)
-    contact = np.full((steps + 1, edges), np.nan, dtype)
-    position[: run.steps + 1, :count] = run.position
-    velocity[: run.steps + 1, :count] = run.velocity
-    control[: run.steps] = run.control
-    if measured and run.contact is not None:
-        # The edges of fewer nodes come first in the order of any capacity.
-        contact[: run.steps + 1, : len(pairs)] = run.contact[:, pairs[:, 0], pairs[:, 1]]
-    return Recording(
-        jnp.asarray(position),
-        jnp.asarray(velocity),
-        jnp.asarray(control),
-        jnp.asarray(contact),
-        scene_nodes(run.scene, node_capacity),
-    )
+    return jax.tree.map(moved, batch)
 
 
 def dtype_of(model: object) -> np.dtype:
@@ -133,12 +102,13 @@ class _Carry(eqx.Module):
 
 def filter_trajectory(
     model: StepModel,
-    run: Recording,
+    run: TrajectoryBatch[Array],
     sensor: ContactSensor,
     motion_noise: MotionNoise | None = None,
 ) -> FilteredTrajectory:
     """Goes along a run: every step is predicted, then the belief corrected by its contacts.
 
+    ``run`` has no batch axis; contacts that are NaN, or left out, correct nothing.
     With a ``motion_noise`` the motion corrects it, too: see `check_motion_model` for what raises.
     """
 
@@ -170,7 +140,11 @@ def filter_trajectory(
     begin = ModelState(run.position[0], run.velocity[0], first)
     # No control follows the last state.
     control = jnp.concatenate([run.control, jnp.zeros_like(run.control[:1])])
-    steps = run.position, run.velocity, run.contact, control
+    contact = run.contact
+    if contact is None:
+        shape = len(run.position), *run.nodes.candidate.shape
+        contact = jnp.full(shape, jnp.nan, run.position.dtype)
+    steps = run.position, run.velocity, contact, control
     carry = _Carry(
         # Nothing was seen before the first state.
         before=dataclasses.replace(begin, velocity=jnp.full_like(begin.velocity, jnp.nan)),

@@ -3,32 +3,15 @@
 from typing import Protocol
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from contactgraph.data import InvalidInputError, Scene, candidate_pairs
+from contactgraph.data import Scene
+from contactgraph.data.trajectory_batch import Nodes as Nodes
+from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_belief import ContactBelief
-
-
-class Nodes(eqx.Module):
-    """What does not change over a run, padded to a capacity of ``N`` nodes."""
-
-    actuated: Bool[Array, " N"]
-    mask: Bool[Array, " N"]
-    """False for padding, which takes part in nothing."""
-    candidate: Bool[Array, " E"]
-    """Whether an edge may ever be active; edges in `pair_indices`' order."""
-    anchor: Float[Array, "N D"] | None = None
-    """m; where a node is hinged, NaN where it is not. None: nobody is."""
-
-    @property
-    def hinged(self) -> Bool[Array, " N"]:
-        """Whether a node hangs on a hinge."""
-        if self.anchor is None:
-            return jnp.zeros_like(self.mask)
-        return jnp.isfinite(self.anchor[:, 0])
 
 
 class ModelState(eqx.Module):
@@ -50,24 +33,8 @@ def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
 
     Raises `InvalidInputError` where the scene has more nodes.
     """
-    count = scene.node_count
-    capacity = count if node_capacity is None else node_capacity
-    if capacity < count:
-        raise InvalidInputError(f"node_capacity must be at least {count}, found {capacity}")
-    exists = np.arange(capacity) < count
-    candidate = candidate_pairs(scene, capacity)
-    actuated = np.zeros(capacity, dtype=bool)
-    actuated[:count] = scene.actuated
-    anchor = None
-    if scene.anchor is not None and scene.has_hinges:
-        anchor = np.full((capacity, scene.dimension), np.nan)
-        anchor[:count] = scene.anchor
-    return Nodes(
-        actuated=jnp.asarray(actuated),
-        mask=jnp.asarray(exists),
-        candidate=jnp.asarray(candidate),
-        anchor=None if anchor is None else jnp.asarray(anchor),
-    )
+    capacity = scene.node_count if node_capacity is None else node_capacity
+    return jax.tree.map(jnp.asarray, pad_nodes(scene, capacity))
 
 
 class LinearDynamics(eqx.Module):

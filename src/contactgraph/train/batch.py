@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
@@ -18,7 +17,7 @@ from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import Windows
 from contactgraph.model.types import Nodes
 
-_RUNS = 256
+_BATCH_MULTIPLE = 256
 
 
 class Window(eqx.Module):
@@ -37,65 +36,58 @@ class Window(eqx.Module):
 
 
 class WindowSource(eqx.Module):
-    """All runs, and how often each window is to be drawn."""
+    """Padded trajectories on the device, and the probability of each of ``W`` windows."""
 
-    position: Float[Array, "R T+1 N D"]
-    velocity: Float[Array, "R T+1 N D"]
-    control: Float[Array, "R T U"]
-    nodes: Nodes
-    run: Int[Array, " W"]
+    trajectories: TrajectoryBatch[Array]
+    trajectory: Int[Array, " W"]
     start: Int[Array, " W"]
+    """First state of the window."""
     cumulative: Float[Array, " W"]
+    """Sum of the probabilities up to this window's."""
     length: int = eqx.field(static=True)
+    """L, steps in a window."""
 
     def draw(self, count: int, key: PRNGKeyArray) -> Window:
         """`count` windows drawn with the windows' probabilities."""
         uniform = jax.random.uniform(key, (count,))
         drawn = jnp.searchsorted(self.cumulative, uniform * self.cumulative[-1], side="right")
-        return self.take(jnp.minimum(drawn, self.run.shape[0] - 1))
+        return self.take(jnp.minimum(drawn, self.trajectory.shape[0] - 1))
 
     def take(self, window: Int[Array, " B"]) -> Window:
-        """The windows of these numbers."""
-        run, start = self.run[window], self.start[window]
+        """The windows of these indices."""
+        index, start = self.trajectory[window], self.start[window]
         states = start[:, None] + jnp.arange(self.length + 1)
-        steps = states[:, :-1]
+        every = self.trajectories
         return Window(
-            position=self.position[run[:, None], states],
-            velocity=self.velocity[run[:, None], states],
-            control=self.control[run[:, None], steps],
-            nodes=jax.tree.map(lambda leaf: leaf[run], self.nodes),
+            position=every.position[index[:, None], states],
+            velocity=every.velocity[index[:, None], states],
+            control=every.control[index[:, None], states[:, :-1]],
+            nodes=jax.tree.map(lambda leaf: leaf[index], every.nodes),
         )
 
 
-def window_source(runs: TrajectoryBatch, windows: Windows) -> WindowSource:
-    """Put runs and windows on the device.
+def window_source(batch: TrajectoryBatch[np.ndarray], windows: Windows) -> WindowSource:
+    """Put trajectories and windows on the device.
 
-    Runs are padded to a multiple of `_RUNS`, and windows as if every run had the longest one's:
-    compiling a training takes longer than many a training, and like this another number of runs
-    compiles nothing anew. Padding has no probability.
+    The batch is padded to a multiple of `_BATCH_MULTIPLE` trajectories, and the windows as if
+    every trajectory were the longest, so that another number of trajectories recompiles nothing.
+    Padding repeats real entries and has no probability.
     """
-    count, steps = runs.control.shape[:2]
-    more_runs = -count % _RUNS
-    most = (count + more_runs) * (steps - windows.length + 1)
+    count, steps = batch.control.shape[:2]
+    capacity = count + -count % _BATCH_MULTIPLE
+    most = capacity * (steps - windows.length + 1)
 
-    def padded(values: np.ndarray, dtype: DTypeLike) -> Array:
-        # What is there is repeated: even a draw that rounding leads astray is a real one.
-        return jnp.asarray(np.take(values, np.arange(count + more_runs) % count, axis=0), dtype)
+    def repeated(leaf: np.ndarray) -> Array:
+        dtype = jnp.float32 if np.issubdtype(leaf.dtype, np.floating) else None
+        return jnp.asarray(np.take(leaf, np.arange(capacity) % count, axis=0), dtype)
 
-    drawn = np.arange(most) % len(windows.run)
+    drawn = np.arange(most) % len(windows.trajectory)
     cumulative = np.ones(most)
-    cumulative[: len(windows.run)] = windows.probability.cumsum() / windows.probability.sum()
+    probability = windows.probability
+    cumulative[: len(probability)] = probability.cumsum() / probability.sum()
     return WindowSource(
-        position=padded(runs.position, jnp.float32),
-        velocity=padded(runs.velocity, jnp.float32),
-        control=padded(runs.control, jnp.float32),
-        nodes=Nodes(
-            actuated=padded(runs.actuated, bool),
-            mask=padded(runs.node_mask, bool),
-            candidate=padded(runs.candidate, bool),
-            anchor=None if runs.anchor is None else padded(runs.anchor, jnp.float32),
-        ),
-        run=jnp.asarray(windows.run[drawn]),
+        trajectories=jax.tree.map(repeated, batch._replace(contact=None)),
+        trajectory=jnp.asarray(windows.trajectory[drawn]),
         start=jnp.asarray(windows.start[drawn]),
         cumulative=jnp.asarray(cumulative, jnp.float32),
         length=windows.length,
@@ -146,11 +138,11 @@ def has_resting_bodies(runs: TrajectoryBatch) -> bool:
 
     Where they never are (they fall, or flow, or hang on hinges) a resting bystander would be a lie.
     """
-    if runs.anchor is not None:
+    if runs.nodes.anchor is not None:
         return False
     speed = np.linalg.norm(runs.velocity[:, :-1], axis=-1)
-    exists = runs.node_mask[:, None, :] & runs.step_mask[:, :, None]
-    return bool(np.any((speed < _REST) & exists & ~runs.actuated[:, None, :]))
+    exists = runs.nodes.mask[:, None, :] & runs.step_mask[:, :, None]
+    return bool(np.any((speed < _REST) & exists & ~runs.nodes.actuated[:, None, :]))
 
 
 def add_distractor(

@@ -10,15 +10,20 @@ from jaxtyping import Array, Float
 
 from contactgraph.control.box_qp import ControlLimits
 from contactgraph.control.cost_learning.learned_cost import TaskNode
-from contactgraph.data import Dataset, InvalidInputError, pair_indices
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    TrajectoryBatch,
+    pad_trajectories,
+    pair_indices,
+)
 from contactgraph.model import ContactSensor, LinearDynamics, StepModel
 from contactgraph.model.filter import (
     FilteredTrajectory,
-    Recording,
     check_fit,
     dtype_of,
     filter_trajectory,
-    recording,
+    on_device,
 )
 
 _AT_LIMIT = 1e-4
@@ -153,11 +158,7 @@ def follow_all(model: StepModel, demonstrations: Dataset) -> FilteredTrajectory:
                 f"run {number}: control must have at least one axis, found none"
             )
         check_fit(model, run.scene, run.control_size, f"run {number}")
-    steps = max(run.steps for run in demonstrations)
-    capacity = max(run.scene.node_count for run in demonstrations)
-    dtype = dtype_of(model)
-    padded = [recording(run, steps, capacity, dtype, True) for run in demonstrations]
-    return _followed(model, jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded))
+    return _followed(model, on_device(pad_trajectories(demonstrations), dtype_of(model)))
 
 
 def participants(demonstrations: Dataset, followed: FilteredTrajectory) -> tuple[TaskNode, ...]:
@@ -220,5 +221,5 @@ def _check_everywhere(each: TaskNode, demonstrations: Dataset) -> None:
 
 
 @eqx.filter_jit
-def _followed(model: StepModel, runs: Recording) -> FilteredTrajectory:
+def _followed(model: StepModel, runs: TrajectoryBatch[Array]) -> FilteredTrajectory:
     return jax.lax.map(lambda run: filter_trajectory(model, run, _EXACT), runs)
