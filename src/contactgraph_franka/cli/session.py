@@ -60,9 +60,9 @@ class PrintedPlans:
         self._planning = planning
         self.interval = planning.interval
 
-    def begin(self, start: EpisodeStart) -> None:
+    def reset(self, start: EpisodeStart) -> None:
         """See `AsyncPlanner`."""
-        self._planning.begin(start)
+        self._planning.reset(start)
         self._began: float | None = None
         self._due = 0.0
 
@@ -75,15 +75,15 @@ class PrintedPlans:
     def poll(self) -> PlanResult | None:
         """See `AsyncPlanner`."""
         planned = self._planning.poll()
-        if planned is None or self._began is None or planned.moment < self._due:
+        if planned is None or self._began is None or planned.observed_at < self._due:
             return planned
-        self._due = planned.moment + _EVERY
-        if isinstance(planned.law, FeedbackLaw):
-            hand, block = planned.law.states[-1, :2, 0]
-            push = _numbers(1, planned.law.controls[0])
+        self._due = planned.observed_at + _EVERY
+        if isinstance(planned.policy, FeedbackLaw):
+            hand, block = planned.policy.states[-1, :2, 0]
+            push = _numbers(1, planned.policy.controls[0])
             print(
-                f"at {planned.moment - self._began:4.1f} s: first push {push} N; "
-                f"in {planned.law.duration:g} s the hand at {_numbers(2, hand)} m, "
+                f"at {planned.observed_at - self._began:4.1f} s: first push {push} N; "
+                f"in {planned.policy.duration:g} s the hand at {_numbers(2, hand)} m, "
                 f"the block at {_numbers(2, block)} m"
             )
         return planned
@@ -151,7 +151,7 @@ class Session:
         for each in (self._arm.seen, self._arm.assumed):
             if each is not None:
                 each.begin()
-        return self._loop.run(self._seconds, goal, seed, on_tick=self._tick, asked_to_stop=asked)
+        return self._loop.run(self._seconds, goal, seed, on_cycle=self._tick, stop_requested=asked)
 
     @property
     def began(self) -> float:

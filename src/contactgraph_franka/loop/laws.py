@@ -51,17 +51,3 @@ class FeedbackLaw:
         begin, end = self.states[step], self.states[step + 1]
         astray = state - (begin + part * (end - begin))
         return self.controls[step] + self.gains[step] @ astray.ravel()
-
-
-@dataclass(frozen=True, eq=False)
-class ZeroOrderHold:
-    """The same force for as long as it counts."""
-
-    force: np.ndarray
-    """[D] N"""
-    duration: float
-    """s"""
-
-    def __call__(self, elapsed: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """The force."""
-        return self.force

@@ -1,4 +1,4 @@
-"""Model predictive control beside a robot's loop."""
+"""Model predictive control as a planner of the robot's loop."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,16 +15,16 @@ from contactgraph_franka.loop import EpisodeStart, FeedbackLaw, TimedObservation
 from contactgraph_franka.loop.plan_feedback import plan_feedback
 
 _SHARES = np.array([0.5, 0.5, np.sqrt(0.5)])
-"""Of the largest force, along each axis: their squares add up to 1, so that no plan asks for more
-than the limits let pass. Upwards there is most, since what is held has weight."""
+"""Bounds of a plan's force along each axis, as shares of the largest force. Their squares add up
+to 1, so that every plan is within the limits. The largest is upwards, against the weight."""
 
 
 class MPCPlanner:
-    """A `contactgraph_franka.loop.Planner`: plans in every step of the model, if it has the time.
+    """A `Planner` that plans in every step of the model, if there is time.
 
-    Beliefs are carried along every moment, as the model predicts them and as measured contacts and,
-    with a ``motion_noise``, observed motion correct them. Where planning took longer than a step,
-    the moments that passed are followed, and the plan is made from the last one.
+    Beliefs are updated at every observation: predicted by the model, corrected by measured contacts
+    and, with a ``motion_noise``, by observed motion. Where planning took longer than a step, the
+    skipped observations update the belief, and the plan is made from the last one.
     """
 
     def __init__(
@@ -39,10 +39,10 @@ class MPCPlanner:
         sensor: ContactSensor | None = None,
         motion_noise: MotionNoise | None = None,
     ) -> None:
-        """``scene`` in three dimensions is that of all runs; each has its own goal.
+        """``scene``, in three dimensions, is that of all episodes; each has its own goal.
 
-        ``max_force`` N is the length of the longest force that the robot's limits let pass: plans
-        keep to a box in it. ``sensor`` None: what measures contacts hardly ever lies.
+        ``max_force`` N is the largest force on the hand that the robot's limits permit: plans keep
+        to a box inside it. ``sensor`` None: measured contacts are hardly ever wrong.
         Raises `InvalidInputError` where the parts do not fit, or a number is out of range.
         """
         if not max_force > 0.0:
@@ -52,7 +52,7 @@ class MPCPlanner:
             raise InvalidInputError(f"the robot moves in 3 dimensions, found {scene.dimension}")
         bound = jnp.asarray(max_force * _SHARES)
         ilqr = ILQR(horizon=horizon, iterations=iterations, limits=ControlLimits(-bound, bound))
-        # So that no tick plans but those that are told to.
+        # No step plans but those that set the counter below.
         self._every = horizon
         self._mpc = MPC(
             model,
@@ -66,25 +66,23 @@ class MPCPlanner:
         self.interval = float(scene.dt)
         """s: the model's step."""
 
-    def begin(self, start: EpisodeStart) -> None:
-        """See `contactgraph_franka.loop.Planner`. Compiles, where that has not been done."""
+    def reset(self, start: EpisodeStart) -> None:
+        """See `Planner`. Compiles on the first call."""
         scene = replace(self._scene, goal=start.goal)
         nodes = scene_nodes(scene, scene.node_count)
         observation = start.reading.observation(start.goal)
         self._state = self._mpc.reset(observation, nodes, self._cost.in_scene(scene))
 
-    def plan(self, moments: Sequence[TimedObservation]) -> FeedbackLaw | None:
-        """See `contactgraph_franka.loop.Planner`."""
+    def plan(self, observations: Sequence[TimedObservation]) -> FeedbackLaw | None:
+        """See `Planner`."""
         if self._state is None:
-            raise InvalidInputError("call begin(start) first")
-        for moment in moments:
-            due = self._every if moment is moments[-1] else 0
+            raise InvalidInputError("call reset(start) first")
+        for each in observations:
+            due = self._every if each is observations[-1] else 0
             memory = replace(self._state.memory, steps_since_plan=jnp.asarray(due, jnp.int32))
             state = replace(self._state, memory=memory)
-            observed = {"position": moment.reading.position, "velocity": moment.reading.velocity}
-            plan, self._state = self._mpc.step(
-                observed, moment.reading.contact, state, moment.applied
-            )
+            observed = {"position": each.reading.position, "velocity": each.reading.velocity}
+            plan, self._state = self._mpc.step(observed, each.reading.contact, state, each.applied)
         if not plan.outcome.solved:
             return None
         return plan_feedback(plan, self.interval, self._scene.node_count)

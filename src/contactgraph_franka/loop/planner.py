@@ -1,128 +1,142 @@
-"""What plans for a robot, and what it answers with. ``N`` nodes in ``D`` dimensions."""
+"""Interfaces of planners and of the policies that they return. ``N`` nodes in ``D`` dimensions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from contactgraph.data import Scene
-from contactgraph.envs.contract import Policy
-from contactgraph_franka.loop.laws import ZeroOrderHold
 from contactgraph_franka.safety.robot import RobotReading
+
+if TYPE_CHECKING:
+    from contactgraph.data import Scene
+    from contactgraph.envs.contract import Policy
+
+_HELD_STEPS = 5
+"""Steps for which a policy's force counts where no newer one comes."""
 
 
 @dataclass(frozen=True, eq=False)
 class EpisodeStart:
-    """What a planner is told before a run."""
+    """Input of a planner before an episode."""
 
     reading: RobotReading
     goal: np.ndarray
     """[D] m"""
     seed: int = 0
-    """Of whatever is random about the planner."""
+    """Seed of a planner's random numbers."""
 
 
 @dataclass(frozen=True, eq=False)
 class TimedObservation:
-    """What a planner is told about one moment of a run."""
+    """Input of a planner at one time of an episode."""
 
     time: float
-    """s, on the loop's clock: a plan's law counts its seconds from here."""
+    """s, on the loop's clock: a plan's time counts from here."""
     reading: RobotReading
     applied: np.ndarray
-    """[D] N, the mean of what was really sent since the moment before: limits may have changed what
-    was asked for, and feedback did."""
+    """[D] N, the mean force really sent since the previous observation. It differs from the plan's
+    by feedback and by limits."""
 
 
 class ControlPolicy(Protocol):
-    """What to do while no newer plan is there: cheap, since it is asked a thousand times a second.
+    """A plan's control at any time within it. Called in every control cycle, so it must be fast.
 
-    A law that comes late still acts right, because it is asked by the time that has passed since
-    the moment it was made from, not since it came. It owns its numbers, and can be pickled; whoever
-    runs the loop must have imported what it is made of: see `laws`.
+    A plan that arrives late still acts right, because it is evaluated at the time since its
+    observation, not since its arrival. It must own its data and be picklable, and its class be in a
+    module that the loop's process has imported.
     """
 
     @property
     def duration(self) -> float:
-        """s, for which it has an answer."""
+        """s, after which the policy gives no control."""
 
     def __call__(self, elapsed: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """[D] N, ``elapsed`` s in [0, duration] after its moment, at [N, D] m and m/s."""
+        """[D] N, ``elapsed`` s in [0, duration] after its observation, at [N, D] m and m/s."""
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroOrderHold:
+    """A `ControlPolicy`: a constant force."""
+
+    force: np.ndarray
+    """[D] N"""
+    duration: float
+    """s"""
+
+    def __call__(self, elapsed: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """The force."""
+        return self.force
 
 
 class Planner(Protocol):
-    """Something that takes its time."""
+    """A planner that may take longer than a control cycle."""
 
     @property
     def interval(self) -> float:
-        """s between the moments that it is told."""
+        """s between observations."""
 
-    def begin(self, start: EpisodeStart) -> None:
-        """Prepares for a run, and forgets the last one. May take long: nothing moves yet.
+    def reset(self, start: EpisodeStart) -> None:
+        """Prepares for an episode, and forgets the last one. May take long: nothing moves yet.
 
-        Raises `InvalidInputError` where it cannot plan for what was read.
+        Raises `InvalidInputError` where it cannot plan from ``start``.
         """
 
-    def plan(self, moments: Sequence[TimedObservation]) -> ControlPolicy | None:
-        """The law from the last of ``moments`` on; None where no plan was found.
+    def plan(self, observations: Sequence[TimedObservation]) -> ControlPolicy | None:
+        """The policy from the last observation on; None where no plan was found.
 
-        ``moments`` are all since the last call, at least one: more than one where planning took
-        longer than ``interval``.
+        ``observations`` are all since the last call, at least one: more than one where planning
+        took longer than ``interval``.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class PlanResult:
-    """What planning from a moment came to."""
+    """Result of one call of `Planner.plan`."""
 
-    law: ControlPolicy | None
+    policy: ControlPolicy | None
     """None: no plan was found."""
-    moment: float
-    """s, on the loop's clock: what it was made from."""
+    observed_at: float
+    """s, on the loop's clock: the time of the observation that it was made from."""
     wall_s: float
-    """Wall seconds that it took."""
+    """Wall seconds of planning."""
 
 
 class AsyncPlanner(Protocol):
-    """A planner beside the loop."""
+    """A planner that runs beside the control loop, and never blocks it."""
 
     @property
     def interval(self) -> float:
-        """s between the moments that are to be offered."""
+        """s between the observations to submit."""
 
-    def begin(self, start: EpisodeStart) -> None:
-        """Prepares for a run; this alone may take long. Raises what `Planner.begin` raises."""
+    def reset(self, start: EpisodeStart) -> None:
+        """Prepares for an episode; only this call may take long. Raises what the planner does."""
 
-    def submit(self, moment: TimedObservation) -> None:
-        """Something to plan from. Does not wait."""
+    def submit(self, observation: TimedObservation) -> None:
+        """Hands over an observation to plan from. Does not block."""
 
     def poll(self) -> PlanResult | None:
-        """What was planned since the last call. Does not wait; None: nothing yet.
+        """The plan made since the last call; None where there is none. Does not block.
 
-        Raises whatever planning ended with for good.
+        Raises the error that ended planning for good.
         """
 
 
-_HELD_STEPS = 5
-"""After so many steps without a new force, the last one is over."""
-
-
 class PolicyPlanner:
-    """A `contactgraph_franka.loop.Planner` that asks a policy in every step of a scene."""
+    """A `Planner` that calls a task's policy, such as a scripted expert, in every step."""
 
-    def __init__(self, policy: Policy, scene: Scene) -> None:
-        """``scene`` is that of all runs; each has its own goal."""
+    def __init__(self, policy: "Policy", scene: "Scene") -> None:
+        """``scene`` is that of all episodes; each has its own goal."""
         self._policy, self._scene = policy, scene
         self.interval = float(scene.dt)
         """s"""
 
-    def begin(self, start: EpisodeStart) -> None:
-        """See `contactgraph_franka.loop.Planner`."""
+    def reset(self, start: EpisodeStart) -> None:
+        """See `Planner`."""
         self._goal = start.goal
         self._policy.reset(replace(self._scene, goal=start.goal), start.seed)
 
-    def plan(self, moments: Sequence[TimedObservation]) -> ZeroOrderHold:
-        """See `contactgraph_franka.loop.Planner`. Policies count steps, so they hear of each."""
-        forces = [self._policy(moment.reading.observation(self._goal)) for moment in moments]
+    def plan(self, observations: Sequence[TimedObservation]) -> ZeroOrderHold:
+        """See `Planner`. The policy is called on each observation, since it may count steps."""
+        forces = [self._policy(each.reading.observation(self._goal)) for each in observations]
         return ZeroOrderHold(np.asarray(forces[-1], dtype=np.float64), _HELD_STEPS * self.interval)

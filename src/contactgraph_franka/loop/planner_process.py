@@ -1,4 +1,4 @@
-"""AsyncPlanner in a process of its own."""
+"""A planner in a process of its own."""
 
 import multiprocessing
 import signal
@@ -13,38 +13,38 @@ from contactgraph.data import InvalidInputError
 from contactgraph_franka.loop.planner import EpisodeStart, Planner, PlanResult, TimedObservation
 from contactgraph_franka.loop.realtime import set_nice
 
-_MOST_UNREAD = 20
-"""Moments that may wait to be planned from: they are far from filling the connection, so that to
-offer one never waits. A planner that leaves more unread is stopped by the age of its plan."""
+_MAX_UNREAD = 20
+"""Observations that may wait for the planner: few enough for the connection, so that `submit` never
+blocks. A planner that leaves more unread is stopped by the age of its plan."""
 
 
 class PlannerProcess:
-    """A `AsyncPlanner` whose planner cannot disturb the loop's process, and need not be quick.
+    """An `AsyncPlanner` whose planner cannot delay the loop's process, however long it takes.
 
-    A thread would: while it runs Python, or is itself kept waiting for a core in the midst of it,
-    the loop waits. Measured on a busy machine, with a loop of real-time priority: beside a planner
-    of plain Python in a thread, 99 % of ticks came within 2.7 ms and eight a second later than 3
-    ms; by itself, 99 % within 0.12 ms and one a second, when the machine itself stood still.
+    A thread would delay it whenever it runs Python, or waits for a core while it holds Python's
+    lock. Measured on a busy machine with a loop of real-time priority: beside a planner of plain
+    Python in a thread, 99 % of cycles began within 2.7 ms of their time and eight a second later
+    than 3 ms; without it, 99 % within 0.12 ms and one a second, when the machine itself stalled.
 
-    ``with PlannerProcess(make) as planning`` serves one run after another. Ends with its context
-    and with the process that made it.
+    ``with PlannerProcess(make_planner) as planner`` serves one episode after another. The process
+    ends with the context and with the process that started it.
     """
 
     def __init__(self, make_planner: Callable[[], Planner]) -> None:
         """``make_planner`` is sent to the process: a function or class of a module, or a partial.
 
-        Raises what it raises, if that is `InvalidInputError`.
+        Raises its error, if that is `InvalidInputError`.
         """
         context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
+        self._connection, remote = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(theirs, make_planner), daemon=True, name="planning"
+            target=_serve, args=(remote, make_planner), daemon=True, name="planning"
         )
         self._process.start()
-        theirs.close()
+        remote.close()
         self._unread = 0
         try:
-            self.interval: float = self._answer()
+            self.interval: float = self._receive()
         except BaseException:
             self.close()
             raise
@@ -56,36 +56,36 @@ class PlannerProcess:
         self.close()
 
     def close(self) -> None:
-        """Ends the process, whatever it is at."""
+        """Ends the process at once."""
         self._process.kill()
         self._process.join()
         self._connection.close()
 
-    def begin(self, start: EpisodeStart) -> None:
+    def reset(self, start: EpisodeStart) -> None:
         """See `AsyncPlanner`."""
         self._unread = 0
-        with suppress(ConnectionError):  # that it is gone is found by who waits for the answer
+        with suppress(ConnectionError):  # `_receive` reports a process that has ended
             self._connection.send(start)
-        # What an earlier run left to be planned from comes first.
-        while self._answer() is not None:
+        # Plans of the previous episode arrive first.
+        while self._receive() is not None:
             pass
 
-    def submit(self, moment: TimedObservation) -> None:
+    def submit(self, observation: TimedObservation) -> None:
         """See `AsyncPlanner`."""
-        if self._unread < _MOST_UNREAD:
+        if self._unread < _MAX_UNREAD:
             self._unread += 1
             with suppress(ConnectionError):
-                self._connection.send(moment)
+                self._connection.send(observation)
 
     def poll(self) -> PlanResult | None:
         """See `AsyncPlanner`."""
         if not self._connection.poll():
             return None
-        read, planned = self._answer()
+        read, result = self._receive()
         self._unread -= read
-        return planned
+        return result
 
-    def _answer(self) -> Any:
+    def _receive(self) -> Any:
         try:
             answer = self._connection.recv()
         except (EOFError, ConnectionError) as error:
@@ -99,8 +99,8 @@ class PlannerProcess:
 
 
 def _serve(connection: Connection, make_planner: Callable[[], Planner]) -> None:
-    """The planner's process: reads `EpisodeStart`s and `TimedObservation`s, and answers."""
-    # Ctrl-C is for the loop, which ends its run gently, and then this.
+    """Main function of the planner's process."""
+    # Ctrl-C is for the loop, which ends its episode gently, and then this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     set_nice(0)
     with suppress(EOFError, ConnectionError):
@@ -114,22 +114,22 @@ def _serve(connection: Connection, make_planner: Callable[[], Planner]) -> None:
         except (EOFError, ConnectionError):
             raise
         except Exception:
-            connection.send(RuntimeError("the planner broke down:\n" + traceback.format_exc()))
+            connection.send(RuntimeError("the planner failed:\n" + traceback.format_exc()))
 
 
 def _plan(planner: Planner, connection: Connection) -> None:
-    """One answer to all that has come."""
-    told = [connection.recv()]
+    """Makes one plan from all messages that have come."""
+    messages = [connection.recv()]
     began = time.perf_counter()
     while connection.poll():
-        told.append(connection.recv())
-    starts = [index for index, each in enumerate(told) if isinstance(each, EpisodeStart)]
+        messages.append(connection.recv())
+    starts = [index for index, each in enumerate(messages) if isinstance(each, EpisodeStart)]
     if starts:
-        planner.begin(told[starts[-1]])
+        planner.reset(messages[starts[-1]])
         connection.send(None)
-        told = told[starts[-1] + 1 :]
+        messages = messages[starts[-1] + 1 :]
         began = time.perf_counter()
-    if told:
-        law = planner.plan(told)
-        took = time.perf_counter() - began
-        connection.send((len(told), PlanResult(law, told[-1].time, took)))
+    if messages:
+        policy = planner.plan(messages)
+        wall_s = time.perf_counter() - began
+        connection.send((len(messages), PlanResult(policy, messages[-1].time, wall_s)))

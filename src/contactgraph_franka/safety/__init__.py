@@ -1,4 +1,4 @@
-"""The path to a real arm: what a robot is, its safety limits, and a fake one to test with."""
+"""The robot interface, its safety limits, and a fake robot with faults for tests."""
 
 from contactgraph_franka.safety.fake_robot import FakeRobot as FakeRobot
 from contactgraph_franka.safety.faults import FAULTS as FAULTS

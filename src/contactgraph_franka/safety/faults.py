@@ -1,4 +1,4 @@
-"""What goes wrong with robots, to be injected into `FakeRobot`."""
+"""Faults of robots, sensors and planners, for injection into `FakeRobot`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -8,24 +8,24 @@ import numpy as np
 from contactgraph_franka.safety.robot import RobotReading
 
 _DELAY = 5
-"""Ticks."""
+"""Control cycles."""
 _JUMP = 0.1
 """m."""
 
 Corruption = Callable[[Sequence[RobotReading], RobotReading], RobotReading | None]
-"""What is read instead, from the true readings so far (newest last) and the one at the onset."""
+"""The faulty reading, from the true readings so far (newest last) and the one at the onset."""
 
 
 def _intact(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
     return past[-1]
 
 
-def _nan(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
+def _not_finite(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
     return replace(past[-1], position=np.full_like(past[-1].position, np.nan))
 
 
 def _frozen(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
-    # What is frozen is what the robot tells; the host stamps it as ever.
+    # The robot repeats its reading; the host stamps it as usual.
     return replace(onset, time=past[-1].time)
 
 
@@ -39,63 +39,61 @@ def _delayed(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
     return past[max(len(past) - 1 - _DELAY, 0)]
 
 
-def _unseen(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
+def _untracked(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
     tracked = past[-1].tracked.copy()
     tracked[-1] = False
     return replace(past[-1], tracked=tracked)
 
 
-def _nothing(past: Sequence[RobotReading], onset: RobotReading) -> None:
+def _missing(past: Sequence[RobotReading], onset: RobotReading) -> None:
     return None
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One kind of fault, from one tick to another."""
+    """One fault, in the control cycles from ``start`` up to but not including ``end``."""
 
     start: int
-    """The first tick it is there."""
     end: int
-    """The first tick it is there no more."""
     corruption: Corruption = _intact
-    deaf: bool = False
-    """Whether the robot hears nothing."""
+    drops_commands: bool = False
+    """Whether commands do not reach the robot."""
     late: bool = False
-    """Whether plans come too late. A robot cannot make that happen: whoever plans asks for it."""
+    """Whether plans come too late; the test's controller asks for this, not the robot."""
 
-    def active(self, tick: int) -> bool:
-        """Whether it is there in this tick."""
-        return self.start <= tick < self.end
+    def active(self, cycle: int) -> bool:
+        """Whether the fault is present in this cycle."""
+        return self.start <= cycle < self.end
 
 
 def nan_fault(start: int, end: int) -> Fault:
-    """Positions are not numbers."""
-    return Fault(start, end, _nan)
+    """Positions are NaN."""
+    return Fault(start, end, _not_finite)
 
 
 def frozen_fault(start: int, end: int) -> Fault:
-    """The robot tells the same again and again, its clock included."""
+    """The robot repeats one reading, its clock included."""
     return Fault(start, end, _frozen)
 
 
 def jump_fault(start: int, end: int) -> Fault:
-    """The object is seen 0.1 m off on each axis."""
+    """The object's position is 0.1 m off on each axis."""
     return Fault(start, end, _jumped)
 
 
 def delay_fault(start: int, end: int) -> Fault:
-    """Readings come 5 ticks late."""
+    """Readings come 5 control cycles late."""
     return Fault(start, end, _delayed)
 
 
 def lost_object_fault(start: int, end: int) -> Fault:
-    """The object is tracked no more."""
-    return Fault(start, end, _unseen)
+    """The object is no longer tracked."""
+    return Fault(start, end, _untracked)
 
 
 def lost_packet_fault(start: int, end: int) -> Fault:
-    """Nothing comes from the robot, and nothing reaches it."""
-    return Fault(start, end, _nothing, deaf=True)
+    """No reading comes from the robot, and no command reaches it."""
+    return Fault(start, end, _missing, drops_commands=True)
 
 
 def late_plan_fault(start: int, end: int) -> Fault:
@@ -112,4 +110,4 @@ FAULTS = (
     lost_packet_fault,
     late_plan_fault,
 )
-"""All kinds there are."""
+"""All faults."""

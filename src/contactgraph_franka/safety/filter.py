@@ -1,4 +1,8 @@
-"""Whether a reading can be accepted."""
+"""The safety filter between every controller and every robot.
+
+`rejection_reason` checks a reading, `SafetyFilter` limits a command, and `SafeRobot` is the only
+way to a robot: it sends nothing but what the filter lets pass.
+"""
 
 import math
 from collections.abc import Callable
@@ -15,8 +19,12 @@ from contactgraph_franka.safety.limits import (
 from contactgraph_franka.safety.robot import Command, Robot, RobotReading, Stop, StopReason
 
 _ABSURD = 1e12
-"""m, m/s or s: a number that no arm reads, and whose square a float still holds. Clocks that count
-from 1970 are below it."""
+"""m, m/s or s: beyond any valid reading, and small enough for its square to be a float. Clocks that
+count from 1970 are below it."""
+_JITTER = 1e-9
+"""s: rounding of clocks, which are floating point numbers."""
+_NO_NEWS = (StopReason.CONNECTION_LOST, StopReason.READING_FROZEN)
+"""Rejections under which the last reading still counts: a loop may be faster than the robot."""
 
 
 def rejection_reason(
@@ -26,9 +34,9 @@ def rejection_reason(
     hand: int,
     limits: SafetyLimits,
 ) -> StopReason | None:
-    """Why ``reading``, at the time ``now`` s, is not accepted; None where it is.
+    """Why ``reading`` is rejected at the time ``now`` s; None where it is accepted.
 
-    ``last`` is the last reading that was accepted, ``hand`` the index of the node that is driven.
+    ``last`` is the last accepted reading, ``hand`` the index of the actuated node.
     """
     if reading is None:
         return StopReason.CONNECTION_LOST
@@ -43,7 +51,7 @@ def rejection_reason(
         return StopReason.READING_NOT_FINITE
     longest = np.full(len(reading.time), limits.longest_track_age)
     longest[hand] = limits.longest_age
-    # A stamp from the future is as little use as an old one.
+    # A time stamp from the future is rejected like an old one.
     if np.any(np.abs(now - reading.time) > longest):
         return StopReason.READING_STALE
     if last is not None and reading.robot_time <= last.robot_time:
@@ -67,19 +75,19 @@ def _jumped(reading: RobotReading, last: RobotReading, limits: SafetyLimits) -> 
 
 
 class SafetyFilter:
-    """Forces that are finite and within limits, always, whatever comes in.
+    """Turns any command and reading into a force that is finite and within limits.
 
-    Called once a tick with the newest command and the newest reading. A reading that cannot be
-    accepted eases the force off at once; where none comes the last one counts. Either stops the
-    robot where it lasts longer than ``longest_age``: one lost packet is no stop. A command that is
-    not finite stops at once, one that does not come, after ``longest_gap``.
+    It is called once a control cycle with the newest command and the newest reading. A rejected
+    reading eases the force off at once; where no reading comes, the last one counts. Both stop the
+    robot where they last longer than ``longest_age``, so that one lost packet is no stop. A command
+    that is not finite stops the robot at once, a missing one after ``longest_gap``.
 
-    A stop is gentle: the force goes to zero within its largest rate and stays there until `reset`.
-    What the hand still moves is for the robot's own brake (`eased`), which needs no reading.
+    A stop is gentle: the force goes to zero at its largest rate and stays there until `reset`.
+    The robot's own brake, which needs no reading, then ends the remaining motion (`eased`).
     """
 
     def __init__(self, limits: SafetyLimits, now: float, hand: int = 0) -> None:
-        """``now`` s on the clock of all later calls; ``hand`` is the node that is driven.
+        """``now`` s on the clock of all later calls; ``hand`` is the index of the actuated node.
 
         Raises `InvalidInputError` where ``hand`` is negative.
         """
@@ -91,23 +99,23 @@ class SafetyFilter:
         self.reset(now)
 
     def reset(self, now: float) -> None:
-        """Ends a stop: forgets all readings and commands, and what was wrong. ``now`` in s.
+        """Ends a stop at ``now`` s, and forgets its reason and all readings and commands.
 
-        The force goes on from where it is, which is zero once the robot braked by itself.
+        The force continues from its present value, which is zero once the robot braked by itself.
         """
         self.stop: Stop | None = None
         if self.eased:
             self._force = np.zeros(len(self.limits.workspace_low))
-            self._before = self._force
+            self._previous_force = self._force
         self.eased = False
-        """Whether a stop has come so far that nothing pushes, and the robot's brake may act."""
+        """Whether a stop has brought the force to zero, so that the robot's brake may act."""
         self._now = now
-        self._believed_at = now
+        self._accepted_at = now
         self._sent_at = now
-        self._sent_before = now
-        self._asked_at: float | None = None
+        self._previous_sent_at = now
+        self._commanded_at: float | None = None
         self.accepted: RobotReading | None = None
-        """What the last call took for the truth: the newest reading, or the one before it."""
+        """The reading used by the last call: the newest accepted one."""
         self._reading: RobotReading | None = None
         self._command: np.ndarray | None = None
 
@@ -121,7 +129,7 @@ class SafetyFilter:
         duration = now - self._now
         if not duration >= 0.0 or math.isinf(duration):
             self.halt(StopReason.CLOCK_BROKEN, self._now)
-            # Without time there is no rate to keep: the robot's own brake must do.
+            # Without time no rate can be kept: the robot's own brake stops the motion.
             self.eased = True
             return self._force.copy()
         self._now = now
@@ -135,10 +143,10 @@ class SafetyFilter:
         target = self._target(self.accepted)
         # After a pause the force may not make up for all of the lost time at once.
         duration = min(duration, self.limits.longest_gap)
-        self._before = self._force
+        self._previous_force = self._force
         self._force = limit_rate(self._force, target, duration, self.limits)
         self.eased = self.eased or (self.stop is not None and not self._force.any())
-        self._sent_before, self._sent_at = self._sent_at, now
+        self._previous_sent_at, self._sent_at = self._sent_at, now
         return self._force.copy()
 
     def halt(self, reason: StopReason, now: float) -> None:
@@ -147,13 +155,13 @@ class SafetyFilter:
             self.stop = Stop(reason, now)
 
     def sent(self, force: np.ndarray | None) -> None:
-        """What the robot says was really sent, ``[D]`` N; None where it got lost.
+        """Takes in the force that the robot reports as sent, ``[D]`` N; None where it got lost.
 
-        The next force follows that one, if it is one. A robot that cannot be reached cannot be
+        The next force follows that one, if it is valid. A robot that cannot be reached cannot be
         stopped gently.
         """
         if force is None:
-            self._force, self._sent_at = self._before, self._sent_before
+            self._force, self._sent_at = self._previous_force, self._previous_sent_at
             self.eased = self.stop is not None
         elif np.shape(force) == self._force.shape and np.isfinite(force).all():
             self._force = clip_norm(np.array(force, dtype=np.float64), self.limits.max_force)
@@ -168,12 +176,12 @@ class SafetyFilter:
         limits = self.limits
         reason = rejection_reason(reading, self._reading, now, self._hand, limits)
         if reason is not None:
-            if now - self._believed_at > limits.longest_age + _JITTER:
+            if now - self._accepted_at > limits.longest_age + _JITTER:
                 self.halt(reason, now)
             return self._reading if reason in _NO_NEWS else None
         assert reading is not None
         self._reading = reading
-        self._believed_at = now
+        self._accepted_at = now
         position, velocity = reading.position[self._hand], reading.velocity[self._hand]
         if np.any(position < limits.workspace_low) or np.any(position > limits.workspace_high):
             self.halt(StopReason.OUTSIDE_WORKSPACE, now)
@@ -189,32 +197,25 @@ class SafetyFilter:
                 self.halt(StopReason.COMMAND_UNUSABLE, now)
                 return
             self._command = force
-            self._asked_at = command.time
-        asked = self._asked_at
-        # A robot that nobody has moved yet waits for as long as it takes.
-        if asked is not None and now - asked > self.limits.longest_gap + _JITTER:
+            self._commanded_at = command.time
+        commanded = self._commanded_at
+        # Before the first command, the robot waits for as long as it takes.
+        if commanded is not None and now - commanded > self.limits.longest_gap + _JITTER:
             self.halt(StopReason.COMMAND_LATE, now)
 
 
-_NO_NEWS = (StopReason.CONNECTION_LOST, StopReason.READING_FROZEN)
-"""Doubts under which the last reading still counts: a loop may be faster than what it reads."""
-
-_JITTER = 1e-9
-"""s: clocks are floating point numbers."""
-
-
 class SafeRobot:
-    """What a controller holds instead of the robot: `read`, then `send`, once a tick.
+    """Access of a controller to a robot, through its limits: `read`, then `send`, once a cycle.
 
-    After a stop the robot is eased off, then told to brake by itself, and stays so until `reset`.
+    After a stop the force is eased off, then the robot brakes by itself, until `reset`.
     """
 
     def __init__(
         self, robot: Robot, limits: SafetyLimits, clock: Callable[[], float], hand: int = 0
     ) -> None:
-        """``clock`` gives the time in s in which readings and commands are stamped.
+        """``clock`` gives the time in s of readings and commands; `time.monotonic` for an arm.
 
-        For an arm it is `time.monotonic`. ``hand`` is the node that is driven.
+        ``hand`` is the index of the actuated node.
         """
         self._robot = robot
         self._clock = clock
@@ -228,15 +229,15 @@ class SafeRobot:
 
     @property
     def accepted(self) -> RobotReading | None:
-        """The newest reading that the last `send` accepted; None where it accepted none."""
+        """The newest reading accepted by the last `send`; None where there is none."""
         return self._filter.accepted
 
     def end(self, reason: StopReason) -> None:
-        """Stops the robot because somebody wants it: eased off, then braked, by the next calls."""
+        """Stops the robot on request: the next calls ease the force off, then brake."""
         self._filter.halt(reason, self._clock())
 
     def reset(self) -> None:
-        """Lets a stopped robot move again, and begins to count deadlines: call it before a loop."""
+        """Lets a stopped robot move again, and starts all deadlines: call it before a loop."""
         self._robot.resume()
         self._reading = None
         self._filter.reset(self._clock())
@@ -247,9 +248,9 @@ class SafeRobot:
         return self._reading
 
     def send(self, command: Command | None) -> np.ndarray | None:
-        """Sends what the limits leave of a command, or of the last one where it is None.
+        """Sends a command within the limits, or the last one where it is None.
 
-        Returns the force ``[D]`` N that was really sent; None where nothing was.
+        Returns the force ``[D]`` N really sent; None where nothing was.
         """
         now = self._clock()
         force = self._filter(command, self._reading, now)

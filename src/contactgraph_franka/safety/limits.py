@@ -1,4 +1,4 @@
-"""What a robot may be asked for, as data."""
+"""Safety limits as data, and the forces that keep to them: virtual walls and a rate limit."""
 
 import math
 from dataclasses import dataclass
@@ -7,35 +7,45 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError
 
+_DAMPING = 100.0
+"""N s/m: damping of the virtual walls and of the speed limit."""
+_STIFFNESS = 400.0
+"""N/m, of the virtual walls. With `_DAMPING` overdamped for hands of up to 6 kg, so that a wall is
+approached without overshoot."""
+_WALL = 0.01
+"""m: distance of the virtual walls from the faces of the workspace, inwards."""
+_SPEED_SHARE = 0.9
+"""Share of the largest speed at which no force along the motion is left."""
+
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """The limits that `SafetyFilter` keeps. The defaults suit an arm like the Franka Panda.
+    """The limits enforced by `SafetyFilter`. The defaults suit an arm like the Franka Panda.
 
     They must allow the stop they promise: the wait for a late command or reading, and then easing
     the largest force off at the largest rate, have to fit into ``stop_within``. Raises
-    `InvalidInputError` where they do not, or where a limit is no positive number.
+    `InvalidInputError` where they do not, or where a limit is not a positive number.
     """
 
     max_force: float = 20.0
     """N, the length of the force on the hand. Far below what the arm can do: 87 N m in the joints
-    that carry it, at a reach of 0.855 m, is 100 N (the maker's data sheet)."""
+    that carry it, at a distance of 0.855 m, is 100 N (the maker's data sheet)."""
     max_force_rate: float = 1200.0
     """N/s. The maker allows torques to change by 1000 N m/s in each joint; at the workspace's
     farthest corner, 0.81 m from the base's axis, this is 970 N m/s."""
     max_speed: float = 1.0
     """m/s, of the hand. The maker's limit is 1.7 m/s."""
     workspace_low: tuple[float, ...] = (0.28, -0.37, 0.02)
-    """[D] m, the corner of the box that the hand stays in, in the frame of the base."""
+    """[D] m, the lowest corner of the hand's workspace, in the frame of the base."""
     workspace_high: tuple[float, ...] = (0.72, 0.37, 0.40)
-    """[D] m, the opposite corner. All of the box is within the Panda's reach pointing down."""
+    """[D] m, the opposite corner. The Panda can point down everywhere in the box."""
     longest_age: float = 0.003
-    """s: how old what is known of the hand may be. Three ticks of the arm's 1 kHz."""
+    """s: the greatest age of a hand's reading. Three cycles of the arm's 1 kHz."""
     longest_track_age: float = 0.003
-    """s: how old what is known of the other nodes may be. A camera needs more, such as 0.1; the
-    time to stop then counts from when the object counts as lost."""
+    """s: the greatest age of the other nodes' readings. A camera needs more, such as 0.1; the time
+    to stop then counts from when the object counts as lost."""
     longest_gap: float = 0.003
-    """s: between commands, and between the ticks of the loop."""
+    """s: between commands, and between the cycles of the loop."""
     largest_jump: float = 0.02
     """m: how much farther than at ``max_speed`` a tracked position may move between readings."""
     stop_within: float = 0.020
@@ -61,22 +71,11 @@ class SafetyLimits:
             )
 
 
-_DAMPING = 100.0
-"""N s/m: how firmly guards resist motion towards a limit."""
-_STIFFNESS = 400.0
-"""N/m, of the guarding walls. With `_DAMPING` overdamped for hands of up to 6 kg, so that a wall is
-limit_rate and not run over."""
-_WALL = 0.01
-"""m: how far inside the workspace the guarding walls stand."""
-_SPEED_SHARE = 0.9
-"""Of the largest speed, where a guard leaves no force along the motion."""
-
-
 def clip_norm(vector: np.ndarray, length: float) -> np.ndarray:
-    """The vector, or the one in its direction with this length if it is longer."""
+    """The vector, scaled down to ``length`` where it is longer."""
     # Not `numpy.linalg.norm`, whose squares overflow.
-    found = math.hypot(*vector)
-    return vector if found <= length else vector * (length / found)
+    norm = math.hypot(*vector)
+    return vector if norm <= length else vector * (length / norm)
 
 
 def apply_virtual_walls(
@@ -84,12 +83,12 @@ def apply_virtual_walls(
 ) -> np.ndarray:
     r"""The nearest force that leads neither out of the workspace nor past the largest speed.
 
-    Along each axis the force that pushes on towards a wall at :math:`x_w` is at most
+    Along each axis the force towards a wall at :math:`x_w` is at most
     :math:`k (x_w - x) - c\,\dot x`, and along the motion at most :math:`c\,(0.9\,v_{max} - v)`:
     free motion far from limits, and a smooth end before them.
 
-    ``force`` [D] N, ``position`` [D] m and ``velocity`` [D] m/s of the hand. The length of what is
-    returned, [D] N, is at most ``max_force``.
+    ``force`` [D] N, ``position`` [D] m and ``velocity`` [D] m/s of the hand. The length of the
+    result, [D] N, is at most ``max_force``.
     """
     force = clip_norm(force, limits.max_force)
     speed = math.hypot(*velocity)

@@ -1,4 +1,4 @@
-"""Why a robot was stopped, in words."""
+"""The robot interface: readings, commands and stops. ``N`` nodes in ``D`` dimensions."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -10,11 +10,11 @@ from contactgraph.data import InvalidInputError
 
 
 class StopReason(Enum):
-    """What stopped the robot. The value is the sentence that a user reads."""
+    """Causes of a stop. The value is the sentence shown to the user."""
 
-    FINISHED = "the run is over"
-    ASKED = "somebody asked for it"
-    PLANNER_FAILED = "the planner broke down"
+    FINISHED = "the episode is over"
+    ASKED = "a stop was requested"
+    PLANNER_FAILED = "the planner failed"
     COMMAND_UNUSABLE = "the controller's command is not a force of finite numbers"
     COMMAND_LATE = "no new command came from the controller in time"
     LOOP_LATE = "the control loop itself came too late"
@@ -23,7 +23,7 @@ class StopReason(Enum):
     CONNECTION_LOST = "the robot sends no readings, or commands do not reach it"
     READING_NOT_FINITE = "a reading is not made of finite numbers"
     READING_UNFIT = "a reading has other nodes or dimensions than it should"
-    READING_STALE = "what was read is too old"
+    READING_STALE = "a reading is too old"
     READING_FROZEN = "the robot's clock stands still"
     POSITION_JUMPED = "a position moved farther than a body can"
     OBJECT_LOST = "an object is no longer tracked"
@@ -32,17 +32,17 @@ class StopReason(Enum):
 
     @property
     def wanted(self) -> bool:
-        """Whether the robot stopped because it should, and not because something was wrong."""
+        """Whether the stop was intended, and not caused by a fault."""
         return self in (StopReason.FINISHED, StopReason.ASKED)
 
 
 @dataclass(frozen=True)
 class Stop:
-    """That a robot was stopped."""
+    """A stop of the robot: its reason and time."""
 
     reason: StopReason
     time: float
-    """s, on the clock of whoever stopped it."""
+    """s, on the clock of the part that stopped the robot."""
 
     def __str__(self) -> str:
         return f"stopped at {self.time:.3f} s: {self.reason.value}"
@@ -50,10 +50,10 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class RobotReading:
-    """Where everything was, when, and how sure that is. ``N`` nodes in ``D`` dimensions.
+    """Positions and velocities of all nodes, with time stamps and uncertainty.
 
-    Shapes are checked; values are not, because a bad value is not the user's mistake but a fault,
-    and `SafetyFilter` judges it. Raises `InvalidInputError` where shapes do not fit.
+    Shapes are checked on construction. Values are not: a bad value is a fault of the robot, which
+    `SafetyFilter` handles. Raises `InvalidInputError` where shapes do not fit.
     """
 
     position: np.ndarray
@@ -61,17 +61,17 @@ class RobotReading:
     velocity: np.ndarray
     """[N, D] m/s."""
     time: np.ndarray
-    """[N] s, on the reader's clock: when each node was where ``position`` says, not when it was
-    told. An arm knows its hand from a millisecond ago, a camera an object from some thirty."""
+    """[N] s, on the reader's clock: when each node was at ``position``, not when it was reported.
+    The hand is measured a millisecond ago, an object seen by a camera some thirty."""
     robot_time: float
-    """s, on the robot's own clock. Whether it still advances says whether the robot lives."""
+    """s, on the robot's own clock, which advances while the robot is alive."""
     tracked: np.ndarray
-    """[N] bool: whether whoever measures the node still knows where it is."""
+    """[N] bool: whether the node's sensor still tracks it."""
     variance: np.ndarray | None = None
-    """[N, D] m^2, of ``position``; None where it is not known."""
+    """[N, D] m^2, of ``position``; None where it is unknown."""
     contact: np.ndarray | None = None
-    """[N, N] 0 to 1, symmetric, zero diagonal: how surely two nodes touch; NaN where that was not
-    measured. None without any such sensor."""
+    """[N, N] contact probability, 0 to 1, symmetric, zero diagonal; NaN where it was not measured.
+    None without a contact sensor."""
 
     def __post_init__(self) -> None:
         for name, kind in (("position", float), ("velocity", float), ("time", float)):
@@ -93,10 +93,9 @@ class RobotReading:
                 raise InvalidInputError(f"{name} must be {list(shape)}, found {np.shape(value)}")
 
     def observation(self, goal: np.ndarray) -> dict[str, np.ndarray]:
-        """As a task's observation, for policies: position, velocity, contact, and ``goal`` [D] m.
+        """A task's observation, for policies: position, velocity, contact, and ``goal`` [D] m.
 
-        ``contact`` [N, N] is NaN where it was not measured: "no contact" is news, too, and nobody
-        may be told it by a robot that cannot know.
+        ``contact`` [N, N] is NaN where it was not measured, since 0 would state "no contact".
         """
         count = len(self.position)
         contact = np.full((count, count), np.nan) if self.contact is None else self.contact
@@ -110,7 +109,7 @@ class RobotReading:
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """A force that a controller asks for. It may be anything; `SafetyFilter` judges it."""
+    """A force requested by a controller, not yet checked by `SafetyFilter`."""
 
     force: np.ndarray
     """[D] N, on the hand, in the frame of the robot's base."""
@@ -119,29 +118,29 @@ class Command:
 
 
 class Robot(Protocol):
-    """An arm, or what stands for one. No method blocks for longer than a tick of the robot.
+    """A real or simulated arm. No method blocks for longer than a control cycle of the robot.
 
-    Nobody but the robot can stop a robot that no longer hears: one that is sent nothing for a few
-    ticks must ease its force off by itself, as arms with a real-time interface do.
+    A robot that receives no command for a few cycles must ease its force off by itself, as arms
+    with a real-time interface do: no other part can stop it then.
     """
 
     @property
     def ended(self) -> Stop | None:
-        """Why and when the robot stopped by itself: a reflex, a button. None while it did not."""
+        """Why and when the robot stopped by itself (a reflex, a button); None while it did not."""
 
     def read(self) -> RobotReading | None:
         """The newest reading; None where none has come since the last call."""
 
     def send(self, force: np.ndarray, now: float) -> np.ndarray | None:
-        """Asks for a force ``[D]`` N on the hand at the time ``now`` s.
+        """Requests a force ``[D]`` N on the hand at the time ``now`` s.
 
-        Returns what was really sent, ``[D]`` N, or None where it got lost.
+        Returns the force really sent, ``[D]`` N, or None where it got lost.
         """
 
     def stop(self, stop: Stop) -> None:
         """Brakes and holds by the robot's own means. Forces are ignored until `resume`.
 
-        Called again in every tick, since a call may get lost on its way.
+        Called again in every cycle, since a call may get lost on its way.
         """
 
     def resume(self) -> None:

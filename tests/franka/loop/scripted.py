@@ -50,7 +50,7 @@ class Scripted:
         self.told: list[TimedObservation] = []
         self.start: EpisodeStart | None = None
 
-    def begin(self, start: EpisodeStart) -> None:
+    def reset(self, start: EpisodeStart) -> None:
         self.start = start
         self.told = []
 
@@ -114,7 +114,7 @@ class Refusing(Scripted):
     def __init__(self) -> None:
         super().__init__(lambda moment: Push())
 
-    def begin(self, start: EpisodeStart) -> None:
+    def reset(self, start: EpisodeStart) -> None:
         raise InvalidInputError(f"no plan leads to {start.goal.tolist()}")
 
 
@@ -144,8 +144,8 @@ class Delayed:
         self._planner, self._clock, self._delay = planner, clock, delay
         self._coming: list[tuple[float, PlanResult]] = []
 
-    def begin(self, start: EpisodeStart) -> None:
-        self._planner.begin(start)
+    def reset(self, start: EpisodeStart) -> None:
+        self._planner.reset(start)
         self._coming = []
 
     def submit(self, moment: TimedObservation) -> None:

@@ -46,7 +46,7 @@ def stepped(
     clock = StepTime(robot)
     safe = SafeRobot(robot, LIMITS, clock)
     loop = ControlLoop(safe, Delayed(planner, clock, delay), clock, **told)
-    return loop.run(seconds, GOAL, on_tick=diary), diary, robot
+    return loop.run(seconds, GOAL, on_cycle=diary), diary, robot
 
 
 def live(
@@ -60,7 +60,7 @@ def live(
     with PlannerProcess(make) as planning:
         safe = SafeRobot(RealtimeFakeRobot(robot, clock), PATIENT, clock)
         loop = ControlLoop(safe, planning, clock, longest_plan_age=longest_plan_age)
-        return loop.run(seconds, GOAL, asked_to_stop=asked), robot
+        return loop.run(seconds, GOAL, stop_requested=asked), robot
 
 
 def test_a_run_ends_gently_when_its_time_is_over() -> None:
@@ -207,4 +207,4 @@ def test_a_report_in_words_and_numbers() -> None:
     numbers = report.to_json()
     assert numbers["rate_hz"] == report.rate_hz and numbers["stop"] == "finished"
     text = "\n".join(report.lines())
-    assert "1000 Hz held" in text and "the run is over" in text
+    assert "1000 Hz held" in text and "the episode is over" in text

@@ -25,7 +25,7 @@ def recorded(seconds: float, *faults: Fault) -> TrajectoryRecorder:
     recorder = TrajectoryRecorder(seconds, 2)
     planning = Delayed(Scripted(lambda moment: Push((3.0, 1.0, 0.0))), clock)
     loop = ControlLoop(SafeRobot(robot, SafetyLimits(), clock), planning, clock)
-    loop.run(seconds, GOAL, on_tick=recorder)
+    loop.run(seconds, GOAL, on_cycle=recorder)
     return recorder
 
 

@@ -121,7 +121,7 @@ def test_moments_that_were_missed_are_followed_and_one_plan_is_made(mpc: MPCPlan
         return found
 
     arm = SimulatedArm(305, True)
-    mpc.begin(EpisodeStart(arm.read(), arm.goal))
+    mpc.reset(EpisodeStart(arm.read(), arm.goal))
     told = moments(mpc, arm, 4)
     law = mpc.plan(told)
     assert law is not None and law.duration == pytest.approx(0.5)
@@ -137,7 +137,7 @@ def test_plans_ask_for_no_more_than_the_limits_let_pass(mpc: MPCPlanner) -> None
         0.0,
         np.ones(2),
     )
-    mpc.begin(EpisodeStart(far, arm.goal))
+    mpc.reset(EpisodeStart(far, arm.goal))
     law = mpc.plan([TimedObservation(0.0, far, np.zeros(3))])
     assert law is not None
     longest = np.linalg.norm(law.controls, axis=1).max()

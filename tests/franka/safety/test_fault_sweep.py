@@ -15,12 +15,12 @@ from contactgraph_franka.safety import (
     StopReason,
     faults,
 )
-from contactgraph_franka.safety.fake_robot import TICK
+from contactgraph_franka.safety.fake_robot import CYCLE
 
 LIMITS = SafetyLimits()
 EPISODES = 1000
 TICKS = 55
-STOP_TICKS = round(LIMITS.stop_within / TICK)
+STOP_TICKS = round(LIMITS.stop_within / CYCLE)
 REASONS = {
     faults.nan_fault: StopReason.READING_NOT_FINITE,
     faults.frozen_fault: StopReason.READING_FROZEN,
@@ -61,7 +61,7 @@ def assert_within_limits(forces: np.ndarray) -> None:
     assert np.isfinite(forces).all()
     assert np.linalg.norm(forces, axis=1).max() <= LIMITS.max_force * (1.0 + 1e-9)
     steps = np.diff(forces, axis=0, prepend=np.zeros((1, 3)))
-    assert np.linalg.norm(steps, axis=1).max() <= LIMITS.max_force_rate * TICK * (1.0 + 1e-9)
+    assert np.linalg.norm(steps, axis=1).max() <= LIMITS.max_force_rate * CYCLE * (1.0 + 1e-9)
 
 
 def test_a_lasting_fault_stops_within_20_ms() -> None:
