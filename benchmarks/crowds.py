@@ -32,4 +32,4 @@ def crowd(count: int, seed: int = 0) -> tuple[jax.Array, jax.Array, Nodes]:
 
 def listing(model: ContactDynamics, count: int) -> ContactDynamics:
     """The same model with lists of about 1.5 times what is near in such a scene."""
-    return replace(model, neighbours=NeighborList(edges=5 * count, cell=12))
+    return replace(model, neighbor_list=NeighborList(max_edges=5 * count, cell_capacity=12))

@@ -37,7 +37,7 @@ def widened(given: Sample, width: int) -> Sample:
     if width == SHIPPED:
         return given
     fresh = gim_temp(2, 2, model.dt, width=width, key=jax.random.key(0))
-    return dataclasses.replace(fresh, neighbours=model.neighbours), runs, nodes
+    return dataclasses.replace(fresh, neighbor_list=model.neighbor_list), runs, nodes
 
 
 def operations(model: ContactDynamics, edges: int, nodes: int) -> int:

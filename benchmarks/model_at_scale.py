@@ -26,9 +26,9 @@ from contactgraph.model import (
     ContactDynamics,
     ModelState,
     NeighborList,
-    advance,
     load_model,
     shipped_model,
+    take_step,
 )
 from contactgraph.model.neighbor_list import travel_bound
 
@@ -61,7 +61,7 @@ def step_call(model: ContactDynamics, count: int) -> Call:
     @jax.jit
     def step(arrays: ContactDynamics, state: ModelState) -> ModelState:
         whole = eqx.combine(arrays, static)
-        return advance(whole, state, response, jnp.ones(model.control_size), nodes)[0]
+        return take_step(whole, state, response, jnp.ones(model.control_size), nodes)[0]
 
     return partial(step, arrays, ModelState(position, velocity, belief))
 
@@ -74,7 +74,7 @@ def list_call(model: ContactDynamics, count: int) -> Callable[[], object]:
     @jax.jit
     def made(position: jax.Array, velocity: jax.Array) -> object:
         way = travel_bound(position, velocity, push, None, model.dt)
-        return model.neighbours(position, way, nodes.mask, model.reach.far)
+        return model.neighbor_list(position, way, nodes.mask, model.cutoff.outer)
 
     return partial(made, position, velocity)
 
@@ -88,7 +88,7 @@ def measured(model: ContactDynamics, count: int, rounds: int) -> dict[str, float
     row: dict[str, float | int | str] = {
         "objects": count,
         "pairs": pairs,
-        "near": int(jnp.sum(listed().belief.edge < pairs)),
+        "near": int(jnp.sum(listed().belief.edge_id < pairs)),
     }
     # Apart from the others, which leave nothing of it in the caches.
     taken = medians(calls, rounds)
@@ -103,8 +103,8 @@ def measured(model: ContactDynamics, count: int, rounds: int) -> dict[str, float
             "difference m": "",
         }
     every = step_call(model, count)
-    lists = NeighborList(edges=pairs, cell=near.neighbours.cell)
-    groups = step_call(replace(model, neighbours=lists), count)
+    lists = NeighborList(max_edges=pairs, cell_capacity=near.neighbor_list.cell_capacity)
+    groups = step_call(replace(model, neighbor_list=lists), count)
     if count < _ALL_PAIRS:
         taken |= medians({"by groups": groups, "every": every}, rounds)
     else:

@@ -47,7 +47,7 @@ def measured(
     return {
         "objects": count,
         "steps": _STEPS,
-        "edges": "all pairs" if model.neighbours is None else "listed",
+        "edges": "all pairs" if model.neighbor_list is None else "listed",
         "rollout term": "yes" if with_rollout else "no",
         "memory GiB": (asked + planned.output_size_in_bytes) / 2**30,
         "compile s": time.perf_counter() - began,

@@ -39,12 +39,12 @@ model = ContactDynamics(
     inference=MemorylessEdges(messages(edges_key), edge_types=3, key=output_key),
     local_dynamics=SpringMassDamperDynamics(
         message_passing=TypedMessagePassing([messages(key) for key in type_keys]),
-        head=CoupledHead(WIDTH, features.kinds, length=DISTANCE, key=head_key),
+        head=CoupledHead(WIDTH, features.node_types, length=DISTANCE, key=head_key),
         discretization=ThetaMethod(0.55, learned=False),  # ten symplectic substeps: (n+1)/2n
     ),
     features=features,
     prior=DistancePrior(threshold=DISTANCE),
-    reach=SmoothCutoff(near=1.5 * DISTANCE, far=2.5 * DISTANCE),
+    cutoff=SmoothCutoff(inner=1.5 * DISTANCE, outer=2.5 * DISTANCE),
     sample=ArgmaxSample(),
     dt=DT,
     dimension=2,

@@ -12,7 +12,7 @@ from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.data import pair_indices
 from contactgraph.model import InteractionCutoff, Nodes
 
-NEAR = InteractionCutoff(far=0.2, dt=0.1)
+NEAR = InteractionCutoff(distance=0.2, dt=0.1)
 HORIZON = 10
 ALONE = np.array([0]), np.array([True])
 """Who is in play: one, always."""

@@ -46,7 +46,7 @@ def sparse() -> Dataset:
 
 def test_small_scenes_have_lists_where_few_pairs_are_near(model, apart, sparse) -> None:
     assert ReallocatingModel(model, apart).model is model
-    lists = ReallocatingModel(model, sparse).model.neighbours
+    lists = ReallocatingModel(model, sparse).model.neighbor_list
     assert lists.cell is None and lists.group is None
     assert 13 < lists.edges < 45
 
@@ -70,9 +70,9 @@ def test_small_scenes_with_lists_come_out_the_same(model, sparse, monkeypatch, c
 def test_who_has_lists_in_large_scenes(model, apart) -> None:
     lists = ReallocatingModel(model, apart)
     assert lists.given is model
-    assert lists.model.neighbours is not None
-    assert COUNT - 1 < lists.model.neighbours.edges < 1.5 * COUNT * (COUNT - 1) / 2
-    given = dataclasses.replace(model, neighbours=NeighborList(3, 4))
+    assert lists.model.neighbor_list is not None
+    assert COUNT - 1 < lists.model.neighbor_list.max_edges < 1.5 * COUNT * (COUNT - 1) / 2
+    given = dataclasses.replace(model, neighbor_list=NeighborList(3, 4))
     for other in (given, no_gim(2, 2, DT, width=4, key=jax.random.key(0)), GluedBodies()):
         assert ReallocatingModel(other, apart).model is other
 
@@ -83,7 +83,7 @@ def test_room_grows_once_and_the_log_says_so(model, apart, caplog) -> None:
     rooms = []
 
     def predict(model) -> int:
-        rooms.append(model.neighbours)
+        rooms.append(model.neighbor_list)
         return len(rooms)
 
     assert lists.reallocate_on_overflow(predict, lambda found: found != 1) == 2
@@ -97,7 +97,7 @@ def test_room_grows_once_and_the_log_says_so(model, apart, caplog) -> None:
 
 @pytest.mark.usefixtures("large")
 def test_the_room_given_is_the_limit(model, apart) -> None:
-    given = dataclasses.replace(model, neighbours=NeighborList(3, 4))
+    given = dataclasses.replace(model, neighbor_list=NeighborList(3, 4))
     calls = []
     ReallocatingModel(given, apart).reallocate_on_overflow(calls.append, lambda found: False)
     assert calls == [given]
@@ -124,5 +124,5 @@ def test_training_in_large_scenes_uses_lists(model, apart) -> None:
     assert result.status is FitStatus.finished
     assert math.isfinite(result.held_out_rmse_m)
     # What was learned is a model for scenes of any size.
-    assert result.model.neighbours is None and result.state.model.neighbours is None
+    assert result.model.neighbor_list is None and result.state.model.neighbor_list is None
     assert jax.tree.structure(result.state) == jax.tree.structure(state)

@@ -152,7 +152,7 @@ def test_a_chain_that_is_coupled(integrator: str) -> None:
         hold=DT * jnp.asarray(damping),
         spring=DT**2 * jnp.asarray(stiffness),
         rest=jnp.asarray(rest),
-        displaces=jnp.zeros(N),
+        displacing_fraction=jnp.zeros(N),
     )
     pairs = jnp.stack([jnp.arange(N), jnp.arange(N) + 1], axis=1)
     gain = jnp.zeros(N + 1).at[-1].set(1.0)

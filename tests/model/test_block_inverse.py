@@ -49,17 +49,19 @@ def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
 
     def by(solve):
         def total(node, stiff, lever, vectors):
-            seen = dataclasses.replace(inertia.geometry, lever=lever)
+            seen = dataclasses.replace(inertia.geometry, contact_jacobian=lever)
             solved = solve(Inertia(node, stiff, seen), vectors)
             weights = jnp.arange(1.0, 1.0 + solved.solution.size).reshape(solved.solution.shape)
             share = jnp.arange(1.0, COUNT + 1.0)
             return jnp.sum(jnp.sin(weights) * solved.solution) + jnp.sum(share * solved.own), solved
 
-        arguments = (inertia.node, inertia.stiff, inertia.geometry.lever, vectors)
+        arguments = (inertia.node, inertia.stiff, inertia.geometry.contact_jacobian, vectors)
         return jax.jit(jax.grad(total, argnums=(0, 1, 2, 3), has_aux=True))(*arguments)
 
     derivatives, solved = by(solve_dense)
-    grouped_derivatives, grouped = by(lambda *arguments: solve_block_diagonal(*arguments, room=4))
+    grouped_derivatives, grouped = by(
+        lambda *arguments: solve_block_diagonal(*arguments, group_capacity=4)
+    )
     close = {"rtol": 1e-9, "atol": 1e-10}
     np.testing.assert_allclose(grouped.solution, solved.solution, **close)
     np.testing.assert_allclose(grouped.own, solved.own, **close)
@@ -75,8 +77,8 @@ def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
 
 def test_a_group_without_room_has_no_solution() -> None:
     inertia, vectors = scene(hinges=False)
-    assert np.isfinite(solve_block_diagonal(inertia, vectors, room=3).solution).all()
-    assert np.isnan(solve_block_diagonal(inertia, vectors, room=2).solution).all()
+    assert np.isfinite(solve_block_diagonal(inertia, vectors, group_capacity=3).solution).all()
+    assert np.isnan(solve_block_diagonal(inertia, vectors, group_capacity=2).solution).all()
 
 
 def test_groups_are_connected_components() -> None:

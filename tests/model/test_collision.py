@@ -24,9 +24,13 @@ from contactgraph.model.collision import Geometry, geometry
 TOUCH = 0.08
 
 
-def between(displacement, velocity, push=None) -> Geometry:
+def between(displacement, velocity, control_displacement=None) -> Geometry:
     """Of one edge: the second node lies at `displacement`, moves with `velocity`, and is pushed."""
-    given = displacement, velocity, *([] if push is None else [push])
+    given = (
+        displacement,
+        velocity,
+        *([] if control_displacement is None else [control_displacement]),
+    )
     pairs = jnp.asarray(pair_indices(2))
     moved = [jnp.stack([jnp.zeros(len(value)), jnp.asarray(value)]) for value in given]
     return geometry(*moved[:2], pairs, DT, TOUCH, *moved[2:])
@@ -37,19 +41,19 @@ def test_an_edge_by_hand() -> None:
     np.testing.assert_allclose(found.distance, [0.5], rtol=1e-6)
     np.testing.assert_allclose(found.direction, [[0.6, 0.8]], rtol=1e-6)
     np.testing.assert_allclose(found.predicted_distance, [np.hypot(0.2, 0.4)], rtol=1e-6)
-    np.testing.assert_allclose(found.nearest, found.predicted_distance)
+    np.testing.assert_allclose(found.closest_approach, found.predicted_distance)
     assert found.fraction_after_impact == 0
 
 
 def test_the_nearest_is_the_closest_approach_within_the_step() -> None:
     """A body that passes by within the step is farther away at both of its ends."""
     passing = between([0.03, 0.04], [-1.2, 0.0])
-    np.testing.assert_allclose(passing.nearest, [0.04], rtol=1e-5)
+    np.testing.assert_allclose(passing.closest_approach, [0.04], rtol=1e-5)
     np.testing.assert_allclose(passing.predicted_distance, [0.05], rtol=1e-5)
     leaving = between([0.03, 0.04], [1.2, 0.0])
-    np.testing.assert_allclose(leaving.nearest, leaving.distance)
-    pushed = between([0.03, 0.04], [0.0, 0.0], push=[-0.02, 0.0])
-    np.testing.assert_allclose(pushed.nearest, [np.hypot(0.01, 0.04)], rtol=1e-5)
+    np.testing.assert_allclose(leaving.closest_approach, leaving.distance)
+    pushed = between([0.03, 0.04], [0.0, 0.0], control_displacement=[-0.02, 0.0])
+    np.testing.assert_allclose(pushed.closest_approach, [np.hypot(0.01, 0.04)], rtol=1e-5)
 
 
 coordinate = st.floats(-0.3, 0.3)
@@ -94,24 +98,24 @@ def test_under_a_push_the_share_is_nearly_that_of_a_numeric_root() -> None:
     rng, count = np.random.default_rng(0), 3000
     r = np.stack([TOUCH + rng.uniform(0.0, 0.1, count), rng.uniform(-0.05, 0.05, count)], axis=-1)
     u = np.stack([rng.uniform(-4.0, -1.0, count), rng.uniform(-1.0, 1.0, count)], axis=-1)
-    push = rng.uniform(-0.01, 0.01, (count, 2))
-    seen = jax.jit(jax.vmap(between))(r, u, push)
+    control_displacement = rng.uniform(-0.01, 0.01, (count, 2))
+    seen = jax.jit(jax.vmap(between))(r, u, control_displacement)
     part = np.linspace(0.0, 1.0, 2001)[:, None, None]
-    distance = np.linalg.norm(r + part * DT * u + part**2 * push, axis=-1)
+    distance = np.linalg.norm(r + part * DT * u + part**2 * control_displacement, axis=-1)
     touches = distance.min(axis=0) < TOUCH
     expected = np.where(touches, 1.0 - part[np.argmax(distance < TOUCH, axis=0), 0, 0], 0.0)
     error = np.abs(np.asarray(seen.fraction_after_impact[:, 0]) - expected)
     assert 0.3 < touches.mean() < 0.9
     assert error.max() < 0.03 and np.quantile(error, 0.99) < 0.003
-    np.testing.assert_allclose(seen.nearest[:, 0], distance.min(axis=0), atol=1e-4)
+    np.testing.assert_allclose(seen.closest_approach[:, 0], distance.min(axis=0), atol=1e-4)
     # Without its force the touch is elsewhere.
     blind = jax.jit(jax.vmap(between))(r, u).fraction_after_impact[:, 0]
     assert np.quantile(np.abs(blind - expected), 0.99) > 0.1
 
 
-def scene_quantities(position, velocity, contact_distance, push=None):
+def scene_quantities(position, velocity, contact_distance, control_displacement=None):
     pairs = jnp.asarray(pair_indices(len(position)))
-    seen = geometry(position, velocity, pairs, DT, contact_distance, push)
+    seen = geometry(position, velocity, pairs, DT, contact_distance, control_displacement)
     features = InvariantFeatures(length=TOUCH)
     return (
         seen.distance,
@@ -119,7 +123,7 @@ def scene_quantities(position, velocity, contact_distance, push=None):
         seen.direction,
         seen.fraction_after_impact,
         features.edge(seen),
-        seen.nearest,
+        seen.closest_approach,
         SmoothCutoff()(seen),
         DistancePrior()(seen, contact_distance),
         # Nothing learns where bodies touch from what is only a guess at it.
@@ -132,11 +136,11 @@ def test_derivatives_against_finite_differences() -> None:
     # One pair meets within the step, one approaches, one overlaps: all away from the kinks.
     position = jnp.array([[0.0, 0.0], [0.11, 0.01], [-0.13, 0.02], [0.02, -0.06]])
     velocity = jnp.array([[0.4, 0.1], [-1.0, 0.2], [0.1, 0.3], [0.0, 0.5]])
-    push = jnp.array([[0.004, 0.001], [-0.006, 0.002], [0.0, 0.0], [0.003, -0.002]])
-    shares = scene_quantities(position, velocity, TOUCH, push)[3]
+    control_displacement = jnp.array([[0.004, 0.001], [-0.006, 0.002], [0.0, 0.0], [0.003, -0.002]])
+    shares = scene_quantities(position, velocity, TOUCH, control_displacement)[3]
     assert np.sum((shares > 0.05) & (shares < 0.95)) >= 1
     # Compiled, because check_grads calls with numpy arrays, which the annotations refuse.
-    for values in ((position, velocity, TOUCH), (position, velocity, TOUCH, push)):
+    for values in ((position, velocity, TOUCH), (position, velocity, TOUCH, control_displacement)):
         check_grads(jax.jit(scene_quantities), values, order=1, eps=1e-6)
 
 
@@ -218,14 +222,14 @@ def test_the_touch_prior_looks_at_the_whole_coming_step() -> None:
     # What leaves contact has its distance now; what only passes by touches in between.
     assert prior(between([0.05, 0.0], [3.0, 0.0]), TOUCH)[0] > 0.9
     assert prior(between([0.09, 0.06], [-3.6, 0.0]), TOUCH)[0] > 0.9
-    # And a push decides whether it gets there.
+    # And a control_displacement decides whether it gets there.
     near = [0.1, 0.0], [0.0, 0.0]
     assert prior(between(*near), TOUCH)[0] < 0.02
-    assert prior(between(*near, push=[-0.02, 0.0]), TOUCH)[0] > 0.8
+    assert prior(between(*near, control_displacement=[-0.02, 0.0]), TOUCH)[0] > 0.8
 
 
 def test_reach_is_one_near_and_exactly_zero_far() -> None:
-    reach = SmoothCutoff(near=0.15, far=0.25)
+    reach = SmoothCutoff(inner=0.15, outer=0.25)
     still = [0.0, 0.0]
     assert reach(between([0.15, 0.0], still))[0] == 1
     assert reach(between([0.25, 0.0], still))[0] == 0

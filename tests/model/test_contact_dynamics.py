@@ -38,8 +38,8 @@ from contactgraph.model import (
     TypedMessagePassing,
     control_sensitivity,
     correct,
-    pushed,
     response_of,
+    with_control_displacement,
 )
 
 CONTROL = jnp.array([0.7, -0.4])
@@ -356,12 +356,12 @@ def three_types() -> ContactDynamics:
         inference=RecurrentEdges(MessagePassing(*sizes, key=keys[2]), edge_types=3, key=keys[3]),
         local_dynamics=SpringMassDamperDynamics(
             message_passing=TypedMessagePassing(networks),
-            head=CoupledHead(8, features.kinds, length=0.1, key=keys[4]),
+            head=CoupledHead(8, features.node_types, length=0.1, key=keys[4]),
             discretization=ThetaMethod(),
         ),
         features=features,
         prior=DistancePrior(),
-        reach=SmoothCutoff(),
+        cutoff=SmoothCutoff(),
         sample=ArgmaxSample(),
         dt=DT,
         dimension=2,
@@ -433,7 +433,7 @@ def test_a_step_is_its_linear_step_under_its_push(name) -> None:
     model, nodes = preset(name), nodes_of(4)
     state = crowd(model, nodes)
     response = control_sensitivity(model, state, nodes)
-    linear, belief = linear_step(model, pushed(state, response, CONTROL), nodes)
+    linear, belief = linear_step(model, with_control_displacement(state, response, CONTROL), nodes)
     position, velocity = linear(state.position, state.velocity, CONTROL)
     found = step(model, state, CONTROL, nodes)
     assert_same(found, ModelState(position, velocity, belief))
@@ -447,7 +447,9 @@ def test_a_rollout_knows_each_push_by_the_step_before() -> None:
     found = roll_out(model, state, controls, nodes)
     response = control_sensitivity(model, state, nodes)
     for index, control in enumerate(controls):
-        linear, belief = linear_step(model, pushed(state, response, control), nodes)
+        linear, belief = linear_step(
+            model, with_control_displacement(state, response, control), nodes
+        )
         state = ModelState(*linear(state.position, state.velocity, control), belief)
         response = response_of(linear, response)
         assert_same(jax.tree.map(lambda leaf: leaf[index], found), state)  # noqa: B023

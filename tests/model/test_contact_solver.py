@@ -24,7 +24,13 @@ ALL = np.array(list(itertools.combinations(range(6), 2)))
 def network(mass, pairs, **values) -> ContactSolver:
     """Masses and what joins them; what is not given is 0."""
     count, edges = len(mass), len(pairs)
-    sizes = {"ground": count, "hold": edges, "spring": edges, "rest": edges, "displaces": edges}
+    sizes = {
+        "ground": count,
+        "hold": edges,
+        "spring": edges,
+        "rest": edges,
+        "displacing_fraction": edges,
+    }
     full = {
         name: jnp.asarray(np.broadcast_to(np.asarray(values.get(name, 0.0), float), (size,)))
         for name, size in sizes.items()
@@ -73,9 +79,15 @@ def test_a_step_is_a_plain_solve(dimension: int, hinges: bool) -> None:
         anchor = np.full((count, dimension), np.nan)
         anchor[[1, 3]] = rng.normal(size=(2, dimension))
     mass, ground, gain = rng.uniform(0.5, 3, count), rng.uniform(0, 1, count), rng.uniform(0, 1, 5)
-    hold, spring, rest, displaces = rng.uniform(0, 5, (4, len(pairs)))
+    hold, spring, rest, displacing_fraction = rng.uniform(0, 5, (4, len(pairs)))
     net = network(
-        mass, pairs, ground=ground, hold=hold, spring=spring, rest=rest, displaces=displaces
+        mass,
+        pairs,
+        ground=ground,
+        hold=hold,
+        spring=spring,
+        rest=rest,
+        displacing_fraction=displacing_fraction,
     )
     found, around = solve(net, position, velocity, pairs, anchor, gain, dimension)
 
@@ -87,14 +99,16 @@ def test_a_step_is_a_plain_solve(dimension: int, hinges: bool) -> None:
     stretch = (displacement - rest[:, None] * direction).reshape(-1)
     pulled = np.repeat(spring, dimension) * stretch / DT
     force = J.T @ (along * relative + pulled) + np.repeat(ground, dimension) * velocity.reshape(-1)
-    shift = -DT * np.linalg.solve(H, J.T @ (np.repeat(displaces * hold, dimension) * relative))
-    push = np.linalg.solve(H, np.kron(gain[:, None], np.eye(dimension)))
+    shift = -DT * np.linalg.solve(
+        H, J.T @ (np.repeat(displacing_fraction * hold, dimension) * relative)
+    )
+    control_displacement = np.linalg.solve(H, np.kron(gain[:, None], np.eye(dimension)))
     inverse = np.linalg.inv(H).reshape(count, dimension, count, dimension)
     shares = np.einsum("ndmd->nm", inverse) / dimension
     close = {"rtol": 1e-9, "atol": 1e-12}
     np.testing.assert_allclose(found.change.reshape(-1), -np.linalg.solve(H, force), **close)
-    np.testing.assert_allclose(found.shift.reshape(-1), shift, **close)
-    np.testing.assert_allclose(found.response.reshape(-1, dimension), push, **close)
+    np.testing.assert_allclose(found.impact_displacement.reshape(-1), shift, **close)
+    np.testing.assert_allclose(found.response.reshape(-1, dimension), control_displacement, **close)
     np.testing.assert_allclose(found.own_share, np.diag(shares) * mass, **close)
     np.testing.assert_allclose(found.ground_share, shares @ ground, **close)
 
@@ -170,7 +184,7 @@ def test_rubbing_against_the_ground_by_hand() -> None:
     # Implicitly: m (v' - v) = -g v'.
     np.testing.assert_allclose(found.change, -velocity / 5)
     np.testing.assert_allclose(found.ground_share, [0.2, 0.2])
-    assert not np.any(found.shift)
+    assert not np.any(found.impact_displacement)
 
 
 def test_a_spring_by_hand() -> None:
@@ -188,11 +202,13 @@ def test_a_spring_by_hand() -> None:
 
 def test_an_impact_in_the_middle_of_a_step_by_hand() -> None:
     velocity = np.array([[1.0, 0.0], [0.0, 0.0]])
-    net = network([1.0, 1.0], PAIR, hold=STIFF, displaces=0.4)
+    net = network([1.0, 1.0], PAIR, hold=STIFF, displacing_fraction=0.4)
     found, _ = solve(net, [[0.0, 0.0], [0.1, 0.0]], velocity, PAIR)
     # Each changes by half the approach; 0.4 of the step longer than the step itself knows.
     np.testing.assert_allclose(found.change[:, 0], [-0.5, 0.5], atol=1e-6)
-    np.testing.assert_allclose(found.shift[:, 0], [-0.4 * DT * 0.5, 0.4 * DT * 0.5], atol=1e-9)
+    np.testing.assert_allclose(
+        found.impact_displacement[:, 0], [-0.4 * DT * 0.5, 0.4 * DT * 0.5], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("size", [1, 2, 3])

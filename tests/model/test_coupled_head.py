@@ -22,9 +22,9 @@ CONTROL = jnp.array([1.3, -0.8])
 HINGE = np.array([0.3, 0.25])
 
 
-def random_head(kinds: int = 2) -> CoupledHead:
+def random_head(node_types: int = 2) -> CoupledHead:
     key = jax.random.PRNGKey(0)
-    return with_random_weights(lambda: CoupledHead(WIDTH, kinds, length=LENGTH, key=key))
+    return with_random_weights(lambda: CoupledHead(WIDTH, node_types, length=LENGTH, key=key))
 
 
 def inputs(hinges: bool = False) -> tuple[LocalInput, jax.Array]:
@@ -38,8 +38,8 @@ def inputs(hinges: bool = False) -> tuple[LocalInput, jax.Array]:
         velocity[1] = 2.0 * np.array([-arm[1], arm[0]])
         anchor = jnp.asarray(anchor)
     states = jnp.asarray(position), jnp.asarray(velocity)
-    kinds = np.arange(NODES) == 0
-    kind = np.eye(2)[kinds.astype(int)]
+    node_types = np.arange(NODES) == 0
+    kind = np.eye(2)[node_types.astype(int)]
     if hinges:
         kind = np.hstack([kind, np.zeros_like(kind)])
         kind[1] = [0, 0, 1, 0]
@@ -47,8 +47,8 @@ def inputs(hinges: bool = False) -> tuple[LocalInput, jax.Array]:
     local = LocalInput(
         position=states[0],
         velocity=states[1],
-        kind=jnp.asarray(kind),
-        actuated=jnp.asarray(kinds, float),
+        node_type=jnp.asarray(kind),
+        actuated=jnp.asarray(node_types, float),
         node_features=jnp.asarray(np.hstack([kind, rng.uniform(size=(NODES, 1))])),
         edge_features=jnp.zeros((2, len(PAIRS), 0)),
         weight=jnp.asarray(weight),
@@ -78,14 +78,14 @@ def by_hand(head: CoupledHead, local: LocalInput, message, theta: float):
     weight, softplus = local.weight.T, jax.nn.softplus
     hold = 0.999 * jnp.sum(weight * jax.nn.sigmoid(out[..., 0] + 5), axis=0)
     network = ContactSolver(
-        mass=jnp.exp(5 * local.kind @ head.log_mass),
+        mass=jnp.exp(5 * local.node_type @ head.log_mass),
         ground=softplus(jax.vmap(head.ground)(local.node_features)[:, 0] - 6),
         hold=hold / (1 - hold),
         spring=jnp.sum(weight * softplus(out[..., 1] - 6), axis=0),
         rest=jnp.sum(weight * softplus(out[..., 2]), axis=0) * LENGTH,
-        displaces=local.geometry.fraction_after_impact - theta,
+        displacing_fraction=local.geometry.fraction_after_impact - theta,
     )
-    gain = (5 * local.kind @ head.gain_root) ** 2
+    gain = (5 * local.node_type @ head.gain_root) ** 2
     return network, network.step(local.velocity, gain, local.geometry, DT, 2)
 
 
@@ -96,10 +96,10 @@ def test_the_linear_step_is_that_of_the_network(theta: float) -> None:
     _, motion = by_hand(head, local, message, theta)
     changed = motion.change + DT * motion.response @ CONTROL
     position, velocity = moved(found, local, CONTROL, theta)
-    way = DT * (local.velocity + theta * changed) + motion.shift
+    way = DT * (local.velocity + theta * changed) + motion.impact_displacement
     np.testing.assert_allclose(velocity, local.velocity + changed, atol=1e-4)
     np.testing.assert_allclose(position, local.position + way, atol=1e-5)
-    assert np.abs(motion.change).max() > 0.3 and np.abs(motion.shift).max() > 1e-3
+    assert np.abs(motion.change).max() > 0.3 and np.abs(motion.impact_displacement).max() > 1e-3
 
 
 @pytest.mark.parametrize("theta", [0.5, 1.0])
@@ -116,13 +116,13 @@ def test_an_untouched_node_only_rubs_against_the_ground() -> None:
     local = dataclasses.replace(local, weight=0 * local.weight)
     found = parameters(head, local, message)
     network, _ = by_hand(head, local, message, 0.6)
-    assert not np.any(found.stiffness_rate) and not np.any(found.shift)
+    assert not np.any(found.stiffness_rate) and not np.any(found.impact_displacement)
     np.testing.assert_array_equal(found.equilibrium, local.position)
-    # Implicitly: m (v' - v) = -g v'; the push is felt a mass and the ground's damper late.
+    # Implicitly: m (v' - v) = -g v'; the force is felt a mass and the ground's damper late.
     _, still = moved(found, local, [0.0, 0.0])
     kept = network.mass / (network.mass + network.ground)
     np.testing.assert_allclose(still, kept[:, None] * local.velocity, rtol=1e-3)
-    gain = (5 * local.kind @ head.gain_root) ** 2
+    gain = (5 * local.node_type @ head.gain_root) ** 2
     response = ThetaMethod(0.6, learned=False)(found, DT).B[..., 1, :] / DT
     expected = (gain / (network.mass + network.ground))[:, None, None] * np.eye(2)
     np.testing.assert_allclose(response, expected, rtol=1e-9)
@@ -149,7 +149,7 @@ def test_a_held_chain_answers_the_control_as_one_body() -> None:
     active = np.array([[tuple(pair) in chain, False] for pair in PAIRS], float)
     local = dataclasses.replace(local, weight=jnp.asarray(active))
     network, _ = by_hand(head, local, message, 0.6)
-    gain = np.sum((5 * local.kind @ head.gain_root) ** 2)
+    gain = np.sum((5 * local.node_type @ head.gain_root) ** 2)
     B = ThetaMethod(0.6, learned=False)(parameters(head, local, message), DT).B[..., 1, :]
     expected = gain / np.sum(network.mass) * np.eye(2)
     np.testing.assert_allclose(B / DT, np.tile(expected, (NODES, 1, 1)), atol=5e-3 * gain)
@@ -163,7 +163,7 @@ def test_which_end_of_an_edge_comes_first_does_not_matter() -> None:
 
 
 def test_a_hinged_body_stays_on_its_circle() -> None:
-    head, (local, message) = random_head(kinds=4), inputs(hinges=True)
+    head, (local, message) = random_head(node_types=4), inputs(hinges=True)
     found = parameters(head, local, message)
     position, _ = moved(found, local, [0.0, 0.0])
     radius = np.linalg.norm(local.position[1] - HINGE)
@@ -176,7 +176,7 @@ def test_a_hinged_body_stays_on_its_circle() -> None:
 
 
 def test_a_lone_bar_turns_as_bars_do() -> None:
-    head, (local, message) = without_ground(random_head(kinds=4)), inputs(hinges=True)
+    head, (local, message) = without_ground(random_head(node_types=4)), inputs(hinges=True)
     local = dataclasses.replace(local, weight=0 * local.weight)
     position, velocity = moved(parameters(head, local, message, 0.5), local, [0.0, 0.0], 0.5)
     angle = 2.0 * DT

@@ -1,11 +1,11 @@
-"""Bars on hinges: levers against rigid rotation, nearest points, and what of them geometry sees."""
+"""HingedBodies on hinges: levers against rigid rotation, nearest points, and what of them geometry sees."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from contactgraph.model.collision import geometry
-from contactgraph.model.hinge import Bars
+from contactgraph.model.hinge import HingedBodies
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 HINGE, ARM = np.array([0.2, -0.1]), np.array([0.3, 0.4])
@@ -14,12 +14,12 @@ POSITION = np.array([[0.9, 0.7], HINGE + ARM])
 BAR, FREE = jnp.array([1]), jnp.array([0])
 
 
-def bars() -> Bars:
-    return Bars(jnp.asarray(POSITION), jnp.asarray(ANCHOR))
+def bars() -> HingedBodies:
+    return HingedBodies(jnp.asarray(POSITION), jnp.asarray(ANCHOR))
 
 
 def lever(point, node=BAR) -> np.ndarray:
-    return np.asarray(bars().lever(node, jnp.asarray(point)[None])[0])
+    return np.asarray(bars().contact_jacobian(node, jnp.asarray(point)[None])[0])
 
 
 def turned(vector, angle) -> np.ndarray:
@@ -41,8 +41,8 @@ def test_a_lever_in_space_is_that_of_a_rigid_rotation() -> None:
     # About any axis across the arm, and for a point in the plane in which the arm turns.
     spin -= (spin @ arm) / (arm @ arm) * arm
     reach -= (reach @ spin) / (spin @ spin) * spin
-    one = Bars(jnp.asarray(hinge + arm)[None], jnp.asarray(hinge)[None])
-    found = np.asarray(one.lever(jnp.array([0]), jnp.asarray(hinge + reach)[None])[0])
+    one = HingedBodies(jnp.asarray(hinge + arm)[None], jnp.asarray(hinge)[None])
+    found = np.asarray(one.contact_jacobian(jnp.array([0]), jnp.asarray(hinge + reach)[None])[0])
     np.testing.assert_allclose(found @ np.cross(spin, arm), np.cross(spin, reach), atol=1e-12)
 
 
@@ -59,7 +59,7 @@ def test_the_hinge_bears_what_acts_along_the_arm() -> None:
 
 def test_without_a_hinge_a_node_is_its_only_point() -> None:
     np.testing.assert_array_equal(lever([5.0, 3.0], FREE), np.eye(2))
-    place, slides = bars().nearest(FREE, jnp.array([[5.0, 3.0]]))
+    place, slides = bars().closest_point(FREE, jnp.array([[5.0, 3.0]]))
     np.testing.assert_array_equal(place[0], POSITION[0])
     assert not np.any(slides)
 
@@ -76,7 +76,7 @@ def test_without_a_hinge_a_node_is_its_only_point() -> None:
 def test_the_nearest_point_of_a_bar(along, across, expected) -> None:
     side = np.array([-0.8, 0.6])
     point = HINGE + along * ARM + across * side
-    place, slides = bars().nearest(BAR, jnp.asarray(point)[None])
+    place, slides = bars().closest_point(BAR, jnp.asarray(point)[None])
     np.testing.assert_allclose(place[0], HINGE + expected * ARM, atol=1e-12)
     inside = along == expected
     np.testing.assert_allclose(slides[0], inside * ARM / 0.5, atol=1e-12)
@@ -87,9 +87,12 @@ def test_the_nearest_point_of_a_bar(along, across, expected) -> None:
 
 
 def test_a_node_on_its_own_hinge_is_finite() -> None:
-    degenerate = Bars(jnp.asarray([[0.2, -0.1]]), jnp.asarray([HINGE]))
+    degenerate = HingedBodies(jnp.asarray([[0.2, -0.1]]), jnp.asarray([HINGE]))
     point = jnp.array([[0.3, 0.1]])
-    found = degenerate.lever(jnp.array([0]), point), *degenerate.nearest(jnp.array([0]), point)
+    found = (
+        degenerate.contact_jacobian(jnp.array([0]), point),
+        *degenerate.closest_point(jnp.array([0]), point),
+    )
     for leaf in found:
         assert np.all(np.isfinite(leaf))
 

@@ -78,7 +78,7 @@ def test_the_same_model_gives_the_same_bytes(good: Path, tmp_path: Path) -> None
 
 def test_every_argument_comes_back(tmp_path: Path) -> None:
     model = eqx.tree_at(
-        lambda model: (model.sample, model.reach),
+        lambda model: (model.sample, model.cutoff),
         preset("gim_temp", dimension=3),
         (GumbelSample(0.3), SmoothCutoff(0.1, 0.7)),
     )
@@ -197,20 +197,26 @@ def at(*names: str):
         (at("type")("AllEdges"), "model.type: must be ContactDynamics, found 'AllEdges'"),
         (at("type")("os.system"), "model.type: must be ContactDynamics, found 'os.system'"),
         (
-            at("reach", "type")("Nowhere"),
-            "model.arguments.reach.type: must be SmoothCutoff or NoCutoff, found 'Nowhere'",
+            at("cutoff", "type")("Nowhere"),
+            "model.arguments.cutoff.type: must be SmoothCutoff or NoCutoff, found 'Nowhere'",
         ),
         (
             at("prior", "type")("NoPrior"),
             "prior.type: must be DistancePrior or ClosestApproachPrior, found 'NoPrior'",
         ),
-        (at("reach")(3), "model.arguments.reach: must be an object of 'type' and 'arguments'"),
+        (at("cutoff")(3), "model.arguments.cutoff: must be an object of 'type' and 'arguments'"),
         (
-            at("reach", "size")(1),
-            "must be those of SmoothCutoff (near, far), found ['far', 'near', 'size']",
+            at("cutoff", "size")(1),
+            "must be those of SmoothCutoff (inner, outer), found ['inner', 'outer', 'size']",
         ),
-        (at("reach", "far")("wide"), "reach.arguments.far: must be a finite number, found 'wide'"),
-        (at("reach", "far")(True), "reach.arguments.far: must be a finite number, found True"),
+        (
+            at("cutoff", "outer")("wide"),
+            "cutoff.arguments.outer: must be a finite number, found 'wide'",
+        ),
+        (
+            at("cutoff", "outer")(True),
+            "cutoff.arguments.outer: must be a finite number, found True",
+        ),
         (at("features", "hinges")(1), "hinges: must be true or false, found 1"),
         (at("dimension")(10**9), "dimension: must be an integer from 0 to 1024, found 1000000000"),
         (at("dimension")(2.0), "dimension: must be an integer from 0 to 1024, found 2.0"),
@@ -300,7 +306,7 @@ def test_what_cannot_be_saved(tmp_path: Path) -> None:
     class MyReach(eqx.Module):
         pass
 
-    own = eqx.tree_at(lambda model: model.reach, model, MyReach())
+    own = eqx.tree_at(lambda model: model.cutoff, model, MyReach())
     with pytest.raises(InvalidInputError, match=r"model\.reach: must be SmoothCutoff or NoCutoff"):
         save_model(path, own)
     assert not list(tmp_path.iterdir())
@@ -354,7 +360,7 @@ def test_the_number_of_networks_must_be_that_of_the_active_types() -> None:
             local_dynamics=two,
             features=model.features,
             prior=model.prior,
-            reach=model.reach,
+            reach=model.cutoff,
             sample=model.sample,
             dt=DT,
             dimension=2,

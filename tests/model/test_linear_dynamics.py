@@ -115,4 +115,6 @@ def test_physical_parameters_come_back() -> None:
     parameters = from_physical(w, k, c, rest)
     np.testing.assert_allclose(parameters.stiffness, k, rtol=1e-5)
     np.testing.assert_allclose(parameters.damping, c, rtol=1e-5)
-    assert not np.any(parameters.shift) and not np.any(parameters.equilibrium_velocity)
+    assert not np.any(parameters.impact_displacement) and not np.any(
+        parameters.equilibrium_velocity
+    )

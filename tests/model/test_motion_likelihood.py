@@ -47,7 +47,7 @@ def by_hand(noise, difference, right_off=0.0):
 @pytest.mark.parametrize("right_off", [0.0, 0.1])
 def test_an_impact_by_hand(right_off) -> None:
     # One body runs into another: together they go on at half its speed, or past it.
-    noise = MotionNoise(most=100.0)
+    noise = MotionNoise(max_log_ratio=100.0)
     state = in_a_row(2, [1.0, 0.0], 0.2)
     together = judged(state, REST, seen_after(state, [0.5 + right_off, 0.5 - right_off]), noise)
     assert together.log_ratio[0] == pytest.approx(by_hand(noise, 0.5, right_off), rel=1e-3)
@@ -79,20 +79,20 @@ def test_a_load_is_felt(velocity, holds) -> None:
     found = judged(state, PUSH, seen_after(state, velocity))
     assert (found.corrected.probability[0] > 0.9) == holds
     assert (found.corrected.probability[0] < 0.1) != holds
-    assert (found.told[0] > 2) == holds
+    assert (found.motion_log_odds[0] > 2) == holds
 
 
 def test_a_break_is_seen_at_once_and_not_remembered() -> None:
     state = in_a_row(2, [0.5, 0.5], 0.9999)
     found = judged(state, -PUSH, seen_after(state, [0.3, 0.5]), told=NOISE.most)
     assert found.predicted.probability[0] > 0.98
-    assert found.corrected.probability[0] < 0.5 and found.told[0] == 0.0
+    assert found.corrected.probability[0] < 0.5 and found.motion_log_odds[0] == 0.0
 
 
 def test_what_fits_nothing_says_next_to_nothing() -> None:
     state = in_a_row(2, [0.5, 0.5], 0.95)
     position, velocity = seen_after(state, [0.6, 0.6])
-    unbounded = MotionNoise(most=100.0)
+    unbounded = MotionNoise(max_log_ratio=100.0)
     fits = judged(state, PUSH, (position, velocity), unbounded).log_ratio[0]
     # One body is seen far off: what is left is what the other one says.
     wild = position.at[1].add(jnp.array([3.0, -2.0])), velocity.at[1].add(20.0)

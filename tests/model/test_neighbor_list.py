@@ -37,9 +37,9 @@ def listed(position, way=None, mask=None, edges=400, cell=30):
     count = len(position)
     way = np.zeros(count) if way is None else way
     mask = np.ones(count, bool) if mask is None else mask
-    lists = NeighborList(edges=edges, cell=cell)
+    lists = NeighborList(max_edges=edges, cell_capacity=cell)
     found = jax.jit(lists)(jnp.asarray(position), jnp.asarray(way), jnp.asarray(mask), FAR)
-    number = np.asarray(found.number)
+    number = np.asarray(found.edge_id)
     real = number < count * (count - 1) // 2
     assert (np.diff(number[real]) > 0).all()  # each once, ascending
     np.testing.assert_array_equal(found.pairs[real], pair_indices(count)[number[real]])
@@ -89,7 +89,7 @@ def test_places_of_pairs_and_back() -> None:
 def test_more_nodes_than_can_be_numbered_are_refused() -> None:
     with pytest.raises(InvalidInputError, match="at most 46340 nodes, found 46341"):
         eqx.filter_eval_shape(
-            NeighborList(edges=1, cell=1),
+            NeighborList(max_edges=1, cell_capacity=1),
             jnp.zeros((46_341, 2)),
             jnp.zeros(46_341),
             jnp.ones(46_341, bool),
@@ -117,11 +117,13 @@ def test_predictions_and_gradients_are_those_of_all_pairs(name: str, hinges: boo
     if hinges:
         nodes = hinged(nodes, (0.1, 0.2), (-0.3, 0.1))
     model = preset(name, hinges=hinges)
-    near = dataclasses.replace(model, neighbours=NeighborList(edges=60, cell=12, group=12))
+    near = dataclasses.replace(
+        model, neighbor_list=NeighborList(max_edges=60, cell_capacity=12, group=12)
+    )
     gradient, every = rolled(model, nodes, size=0.6)
     near_gradient, states = rolled(near, nodes, size=0.6)
     pairs = len(pair_indices(14))
-    listed_edges = np.asarray(states.belief.edge)
+    listed_edges = np.asarray(states.belief.edge_id)
     # Lists are short, and change: beliefs are carried over from one to the next.
     assert (listed_edges < pairs).sum(axis=1).max() < 50
     assert (listed_edges[0] != listed_edges[-1]).any()
@@ -142,12 +144,12 @@ def test_what_outgrows_a_list_has_no_prediction() -> None:
     model = preset("gim_temp")
     state = crowd(model, nodes)
     for lists in (
-        NeighborList(edges=3, cell=6),
-        NeighborList(edges=3, cell=None, group=None),
-        NeighborList(edges=20, cell=1),
-        NeighborList(edges=20, cell=6, group=1),
+        NeighborList(max_edges=3, cell_capacity=6),
+        NeighborList(max_edges=3, cell_capacity=None, group=None),
+        NeighborList(max_edges=20, cell_capacity=1),
+        NeighborList(max_edges=20, cell_capacity=6, group=1),
     ):
-        small = dataclasses.replace(model, neighbours=lists)
+        small = dataclasses.replace(model, neighbor_list=lists)
         after = eqx.filter_jit(small.step)(state, jnp.ones(2), nodes)
         assert np.isnan(np.asarray(after.position)).all()
         assert np.isnan(np.asarray(after.velocity)).all()
@@ -155,7 +157,7 @@ def test_what_outgrows_a_list_has_no_prediction() -> None:
 
 def test_lists_are_made_with_room_for_a_scene() -> None:
     nodes = nodes_of(20, 23)
-    model = dataclasses.replace(preset("gim_temp"), reach=SmoothCutoff(near=0.1, far=FAR))
+    model = dataclasses.replace(preset("gim_temp"), cutoff=SmoothCutoff(inner=0.1, outer=FAR))
     state = crowd(model, nodes, size=0.4)
     way = travel_bound(state.position, state.velocity, None, None, DT)
     pairs, _ = listed(state.position, way, nodes.mask)
@@ -201,34 +203,38 @@ def test_measured_contacts_are_those_of_all_pairs() -> None:
 
 def test_a_reach_without_end_has_no_lists() -> None:
     with pytest.raises(InvalidInputError, match=r"need a SmoothCutoff.*found NoCutoff"):
-        dataclasses.replace(preset("no_gim"), neighbours=NeighborList(edges=1, cell=1))
+        dataclasses.replace(
+            preset("no_gim"), neighbor_list=NeighborList(max_edges=1, cell_capacity=1)
+        )
 
 
 def test_sizes_are_at_least_one() -> None:
     with pytest.raises(InvalidInputError, match="cell must be at least 1, found 0"):
-        NeighborList(edges=4, cell=0)
+        NeighborList(max_edges=4, cell_capacity=0)
 
 
 def test_motion_is_judged_over_all_pairs_alone() -> None:
-    near = dataclasses.replace(preset("gim_temp"), neighbours=NeighborList(edges=9, cell=9))
+    near = dataclasses.replace(
+        preset("gim_temp"), neighbor_list=NeighborList(max_edges=9, cell_capacity=9)
+    )
     with pytest.raises(InvalidInputError, match="must have no neighbour lists"):
         check_motion_model(near)
 
 
 def test_a_model_file_has_no_lists(tmp_path: Path) -> None:
     model = preset("gim_temp")
-    near = dataclasses.replace(model, neighbours=NeighborList(edges=5000, cell=9))
+    near = dataclasses.replace(model, neighbor_list=NeighborList(max_edges=5000, cell_capacity=9))
     listed, every = tmp_path / "listed.safetensors", tmp_path / "every.safetensors"
     save_model(listed, near)
     save_model(every, model)
     assert listed.read_bytes() == every.read_bytes()
-    assert load_model(listed).model.neighbours is None
+    assert load_model(listed).model.neighbor_list is None
 
 
 def test_a_step_takes_beliefs_of_all_pairs_too() -> None:
     nodes = nodes_of(6)
     model = preset("gim_temp")
-    near = dataclasses.replace(model, neighbours=NeighborList(edges=20, cell=6))
+    near = dataclasses.replace(model, neighbor_list=NeighborList(max_edges=20, cell_capacity=6))
     state = crowd(model, nodes)
     linear, belief = eqx.filter_jit(near.linear_step)(state, nodes)
     expected, every = eqx.filter_jit(model.linear_step)(state, nodes)

@@ -23,7 +23,7 @@ def inputs() -> tuple[LocalInput, jax.Array, jax.Array]:
     local = LocalInput(
         position=position,
         velocity=velocity,
-        kind=jnp.zeros((NODES, 2)),
+        node_type=jnp.zeros((NODES, 2)),
         actuated=jnp.zeros(NODES),
         node_features=jnp.zeros((NODES, 0)),
         edge_features=jnp.zeros((2, len(pairs), 0)),
@@ -41,7 +41,7 @@ def test_the_papers_parameters_are_bounded_and_its_damper_rests() -> None:
     for rate in (found.inverse_mass, found.stiffness_rate, found.damping_rate):
         assert rate.shape == (NODES, 2)
         assert np.all((rate > 0) & (rate < 5))
-    assert not np.any(found.equilibrium_velocity) and not np.any(found.shift)
+    assert not np.any(found.equilibrium_velocity) and not np.any(found.impact_displacement)
     off_diagonal = found.response * (1 - jnp.eye(2))
     assert not np.any(off_diagonal), "each degree of freedom takes its own control"
 

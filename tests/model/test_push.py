@@ -1,4 +1,4 @@
-"""What a step's own control does to positions: contacts present push, coming ones do not."""
+"""What a step's own control does to positions: present contacts count, coming ones do not."""
 
 import dataclasses
 
@@ -12,9 +12,9 @@ from contactgraph.model import (
     LinearDynamics,
     ModelState,
     control_sensitivity,
-    pushed,
     response_of,
     two_type_belief,
+    with_control_displacement,
 )
 
 COUNT = 4
@@ -49,18 +49,18 @@ def test_a_push_is_the_response_times_the_control() -> None:
     response, control = rng.normal(size=(COUNT, 2, 3)), rng.normal(size=3)
     still = jnp.zeros((COUNT, 2))
     state = ModelState(still, still, two_type_belief(jnp.zeros(6)))
-    found = pushed(state, jnp.asarray(response), jnp.asarray(control))
-    np.testing.assert_allclose(found.push, response @ control, rtol=1e-5)
+    found = with_control_displacement(state, jnp.asarray(response), jnp.asarray(control))
+    np.testing.assert_allclose(found.control_displacement, response @ control, rtol=1e-5)
     # What else is known stays as it was.
     for one, other in zip(
         (found.position, found.velocity), (state.position, state.velocity), strict=True
     ):
         np.testing.assert_array_equal(one, other)
-    assert state.push is None
+    assert state.control_displacement is None
 
 
 def test_the_contact_that_a_push_would_bring_does_not_push() -> None:
-    """Two bodies a hair out of touch: the model will hold them, the push is the first one's own."""
+    """Two bodies a hair out of touch: the model will hold them, the force is the first one's own."""
     model, nodes = preset("no_gim"), nodes_of(2)
     position = jnp.array([[0.0, 0.0], [0.1, 0.0]])
     state = state_at(model, position, jnp.zeros((2, 2)), nodes)

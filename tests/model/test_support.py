@@ -17,7 +17,7 @@ from contactgraph.model import (
     save_model,
 )
 from contactgraph.model.collision import geometry
-from contactgraph.model.heads import carried
+from contactgraph.model.heads import lifted_fraction
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 DT = 0.01
@@ -103,11 +103,13 @@ def test_carried_is_the_best_chain_to_an_actuated_node() -> None:
     pairs = jnp.asarray(pair_indices(4))
     hold = jnp.asarray([{(0, 1): 0.9, (1, 2): 0.5}.get((int(i), int(j)), 0.0) for i, j in pairs])
     seen = geometry(position, 0.0 * position, pairs, DT, 0.05)
-    share = carried(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen)
+    share = lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen)
     assert np.allclose(share, [1.0, 0.9, 0.45, 0.0])
     # Found along the edges, where no more than so many hold each other.
-    assert np.array_equal(carried(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen, 3), share)
-    assert not np.array_equal(carried(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen, 2), share)
+    assert np.array_equal(lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen, 3), share)
+    assert not np.array_equal(
+        lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen, 2), share
+    )
 
 
 def test_a_model_with_weight_is_stored_and_loaded(tmp_path) -> None:

@@ -28,7 +28,7 @@ class Still(eqx.Module):
     control_size: int = 2
     neighbours: None = None
 
-    def encode(self, position, velocity, nodes, push=None):
+    def encode(self, position, velocity, nodes, control_displacement=None):
         exists = nodes.mask[:1] & nodes.mask[1:2] & nodes.candidate[:1]
         return Seen(jnp.where(exists, 1.0, 0.0))
 
@@ -100,34 +100,41 @@ def test_nodes_and_edges_that_do_not_exist_do_not_count() -> None:
 
 
 class Told(eqx.Module):
-    """What `TellsPush` sees, and the push that it is told of."""
+    """What `TellsPush` sees, and the control_displacement that it is told of."""
 
     weight: jax.Array
-    push: jax.Array
+    control_displacement: jax.Array
 
 
 class TellsPush(Still):
-    """Velocities become what the model was told of its push; 1 N moves a node by `gain` [m]."""
+    """Velocities become what the model was told of the control's displacement; 1 N moves a node by `gain` [m]."""
 
     gain: jax.Array = eqx.field(default_factory=lambda: jnp.ones(()))
 
-    def encode(self, position, velocity, nodes, push=None):
-        return Told(jnp.ones(1), jnp.zeros_like(position) if push is None else push)
+    def encode(self, position, velocity, nodes, control_displacement=None):
+        return Told(
+            jnp.ones(1),
+            jnp.zeros_like(position) if control_displacement is None else control_displacement,
+        )
 
     def local_input(self, percept, belief, position, velocity, nodes, key=None):
         # A first node's gain is one more in the second step: it lies at 1 m there.
-        return percept.push, position
+        return percept.control_displacement, position
 
     def local_dynamics(self, local, dt, control_size):
-        push, position = local
-        keep = jnp.zeros((*push.shape, 2, 2)).at[..., 0, 0].set(1.0)
+        control_displacement, position = local
+        keep = jnp.zeros((*control_displacement.shape, 2, 2)).at[..., 0, 0].set(1.0)
         response = (self.gain + position)[..., None] * jnp.eye(2)
         B = jnp.stack([response, jnp.zeros_like(response)], axis=-2)
-        return LinearDynamics(keep, B, jnp.stack([jnp.zeros_like(push), push], axis=-1))
+        return LinearDynamics(
+            keep,
+            B,
+            jnp.stack([jnp.zeros_like(control_displacement), control_displacement], axis=-1),
+        )
 
 
 def test_training_tells_each_step_its_push_and_learns_nothing_through_it() -> None:
-    """The push of a step is its control times the response of the step before."""
+    """The control_displacement of a step is its control times the response of the step before."""
     # Node 0 is at 0 m and then at 1 m, so its responses are 1, 2; node 1's are 1, 1.
     position = np.zeros((1, 4, 2, 2))
     position[0, 1:, 0] = 1.0

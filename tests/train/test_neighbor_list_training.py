@@ -39,7 +39,7 @@ def windows() -> Window:
 @pytest.mark.parametrize("lists", [NeighborList(9, 5, 5), NeighborList(9, None, None)])
 def test_loss_and_gradient_are_those_of_all_pairs(lists: NeighborList) -> None:
     model = gim_temp(2, 2, 0.05, width=8, key=jax.random.key(1))
-    near = dataclasses.replace(model, neighbours=lists)
+    near = dataclasses.replace(model, neighbor_list=lists)
     drawn, key = windows(), jax.random.key(0)
 
     @eqx.filter_jit

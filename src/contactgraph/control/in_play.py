@@ -95,7 +95,7 @@ class Surroundings:
         lower, upper = np.asarray(swept.lower), np.asarray(swept.upper)
         horizon = lower.shape[1]
         fast = _is_fast(self.speed, horizon, locality)
-        radius = reaches * (1.0 + _SLACK) * locality.far
+        radius = reaches * (1.0 + _SLACK) * locality.distance
         drift = locality.dt * np.max(self.speed, where=~fast, initial=0.0)
         # Nearly all are far from everything: told by one box around all that was swept.
         margin = radius + drift * horizon
@@ -128,7 +128,7 @@ def staying(
     lower, upper = np.asarray(swept.lower), np.asarray(swept.upper)
     one_way = lower[..., :, None, :] - upper[..., None, :, :]
     gap = np.maximum(np.maximum(one_way, np.swapaxes(one_way, -3, -2)), 0.0)
-    near = np.any(_length(gap) < (1.0 + _LEAVES) * locality.far, axis=(0, 1))
+    near = np.any(_length(gap) < (1.0 + _LEAVES) * locality.distance, axis=(0, 1))
     movers = _matter(swept, who, always, locality)
     fast = _is_fast(_length(motion[1][who]), lower.shape[1], locality)
     stays = (always | fast) & (who >= 0)
@@ -143,13 +143,13 @@ def _matter(
     """[n] Which of those in play others must not be near without being in play: all but those
     at rest, whatever was tried, who are in play because they were near themselves."""
     extent = np.asarray(swept.upper).max(axis=(0, 1)) - np.asarray(swept.lower).min(axis=(0, 1))
-    moves = np.max(extent, axis=-1) > _STILL * locality.far
+    moves = np.max(extent, axis=-1) > _STILL * locality.distance
     return (moves | always) & (who >= 0)
 
 
 def _is_fast(speed: np.ndarray, horizon: int, locality: InteractionCutoff) -> np.ndarray:
     """Whether nodes of such a speed, m/s, may get farther in a plan than the model reaches."""
-    return speed * locality.dt * horizon > locality.far
+    return speed * locality.dt * horizon > locality.distance
 
 
 def _length(vector: np.ndarray) -> np.ndarray:

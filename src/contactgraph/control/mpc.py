@@ -22,7 +22,7 @@ from contactgraph.model import (
     Nodes,
     StepModel,
     check_motion_model,
-    locality,
+    interaction_cutoff,
 )
 
 _EXACT = ContactSensor()
@@ -45,7 +45,8 @@ class MPC:
     corrects the belief too, so that a contact is found without a sensor: see
     `contact_log_likelihood_ratio`.
 
-    **Who matters.** With a model whose edges have an end (`locality`), a tick is about the nodes
+    **Who matters.** With a model whose edges have an end (`interaction_cutoff`), a tick is about the
+    nodes
     in play alone, and takes next to no longer for all the bystanders that a scene may hold; the
     answer is that of a tick about all. See `contactgraph.control.in_play`, and `Plan.who`.
 
@@ -100,7 +101,11 @@ class MPC:
         self._deadline = deadline
         self._clock = clock
         # Rates by edge are about the scene as a whole.
-        near = locality(model) if np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) == 0 else None
+        near = (
+            interaction_cutoff(model)
+            if np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) == 0
+            else None
+        )
         self._compiled = CompiledTick(
             Controller(model, ilqr, sensor, motion_noise, replan_every, near),
             falls_back=deadline is not None or max_active_nodes is not None,

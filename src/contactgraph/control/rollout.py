@@ -13,7 +13,7 @@ from contactgraph.model import (
     ModelState,
     Nodes,
     StepModel,
-    advance,
+    take_step,
 )
 
 
@@ -27,8 +27,8 @@ class Rollout(eqx.Module):
     x: Float[Array, "H+1 m"]
     """`block_state` of the M nodes, ``m = 2MD``."""
     controls: Float[Array, "H U"]
-    push: Float[Array, "H N D"]
-    """m; how far each step's control alone moves each node: see `pushed`."""
+    control_displacement: Float[Array, "H N D"]
+    """m; how far each step's control alone moves each node: see `with_control_displacement`."""
     dynamics: LinearDynamics
     """[H, M, D, …]"""
 
@@ -77,7 +77,7 @@ def roll_out(
 
     It begins with a state and its `control_sensitivity`.
     Whether bodies touch within a step depends on the step's own control. A planner to which the
-    model did not say so would count on a touch that its own braking prevents: see `pushed`.
+    model did not say so would count on a touch that its own braking prevents.
     """
 
     def step(
@@ -88,10 +88,12 @@ def roll_out(
         # A sum rather than a product with K: it fuses with what is around it.
         u = jnp.sum(stage.K * x, axis=-1) + stage.k
         u = u if limits is None else limits(u)
-        push = jnp.sum(response * u, axis=-1)
-        after, response, linear = advance(model, state, response, u, nodes)
+        control_displacement = jnp.sum(response * u, axis=-1)
+        after, response, linear = take_step(model, state, response, u, nodes)
         part = jax.tree.map(lambda block: block[involved].astype(x.dtype), linear)
-        told = Rollout(after.position, after.velocity, after.belief, x, u, push, part)
+        told = Rollout(
+            after.position, after.velocity, after.belief, x, u, control_displacement, part
+        )
         return (after, response), told
 
     start, _ = begin
@@ -102,6 +104,6 @@ def roll_out(
         beliefs=steps.beliefs,
         x=jnp.concatenate([steps.x, block_state(last.position, last.velocity, involved)[None]]),
         controls=steps.controls,
-        push=steps.push,
+        control_displacement=steps.control_displacement,
         dynamics=steps.dynamics,
     )

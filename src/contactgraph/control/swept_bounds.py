@@ -43,7 +43,7 @@ class SweptBounds(eqx.Module):
         position = rollout.position[:-1]
         # A parabola lies within its ends and where its tangents meet.
         middle = position + 0.5 * dt * rollout.velocity[:-1]
-        onward = position + dt * rollout.velocity[:-1] + rollout.push
+        onward = position + dt * rollout.velocity[:-1] + rollout.control_displacement
         lower, upper = _boxes([position, middle, onward, rollout.position[1:]], nodes)
         counts = counts[:, None, None]
         lower, upper = jnp.where(counts, lower, jnp.inf), jnp.where(counts, upper, -jnp.inf)

@@ -23,10 +23,10 @@ from contactgraph.model import (
     ModelState,
     Nodes,
     StepModel,
-    advance,
     control_sensitivity,
     scene_nodes,
     stack_state,
+    take_step,
 )
 from contactgraph.model.filter import check_fit, dtype_of, filter_trajectory, on_device
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
@@ -80,9 +80,9 @@ def _along(
     carried = filter_trajectory(model, run, sensor)
     parameters = None
     if isinstance(model.local_dynamics, SpringMassDamperDynamics):
-        states = ModelState(run.position, run.velocity, carried.now)
+        states = ModelState(run.position, run.velocity, carried.posterior)
         parameters = jax.vmap(lambda state: model.parameters(state, run.nodes))(states)
-    return carried.coming.probability, parameters
+    return carried.prior.probability, parameters
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def _rollout(
     Carry = tuple[ModelState, Float[Array, "N D U"]]
 
     def step(carry: Carry, control: Array) -> tuple[Carry, tuple[Array, Array]]:
-        after, response, linear = advance(model, *carry, control, nodes)
+        after, response, linear = take_step(model, *carry, control, nodes)
         seen = nodes.mask[:, None]
         moved = stack_state(
             jnp.where(seen, after.position, 0.0), jnp.where(seen, after.velocity, 0.0)

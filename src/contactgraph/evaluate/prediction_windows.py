@@ -19,8 +19,8 @@ from contactgraph.model import (
     MotionNoise,
     ReallocatingModel,
     StepModel,
-    advance,
     control_sensitivity,
+    take_step,
 )
 from contactgraph.model.filter import dtype_of, filter_trajectory, on_device
 from contactgraph.model.neighbor_list import edge_count
@@ -59,14 +59,14 @@ def predict_trajectory(
         return belief.over(None, edges).probability > 0.5
 
     def from_state(start: Array) -> tuple[Array, Array]:
-        belief = jax.tree.map(lambda leaf: leaf[start], carried.now)
+        belief = jax.tree.map(lambda leaf: leaf[start], carried.posterior)
         state = ModelState(run.position[start], run.velocity[start], belief)
         controls = jax.lax.dynamic_slice_in_dim(run.control, start, steps)
 
         Carry = tuple[ModelState, Float[Array, "N D U"]]
 
         def step(carry: Carry, control: Array) -> tuple[Carry, tuple[Array, Array]]:
-            after, response, _ = advance(model, *carry, control, run.nodes)
+            after, response, _ = take_step(model, *carry, control, run.nodes)
             return (after, response), (after.position, likely(after.belief))
 
         response = control_sensitivity(model, state, run.nodes)
@@ -75,13 +75,13 @@ def predict_trajectory(
     count = starts.shape[0]
     looked_at = edges
     if isinstance(model, ContactDynamics):
-        looked_at = edge_count(model.neighbours, run.position.shape[1])
+        looked_at = edge_count(model.neighbor_list, run.position.shape[1])
     batch = min(_BATCH, count) if looked_at <= _SMALL_GRAPH else 1
     # A last batch of another size would compile the rollout a second time.
     padded = jnp.pad(starts, (0, -count % batch), mode="edge")
     position, active = jax.lax.map(from_state, padded, batch_size=batch if batch > 1 else None)
     return TrajectoryPrediction(
-        position[:count], active[:count], jax.lax.map(likely, carried.coming)
+        position[:count], active[:count], jax.lax.map(likely, carried.prior)
     )
 
 

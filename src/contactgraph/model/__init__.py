@@ -11,11 +11,13 @@ from contactgraph.model.contact_belief import SmoothCutoff as SmoothCutoff
 from contactgraph.model.contact_belief import correct as correct
 from contactgraph.model.contact_belief import two_type_belief as two_type_belief
 from contactgraph.model.contact_dynamics import ContactDynamics as ContactDynamics
-from contactgraph.model.contact_dynamics import advance as advance
 from contactgraph.model.contact_dynamics import cast_like as cast_like
 from contactgraph.model.contact_dynamics import control_sensitivity as control_sensitivity
-from contactgraph.model.contact_dynamics import pushed as pushed
 from contactgraph.model.contact_dynamics import response_of as response_of
+from contactgraph.model.contact_dynamics import take_step as take_step
+from contactgraph.model.contact_dynamics import (
+    with_control_displacement as with_control_displacement,
+)
 from contactgraph.model.edge_inference import AllEdges as AllEdges
 from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
 from contactgraph.model.edge_inference import RecurrentEdges as RecurrentEdges
@@ -36,7 +38,7 @@ from contactgraph.model.local_dynamics import ThetaMethod as ThetaMethod
 from contactgraph.model.locality import InteractionCutoff as InteractionCutoff
 from contactgraph.model.locality import ReallocatingModel as ReallocatingModel
 from contactgraph.model.locality import allocate_neighbor_list as allocate_neighbor_list
-from contactgraph.model.locality import locality as locality
+from contactgraph.model.locality import interaction_cutoff as interaction_cutoff
 from contactgraph.model.message_passing import EdgeNetwork as EdgeNetwork
 from contactgraph.model.message_passing import MessagePassing as MessagePassing
 from contactgraph.model.message_passing import TypedMessagePassing as TypedMessagePassing

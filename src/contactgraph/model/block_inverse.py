@@ -63,7 +63,7 @@ class Inertia(eqx.Module):
     @property
     def size(self) -> int:
         """d, rows a node."""
-        return self.geometry.lever.shape[-1]
+        return self.geometry.contact_jacobian.shape[-1]
 
     def __call__(self, x: Float[Array, "N d c"]) -> Float[Array, "N d c"]:
         """The product with c vectors."""
@@ -83,7 +83,7 @@ class Solved(eqx.Module):
 
 def along_edges(x: Float[Array, "N d c"], geometry: Geometry) -> Float[Array, "E d c"]:
     """J x: of each edge's second end against its first, where they meet."""
-    lever = geometry.lever
+    lever = geometry.contact_jacobian
     first, second = x[geometry.first], x[geometry.second]
     if lever.shape[-1] == 1:
         return second - first
@@ -94,7 +94,7 @@ def along_edges(x: Float[Array, "N d c"], geometry: Geometry) -> Float[Array, "E
 
 def to_nodes(on_edges: Float[Array, "E d c"], geometry: Geometry, count: int) -> Array:
     """J^T of what is on the edges, [N, d, c]."""
-    lever, ends = geometry.lever, jnp.stack([geometry.first, geometry.second])
+    lever, ends = geometry.contact_jacobian, jnp.stack([geometry.first, geometry.second])
     arriving = jnp.stack([-on_edges, on_edges])
     if lever.shape[-1] > 1:
         arriving = jnp.einsum("seji,sejc->seic", lever, arriving)
@@ -122,7 +122,7 @@ def product(one: Float[Array, "n m"], other: Float[Array, "m c"]) -> Float[Array
 
 def _jacobian(geometry: Geometry, count: int) -> Float[Array, "Ed Nd"]:
     """From all velocities to the relative velocities along all edges."""
-    lever = geometry.lever
+    lever = geometry.contact_jacobian
     size = lever.shape[-1]
     first, second = geometry.ends(count)
     blocks = second[:, None, :, None] * lever[1][:, :, None, :]
@@ -130,39 +130,47 @@ def _jacobian(geometry: Geometry, count: int) -> Float[Array, "Ed Nd"]:
     return blocks.reshape(-1, count * size)
 
 
-def solve_block_diagonal(inertia: Inertia, vectors: Float[Array, "N d c"], room: int) -> Solved:
-    """By the inverses of the groups. NaN where one of them has more nodes than there is `room`."""
+def solve_block_diagonal(
+    inertia: Inertia, vectors: Float[Array, "N d c"], group_capacity: int
+) -> Solved:
+    """By the inverses of the groups. NaN where one has more nodes than `group_capacity`."""
     fixed = jax.lax.stop_gradient(inertia)
     count, size = inertia.node.shape[0], inertia.size
     ends = jnp.stack([inertia.geometry.first, inertia.geometry.second])
     groups = find_groups(fixed.stiff > 0, ends, count)
-    blocks = jnp.where(groups.largest <= room, _blocks(fixed, groups, room), jnp.nan)
-    rows = size * jnp.minimum(groups.largest, room)
-    inverse = spd_inverse(blocks, rows).reshape(count, room, size, room, size)
-    row = groups.group * room + jnp.minimum(groups.slot, room - 1)
+    blocks = jnp.where(
+        groups.largest <= group_capacity, _blocks(fixed, groups, group_capacity), jnp.nan
+    )
+    rows = size * jnp.minimum(groups.largest, group_capacity)
+    inverse = spd_inverse(blocks, rows).reshape(count, group_capacity, size, group_capacity, size)
+    row = groups.group * group_capacity + jnp.minimum(groups.slot, group_capacity - 1)
 
     def solve(_: object, right: Float[Array, "N d c"]) -> Float[Array, "N d c"]:
-        inside = jnp.zeros((count * room, *right.shape[1:]), right.dtype).at[row].set(right)
-        inside = inside.reshape(count, room * size, -1)
-        flat = inverse.reshape(count, room * size, room * size)
-        return (flat @ inside).reshape(count * room, *right.shape[1:])[row]
+        inside = (
+            jnp.zeros((count * group_capacity, *right.shape[1:]), right.dtype).at[row].set(right)
+        )
+        inside = inside.reshape(count, group_capacity * size, -1)
+        flat = inverse.reshape(count, group_capacity * size, group_capacity * size)
+        return (flat @ inside).reshape(count * group_capacity, *right.shape[1:])[row]
 
     solution = jax.lax.custom_linear_solve(inertia, vectors, solve, symmetric=True)
-    own = _own(inertia.node, inertia.stiff, inertia.geometry.lever, ends, groups, inverse)
+    own = _own(
+        inertia.node, inertia.stiff, inertia.geometry.contact_jacobian, ends, groups, inverse
+    )
     return Solved(solution, own)
 
 
-def _blocks(inertia: Inertia, groups: Groups, room: int) -> Float[Array, "N s s"]:
+def _blocks(inertia: Inertia, groups: Groups, group_capacity: int) -> Float[Array, "N s s"]:
     """Each group's part of the matrix, a row for each `Groups.group`; ones where nobody is."""
     count, size, geometry = inertia.node.shape[0], inertia.size, inertia.geometry
     first, second = geometry.first, geometry.second
-    lever, stiff = geometry.lever, inertia.stiff[:, None, None]
-    nowhere = count * room * room
+    lever, stiff = geometry.contact_jacobian, inertia.stiff[:, None, None]
+    nowhere = count * group_capacity * group_capacity
 
     def at(one: Int[Array, " m"], other: Int[Array, " m"]) -> Int[Array, " m"]:
         row, column = groups.slot[one], groups.slot[other]
-        there = (groups.group[one] * room + row) * room + column
-        return jnp.where((row < room) & (column < room), there, nowhere)
+        there = (groups.group[one] * group_capacity + row) * group_capacity + column
+        return jnp.where((row < group_capacity) & (column < group_capacity), there, nowhere)
 
     each = jnp.eye(size, dtype=inertia.node.dtype)
     own = stiff * jnp.einsum("seji,sejk->seik", lever, lever)
@@ -171,13 +179,13 @@ def _blocks(inertia: Inertia, groups: Groups, room: int) -> Float[Array, "N s s"
     cross = -stiff * jnp.einsum("eji,ejk->eik", lever[0], lever[1])
     joined = inertia.stiff > 0
     node = jnp.arange(count)
-    empty = jnp.eye(room, dtype=each.dtype).reshape(-1, 1, 1) * each
+    empty = jnp.eye(group_capacity, dtype=each.dtype).reshape(-1, 1, 1) * each
     flat = jnp.tile(empty, (count, 1, 1)).at[at(node, node)].set(own, mode="drop")
     flat = flat.at[jnp.where(joined, at(first, second), nowhere)].add(cross, mode="drop")
     back = jnp.swapaxes(cross, 1, 2)
     flat = flat.at[jnp.where(joined, at(second, first), nowhere)].add(back, mode="drop")
-    blocks = jnp.swapaxes(flat.reshape(count, room, room, size, size), 2, 3)
-    return blocks.reshape(count, room * size, room * size)
+    blocks = jnp.swapaxes(flat.reshape(count, group_capacity, group_capacity, size, size), 2, 3)
+    return blocks.reshape(count, group_capacity * size, group_capacity * size)
 
 
 def spd_inverse(
@@ -225,7 +233,7 @@ def _whole_inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[A
 def _own(
     node: Float[Array, " N"],
     stiff: Float[Array, " E"],
-    lever: Float[Array, "2 E d d"],
+    contact_jacobian: Float[Array, "2 E d d"],
     ends: Int[Array, "2 E"],
     groups: Groups,
     inverse: Float[Array, "N s d s d"],

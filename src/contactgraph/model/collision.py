@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.model.hinge import Bars
+from contactgraph.model.hinge import HingedBodies
 
 _SMALLEST = 1e-12
 _RESTING_SPEED = 0.01
@@ -29,7 +29,7 @@ class Geometry(eqx.Module):
     """m"""
     predicted_distance: Float[Array, " E"]
     """m; after one step without forces."""
-    nearest: Float[Array, " E"]
+    closest_approach: Float[Array, " E"]
     """m; the least distance within the step without forces."""
     direction: Float[Array, "E D"]
     """Unit vector along the displacement."""
@@ -38,13 +38,13 @@ class Geometry(eqx.Module):
     """Share of the coming step, in [0, 1], that follows the moment at which the two nodes, if
     nothing hindered them, would come as near as bodies touch. 0 where they do not meet."""
 
-    lever: Float[Array, "2 E d d"]
-    """What takes the velocities of both nodes to where they meet: `Bars.lever`, d = D, where there
+    contact_jacobian: Float[Array, "2 E d d"]
+    """What takes the velocities of both nodes to where they meet, d = D, where there
     are hinges; ones, d = 1, where there are none."""
 
     def ends(self, count: int) -> tuple[Float[Array, "E N"], Float[Array, "E N"]]:
         """1 where an edge has one of `count` nodes as its first, and as its second end; else 0."""
-        node, dtype = jnp.arange(count), self.lever.dtype
+        node, dtype = jnp.arange(count), self.contact_jacobian.dtype
         first = (self.first[:, None] == node).astype(dtype)
         return first, (self.second[:, None] == node).astype(dtype)
 
@@ -55,14 +55,13 @@ def geometry(
     pairs: Int[Array, "E 2"],
     dt: float,
     contact_distance: Float[Array, "*E"] | float,
-    push: Float[Array, "N D"] | None = None,
+    control_displacement: Float[Array, "N D"] | None = None,
     anchor: Float[Array, "N D"] | None = None,
 ) -> Geometry:
     """The geometry of the edges `pairs` at one step of `dt` [s]; finite where nodes coincide.
 
-    Bodies touch `contact_distance` [m] apart, centre to centre: all of them, or each edge's. `push`
-    [m] is how far the step's control alone moves the nodes, where it is known; what is coming
-    depends on it. `anchor` [m] is where nodes are hinged, NaN where they are not; see `Bars`.
+    Bodies touch `contact_distance` [m] apart, centre to centre: all of them, or each edge's.
+    `control_displacement` [m] is how far the step's control alone moves the nodes, where known. `anchor` [m] is where nodes are hinged, NaN where they are not.
     """
     first, second = pairs[:, 0], pairs[:, 1]
     displacement, lever, slides = _meeting(position, pairs, anchor)
@@ -82,10 +81,16 @@ def geometry(
 
     relative_velocity = relative(velocity)
     drifted = dt * nearing(relative_velocity)
-    driven = jnp.zeros_like(drifted) if push is None else nearing(relative(push))
-    closest, nearest = _closest(displacement, drifted, driven, 1 if push is None else _CHORDS)
+    driven = (
+        jnp.zeros_like(drifted)
+        if control_displacement is None
+        else nearing(relative(control_displacement))
+    )
+    closest, nearest = _closest(
+        displacement, drifted, driven, 1 if control_displacement is None else _CHORDS
+    )
     until, meets = closest, jnp.zeros_like(closest, bool)
-    for _ in range(1 if push is None else _REFINEMENTS):
+    for _ in range(1 if control_displacement is None else _REFINEMENTS):
         until, meets = _touch(displacement, _way(drifted, driven, until), contact_distance)
     # Bodies that hold together have relative velocities of rounding size, and no impact.
     square = jnp.sum((drifted + driven) ** 2, axis=-1)
@@ -98,10 +103,10 @@ def geometry(
         relative_velocity=relative_velocity,
         distance=distance,
         predicted_distance=_norm(displacement + drifted + driven),
-        nearest=nearest,
+        closest_approach=nearest,
         direction=displacement / distance[:, None],
         fraction_after_impact=(1.0 - until) * impact,
-        lever=lever,
+        contact_jacobian=lever,
     )
 
 
@@ -113,10 +118,15 @@ def _meeting(
     if anchor is None:
         one = jnp.ones((2, pairs.shape[0], 1, 1), position.dtype)
         return position[second] - position[first], one, []
-    bars = Bars(position, anchor)
-    begin, begin_slides = bars.nearest(first, position[second])
-    end, end_slides = bars.nearest(second, position[first])
-    lever = jnp.stack([bars.lever(first, position[second]), bars.lever(second, position[first])])
+    bars = HingedBodies(position, anchor)
+    begin, begin_slides = bars.closest_point(first, position[second])
+    end, end_slides = bars.closest_point(second, position[first])
+    lever = jnp.stack(
+        [
+            bars.contact_jacobian(first, position[second]),
+            bars.contact_jacobian(second, position[first]),
+        ]
+    )
     return end - begin, lever, [begin_slides, end_slides]
 
 

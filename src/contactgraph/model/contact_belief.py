@@ -23,8 +23,8 @@ class ContactBelief(eqx.Module):
     """Probability of each edge type; type 0 is *inactive*."""
 
     type_probability: Float[Array, "*T E K"]
-    edge: Int[Array, "*T E"] | None = None
-    """Which pair each edge is where only some are listed: `Edges.number`. All others are inactive
+    edge_id: Int[Array, "*T E"] | None = None
+    """Which pair each edge is where only some are listed: `Edges.edge_id`. All others are inactive
     for sure. None: all pairs, in `pair_indices`' order."""
 
     @property
@@ -37,16 +37,16 @@ class ContactBelief(eqx.Module):
         types = self.type_probability
         inactive = jnp.zeros_like(types[:1]).at[:, 0].set(1.0)
         if edge is None:
-            if self.edge is None:
+            if self.edge_id is None:
                 return self
             everywhere = jnp.repeat(inactive, count, axis=0)
-            return ContactBelief(everywhere.at[self.edge].set(types, mode="drop"))
-        if self.edge is None:
+            return ContactBelief(everywhere.at[self.edge_id].set(types, mode="drop"))
+        if self.edge_id is None:
             listed = types.at[edge].get(mode="clip")
             return ContactBelief(jnp.where((edge < count)[:, None], listed, inactive), edge)
         # Both ascend.
-        place = jnp.minimum(jnp.searchsorted(self.edge, edge), self.edge.shape[0] - 1)
-        known = self.edge[place] == edge
+        place = jnp.minimum(jnp.searchsorted(self.edge_id, edge), self.edge_id.shape[0] - 1)
+        known = self.edge_id[place] == edge
         return ContactBelief(jnp.where(known[:, None], types[place], inactive), edge)
 
 
@@ -68,8 +68,8 @@ def correct(
     with the sensor's own error rates in place of a raw distribution. Measurements, and rates that
     are each edge's own, are of all pairs; what is measured of an edge that is not listed is lost.
     """
-    if belief.edge is not None:
-        edge = belief.edge
+    if belief.edge_id is not None:
+        edge = belief.edge_id
         contact_measurement = contact_measurement.at[edge].get(mode="fill", fill_value=jnp.nan)
         sensor = jax.tree.map(lambda rate: _listed(rate, edge), sensor)
     measured = jnp.isfinite(contact_measurement)
@@ -84,7 +84,7 @@ def correct(
     posterior = jnp.concatenate([inactive, active], axis=-1)
     posterior = posterior / jnp.sum(posterior, axis=-1, keepdims=True)
     return ContactBelief(
-        jnp.where(measured[..., None], posterior, belief.type_probability), belief.edge
+        jnp.where(measured[..., None], posterior, belief.type_probability), belief.edge_id
     )
 
 
@@ -132,7 +132,7 @@ class ClosestApproachPrior(eqx.Module):
     """m; how much farther than the distance of touch counts as touching."""
     sharpness: float = eqx.field(static=True, default=0.02)
     """s."""
-    doubt: float = eqx.field(static=True, default=0.01)
+    min_probability: float = eqx.field(static=True, default=0.01)
     """epsilon."""
 
     def __call__(
@@ -140,8 +140,10 @@ class ClosestApproachPrior(eqx.Module):
     ) -> Float[Array, " E"]:
         """Prior probability that each edge is active."""
         touch = jax.lax.stop_gradient(jnp.asarray(contact_distance))
-        margin = (self.margin * touch - geometry.nearest) / (self.sharpness * touch)
-        return self.doubt + (1.0 - 2.0 * self.doubt) * jax.nn.sigmoid(2.0 * margin)
+        margin = (self.margin * touch - geometry.closest_approach) / (self.sharpness * touch)
+        return self.min_probability + (1.0 - 2.0 * self.min_probability) * jax.nn.sigmoid(
+            2.0 * margin
+        )
 
 
 class ArgmaxSample(eqx.Module):
@@ -181,17 +183,17 @@ def _straight_through(soft: Array, scores: Array) -> Array:
 
 
 class SmoothCutoff(eqx.Module):
-    """How far an edge can be active: weight 1 below `near` [m], exactly 0 from `far` [m] on.
+    """How far an edge can be active: weight 1 below `inner` [m], exactly 0 from `outer` [m] on.
 
     What is out of reach of everything changes nobody's prediction, exactly.
     """
 
-    near: float = eqx.field(static=True, default=0.15)
-    far: float = eqx.field(static=True, default=0.25)
+    inner: float = eqx.field(static=True, default=0.15)
+    outer: float = eqx.field(static=True, default=0.25)
 
     def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
         """Weight of each edge in [0, 1]."""
-        fraction = (self.far - geometry.nearest) / (self.far - self.near)
+        fraction = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
         fraction = jnp.clip(fraction, 0.0, 1.0)
         return fraction**2 * (3.0 - 2.0 * fraction)
 

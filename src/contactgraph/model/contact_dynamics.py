@@ -35,8 +35,8 @@ class EncodedGraph(eqx.Module):
     """One step's graph as the model sees it, before anything is inferred."""
 
     geometry: Geometry
-    number: Int[Array, " E"] | None
-    """Which pairs these edges are: `Edges.number`."""
+    edge_id: Int[Array, " E"] | None
+    """Which pairs these edges are: `Edges.edge_id`."""
     node_features: Float[Array, "N F"]
     edge_features: Float[Array, "2 E G"]
     weight: Float[Array, " E"]
@@ -55,13 +55,13 @@ class ContactDynamics(eqx.Module):
     local_dynamics: SpringMassDamperDynamics | FreeLinearDynamics
     features: InvariantFeatures | AbsoluteFeatures
     prior: DistancePrior | ClosestApproachPrior
-    reach: SmoothCutoff | NoCutoff
+    cutoff: SmoothCutoff | NoCutoff
     sample: ArgmaxSample | GumbelSample
     dt: float = eqx.field(static=True)
     """s"""
     dimension: int = eqx.field(static=True)
     control_size: int = eqx.field(static=True)
-    neighbours: NeighborList | None = None
+    neighbor_list: NeighborList | None = None
     """How near pairs are found; None: every pair is an edge, near or far."""
 
     def __check_init__(self) -> None:
@@ -74,10 +74,10 @@ class ContactDynamics(eqx.Module):
                 f"local_dynamics must have one message network for each of the {active_types} "
                 f"active edge types (edge_types less the inactive one), found {networks}"
             )
-        if self.neighbours is not None and not isinstance(self.reach, SmoothCutoff):
+        if self.neighbor_list is not None and not isinstance(self.cutoff, SmoothCutoff):
             raise InvalidInputError(
-                "neighbours: lists of near pairs need a SmoothCutoff, beyond which no edge is "
-                f"active; found {type(self.reach).__name__}"
+                "neighbor_list: lists of near pairs need a SmoothCutoff, beyond which no edge is "
+                f"active; found {type(self.cutoff).__name__}"
             )
 
     def encode(
@@ -85,39 +85,41 @@ class ContactDynamics(eqx.Module):
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
         nodes: Nodes,
-        push: Float[Array, "N D"] | None = None,
+        control_displacement: Float[Array, "N D"] | None = None,
         contact_distance: Float[Array, " E"] | None = None,
     ) -> EncodedGraph:
         """What does not depend on the belief: geometry, features and edge embeddings.
 
         ``contact_distance`` [m]: at which the ends of each edge touch; None: as the model knows it.
         """
-        edges = self._edges(position, velocity, nodes, push)
-        if edges.number is not None:
+        edges = self._edges(position, velocity, nodes, control_displacement)
+        if edges.edge_id is not None:
             # What outgrows a list has no prediction, for anybody.
             velocity = jnp.where(edges.fits, velocity, jnp.nan)
         touch = self.features.contact_distance if contact_distance is None else contact_distance
-        seen = geometry(position, velocity, edges.pairs, self.dt, touch, push, nodes.anchor)
+        seen = geometry(
+            position, velocity, edges.pairs, self.dt, touch, control_displacement, nodes.anchor
+        )
         node_features = self.features.node(position, velocity, nodes)
         edge_features = self.features.edge(seen, contact_distance)
         exists = edges.candidate(nodes.candidate) & nodes.mask[seen.first] & nodes.mask[seen.second]
-        weight = jnp.where(exists, self.reach(seen), 0.0)
+        weight = jnp.where(exists, self.cutoff(seen), 0.0)
         ends = jnp.stack([seen.first, seen.second])
         embedding = self.inference.embed(node_features, edge_features, weight, ends)
-        return EncodedGraph(seen, edges.number, node_features, edge_features, weight, embedding)
+        return EncodedGraph(seen, edges.edge_id, node_features, edge_features, weight, embedding)
 
     def _edges(
         self,
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
         nodes: Nodes,
-        push: Float[Array, "N D"] | None,
+        control_displacement: Float[Array, "N D"] | None,
     ) -> Edges:
-        if self.neighbours is None:
+        if self.neighbor_list is None:
             return all_pairs(position.shape[0])
-        assert isinstance(self.reach, SmoothCutoff)
-        way = travel_bound(position, velocity, push, nodes.anchor, self.dt)
-        return self.neighbours(position, way, nodes.mask, self.reach.far)
+        assert isinstance(self.cutoff, SmoothCutoff)
+        way = travel_bound(position, velocity, control_displacement, nodes.anchor, self.dt)
+        return self.neighbor_list(position, way, nodes.mask, self.cutoff.outer)
 
     def prior_belief(self, percept: EncodedGraph) -> ContactBelief:
         """What distance alone says, the active part spread evenly over the active types."""
@@ -125,7 +127,7 @@ class ContactDynamics(eqx.Module):
         active_types = self.inference.edge_types - 1
         spread = jnp.repeat(active[:, None] / active_types, active_types, axis=-1)
         types = jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
-        return ContactBelief(types, percept.number)
+        return ContactBelief(types, percept.edge_id)
 
     def initial_belief(
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
@@ -136,11 +138,11 @@ class ContactDynamics(eqx.Module):
     def predict_belief(self, belief: ContactBelief, percept: EncodedGraph) -> ContactBelief:
         """The belief about the coming step. An edge out of reach is inactive, surely."""
         count = pair_count(percept.node_features.shape[0])
-        before = belief.over(percept.number, count)
+        before = belief.over(percept.edge_id, count)
         free = self.inference.predict(before, percept.embedding)
         active = free.type_probability[:, 1:] * percept.weight[:, None]
         inactive = 1.0 - jnp.sum(active, axis=-1, keepdims=True)
-        return ContactBelief(jnp.concatenate([inactive, active], axis=-1), percept.number)
+        return ContactBelief(jnp.concatenate([inactive, active], axis=-1), percept.edge_id)
 
     def local_input(
         self,
@@ -156,36 +158,38 @@ class ContactDynamics(eqx.Module):
         return LocalInput(
             position=position,
             velocity=velocity,
-            kind=self.features.kind(nodes, position.dtype),
+            node_type=self.features.node_type(nodes, position.dtype),
             actuated=nodes.actuated.astype(position.dtype),
             node_features=percept.node_features,
             edge_features=percept.edge_features,
             weight=edge_active[:, 1:] * percept.weight[:, None],
             geometry=percept.geometry,
             anchor=nodes.anchor,
-            room=None if self.neighbours is None else self.neighbours.group,
+            group_capacity=None
+            if self.neighbor_list is None
+            else self.neighbor_list.group_capacity,
         )
 
     def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
         """The linear dynamics of the coming step, and the belief they rest on.
 
-        Neither depends on the control but through ``state.push``, where that is known.
+        Neither depends on the control but through ``state.control_displacement``.
         """
-        percept = self.encode(state.position, state.velocity, nodes, state.push)
+        percept = self.encode(state.position, state.velocity, nodes, state.control_displacement)
         belief = self.predict_belief(state.belief, percept)
         local = self.local_input(percept, belief, state.position, state.velocity, nodes)
         return self.local_dynamics(local, self.dt, self.control_size), belief
 
     def step(self, state: ModelState, control: Float[Array, " U"], nodes: Nodes) -> ModelState:
         """The next state under a control [N]."""
-        return advance(self, state, control_sensitivity(self, state, nodes), control, nodes)[0]
+        return take_step(self, state, control_sensitivity(self, state, nodes), control, nodes)[0]
 
     def rollout(self, state: ModelState, controls: Float[Array, "H U"], nodes: Nodes) -> ModelState:
         """All states that follow, ``[H, …]``; belief h is about the step that led to state h."""
-        first = dataclasses.replace(state, push=None)
+        first = dataclasses.replace(state, control_displacement=None)
         # Of large scenes gradients compute anew what they need: it would fill the memory.
-        large = edge_count(self.neighbours, nodes.mask.shape[0]) > _MANY_EDGES
-        return following(self, first, controls, nodes, jax.checkpoint if large else None)
+        large = edge_count(self.neighbor_list, nodes.mask.shape[0]) > _MANY_EDGES
+        return rollout(self, first, controls, nodes, jax.checkpoint if large else None)
 
     def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
         """The spring-mass-damper parameters of the coming step, each [N, D].
@@ -218,7 +222,7 @@ def control_sensitivity(
     model: _LinearModel, state: ModelState, nodes: Nodes
 ) -> Float[Array, "N D U"]:
     """[m/N] How far each node is moved by the control, if only the present contacts hold."""
-    unpushed = dataclasses.replace(state, push=jnp.zeros_like(state.velocity))
+    unpushed = dataclasses.replace(state, control_displacement=jnp.zeros_like(state.velocity))
     held = nodes._replace(candidate=_holding(state, nodes))
     linear, _ = _linear_step(model, unpushed, held)
     return response_of(linear, state.position)
@@ -229,12 +233,14 @@ def _holding(state: ModelState, nodes: Nodes) -> Bool[Array, " E"]:
     return nodes.candidate & (believed.probability > 0.5)
 
 
-def pushed(
+def with_control_displacement(
     state: ModelState, response: Float[Array, "N D U"], control: Float[Array, " U"]
 ) -> ModelState:
     """The state, told how far the coming step's control [N] alone moves each node."""
-    push = jnp.sum(response * control, axis=-1)
-    return dataclasses.replace(state, push=push.astype(state.velocity.dtype))
+    control_displacement = jnp.sum(response * control, axis=-1)
+    return dataclasses.replace(
+        state, control_displacement=control_displacement.astype(state.velocity.dtype)
+    )
 
 
 def response_of(linear: LinearDynamics, like: Array) -> Float[Array, "N D U"]:
@@ -242,7 +248,7 @@ def response_of(linear: LinearDynamics, like: Array) -> Float[Array, "N D U"]:
     return linear.B[..., 0, :].astype(like.dtype)
 
 
-def advance(
+def take_step(
     model: _LinearModel,
     state: ModelState,
     response: Float[Array, "N D U"],
@@ -253,7 +259,7 @@ def advance(
 
     States keep their number types: a model of float32 may meet states of float64.
     """
-    linear, belief = _linear_step(model, pushed(state, response, control), nodes)
+    linear, belief = _linear_step(model, with_control_displacement(state, response, control), nodes)
     position, velocity = linear(state.position, state.velocity, control)
     after = ModelState(
         position=position.astype(state.position.dtype),
@@ -263,7 +269,7 @@ def advance(
     return after, response_of(linear, response), linear
 
 
-def following(
+def rollout(
     model: _LinearModel,
     state: ModelState,
     controls: Float[Array, "H U"],
@@ -272,7 +278,7 @@ def following(
 ) -> ModelState:
     """All states that follow, ``[H, …]``; ``wrapped`` is each step's function, if by something.
 
-    As `advance` from the `control_sensitivity` on. That is found by a turn of the same loop before
+    As `take_step` from the `control_sensitivity` on, which a turn of the same loop finds before
     the first step, so that a program holds one step and one derivative of it, not two.
     """
     holds = _holding(state, nodes)
@@ -284,7 +290,7 @@ def following(
         control, begins = told
         candidate = jnp.where(begins, holds, nodes.candidate)
         known = nodes._replace(candidate=candidate)
-        after, response, _ = advance(model, before, response, control, known)
+        after, response, _ = take_step(model, before, response, control, known)
         after = jax.tree.map(lambda old, new: jnp.where(begins, old, new), before, after)
         return (after, response), after
 

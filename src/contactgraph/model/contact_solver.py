@@ -19,7 +19,7 @@ class ContactSolution(eqx.Module):
 
     change: Float[Array, "N D"]
     """Change of velocity when nothing pushes, m/s."""
-    shift: Float[Array, "N D"]
+    impact_displacement: Float[Array, "N D"]
     """m; by how much impacts displace more than the change of velocity alone would."""
     response: Float[Array, "N D U"]
     """Acceleration by each component of the control, 1/kg."""
@@ -35,7 +35,7 @@ class ContactSolver(eqx.Module):
     r"""Masses, dampers and springs of a whole scene.
 
     With J the matrix that takes the nodes' velocities to the edges' relative velocities where the
-    bodies meet (`Geometry.lever`), the change of velocity in a step in which nothing pushes is
+    bodies meet (`Geometry.contact_jacobian`), the change of velocity in a step without forces is
 
     $$ \Delta = -H^{-1} \big( J^T (\Lambda J v + dt\,\kappa s) + dt\,g v \big), \qquad
        H = M + dt\,g + J^T \Lambda J, \quad \Lambda = dt\,\lambda + dt^2 \kappa, $$
@@ -56,8 +56,8 @@ class ContactSolver(eqx.Module):
     """Springs of the edges, times dt^2; kg."""
     rest: Float[Array, " E"]
     """Rest lengths of the springs, m."""
-    displaces: Float[Array, " E"]
-    """For what part of the step an edge's impact displaces, beyond what the discretization takes
+    displacing_fraction: Float[Array, " E"]
+    """Part of the step for which an edge's impact displaces, beyond what the discretization takes
     any change of velocity to do."""
 
     def step(
@@ -68,7 +68,7 @@ class ContactSolver(eqx.Module):
         dt: float,
         control_size: int,
         weight: Float[Array, "N D"] | None = None,
-        room: int | None = None,
+        group_capacity: int | None = None,
     ) -> ContactSolution:
         """One step of `dt` [s]; `gain` is the force on a node for each newton of control, `weight`
         [N] a force that always acts. `room`: for so many nodes that hold each other; None: all."""
@@ -87,7 +87,7 @@ class ContactSolver(eqx.Module):
         stretch = geometry.displacement - self.rest[:, None] * geometry.direction
         impulse = (self.hold + self.spring)[:, None] * relative
         impulse = impulse + self.spring[:, None] * stretch / dt
-        displacing = (self.displaces * self.hold)[:, None] * relative
+        displacing = (self.displacing_fraction * self.hold)[:, None] * relative
         each = jnp.eye(size, dtype=velocity.dtype)
         right = [
             sum_at_nodes(impulse) + columns(self.ground[:, None] * velocity),
@@ -98,17 +98,17 @@ class ContactSolver(eqx.Module):
         if weight is not None:
             right.append(columns(weight))
         vectors = jnp.concatenate(right, axis=-1)
-        if room is None:
+        if group_capacity is None:
             solved = solve_dense(inertia, vectors)
         else:
-            solved = solve_block_diagonal(inertia, vectors, room)
+            solved = solve_block_diagonal(inertia, vectors, group_capacity)
         ends = np.cumsum([part.shape[-1] for part in right])[:-1].tolist()
         change, shift, response, ground, *weighed = jnp.split(solved.solution, ends, axis=-1)
         if size == 1:
             response = response * jnp.eye(dimension)
         return ContactSolution(
             change=-change.reshape(count, dimension),
-            shift=-dt * shift.reshape(count, dimension),
+            impact_displacement=-dt * shift.reshape(count, dimension),
             response=response @ jnp.eye(dimension, control_size),
             own_share=solved.own * self.mass,
             ground_share=jnp.trace(ground, axis1=1, axis2=2) / size,

@@ -50,17 +50,17 @@ class InvariantFeatures(eqx.Module):
         self.learned = learned
 
     @property
-    def kinds(self) -> int:
-        """Number of `kind`'s features."""
+    def node_types(self) -> int:
+        """Number of node types."""
         return 4 if self.hinges else 2
 
-    def kind(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N kinds"]:
+    def node_type(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N node_types"]:
         """One-hot: actuated or not; times hinged or not, where there are hinges."""
         return _kind(nodes, self.hinges, dtype)
 
     def node_size(self, dimension: int) -> int:
         """Number of features a node."""
-        return self.kinds + 1
+        return self.node_types + 1
 
     def edge_size(self, dimension: int) -> int:
         """Number of features an edge."""
@@ -72,7 +72,7 @@ class InvariantFeatures(eqx.Module):
         """Features of every node."""
         speed = jnp.sqrt(jnp.sum(velocity**2, axis=-1) + 1e-12) / self.speed
         bounded = (speed / (1.0 + speed))[:, None]
-        return jnp.concatenate([self.kind(nodes, speed.dtype), bounded], axis=-1)
+        return jnp.concatenate([self.node_type(nodes, speed.dtype), bounded], axis=-1)
 
     def edge(
         self, geometry: Geometry, contact_distance: Float[Array, " E"] | None = None
@@ -84,7 +84,7 @@ class InvariantFeatures(eqx.Module):
         # The distance of touch is learned from the impacts' timing alone.
         touch = jax.lax.stop_gradient(self.contact_distance)
         touch = touch if contact_distance is None else contact_distance[:, None]
-        gaps = jnp.stack([geometry.distance, geometry.nearest], axis=-1) / touch - 1.0
+        gaps = jnp.stack([geometry.distance, geometry.closest_approach], axis=-1) / touch - 1.0
         # Touching or merely near: a few hundredths of the distance decide.
         close = gaps / (_NEAR + jnp.abs(gaps))
         distance = geometry.distance[:, None] / self.length - 1.0
@@ -102,17 +102,17 @@ class AbsoluteFeatures(eqx.Module):
     """Whether nodes may hang on hinges; the way from the hinge is a feature then."""
 
     @property
-    def kinds(self) -> int:
-        """Number of `kind`'s features."""
+    def node_types(self) -> int:
+        """Number of node types."""
         return 4 if self.hinges else 2
 
-    def kind(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N kinds"]:
+    def node_type(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N node_types"]:
         """One-hot: actuated or not; times hinged or not, where there are hinges."""
         return _kind(nodes, self.hinges, dtype)
 
     def node_size(self, dimension: int) -> int:
         """Number of features a node."""
-        return 2 * dimension + self.kinds + self.hinges * dimension
+        return 2 * dimension + self.node_types + self.hinges * dimension
 
     def edge_size(self, dimension: int) -> int:
         """Number of features an edge."""
@@ -122,7 +122,7 @@ class AbsoluteFeatures(eqx.Module):
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
     ) -> Float[Array, "N F"]:
         """Features of every node."""
-        features = [position, velocity, self.kind(nodes, position.dtype)]
+        features = [position, velocity, self.node_type(nodes, position.dtype)]
         if self.hinges and nodes.anchor is not None:
             hinged = nodes.hinged[:, None]
             features.append(jnp.where(hinged, position - jnp.nan_to_num(nodes.anchor), 0.0))
@@ -138,7 +138,7 @@ class AbsoluteFeatures(eqx.Module):
         return jnp.stack([features, features])
 
 
-def _kind(nodes: Nodes, hinges: bool, dtype: DTypeLike) -> Float[Array, "N kinds"]:
+def _kind(nodes: Nodes, hinges: bool, dtype: DTypeLike) -> Float[Array, "N node_types"]:
     kind = nodes.actuated.astype(int)
     if hinges:
         kind = kind + 2 * nodes.hinged.astype(int)

@@ -15,8 +15,8 @@ from contactgraph.model.contact_dynamics import (
     ContactDynamics,
     cast_like,
     control_sensitivity,
-    pushed,
     response_of,
+    with_control_displacement,
 )
 from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
 from contactgraph.model.types import LinearDynamics, ModelState, StepModel
@@ -30,10 +30,10 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
     """
     if not isinstance(model, ContactDynamics):
         return
-    if model.neighbours is not None:
+    if model.neighbor_list is not None:
         raise InvalidInputError(
             f"beliefs about {other} are asked for over all pairs, so the model must have no "
-            "neighbour lists (neighbours=None)"
+            "neighbour lists (neighbor_list=None)"
         )
     for what, found, wanted in (
         ("dimension D", scene.dimension, model.dimension),
@@ -77,10 +77,10 @@ def dtype_of(model: object) -> np.dtype:
 class FilteredTrajectory(eqx.Module):
     """What is believed along a run, from its past alone, and the dynamics that rest on it."""
 
-    now: ContactBelief
+    posterior: ContactBelief
     """[T+1, E, K] about the step that led to each state, corrected by the contacts measured,
     and by the motion seen in that step where it is to."""
-    coming: ContactBelief
+    prior: ContactBelief
     """[T+1, E, K] predicted from each state about the step that follows it."""
     dynamics: LinearDynamics
     """[T+1, N, D, ...] of the step that follows each state; under no control after the last."""
@@ -93,7 +93,7 @@ class _Carry(eqx.Module):
     """The last state, its belief corrected."""
     control: Float[Array, " U"]
     """N, of the step since."""
-    told: Float[Array, " E"]
+    motion_log_odds: Float[Array, " E"]
     """By motion: see `MotionEvidence`."""
     predicted: ContactBelief
     """About that step."""
@@ -116,7 +116,7 @@ def filter_trajectory(
         carry: _Carry, step: tuple[Array, Array, Array, Array]
     ) -> tuple[_Carry, FilteredTrajectory]:
         position, velocity, contact, control = step
-        predicted, told = carry.predicted, carry.told
+        predicted, told = carry.predicted, carry.motion_log_odds
         if motion_noise is not None:
             predicted, told = correct_by_motion(
                 check_motion_model(model),
@@ -130,7 +130,9 @@ def filter_trajectory(
             )
         now = correct(predicted, contact, sensor)
         here = ModelState(position, velocity, now)
-        linear, coming = model.linear_step(pushed(here, carry.response, control), run.nodes)
+        linear, coming = model.linear_step(
+            with_control_displacement(here, carry.response, control), run.nodes
+        )
         coming = cast_like(coming, predicted)
         response = response_of(linear, carry.response)
         after = _Carry(here, control, told, coming, response)
@@ -149,7 +151,7 @@ def filter_trajectory(
         # Nothing was seen before the first state.
         before=dataclasses.replace(begin, velocity=jnp.full_like(begin.velocity, jnp.nan)),
         control=control[0],
-        told=jnp.zeros(run.nodes.candidate.shape, begin.velocity.dtype),
+        motion_log_odds=jnp.zeros(run.nodes.candidate.shape, begin.velocity.dtype),
         predicted=first,
         response=control_sensitivity(model, begin, run.nodes),
     )

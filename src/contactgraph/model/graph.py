@@ -15,7 +15,7 @@ class Edges(eqx.Module):
     """The pairs of one step: all there are, or those near enough to matter."""
 
     pairs: Int[Array, "E 2"]
-    number: Int[Array, " E"] | None
+    edge_id: Int[Array, " E"] | None
     """Place of each pair in `pair_indices`' order, ascending; the number of all pairs for padding,
     whose pair is (0, 0). None: these are all pairs, in that order."""
     fits: Bool[Array, ""]
@@ -23,9 +23,9 @@ class Edges(eqx.Module):
 
     def candidate(self, candidate: Bool[Array, " all"]) -> Bool[Array, " E"]:
         """What is given for all pairs, for these; False for padding."""
-        if self.number is None:
+        if self.edge_id is None:
             return candidate
-        return candidate.at[self.number].get(mode="fill", fill_value=False)
+        return candidate.at[self.edge_id].get(mode="fill", fill_value=False)
 
 
 def all_pairs(count: int) -> Edges:

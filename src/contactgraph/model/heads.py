@@ -17,7 +17,7 @@ _PACE = 5.0
 """How much faster than a network's weights a weight is learned: it is a single number, newtons."""
 
 
-class Support(eqx.Module):
+class GroundSupport(eqx.Module):
     """Bodies with weight, on ground that bears them and rubs on them until they are carried.
 
     A body is carried as far as it is held, directly or through others, by one that is actuated.
@@ -26,28 +26,28 @@ class Support(eqx.Module):
     and direction: no axis is known to be the vertical.
     """
 
-    weight_root: Float[Array, "kinds D"]
+    weight_root: Float[Array, "node_types D"]
     """Force on a carried node of each kind, N, in `_PACE`."""
-    kinds: int = eqx.field(static=True)
+    node_types: int = eqx.field(static=True)
     dimension: int = eqx.field(static=True)
 
-    def __init__(self, kinds: int, dimension: int):
-        """`kinds`: how many kinds of node there are."""
+    def __init__(self, node_types: int, dimension: int):
+        """`node_types`: how many kinds of node there are."""
         # A product, so that its type is not weak: else the first update of training recompiles.
-        self.weight_root = 0.0 * jnp.ones((kinds, dimension))
-        self.kinds = kinds
+        self.weight_root = 0.0 * jnp.ones((node_types, dimension))
+        self.node_types = node_types
         self.dimension = dimension
 
-    def weight(self, kind: Float[Array, "N kinds"]) -> Float[Array, "N D"]:
+    def weight(self, node_type: Float[Array, "N node_types"]) -> Float[Array, "N D"]:
         """The force on each node while it is carried, N."""
-        return _PACE * kind @ self.weight_root
+        return _PACE * node_type @ self.weight_root
 
 
-def carried(
+def lifted_fraction(
     actuated: Float[Array, " N"],
     hold: Float[Array, " E"],
     geometry: Geometry,
-    room: int | None = None,
+    group_capacity: int | None = None,
 ) -> Float[Array, " N"]:
     """How far each node is carried, in [0, 1]: the best chain of holding edges to an actuated one.
 
@@ -56,9 +56,9 @@ def carried(
     """
     count = actuated.shape[0]
     share = actuated.astype(hold.dtype)
-    if room is not None:
+    if group_capacity is not None:
         ends = jnp.stack([geometry.first, geometry.second])
-        for _ in range(room - 1):
+        for _ in range(group_capacity - 1):
             arriving = (hold * share[ends[::-1]]).reshape(-1)
             best = jax.ops.segment_max(arriving, ends.reshape(-1), count)
             share = jnp.maximum(share, best)
@@ -92,43 +92,43 @@ class CoupledHead(eqx.Module):
     step of an impact, its spring is what keeps it on the circle about a hinge.
     """
 
-    log_mass: Float[Array, " kinds"]
+    log_mass: Float[Array, " node_types"]
     """Of the mass in kg, up to a common factor that no motion tells; in `_HEAD_PACE`."""
-    gain_root: Float[Array, " kinds"]
+    gain_root: Float[Array, " node_types"]
     """Root of the force on a node for each newton of control, in `_HEAD_PACE`; its square is
     never negative."""
     ground: eqx.nn.MLP
     edge: eqx.nn.MLP
-    support: Support | None
+    support: GroundSupport | None
     """What bears bodies that nobody carries; None: all float."""
     width: int = eqx.field(static=True)
-    kinds: int = eqx.field(static=True)
+    node_types: int = eqx.field(static=True)
     length: float = eqx.field(static=True)
 
     def __init__(
         self,
         width: int,
-        kinds: int,
+        node_types: int,
         *,
         length: float,
-        support: Support | None = None,
+        support: GroundSupport | None = None,
         key: PRNGKeyArray,
     ):
-        """`kinds`: how many kinds of node there are; `length` [m] scales rest lengths."""
+        """`node_types`: how many kinds of node there are; `length` [m] scales rest lengths."""
         ground_key, edge_key = jax.random.split(key)
         # Products, so that their types are not weak: else the first update of training recompiles.
-        self.log_mass = 0.0 * jnp.ones(kinds)
-        self.gain_root = jnp.ones(kinds) / _HEAD_PACE
-        self.ground = eqx.nn.MLP(kinds + 1, 1, width, 1, key=ground_key)
-        self.edge = eqx.nn.MLP(width, 3, width, 1, key=edge_key)
+        self.log_mass = 0.0 * jnp.ones(node_types)
+        self.gain_root = jnp.ones(node_types) / _HEAD_PACE
+        self.ground = eqx.nn.MLP(node_types + 1, 1, width, 1, key=ground_key)
+        self.edge_id = eqx.nn.MLP(width, 3, width, 1, key=edge_key)
         self.support = support
         self.width = width
-        self.kinds = kinds
+        self.node_types = node_types
         self.length = length
 
     @property
     def free_response(self) -> np.ndarray:
-        """[kinds] Acceleration of a node that touches nothing for each newton of control, 1/kg."""
+        """[node_types] Acceleration of a free node for each newton of control, 1/kg."""
         gain_root, log_mass = np.asarray(self.gain_root), np.asarray(self.log_mass)
         return (_HEAD_PACE * gain_root) ** 2 * np.exp(-_HEAD_PACE * log_mass)
 
@@ -144,11 +144,17 @@ class CoupledHead(eqx.Module):
         network, gain, hold = self._network(local, message, theta)
         weight = None
         if self.support is not None:
-            share = carried(local.actuated, hold, local.geometry, local.room)
-            weight = share[:, None] * self.support.weight(local.kind)
+            share = lifted_fraction(local.actuated, hold, local.geometry, local.group_capacity)
+            weight = share[:, None] * self.support.weight(local.node_type)
             network = dataclasses.replace(network, ground=(1.0 - share) * network.ground)
         motion = network.step(
-            local.velocity, gain, local.geometry, dt, step.control_size, weight, local.room
+            local.velocity,
+            gain,
+            local.geometry,
+            dt,
+            step.control_size,
+            weight,
+            local.group_capacity,
         )
         # A damper whose other end moves, such that the discrete step makes `change` of it.
         size = jnp.sqrt(jnp.sum(motion.change**2, axis=-1) + _SMALLEST**2)
@@ -165,7 +171,7 @@ class CoupledHead(eqx.Module):
             damping_rate=damping,
             equilibrium=local.position,
             equilibrium_velocity=damper_end,
-            shift=motion.shift,
+            impact_displacement=motion.impact_displacement,
             acceleration=None if acceleration is None else acceleration * undamped,
         )
         return parameters if local.anchor is None else _on_circles(parameters, local, hold, step)
@@ -176,7 +182,7 @@ class CoupledHead(eqx.Module):
         """The network, the gains on the control, and how far each edge holds, in [0, 1)."""
         ground = jax.vmap(self.ground)(local.node_features)[:, 0]
         # What holds two bodies does not depend on which of them is called the first.
-        out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
+        out = jax.vmap(jax.vmap(self.edge_id))(jnp.sum(message, axis=1))
         weight = local.weight.T
 
         def over_types(per_type: Float[Array, "active E"]) -> Float[Array, " E"]:
@@ -184,14 +190,14 @@ class CoupledHead(eqx.Module):
 
         hold = _MOST_HELD * over_types(jax.nn.sigmoid(out[..., 0] + 5.0))
         network = ContactSolver(
-            mass=jnp.exp(_HEAD_PACE * local.kind @ self.log_mass),
+            mass=jnp.exp(_HEAD_PACE * local.node_type @ self.log_mass),
             ground=jax.nn.softplus(ground - 6.0),
             hold=hold / (1.0 - hold),
             spring=over_types(jax.nn.softplus(out[..., 1] - 6.0)),
             rest=over_types(jax.nn.softplus(out[..., 2])) * self.length,
-            displaces=local.geometry.fraction_after_impact - theta,
+            displacing_fraction=local.geometry.fraction_after_impact - theta,
         )
-        return network, (_HEAD_PACE * local.kind @ self.gain_root) ** 2, hold
+        return network, (_HEAD_PACE * local.node_type @ self.gain_root) ** 2, hold
 
 
 def _on_circles(
@@ -219,7 +225,7 @@ def _on_circles(
         damping_rate=parameters.damping_rate,
         equilibrium=circles.centre,
         equilibrium_velocity=parameters.equilibrium_velocity,
-        shift=parameters.shift,
+        impact_displacement=parameters.impact_displacement,
         acceleration=None
         if parameters.acceleration is None
         else parameters.acceleration * (after / before),
@@ -229,8 +235,12 @@ def _on_circles(
         local.position + theta * dt * local.velocity - circles.centre
     )
     # Where the step would lead without a push; see `ThetaMethod`.
-    position = local.position + dt * (local.velocity + theta * pulled / after) + sprung.shift
-    return eqx.tree_at(lambda p: p.shift, sprung, sprung.shift + circles.kept(position))
+    position = (
+        local.position + dt * (local.velocity + theta * pulled / after) + sprung.impact_displacement
+    )
+    return eqx.tree_at(
+        lambda p: p.impact_displacement, sprung, sprung.impact_displacement + circles.kept(position)
+    )
 
 
 class PerDegreeHead(eqx.Module):
@@ -267,5 +277,5 @@ class PerDegreeHead(eqx.Module):
             damping_rate=5.0 * jax.nn.sigmoid(out[:, 2]),
             equilibrium=origin + out[:, 3],
             equilibrium_velocity=jnp.zeros_like(origin),
-            shift=jnp.zeros_like(origin),
+            impact_displacement=jnp.zeros_like(origin),
         )

@@ -9,7 +9,7 @@ from contactgraph.model.graph import sum_at_nodes
 _SMALLEST = 1e-12
 
 
-class Bars(eqx.Module):
+class HingedBodies(eqx.Module):
     """Nodes of which some hang on hinges, at one step.
 
     A hinged node is taken for the middle of a straight bar that begins at its hinge. Bars turn
@@ -55,7 +55,9 @@ class Bars(eqx.Module):
             jnp.where(inside[:, None], along, 0.0),
         )
 
-    def lever(self, node: Int[Array, " E"], point: Float[Array, "E D"]) -> Float[Array, "E D D"]:
+    def contact_jacobian(
+        self, node: Int[Array, " E"], point: Float[Array, "E D"]
+    ) -> Float[Array, "E D D"]:
         r"""The matrix L that takes a node's velocity to that of the material at `point` [m].
 
         With arm $r$ and $b$ from the hinge to the point, $L = (r \cdot b\, I - r b^T) / r^2$; the
@@ -111,7 +113,7 @@ def hinge_constraint(
     `relative_velocity` [m/s] against the first.
     """
     count = position.shape[0]
-    bars = Bars(position, anchor)
+    bars = HingedBodies(position, anchor)
     turning = jnp.sum(velocity**2, axis=-1) / bars.arm_squared
     # From the hinged end of an edge to its free end.
     passes = bars.hinged[ends[::-1]] & ~bars.hinged[ends]

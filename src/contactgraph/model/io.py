@@ -38,11 +38,17 @@ _CLASSES_OF_VERSION_1 = {
     "Reach": "SmoothCutoff",
     "Everywhere": "NoCutoff",
     "TouchPrior": "ClosestApproachPrior",
+    "Support": "GroundSupport",
 }
 """Names that classes have in files of version 1, and their names now."""
 _FIELDS_OF_VERSION_1 = {
     "discretisation": "discretization",
     "touch_distance": "contact_distance",
+    "reach": "cutoff",
+    "near": "inner",
+    "far": "outer",
+    "kinds": "node_types",
+    "doubt": "min_probability",
 }
 """Names that constructor arguments and weights have in files of version 1, and their names now."""
 

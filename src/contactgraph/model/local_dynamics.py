@@ -59,7 +59,7 @@ class ThetaMethod(eqx.Module):
         offset2 = pull / den
         A = jnp.stack([jnp.stack([A11, A12], -1), jnp.stack([A21, A22], -1)], -2)
         B = jnp.stack([theta * dt * B2, B2], -2)
-        offset = jnp.stack([theta * dt * offset2 + parameters.shift, offset2], -1)
+        offset = jnp.stack([theta * dt * offset2 + parameters.impact_displacement, offset2], -1)
         return LinearDynamics(A=A, B=B, offset=offset)
 
 

@@ -62,7 +62,7 @@ def allocate_neighbor_list(
     velocity: Float[Array, "N D"],
     nodes: Nodes,
     spare: float = _SPARE,
-    group: int | None = 16,
+    group_capacity: int | None = 16,
 ) -> ContactDynamics:
     """The model with lists that have room for `spare` times what this scene needs.
 
@@ -71,9 +71,9 @@ def allocate_neighbor_list(
     `NeighborList`. Raises `InvalidInputError` where the model's reach has no end.
     """
     # Refuses what has no end before that is asked for.
-    listed = dataclasses.replace(model, neighbours=NeighborList(1, 1, group))
+    listed = dataclasses.replace(model, neighbor_list=NeighborList(1, 1, group_capacity))
     edges, cell = _room(model, [_Seen(position, velocity, nodes.mask, nodes.anchor)], spare)
-    return dataclasses.replace(listed, neighbours=NeighborList(edges, cell, group))
+    return dataclasses.replace(listed, neighbor_list=NeighborList(edges, cell, group_capacity))
 
 
 class ReallocatingModel(Generic[_Model]):
@@ -88,17 +88,17 @@ class ReallocatingModel(Generic[_Model]):
         """`dataset`: recorded runs like those that are to be predicted."""
         self.given = self.model = model
         self._may_grow = False
-        if not isinstance(model, ContactDynamics) or model.neighbours is not None:
+        if not isinstance(model, ContactDynamics) or model.neighbor_list is not None:
             return
-        if not isinstance(model.reach, SmoothCutoff):
+        if not isinstance(model.cutoff, SmoothCutoff):
             return
         count = max(run.scene.node_count for run in dataset)
         if count < CELLS_FROM and _WORTH * pair_count(count) <= _LEAST_SPARE:
             return  # Whatever is near.
         lists = _lists_for(model, dataset, count)
-        if count >= CELLS_FROM or lists.edges < _WORTH * pair_count(count):
+        if count >= CELLS_FROM or lists.max_edges < _WORTH * pair_count(count):
             self._may_grow = True
-            self.model = dataclasses.replace(model, neighbours=lists)
+            self.model = dataclasses.replace(model, neighbor_list=lists)
 
     def reallocate_on_overflow(
         self,
@@ -113,20 +113,22 @@ class ReallocatingModel(Generic[_Model]):
         found = predict(self.model)
         if finite(found) or not self._may_grow:
             return found
-        assert isinstance(self.model, ContactDynamics) and self.model.neighbours is not None
+        assert isinstance(self.model, ContactDynamics) and self.model.neighbor_list is not None
         self._may_grow = False
-        before = self.model.neighbours
+        before = self.model.neighbor_list
         after = NeighborList(
-            edges=_GROWTH * before.edges,
-            cell=None if before.cell is None else _GROWTH * before.cell,
-            group=None if before.group is None else _GROWTH * before.group,
+            max_edges=_GROWTH * before.max_edges,
+            cell_capacity=None if before.cell_capacity is None else _GROWTH * before.cell_capacity,
+            group_capacity=None
+            if before.group_capacity is None
+            else _GROWTH * before.group_capacity,
         )
         _log.warning(
             "a prediction is not finite: lists of near pairs grow from %s to %s, compiled anew",
             before,
             after,
         )
-        self.model = dataclasses.replace(self.model, neighbours=after)
+        self.model = dataclasses.replace(self.model, neighbor_list=after)
         return predict(self.model)
 
 
@@ -136,8 +138,8 @@ def _lists_for(model: ContactDynamics, dataset: Dataset, count: int) -> Neighbor
     if count >= CELLS_FROM:
         edges, cell = _room(model, states, _SPARE)
         return NeighborList(edges, cell)
-    assert isinstance(model.reach, SmoothCutoff)
-    far, dt = model.reach.far, model.dt
+    assert isinstance(model.cutoff, SmoothCutoff)
+    far, dt = model.cutoff.outer, model.dt
 
     @jax.jit
     def found(position: Array, velocity: Array, mask: Array, anchor: Array | None) -> Array:
@@ -150,19 +152,19 @@ def _lists_for(model: ContactDynamics, dataset: Dataset, count: int) -> Neighbor
 
 def _room(model: ContactDynamics, states: Iterable[_Seen], spare: float) -> tuple[int, int]:
     """Room for `spare` times the most near pairs, and the most nodes in a cell, of these states."""
-    assert isinstance(model.reach, SmoothCutoff)
-    far, dt = model.reach.far, model.dt
+    assert isinstance(model.cutoff, SmoothCutoff)
+    far, dt = model.cutoff.outer, model.dt
 
     @partial(jax.jit, static_argnums=4)
     def needed(
-        position: Array, velocity: Array, mask: Array, anchor: Array | None, room: int
+        position: Array, velocity: Array, mask: Array, anchor: Array | None, cell_capacity: int
     ) -> tuple[Array, Array]:
         way = travel_bound(position, velocity, None, anchor, dt)
-        found = candidates(position, way, mask, far, room)
+        found = candidates(position, way, mask, far, cell_capacity)
         return jnp.sum(found.near), found.fullest
 
-    def most(room: int) -> tuple[int, int]:
-        sizes = [needed(s.position, s.velocity, s.mask, s.anchor, room) for s in states]
+    def most(cell_capacity: int) -> tuple[int, int]:
+        sizes = [needed(s.position, s.velocity, s.mask, s.anchor, cell_capacity) for s in states]
         near, fullest = np.max(np.asarray(sizes), axis=0)
         return max(1, int(near)), max(1, int(fullest))
 
@@ -199,13 +201,13 @@ class InteractionCutoff:
     by nothing but a control that acts on it.
     """
 
-    far: float
+    distance: float
     """m, from centre to centre, or to a bar's middle line."""
     dt: float
     """s, of a step."""
 
 
-def locality(model: object) -> InteractionCutoff | None:
+def interaction_cutoff(model: object) -> InteractionCutoff | None:
     """None where it is not so, or nobody knows: any object can be planned with.
 
     Edges may have no end; what an edge does may depend on its ends' other neighbours (messages in
@@ -213,7 +215,7 @@ def locality(model: object) -> InteractionCutoff | None:
     matrices, the paper's head with its free equilibria); or the model has not learned that controls
     do not act on bystanders.
     """
-    if not isinstance(model, ContactDynamics) or not isinstance(model.reach, SmoothCutoff):
+    if not isinstance(model, ContactDynamics) or not isinstance(model.cutoff, SmoothCutoff):
         return None
     dynamics, inference = model.local_dynamics, model.inference
     if not isinstance(dynamics, SpringMassDamperDynamics):
@@ -227,4 +229,4 @@ def locality(model: object) -> InteractionCutoff | None:
     # The first kind of node is neither actuated nor hinged.
     if not isinstance(head, CoupledHead) or not head.free_response[0] <= _UNDRIVEN:
         return None
-    return InteractionCutoff(model.reach.far, model.dt)
+    return InteractionCutoff(model.cutoff.outer, model.dt)

@@ -12,7 +12,7 @@ from contactgraph.model.contact_dynamics import (
     EncodedGraph,
     cast_like,
     control_sensitivity,
-    pushed,
+    with_control_displacement,
 )
 from contactgraph.model.types import ModelState, Nodes
 
@@ -55,11 +55,11 @@ class MotionNoise(eqx.Module):
     """r; of what a contact changes, the share that a prediction of it is off by."""
     tail: float = eqx.field(static=True, default=4.0)
     """Degrees of freedom of Student's t: the fewer, the less one frame that fits nothing says."""
-    most: float = eqx.field(static=True, default=6.0)
+    max_log_ratio: float = eqx.field(static=True, default=6.0)
     """Bound on the log-likelihood ratio of one step: odds of 400."""
-    doubt: float = eqx.field(static=True, default=0.01)
+    error_floor: float = eqx.field(static=True, default=0.01)
     """How probable a mistake of the model is taken to be where motion contradicts its belief."""
-    lasting: float = eqx.field(static=True, default=5.0)
+    time_constant: float = eqx.field(static=True, default=5.0)
     """s; how long a contact is taken to last that nothing more is seen of."""
 
     def __check_init__(self) -> None:
@@ -104,7 +104,9 @@ class MotionNoise(eqx.Module):
         said = counts * (log_likelihood(one) - log_likelihood(other))
         said = jnp.where(exists, said, 0.0)
         ratio = jnp.sum(said)
-        return jnp.clip(jnp.where(jnp.isfinite(ratio), ratio, 0.0), -self.most, self.most)
+        return jnp.clip(
+            jnp.where(jnp.isfinite(ratio), ratio, 0.0), -self.max_log_ratio, self.max_log_ratio
+        )
 
 
 def _square(one: Float[Array, "N D"], other: Float[Array, "N D"]) -> Float[Array, " N"]:
@@ -126,7 +128,7 @@ class MotionEvidence(eqx.Module):
     """[E, K] about the step, from what was believed before it and the control applied in it."""
     log_ratio: Float[Array, " E"]
     """Log-likelihood of the motion with the edge active less that without; 0: says nothing."""
-    told: Float[Array, " E"]
+    motion_log_odds: Float[Array, " E"]
     """Log-odds, at least 0, by which motion has spoken for contact lately: what is remembered."""
     corrected: ContactBelief
     """[E, K] by `log_ratio`; to the bit as predicted where that is 0."""
@@ -139,10 +141,10 @@ def check_motion_model(model: object) -> ContactDynamics:
             "motion_noise: only a ContactDynamics says how things would move with an edge active "
             f"and without; found {type(model).__name__}"
         )
-    if model.neighbours is not None:
+    if model.neighbor_list is not None:
         raise InvalidInputError(
             "motion_noise: what motion has told of each pair is kept for all of them, so the model "
-            "must have no neighbour lists (neighbours=None)"
+            "must have no neighbour lists (neighbor_list=None)"
         )
     return model
 
@@ -151,28 +153,32 @@ def correct_by_motion(
     model: ContactDynamics,
     carried: ContactBelief,
     before: ModelState,
-    told: Float[Array, " E"],
+    motion_log_odds: Float[Array, " E"],
     control: Float[Array, " U"],
     seen: Motion,
     nodes: Nodes,
     noise: MotionNoise,
 ) -> tuple[ContactBelief, Float[Array, " E"]]:
-    """The belief about the step just made, and `MotionEvidence.told`.
+    """The belief about the step just made, and `MotionEvidence.motion_log_odds`.
 
     As ``carried`` and ``told`` where one of the step's two observations is not finite: the first
     one of a run has none before it, and a bad one judges neither of its steps.
     """
-    evidence = contact_log_likelihood_ratio(model, before, told, control, seen, nodes, noise)
+    evidence = contact_log_likelihood_ratio(
+        model, before, motion_log_odds, control, seen, nodes, noise
+    )
     observed = (before.position, before.velocity, *seen)
     whole = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in observed]))
-    found = cast_like(evidence.corrected, carried), evidence.told
-    return jax.tree.map(lambda new, old: jnp.where(whole, new, old), found, (carried, told))
+    found = cast_like(evidence.corrected, carried), evidence.motion_log_odds
+    return jax.tree.map(
+        lambda new, old: jnp.where(whole, new, old), found, (carried, motion_log_odds)
+    )
 
 
 def contact_log_likelihood_ratio(
     model: ContactDynamics,
     before: ModelState,
-    told: Float[Array, " E"],
+    motion_log_odds: Float[Array, " E"],
     control: Float[Array, " U"],
     seen: Motion,
     nodes: Nodes,
@@ -183,10 +189,10 @@ def contact_log_likelihood_ratio(
     ``before.belief`` is about the step that led to ``before``, corrected by all that was known
     then, and ``told`` is of that step, too (zeros: motion has told nothing yet).
     """
-    state = pushed(before, control_sensitivity(model, before, nodes), control)
-    percept = model.encode(state.position, state.velocity, nodes, state.push)
-    stay = jnp.exp(-model.dt / noise.lasting)
-    remembered = jnp.minimum(1.0 - jnp.exp(-told), before.belief.probability)
+    state = with_control_displacement(before, control_sensitivity(model, before, nodes), control)
+    percept = model.encode(state.position, state.velocity, nodes, state.control_displacement)
+    stay = jnp.exp(-model.dt / noise.time_constant)
+    remembered = jnp.minimum(1.0 - jnp.exp(-motion_log_odds), before.belief.probability)
     predicted = model.predict_belief(state.belief, percept)
     predicted = _at_least(predicted, before.belief, stay * percept.weight * remembered)
     holding = _as_if_touching(model, state, percept, nodes)
@@ -208,7 +214,7 @@ def contact_log_likelihood_ratio(
         ratio = noise.log_ratio(motion, other_motion, seen, nodes.mask, model.dt)
         # An edge out of reach is inactive, surely, whatever moves.
         ratio = jnp.where(percept.weight[edge] > 0, jnp.where(is_active, ratio, -ratio), 0.0)
-        after = _after(predicted.type_probability[edge], ratio, noise.doubt)[0] < 0.5
+        after = _after(predicted.type_probability[edge], ratio, noise.error_floor)[0] < 0.5
         turned = after != is_active
         chosen = jax.tree.map(
             lambda new, old: jnp.where(turned, new, old), (otherwise, other_motion), carry
@@ -220,25 +226,29 @@ def contact_log_likelihood_ratio(
     edges = _nearest(percept)
     probable = _most_probable(predicted)
     said = jax.lax.scan(judge, (probable, moved(probable)), edges)[1]
-    ratio = jnp.zeros(told.shape, told.dtype).at[edges].set(said.astype(told.dtype))
+    ratio = (
+        jnp.zeros(motion_log_odds.shape, motion_log_odds.dtype)
+        .at[edges]
+        .set(said.astype(motion_log_odds.dtype))
+    )
     types = predicted.type_probability
-    after = jax.vmap(_after, in_axes=(0, 0, None))(types, ratio, noise.doubt)
+    after = jax.vmap(_after, in_axes=(0, 0, None))(types, ratio, noise.error_floor)
     return MotionEvidence(
         predicted=predicted,
         log_ratio=ratio,
-        told=jnp.clip(stay * told + ratio, 0.0, noise.most),
+        motion_log_odds=jnp.clip(stay * motion_log_odds + ratio, 0.0, noise.max_log_ratio),
         corrected=ContactBelief(jnp.where(ratio[:, None] != 0, after, types)),
     )
 
 
 def _after(
-    types: Float[Array, " K"], log_ratio: Float[Array, ""], doubt: float
+    types: Float[Array, " K"], log_ratio: Float[Array, ""], error_floor: float
 ) -> Float[Array, " K"]:
-    """Bayes' rule on an edge. A belief that motion contradicts is taken as no surer than ``doubt``
-    allows: a network is sure of what it has not seen the like of."""
+    """Bayes' rule on an edge. A belief that motion contradicts is taken as no surer than
+    ``error_floor`` allows: a network is sure of what it has not seen the like of."""
     active = jnp.maximum(types[1:], _SMALLEST)
     odds = jnp.log(jnp.sum(active)) - jnp.log(jnp.maximum(types[0], _SMALLEST))
-    surest = jnp.log((1.0 - doubt) / doubt)
+    surest = jnp.log((1.0 - error_floor) / error_floor)
     contradicted = log_ratio * odds < 0
     odds = jnp.where(contradicted, jnp.clip(odds, -surest, surest), odds)
     # Motion tells active from inactive, not the active types from each other.
@@ -268,8 +278,10 @@ def _as_if_touching(
     sure it is told to be: then active and inactive would be the same motion. What is asked is what
     follows if this edge does hold; how probable that is at its distance is the belief's affair.
     """
-    touch = jnp.maximum(model.features.contact_distance, _TOUCHING * percept.geometry.nearest)
-    return model.encode(state.position, state.velocity, nodes, state.push, touch)
+    touch = jnp.maximum(
+        model.features.contact_distance, _TOUCHING * percept.geometry.closest_approach
+    )
+    return model.encode(state.position, state.velocity, nodes, state.control_displacement, touch)
 
 
 def _most_probable(belief: ContactBelief) -> Float[Array, "E K"]:
@@ -289,5 +301,5 @@ def _other(
 
 def _nearest(percept: EncodedGraph) -> Int[Array, " considered"]:
     """Of the edges in reach, those whose ends come nearest within the step."""
-    near = jnp.where(percept.weight > 0, -percept.geometry.nearest, -jnp.inf)
+    near = jnp.where(percept.weight > 0, -percept.geometry.closest_approach, -jnp.inf)
     return jax.lax.top_k(near, min(_CONSIDERED, near.shape[0]))[1]

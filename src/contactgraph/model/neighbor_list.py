@@ -26,16 +26,16 @@ class NeighborList(eqx.Module):
     has no prediction but NaN. See `allocate_neighbor_list`.
     """
 
-    edges: int = eqx.field(static=True)
+    max_edges: int = eqx.field(static=True)
     """Room for so many near pairs."""
-    cell: int | None = eqx.field(static=True)
+    cell_capacity: int | None = eqx.field(static=True)
     """Room for so many nodes in a cell. None: no cells, all pairs are gone through."""
-    group: int | None = eqx.field(static=True, default=16)
+    group_capacity: int | None = eqx.field(static=True, default=16)
     """Room for so many nodes that hold each other, directly or through others. None: for all, who
     are then solved as one group: time grows with the cube of their number."""
 
     def __check_init__(self) -> None:
-        for name in ("edges", "cell", "group"):
+        for name in ("max_edges", "cell_capacity", "group_capacity"):
             size = getattr(self, name)
             if size is not None and size < 1:
                 raise InvalidInputError(f"{name} must be at least 1, found {size}")
@@ -56,44 +56,44 @@ class NeighborList(eqx.Module):
         count = position.shape[0]
         if count > _MOST_NODES:
             raise InvalidInputError(f"lists are for at most {_MOST_NODES} nodes, found {count}")
-        if self.cell is None:
+        if self.cell_capacity is None:
             near = near_pairs(position, way, mask, far)
             # The places of the first, second, ... near pair; of none, that behind the last pair.
             until = jnp.cumsum(near)
-            passed = until[None, :] <= jnp.arange(self.edges)[:, None]
+            passed = until[None, :] <= jnp.arange(self.max_edges)[:, None]
             listed = jnp.sum(passed, axis=1, dtype=jnp.int32)
-            return Edges(numbered(listed, count), listed, until[-1] <= self.edges)
-        all_found = candidates(position, way, mask, far, self.cell)
-        number, near = all_found.number, all_found.near
+            return Edges(numbered(listed, count), listed, until[-1] <= self.max_edges)
+        all_found = candidates(position, way, mask, far, self.cell_capacity)
+        number, near = all_found.edge_id, all_found.near
         rank = jnp.cumsum(near, axis=1)
         before = jnp.cumsum(rank[:, -1])
         found = before[-1]
         # A candidate's place in the list; what is not near goes nowhere.
         slot = rank - 1 + (before - rank[:, -1])[:, None]
-        slot = jnp.where(near, slot, self.edges)
-        listed = jnp.full(self.edges, pair_count(count), number.dtype)
+        slot = jnp.where(near, slot, self.max_edges)
+        listed = jnp.full(self.max_edges, pair_count(count), number.dtype)
         listed = jnp.sort(listed.at[slot.reshape(-1)].set(number.reshape(-1), mode="drop"))
-        fits = (all_found.fullest <= self.cell) & (found <= self.edges)
+        fits = (all_found.fullest <= self.cell_capacity) & (found <= self.max_edges)
         return Edges(numbered(listed, count), listed, fits)
 
 
 def edge_count(lists: NeighborList | None, node_count: int) -> int:
     """Edges of a step of so many nodes: as many as there is room for, or all pairs."""
-    return pair_count(node_count) if lists is None else lists.edges
+    return pair_count(node_count) if lists is None else lists.max_edges
 
 
 def travel_bound(
     position: Float[Array, "N D"],
     velocity: Float[Array, "N D"],
-    push: Float[Array, "N D"] | None,
+    control_displacement: Float[Array, "N D"] | None,
     anchor: Float[Array, "N D"] | None,
     dt: float,
 ) -> Float[Array, " N"]:
     """How far from a node's position [m] any point of its body may be in a step of `dt` [s] where
     it is met: arguments as of `geometry`."""
     way = dt * jnp.linalg.norm(velocity, axis=-1)
-    if push is not None:
-        way = way + jnp.linalg.norm(push, axis=-1)
+    if control_displacement is not None:
+        way = way + jnp.linalg.norm(control_displacement, axis=-1)
     if anchor is None:
         return way
     # A bar's far end is an arm's length from its middle, and twice as fast.
@@ -114,7 +114,7 @@ def near_pairs(
 class Candidates(eqx.Module):
     """Pairs of nodes in the same cell or in adjacent ones, each once."""
 
-    number: Int[Array, "N C"]
+    edge_id: Int[Array, "N C"]
     """The pairs' places in `pair_indices`' order."""
     near: Bool[Array, "N C"]
     """Whether there is such a pair, and its nodes may come into reach within the step."""
@@ -127,9 +127,9 @@ def candidates(
     way: Float[Array, " N"],
     mask: Bool[Array, " N"],
     far: float,
-    room: int,
+    cell_capacity: int,
 ) -> Candidates:
-    """Pairs to choose from; of more than `room` nodes in a cell, the others' are missing.
+    """Pairs to choose from; of more than `cell_capacity` nodes in a cell, the others' are missing.
 
     Arguments as of `NeighborList`.
     """
@@ -146,10 +146,12 @@ def candidates(
     held = jnp.zeros(cells + 1, jnp.int32).at[cell].add(1)
     begin = jnp.cumsum(held) - held
     rank = jnp.arange(count, dtype=jnp.int32) - begin[cell[order]]
-    slot = jnp.where(rank < room, cell[order] * room + rank, (cells + 1) * room)
+    slot = jnp.where(
+        rank < cell_capacity, cell[order] * cell_capacity + rank, (cells + 1) * cell_capacity
+    )
     # Nobody is node `count`.
-    table = jnp.full((cells + 1) * room, count, jnp.int32).at[slot].set(order, mode="drop")
-    table = table.reshape(cells + 1, room).at[cells].set(count)
+    table = jnp.full((cells + 1) * cell_capacity, count, jnp.int32).at[slot].set(order, mode="drop")
+    table = table.reshape(cells + 1, cell_capacity).at[cells].set(count)
 
     other_cell = jnp.mod(corner[:, None] + _half_around(dimension), side) @ stride
     other = table[other_cell].reshape(count, -1)
@@ -161,7 +163,7 @@ def candidates(
     near = jnp.sum(apart**2, axis=-1) < reach**2
     near = near & (other < count) & mask[:, None]
     # The first of the cells is the node's own, in which each pair is met from both its ends.
-    own = jnp.arange(other.shape[1]) < room
+    own = jnp.arange(other.shape[1]) < cell_capacity
     near = near & (~own | (other > node))
     return Candidates(place(node, other), near, jnp.max(held[:cells]))
 

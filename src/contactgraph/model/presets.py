@@ -3,7 +3,7 @@
 Every function takes the number of degrees of freedom a node `dimension`, the size of the control,
 the step `dt` [s], the distance `contact_distance` [m] at about which bodies touch, centre to centre
 (the paper's d_th), the networks' width, whether bodies may hang on hinges, whether they have weight
-and rest on something until they are carried (`Support`), whether the distance of touch is learned
+and rest on something until they are carried (`GroundSupport`), whether the contact distance is learned
 (these two in `gim_temp` and what is made of it alone), and a random key.
 """
 
@@ -23,7 +23,7 @@ from contactgraph.model.contact_belief import (
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import AllEdges, MemorylessEdges, RecurrentEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.heads import CoupledHead, PerDegreeHead, Support
+from contactgraph.model.heads import CoupledHead, GroundSupport, PerDegreeHead
 from contactgraph.model.local_dynamics import (
     FreeLinearDynamics,
     SpringMassDamperDynamics,
@@ -133,7 +133,7 @@ def no_gim(
         learned_contact_distance,
         key=key,
     )
-    return dataclasses.replace(model, inference=AllEdges(), reach=NoCutoff())
+    return dataclasses.replace(model, inference=AllEdges(), cutoff=NoCutoff())
 
 
 def full_ab(
@@ -199,7 +199,7 @@ def paper_literal(
         ),
         features=features,
         prior=DistancePrior(threshold=contact_distance),
-        reach=NoCutoff(),
+        cutoff=NoCutoff(),
         sample=ArgmaxSample(),
         dt=dt,
         dimension=dimension,
@@ -259,9 +259,9 @@ def _coupled(
         message_passing=TypedMessagePassing([messages]),
         head=CoupledHead(
             width,
-            features.kinds,
+            features.node_types,
             length=contact_distance,
-            support=Support(features.kinds, dimension) if weight else None,
+            support=GroundSupport(features.node_types, dimension) if weight else None,
             key=head_key,
         ),
         discretization=ThetaMethod(),
@@ -269,4 +269,4 @@ def _coupled(
 
 
 def _reach(contact_distance: float) -> SmoothCutoff:
-    return SmoothCutoff(near=1.5 * contact_distance, far=2.5 * contact_distance)
+    return SmoothCutoff(inner=1.5 * contact_distance, outer=2.5 * contact_distance)

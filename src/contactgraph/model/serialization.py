@@ -25,7 +25,7 @@ from contactgraph.model.contact_belief import (
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import AllEdges, MemorylessEdges, RecurrentEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.heads import CoupledHead, PerDegreeHead, Support
+from contactgraph.model.heads import CoupledHead, GroundSupport, PerDegreeHead
 from contactgraph.model.local_dynamics import (
     FreeLinearDynamics,
     SpringMassDamperDynamics,
@@ -115,7 +115,7 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         SmoothCutoff,
         RecurrentEdges,
         SpringMassDamperDynamics,
-        Support,
+        GroundSupport,
         ThetaMethod,
         ClosestApproachPrior,
         TypedMessagePassing,
@@ -134,7 +134,7 @@ def describe(model: ContactDynamics) -> Description:
     `InvalidInputError` for parts that are not of this package.
     """
     if isinstance(model, ContactDynamics):
-        model = dataclasses.replace(model, neighbours=None)
+        model = dataclasses.replace(model, neighbor_list=None)
     return _describe(model, (ContactDynamics,), "model")
 
 

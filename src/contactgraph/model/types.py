@@ -23,7 +23,7 @@ class ModelState(eqx.Module):
     """m/s"""
     belief: ContactBelief
     """About the step that led here; the next step's belief is predicted from it."""
-    push: Float[Array, "N D"] | None = None
+    control_displacement: Float[Array, "N D"] | None = None
     """m; how far the coming step's control alone moves each node. Whether bodies touch within the
     step depends on it. None: not known."""
 
@@ -104,7 +104,7 @@ class SpringMassDamper(eqx.Module):
     Stiffness and damping are kept as rates, so that a body which no control moves ($w = 0$) can
     still be struck. The spring's other end is at $\hat x$, the damper's moves with $\hat v$: with
     $\hat v = 0$ this is the paper's model. `shift` moves the position within the step besides:
-    an impact in the middle of a step displaces what it stops.
+    an impact in the middle of a step displacing_fraction what it stops.
     """
 
     response: Float[Array, "*T N D U"]
@@ -118,7 +118,7 @@ class SpringMassDamper(eqx.Module):
     """m; where the spring is at rest."""
     equilibrium_velocity: Float[Array, "*T N D"]
     """m/s; where the damper is at rest."""
-    shift: Float[Array, "*T N D"]
+    impact_displacement: Float[Array, "*T N D"]
     """m; displacement by an impact within the step."""
     acceleration: Float[Array, "*T N D"] | None = None
     """a, m/s^2, by forces that depend on nothing here, such as weight. None: there are none."""
@@ -158,7 +158,7 @@ def from_physical(
         damping_rate=inverse_mass * damping,
         equilibrium=equilibrium,
         equilibrium_velocity=still,
-        shift=still,
+        impact_displacement=still,
     )
 
 
@@ -177,7 +177,7 @@ class LocalInput(eqx.Module):
     """m"""
     velocity: Float[Array, "N D"]
     """m/s"""
-    kind: Float[Array, "N kinds"]
+    node_type: Float[Array, "N node_types"]
     """What of a node does not change."""
     actuated: Float[Array, " N"]
     """1 where the control acts on the node itself, else 0."""
@@ -188,7 +188,7 @@ class LocalInput(eqx.Module):
     geometry: Geometry
     anchor: Float[Array, "N D"] | None
     """m; where a node is hinged, NaN where it is not. None: nobody is."""
-    room: int | None = eqx.field(static=True, default=None)
+    group_capacity: int | None = eqx.field(static=True, default=None)
     """For so many nodes that hold each other, directly or through others; None: for all."""
 
 

@@ -125,12 +125,12 @@ def fit(
             with_rollout = np.asarray(int(state.step) >= recipe.rollout_from * recipe.steps)
         after, arrays = lists.reallocate_on_overflow(
             lambda model: _advance(
-                _with_lists(state, model.neighbours),
+                _with_lists(state, model.neighbor_list),
                 *(source, checked, recipe, count, bystanders, with_rollout, split),
             ),
             lambda found: _finite(found[1]),
         )
-        return _with_lists(after, lists.given.neighbours), arrays
+        return _with_lists(after, lists.given.neighbor_list), arrays
 
     began = time.monotonic()
     status = FitStatus.finished
@@ -164,7 +164,7 @@ def _with_lists(state: FitState, lists: NeighborList | None) -> FitState:
         return isinstance(part, ContactDynamics)
 
     return jax.tree.map(
-        lambda part: dataclasses.replace(part, neighbours=lists) if is_model(part) else part,
+        lambda part: dataclasses.replace(part, neighbor_list=lists) if is_model(part) else part,
         state,
         is_leaf=is_model,
     )

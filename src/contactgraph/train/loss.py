@@ -70,7 +70,7 @@ def window_loss(
 
 def rollout_loss(model: ContactDynamics, windows: Window, devices: int = 1) -> Float[Array, ""]:
     """`LossTerms.rollout` over a batch of windows, of which it is all that goes through time."""
-    edges = edge_count(model.neighbours, windows.position.shape[-2])
+    edges = edge_count(model.neighbor_list, windows.position.shape[-2])
     missed = chunked_vmap(partial(_rolled_out, model), (windows,), edges, devices)
     return _mean(missed, jnp.broadcast_to(windows.nodes.mask[:, None], missed.shape))
 
@@ -95,7 +95,7 @@ class _Steps:
     @property
     def edges(self) -> int:
         """Of a step."""
-        return edge_count(self.model.neighbours, self.windows.position.shape[-2])
+        return edge_count(self.model.neighbor_list, self.windows.position.shape[-2])
 
     def each(self, function: Callable[..., _Result], *given: PyTree) -> _Result:
         """The function of every step's nodes, position, velocity and what is ``given`` of it
@@ -142,7 +142,7 @@ def _teacher_forced(
 
 
 def _pushes(steps: _Steps) -> Float[Array, "B L N D"]:
-    """How far each control alone moves each node in its step, m; see `contactgraph.model.pushed`.
+    """How far each control alone moves each node in its step, m.
 
     From a first pass that knows of no push. Nothing learns through it.
     """
@@ -159,14 +159,17 @@ def _pushes(steps: _Steps) -> Float[Array, "B L N D"]:
 
 
 def _believed(
-    steps: _Steps, push: Float[Array, "B L N D"] | None
+    steps: _Steps, control_displacement: Float[Array, "B L N D"] | None
 ) -> tuple[EncodedGraph, ContactBelief, ContactBelief]:
     """EncodedGraph, prior and belief about every step, from the recorded states."""
     model = steps.model
-    percept = steps.each(lambda nodes, x, v, push: model.encode(x, v, nodes, push), push)
+    percept = steps.each(
+        lambda nodes, x, v, push: model.encode(x, v, nodes, control_displacement),
+        control_displacement,
+    )
     prior = jax.vmap(jax.vmap(model.prior_belief))(percept)
 
-    def advance(
+    def take_step(
         belief: ContactBelief, percept: EncodedGraph
     ) -> tuple[ContactBelief, ContactBelief]:
         belief = model.predict_belief(belief, percept)
@@ -174,7 +177,7 @@ def _believed(
 
     def along(prior: ContactBelief, percept: EncodedGraph) -> ContactBelief:
         first = jax.tree.map(lambda leaf: leaf[0], prior)
-        return jax.lax.scan(advance, first, percept)[1]
+        return jax.lax.scan(take_step, first, percept)[1]
 
     return percept, prior, jax.vmap(along)(prior, percept)
 
@@ -219,5 +222,5 @@ def rollout_rmse(model: ContactDynamics, windows: Window) -> Float[Array, ""]:
         counts = jnp.broadcast_to(window.nodes.mask, squared.shape)
         return jnp.sqrt(_mean(squared, counts))
 
-    edges = edge_count(model.neighbours, windows.position.shape[-2])
+    edges = edge_count(model.neighbor_list, windows.position.shape[-2])
     return jnp.mean(chunked_vmap(rmse, (windows,), edges))

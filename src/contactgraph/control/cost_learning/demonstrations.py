@@ -168,7 +168,7 @@ def participants(demonstrations: Dataset, followed: FilteredTrajectory) -> tuple
     actuated and has no active edge in any demonstration at any step. Raises `InvalidInputError`,
     naming the run, where nothing touches or a node that takes part is missing.
     """
-    probability = np.asarray(followed.now.probability)
+    probability = np.asarray(followed.posterior.probability)
     joins: dict[str, list[float]] = {}
     seen: dict[str, int] = {}
     actuated: set[str] = set()
