@@ -1,4 +1,4 @@
-"""HingedBodies on hinges: levers against rigid rotation, nearest points, and what of them geometry sees."""
+"""Hinged bodies: Jacobians against rigid rotation, closest points, and their geometry."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -60,7 +60,7 @@ def test_a_push_is_the_response_times_the_control() -> None:
 
 
 def test_the_contact_that_a_push_would_bring_does_not_push() -> None:
-    """Two bodies a hair out of touch: the model will hold them, the force is the first one's own."""
+    """Two bodies a hair out of touch: the model couples them, the force is the first one's own."""
     model, nodes = preset("no_gim"), nodes_of(2)
     position = jnp.array([[0.0, 0.0], [0.1, 0.0]])
     state = state_at(model, position, jnp.zeros((2, 2)), nodes)

@@ -61,7 +61,8 @@ def geometry(
     """The geometry of the edges `pairs` at one step of `dt` [s]; finite where nodes coincide.
 
     Bodies touch `contact_distance` [m] apart, centre to centre: all of them, or each edge's.
-    `control_displacement` [m] is how far the step's control alone moves the nodes, where known. `anchor` [m] is where nodes are hinged, NaN where they are not.
+    `control_displacement` [m] is how far the step's control alone moves the nodes, where known.
+    `anchor` [m] is where nodes are hinged, NaN where they are not.
     """
     first, second = pairs[:, 0], pairs[:, 1]
     displacement, lever, slides = _meeting(position, pairs, anchor)

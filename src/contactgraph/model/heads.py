@@ -120,7 +120,7 @@ class CoupledHead(eqx.Module):
         self.log_mass = 0.0 * jnp.ones(node_types)
         self.gain_root = jnp.ones(node_types) / _HEAD_PACE
         self.ground = eqx.nn.MLP(node_types + 1, 1, width, 1, key=ground_key)
-        self.edge_id = eqx.nn.MLP(width, 3, width, 1, key=edge_key)
+        self.edge = eqx.nn.MLP(width, 3, width, 1, key=edge_key)
         self.support = support
         self.width = width
         self.node_types = node_types
@@ -182,7 +182,7 @@ class CoupledHead(eqx.Module):
         """The network, the gains on the control, and how far each edge holds, in [0, 1)."""
         ground = jax.vmap(self.ground)(local.node_features)[:, 0]
         # What holds two bodies does not depend on which of them is called the first.
-        out = jax.vmap(jax.vmap(self.edge_id))(jnp.sum(message, axis=1))
+        out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
         weight = local.weight.T
 
         def over_types(per_type: Float[Array, "active E"]) -> Float[Array, " E"]:

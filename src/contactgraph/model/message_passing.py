@@ -25,7 +25,7 @@ class _Round(eqx.Module):
         keys = jax.random.split(key, 5)
         self.receiver = eqx.nn.Linear(node_size, width, key=keys[0])
         self.sender = eqx.nn.Linear(node_size, width, use_bias=False, key=keys[1])
-        self.edge_id = eqx.nn.Linear(edge_size, width, use_bias=False, key=keys[2])
+        self.edge = eqx.nn.Linear(edge_size, width, use_bias=False, key=keys[2])
         self.message = eqx.nn.Linear(width, width, key=keys[3])
         self.update = eqx.nn.MLP(node_size + width, width, width, 1, key=keys[4])
 
@@ -37,7 +37,7 @@ class _Round(eqx.Module):
         ends: Int[Array, "2 E"],
     ) -> tuple[Float[Array, "N W"], Float[Array, "2 E W"]]:
         received, sent = jax.vmap(self.receiver)(node), jax.vmap(self.sender)(node)
-        hidden = jax.nn.relu(received[ends] + sent[ends[::-1]] + _along_edges(self.edge_id, edge))
+        hidden = jax.nn.relu(received[ends] + sent[ends[::-1]] + _along_edges(self.edge, edge))
         message = jax.nn.relu(_along_edges(self.message, hidden)) * weight[:, None]
         total = sum_at_nodes(message, ends, node.shape[0])
         return jax.vmap(self.update)(jnp.concatenate([node, total], axis=-1)), message

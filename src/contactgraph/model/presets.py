@@ -3,7 +3,7 @@
 Every function takes the number of degrees of freedom a node `dimension`, the size of the control,
 the step `dt` [s], the distance `contact_distance` [m] at about which bodies touch, centre to centre
 (the paper's d_th), the networks' width, whether bodies may hang on hinges, whether they have weight
-and rest on something until they are carried (`GroundSupport`), whether the contact distance is learned
+and rest on something until lifted (`GroundSupport`), whether the contact distance is learned
 (these two in `gim_temp` and what is made of it alone), and a random key.
 """
 
