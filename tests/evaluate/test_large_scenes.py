@@ -47,8 +47,8 @@ def sparse() -> Dataset:
 def test_small_scenes_have_lists_where_few_pairs_are_near(model, apart, sparse) -> None:
     assert ReallocatingModel(model, apart).model is model
     lists = ReallocatingModel(model, sparse).model.neighbor_list
-    assert lists.cell is None and lists.group is None
-    assert 13 < lists.edges < 45
+    assert lists.cell_capacity is None and lists.group_capacity is None
+    assert 13 < lists.max_edges < 45
 
 
 def test_small_scenes_with_lists_come_out_the_same(model, sparse, monkeypatch, caplog) -> None:
@@ -88,7 +88,11 @@ def test_room_grows_once_and_the_log_says_so(model, apart, caplog) -> None:
 
     assert lists.reallocate_on_overflow(predict, lambda found: found != 1) == 2
     first, grown = rooms
-    assert (grown.edges, grown.cell, grown.group) == (4 * first.edges, 4 * first.cell, 64)
+    assert (grown.max_edges, grown.cell_capacity, grown.group_capacity) == (
+        4 * first.max_edges,
+        4 * first.cell_capacity,
+        64,
+    )
     assert caplog.text.count("compiled anew") == 1
     assert lists.reallocate_on_overflow(predict, lambda found: False) == 3
     assert rooms[2] == grown

@@ -85,7 +85,7 @@ def test_every_argument_comes_back(tmp_path: Path) -> None:
     save_model(tmp_path / "model", model)
     found = load_model(tmp_path / "model").model
     assert found.sample == GumbelSample(0.3)
-    assert found.reach == SmoothCutoff(0.1, 0.7)
+    assert found.cutoff == SmoothCutoff(0.1, 0.7)
     assert (found.dimension, found.control_size, found.dt) == (3, 2, DT)
 
 
@@ -307,7 +307,7 @@ def test_what_cannot_be_saved(tmp_path: Path) -> None:
         pass
 
     own = eqx.tree_at(lambda model: model.cutoff, model, MyReach())
-    with pytest.raises(InvalidInputError, match=r"model\.reach: must be SmoothCutoff or NoCutoff"):
+    with pytest.raises(InvalidInputError, match=r"model\.cutoff: must be SmoothCutoff or NoCutoff"):
         save_model(path, own)
     assert not list(tmp_path.iterdir())
 
@@ -360,7 +360,7 @@ def test_the_number_of_networks_must_be_that_of_the_active_types() -> None:
             local_dynamics=two,
             features=model.features,
             prior=model.prior,
-            reach=model.cutoff,
+            cutoff=model.cutoff,
             sample=model.sample,
             dt=DT,
             dimension=2,

@@ -84,7 +84,7 @@ def test_a_load_is_felt(velocity, holds) -> None:
 
 def test_a_break_is_seen_at_once_and_not_remembered() -> None:
     state = in_a_row(2, [0.5, 0.5], 0.9999)
-    found = judged(state, -PUSH, seen_after(state, [0.3, 0.5]), told=NOISE.most)
+    found = judged(state, -PUSH, seen_after(state, [0.3, 0.5]), told=NOISE.max_log_ratio)
     assert found.predicted.probability[0] > 0.98
     assert found.corrected.probability[0] < 0.5 and found.motion_log_odds[0] == 0.0
 
@@ -99,11 +99,11 @@ def test_what_fits_nothing_says_next_to_nothing() -> None:
     found = judged(state, PUSH, wild, unbounded)
     assert 0.4 * fits < found.log_ratio[0] < 0.6 * fits
     # Both are.
-    found = judged(state, PUSH, (position + 3.0, velocity - 20.0), told=NOISE.most)
+    found = judged(state, PUSH, (position + 3.0, velocity - 20.0), told=NOISE.max_log_ratio)
     assert abs(found.log_ratio[0]) < 0.1 and found.corrected.probability[0] > 0.9
     # The step after: it begins where nothing was.
     jumped = dataclasses.replace(state, position=state.position + 3.0)
-    found = judged(jumped, PUSH, (position, velocity), told=NOISE.most)
+    found = judged(jumped, PUSH, (position, velocity), told=NOISE.max_log_ratio)
     assert abs(found.log_ratio[0]) < 0.1 and found.corrected.probability[0] > 0.9
 
 
@@ -111,9 +111,9 @@ def test_one_frame_never_saturates() -> None:
     state = in_a_row(2, [5.0, 0.0], 0.0001)
     for velocity in ([2.5, 2.5], [5.0, 0.0]):
         found = judged(state, REST, seen_after(state, velocity))
-        assert abs(found.log_ratio[0]) == NOISE.most
+        assert abs(found.log_ratio[0]) == NOISE.max_log_ratio
     # A belief that motion contradicts counts as no surer than 1 in 100.
-    odds = 0.01 / 0.99 * np.exp(NOISE.most)
+    odds = 0.01 / 0.99 * np.exp(NOISE.max_log_ratio)
     found = judged(state, REST, seen_after(state, [2.5, 2.5]))
     assert found.corrected.probability[0] == pytest.approx(odds / (1 + odds), rel=1e-3)
 
@@ -139,14 +139,14 @@ def test_what_motion_has_told_is_remembered_and_nothing_else() -> None:
     forgets = rigid_world(factor=0.01)
     state = in_a_row(2, [0.5, 0.5], 0.99)
     seen = seen_after(state, [0.5, 0.5])
-    stay = np.exp(-DT / NOISE.lasting)
-    told = judged(state, REST, seen, told=NOISE.most, model=forgets)
+    stay = np.exp(-DT / NOISE.time_constant)
+    told = judged(state, REST, seen, told=NOISE.max_log_ratio, model=forgets)
     assert told.corrected.probability[0] == pytest.approx(0.99 * stay, rel=1e-4)
-    assert told.told[0] == pytest.approx(NOISE.most * stay)
+    assert told.told[0] == pytest.approx(NOISE.max_log_ratio * stay)
     assert judged(state, REST, seen, model=forgets).corrected.probability[0] < 0.02
     # Whatever motion told: what a sensor has denied since is not raised again.
     denied = dataclasses.replace(state, belief=two_type_belief(jnp.array([0.1])))
-    found = judged(denied, REST, seen, told=NOISE.most, model=forgets)
+    found = judged(denied, REST, seen, told=NOISE.max_log_ratio, model=forgets)
     assert found.corrected.probability[0] <= 0.1
 
 

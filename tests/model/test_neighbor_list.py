@@ -118,7 +118,7 @@ def test_predictions_and_gradients_are_those_of_all_pairs(name: str, hinges: boo
         nodes = hinged(nodes, (0.1, 0.2), (-0.3, 0.1))
     model = preset(name, hinges=hinges)
     near = dataclasses.replace(
-        model, neighbor_list=NeighborList(max_edges=60, cell_capacity=12, group=12)
+        model, neighbor_list=NeighborList(max_edges=60, cell_capacity=12, group_capacity=12)
     )
     gradient, every = rolled(model, nodes, size=0.6)
     near_gradient, states = rolled(near, nodes, size=0.6)
@@ -145,9 +145,9 @@ def test_what_outgrows_a_list_has_no_prediction() -> None:
     state = crowd(model, nodes)
     for lists in (
         NeighborList(max_edges=3, cell_capacity=6),
-        NeighborList(max_edges=3, cell_capacity=None, group=None),
+        NeighborList(max_edges=3, cell_capacity=None, group_capacity=None),
         NeighborList(max_edges=20, cell_capacity=1),
-        NeighborList(max_edges=20, cell_capacity=6, group=1),
+        NeighborList(max_edges=20, cell_capacity=6, group_capacity=1),
     ):
         small = dataclasses.replace(model, neighbor_list=lists)
         after = eqx.filter_jit(small.step)(state, jnp.ones(2), nodes)
@@ -162,12 +162,15 @@ def test_lists_are_made_with_room_for_a_scene() -> None:
     way = travel_bound(state.position, state.velocity, None, None, DT)
     pairs, _ = listed(state.position, way, nodes.mask)
     given = state.position, state.velocity, nodes
-    tight = allocate_neighbor_list(model, *given, spare=1.0).neighbours
-    assert tight.edges == len(pairs) > 20
-    assert listed(state.position, way, nodes.mask, len(pairs), tight.cell)[1]
-    assert not listed(state.position, way, nodes.mask, len(pairs), tight.cell - 1)[1]
-    roomy = allocate_neighbor_list(model, *given).neighbours
-    assert (roomy.edges, roomy.cell) == (-(-3 * tight.edges // 2), -(-3 * tight.cell // 2))
+    tight = allocate_neighbor_list(model, *given, spare=1.0).neighbor_list
+    assert tight.max_edges == len(pairs) > 20
+    assert listed(state.position, way, nodes.mask, len(pairs), tight.cell_capacity)[1]
+    assert not listed(state.position, way, nodes.mask, len(pairs), tight.cell_capacity - 1)[1]
+    roomy = allocate_neighbor_list(model, *given).neighbor_list
+    assert (roomy.max_edges, roomy.cell_capacity) == (
+        -(-3 * tight.max_edges // 2),
+        -(-3 * tight.cell_capacity // 2),
+    )
 
 
 def test_a_bar_is_near_as_far_as_it_reaches() -> None:
@@ -186,7 +189,7 @@ def test_beliefs_go_from_list_to_list_by_pair() -> None:
     every = new.over(None, 10)
     np.testing.assert_allclose(np.flatnonzero(every.probability), [5, 7])
     assert every.over(None, 10) is every
-    again = every.over(new.edge, 10)
+    again = every.over(new.edge_id, 10)
     np.testing.assert_array_equal(again.type_probability, new.type_probability)
 
 
@@ -198,7 +201,7 @@ def test_measured_contacts_are_those_of_all_pairs() -> None:
     near = correct(every.over(edge, 6), measured, sensor)
     whole = correct(every, measured, sensor).probability
     np.testing.assert_allclose(near.probability, [*whole[jnp.asarray([1, 2, 5])], 0.0], atol=1e-6)
-    np.testing.assert_array_equal(near.edge, edge)
+    np.testing.assert_array_equal(near.edge_id, edge)
 
 
 def test_a_reach_without_end_has_no_lists() -> None:
@@ -209,7 +212,7 @@ def test_a_reach_without_end_has_no_lists() -> None:
 
 
 def test_sizes_are_at_least_one() -> None:
-    with pytest.raises(InvalidInputError, match="cell must be at least 1, found 0"):
+    with pytest.raises(InvalidInputError, match="cell_capacity must be at least 1, found 0"):
         NeighborList(max_edges=4, cell_capacity=0)
 
 

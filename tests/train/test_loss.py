@@ -107,7 +107,7 @@ class Told(eqx.Module):
 
 
 class TellsPush(Still):
-    """Velocities become the control displacement given to the model; 1 N moves a node by `gain` [m]."""
+    """Velocities become the control displacement given; 1 N moves a node by `gain` [m]."""
 
     gain: jax.Array = eqx.field(default_factory=lambda: jnp.ones(()))
 

@@ -46,8 +46,9 @@ class MPC:
     `contact_log_likelihood_ratio`.
 
     **Who matters.** With a model whose edges have an end (`interaction_cutoff`), a tick is about
-    the nodes in play alone, and takes next to no longer for all the bystanders that a scene may hold; the
-    answer is that of a tick about all. See `contactgraph.control.in_play`, and `Plan.who`.
+    the nodes in play alone, and takes next to no longer for all the bystanders that a scene may
+    hold; the answer is that of a tick about all. See `contactgraph.control.in_play`, and
+    `Plan.who`.
 
     Goals, weights, poses, contacts and the number of nodes within the capacity are arguments of
     the compiled tick and do not recompile it; the horizon, the capacity (where all are in play)

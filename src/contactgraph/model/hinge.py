@@ -37,7 +37,7 @@ class HingedBodies(eqx.Module):
         """Squared length of the arm, m^2."""
         return jnp.maximum(jnp.sum(self.arm**2, axis=-1), _SMALLEST)
 
-    def nearest(
+    def closest_point(
         self, node: Int[Array, " E"], point: Float[Array, "E D"]
     ) -> tuple[Float[Array, "E D"], Float[Array, "E D"]]:
         """The bars' points nearest to `point` [m], and the directions in which they may slide.

@@ -72,7 +72,7 @@ def gim_temp(
         local_dynamics=_coupled(features, dimension, contact_distance, width, weight, dynamics_key),
         features=features,
         prior=ClosestApproachPrior(),
-        reach=_reach(contact_distance),
+        cutoff=_cutoff(contact_distance),
         sample=ArgmaxSample(),
         dt=dt,
         dimension=dimension,
@@ -169,7 +169,7 @@ def full_ab(
             key=jax.random.fold_in(key, 1),
         ),
         prior=ClosestApproachPrior(),
-        reach=_reach(contact_distance),
+        cutoff=_cutoff(contact_distance),
     )
 
 
@@ -268,5 +268,5 @@ def _coupled(
     )
 
 
-def _reach(contact_distance: float) -> SmoothCutoff:
+def _cutoff(contact_distance: float) -> SmoothCutoff:
     return SmoothCutoff(inner=1.5 * contact_distance, outer=2.5 * contact_distance)
