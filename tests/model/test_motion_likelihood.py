@@ -142,7 +142,7 @@ def test_what_motion_has_told_is_remembered_and_nothing_else() -> None:
     stay = np.exp(-DT / NOISE.time_constant)
     told = judged(state, REST, seen, told=NOISE.max_log_ratio, model=forgets)
     assert told.corrected.probability[0] == pytest.approx(0.99 * stay, rel=1e-4)
-    assert told.told[0] == pytest.approx(NOISE.max_log_ratio * stay)
+    assert told.motion_log_odds[0] == pytest.approx(NOISE.max_log_ratio * stay)
     assert judged(state, REST, seen, model=forgets).corrected.probability[0] < 0.02
     # Whatever motion told: what a sensor has denied since is not raised again.
     denied = dataclasses.replace(state, belief=two_type_belief(jnp.array([0.1])))
