@@ -1,1 +1,1 @@
-"""A Franka arm: the law that makes its hand a mass, and the driver over the maker's client."""
+"""Driver of a Franka arm and its gripper over the maker's client, and impedance control."""

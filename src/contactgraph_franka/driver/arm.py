@@ -1,19 +1,19 @@
-"""An arm of seven joints: what its client tells in a tick, and what the maker says of it."""
+"""State, model parameters and limits of an arm of seven joints, and the offset of its clock."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 JOINTS = 7
-TICK = 0.001
+CYCLE = 0.001
 """s, between the states of the arm and between its commands."""
 
 
 @dataclass(slots=True)
 class ArmState:
-    """What is known of the arm in one tick, as any client of such an arm tells it.
+    """State of the arm in one control cycle, as any client of such an arm reports it.
 
-    Positions and directions are in the frame of the base; gravity is the arm's own affair.
+    Positions and directions are in the frame of the base; the arm itself compensates gravity.
     """
 
     time: float
@@ -23,7 +23,7 @@ class ArmState:
     joint_velocity: np.ndarray
     """[7] rad/s."""
     torque: np.ndarray
-    """[7] N m, in force when this was read, without what holds the arm's weight."""
+    """[7] N m, in force when this was read, without gravity compensation."""
     mass: np.ndarray
     """[7, 7] kg m^2, inertia of the links."""
     coriolis: np.ndarray
@@ -36,10 +36,10 @@ class ArmState:
 
 @dataclass(frozen=True, eq=False)
 class JointDrives:
-    """What motors and gears add to the links, and no client's model of the arm holds."""
+    """Parameters of motors and gears, which no client's model of the arm includes."""
 
     inertia: np.ndarray
-    """[7] kg m^2, of rotors, as the joint feels it."""
+    """[7] kg m^2, of the rotors, at the joint."""
     friction: np.ndarray
     """[7] N m, dry."""
     damping: np.ndarray
@@ -47,20 +47,20 @@ class JointDrives:
 
 
 NO_DRIVES = JointDrives(np.zeros(JOINTS), np.zeros(JOINTS), np.zeros(JOINTS))
-"""Of an arm whose torque control hides its motors altogether, as the maker says, and as the
-rehearsal's does. The safe choice: friction that is not known is felt, and brakes."""
+"""For an arm whose torque control hides its motors altogether, as the maker states, and as the
+simulated robot's does. The safe choice: unknown friction acts as a brake."""
 FR3_DRIVES = JointDrives(
     inertia=np.array([0.195] * 4 + [0.074] * 3),
     friction=np.array([1.137] * 4 + [0.763, 0.44, 0.248]),
     damping=np.full(JOINTS, 0.21),
 )
 """Identified on one FR3 under torque control (MuJoCo Menagerie, franka_fr3, 2025-04-25). Only for
-an arm that was seen to have them: friction that is not there pushes the hand on."""
+an arm with measured friction like this: compensating absent friction accelerates the hand."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """What the maker allows each joint."""
+    """The maker's limits of each joint."""
 
     low: np.ndarray
     """[7] rad."""
@@ -78,32 +78,32 @@ FR3_LIMITS = JointLimits(
     torque=np.array([87.0] * 4 + [12.0] * 3),
     torque_rate=1000.0,
 )
-"""Of the maker's data sheet and interface description."""
+"""From the maker's data sheet and interface description."""
 
 
 class ClockOffset:
-    """Tells when, on the reader's clock, what the arm stamped on its own was so.
+    """Converts the arm's time stamps to the reader's clock.
 
-    A state that is seen for the first time came between the last look and this one, and that is
-    all that is known for sure: the offset between the clocks changes only as far as it must to lie
-    between. So stamps have no jitter of the reader's, and follow an arm whose clock is slower or
-    stands still for a while. The way of the packet, some 0.2 ms, is not known and not in it.
+    A state that is new at a read arrived between the previous read and this one. The offset between
+    the clocks changes only as far as these bounds require, so that time stamps are free of the
+    reader's jitter, and follow an arm whose clock is slower or pauses. The packet's delay, some
+    0.2 ms, is unknown and not included.
     """
 
     def __init__(self) -> None:
         self._offset: float | None = None
-        self._looked = 0.0
+        self._last_read = 0.0
 
     def unchanged(self, now: float) -> None:
-        """A look at ``now`` s found nothing new."""
-        self._looked = now
+        """Records a read at ``now`` s without a new state."""
+        self._last_read = now
 
     def changed(self, arm_time: float, now: float) -> float:
-        """s on the reader's clock, of a new state that is found at ``now`` s."""
+        """s on the reader's clock, of a state stamped ``arm_time`` s and new at ``now`` s."""
         if self._offset is None:
             self._offset = now - arm_time
         else:
-            earliest, latest = self._looked - arm_time, now - arm_time
+            earliest, latest = self._last_read - arm_time, now - arm_time
             self._offset = min(max(self._offset, earliest), latest)
-        self._looked = now
+        self._last_read = now
         return arm_time + self._offset

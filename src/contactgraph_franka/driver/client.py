@@ -1,4 +1,4 @@
-"""The one file that imports franky, the arm's client, and how a connection is made."""
+"""Connection and position control by franky, the arm's client, which only this module imports."""
 
 import math
 import threading
@@ -14,37 +14,47 @@ try:
 except ModuleNotFoundError as error:
     raise InvalidInputError("an arm needs franky: pip install 'contactgraph[robot]'") from error
 
-_PATIENCE = 5.0
-"""s: for so long a connection may take."""
+_TIMEOUT = 5.0
+"""s, of a connection."""
+_ATTEMPTS = 3
+"""Calls of the motion planner."""
+_RESTING = 2e-4
+"""rad/s: below it, a joint is at rest."""
+_SETTLED_WITHIN = 2.0
+"""s"""
 
 CLIENT_FAULTS = (franky.Exception, franky.TorqueSignalTimeoutException, RuntimeError)
-"""All that the client raises where the arm or the way to it is at fault, not a program. Bare
-network errors reach Python as `RuntimeError`."""
+"""All errors of the client whose cause is the arm or the network, not the program. Network errors
+reach Python as `RuntimeError`."""
 PLANNER_FAULT = "Motion planner failed"
-"""Words of the one such error that is no network's: no motion was found from where the arm is. It
-comes once in 20 motions, and another try, some milliseconds later, finds one."""
-
+"""Text of the one such error with another cause: the client's planner found no motion. It occurs
+once in 20 motions, and another attempt some milliseconds later succeeds."""
 
 Connection = TypeVar("Connection")
 
 
 def connect(address: str) -> franky.Robot:
-    """The arm at ``address``. Nothing moves.
+    """Connects to the arm at ``address``. Nothing moves.
 
-    Raises `InvalidInputError` where none answers, or one that speaks another protocol.
+    Raises `InvalidInputError` where no arm answers, or one with another protocol.
     """
-    return _within_patience(
+    return _with_timeout(
         lambda: franky.Robot(address, realtime_config=franky.RealtimeConfig.Ignore), address, "arm"
     )
 
 
-def first_state(arm: "franky.Robot | franky.Gripper", address: str) -> Any:
-    """The state of ``arm``, be it an arm or its gripper.
+def connect_gripper(address: str) -> franky.Gripper:
+    """Connects to the gripper of the arm at ``address``; raises like `connect`."""
+    return _with_timeout(lambda: franky.Gripper(address), address, "gripper")
 
-    Raises `InvalidInputError` where it was there, but sends none.
+
+def first_state(device: "franky.Robot | franky.Gripper", address: str) -> Any:
+    """The state of ``device``, an arm or its gripper.
+
+    Raises `InvalidInputError` where it is connected, but sends none.
     """
     try:
-        return arm.state
+        return device.state
     except CLIENT_FAULTS as error:
         raise InvalidInputError(
             f"{address} answers, but then sends no state: {error} (does something on the way, or "
@@ -52,30 +62,25 @@ def first_state(arm: "franky.Robot | franky.Gripper", address: str) -> Any:
         ) from error
 
 
-def connect_gripper(address: str) -> franky.Gripper:
-    """The gripper of the arm at ``address``; raises as `connect` does."""
-    return _within_patience(lambda: franky.Gripper(address), address, "gripper")
-
-
-def _within_patience(connect: Callable[[], Connection], address: str, what: str) -> Connection:
-    # In a thread: to an address that swallows packets the client waits for a minute.
-    found: list[Connection | Exception] = []
+def _with_timeout(open_connection: Callable[[], Connection], address: str, what: str) -> Connection:
+    # In a thread: the client waits for a minute for an address that swallows packets.
+    answers: list[Connection | Exception] = []
 
     def attempt() -> None:
         try:
-            found.append(connect())
-        except Exception as error:  # told below, in the caller's thread
-            found.append(error)
+            answers.append(open_connection())
+        except Exception as error:  # raised below, in the caller's thread
+            answers.append(error)
 
     thread = threading.Thread(target=attempt, daemon=True)
     thread.start()
-    thread.join(_PATIENCE)
-    if not found:
+    thread.join(_TIMEOUT)
+    if not answers:
         raise InvalidInputError(
-            f"no {what} answers at {address} within {_PATIENCE:.0f} s: is the cable in, the arm "
+            f"no {what} answers at {address} within {_TIMEOUT:.0f} s: is the cable in, the arm "
             "on, and this the address of the arm itself?"
         )
-    answer = found[0]
+    answer = answers[0]
     if isinstance(answer, franky.IncompatibleVersionException):
         raise InvalidInputError(
             f"the {what} at {address} speaks another version of the protocol than this client, "
@@ -89,24 +94,16 @@ def _within_patience(connect: Callable[[], Connection], address: str, what: str)
     return answer
 
 
-_ATTEMPTS = 3
-"""To find a motion."""
-_RESTING = 2e-4
-"""rad/s: a joint that is slower rests."""
-_SETTLED_WITHIN = 2.0
-"""s"""
-
-
-def check_transfer(position: np.ndarray, yaw: float, speed: float) -> None:
-    """Raises `InvalidInputError` where these do not say where to, or how fast."""
-    place = np.asarray(position, dtype=np.float64)
-    if place.shape != (3,) or not np.isfinite([*place, yaw]).all():
+def check_target(position: np.ndarray, yaw: float, speed: float) -> None:
+    """Raises `InvalidInputError` where these are not valid arguments of `move_to_pose`."""
+    target = np.asarray(position, dtype=np.float64)
+    if target.shape != (3,) or not np.isfinite([*target, yaw]).all():
         raise InvalidInputError(f"position must be [3] m, and yaw rad, found {position}, {yaw}")
     if not 0.0 < speed <= 1.0:
         raise InvalidInputError(f"speed must be above 0 and at most 1, found {speed}")
 
 
-def transfer(
+def move_to_pose(
     arm: "franky.Robot",
     position: np.ndarray,
     yaw: float,
@@ -114,10 +111,10 @@ def transfer(
     point: "franky.Affine",
     clock: Callable[[], float],
 ) -> None:
-    """Moves ``point``, as seen from the hand's own frame, to ``position`` [3] m, and waits for it.
+    """Moves ``point``, given in the hand's frame, to ``position`` [3] m, and waits for the end.
 
     The hand points down, turned by ``yaw`` rad; ``speed`` is the share of the arm's own limits.
-    Raises what the arm's client does.
+    Raises the errors of the arm's client.
     """
     down = np.array([math.cos(yaw / 2.0), math.sin(yaw / 2.0), 0.0, 0.0])
     target = franky.Affine(np.asarray(position, dtype=np.float64), down)
@@ -134,7 +131,7 @@ def transfer(
 
 
 def _settle(arm: "franky.Robot", clock: Callable[[], float]) -> None:
-    """Waits until ``arm`` rests, for at most 2 s: it follows what it is told with a lag."""
+    """Waits until ``arm`` is at rest, for at most 2 s: it follows its commands with a lag."""
     until = clock() + _SETTLED_WITHIN
     while np.abs(arm.state.dq).max() > _RESTING and clock() < until:
-        pass  # a state takes its tick to come
+        pass  # reading a state takes a cycle

@@ -1,4 +1,4 @@
-"""What an arm is and in what state, in words: what a person wants to know before it moves."""
+"""Text about an arm's state and limits, for a person to read before it moves."""
 
 from importlib.metadata import version
 
@@ -10,7 +10,7 @@ from contactgraph_franka.driver.fingers import DELAY, FALSE_ALARM, MISS
 from contactgraph_franka.safety.limits import SafetyLimits
 
 Lines = list[tuple[str, str]]
-"""Names and what there is to say."""
+"""Names and texts."""
 
 _MODES = {
     "Idle": "idle: ready to move",
@@ -30,12 +30,16 @@ def describe_arm(state: franky.RobotState, limits: JointLimits) -> Lines:
         for name in dir(state.current_errors)
         if not name.startswith("_") and getattr(state.current_errors, name) is True
     ]
+    margin = np.minimum(state.q - limits.low, limits.high - state.q)
+    nearest = int(np.argmin(margin))
     return [
         ("client", f"franky-control {version('franky-control')}"),
         ("mode", _MODES.get(state.robot_mode.name, state.robot_mode.name)),
         ("errors", ", ".join(errors) or "none"),
-        *_joints(state.q, limits),
-        ("hand", f"{state.m_ee:.2f} kg, {_place(state.F_T_EE.translation)} from the flange"),
+        ("joints", f"{_list(state.q)} rad"),
+        ("limits", f"{_list(limits.low)} to {_list(limits.high)} rad"),
+        ("nearest", f"joint {nearest + 1}, {margin[nearest]:.2f} rad from its limit"),
+        ("hand", f"{state.m_ee:.2f} kg, {_point(state.F_T_EE.translation)} from the flange"),
         ("load", f"{state.m_load:.2f} kg"),
         ("packets", f"{100.0 * state.control_command_success_rate:.0f} % of the last arrived"),
     ]
@@ -58,12 +62,12 @@ def describe_gripper(width: float, largest: float, protocol: int) -> Lines:
 def describe_limits(
     limits: SafetyLimits, joints: JointLimits, reflex: tuple[float, float]
 ) -> Lines:
-    """What is never exceeded. ``reflex``: N m in a joint and N on the hand that stop the arm."""
+    """Limits of the control. ``reflex``: N m in a joint and N on the hand that stop the arm."""
     low, high = limits.workspace_low, limits.workspace_high
     return [
         ("force", f"at most {limits.max_force:g} N, changing by {limits.max_force_rate:g} N/s"),
         ("speed", f"of the hand at most {limits.max_speed:g} m/s"),
-        ("workspace", f"{_place(np.array(low))} to {_place(np.array(high))}"),
+        ("workspace", f"{_point(np.array(low))} to {_point(np.array(high))}"),
         (
             "torque",
             f"at most {_list(joints.torque)} N m, changing by {joints.torque_rate:g} N m/s",
@@ -74,19 +78,9 @@ def describe_limits(
     ]
 
 
-def _joints(joints: np.ndarray, limits: JointLimits) -> Lines:
-    room = np.minimum(joints - limits.low, limits.high - joints)
-    nearest = int(np.argmin(room))
-    return [
-        ("joints", f"{_list(joints)} rad"),
-        ("limits", f"{_list(limits.low)} to {_list(limits.high)} rad"),
-        ("nearest", f"joint {nearest + 1}, {room[nearest]:.2f} rad from its limit"),
-    ]
-
-
 def _list(numbers: np.ndarray) -> str:
     return ", ".join(f"{number:.4g}" for number in np.round(numbers, 2))
 
 
-def _place(place: np.ndarray) -> str:
-    return "(" + ", ".join(f"{number:.3g}" for number in np.round(place, 4)) + ") m"
+def _point(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{number:.3g}" for number in np.round(point, 4)) + ") m"

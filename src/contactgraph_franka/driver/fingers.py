@@ -1,30 +1,53 @@
-"""Whether fingers hold something, from their width alone."""
+"""Decisions about the fingers: when to close on a passing block, and whether they hold it."""
 
 import math
 from collections import deque
 
 import numpy as np
 
+OPEN_WIDTH = 0.06
+"""m, between the open fingers, as in the simulated task."""
+LAG = 0.005
+"""s, from the decision to the motion of the fingers, for the simulated robot."""
 FALSE_ALARM = 0.02
-"""How often fingers that close on nothing seem to be stopped (see `docs/real-arm.md`)."""
+"""Rate at which fingers that close on nothing are reported to be stopped (`docs/real-arm.md`)."""
 MISS = 0.05
-"""How often fingers that are stopped seem not to be."""
+"""Rate at which stopped fingers are not reported."""
 DELAY = 0.05
-"""s, at most, from the touch to when it is told."""
+"""s, at most, from contact to its report."""
+_BLOCK = 0.04
+"""m, the width of a block."""
+_CLOSING = 0.11
+"""m/s, rate of the width for a command of 0.1, as of the simulated robot."""
+_PAST = 0.012
+"""m: distance of the grasp point past a block's centre when the fingers meet on the block. Earlier,
+they would be too narrow on arrival: a hand on a curved path is off by some millimetres, and a
+finger that hits the block's front pushes it away. Later, they would hold it where a model does not
+know that they can."""
+_AT = 0.012
+"""m: a hand at rest is at the block below this distance."""
+_RESTS = 0.03
+"""m/s"""
+_MISS_DISTANCE = 0.022
+"""m: a block that passes farther from the grasp point is not grasped."""
+_SLACK = 0.003
+"""m: fingers that are wider apart have not met the block yet."""
+_LOST = 0.06
+"""m: a block farther away is not between the fingers, even with a late measurement."""
+_EMPTY = 0.005
+"""m: fingers closer to each other hold nothing."""
 _WINDOW = 0.03
 """s over which the fingers' motion is measured."""
 _MOVED = 0.003
-"""m that the fingers must have come before anything can have stopped them."""
+"""m that the fingers must have moved before anything can have stopped them."""
 _STOPPED = 0.01
 """m/s: fingers that close at a tenth of their speed are stopped."""
-_EMPTY = 0.005
-"""m: fingers this close to each other hold nothing that is meant to be held."""
 
 
 class FingerContact:
-    """Fingers that close, and stop before they meet, have something between them.
+    """A contact sensor: fingers that close, and stop before they meet, hold something.
 
-    A weak sensor: it says something only from when the fingers close, and what it says comes late.
+    It is weak: it measures only while the fingers close, and reports late.
     """
 
     def __init__(self) -> None:
@@ -32,75 +55,48 @@ class FingerContact:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is known."""
+        """Forgets all measurements."""
         self.value = math.nan
-        """1: something is between the fingers. 0: nothing is. NaN: it cannot be told."""
+        """1: something is between the fingers. 0: nothing is. NaN: unknown."""
         self._past.clear()
-        self._begun: float | None = None
+        self._first_width: float | None = None
 
     def step(self, width: float, now: float, closing: bool) -> None:
-        """The fingers are ``width`` m apart at ``now`` s; ``closing``: that is what they are to."""
+        """Takes in the ``width`` m at ``now`` s; ``closing``: whether the fingers are to close."""
         if not closing:
             self.reset()
             return
-        if self._begun is None:
-            self._begun = width
+        if self._first_width is None:
+            self._first_width = width
         self._past.append((now, width))
         while now - self._past[0][0] > _WINDOW and now - self._past[1][0] >= _WINDOW:
             self._past.popleft()
-        began, before = self._past[0]
+        time_before, width_before = self._past[0]
         if width < _EMPTY:
             self.value = 0.0
-        elif self._begun - width > _MOVED and now - began >= _WINDOW:
-            self.value = float(before - width < _STOPPED * (now - began))
+        elif self._first_width - width > _MOVED and now - time_before >= _WINDOW:
+            self.value = float(width_before - width < _STOPPED * (now - time_before))
         else:
             self.value = math.nan
-
-
-OPEN_WIDTH = 0.06
-"""m, between the fingers while there is nothing to grasp: as they go in the simulated task."""
-_BLOCK = 0.04
-"""m, the width of a block."""
-_CLOSING = 0.11
-"""m/s, of the width: what fingers do that are told 0.1, as the rehearsal's are."""
-LAG = 0.005
-"""s, from the decision to when the fingers move, as the rehearsal's do."""
-_PAST = 0.012
-"""m: how far the grasp point has passed a block's centre when the fingers meet on it. Before it,
-they would be too narrow as they come to the block: a hand on a curved way is off by some
-millimetres, and a finger that hits the block's front pushes it away. Later, they would hold it
-where a model does not know that they can."""
-_AT = 0.012
-"""m: nearer than this, a hand that rests is at the block."""
-_RESTS = 0.03
-"""m/s"""
-_MISS = 0.022
-"""m: a block that passes farther from the grasp point is not grasped."""
-_SLACK = 0.003
-"""m: fingers that are wider apart have not met the block yet."""
-_LOST = 0.06
-"""m: a block that is farther away is not between the fingers, however late it is seen."""
-_EMPTY_grasp_reflex = 0.005
-"""m: fingers this close to each other hold nothing."""
 
 
 class GraspTrigger:
     """Decides whether the fingers are to be open or closed.
 
-    They close as long before they are to meet on a block as they need for the way, hold what they
-    meet, and open again where they met nothing or the block is seen elsewhere.
+    They begin to close early enough to meet on a passing block, hold it, and open again where they
+    met nothing or the block is measured elsewhere.
     """
 
     def __init__(self, lag: float = LAG) -> None:
-        """``lag`` s from the decision to when the fingers move."""
+        """``lag`` s from the decision to the motion of the fingers."""
         self._lag = lag
         self.closed = False
         """Whether the fingers are to be closed."""
         self.block = 0
-        """The block that they close on, or closed on last."""
+        """Index of the block that they close on, or closed on last."""
 
     def release(self) -> None:
-        """The fingers are to open."""
+        """Opens the fingers."""
         self.closed = False
 
     def step(
@@ -109,27 +105,29 @@ class GraspTrigger:
         """Whether the fingers, now ``width`` m apart, are to be closed.
 
         ``offset`` [M, 3] m from the grasp point to the blocks; ``velocity`` [M, 3] m/s of the grasp
-        point against them; ``tracked`` [M] bool: those that are not are let be.
+        point relative to them; ``tracked`` [M] bool: untracked blocks are ignored.
         """
         if self.closed:
-            self.closed = width > _EMPTY_grasp_reflex and not self._gone(offset, tracked, width)
+            self.closed = width > _EMPTY and not self._lost(offset, tracked, width)
             return self.closed
-        in_time = self._lag + max(width - _BLOCK, 0.0) / _CLOSING
-        for block, seen in enumerate(tracked.tolist()):
-            if seen and _time_to(offset[block].tolist(), velocity[block].tolist()) <= in_time:
+        closing_time = self._lag + max(width - _BLOCK, 0.0) / _CLOSING
+        for block, is_tracked in enumerate(tracked.tolist()):
+            if not is_tracked:
+                continue
+            if _time_to_grasp(offset[block].tolist(), velocity[block].tolist()) <= closing_time:
                 self.closed, self.block = True, block
         return self.closed
 
-    def _gone(self, offset: np.ndarray, tracked: np.ndarray, width: float) -> bool:
+    def _lost(self, offset: np.ndarray, tracked: np.ndarray, width: float) -> bool:
         if width > _BLOCK + _SLACK or not tracked[self.block]:
             return False
         return math.hypot(*offset[self.block].tolist()) > _LOST
 
 
-def _time_to(offset: list[float], velocity: list[float]) -> float:
+def _time_to_grasp(offset: list[float], velocity: list[float]) -> float:
     """s until the fingers are to meet on a block; infinity where the grasp point passes it too far
-    off or moves away. May be negative: then it is late."""
-    # Plain numbers: at a kilohertz, arrays of three take longer than what they are asked.
+    off or moves away. Negative where the time has passed."""
+    # Plain numbers: at 1 kHz, arrays of three take longer than the arithmetic.
     (x, y, z), (u, v, w) = offset, velocity
     square = x * x + y * y + z * z
     speed_square = u * u + v * v + w * w
@@ -139,6 +137,6 @@ def _time_to(offset: list[float], velocity: list[float]) -> float:
     speed = math.sqrt(speed_square)
     if closing < -_PAST * speed:
         return math.inf
-    if square - closing * closing / speed_square > _MISS**2:
+    if square - closing * closing / speed_square > _MISS_DISTANCE**2:
         return math.inf
     return closing / speed_square + _PAST / speed

@@ -1,4 +1,4 @@
-"""An arm of Franka's as a `Robot`, over the maker's protocol."""
+"""Driver of a Franka arm: a `Robot` over the maker's protocol."""
 
 import math
 import time
@@ -18,11 +18,11 @@ from contactgraph_franka.driver.arm import (
 from contactgraph_franka.driver.client import (
     CLIENT_FAULTS,
     PLANNER_FAULT,
-    check_transfer,
+    check_target,
     connect,
     first_state,
     franky,
-    transfer,
+    move_to_pose,
 )
 from contactgraph_franka.driver.description import describe_arm, describe_limits
 from contactgraph_franka.driver.impedance import HandImpedance
@@ -31,31 +31,32 @@ from contactgraph_franka.safety.limits import SafetyLimits
 from contactgraph_franka.safety.robot import RobotReading, Stop, StopReason
 
 GRASP_POINT = (0.0, 0.0, 0.1254)
-"""m, from the flange: between the fingers where they hold a block, 22 mm beyond the middle of the
-pads of the maker's hand, so that a block 0.1 m high clears the palm."""
+"""m, from the flange: the grasp point between the fingers, 22 mm beyond the middle of the pads of
+the maker's hand, so that a block 0.1 m high clears the palm."""
 SILENCE = 0.02
-"""s without a torque after which the arm's end of the loop stops the arm."""
+"""s without a torque after which the client's control thread stops the arm."""
 COLLISION_TORQUE = 20.0
-"""N m, in each joint: the arm's own reflex stops it beyond."""
+"""N m, in each joint: a larger external torque triggers the arm's own reflex stop."""
 COLLISION_FORCE = 30.0
-"""N, and N m about each axis, on the hand: likewise."""
+"""N, and N m about each axis, on the hand: the same."""
 _STOP_DAMPING = np.array([40.0, 40.0, 40.0, 40.0, 6.0, 6.0, 0.5])
-"""N m s/rad, of the arm's brake: as firm as torques that change by 1 N m a tick allow. Firmer ones
-throw the hand back."""
+"""N m s/rad, of the arm's brake: as firm as torques that change by 1 N m a cycle permit. A firmer
+brake throws the hand back."""
 _STOP_RAMP = 0.005
-"""s, in which the brake takes over from the last torques."""
+"""s, of the transition from the last torques to the brake."""
 _LONGEST_BRAKE = 5.0
-"""Wall seconds that a motion is given to end."""
+"""Wall seconds to wait for the end of a motion."""
 _UNFILTERED = 1000.0
-"""Hz. The client's low-pass, 100 Hz if nobody says otherwise, would lag by two ticks."""
+"""Hz. The client's default low-pass of 100 Hz would lag by two cycles."""
 
 
 class FrankaRobot:
-    """The hand (node 0) of an arm, moved by forces, and the objects that ``objects`` tells of.
+    """The hand (node 0) of an arm, moved by forces, and the objects of an `ObjectSource`.
 
     A `Robot`: `resume` takes control, `send` turns forces into torques (`HandImpedance`), `stop`
-    brakes. Whatever ends the arm's motion (a reflex, its stop button, a lost connection, silence)
-    is `ended`, never an exception. Use as a context manager. One thread reads and sends.
+    brakes. Every end of the arm's motion (a reflex, its stop button, a lost connection, silence)
+    is reported by `ended`, never by an exception. Use as a context manager. One thread reads and
+    sends.
     """
 
     def __init__(
@@ -69,9 +70,9 @@ class FrankaRobot:
     ) -> None:
         """Connects to ``address``; nothing moves.
 
-        ``fingers`` act while forces do, and are the contact sensor; None: they are left alone.
-        ``clock`` gives s, on which all is stamped. ``drives`` say what the joints' friction and
-        rotors are, where that is known: friction that is not there would push the hand on.
+        ``fingers`` move only while forces act, and are the contact sensor; None: they do not move.
+        ``clock`` gives s, for all time stamps. ``drives`` are the joints' friction and rotors,
+        where they are known: compensating absent friction would accelerate the hand.
         Raises `InvalidInputError` where no arm answers, or one of another generation.
         """
         self.address = address
@@ -79,16 +80,16 @@ class FrankaRobot:
         self.ended: Stop | None = None
         """Why and when the arm ended its motion by itself; None while it has not."""
         self.last_error = ""
-        """What the arm's client said about that."""
-        self._nodes = ReadingBuilder(objects, fingers)
+        """The message of the arm's client about it."""
+        self._readings = ReadingBuilder(objects, fingers)
         self._clock = clock
         self._arm = connect(address)
         self._model = self._arm.model
-        self._law = HandImpedance(limits, drives)
-        self._arm_clock = ClockOffset()
+        self._impedance = HandImpedance(limits, drives)
+        self._clock_offset = ClockOffset()
         self._motion: franky.SimpleTorqueMotion | None = None
         self._running = False
-        """Whether a motion of ours was begun whose end has not been noted."""
+        """Whether a motion was begun whose end has not been handled."""
         self._state: ArmState | None = None
         self._milliseconds = -1
         first = first_state(self._arm, address)
@@ -106,58 +107,58 @@ class FrankaRobot:
 
     @property
     def moving(self) -> bool:
-        """Whether torques of ours move the arm now."""
+        """Whether torques of this program move the arm now."""
         return self._motion is not None and self._arm.is_in_control
 
     def read(self) -> RobotReading | None:
-        """Hand and objects as the newest state of the arm tells; None where there is no newer.
+        """Hand and objects at the newest state of the arm; None where there is no newer one.
 
-        Immediate while torques run; else it waits for a state, a tick.
+        It returns at once while torques run, else after a cycle, with the next state.
         """
         if self._running and not self._arm.is_in_control:
-            self._note_end()
+            self._handle_end()
         if self._lost:
             return None
         try:
-            told = self._arm.state
+            raw = self._arm.state
         except CLIENT_FAULTS as error:
             self._end(StopReason.CONNECTION_LOST, error)
             return None
         now = self._clock()
-        milliseconds = told.time.to_msec()
+        milliseconds = raw.time.to_msec()
         if milliseconds == self._milliseconds:
-            self._arm_clock.unchanged(now)
+            self._clock_offset.unchanged(now)
             return None
         self._milliseconds = milliseconds
-        self._state = state = self._arm_state(told)
-        stamp = self._arm_clock.changed(state.time, now)
+        self._state = state = self._arm_state(raw)
+        stamp = self._clock_offset.changed(state.time, now)
         hand = self._model.pose(
             franky.Frame.EndEffector, state.joints, self._grasp_frame, self._stiffness_frame
         )
         speed = state.jacobian[:3] @ state.joint_velocity
-        return self._nodes.reading(
+        return self._readings.reading(
             hand.translation, speed, stamp, state.time, now, acting=self._motion is not None
         )
 
     def send(self, force: np.ndarray, now: float) -> np.ndarray | None:
-        """Torques for a ``force`` [3] N, from the last state that was read.
+        """Sends torques for a ``force`` [3] N at the last state read.
 
-        Returns as much of the force as joint limits left; None where no motion of ours runs.
+        Returns the part of the force that joint limits permit; None where no torques run.
         """
         motion, state = self._motion, self._state
         if motion is None or state is None:
             return None
         if not self._arm.is_in_control:
-            self._note_end()
+            self._handle_end()
             return None
-        told = self._law(force, state)
-        if not math.isfinite(told.torque.sum()):
+        command = self._impedance(force, state)
+        if not math.isfinite(command.torque.sum()):
             return None
-        motion.set_torque(told.torque)
-        return told.force
+        motion.set_torque(command.torque)
+        return command.force
 
     def stop(self, stop: Stop) -> None:
-        """Brakes each joint until it rests; then the arm holds itself."""
+        """Brakes each joint to rest; then the arm holds its position."""
         if self._motion is None:
             return
         self._motion = None
@@ -165,13 +166,13 @@ class FrankaRobot:
             self._begin(franky.TorqueStopMotion(damping=_STOP_DAMPING, ramp_duration=_STOP_RAMP))
 
     def resume(self) -> None:
-        """Takes control: the hand keeps its present orientation, and floats.
+        """Takes control: the hand keeps its present orientation, and moves freely.
 
         Where torques run already, nothing changes.
         """
         if self.moving:
             return
-        self._note_end()
+        self._handle_end()
         self.ended = None
         try:
             self._milliseconds = -1
@@ -179,7 +180,7 @@ class FrankaRobot:
         except CLIENT_FAULTS as error:
             self._end(StopReason.CONNECTION_LOST, error)
             return
-        self._law.hold(state)
+        self._impedance.hold(state)
         motion = franky.SimpleTorqueMotion(
             signal_timeout=SILENCE,
             lower_joint_limits=self.limits.low,
@@ -189,7 +190,7 @@ class FrankaRobot:
             self._motion = motion
 
     def recover(self) -> bool:
-        """After a reflex, or whatever `ended` the motion: whether the arm can move again."""
+        """Recovers from a reflex or another end of the motion; whether the arm can move again."""
         self._motion = None
         try:
             recovered = self._arm.recover_from_errors()
@@ -203,24 +204,24 @@ class FrankaRobot:
     def move_to(self, position: np.ndarray, yaw: float = 0.0, speed: float = 0.1) -> Stop | None:
         """Moves the grasp point to ``position`` [3] m, pointing down, turned by ``yaw`` rad.
 
-        ``speed`` is the share of the arm's own limits. Returns when it is there: None, or why the
-        arm stopped on the way. Raises `InvalidInputError` for arguments that are none.
+        ``speed`` is the share of the arm's own limits. Returns None at the target, or the reason
+        why the arm stopped before it. Raises `InvalidInputError` for invalid arguments.
         """
-        check_transfer(position, yaw, speed)
+        check_target(position, yaw, speed)
         if self.moving:
             raise InvalidInputError("the arm is under control of forces: stop it before move_to")
-        self._note_end(patience=_LONGEST_BRAKE)
+        self._handle_end(timeout=_LONGEST_BRAKE)
         self.ended = None
         try:
-            transfer(self._arm, position, yaw, speed, self._beyond_hand, self._clock)
+            move_to_pose(self._arm, position, yaw, speed, self._beyond_hand, self._clock)
         except CLIENT_FAULTS as error:
             self._end(_reason(error), error)
         return self.ended
 
     def hand_pose(self) -> np.ndarray:
-        """[4, 4]: the hand's frame in that of the base, now; also while a person guides it.
+        """[4, 4]: the hand's present frame in that of the base; also while a person guides it.
 
-        Raises `InvalidInputError` where the arm does not answer any more.
+        Raises `InvalidInputError` where the arm no longer answers.
         """
         try:
             return np.asarray(self._arm.state.O_T_EE.matrix)
@@ -228,37 +229,38 @@ class FrankaRobot:
             raise InvalidInputError(f"the arm at {self.address} is lost: {error}") from error
 
     def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
-        """Versions, state and limits as names and words. Raises nothing of the arm's."""
+        """Versions, state and limits as names and texts. Raises no error of the arm."""
         reflex = (COLLISION_TORQUE, COLLISION_FORCE)
-        told = describe_limits(limits, self.limits, reflex)
+        limit_lines = describe_limits(limits, self.limits, reflex)
         try:
-            return [("address", self.address), *describe_arm(self._arm.state, self.limits), *told]
+            state_lines = describe_arm(self._arm.state, self.limits)
         except CLIENT_FAULTS as error:
             self._end(StopReason.CONNECTION_LOST, error)
-            return [("address", self.address), ("connection", f"lost: {error}"), *told]
+            state_lines = [("connection", f"lost: {error}")]
+        return [("address", self.address), *state_lines, *limit_lines]
 
     def close(self) -> None:
-        """Brakes where the arm moves, and lets go of it."""
+        """Brakes where the arm moves, and disconnects."""
         self.stop(Stop(StopReason.FINISHED, self._clock()))
-        self._note_end(patience=_LONGEST_BRAKE)
+        self._handle_end(timeout=_LONGEST_BRAKE)
 
     @property
     def _lost(self) -> bool:
         return self.ended is not None and self.ended.reason is StopReason.CONNECTION_LOST
 
-    def _arm_state(self, told: "franky.RobotState") -> ArmState:
-        model, joints = self._model, told.q
+    def _arm_state(self, raw: "franky.RobotState") -> ArmState:
+        model, joints = self._model, raw.q
         return ArmState(
-            time=1e-3 * told.time.to_msec(),
+            time=1e-3 * raw.time.to_msec(),
             joints=joints,
-            joint_velocity=told.dq,
-            torque=told.tau_J_d,
-            mass=model.mass(told),
-            coriolis=model.coriolis(told),
+            joint_velocity=raw.dq,
+            torque=raw.tau_J_d,
+            mass=model.mass(raw),
+            coriolis=model.coriolis(raw),
             jacobian=model.zero_jacobian(
                 franky.Frame.EndEffector, joints, self._grasp_frame, self._stiffness_frame
             ),
-            orientation=told.O_T_EE.quaternion,
+            orientation=raw.O_T_EE.quaternion,
         )
 
     def _begin(self, motion: "franky.SimpleTorqueMotion | franky.TorqueStopMotion") -> bool:
@@ -270,12 +272,12 @@ class FrankaRobot:
         self._running = True
         return True
 
-    def _note_end(self, patience: float = 0.0) -> None:
-        """Takes in why the last motion ended, if by itself; waits ``patience`` s for that."""
+    def _handle_end(self, timeout: float = 0.0) -> None:
+        """Records why the last motion ended, if by itself; waits ``timeout`` s for that."""
         self._motion = None
         self._running = False
         try:
-            self._arm.join_motion(patience)
+            self._arm.join_motion(timeout)
         except CLIENT_FAULTS as error:
             self._end(_reason(error), error)
 

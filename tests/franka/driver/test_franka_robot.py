@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehearsal]'")
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.driver.client import franky, transfer
+from contactgraph_franka.driver.client import franky, move_to_pose
 from contactgraph_franka.driver.franka_robot import SILENCE, FrankaRobot
 from contactgraph_franka.driver.gripper import FrankaGripper
 from contactgraph_franka.loop import WallClock
@@ -299,7 +299,7 @@ class Planless:
 def test_a_motion_that_was_not_found_is_tried_again(times: int, moved: int) -> None:
     arm = Planless(times)
     with nullcontext() if moved else pytest.raises(RuntimeError, match="Motion planner failed"):
-        transfer(arm, PLACE, 0.0, 0.1, franky.Affine(), time.monotonic)
+        move_to_pose(arm, PLACE, 0.0, 0.1, franky.Affine(), time.monotonic)
     assert arm.moved == moved
 
 
