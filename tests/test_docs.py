@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib
 import pytest
 
-from contactgraph.cli.main import _parse
+from contactgraph.cli.main import parse
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted(
@@ -80,7 +80,7 @@ def test_relative_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_command_lines_parse(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for words in commands(page):
-        parsed = _parse(words)
+        parsed = parse(words)
         said = capsys.readouterr().err
         assert not isinstance(parsed, int) or words[-1] == "--help", f"{words}: {said}"
 
@@ -106,4 +106,4 @@ def test_the_commands_of_the_documents_are_found() -> None:
 
 @pytest.mark.parametrize("words", [["train"], ["collect", "pickup"], ["control", "--seed", "x"]])
 def test_a_wrong_command_line_does_not_parse(words: list[str]) -> None:
-    assert _parse(words) == 2
+    assert parse(words) == 2

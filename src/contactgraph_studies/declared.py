@@ -2,33 +2,12 @@
 
 from dataclasses import dataclass
 
+from contactgraph.cli.tasks import TASKS as LIBRARY_TASKS
+from contactgraph.cli.tasks import TestCondition as TestCondition
+from contactgraph_franka.envs.task_entry import FRANKA as FRANKA_TASK
+
 Options = tuple[str, ...]
 """Of a command, as a user types them."""
-
-
-@dataclass(frozen=True)
-class TestCondition:
-    """One kind of scene that models are tested in."""
-
-    __test__ = False  # pytest takes every class of such a name for tests
-
-    slug: str
-    """Names files."""
-    name: str
-    in_distribution: bool
-    """Whether models were trained on such scenes."""
-    distractors: int = 0
-    objects: int | None = None
-    """None: the task's own number."""
-    extra: bool = False
-    """Left out of a quick study."""
-
-    @property
-    def options(self) -> Options:
-        """Of ``collect`` and ``control``."""
-        distractors = ("--distractors", str(self.distractors)) if self.distractors else ()
-        objects = () if self.objects is None else ("--objects", str(self.objects))
-        return (*distractors, *objects)
 
 
 @dataclass(frozen=True)
@@ -142,41 +121,28 @@ MODELS = (GIM_TEMP, GIM_NON_TEMP, NO_GIM, NO_GIM_AUG, FULL_AB, NO_KL, LITERAL, L
 
 PICKUP = StudyTask(
     "pickup",
-    (
-        TestCondition("as-trained", "as trained", True),
-        TestCondition("3-distractors", "3 distractors", False, distractors=3, extra=True),
-        TestCondition("10-distractors", "10 distractors", False, distractors=10),
-    ),
+    LIBRARY_TASKS["pickup"].conditions,
     ("--distractors", "3", "--mixed"),
     augmented_runs=160,
     with_samples=True,
 )
 MULTI_PICKUP = StudyTask(
     "multi-pickup",
-    (
-        TestCondition("as-trained", "as trained, 2 picks", True),
-        TestCondition("5-picks", "5 picks", False, objects=5),
-    ),
+    LIBRARY_TASKS["multi-pickup"].conditions,
     ("--objects", "3", "--mixed"),
     augmented_runs=120,
     with_samples=True,
 )
 DOOR = StudyTask(
     "door",
-    (
-        TestCondition("as-trained", "as trained", True),
-        TestCondition("10-doors", "10 more doors", False, distractors=10),
-    ),
+    LIBRARY_TASKS["door"].conditions,
     ("--distractors", "3", "--mixed"),
     augmented_runs=160,
     with_samples=False,
 )
 FRANKA = StudyTask(
     "franka",
-    (
-        TestCondition("as-trained", "as trained", True),
-        TestCondition("5-distractors", "5 distractors", False, distractors=5),
-    ),
+    FRANKA_TASK.conditions,
     ("--distractors", "3", "--mixed"),
     augmented_runs=800,
     with_samples=False,

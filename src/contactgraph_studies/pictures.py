@@ -7,7 +7,7 @@ from matplotlib.figure import Figure as Chart
 
 from contactgraph.data import read_trajectories
 from contactgraph.model.io import load_model
-from contactgraph.viz import SceneRun, write_summary_figure
+from contactgraph.viz import SceneRun, scene_run, write_summary_figure
 from contactgraph_studies.chart import svg, write_chart
 from contactgraph_studies.declared import GIM_TEMP, Amounts, StudyTask
 from contactgraph_studies.error_charts import edge_chart, error_chart, fault_chart, sample_chart
@@ -16,7 +16,6 @@ from contactgraph_studies.measurement import Measurement
 from contactgraph_studies.plan_cells import Source, Where
 from contactgraph_studies.results import Results
 from contactgraph_studies.run_chart import run_chart
-from contactgraph_studies.scenes import scene_run
 from contactgraph_studies.study_table import Row
 
 _FIGURES = "figures"

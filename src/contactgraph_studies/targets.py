@@ -1,75 +1,23 @@
 """What GIM-Temp must reach on each task, beside what it reaches."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+from contactgraph.cli.tasks import TASKS as LIBRARY_TASKS
+from contactgraph.cli.tasks import Target as Asked
 from contactgraph.viz import Number
+from contactgraph_franka.envs.task_entry import FRANKA as FRANKA_TASK
 from contactgraph_studies.claims_error import PLANNED_ERROR, planned
 from contactgraph_studies.claims_graph import recorded
 from contactgraph_studies.declared import (
-    DOOR,
     FRANKA,
     GIM_TEMP,
-    MULTI_PICKUP,
-    PICKUP,
     StudyTask,
     TestCondition,
 )
 from contactgraph_studies.plan_cells import Source, Where
 from contactgraph_studies.results import Figure, Results
 
-
-@dataclass(frozen=True)
-class Asked:
-    """Of one number."""
-
-    at_least: float
-    aim: float | None = None
-
-
-ByScene = dict[bool, Asked]
-"""By whether the scenes are like those of training."""
-
-
-@dataclass(frozen=True)
-class TaskTargets:
-    """What is asked of one task."""
-
-    error_cm: ByScene
-    """The N-step error."""
-    edge_f1: ByScene
-    success_percent: ByScene
-    contact_speed: Asked = Asked(0.3)
-    """Median, m/s."""
-    training_s: Asked = Asked(120.0, 30.0)
-    tick_ms: Asked = Asked(10.0, 3.0)
-    """99 %, in the hardest scenes."""
-    as_it_passes: bool = False
-    """Whether the study judges speed at contact and the tick too; a report does for every task."""
-
-
-_PLANAR_F1 = {True: Asked(0.97, 0.995), False: Asked(0.95, 0.995)}
-_PLANAR_SUCCESS = {True: Asked(98.0, 100.0), False: Asked(95.0, 100.0)}
-TARGETS = {
-    PICKUP.name: TaskTargets(
-        {True: Asked(0.4, 0.2), False: Asked(0.3, 0.1)}, _PLANAR_F1, _PLANAR_SUCCESS
-    ),
-    MULTI_PICKUP.name: TaskTargets(
-        {True: Asked(1.0, 0.3), False: Asked(1.5, 0.5)}, _PLANAR_F1, _PLANAR_SUCCESS
-    ),
-    DOOR.name: TaskTargets(
-        {True: Asked(1.0, 0.3), False: Asked(1.2, 0.3)}, _PLANAR_F1, _PLANAR_SUCCESS
-    ),
-    FRANKA.name: TaskTargets(
-        {True: Asked(1.0, 0.5), False: Asked(1.5, 0.5)},
-        {True: Asked(0.95, 0.99), False: Asked(0.95, 0.99)},
-        {True: Asked(95.0, 99.0), False: Asked(90.0, 99.0)},
-        contact_speed=Asked(0.1, 0.3),
-        training_s=Asked(900.0, 300.0),
-        tick_ms=Asked(10.0, 2.0),
-        as_it_passes=True,
-    ),
-}
+TARGETS = {name: task.targets for name, task in {**LIBRARY_TASKS, FRANKA.name: FRANKA_TASK}.items()}
 
 
 def asked_error_cm(task: StudyTask, condition: TestCondition) -> Asked | None:
@@ -109,7 +57,7 @@ def targets(
                 ),
                 judged(f"{label}: success", "%", success, asked.success_percent[inside], seeds),
             ]
-            if not asked.as_it_passes:
+            if task is not FRANKA:
                 continue
             speed = results.number(every_step, "contact_speed_m_s")
             tick = results.number(every_step, "plan_ms_p99")

@@ -11,12 +11,12 @@ from contactgraph.data.dataset import Dataset
 from contactgraph.envs import (
     DoorExpert,
     DoorTask,
-    FrankaExpert,
     MultiPickupTask,
     PickupExpert,
     PickupTask,
 )
 from contactgraph.envs.episodes import run_episode
+from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.franka_task import FrankaTask
 
 PARTS = {

@@ -36,7 +36,21 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ("trian", "no command 'trian'; the commands are collect, train, evaluate, control, "),
+        (
+            "trian",
+            "no command 'trian'; the commands are collect, train, evaluate, control, learn-cost, "
+            "report, info, reproduce, robot; did you mean train?",
+        ),
+        (
+            "robot chekc fake",
+            "no command 'robot chekc'; the commands are robot check, robot run, robot record, "
+            "robot calibrate, robot rehearse, robot rehearse-record, robot rehearse-control; did "
+            "you mean robot check?",
+        ),
+        ("robot", "robot needs one of check, run, record, calibrate, rehearse, rehearse-record, r"),
+        ("collect nothing:Task --out a.h5", "task nothing:Task: No module named 'nothing'"),
+        ("collect json:Task --out a.h5", "task json:Task: module 'json' has no attribute 'Task'"),
+        ("collect json:dumps --out a.h5", "task json:dumps: must be a class, found <function d"),
         ("--out x", "no command '--out'; the commands are collect"),
         ("train", "train needs DATA and --out (see contactgraph train --help)"),
         ("collect", "collect needs TASK and --out (see contactgraph collect --help)"),
@@ -55,7 +69,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a --out b --resume yes", "train does not take yes (see"),
         (
             "collect juggling --out a.h5",
-            "task must be one of pickup, multi-pickup, door, franka; found 'juggling'",
+            "task must be one of pickup, multi-pickup, door, franka, module:Class; found 'jugg",
         ),
         ("collect pickup --out a.h5 --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("collect pickup --out a.h5 --episodes -3", "--episodes must be 1 to 100000, found -3"),
@@ -119,7 +133,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("control nobody pickup", "nobody: no such run folder or model file; models that ship are"),
         (
             "control nobody juggling",
-            "task must be one of pickup, multi-pickup, door, franka; found 'juggling'",
+            "task must be one of pickup, multi-pickup, door, franka, module:Class; found 'jugg",
         ),
         ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("control nobody pickup --horizon 0", "--horizon must be 1 to 1000, found 0"),

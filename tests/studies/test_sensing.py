@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from contactgraph.cli.main import _parse
+from contactgraph.cli.main import parse
 from contactgraph_studies.results import Reading, Results
 from contactgraph_studies.sensing.declared import (
     AS_TRAINED,
@@ -37,7 +37,7 @@ def results_of(**values: dict) -> Results:
 def test_every_cell_is_a_command_and_made_once() -> None:
     assert len({cell.output for cell in STUDY.cells}) == len(STUDY.cells) == len(STUDY.wanted)
     for cell in STUDY.cells:
-        assert _parse(list(cell.arguments)) is not None
+        assert parse(list(cell.arguments)) is not None
 
 
 def test_shares_by_hand() -> None:

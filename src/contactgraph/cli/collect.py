@@ -52,8 +52,8 @@ class Collect:
         )
         from contactgraph.cli.output import check_writable, progress
         from contactgraph.cli.tasks import (
-            TASKS,
             TaskOptions,
+            known_task,
             mixed_factories,
             task_factory,
         )
@@ -70,7 +70,7 @@ class Collect:
             factories = mixed_factories(self.task, options)
         else:
             factories = [task_factory(self.task, options)]
-        task = choice("task", self.task, TASKS)
+        task = known_task(self.task)
         demonstrates = choice("--expert", self.expert, {"train": False, "demo": True})
         expert = task.demonstrator if demonstrates else task.expert
         check_share("--exploration", self.exploration)

@@ -65,10 +65,9 @@ class Control:
     def run(self) -> None:
         """Run the episodes and say how they went."""
         from contactgraph.cli.models import model_path
-        from contactgraph.cli.options import check_episodes, check_range, check_seed, choice
+        from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
         from contactgraph.cli.output import check_writable, progress, write_json
-        from contactgraph.cli.sensor import sensor_faults
-        from contactgraph.cli.tasks import TASKS, TaskOptions, task_factory
+        from contactgraph.cli.tasks import TaskOptions, known_task, task_factory
         from contactgraph.control import read_cost
         from contactgraph.data import (
             Dataset,
@@ -85,8 +84,8 @@ class Control:
         )
         from contactgraph.model import MotionNoise
         from contactgraph.model.io import load_model
+        from contactgraph.viz import scene_run
         from contactgraph.viz.animation import check_animation, write_animation
-        from contactgraph_studies.scenes import scene_run
 
         for path in (self.json, self.video, self.save):
             check_writable(path)
@@ -94,7 +93,7 @@ class Control:
             check_animation(self.video)
         check_episodes(self.episodes)
         check_seed(self.seed)
-        horizon = choice("task", self.task, TASKS).horizon
+        horizon = known_task(self.task).horizon
         if self.cost is not None:
             horizon *= _FARTHER
         if self.horizon is not None:

@@ -32,9 +32,8 @@ class Evaluate:
     def run(self) -> None:
         """Evaluate and say."""
         from contactgraph.cli.models import in_steps_of, model_path
-        from contactgraph.cli.options import check_range
+        from contactgraph.cli.options import check_range, sensor_faults
         from contactgraph.cli.output import check_writable, write_json
-        from contactgraph.cli.sensor import sensor_faults
         from contactgraph.data import read_trajectories
         from contactgraph.evaluate import evaluate_open_loop, rollout_growth
         from contactgraph.model import MotionNoise

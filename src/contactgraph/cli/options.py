@@ -1,25 +1,45 @@
-"""Strings are looked up in the tables of the commands, and nowhere else."""
+"""Values of command line options: names looked up, numbers checked before any work is done."""
 
+import importlib
 import math
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import TypeVar
+import sys
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from contactgraph.data import InvalidInputError
 from contactgraph.parallel import Executor, LocalExecutor
 
+if TYPE_CHECKING:
+    from contactgraph.evaluate import SensorFaults
+
 Value = TypeVar("Value")
+
+_LARGEST_SEED = 2**32 - 1
+"""Random keys are made of 32 bits: a larger seed would give the numbers of a smaller one."""
 
 
 def choice(what: str, name: str, table: dict[str, Value]) -> Value:
-    """The table's entry; where there is none, an error that lists those there are."""
+    """The table's entry. Raises `InvalidInputError`, which lists the valid names, without one."""
     if name not in table:
         raise InvalidInputError(f"{what} must be one of {', '.join(table)}; found {name!r}")
     return table[name]
 
 
-_LARGEST_SEED = 2**32 - 1
-"""Random keys are made of 32 bits: a larger seed would be another one in disguise."""
+def load_object(what: str, name: str) -> Any:
+    """The object ``module:name``; modules are also looked for in the current folder.
+
+    Raises `InvalidInputError` if the module cannot be imported or has no such name.
+    """
+    module_name, _, attribute = name.partition(":")
+    if "" not in sys.path:
+        sys.path.append("")  # worker processes get the same path
+    try:
+        found: Any = importlib.import_module(module_name)
+        for part in attribute.split("."):
+            found = getattr(found, part)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InvalidInputError(f"{what} {name}: {error}") from error
+    return found
 
 
 def check_range(flag: str, value: int, lowest: int, highest: int) -> None:
@@ -29,49 +49,45 @@ def check_range(flag: str, value: int, lowest: int, highest: int) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Raises `InvalidInputError` for a seed that random numbers cannot be made from."""
+    """Raises `InvalidInputError` for a seed outside the 32 bits of a random key."""
     check_range("--seed", seed, 0, _LARGEST_SEED)
 
 
+def check_episodes(episodes: int) -> None:
+    """Raises `InvalidInputError` for no episodes, or more than fit into memory."""
+    check_range("--episodes", episodes, 1, 100_000)
+
+
 def check_weight(flag: str, weight: float) -> None:
-    """Raises `InvalidInputError` for what cannot weigh anything."""
+    """Raises `InvalidInputError` for a weight that is negative or not finite."""
     if not (weight >= 0 and math.isfinite(weight)):
         raise InvalidInputError(f"{flag} must be a number of at least 0, found {weight}")
 
 
 def check_share(flag: str, share: float) -> None:
-    """Raises `InvalidInputError` for what is no part of a whole."""
+    """Raises `InvalidInputError` for a share outside 0 to 1."""
     if not 0.0 <= share <= 1.0:
         raise InvalidInputError(f"{flag} must be 0 to 1, found {share}")
 
 
-def check_episodes(episodes: int) -> None:
-    """Raises `InvalidInputError` for no episodes, or more than memory could hold."""
-    check_range("--episodes", episodes, 1, 100_000)
+def sensor_faults(false_alarms: float, misses: float, delay: int, seed: int) -> "SensorFaults":
+    """The contact sensor that the flags describe; raises `InvalidInputError` for wrong values."""
+    from contactgraph.evaluate import SensorFaults
+
+    for flag, rate in (("--false-alarms", false_alarms), ("--misses", misses)):
+        if not 0.0 <= rate < 1.0:
+            raise InvalidInputError(f"{flag} must be a share from 0 to below 1, found {rate}")
+    check_range("--delay", delay, 0, 1000)
+    return SensorFaults(false_alarms, misses, delay, seed)
 
 
-@contextmanager
-def open_executor(cluster: str) -> Iterator[Executor]:
-    """What ``--cluster`` names: ``local``, ``ray`` or ``ray:HOST:PORT``."""
+def open_executor(cluster: str) -> AbstractContextManager[Executor]:
+    """The executor of ``--cluster``: ``local``, ``ray`` or ``ray:HOST:PORT``."""
     name, colon, address = cluster.partition(":")
-    opened = choice("--cluster", name, _ENGINES)
-    with opened(address if colon else None) as engine:
-        yield engine
+    if choice("--cluster", name, {"local": False, "ray": True}):
+        from contactgraph.ray_cluster import connected
 
-
-def _local(address: str | None) -> AbstractContextManager[Executor]:
-    if address is not None:
+        return connected(address if colon else None)
+    if colon:
         raise InvalidInputError(f"--cluster: local takes no address, found {address!r}")
     return nullcontext(LocalExecutor())
-
-
-def _ray(address: str | None) -> AbstractContextManager[Executor]:
-    from contactgraph.ray_cluster import connected
-
-    return connected(address)
-
-
-_ENGINES: dict[str, Callable[[str | None], AbstractContextManager[Executor]]] = {
-    "local": _local,
-    "ray": _ray,
-}

@@ -1,10 +1,22 @@
-"""``contactgraph report``: one page that shows what a run has learned."""
+"""``contactgraph report``: one page that shows what a model has learned."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
+
+from contactgraph.cli.collect import Collect
+from contactgraph.cli.control import Control
+from contactgraph.cli.evaluate import Evaluate
+
+if TYPE_CHECKING:
+    from contactgraph.cli.model_report import ConditionResult, ModelResult
+    from contactgraph.cli.tasks import KnownTask, TestCondition
+    from contactgraph.data import Trajectory
+    from contactgraph.evaluate import EpisodeRecord
+    from contactgraph.viz import SceneRun
 
 
 @dataclass(frozen=True)
@@ -26,12 +38,12 @@ class Report:
 
     def run(self) -> None:
         """Test, and write the page."""
-        from contactgraph.cli.conditions import Conditions
-        from contactgraph.cli.options import choice
+        from contactgraph.cli.model_report import ModelResult
+        from contactgraph.cli.models import model_path
         from contactgraph.cli.output import check_writable
-        from contactgraph.cli.report_files import measured, write_report_files
+        from contactgraph.cli.tasks import known_task
         from contactgraph.data import InvalidInputError
-        from contactgraph_studies.declared import EVERY_TASK
+        from contactgraph.model.io import describe_model
 
         if self.test_runs < 1:
             raise InvalidInputError(f"--test-runs must be at least 1, found {self.test_runs}")
@@ -39,8 +51,119 @@ class Report:
         page = self.out or folder / "report" / "index.html"
         if page.parent.exists():
             check_writable(page)
-        task = choice("task", self.task, {task.name: task for task in EVERY_TASK})
-        conditions = Conditions(task, self.test_runs, self.episodes, self.seed)
-        result = measured(self.model, conditions, page.parent / "cells")
-        command = f"contactgraph report {self.model} --task {task.name} --seed {self.seed}"
-        write_report_files(page, result, self.model, command)
+        task = known_task(self.task)
+        model_file = model_path(self.model)
+        training = describe_model(model_file).training
+        cells = page.parent / "cells"
+        cells.mkdir(parents=True, exist_ok=True)
+        result = ModelResult(
+            task=task,
+            seed=int(training.get("seed", 0)),
+            conditions=tuple(self._test(cells, condition) for condition in task.conditions),
+            training_s=float(training.get("training_s", "nan")),
+            model_bytes=model_file.stat().st_size,
+            training_command=str(training.get("command", "")),
+        )
+        self._write(page, result, task)
+
+    def _test(self, folder: Path, condition: "TestCondition") -> "ConditionResult":
+        """Runs the commands of one test condition; their files stay in the folder."""
+        from contactgraph.cli.model_report import ConditionResult
+
+        distractors, objects = condition.distractors, condition.objects
+        data = folder / f"test-{condition.slug}.h5"
+        Collect(self.task, data, self.test_runs, self.seed, distractors, objects).run()
+        open_loop = folder / f"evaluate-{condition.slug}.json"
+        Evaluate(self.model, data, open_loop).run()
+        closed_loop = folder / f"control-{condition.slug}.json"
+        Control(
+            self.model,
+            self.task,
+            self.episodes,
+            self.seed,
+            distractors,
+            objects,
+            json=closed_loop,
+            save=folder / f"control-{condition.slug}.h5",
+        ).run()
+        options = " ".join(("", *condition.options))
+        return ConditionResult(
+            condition=condition,
+            open_loop=_read(open_loop),
+            closed_loop=_read(closed_loop),
+            open_loop_command=f"contactgraph evaluate {self.model} {data.name}",
+            closed_loop_command=f"contactgraph control {self.model} {self.task} "
+            f"--episodes {self.episodes} --seed {self.seed}{options}",
+            seed=self.seed,
+        )
+
+    def _write(self, page: Path, result: "ModelResult", task: "KnownTask") -> None:
+        """The page, and beside it the table (Markdown, CSV, JSON) and a figure of one scene."""
+        from contactgraph.cli.model_report import model_report, report_numbers
+        from contactgraph.cli.output import provenance, write_json, write_text
+        from contactgraph.train import RunFolder
+        from contactgraph.viz import write_report, write_summary_figure
+        from contactgraph.viz.number_table import csv_numbers, markdown_numbers
+
+        command = f"contactgraph report {self.model} --task {self.task} --seed {self.seed}"
+        metrics = RunFolder(Path(self.model)).metrics() if Path(self.model).is_dir() else []
+        numbers = report_numbers(result)
+        folder = page.parent
+        scenes = [self._scene(one.condition, task) for one in result.conditions]
+        versions = provenance()["versions"]
+        write_report(page, model_report(result, numbers, scenes, metrics, versions, [command]))
+        figure = folder / f"{self.task.replace(':', '-')}.png"
+        write_summary_figure(figure, scenes[min(1, len(scenes) - 1)])
+        write_text(folder / "table.md", markdown_numbers(numbers))
+        write_text(folder / "table.csv", csv_numbers(numbers))
+        write_json(
+            folder / "results.json",
+            {
+                "numbers": [
+                    {
+                        "what": number.name,
+                        "unit": number.unit,
+                        "value": number.value,
+                        "interval": number.interval,
+                        "at_least": number.at_least,
+                        "aim": number.aim,
+                        "reached": number.reached,
+                        "command": number.command,
+                    }
+                    for number in numbers
+                ],
+                "training_seed": result.seed,
+                "remake": [command],
+                **provenance(),
+            },
+        )
+        print(markdown_numbers(numbers))
+        print(f"the report: {page}")
+
+    def _scene(self, condition: "TestCondition", task: "KnownTask") -> "SceneRun":
+        """The first closed-loop episode of a condition, with its plans."""
+        from contactgraph.cli.models import model_path
+        from contactgraph.cli.tasks import TaskOptions, task_factory
+        from contactgraph.evaluate import control_task
+        from contactgraph.model.io import load_model
+        from contactgraph.viz import scene_run
+
+        model = load_model(model_path(self.model)).model
+        records: list[EpisodeRecord] = []
+
+        def on_episode(run: "Trajectory", record: "EpisodeRecord") -> None:
+            records.append(record)
+
+        _, runs = control_task(
+            model,
+            task_factory(self.task, TaskOptions(condition.distractors, condition.objects)),
+            episodes=1,
+            seed=self.seed,
+            horizon=task.horizon,
+            on_episode=on_episode,
+        )
+        return scene_run(model, condition.name, runs[0], records[0].plan)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text())

@@ -14,4 +14,3 @@ from contactgraph.envs.experts import RestPolicy as RestPolicy
 from contactgraph.envs.pickup import MultiPickupTask as MultiPickupTask
 from contactgraph.envs.pickup import PickupTask as PickupTask
 from contactgraph.envs.pickup import pickup_success as pickup_success
-from contactgraph_franka.envs.expert import FrankaExpert as FrankaExpert

@@ -9,4 +9,5 @@ from contactgraph.viz.report_data import NStepError as NStepError
 from contactgraph.viz.report_data import Number as Number
 from contactgraph.viz.report_data import ReportData as ReportData
 from contactgraph.viz.scene_run import SceneRun as SceneRun
+from contactgraph.viz.scene_run import scene_run as scene_run
 from contactgraph.viz.summary_figure import write_summary_figure as write_summary_figure

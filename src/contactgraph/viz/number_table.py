@@ -5,8 +5,7 @@ import io
 import math
 from collections.abc import Sequence
 
-from contactgraph.viz import Number
-from contactgraph_studies.words import short, with_unit
+from contactgraph.viz.report_data import Number
 
 
 def markdown_numbers(numbers: Sequence[Number]) -> str:
@@ -40,3 +39,21 @@ def csv_numbers(numbers: Sequence[Number]) -> str:
         row = [number.name, number.unit, number.value, low, high, number.at_least, number.aim]
         writer.writerow([*row, number.reached, number.command])
     return text.getvalue()
+
+
+def short(value: float) -> str:
+    """Three significant digits, without an exponent where it can be read without."""
+    if math.isnan(value):
+        return "not known"
+    if math.isinf(value):
+        return "not finite"
+    if value != 0.0 and not 1e-3 <= abs(value) < 1e5:
+        return f"{value:.2g}"
+    if abs(value) >= 100.0:
+        return f"{value:.0f}"
+    return f"{value:.3g}"
+
+
+def with_unit(value: float, unit: str) -> str:
+    """As `short`; a unit behind words would read oddly."""
+    return f"{short(value)} {unit}".strip() if math.isfinite(value) else short(value)

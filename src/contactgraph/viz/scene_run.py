@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
+from contactgraph.evaluate import model_diagnostics
+from contactgraph.model import ContactDynamics
 from contactgraph.viz.projection import Projection, projection_of
 
 _DEFAULT_RADIUS = 0.04
@@ -240,3 +242,26 @@ def _goal_radius(scene: Scene) -> float:
     if isinstance(radius, int | float) and np.isfinite(radius) and radius > 0:
         return float(radius)
     return _DEFAULT_GOAL_RADIUS
+
+
+def scene_run(
+    model: ContactDynamics, name: str, run: Trajectory, plan: np.ndarray | None = None
+) -> SceneRun:
+    """A trajectory with the model's beliefs, corrected by measured contacts, and parameters.
+
+    ``plan`` [T, H+1, N, D] m holds the positions that a controller planned at each step.
+    """
+    insight = model_diagnostics(model, run)
+    parameters = insight.parameters
+    if parameters is None:
+        return SceneRun.from_trajectory(name, run, insight.edges, insight.belief, plan=plan)
+    return SceneRun.from_trajectory(
+        name,
+        run,
+        insight.edges,
+        insight.belief,
+        inverse_mass=np.asarray(parameters.inverse_mass),
+        stiffness=np.asarray(parameters.stiffness_rate),
+        damping=np.asarray(parameters.damping_rate),
+        plan=plan,
+    )

@@ -316,7 +316,7 @@ def mpc_planner(path: Path, max_force: float, horizon: int, infer_contacts: bool
 
 def expert_planner(noise: float) -> Planner:
     """The scripted expert of the arm's pickup, with ``noise`` N on its force."""
-    from contactgraph.envs import FrankaExpert
+    from contactgraph_franka.envs.expert import FrankaExpert
     from contactgraph_franka.envs.pickup import pickup_scene
     from contactgraph_franka.loop.planner import PolicyPlanner
 

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
+from contactgraph.cli import CommandError
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -96,8 +98,8 @@ def check_seconds(flag: str, seconds: float, most: float = 600.0) -> None:
         raise InvalidInputError(f"{flag} must be above 0 and at most {most:g} s, found {seconds:g}")
 
 
-class RobotFault(Exception):
-    """The message is one line for the user; the command line exits with code 1."""
+class RobotFault(CommandError):
+    """A fault of the robot; the message is one line for the user."""
 
 
 if TYPE_CHECKING:

@@ -3,7 +3,14 @@
 from functools import partial
 
 from contactgraph.cli.options import choice
-from contactgraph.cli.tasks import KnownTask, TaskFactory, TaskOptions
+from contactgraph.cli.tasks import (
+    KnownTask,
+    Target,
+    TaskFactory,
+    TaskOptions,
+    TaskTargets,
+    TestCondition,
+)
 from contactgraph.data import InvalidInputError
 from contactgraph.envs.experts import ExplorationPolicy
 from contactgraph_franka.envs.expert import FrankaExpert
@@ -35,4 +42,18 @@ FRANKA = KnownTask(
     explorer=_explorer,
     horizon=50,
     max_force=MAX_FORCE,
+    extra="mujoco",
+    title="A contact graph that picks things up with an arm",
+    conditions=(
+        TestCondition("as-trained", "as trained", True),
+        TestCondition("5-distractors", "5 distractors", False, distractors=5),
+    ),
+    targets=TaskTargets(
+        error_cm={True: Target(1.0, 0.5), False: Target(1.5, 0.5)},
+        edge_f1={True: Target(0.95, 0.99), False: Target(0.95, 0.99)},
+        success_percent={True: Target(95.0, 99.0), False: Target(90.0, 99.0)},
+        contact_speed=Target(0.1, 0.3),
+        training_s=Target(900.0, 300.0),
+        tick_ms=Target(10.0, 2.0),
+    ),
 )

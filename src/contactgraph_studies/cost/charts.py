@@ -9,7 +9,7 @@ from contactgraph.control import read_cost
 from contactgraph.data import read_trajectories
 from contactgraph.model import shipped_model
 from contactgraph.model.io import load_model
-from contactgraph.viz import cost_figure
+from contactgraph.viz import cost_figure, scene_run
 from contactgraph.viz.scene_picture import BODY_COLOURS
 from contactgraph_studies.chart import SOFT, chart, quiet
 from contactgraph_studies.cost.cells import Controlled, Learned, Place
@@ -26,7 +26,6 @@ from contactgraph_studies.findings import Picture
 from contactgraph_studies.measurement import Measurement
 from contactgraph_studies.pictures import drawn, still
 from contactgraph_studies.results import Results
-from contactgraph_studies.scenes import scene_run
 from contactgraph_studies.success import pooled_success
 
 _COLOUR = BODY_COLOURS[0]

@@ -5,8 +5,8 @@ import pytest
 from franka_runs import HIGH, LOW, TORQUE, WatchedTask
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs import FrankaExpert
 from contactgraph.envs.episodes import episode_seeds, run_episode
+from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.franka_task import FrankaTask
 
 RUNS = 20

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from franka_runs import WatchedTask, pads_touching, push, tick, world_with_hand_at
 
-from contactgraph.envs import FrankaExpert
 from contactgraph.envs.episodes import run_episode
 from contactgraph_franka.envs.arm_world import (
     HALF_BLOCK,
@@ -16,6 +15,7 @@ from contactgraph_franka.envs.arm_world import (
     SPEED,
     GraspReflex,
 )
+from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.franka_task import FrankaTask
 from contactgraph_franka.envs.pickup import Grasp
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import FrankaExpert
+from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.pickup import is_success, pickup_scene
 
 GOAL = np.array([0.5, 0.2, 0.3])
@@ -17,7 +17,7 @@ GOAL = np.array([0.5, 0.2, 0.3])
 def test_expert_and_layout_need_no_simulator() -> None:
     script = (
         "import sys; sys.modules['mujoco'] = None\n"
-        "from contactgraph.envs import FrankaExpert\n"
+        "from contactgraph_franka.envs.expert import FrankaExpert\n"
         "from contactgraph_franka.envs.pickup import sample_layout"
     )
     subprocess.run([sys.executable, "-c", script], check=True)

@@ -14,8 +14,9 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import FrankaExpert, check_task
+from contactgraph.envs import check_task
 from contactgraph.envs.episodes import run_episode
+from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.franka_task import FrankaTask
 from contactgraph_franka.envs.pickup import (
     CLEARANCE,
@@ -30,7 +31,7 @@ from contactgraph_franka.envs.pickup import (
 SEEDS = range(40)
 FINGERPRINT = """
 import hashlib
-from contactgraph.envs import FrankaExpert
+from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.franka_task import FrankaTask
 from contactgraph.envs.episodes import run_episode
 run = run_episode(FrankaTask(1), FrankaExpert(), 5)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import FrankaExpert
 from contactgraph.evaluate.mpc_policy import TaskCost
 from contactgraph.model import shipped_model
 from contactgraph.model.io import load_model
+from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.pickup import is_success, pickup_cost, pickup_scene
 from contactgraph_franka.loop import (
     ControlLoop,

@@ -1,0 +1,186 @@
+"""The report of one model: measured numbers beside their targets, and the page that shows them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactgraph.cli.tasks import KnownTask, Target, TestCondition
+from contactgraph.viz import LossCurve, NStepError, Number, ReportData, SceneRun
+
+_HORIZON_S = 0.5
+"""Horizon of the N-step errors, s."""
+
+
+@dataclass(frozen=True)
+class ConditionResult:
+    """Results of one model under one test condition, as the JSON of two commands."""
+
+    condition: TestCondition
+    open_loop: dict[str, Any]
+    """Of ``contactgraph evaluate``."""
+    closed_loop: dict[str, Any]
+    """Of ``contactgraph control``."""
+    open_loop_command: str
+    closed_loop_command: str
+    seed: int
+    """Of the test scenes."""
+
+
+@dataclass(frozen=True)
+class ModelResult:
+    """Results of one trained model under all test conditions of a task."""
+
+    task: KnownTask
+    seed: int
+    """Of the training."""
+    conditions: tuple[ConditionResult, ...]
+    """The one in distribution first, the hardest last."""
+    training_s: float
+    """Wall time of training, compilation included, s."""
+    model_bytes: int
+    training_command: str
+
+
+def report_numbers(result: ModelResult) -> tuple[Number, ...]:
+    """Every number of the report, in the order of its table."""
+    task, targets = result.task, result.task.targets
+    first, last = result.conditions[0], result.conditions[-1]
+    numbers: list[Number] = []
+
+    def add(
+        name: str,
+        unit: str,
+        value: float | None,
+        command: str,
+        target: Target | None,
+        lower: bool = False,
+        tile: bool = False,
+        interval: tuple[float, float] | None = None,
+    ) -> None:
+        numbers.append(
+            Number(
+                name=name,
+                value=value,
+                unit=unit,
+                interval=interval,
+                at_least=None if target is None else target.at_least,
+                aim=None if target is None else target.aim,
+                lower_is_better=lower,
+                command=command,
+                seed=result.seed,
+                tile=tile,
+            )
+        )
+
+    def add_error(name: str, one: ConditionResult, tile: bool = False) -> None:
+        error = one.open_loop["n_step_rmse_m"]
+        error_cm = None if error is None else 100.0 * error
+        target = task.error_target_cm(one.condition)
+        add(name, "cm", error_cm, one.open_loop_command, target, lower=True, tile=tile)
+
+    add_error("N-step error", first, tile=True)
+    ratio = _ratio(first.open_loop["n_step_rmse_m"], first.open_loop["frozen_contact_rmse_m"])
+    name = "the same, share of the frozen-contact floor"
+    add(name, "", ratio, first.open_loop_command, Target(0.25), lower=True)
+    for one in result.conditions[1:]:
+        growth = _ratio(
+            one.open_loop["n_step_rmse_moving_m"], first.open_loop["n_step_rmse_moving_m"]
+        )
+        name = f"error of moving bodies, {one.condition.name} against {first.condition.name}"
+        # Distractors should not change the error; further objects to handle may.
+        target = Target(1.2, 1.0) if one.condition.distractors else None
+        add(name, "times", growth, one.open_loop_command, target, lower=True)
+    add_error(f"N-step error, {last.condition.name}, all nodes", last)
+    for one in (first, last):
+        target = targets.edge_f1.get(one.condition.in_distribution)
+        name, f1 = f"edge F1, {one.condition.name}", one.open_loop["edge_f1"]
+        add(name, "", f1, one.open_loop_command, target, tile=one is last)
+    for one in result.conditions:
+        low, high = one.closed_loop["success_interval"]
+        add(
+            f"success, {one.condition.name}",
+            "%",
+            100.0 * one.closed_loop["success_rate"],
+            one.closed_loop_command,
+            targets.success_percent.get(one.condition.in_distribution),
+            tile=True,
+            interval=(100.0 * low, 100.0 * high),
+        )
+    loop, command = first.closed_loop, first.closed_loop_command
+    speed, slowest = loop["contact_speed_m_s"], loop["slowest_before_contact_min_m_s"]
+    target = targets.contact_speed
+    add("speed at contact, median", "m/s", speed, command, target, tile=True)
+    add("slowest on the way there, any episode", "m/s", slowest, command, None)
+    target = targets.training_s
+    add("training", "s", result.training_s, result.training_command, target, lower=True)
+    name = f"control tick, horizon {last.closed_loop['horizon']}, {last.condition.name}, 99 %"
+    milliseconds, command = last.closed_loop["plan_ms_p99"], last.closed_loop_command
+    target = targets.tick_ms
+    add(name, "ms", milliseconds, command, target, lower=True, tile=True)
+    megabytes = result.model_bytes / 1e6
+    add("model file", "MB", megabytes, result.training_command, Target(1.0), lower=True)
+    return tuple(numbers)
+
+
+def _ratio(value: float | None, reference: float | None) -> float | None:
+    return None if value is None or not reference else value / reference
+
+
+def model_report(
+    result: ModelResult,
+    numbers: Sequence[Number],
+    scenes: Sequence[SceneRun],
+    metrics: Sequence[Mapping[str, float]],
+    versions: Mapping[str, str],
+    remake: Sequence[str],
+) -> ReportData:
+    """The page's data; ``metrics`` are the rows of the training's ``metrics.jsonl``."""
+    return ReportData(
+        title=result.task.title,
+        summary=(
+            "From recorded runs of a gripper at work, a model learned which bodies touch when and "
+            "how they move then; iLQR-MPC uses it to do the same in scenes that it has never seen."
+        ),
+        numbers=tuple(numbers),
+        runs=tuple(scenes),
+        errors=tuple(_errors(result.conditions)),
+        horizon_s=_HORIZON_S,
+        losses=tuple(_losses(metrics)),
+        versions=dict(versions),
+        remake=tuple(remake),
+    )
+
+
+def _errors(conditions: Sequence[ConditionResult]) -> list[NStepError]:
+    errors = []
+    for windows, key in (
+        ("windows in which a contact changes", "contact"),
+        ("windows without a change of contact", "free"),
+        ("all windows", "all"),
+    ):
+        for one in conditions:
+            loop = one.open_loop
+            own = "n_step_rmse_m" if key == "all" else f"n_step_rmse_{key}_m"
+            suffix = "" if key == "all" else f"_{key}"
+            errors.append(
+                NStepError(
+                    condition=one.condition.name,
+                    windows=windows,
+                    model_m=loop.get(own),
+                    frozen_contact_m=loop.get(f"frozen_contact_rmse{suffix}_m"),
+                    constant_velocity_m=loop.get(f"constant_velocity_rmse{suffix}_m"),
+                )
+            )
+    return errors
+
+
+def _losses(metrics: Sequence[Mapping[str, float]]) -> list[LossCurve]:
+    if not metrics:
+        return []
+    step = np.array([row["step"] for row in metrics])
+    names = [name for name in metrics[0] if name not in ("step", "seconds", "held_out_rmse_m")]
+    curves = [LossCurve(name, step, np.array([row[name] for row in metrics])) for name in names]
+    held_out = np.array([row["held_out_rmse_m"] for row in metrics])
+    return [*curves, LossCurve("position error, m", step, held_out, held_out=True)]
