@@ -2,8 +2,10 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -11,7 +13,13 @@ import numpy as np
 import pytest
 
 from contactgraph.cli import main as cli
-from contactgraph.data import Scene, Trajectory, write_trajectories
+from contactgraph.data import (
+    InvalidInputError,
+    Scene,
+    Trajectory,
+    read_trajectories,
+    write_trajectories,
+)
 
 
 @pytest.fixture
@@ -212,7 +220,7 @@ def test_a_model_and_a_task_that_do_not_fit(mistake, tmp_path: Path) -> None:
 
 def test_runs_too_few_or_too_short(mistake, recorded: Path, tmp_path: Path) -> None:
     write_trajectories(tmp_path / "one.h5", [run_of(2, 2, 0.05)])
-    assert "needs at least 2 runs, found 1" in mistake("train", "one.h5", "--out", "run")
+    assert "needs at least 2 trajectories, found 1" in mistake("train", "one.h5", "--out", "run")
     said = mistake("train", recorded, "--out", "run", "--window-length", 500)
     assert said.startswith("window_length must be 1 to 200")
     said = mistake("train", recorded, "--out", "run", "--held-out", 2)
@@ -269,3 +277,23 @@ def test_a_closed_pipe_is_no_mistake() -> None:
         text=True,
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_training_warns_of_velocities_that_contradict_positions(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    dataset = read_trajectories(recorded)
+    slow = [replace(each, velocity=each.velocity / 1000.0) for each in dataset]
+    write_trajectories(tmp_path / "slow.h5", slow)
+
+    def stop(*arguments: object) -> None:
+        raise InvalidInputError("stopped")
+
+    monkeypatch.setattr("contactgraph.train.fit", stop)
+    for name, lines in (("slow.h5", 2), (str(recorded), 1)):
+        assert cli.run(["train", str(tmp_path / name), "--out", str(tmp_path / "run")]) == 2
+        said = capsys.readouterr().err.splitlines()
+        shutil.rmtree(tmp_path / "run")
+        assert len(said) == lines, said
+        assert ("warning" in said[0]) == (lines == 2)
+        assert lines == 1 or "velocities contradict positions in 20 of 20 trajectories" in said[0]

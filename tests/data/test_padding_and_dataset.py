@@ -1,5 +1,7 @@
 """Padding adds nothing; splits are by run; runs of one file agree."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,8 @@ from contactgraph.data import (
     pair_indices,
     split_by_trajectory,
     strip_contacts,
+    velocity_mismatch,
+    velocity_warning,
 )
 
 
@@ -106,9 +110,9 @@ def test_a_capacity_that_is_too_small() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"dimension": 3}, "run 1: dimension D is 3, but 2 in run 0; all runs must agree"),
-        ({"control_size": 0}, "run 1: control size U is 0, but 2 in run 0"),
-        ({"dt": 0.1}, "run 1: dt in s is 0.1, but 0.05 in run 0"),
+        ({"dimension": 3}, "trajectory 1: dimension D is 3, but 2 in trajectory 0; all must agree"),
+        ({"control_size": 0}, "trajectory 1: control size U is 0, but 2 in trajectory 0"),
+        ({"dt": 0.1}, "trajectory 1: dt in s is 0.1, but 0.05 in trajectory 0"),
     ],
 )
 def test_runs_must_agree(changes: dict, message: str) -> None:
@@ -117,11 +121,11 @@ def test_runs_must_agree(changes: dict, message: str) -> None:
 
 
 def test_a_dataset_needs_a_run() -> None:
-    with pytest.raises(InvalidInputError, match="needs at least one run"):
+    with pytest.raises(InvalidInputError, match="needs at least one trajectory"):
         Dataset(())
 
 
-def test_split_by_run() -> None:
+def test_split_by_trajectory() -> None:
     dataset = Dataset(tuple(random_run(i, 1, 1) for i in range(10)), {"task": "x"})
     train, held_out = split_by_trajectory(dataset, 0.2, seed=1)
     assert (len(train), len(held_out)) == (8, 2)
@@ -144,8 +148,45 @@ def test_neither_side_of_a_split_is_empty(fraction: float, held_out: int) -> Non
 
 
 def test_splits_that_cannot_be_made() -> None:
-    with pytest.raises(InvalidInputError, match="needs at least 2 runs, found 1"):
+    with pytest.raises(InvalidInputError, match="needs at least 2 trajectories, found 1"):
         split_by_trajectory(Dataset(RAGGED.trajectories[:1]), 0.5, seed=0)
     for fraction in (0.0, 1.0, -1.0, float("nan")):
         with pytest.raises(InvalidInputError, match="must lie between 0 and 1"):
             split_by_trajectory(RAGGED, fraction, seed=0)
+
+
+def moving(factor: float) -> Trajectory:
+    """A body on a circle and one at rest; the velocities are ``factor`` times the true ones."""
+    angle = np.linspace(0.0, 6.0, 61)[:, None]
+    position = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+    velocity = factor * np.concatenate([-np.sin(angle), np.cos(angle)], axis=1)
+    scene = Scene(("a", "b"), ("x", "x"), np.array([True, False]), 0.1)
+    still = np.zeros_like(position)
+    return Trajectory(
+        scene,
+        np.stack([position, still], axis=1),
+        np.stack([velocity, still], axis=1),
+        np.zeros((60, 1)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("factor", "mismatch"), [(1.0, 0.0), (1.2, 1 / 6), (0.8, 0.2), (1000.0, 0.999), (0.0, 1.0)]
+)
+def test_velocities_that_contradict_positions_are_measured(factor: float, mismatch: float) -> None:
+    assert velocity_mismatch(moving(factor)) == pytest.approx(mismatch, abs=2e-3)
+
+
+def test_a_contradiction_is_a_warning_in_one_line() -> None:
+    assert velocity_warning(Dataset((moving(1.0), moving(1.05)))) is None
+    assert velocity_warning(Dataset((random_run(0, 1, 1, dimension=1),))) is not None
+    assert velocity_warning(Dataset((moving(1.0), moving(1.2), moving(0.5)))) == (
+        "velocities contradict positions in 2 of 3 trajectories, by 50 % of the motion in "
+        "trajectory 2; check units and dt"
+    )
+
+
+def test_a_body_at_rest_contradicts_nothing() -> None:
+    still = moving(0.0)
+    at_rest = dataclasses.replace(still, position=np.zeros_like(still.position))
+    assert velocity_mismatch(at_rest) == 0.0

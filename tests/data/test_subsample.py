@@ -46,5 +46,5 @@ def test_what_is_no_longer_step() -> None:
     assert subsample(dataset, 20).metadata == {"lab": "here"}
     with pytest.raises(InvalidInputError, match="every must be at least 1, found 0"):
         subsample(dataset, 0)
-    with pytest.raises(InvalidInputError, match="every must be 1 to 20, a run's steps, found 21"):
+    with pytest.raises(InvalidInputError, match="every must be 1 to 20, a trajectory's"):
         subsample(dataset, 21)

@@ -1,6 +1,7 @@
 """``contactgraph train``: fit a model to recorded runs."""
 
 import math
+import sys
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -60,11 +61,11 @@ class Train:
         from contactgraph.cli.output import progress, provenance, sha256
         from contactgraph.data import (
             InvalidInputError,
-            pad_trajectories,
+            check_window_length,
             read_trajectories,
             split_by_trajectory,
             subsample,
-            window_weights,
+            velocity_warning,
         )
         from contactgraph.model.io import save_model
         from contactgraph.train import (
@@ -99,8 +100,8 @@ class Train:
             recipe = replace(recipe, rollout_from=suited.rollout_from)
         checksum = sha256(self.data)
         train, held_out = split_by_trajectory(dataset, told.held_out, told.seed)
-        for runs in (train, held_out):  # too short for a window: refused before a folder is made
-            window_weights(pad_trajectories(runs), recipe.window_length, recipe.event_fraction)
+        for part in (train, held_out):  # checked before a folder is created
+            check_window_length(recipe.window_length, max(each.steps for each in part))
         devices = jax.local_devices()[: self._devices(len(jax.local_devices()), told.batch_size)]
         model = build(
             dataset.dimension,
@@ -146,6 +147,9 @@ class Train:
             }
             save_model(folder.model_path, state.best_model, {**summary, **found})
 
+        warning = velocity_warning(dataset)
+        if warning is not None:
+            print(f"contactgraph: warning: {self.data}: {warning}", file=sys.stderr)
         with progress("training", recipe.steps) as steps:
             if math.isfinite(float(state.best_error)):
                 # A run killed after its checkpoint and before its model has an older one.

@@ -6,6 +6,8 @@ from contactgraph.data.dataset import Metadata as Metadata
 from contactgraph.data.dataset import split_by_trajectory as split_by_trajectory
 from contactgraph.data.dataset import strip_contacts as strip_contacts
 from contactgraph.data.dataset import subsample as subsample
+from contactgraph.data.dataset import velocity_mismatch as velocity_mismatch
+from contactgraph.data.dataset import velocity_warning as velocity_warning
 from contactgraph.data.errors import InvalidInputError as InvalidInputError
 from contactgraph.data.graph import candidate_pairs as candidate_pairs
 from contactgraph.data.graph import edge_index as edge_index
@@ -21,5 +23,6 @@ from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import TrajectoryBatch as TrajectoryBatch
 from contactgraph.data.trajectory_batch import pad_trajectories as pad_trajectories
 from contactgraph.data.windows import Windows as Windows
+from contactgraph.data.windows import check_window_length as check_window_length
 from contactgraph.data.windows import event_steps as event_steps
 from contactgraph.data.windows import window_weights as window_weights

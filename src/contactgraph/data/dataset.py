@@ -1,4 +1,4 @@
-"""Runs that belong together, and how they are split for training."""
+"""Trajectories that belong together: split for training, subsampled, checked."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -10,28 +10,31 @@ from contactgraph.data.trajectory import Trajectory
 
 Metadata = dict[str, str | int | float | bool]
 
+_MISMATCH_STEPS = 10
+_MISMATCH_LIMIT = 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Runs that one model can be trained on.
+    """Trajectories that one model can be trained on.
 
-    The number of steps and of nodes may differ between runs; degrees of freedom, time step and
-    control size may not. Raises `InvalidInputError` naming the first run that disagrees.
+    The number of steps and of nodes may differ between trajectories; degrees of freedom, time step
+    and control size may not. Raises `InvalidInputError` naming the first trajectory that disagrees.
     """
 
     trajectories: tuple[Trajectory, ...]
     metadata: Metadata = field(default_factory=dict)
-    """Free-form, about all runs: task, seed, simulator version, …"""
+    """Free-form, about all trajectories: task, seed, simulator version, …"""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "trajectories", tuple(self.trajectories))
         if not self.trajectories:
-            raise InvalidInputError("a dataset needs at least one run, found none")
-        for number, run in enumerate(self.trajectories):
-            _check_agreement("dimension D", number, run.scene.dimension, self.dimension)
-            _check_agreement("control size U", number, run.control_size, self.control_size)
-            if not np.isclose(run.scene.dt, self.dt, rtol=1e-6, atol=0.0):
-                _check_agreement("dt in s", number, run.scene.dt, self.dt)
+            raise InvalidInputError("a dataset needs at least one trajectory, found none")
+        for index, each in enumerate(self.trajectories):
+            _check_agreement("dimension D", index, each.scene.dimension, self.dimension)
+            _check_agreement("control size U", index, each.control_size, self.control_size)
+            if not np.isclose(each.scene.dt, self.dt, rtol=1e-6, atol=0.0):
+                _check_agreement("dt in s", index, each.scene.dt, self.dt)
 
     def __len__(self) -> int:
         return len(self.trajectories)
@@ -55,81 +58,112 @@ class Dataset:
         return self.trajectories[0].scene.dt
 
 
-def _check_agreement(what: str, number: int, found: float, first: float) -> None:
-    if found != first:
+def _check_agreement(what: str, index: int, value: float, first: float) -> None:
+    if value != first:
         raise InvalidInputError(
-            f"run {number}: {what} is {found}, but {first} in run 0; all runs must agree"
+            f"trajectory {index}: {what} is {value}, but {first} in trajectory 0; all must agree"
         )
 
 
 def split_by_trajectory(
     dataset: Dataset, held_out_fraction: float, seed: int
 ) -> tuple[Dataset, Dataset]:
-    """Split whole runs into (train, held out), at least one each, in their order in ``dataset``.
+    """Split whole trajectories into (train, held out), at least one each, in their order.
 
-    Windows of one run resemble each other, so a split within runs would flatter the error.
-    The same seed makes the same split. Raises `InvalidInputError` for fewer than two runs or a
-    fraction outside (0, 1).
+    Windows of one trajectory resemble each other, so a split within trajectories would
+    underestimate the error. The same seed gives the same split. Raises `InvalidInputError` for
+    fewer than two trajectories or a fraction outside (0, 1).
     """
     if not 0.0 < held_out_fraction < 1.0:
         raise InvalidInputError(
             f"held_out_fraction must lie between 0 and 1, found {held_out_fraction}"
         )
     if len(dataset) < 2:
-        raise InvalidInputError("splitting off held-out runs needs at least 2 runs, found 1")
+        raise InvalidInputError("a held-out split needs at least 2 trajectories, found 1")
     count = int(np.clip(round(held_out_fraction * len(dataset)), 1, len(dataset) - 1))
     chosen = np.random.default_rng(seed).permutation(len(dataset))[:count]
     held_out = np.isin(np.arange(len(dataset)), chosen)
-    runs = dataset.trajectories
+    every = dataset.trajectories
     return (
-        Dataset(tuple(runs[i] for i in np.flatnonzero(~held_out)), dataset.metadata),
-        Dataset(tuple(runs[i] for i in np.flatnonzero(held_out)), dataset.metadata),
+        Dataset(tuple(every[i] for i in np.flatnonzero(~held_out)), dataset.metadata),
+        Dataset(tuple(every[i] for i in np.flatnonzero(held_out)), dataset.metadata),
     )
 
 
 def strip_contacts(dataset: Dataset) -> Dataset:
-    """The same runs without contact labels, as a sensorless recording would be."""
-    return replace(
-        dataset, trajectories=tuple(replace(run, contact=None) for run in dataset.trajectories)
-    )
+    """The same trajectories without contact labels, as recorded without contact sensors."""
+    return replace(dataset, trajectories=tuple(replace(each, contact=None) for each in dataset))
 
 
 def subsample(dataset: Dataset, every: int) -> Dataset:
-    """The same runs with every ``every``-th state, and controls averaged in between.
+    """The same trajectories with every ``every``-th state, and controls averaged in between.
 
-    Two nodes touch in a step if they touched at any of the states that led there. What is left at
-    the end of a run and is no whole step is left out.
-    Raises `InvalidInputError` where ``every`` is below 1, or a run has fewer steps.
+    Two nodes touch in a step if they touch at any of the states within it. States after the last
+    whole step are dropped.
+    Raises `InvalidInputError` where ``every`` is below 1, or a trajectory has fewer steps.
     """
     if every < 1:
         raise InvalidInputError(f"every must be at least 1, found {every}")
     if every == 1:
         return dataset
-    return replace(dataset, trajectories=tuple(_longer(run, every) for run in dataset))
+    return replace(dataset, trajectories=tuple(_subsampled(each, every) for each in dataset))
 
 
-def _longer(run: Trajectory, every: int) -> Trajectory:
-    steps = run.steps // every
+def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
+    steps = trajectory.steps // every
     if steps < 1:
-        raise InvalidInputError(f"every must be 1 to {run.steps}, a run's steps, found {every}")
-    kept = slice(0, steps * every + 1, every)
+        raise InvalidInputError(
+            f"every must be 1 to {trajectory.steps}, a trajectory's steps, found {every}"
+        )
+    states = slice(0, steps * every + 1, every)
 
-    def each(value: np.ndarray | None) -> np.ndarray | None:
-        return None if value is None else value[kept]
+    def chosen(value: np.ndarray | None) -> np.ndarray | None:
+        return None if value is None else value[states]
 
-    contact = run.contact
+    contact = trajectory.contact
     if contact is not None:
-        since = contact[1 : steps * every + 1].reshape(steps, every, *contact.shape[1:])
-        contact = np.concatenate([contact[:1], since.any(axis=1)])
-    control = run.control[: steps * every]
+        within = contact[1 : steps * every + 1].reshape(steps, every, *contact.shape[1:])
+        contact = np.concatenate([contact[:1], within.any(axis=1)])
+    control = trajectory.control[: steps * every]
     return replace(
-        run,
-        scene=replace(run.scene, dt=every * run.scene.dt),
-        position=run.position[kept],
-        velocity=run.velocity[kept],
-        control=control.reshape(steps, every, run.control_size).mean(axis=1),
+        trajectory,
+        scene=replace(trajectory.scene, dt=every * trajectory.scene.dt),
+        position=trajectory.position[states],
+        velocity=trajectory.velocity[states],
+        control=control.reshape(steps, every, trajectory.control_size).mean(axis=1),
         contact=contact,
-        skeleton=each(run.skeleton),
-        tracked=each(run.tracked),
-        measured_at=each(run.measured_at),
+        skeleton=chosen(trajectory.skeleton),
+        tracked=chosen(trajectory.tracked),
+        measured_at=chosen(trajectory.measured_at),
+    )
+
+
+def velocity_mismatch(trajectory: Trajectory) -> float:
+    """Share of the motion in which velocities and positions disagree; 0 where nothing moves.
+
+    The displacement over every 10 steps is compared with the integral of the velocities (trapezoid
+    rule): the sum of the differences' norms over the larger of the two sums of norms. Wrong units
+    or a wrong time step give values near 1; impacts and noise of single positions hardly count.
+    """
+    steps = min(_MISMATCH_STEPS, trajectory.steps)
+    moved = trajectory.position[steps:] - trajectory.position[:-steps]
+    velocity, dt = trajectory.velocity, trajectory.scene.dt
+    path = np.cumsum(0.5 * dt * (velocity[1:] + velocity[:-1]), axis=0)
+    path = np.concatenate([np.zeros_like(path[:1]), path])
+    integral = path[steps:] - path[:-steps]
+    total = max(float(np.linalg.norm(each, axis=-1).sum()) for each in (moved, integral))
+    difference = float(np.linalg.norm(moved - integral, axis=-1).sum())
+    return difference / total if total > 0.0 else 0.0
+
+
+def velocity_warning(dataset: Dataset) -> str | None:
+    """One line where velocities contradict positions by more than a tenth in some trajectory."""
+    mismatch = np.array([velocity_mismatch(each) for each in dataset])
+    wrong = np.flatnonzero(mismatch > _MISMATCH_LIMIT)
+    if not len(wrong):
+        return None
+    worst = int(mismatch.argmax())
+    return (
+        f"velocities contradict positions in {len(wrong)} of {len(dataset)} trajectories, by "
+        f"{100 * mismatch[worst]:.0f} % of the motion in trajectory {worst}; check units and dt"
     )

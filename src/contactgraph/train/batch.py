@@ -1,4 +1,4 @@
-"""Windows of the runs as arrays on the device, drawn at random inside the compiled loop."""
+"""Training batches: windows drawn on the device, with distractors, split over devices."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,13 +17,19 @@ from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import Windows
 from contactgraph.model.types import Nodes
 
+Tree = TypeVar("Tree")
+
 _BATCH_MULTIPLE = 256
+_PLACEMENT_TRIES = 8
+_REST = 1e-6
+"""Speed, m/s, below which a body rests."""
+_WINDOW_AXIS = "windows"
 
 
 class Window(eqx.Module):
-    """``L`` steps of a run, or a batch of such with a leading axis.
+    """``L`` steps of a trajectory, or a batch of such windows with a leading axis.
 
-    Holds no contact labels: training cannot see them.
+    It holds no contact labels, so training cannot read them.
     """
 
     position: Float[Array, "*B L+1 N D"]
@@ -94,30 +100,25 @@ def window_source(batch: TrajectoryBatch[np.ndarray], windows: Windows) -> Windo
     )
 
 
-Tree = TypeVar("Tree")
-
-_WINDOWS = "windows"
-
-
 @dataclass(frozen=True)
 class BatchSplit:
-    """Devices in a row. XLA adds up what they find, once a step, for the gradient."""
+    """Data parallelism over a row of devices; XLA sums the gradient over them."""
 
     mesh: Mesh
 
-    def parted(self, batch: Tree) -> Tree:
-        """Every array's leading axis, which is the windows', is split over the devices."""
-        return eqx.filter_shard(batch, NamedSharding(self.mesh, PartitionSpec(_WINDOWS)))
+    def shard(self, batch: Tree) -> Tree:
+        """Split every array's leading axis, the windows, over the devices."""
+        return eqx.filter_shard(batch, NamedSharding(self.mesh, PartitionSpec(_WINDOW_AXIS)))
 
-    def everywhere(self, tree: Tree) -> Tree:
-        """Every device has all of it."""
+    def replicate(self, tree: Tree) -> Tree:
+        """Copy every array to all devices."""
         return eqx.filter_shard(tree, NamedSharding(self.mesh, PartitionSpec()))
 
 
 def batch_split(devices: Sequence[jax.Device], batch_size: int) -> BatchSplit | None:
-    """None for fewer than two devices: nothing is split.
+    """The split of a batch over the devices; None for fewer than two.
 
-    Raises `InvalidInputError` where the windows of a batch do not come out even.
+    Raises `InvalidInputError` where the windows of a batch cannot be divided evenly.
     """
     if len(devices) < 2:
         return None
@@ -125,24 +126,20 @@ def batch_split(devices: Sequence[jax.Device], batch_size: int) -> BatchSplit | 
         raise InvalidInputError(
             f"a batch of {batch_size} windows cannot be split evenly over {len(devices)} devices"
         )
-    return BatchSplit(Mesh(np.asarray(devices), (_WINDOWS,)))
+    return BatchSplit(Mesh(np.asarray(devices), (_WINDOW_AXIS,)))
 
 
-_TRIES = 8
-_REST = 1e-6
-"""Speed, m/s, below which a body rests."""
+def has_resting_bodies(batch: TrajectoryBatch[np.ndarray]) -> bool:
+    """Whether a free body without actuation is at rest in any recorded state.
 
-
-def has_resting_bodies(runs: TrajectoryBatch) -> bool:
-    """Whether free bodies that nothing actuates are ever seen at rest.
-
-    Where they never are (they fall, or flow, or hang on hinges) a resting bystander would be a lie.
+    A resting distractor would contradict data in which such bodies never rest, because they fall,
+    slide or hang on hinges.
     """
-    if runs.nodes.anchor is not None:
+    if batch.nodes.anchor is not None:
         return False
-    speed = np.linalg.norm(runs.velocity[:, :-1], axis=-1)
-    exists = runs.nodes.mask[:, None, :] & runs.step_mask[:, :, None]
-    return bool(np.any((speed < _REST) & exists & ~runs.nodes.actuated[:, None, :]))
+    speed = np.linalg.norm(batch.velocity[:, :-1], axis=-1)
+    exists = batch.nodes.mask[:, None, :] & batch.step_mask[:, :, None]
+    return bool(np.any((speed < _REST) & exists & ~batch.nodes.actuated[:, None, :]))
 
 
 def add_distractor(
@@ -151,18 +148,21 @@ def add_distractor(
     farthest: Float[Array, ""] | float,
     key: PRNGKeyArray,
 ) -> Window:
-    """Every window of a batch with one more node, at rest, not actuated.
+    """Add a resting node without actuation to every window of a batch, out of contact.
 
-    It stands `nearest` to `farthest` [m] from some body at some step, and never nearer than
-    `nearest` to any, not even between two states. Where several tries find no such place the
-    node is masked out.
+    Trajectories of two bodies show no third body at rest. The model assumes anyway that a body out
+    of contact changes nothing (its prior is distance); the added node says so without recording.
+
+    Its distance [m] is `nearest` to `farthest` from some body at some step, and at least `nearest`
+    from every body, also between two states. The node is masked out where several tries find no
+    such position.
     """
     batch, states, count, dimension = windows.position.shape
     keys = jax.random.split(key, batch)
-    place, found = jax.vmap(
-        lambda position, mask, key: _place(position, mask, nearest, farthest, key)
+    drawn, clear = jax.vmap(
+        lambda position, mask, key: _distractor_position(position, mask, nearest, farthest, key)
     )(windows.position, windows.nodes.mask, keys)
-    position = jnp.broadcast_to(place[:, None, None, :], (batch, states, 1, dimension))
+    position = jnp.broadcast_to(drawn[:, None, None, :], (batch, states, 1, dimension))
     edges = jnp.ones((batch, count), bool)
     return dataclasses.replace(
         windows,
@@ -170,39 +170,40 @@ def add_distractor(
         velocity=jnp.concatenate([windows.velocity, jnp.zeros_like(position)], axis=2),
         nodes=Nodes(
             actuated=jnp.concatenate([windows.nodes.actuated, jnp.zeros((batch, 1), bool)], 1),
-            mask=jnp.concatenate([windows.nodes.mask, found[:, None]], axis=1),
+            mask=jnp.concatenate([windows.nodes.mask, clear[:, None]], axis=1),
             # `pair_indices` lists the pairs of a new last node after all others.
             candidate=jnp.concatenate([windows.nodes.candidate, edges], axis=1),
         ),
     )
 
 
-def _place(
+def _distractor_position(
     position: Float[Array, "L N D"],
     mask: Array,
     nearest: Float[Array, ""] | float,
     farthest: Float[Array, ""] | float,
     key: PRNGKeyArray,
 ) -> tuple[Float[Array, " D"], Array]:
-    """A place for one bystander [m], and whether it keeps its distance."""
+    """A position for one distractor [m], and whether it keeps its distance."""
     node_key, step_key, direction_key, radius_key = jax.random.split(key, 4)
-    node = jax.random.categorical(node_key, jnp.where(mask, 0.0, -jnp.inf), shape=(_TRIES,))
-    step = jax.random.randint(step_key, (_TRIES,), 0, position.shape[0])
-    direction = jax.random.normal(direction_key, (_TRIES, position.shape[-1]))
+    tries = _PLACEMENT_TRIES
+    node = jax.random.categorical(node_key, jnp.where(mask, 0.0, -jnp.inf), shape=(tries,))
+    step = jax.random.randint(step_key, (tries,), 0, position.shape[0])
+    direction = jax.random.normal(direction_key, (tries, position.shape[-1]))
     direction = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
-    radius = jax.random.uniform(radius_key, (_TRIES, 1), minval=nearest, maxval=farthest)
-    places = position[step, node] + radius * direction
-    distance = _distance_to_paths(places, position)
+    radius = jax.random.uniform(radius_key, (tries, 1), minval=nearest, maxval=farthest)
+    points = position[step, node] + radius * direction
+    distance = _distance_to_paths(points, position)
     clear = jnp.min(jnp.where(mask, distance, jnp.inf), axis=(1, 2)) >= nearest
-    return places[jnp.argmax(clear)], jnp.any(clear)
+    return points[jnp.argmax(clear)], jnp.any(clear)
 
 
 def _distance_to_paths(
-    places: Float[Array, "tries D"], position: Float[Array, "L N D"]
+    points: Float[Array, "tries D"], position: Float[Array, "L N D"]
 ) -> Float[Array, "tries L-1 N"]:
-    """How near every node comes to each place on its straight way from state to state, m."""
-    begin, way = position[:-1], position[1:] - position[:-1]
-    reach = places[:, None, None] - begin
-    length = jnp.maximum(jnp.sum(way**2, axis=-1), _REST**2)
-    part = jnp.clip(jnp.sum(reach * way, axis=-1) / length, 0.0, 1.0)
-    return jnp.linalg.norm(reach - part[..., None] * way, axis=-1)
+    """Distance of each point to every node's straight path from state to state, m."""
+    begin, path = position[:-1], position[1:] - position[:-1]
+    offset = points[:, None, None] - begin
+    length = jnp.maximum(jnp.sum(path**2, axis=-1), _REST**2)
+    fraction = jnp.clip(jnp.sum(offset * path, axis=-1) / length, 0.0, 1.0)
+    return jnp.linalg.norm(offset - fraction[..., None] * path, axis=-1)

@@ -1,4 +1,4 @@
-"""How to train, in numbers."""
+"""The numbers of a training: its settings, and the defaults that follow from the data."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from contactgraph.train.loss import LossTerms
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How to train; every number that shapes the result.
+    """Every number that shapes the result of a training.
 
     Raises `InvalidInputError` naming the first number that is out of range.
     """
@@ -28,7 +28,7 @@ class TrainConfig:
     rollout_from: float = 0.5
     """Part of the steps after which the rollout term joins the loss."""
     bystanders: int = 1
-    """Resting bodies added to every window; none where the data never show a body at rest."""
+    """Resting distractors added to every window; none where the data never show a body at rest."""
     patience: int = 12
     """Checks of the held-out error without improvement after which training stops."""
     check_every: int = 125
@@ -60,39 +60,40 @@ _BOUNDS = {
 
 
 _CONTACT_DISTANCE = 0.085
-_TOLD = "contact_distance"
+_KEY = "contact_distance"
 
 
 @dataclass(frozen=True)
 class DataDefaults:
-    """Arguments of the presets and of `TrainConfig`, where the user has no other wish."""
+    """Arguments of the model presets and of `TrainConfig` that follow from the data."""
 
     contact_distance: float
-    """m; the one that the scenes' metadata tell, or 0.085."""
+    """m; from the scenes' metadata, or 0.085."""
     learned_contact_distance: bool
-    """Not where it is told: who tells it may have fingers, which close when they like."""
+    """Whether the contact distance is learned. False where the metadata give it: such a scene may
+    have fingers, which close whenever they are told to."""
     hinges: bool
     weight: bool
     rollout_from: float
-    """0 where bodies have weight: one step does not tell the mass of what is carried from a spring
-    that holds it, many do. Else 0.5, which is faster."""
+    """0 where bodies have weight, because only several steps distinguish the mass of a lifted body
+    from a spring that holds it; else 0.5, which is faster."""
 
 
 def defaults_from_data(dataset: Dataset) -> DataDefaults:
-    """Raises `InvalidInputError` where scenes tell several contact distances, or no distance."""
-    told = {run.scene.metadata.get(_TOLD) for run in dataset}
-    if len(told) > 1:
-        raise InvalidInputError(f"{_TOLD} must be the same in all runs' metadata, found {told}")
-    distance = told.pop()
+    """Raises `InvalidInputError` where contact distances disagree or are not positive numbers."""
+    given = {each.scene.metadata.get(_KEY) for each in dataset}
+    if len(given) > 1:
+        raise InvalidInputError(f"{_KEY} must be the same in all runs' metadata, found {given}")
+    distance = given.pop()
     if distance is not None and not (
         isinstance(distance, int | float) and math.isfinite(distance) and distance > 0
     ):
-        raise InvalidInputError(f"{_TOLD} must be positive metres, found {distance!r}")
-    weight = any(run.scene.has_weight for run in dataset)
+        raise InvalidInputError(f"{_KEY} must be positive metres, found {distance!r}")
+    weight = any(each.scene.has_weight for each in dataset)
     return DataDefaults(
         contact_distance=_CONTACT_DISTANCE if distance is None else float(distance),
         learned_contact_distance=distance is None,
-        hinges=any(run.scene.has_hinges for run in dataset),
+        hinges=any(each.scene.has_hinges for each in dataset),
         weight=weight,
         rollout_from=0.0 if weight else 0.5,
     )

@@ -1,4 +1,4 @@
-"""The training loop: many steps in one compiled call, a look at held-out runs in between."""
+"""The training loop: many optimiser steps in one compiled call, then a held-out check."""
 
 import dataclasses
 import enum
@@ -14,7 +14,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from contactgraph.data.dataset import Dataset
-from contactgraph.data.trajectory_batch import pad_trajectories
+from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.locality import ReallocatingModel
@@ -33,11 +33,11 @@ from contactgraph.train.loss import LossTerms, rollout_loss, rollout_rmse, windo
 
 _HELD_OUT_WINDOWS = 256
 _CLEARANCE = 1.03
-"""Least distance of a bystander, in learned distances of touch."""
+"""Least distance of a distractor, in learned contact distances."""
 
 
 class FitStatus(enum.Enum):
-    """How training ended; the value is what a user reads."""
+    """How training ended; the value is the text for users."""
 
     finished = "all steps done"
     stopped_early = "the held-out error no longer fell"
@@ -45,7 +45,10 @@ class FitStatus(enum.Enum):
 
 
 class FitState(eqx.Module):
-    """All that training carries from step to step: saved and restored, it goes on bit for bit."""
+    """All that training carries from step to step.
+
+    Training continues bit for bit from a saved and restored state.
+    """
 
     model: ContactDynamics
     optimiser: optax.OptState
@@ -59,14 +62,14 @@ class FitState(eqx.Module):
 
 @dataclass(frozen=True)
 class FitProgress:
-    """One check: where training stands."""
+    """The state of training at one check."""
 
     step: int
     steps: int
     terms: dict[str, float]
     """Loss terms by name, means since the last check."""
     held_out_rmse_m: float
-    """Position error over windows of held-out runs, predicted from their first states."""
+    """Position error over windows of held-out trajectories, predicted from their first states."""
     seconds: float
     """Since this call of `fit` began, compilation included."""
     state: FitState
@@ -74,7 +77,7 @@ class FitProgress:
 
 @dataclass(frozen=True)
 class FitResult:
-    """What training made: the model that did best on the held-out runs."""
+    """The model with the least error on the held-out trajectories."""
 
     model: ContactDynamics
     held_out_rmse_m: float
@@ -82,13 +85,13 @@ class FitResult:
     state: FitState
 
 
-def initial_state(model: ContactDynamics, recipe: TrainConfig, seed: int) -> FitState:
-    """The state before the first step. One seed makes one result."""
+def initial_state(model: ContactDynamics, config: TrainConfig, seed: int) -> FitState:
+    """The state before the first step; equal seeds give equal results."""
     return FitState(
         model=model,
-        optimiser=_optimiser(recipe).init(eqx.filter(model, eqx.is_inexact_array)),
+        optimiser=_optimiser(config).init(eqx.filter(model, eqx.is_inexact_array)),
         key=jax.random.key_data(jax.random.key(seed)),
-        # Types are spelled out: a weakly typed first state would compile all of training twice.
+        # Explicit types: a weakly typed first state would compile all of training twice.
         step=jnp.zeros((), int),
         best_model=model,
         best_error=jnp.full((), jnp.inf, float),
@@ -100,33 +103,38 @@ def fit(
     state: FitState,
     train: Dataset,
     held_out: Dataset,
-    recipe: TrainConfig,
+    config: TrainConfig,
     on_check: Callable[[FitProgress], None] = lambda progress: None,
     devices: Sequence[jax.Device] = (),
 ) -> FitResult:
-    """Train from `state` to the recipe's last step, or until the held-out error stops falling.
+    """Train from `state` to the last step of `config`, or until the held-out error stops falling.
 
-    Large scenes are trained on with neighbor lists: see `ReallocatingModel`. Contact labels in the
-    data are not read. `on_check` sees every check and may save its state; an exception it raises
-    (Ctrl-C, say) ends the training there. Each of several `devices` takes a like part of every
-    batch: the same result but for rounding. Raises `InvalidInputError` where runs are shorter than
-    a window, or a batch cannot be split.
+    Large scenes are trained with neighbor lists: see `ReallocatingModel`. Contact labels in the
+    data are not read. `on_check` is called at every check and may save its state; an exception
+    from it (Ctrl-C, say) ends the training there. Each of several `devices` takes an equal part of
+    every batch, with the same result up to rounding. Raises `InvalidInputError` where trajectories
+    are shorter than a window, or a batch cannot be split.
     """
-    split = batch_split(devices, recipe.batch_size)
-    source, checked = training_windows(train, recipe), held_out_windows(held_out, recipe)
+    split = batch_split(devices, config.batch_size)
+    batch = pad_trajectories(train, contacts=False)
+    source = _window_source(batch, config)
+    # A fixed set of held-out windows, balanced over events as those of training are.
+    checked = _window_source(pad_trajectories(held_out, contacts=False), config).draw(
+        _HELD_OUT_WINDOWS, jax.random.key(0)
+    )
     if split is not None:
-        state, source, checked = split.everywhere((state, source, checked))
-    bystanders = recipe.bystanders if has_resting_bodies(pad_trajectories(train)) else 0
+        state, source, checked = split.replicate((state, source, checked))
+    distractors = config.bystanders if has_resting_bodies(batch) else 0
     lists = ReallocatingModel(state.model, train)
 
     def advance(state: FitState, count: int) -> tuple[FitState, dict[str, Array]]:
         with_rollout = None
-        if recipe.rollout_from < 1.0:
-            with_rollout = np.asarray(int(state.step) >= recipe.rollout_from * recipe.steps)
+        if config.rollout_from < 1.0:
+            with_rollout = np.asarray(int(state.step) >= config.rollout_from * config.steps)
         after, arrays = lists.reallocate_on_overflow(
             lambda model: _advance(
                 _with_lists(state, model.neighbor_list),
-                *(source, checked, recipe, count, bystanders, with_rollout, split),
+                *(source, checked, config, count, distractors, with_rollout, split),
             ),
             lambda found: _finite(found[1]),
         )
@@ -134,11 +142,11 @@ def fit(
 
     began = time.monotonic()
     status = FitStatus.finished
-    while int(state.step) < recipe.steps:
-        if int(state.checks_without_gain) >= recipe.patience:
+    while int(state.step) < config.steps:
+        if int(state.checks_without_gain) >= config.patience:
             status = FitStatus.stopped_early
             break
-        count = min(recipe.check_every, recipe.steps - int(state.step))
+        count = min(config.check_every, config.steps - int(state.step))
         state, arrays = advance(state, count)
         terms = {name: float(value) for name, value in arrays.items()}
         if not _finite(arrays):
@@ -147,7 +155,7 @@ def fit(
         on_check(
             FitProgress(
                 step=int(state.step),
-                steps=recipe.steps,
+                steps=config.steps,
                 terms={name: terms[name] for name in terms if name != "held_out"},
                 held_out_rmse_m=terms["held_out"],
                 seconds=time.monotonic() - began,
@@ -174,26 +182,17 @@ def _finite(terms: dict[str, Array]) -> bool:
     return all(np.isfinite(value) for value in terms.values())
 
 
-def training_windows(train: Dataset, recipe: TrainConfig) -> WindowSource:
-    """The runs to train on, and how often each window is drawn."""
-    runs = pad_trajectories(train)
-    windows = window_weights(runs, recipe.window_length, recipe.event_fraction)
-    return window_source(runs, windows)
+def _window_source(batch: TrajectoryBatch[np.ndarray], config: TrainConfig) -> WindowSource:
+    return window_source(batch, window_weights(batch, config.window_length, config.event_fraction))
 
 
-def held_out_windows(held_out: Dataset, recipe: TrainConfig) -> Window:
-    """A fixed set of windows of held-out runs, balanced over events as the training's are."""
-    source = training_windows(held_out, recipe)
-    return source.draw(_HELD_OUT_WINDOWS, jax.random.key(0))
-
-
-def _optimiser(recipe: TrainConfig) -> optax.GradientTransformation:
+def _optimiser(config: TrainConfig) -> optax.GradientTransformation:
     rate = optax.warmup_cosine_decay_schedule(
         init_value=0.0,
-        peak_value=recipe.learning_rate,
-        warmup_steps=min(100, recipe.steps),
-        decay_steps=max(recipe.steps, min(100, recipe.steps) + 1),
-        end_value=0.01 * recipe.learning_rate,
+        peak_value=config.learning_rate,
+        warmup_steps=min(100, config.steps),
+        decay_steps=max(config.steps, min(100, config.steps) + 1),
+        end_value=0.01 * config.learning_rate,
     )
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
 
@@ -203,36 +202,36 @@ def _advance(
     state: FitState,
     source: WindowSource,
     checked: Window,
-    recipe: TrainConfig,
+    config: TrainConfig,
     count: int,
-    bystanders: int,
+    distractors: int,
     with_rollout: Bool[np.ndarray, ""] | None,
     split: BatchSplit | None,
 ) -> tuple[FitState, dict[str, Array]]:
     """`count` optimiser steps in one scan, then the held-out error.
 
-    ``with_rollout`` is an argument of the compiled program, not two programs, of which each would
-    take as long to compile as it runs. None: never, and nothing is compiled for it.
+    ``with_rollout`` is an argument of one compiled program, because a second program would take as
+    long to compile as to run. None: the rollout term is not compiled at all.
     """
-    optimiser = _optimiser(recipe)
-    # Just out of touch, as far as the model knows where touch is: so it learns how near is near.
+    optimiser = _optimiser(config)
+    # Just outside the learned contact distance, so that training determines that distance.
     nearest = _CLEARANCE * jnp.asarray(state.model.features.contact_distance)
     params, static = eqx.partition(state.model, eqx.is_inexact_array)
     devices = 1 if split is None else split.mesh.size
 
     def drawn(draw_key: PRNGKeyArray, place_key: PRNGKeyArray) -> Window:
-        windows = source.draw(recipe.batch_size, draw_key)
+        windows = source.draw(config.batch_size, draw_key)
         if split is not None:
-            windows = split.parted(windows)
-        for bystander_key in jax.random.split(place_key, bystanders):
-            windows = add_distractor(windows, nearest, 3.0 * nearest, bystander_key)
+            windows = split.shard(windows)
+        for distractor_key in jax.random.split(place_key, distractors):
+            windows = add_distractor(windows, nearest, 3.0 * nearest, distractor_key)
         return windows
 
     def loss(
         params: ContactDynamics, windows: Window, key: PRNGKeyArray
     ) -> tuple[Array, LossTerms]:
         terms = window_loss(eqx.combine(params, static), windows, key, False, devices)
-        return terms.total(recipe.weights), terms
+        return terms.total(config.weights), terms
 
     def rolled_out(params: ContactDynamics, windows: Window) -> Array:
         return rollout_loss(eqx.combine(params, static), windows, devices)
@@ -254,7 +253,7 @@ def _advance(
             )
             terms = dataclasses.replace(terms, rollout=rollout)
             gradient = jax.tree.map(
-                lambda one, other: one + recipe.weights.rollout * other, gradient, slope
+                lambda one, other: one + config.weights.rollout * other, gradient, slope
             )
         updates, optimiser_state = optimiser.update(gradient, optimiser_state, params)
         return (optax.apply_updates(params, updates), optimiser_state, key), terms
@@ -279,8 +278,8 @@ def _advance(
         best_error=jnp.where(better, error, state.best_error),
         checks_without_gain=jnp.where(better, 0, state.checks_without_gain + 1),
     )
-    if split is not None:  # as it came: else the next call would be compiled anew
-        state = split.everywhere(state)
+    if split is not None:  # the sharding of the argument, else the next call would recompile
+        state = split.replicate(state)
     return state, {**{name: getattr(means, name) for name in _TERM_NAMES}, "held_out": error}
 
 
