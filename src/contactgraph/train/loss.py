@@ -164,7 +164,7 @@ def _believed(
     """EncodedGraph, prior and belief about every step, from the recorded states."""
     model = steps.model
     percept = steps.each(
-        lambda nodes, x, v, push: model.encode(x, v, nodes, control_displacement),
+        lambda nodes, x, v, displacement: model.encode(x, v, nodes, displacement),
         control_displacement,
     )
     prior = jax.vmap(jax.vmap(model.prior_belief))(percept)
