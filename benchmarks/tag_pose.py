@@ -270,7 +270,7 @@ def beside(bench: Bench, ticks: int) -> Iterator[dict[str, Any]]:
 
 def _watching(watch: DetectionLoop, ended: threading.Event) -> None:
     while not ended.is_set():
-        if not watch.look():
+        if not watch.step():
             time.sleep(0.001)
 
 

@@ -256,7 +256,7 @@ class RehearseRecord:
         from contactgraph.data import Metadata
         from contactgraph_franka.cli.options import RobotFault
         from contactgraph_franka.cli.session import episode_layout, episode_seed
-        from contactgraph_franka.envs.recording_policy import grasps
+        from contactgraph_franka.envs.expert import grasps
         from contactgraph_franka.sim.shared_state import ground_truth_trajectory
 
         for attempt in range(_AGAIN):
@@ -321,8 +321,8 @@ def recording_planner(stopping: float) -> "Planner":
     """What `RecordingPolicy` asks for, in steps of 0.01 s; ``stopping`` is its share of stops."""
     import numpy as np
 
+    from contactgraph_franka.envs.expert import RecordingPolicy
     from contactgraph_franka.envs.pickup import pickup_scene
-    from contactgraph_franka.envs.recording_policy import RecordingPolicy
     from contactgraph_franka.loop.planner import PolicyPlanner
 
     return PolicyPlanner(RecordingPolicy(stopping), pickup_scene(0.01, np.zeros(3)))

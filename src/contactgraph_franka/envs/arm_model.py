@@ -1,7 +1,12 @@
-"""The one file that imports MuJoCo for simulation, and what is common to all that uses it."""
+"""The arm's MuJoCo model: inverse kinematics, impedance control and joint limits.
+
+No other module of this package imports MuJoCo itself.
+"""
 
 import math
 import os
+import warnings
+from importlib.resources import files
 
 import numpy as np
 
@@ -13,7 +18,7 @@ try:
 except ModuleNotFoundError as error:
     raise InvalidInputError("franka needs MuJoCo: pip install 'contactgraph[mujoco]'") from error
 except (AttributeError, ImportError, RuntimeError) as error:
-    # As it is imported it loads the OpenGL that it is told to, and fails in many ways.
+    # MuJoCo loads OpenGL during its import.
     raise InvalidInputError(
         f"MuJoCo cannot load the OpenGL of MUJOCO_GL={os.environ.get('MUJOCO_GL')}: unset it, or "
         "name one that is there (egl, osmesa or glfw)"
@@ -21,21 +26,52 @@ except (AttributeError, ImportError, RuntimeError) as error:
 
 SIMULATOR = f"mujoco {mujoco.__version__}"
 JOINTS = 7
-"""Of the arm."""
-
-
 HOME = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 1.9, np.pi / 4])
-"""rad; the elbow is kept about so."""
-_MARGIN = 0.05
-"""Of the joints' limits, rad."""
-_TOLERANCE = 1e-5
-_ROUNDS = 200
+"""rad; the posture that resolves the redundancy of the elbow."""
+LARGEST_TURN = np.radians(2.0)
+"""Largest deviation of the hand from its orientation, rad."""
+LARGEST_SPEED = 1.5 * np.array([2.175] * 4 + [2.61] * 3)
+"""Largest joint speeds, rad/s: 1.5 times the maker's, which fast sweeps near the base need."""
+ROTATION_STIFFNESS = 8.0
+"""N m/rad"""
+ROTATION_DAMPING = 2.0 * math.sqrt(ROTATION_STIFFNESS)
+"""N m s/rad"""
+_MARGIN = 0.05  # rad, from the joint limits
+_TOLERANCE = 1e-5  # m and rad
+_ITERATIONS = 200
+_PREDICTION = 0.01  # s, over which a joint is extrapolated to its limit
+_LIMIT_TOLERANCE = 0.01  # rad
+_BRAKE_DAMPING = 500.0  # N m s/rad
+_POSTURE_STIFFNESS = 10.0
+_POSTURE_DAMPING = 4.0
+_FILTER = 0.004  # s, time constant of the estimate of external torques
+
+
+def arm_xml() -> str:
+    """The MJCF of the arm over its table."""
+    return files("contactgraph_franka.envs").joinpath("panda.xml").read_text()
+
+
+def open_renderer(
+    model: mujoco.MjModel, height: int, width: int, purpose: str
+) -> "mujoco.Renderer":
+    """A renderer without a screen; ``purpose`` begins the `InvalidInputError` without OpenGL."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # GLFW reports its failure as a warning.
+            return mujoco.Renderer(model, height, width)
+    except Exception as error:
+        raise InvalidInputError(
+            f"{purpose} OpenGL without a screen: set MUJOCO_GL=egl before Python "
+            "starts (Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri)"
+        ) from error
 
 
 def inverse_kinematics(model: mujoco.MjModel, point: np.ndarray, yaw: float) -> np.ndarray:
-    """[7] rad with the grasp point at ``point`` [3] m, pointing down, turned by ``yaw`` rad.
+    """Joint angles [7] rad with the grasp point at ``point`` [3] m, pointing down at ``yaw`` rad.
 
-    Damped least squares with the elbow drawn home. Raises `InvalidInputError` where it cannot be.
+    Damped least squares, with `HOME` as the secondary task. Raises `InvalidInputError` for a point
+    out of reach.
     """
     data = mujoco.MjData(model)
     joints = HOME.copy()
@@ -45,7 +81,7 @@ def inverse_kinematics(model: mujoco.MjModel, point: np.ndarray, yaw: float) -> 
     wanted, now, turn, miss = np.zeros(4), np.zeros(4), np.zeros(3), np.zeros(6)
     cos, sin = np.cos(yaw), np.sin(yaw)
     mujoco.mju_mat2Quat(wanted, np.array([cos, sin, 0.0, sin, -cos, 0.0, 0.0, 0.0, -1.0]))
-    for index in range(_ROUNDS):
+    for index in range(_ITERATIONS):
         data.qpos[:JOINTS] = joints
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -66,66 +102,42 @@ def inverse_kinematics(model: mujoco.MjModel, point: np.ndarray, yaw: float) -> 
     )
 
 
-LARGEST_TURN = np.radians(2.0)
-"""Of the hand from the orientation it keeps, rad."""
-LARGEST_SPEED = 1.5 * np.array([2.175] * 4 + [2.61] * 3)
-"""Of the joints, rad/s: half above the maker's, which a fast sweep close to the base just keeps."""
-_AHEAD = 0.01
-"""For how long a joint must not be on its way out of its range, s."""
-_STOP = 0.01
-"""By how much it may lean on the end of its range, rad."""
-_DAMPING = 500.0
-"""Of a joint whose brake is closed, N m s/rad."""
-
-
 class JointLimitBrakes:
-    """Stop the arm for good once it leaves what it can do, as the maker's controller does.
+    """Closes the brakes for good, as the maker's controller does, once the arm exceeds its limits.
 
-    That is when a joint is about to leave its range or turns too fast, or the hand loses its
-    orientation. Forces get there that push the hand to the end of its reach or slam it onto
-    something; a sweep within the scene does not.
+    The limits are those of the joints' ranges and speeds and of the hand's orientation. Forces that
+    push the hand out of its reach or slam it onto something exceed them; sweeps do not.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._model = model
         self._joints, self._velocity = data.qpos[:JOINTS], data.qvel[:JOINTS]
         low, high = model.jnt_range[:JOINTS].T
-        self._low, self._high = low - _STOP, high + _STOP
+        self._low, self._high = low - _LIMIT_TOLERANCE, high + _LIMIT_TOLERANCE
         self.closed = False
 
     def check(self, turn: np.ndarray) -> None:
-        """Closes the brakes where they must be; ``turn`` [3] rad is what the hand is off by."""
-        soon = self._joints + _AHEAD * self._velocity
+        """Closes the brakes if a limit is exceeded; ``turn`` [3] rad is the hand's deviation."""
+        soon = self._joints + _PREDICTION * self._velocity
         fits = np.all((self._low < soon) & (soon < self._high))
         slow = np.all(np.abs(self._velocity) < LARGEST_SPEED)
         if not (fits and slow and turn @ turn < LARGEST_TURN**2):
             self.closed = True
-            self._model.dof_damping[:JOINTS] = _DAMPING
-
-
-ROTATION_STIFFNESS = 8.0
-"""N m/rad"""
-ROTATION_DAMPING = 2.0 * math.sqrt(ROTATION_STIFFNESS)
-"""N m s/rad"""
-_POSTURE_STIFFNESS = 10.0
-_POSTURE_DAMPING = 4.0
-_FILTER = 0.004
-"""Time constant of the estimate of outer torques, s."""
+            self._model.dof_damping[:JOINTS] = _BRAKE_DAMPING
 
 
 class Impedance:
-    r"""Torques with which the hand moves as a mass of 4 kg under a force, orientation held.
+    r"""Torques under which the hand moves as a mass of 4 kg that keeps its orientation.
 
-    Impedance control with the inertia shaped (Hogan 1985; Khatib 1987): with J the Jacobian of the
-    grasp point, $\Lambda = (J M^{-1} J^T)^{-1}$ and $\hat\tau$ the torques from outside as a
-    momentum observer estimates them from the last motion (De Luca and Mattone 2003; the arm's own
-    software offers the same estimate),
+    Impedance control with inertia shaping (Hogan 1985; Khatib 1987): with J the Jacobian of the
+    grasp point, $\Lambda = (J M^{-1} J^T)^{-1}$ and $\hat\tau$ the external torques estimated by a
+    momentum observer (De Luca and Mattone 2003; the arm's own software has one too),
 
     $$ \tau = J^T \Lambda (a - \dot J \dot q) + h - \hat\tau + \tau_0, \qquad
        a = \big( (u + \hat f) / m,\; \text{stiffness and damping of the rotation} \big), $$
 
-    with h gravity and Coriolis torques and $\tau_0$ what pulls the elbow home without moving the
-    hand. Torques stay within the joints' limits.
+    with h gravity and Coriolis torques and $\tau_0$ the null-space torque towards the initial
+    posture. Torques stay within the joints' limits.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -138,8 +150,8 @@ class Impedance:
         self._jacobian, self._jacobian_rate = jacobian, rate
         self._solved = np.zeros((6, model.nv))
         self._momentum_rate = np.zeros(model.nv)
-        # Views of what MuJoCo and the ticks move: at a kilohertz, even slicing takes its time.
-        self._place, self._frame = data.site_xpos[self._site], data.site_xmat[self._site]
+        # Views of MuJoCo's arrays: at 1 kHz, slicing takes noticeable time.
+        self._position, self._frame = data.site_xpos[self._site], data.site_xmat[self._site]
         self._joints, self._joint_velocity = data.qpos[:JOINTS], data.qvel[:JOINTS]
         self._bias = data.qfrc_bias[:JOINTS]
         self._linear, self._angular = jacobian[:3], jacobian[3:]
@@ -149,21 +161,20 @@ class Impedance:
         self.hold()
 
     def hold(self) -> None:
-        """Takes the present orientation and posture as those to keep."""
+        """Makes the present orientation and posture the desired ones."""
         mujoco.mju_mat2Quat(self._orientation, self._frame)
         self._home = self._joints.copy()
-        self._outer = np.zeros(JOINTS)
+        self._external = np.zeros(JOINTS)
         self.torque = np.zeros(JOINTS)
 
     @property
     def turn(self) -> np.ndarray:
-        """[3] rad; the rotation from the orientation to keep to the present one."""
+        """[3] rad: rotation vector from the desired orientation to the present one."""
         mujoco.mju_mat2Quat(self._now, self._frame)
-        turn, outer = np.zeros(3), np.zeros(3)
-        # In the frame of the orientation to keep; then in that of the world.
-        mujoco.mju_subQuat(turn, self._now, self._orientation)
-        mujoco.mju_rotVecQuat(outer, turn, self._orientation)
-        return outer
+        local, world = np.zeros(3), np.zeros(3)
+        mujoco.mju_subQuat(local, self._now, self._orientation)
+        mujoco.mju_rotVecQuat(world, local, self._orientation)
+        return world
 
     @property
     def velocity(self) -> np.ndarray:
@@ -172,31 +183,31 @@ class Impedance:
         return self._arm[:3] @ self._joint_velocity
 
     def observe(self, before: np.ndarray) -> None:
-        """After a step: what torques came from outside. ``before`` is the velocity before it."""
+        """Updates the external torques after a step; ``before`` is the velocity before it."""
         acceleration = (self._data.qvel - before) / self._dt
         mujoco.mj_mulM(self._model, self._data, self._momentum_rate, acceleration)
-        outer = self._momentum_rate[:JOINTS] + self._bias - self.torque
-        self._outer += self._dt / (_FILTER + self._dt) * (outer - self._outer)
+        external = self._momentum_rate[:JOINTS] + self._bias - self.torque
+        self._external += self._dt / (_FILTER + self._dt) * (external - self._external)
 
     def __call__(self, force: np.ndarray) -> np.ndarray:
         """The torques [7] N m for a force [3] N; positions and velocities must be up to date."""
         model, data, J, solved = self._model, self._data, self._arm, self._arm_solved
         mujoco.mj_jacSite(model, data, self._linear, self._angular, self._site)
         mujoco.mj_jacDot(
-            model, data, self._linear_rate, self._angular_rate, self._place, self._hand
+            model, data, self._linear_rate, self._angular_rate, self._position, self._hand
         )
         mujoco.mj_solveM(model, data, self._solved, self._jacobian)
         compliance = J @ solved.T
         inertia = np.linalg.inv(compliance)
         rotation = J[3:] @ self._joint_velocity
-        outer = inertia @ (solved @ self._outer)
+        external = inertia @ (solved @ self._external)
         moment = -ROTATION_STIFFNESS * self.turn - ROTATION_DAMPING * rotation
         wanted = -(self._jacobian_rate @ data.qvel)
-        wanted[:3] += (force + outer[:3]) / APPARENT_MASS
+        wanted[:3] += (force + external[:3]) / APPARENT_MASS
         wanted[3:] += compliance[3:, 3:] @ moment
         posture = _POSTURE_STIFFNESS * (self._home - self._joints)
         posture -= _POSTURE_DAMPING * self._joint_velocity
         task = inertia @ (wanted - solved @ posture)
-        torque = J.T @ task + posture + self._bias - self._outer
+        torque = J.T @ task + posture + self._bias - self._external
         self.torque = np.minimum(np.maximum(torque, -self._limit), self._limit)
         return self.torque

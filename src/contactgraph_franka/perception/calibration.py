@@ -1,34 +1,42 @@
-"""An object that carries tags: which, how large, and where on it."""
+"""Tagged objects, the calibration of a fixed camera, and the file that stores it."""
 
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError, atomic_write
 from contactgraph.data.json_fields import JsonFields, check_version, parse_json
-from contactgraph_franka.perception.camera import Intrinsics
+from contactgraph_franka.perception.camera import Intrinsics, check_pose, transform
 
 CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
-"""[4, 3] of a tag of size 1 in its own frame, in the order in which detectors tell them."""
-_ROUNDING = 1e-4
-"""How far from a rotation a stored matrix may be."""
+"""[4, 3] of a tag of size 1 in its own frame, in the order of the detector."""
+FORMAT = "contactgraph-camera"
+VERSION = 1
+_SIZE_LIMIT = 1_000_000
+"""Bytes."""
+_WORDS = {
+    "camera_pose": "4 x 4, camera to the robot's base [m]; the camera's x right, y down, z forward",
+    "intrinsics": "px; pixel centres at whole numbers; distortion k1, k2, p1, p2, k3, or null",
+    "objects": "tags of the family tag36h11: side of the black square [m], pose 4 x 4 in the "
+    "object's frame; a tag's x right, y up, z out of it",
+    "residuals": "of the calibration; null where the camera's pose is known otherwise",
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Tag:
-    """One tag36h11 on an object."""
+    """One tag36h11 on an object. Raises `InvalidInputError` for impossible values."""
 
     id: int
     size: float
     """m: the side of the black square."""
     pose: np.ndarray
-    """[4, 4], in the object's frame. In the tag's own, x points right and y up as one reads it,
-    and z out of it, towards the reader."""
+    """[4, 4], in the object's frame. The tag's x points right and y up as printed, z towards the
+    reader."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.id, int) and 0 <= self.id < 587):
@@ -41,12 +49,12 @@ class Tag:
     @property
     def corners(self) -> np.ndarray:
         """[4, 3] m in the object's frame: lower left, lower right, upper right, upper left."""
-        return CORNERS * self.size @ self.pose[:3, :3].T + self.pose[:3, 3]
+        return transform(self.pose, CORNERS * self.size)
 
 
 @dataclass(frozen=True, eq=False)
 class TaggedObject:
-    """A rigid object with tags on it. Raises `InvalidInputError` for none, or one id twice."""
+    """A rigid object with tags. Raises `InvalidInputError` for no tags or a repeated id."""
 
     tags: tuple[Tag, ...]
 
@@ -66,50 +74,27 @@ def single_tag(tag: int, size: float) -> TaggedObject:
     return TaggedObject((Tag(tag, size, np.eye(4)),))
 
 
-def check_pose(name: str, pose: np.ndarray) -> None:
-    """Raises `InvalidInputError` where ``pose`` is not a rigid motion [4, 4]."""
-    if np.shape(pose) != (4, 4) or not np.isfinite(pose).all():
-        raise InvalidInputError(f"{name} must be [4, 4] finite numbers, found {np.shape(pose)}")
-    turn = pose[:3, :3]
-    rigid = np.abs(turn @ turn.T - np.eye(3)).max() < _ROUNDING and np.linalg.det(turn) > 0.0
-    if not rigid or not np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]):
-        raise InvalidInputError(f"{name} must be a rotation and a position over (0, 0, 0, 1)")
-
-
-FORMAT = "contactgraph-camera"
-VERSION = 1
-_SIZE_LIMIT = 1_000_000
-"""Bytes."""
-_WORDS = {
-    "camera_pose": "4 x 4, camera to the robot's base [m]; the camera's x right, y down, z forward",
-    "intrinsics": "px; pixel centres at whole numbers; distortion k1, k2, p1, p2, k3, or null",
-    "objects": "tags of the family tag36h11: side of the black square [m], pose 4 x 4 in the "
-    "object's frame; a tag's x right, y up, z out of it",
-    "residuals": "of the calibration; null where the camera's pose is known otherwise",
-}
-
-
 @dataclass(frozen=True)
 class CalibrationResiduals:
-    """How well a calibration explains what it was made from."""
+    """Errors of a calibration on its own data."""
 
     poses: int
-    """Of the hand."""
+    """Number of hand poses."""
     pixel: float
-    """px: root of the mean square distance of the corners from where they should be."""
+    """px: root mean square error of the tag's corners."""
     position: float
-    """m: the same of the tag's position, told by the camera and by the hand."""
+    """m: root mean square distance between the tag's positions by camera and by hand."""
     left_out: float
-    """m: the same for each pose by a calibration from all others: what to expect elsewhere."""
+    """m: the same by leave-one-out cross-validation, the error to expect at other poses."""
     left_out_worst: float
-    """m"""
+    """m: its largest value."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraCalibration:
-    """A camera that stands still, and the objects it looks for.
+    """A fixed camera and the objects to detect.
 
-    Raises `InvalidInputError` where the pose is no rigid motion, a name is empty, or one tag is on
+    Raises `InvalidInputError` if the pose is no rigid motion, a name is empty, or one tag is on
     two objects.
     """
 
@@ -117,11 +102,11 @@ class CameraCalibration:
     camera_pose: np.ndarray
     """[4, 4]: camera to the robot's base."""
     objects: Mapping[str, TaggedObject]
-    """By the names of the nodes that they are."""
+    """By node name."""
     made: str
-    """When, as ISO 8601 says it."""
+    """ISO 8601 time."""
     residuals: CalibrationResiduals | None = None
-    """None where the camera's pose was not found by `calibrate`."""
+    """None if the pose is not from `calibrate`."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "camera_pose", np.array(self.camera_pose, dtype=np.float64))
@@ -142,10 +127,16 @@ class CameraCalibration:
 
 
 def write_calibration(path: str | Path, calibration: CameraCalibration) -> None:
-    """Writes to ``path``; whoever looks sees the old file or the whole new one, never half.
-
-    Raises `InvalidInputError` where the folder cannot be written to.
-    """
+    """Writes to ``path`` atomically; raises `InvalidInputError` if the folder is not writable."""
+    objects = [
+        {
+            "name": name,
+            "tags": [
+                {"id": tag.id, "size": tag.size, "pose": tag.pose.tolist()} for tag in tagged.tags
+            ],
+        }
+        for name, tagged in calibration.objects.items()
+    ]
     content = {
         "format": FORMAT,
         "format_version": VERSION,
@@ -154,25 +145,16 @@ def write_calibration(path: str | Path, calibration: CameraCalibration) -> None:
         "intrinsics": asdict(calibration.intrinsics),
         "camera_pose": calibration.camera_pose.tolist(),
         "residuals": None if calibration.residuals is None else asdict(calibration.residuals),
-        "objects": [
-            {
-                "name": name,
-                "tags": [
-                    {"id": tag.id, "size": tag.size, "pose": tag.pose.tolist()}
-                    for tag in tagged.tags
-                ],
-            }
-            for name, tagged in calibration.objects.items()
-        ],
+        "objects": objects,
     }
     with atomic_write(Path(path)) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def read_calibration(path: str | Path) -> CameraCalibration:
-    """Reads what `write_calibration` wrote; nothing in the file is executed.
+    """Reads a file of `write_calibration`; executes nothing in it.
 
-    Raises `InvalidInputError` naming file and field for whatever is wrong with it.
+    Raises `InvalidInputError` that names file and field for any invalid content.
     """
     path = Path(path)
     if not path.exists():
@@ -192,13 +174,12 @@ def read_calibration(path: str | Path) -> CameraCalibration:
             f"{path}: must be a camera's calibration, whose 'format' is {FORMAT!r}"
         )
     check_version(f"{path}: field", content, VERSION)
-    fields = JsonFields(str(path), content)
     try:
-        return _calibration(fields)
+        return _calibration(JsonFields(str(path), content))
     except InvalidInputError as error:
-        said = str(error)
+        reason = str(error)
         raise InvalidInputError(
-            said if said.startswith(f"{path}") else f"{path}: {said}"
+            reason if reason.startswith(f"{path}") else f"{path}: {reason}"
         ) from error
 
 
@@ -208,39 +189,33 @@ def _calibration(fields: JsonFields) -> CameraCalibration:
         name = each.text("name")
         if name in objects:
             raise InvalidInputError(f"{each.where}: there is another object called {name!r}")
-        objects[name] = TaggedObject(tuple(_tag(tag) for tag in each.each("tags")))
-    known = fields.content.get("residuals") is not None
-    return CameraCalibration(
-        intrinsics=_intrinsics(fields.inner("intrinsics")),
-        camera_pose=fields.numbers("camera_pose", (4, 4)),
-        objects=objects,
-        made=fields.text("made"),
-        residuals=_residuals(fields.inner("residuals")) if known else None,
+        objects[name] = TaggedObject(
+            tuple(
+                Tag(tag.count("id", 0), _number(tag, "size"), tag.numbers("pose", (4, 4)))
+                for tag in each.each("tags")
+            )
+        )
+    residuals = None
+    if fields.content.get("residuals") is not None:
+        inner = fields.inner("residuals")
+        names = ("pixel", "position", "left_out", "left_out_worst")
+        residuals = CalibrationResiduals(
+            inner.count("poses", 1), *(_number(inner, name) for name in names)
+        )
+    lens = fields.inner("intrinsics")
+    distorted = lens.content.get("distortion") is not None
+    intrinsics = Intrinsics(
+        fx=_number(lens, "fx"),
+        fy=_number(lens, "fy"),
+        cx=_number(lens, "cx"),
+        cy=_number(lens, "cy"),
+        width=lens.count("width", 1),
+        height=lens.count("height", 1),
+        distortion=tuple(lens.numbers("distortion", (5,)).tolist()) if distorted else None,
     )
+    camera_pose = fields.numbers("camera_pose", (4, 4))
+    return CameraCalibration(intrinsics, camera_pose, objects, fields.text("made"), residuals)
 
 
-def _intrinsics(fields: JsonFields) -> Intrinsics:
-    bent = fields.content.get("distortion") is not None
-    return Intrinsics(
-        fx=float(fields.numbers("fx", ())),
-        fy=float(fields.numbers("fy", ())),
-        cx=float(fields.numbers("cx", ())),
-        cy=float(fields.numbers("cy", ())),
-        width=fields.count("width", 1),
-        height=fields.count("height", 1),
-        distortion=tuple(fields.numbers("distortion", (5,)).tolist()) if bent else None,
-    )
-
-
-def _residuals(fields: JsonFields) -> CalibrationResiduals:
-    numbers: dict[str, Any] = {
-        name: float(fields.numbers(name, ()))
-        for name in ("pixel", "position", "left_out", "left_out_worst")
-    }
-    return CalibrationResiduals(poses=fields.count("poses", 1), **numbers)
-
-
-def _tag(fields: JsonFields) -> Tag:
-    return Tag(
-        fields.count("id", 0), float(fields.numbers("size", ())), fields.numbers("pose", (4, 4))
-    )
+def _number(fields: JsonFields, name: str) -> float:
+    return float(fields.numbers(name, ()))

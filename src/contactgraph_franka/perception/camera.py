@@ -1,6 +1,8 @@
-"""Rigid motions as 4x4 matrices: ``pose_base_camera`` takes points of the camera to the base."""
+"""Cameras: rigid motions, projection, frames and their time stamps.
 
-import math
+A pose is a 4x4 matrix; the camera's pose takes points of the camera's frame to the base's.
+"""
+
 import time
 from collections import deque
 from collections.abc import Callable
@@ -8,81 +10,73 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from contactgraph.data import InvalidInputError
+
+_UNDISTORT_STEPS = 8
+"""Fixed-point iterations; lenses of depth cameras converge to 1e-9 in five."""
+_OFFSETS = 300
+"""Frames whose clock offsets are kept, ten seconds at 30 Hz; clocks drift by 1 ms in minutes."""
+_ORTHOGONALITY = 1e-4
+"""Largest deviation of a stored matrix from a rotation."""
 
 
 def pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
     """[4, 4] from a rotation matrix [3, 3] and a position [3] m."""
-    made = np.eye(4)
-    made[:3, :3], made[:3, 3] = rotation, position
-    return made
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, position
+    return matrix
 
 
 def inverse(motion: np.ndarray) -> np.ndarray:
-    """[4, 4], the way back."""
-    back = motion[:3, :3].T
-    return pose(back, -back @ motion[:3, 3])
+    """[4, 4], the inverse of a pose."""
+    rotation = motion[:3, :3].T
+    return pose(rotation, -rotation @ motion[:3, 3])
+
+
+def transform(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """[..., 3] m: ``points`` moved by a pose."""
+    return points @ motion[:3, :3].T + motion[:3, 3]
+
+
+def perturbed(motion: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """[4, 4]: a pose turned by ``step[:3]`` rad about its origin and moved by ``step[3:]`` m."""
+    return pose(rotation_of(step[:3]) @ motion[:3, :3], motion[:3, 3] + step[3:])
 
 
 def rotation_of(vector: np.ndarray) -> np.ndarray:
-    """[3, 3]: by ``|vector|`` rad about ``vector`` [3] (Rodrigues' formula)."""
-    x, y, z = vector
-    angle = math.sqrt(x * x + y * y + z * z)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle < 1e-8:
-        return np.eye(3) + cross
-    one = math.sin(angle) / angle
-    two = (1.0 - math.cos(angle)) / angle**2
-    return np.eye(3) + one * cross + two * cross @ cross
+    """[3, 3]: the rotation by ``|vector|`` rad about ``vector`` [3]."""
+    return Rotation.from_rotvec(vector).as_matrix()
 
 
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    """[3] rad, of length 0 to pi: what `rotation_of` turns into ``rotation`` [3, 3]."""
-    # The largest part of the unit quaternion first: no half turn is near a division by zero.
-    diagonal = np.diag(rotation)
-    squares = np.array([1.0 + diagonal.sum(), *(1.0 + 2.0 * diagonal - diagonal.sum())])
-    largest = int(np.argmax(squares))
-    skew = np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
-    quaternion = np.empty(4)
-    quaternion[largest] = squares[largest]
-    if largest == 0:
-        quaternion[1:] = skew
-    else:
-        axis = largest - 1
-        quaternion[1:] = rotation[axis] + rotation[:, axis]
-        quaternion[largest] = squares[largest]
-        quaternion[0] = skew[axis]
-    quaternion /= np.linalg.norm(quaternion)
-    if quaternion[0] < 0.0:
-        quaternion = -quaternion
-    length = float(np.linalg.norm(quaternion[1:]))
-    if length < 1e-12:
-        return 2.0 * quaternion[1:]
-    return quaternion[1:] * (2.0 * math.atan2(length, quaternion[0]) / length)
+    """[3] rad, of length 0 to pi: the inverse of `rotation_of`."""
+    return Rotation.from_matrix(rotation).as_rotvec()
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """[3, 3]: the rotation nearest to a matrix in the sense of least squares."""
+    """[3, 3]: the rotation nearest to a matrix in the Frobenius norm."""
     left, _, right = np.linalg.svd(matrix)
     return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
 
 
-_UNDISTORT_STEPS = 8
-"""Fixed-point steps: lenses of depth cameras bend so little that five give 1e-9."""
+def check_pose(name: str, matrix: np.ndarray) -> None:
+    """Raises `InvalidInputError` unless ``matrix`` is a rigid motion [4, 4]."""
+    if np.shape(matrix) != (4, 4) or not np.isfinite(matrix).all():
+        raise InvalidInputError(f"{name} must be [4, 4] finite numbers, found {np.shape(matrix)}")
+    turn = matrix[:3, :3]
+    orthogonal = np.abs(turn @ turn.T - np.eye(3)).max() < _ORTHOGONALITY
+    rigid = orthogonal and np.linalg.det(turn) > 0.0
+    if not rigid or not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
+        raise InvalidInputError(f"{name} must be a rotation and a position over (0, 0, 0, 1)")
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole camera: x to the right, y down, z forward; pixel centres at whole numbers.
+    """A pinhole camera: x right, y down, z forward; pixel centres at integers.
 
-    Raises `InvalidInputError` for what no camera has.
+    Raises `InvalidInputError` for values that no camera has.
     """
 
     fx: float
@@ -90,15 +84,15 @@ class Intrinsics:
     fy: float
     """px"""
     cx: float
-    """px: the column where the optical axis passes."""
+    """px: column of the optical axis."""
     cy: float
-    """px"""
+    """px: row of the optical axis."""
     width: int
     """px"""
     height: int
     """px"""
     distortion: tuple[float, ...] | None = None
-    """Brown and Conrady's (k1, k2, p1, p2, k3), as OpenCV orders them; None: a straight lens."""
+    """Brown-Conrady coefficients (k1, k2, p1, p2, k3) in OpenCV's order; None: no distortion."""
 
     def __post_init__(self) -> None:
         for name, least in (("fx", 1.0), ("fy", 1.0), ("width", 16), ("height", 16)):
@@ -122,13 +116,13 @@ class Intrinsics:
         return plane * (self.fx, self.fy) + (self.cx, self.cy)
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """[..., 2]: x/z and y/z of what is seen at ``pixels`` [..., 2] px, undistorted."""
-        seen = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
+        """[..., 2]: undistorted x/z and y/z of ``pixels`` [..., 2] px."""
+        distorted = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
         if self.distortion is None:
-            return seen
-        plane = seen
+            return distorted
+        plane = distorted
         for _ in range(_UNDISTORT_STEPS):
-            plane = plane + seen - _distorted(plane, self.distortion)
+            plane = plane + distorted - _distorted(plane, self.distortion)
         return plane
 
 
@@ -146,34 +140,50 @@ def _distorted(plane: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray
     )
 
 
+@dataclass(frozen=True)
+class Window:
+    """A part of a frame, px."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def rows(self) -> slice:
+        """Rows of the frame."""
+        return slice(self.top, self.top + self.height)
+
+    @property
+    def columns(self) -> slice:
+        """Columns of the frame."""
+        return slice(self.left, self.left + self.width)
+
+
 @dataclass(frozen=True, eq=False)
 class CameraFrame:
-    """One picture, and when it was taken."""
+    """One picture."""
 
     image: np.ndarray
     """[H, W] uint8, grey."""
     depth: np.ndarray | None
-    """[H, W] float32 m along the optical axis, pixel by pixel with ``image``; 0 where not known."""
+    """[H, W] float32 m along the optical axis, registered to ``image``; 0: unknown."""
     time: float
-    """s, on the reader's clock: the middle of the exposure, not when the frame arrived."""
+    """s, on the reader's clock: the middle of the exposure."""
 
 
 class Camera(Protocol):
-    """A source of frames, all with the same intrinsics."""
+    """A source of frames with constant intrinsics."""
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Of ``image`` and ``depth`` alike."""
+        """Intrinsics of ``image`` and ``depth``."""
 
     def read(self) -> CameraFrame | None:
-        """The newest frame; None where none has come since the last call. Never waits for one."""
+        """The newest frame, without waiting; None if there is none since the last call."""
 
     def close(self) -> None:
-        """Gives the device back. No `read` after it."""
-
-
-_KEPT = 300
-"""Frames, ten seconds at 30 Hz: a device's clock drifts by a millisecond in minutes."""
+        """Releases the device."""
 
 
 class FrameClock:
@@ -181,17 +191,17 @@ class FrameClock:
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._ways: deque[float] = deque(maxlen=_KEPT)
+        self._offsets: deque[float] = deque(maxlen=_OFFSETS)
 
     def from_epoch(self, moment: float) -> float:
-        """s, of a time since 1970 that the system's clock tells as well."""
+        """s, from seconds since 1970 on the system's clock."""
         return self._clock() - (time.time() - moment)
 
     def from_device(self, moment: float) -> float:
-        """s, of a time on the device's own clock, at the arrival of the frame it belongs to.
+        """s, from the device's clock, to be called at the arrival of the frame.
 
-        The two clocks' difference is that of the frame that came quickest of the last 300. What
-        even that one needed to come is not seen: times are late by so much, some milliseconds.
+        The offset is that of the fastest of the last 300 frames, so that times are late by the
+        least transfer time, some milliseconds.
         """
-        self._ways.append(self._clock() - moment)
-        return moment + min(self._ways)
+        self._offsets.append(self._clock() - moment)
+        return moment + min(self._offsets)

@@ -1,11 +1,10 @@
-r"""Where a camera stands, from pictures of a tagged object in the robot's hand.
+r"""Calibration of a fixed camera from pictures of a tagged object in the robot's hand.
 
 With the hand at :math:`H_k` in the base, the marker at :math:`X` in the hand and at :math:`C_k` in
 the camera, and the camera at :math:`Z` in the base, :math:`H_k X = Z C_k` for every pose. Two of
-them give :math:`A X = X B` with :math:`A = H_j^{-1} H_i, B = C_j^{-1} C_i`, whose turns have equal
-angles: that is solved linearly (Park and Martin, IEEE Transactions on Robotics and Automation,
-1994). From there :math:`X` and :math:`Z` are moved until the marker's corners are seen where they
-should be.
+them give :math:`A X = X B` with :math:`A = H_j^{-1} H_i, B = C_j^{-1} C_i`, solved linearly (Park
+and Martin, IEEE Transactions on Robotics and Automation, 1994). Then the reprojection error of the
+marker's corners is minimised over :math:`X` and :math:`Z`.
 """
 
 import itertools
@@ -16,32 +15,29 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.perception.calibration import (
-    CalibrationResiduals,
-    TaggedObject,
-    check_pose,
-)
+from contactgraph_franka.perception.calibration import CalibrationResiduals, TaggedObject
 from contactgraph_franka.perception.camera import (
     Intrinsics,
+    check_pose,
     inverse,
     nearest_rotation,
+    perturbed,
     pose,
-    rotation_of,
     rotation_vector,
+    transform,
 )
 from contactgraph_franka.perception.object_pose import ObjectPose
 
 LEAST_POSES = 6
 LEAST_TURN = 0.1
-"""rad, root of the mean square, about the second axis. Less leaves where the marker is in the hand,
-and with it the camera, to the noise."""
-_SOFT = 1.0
-"""px: corners farther off than that count less than squared."""
+"""Least root mean square turn about the second axis, rad. Less leaves the marker's position in the
+hand, and with it the camera's, to the noise."""
+_SOFT = 1.0  # px; larger errors count linearly
 
 
 @dataclass(frozen=True, eq=False)
 class HandEye:
-    """What `calibrate` found."""
+    """Result of `calibrate`."""
 
     camera_pose: np.ndarray
     """[4, 4]: camera to the robot's base."""
@@ -56,45 +52,46 @@ def calibrate(
     marker: TaggedObject,
     intrinsics: Intrinsics,
 ) -> HandEye:
-    """Finds the camera's pose, and the marker's in the hand, together.
+    """Estimates the pose of the camera and that of the marker in the hand.
 
-    ``hand_poses`` [K, 4, 4] take the hand's frame to the base's; ``sightings`` are how the camera
-    saw ``marker`` at each of them. Where the marker sits in the hand need not be known, but it must
-    not move there. Some 20 poses all over the workspace, turned by 20 degrees and more about two
-    axes, are good. Raises `InvalidInputError` for fewer than six, for poses that are no rigid
-    motions, and where the hand did not turn about two axes.
+    ``hand_poses`` [K, 4, 4] take the hand's frame to the base's; ``sightings`` are the poses of
+    ``marker`` in the camera at each of them. The marker must not move in the hand. About 20 poses
+    all over the workspace, turned by at least 20 degrees about two axes, are good. Raises
+    `InvalidInputError` for fewer than six poses, for poses that are no rigid motions, and for turns
+    about one axis only.
     """
     hands = _checked(hand_poses, sightings)
-    hand_to_marker = _marker_start(hands, [each.pose for each in sightings])
-    camera = _mean_pose(
-        [
-            hand @ hand_to_marker @ inverse(each.pose)
-            for hand, each in zip(hands, sightings, strict=True)
-        ]
+    marker_pose = _initial_marker(hands, [each.pose for each in sightings])
+    mean = np.mean(
+        [hand @ marker_pose @ inverse(s.pose) for hand, s in zip(hands, sightings, strict=True)],
+        axis=0,
     )
+    camera = pose(nearest_rotation(mean[:3, :3]), mean[:3, 3])
     problem = _Problem(hands, sightings, marker, intrinsics)
     everything = np.arange(len(hands))
-    camera, hand_to_marker = problem.solved(camera, hand_to_marker, everything)
-    left_out = [
-        problem.apart(*problem.solved(camera, hand_to_marker, np.delete(everything, each)))[each]
-        for each in everything
-    ]
-    off = problem.corners_apart(camera, hand_to_marker, everything)
-    return HandEye(
-        camera,
-        hand_to_marker,
-        CalibrationResiduals(
-            poses=len(hands),
-            pixel=float(np.sqrt((off**2).sum(axis=1).mean())),
-            position=_rms(problem.apart(camera, hand_to_marker)),
-            left_out=_rms(left_out),
-            left_out_worst=float(max(left_out)),
-        ),
+    camera, marker_pose = problem.solve(camera, marker_pose, everything)
+    left_out = np.array(
+        [
+            problem.distances(*problem.solve(camera, marker_pose, np.delete(everything, each)))[
+                each
+            ]
+            for each in everything
+        ]
     )
+    pixels = problem.reprojection_errors(camera, marker_pose, everything)
+    positions = problem.distances(camera, marker_pose)
+    residuals = CalibrationResiduals(
+        poses=len(hands),
+        pixel=float(np.sqrt((pixels**2).sum(axis=1).mean())),
+        position=float(np.sqrt(np.mean(positions**2))),
+        left_out=float(np.sqrt(np.mean(left_out**2))),
+        left_out_worst=float(left_out.max()),
+    )
+    return HandEye(camera, marker_pose, residuals)
 
 
 class _Problem:
-    """All poses, and the corners of the marker as they were seen in each."""
+    """All poses, and the observed corners of the marker in each."""
 
     def __init__(
         self,
@@ -109,38 +106,44 @@ class _Problem:
             if not set(each.tags) <= set(tags):
                 raise InvalidInputError(f"sighting {number} is of other tags than the marker's")
         self._points = [np.concatenate([tags[tag].corners for tag in s.tags]) for s in sightings]
-        self._seen = [
-            intrinsics.project(_moved(each.pose, points))
+        self._observed = [
+            intrinsics.project(transform(each.pose, points))
             for each, points in zip(sightings, self._points, strict=True)
         ]
 
-    def solved(
+    def solve(
         self, camera: np.ndarray, marker: np.ndarray, chosen: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Camera and marker that explain the ``chosen`` poses best, from a guess."""
+        """Camera and marker that explain the ``chosen`` poses best, from an initial guess."""
 
-        def residual(step: np.ndarray) -> np.ndarray:
-            return self.corners_apart(*_stepped(camera, marker, step), chosen).ravel()
+        def moved(step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return perturbed(camera, step[:6]), perturbed(marker, step[6:])
 
-        found = least_squares(residual, np.zeros(12), loss="soft_l1", f_scale=_SOFT, x_scale="jac")
-        return _stepped(camera, marker, found.x)
+        solution = least_squares(
+            lambda step: self.reprojection_errors(*moved(step), chosen).ravel(),
+            np.zeros(12),
+            loss="soft_l1",
+            f_scale=_SOFT,
+            x_scale="jac",
+        )
+        return moved(solution.x)
 
-    def corners_apart(
+    def reprojection_errors(
         self, camera: np.ndarray, marker: np.ndarray, chosen: np.ndarray
     ) -> np.ndarray:
-        """[P, 2] px: corners as they should be seen less as they are."""
+        """[P, 2] px: predicted less observed corners."""
         to_camera = inverse(camera)
         return np.concatenate(
             [
                 self._intrinsics.project(
-                    _moved(to_camera @ self._hands[each] @ marker, self._points[each])
+                    transform(to_camera @ self._hands[each] @ marker, self._points[each])
                 )
-                - self._seen[each]
+                - self._observed[each]
                 for each in chosen
             ]
         )
 
-    def apart(self, camera: np.ndarray, marker: np.ndarray) -> np.ndarray:
+    def distances(self, camera: np.ndarray, marker: np.ndarray) -> np.ndarray:
         """[K] m: between the marker's positions by camera and by hand."""
         by_camera = np.array([(camera @ each.pose)[:3, 3] for each in self._sightings])
         return np.linalg.norm(by_camera - (self._hands @ marker)[:, :3, 3], axis=1)
@@ -160,7 +163,7 @@ def _checked(hand_poses: np.ndarray, sightings: Sequence[ObjectPose]) -> np.ndar
     for number, each in enumerate(hands):
         check_pose(f"hand pose {number}", each)
     turns = np.array(
-        [rotation_vector(a[:3, :3].T @ b[:3, :3]) for a, b in itertools.combinations(hands, 2)]
+        [rotation_vector((inverse(a) @ b)[:3, :3]) for a, b in itertools.combinations(hands, 2)]
     )
     second = float(np.linalg.svd(turns, compute_uv=False)[1] / np.sqrt(len(turns)))
     if second < LEAST_TURN:
@@ -172,40 +175,17 @@ def _checked(hand_poses: np.ndarray, sightings: Sequence[ObjectPose]) -> np.ndar
     return hands
 
 
-def _marker_start(hands: np.ndarray, seen: Sequence[np.ndarray]) -> np.ndarray:
+def _initial_marker(hands: np.ndarray, seen: Sequence[np.ndarray]) -> np.ndarray:
     """[4, 4]: the marker in the hand, from all pairs of poses."""
     pairs = [
         (inverse(hands[j]) @ hands[i], inverse(seen[j]) @ seen[i])
         for i, j in itertools.combinations(range(len(hands)), 2)
     ]
-    # Turns are equal but for the frame they are told in: align their vectors.
+    # A and B turn by the same angle; X aligns their rotation vectors.
     together = sum(
         np.outer(rotation_vector(a[:3, :3]), rotation_vector(b[:3, :3])) for a, b in pairs
     )
     turn = nearest_rotation(np.asarray(together))
     rows = np.concatenate([a[:3, :3] - np.eye(3) for a, _ in pairs])
-    told = np.concatenate([turn @ b[:3, 3] - a[:3, 3] for a, b in pairs])
-    return pose(turn, np.linalg.lstsq(rows, told, rcond=None)[0])
-
-
-def _mean_pose(poses: Sequence[np.ndarray]) -> np.ndarray:
-    mean = np.mean(poses, axis=0)
-    return pose(nearest_rotation(mean[:3, :3]), mean[:3, 3])
-
-
-def _stepped(
-    camera: np.ndarray, marker: np.ndarray, step: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Both poses after small turns and moves: [12] rad, m, rad, m."""
-    return (
-        pose(rotation_of(step[:3]) @ camera[:3, :3], camera[:3, 3] + step[3:6]),
-        pose(rotation_of(step[6:9]) @ marker[:3, :3], marker[:3, 3] + step[9:]),
-    )
-
-
-def _moved(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return points @ motion[:3, :3].T + motion[:3, 3]
-
-
-def _rms(values: Sequence[float] | np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+    right = np.concatenate([turn @ b[:3, 3] - a[:3, 3] for a, b in pairs])
+    return pose(turn, np.linalg.lstsq(rows, right, rcond=None)[0])

@@ -1,4 +1,4 @@
-"""Intel RealSense depth cameras. The one module that imports pyrealsense2."""
+"""Intel RealSense depth cameras. No other module imports pyrealsense2."""
 
 import ctypes
 import time
@@ -13,10 +13,7 @@ from contactgraph_franka.perception.camera import CameraFrame, FrameClock, Intri
 
 
 def _load() -> ModuleType:
-    """pyrealsense2, which looks for the system's libusb; where there is none, that of a package.
-
-    A library that is loaded already is found by its name, so loading it before is enough.
-    """
+    """pyrealsense2, with the libusb of a package if the system has none."""
     try:
         import pyrealsense2
     except ModuleNotFoundError:
@@ -24,6 +21,7 @@ def _load() -> ModuleType:
     except ImportError:
         import libusb_package
 
+        # The dynamic linker finds a library that is already loaded by its name.
         ctypes.CDLL(str(libusb_package.get_library_path()))
         import pyrealsense2
     return pyrealsense2
@@ -39,19 +37,18 @@ except (ImportError, OSError) as error:
     raise InvalidInputError(f"pyrealsense2 cannot be loaded: {error}") from error
 
 _GREEN = 1
-"""The channel that stands for grey: half of a colour camera's pixels see it."""
+"""The colour channel used as grey; half of the sensor's pixels measure it."""
 _QUEUE = 4
-"""Frames that may wait to be read."""
+"""Largest number of unread frames."""
 
 
 class RealSenseCamera:
-    """A `Camera`: grey from its colour stream, and depth seen from where the colour camera is.
+    """A `Camera`: grey from its colour stream, and depth registered to it.
 
-    ``serial`` names one of several; None: the first one found. ``device`` is one that is already
-    there, such as the library's ``software_device``, whose frames go the same way. Frames are
-    stamped on ``clock``. The time is what the camera says: of the middle of the exposure, where its
-    driver tells the system's or a global time; of its own clock less the shortest way here, where
-    it does not. Raises `InvalidInputError` where there is no such camera or it has no such streams.
+    ``serial`` selects one of several cameras; None: the first. ``device`` is an open device, such
+    as the library's ``software_device``. Frames are stamped on ``clock`` with the middle of the
+    exposure, from the driver's system or global time, or else by `FrameClock.from_device`. Raises
+    `InvalidInputError` if there is no such camera or it has no such streams.
     """
 
     def __init__(
@@ -64,16 +61,16 @@ class RealSenseCamera:
         device: Any = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        held = _attached(serial) if device is None else device
-        colour = _profile(held, rs.stream.color, rs.format.rgb8, (width, height), rate)
-        depth = _profile(held, rs.stream.depth, rs.format.z16, (width, height), rate)
+        device = _attached(serial) if device is None else device
+        colour = _profile(device, rs.stream.color, rs.format.rgb8, (width, height), rate)
+        depth = _profile(device, rs.stream.depth, rs.format.z16, (width, height), rate)
         self._intrinsics = _intrinsics(colour.as_video_stream_profile().get_intrinsics())
         self._clock = FrameClock(clock)
         self._align = rs.align(rs.stream.color)
         self._frames = rs.syncer(_QUEUE)
         self._open: list[Any] = []
-        # Both streams may come from one sensor, which is then opened once.
-        for sensor in held.query_sensors():
+        # One sensor may have both streams, and is then opened once.
+        for sensor in device.query_sensors():
             own = [each for each in (colour, depth) if _gives(sensor, each)]
             if own:
                 sensor.open(own)
@@ -82,11 +79,11 @@ class RealSenseCamera:
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Of the colour camera, as the device tells them."""
+        """Intrinsics of the colour camera, as reported by the device."""
         return self._intrinsics
 
     def read(self) -> CameraFrame | None:
-        """The newest frame, with depth where one of the same moment has come."""
+        """The newest frame, with depth if there is one of the same time."""
         newest = None
         while frames := self._frames.poll_for_frames():
             if frames.get_color_frame():
@@ -96,8 +93,9 @@ class RealSenseCamera:
         depth = None
         if newest.get_depth_frame():
             newest = self._align.process(newest)
-            told = newest.get_depth_frame()
-            depth = np.asanyarray(told.get_data()).astype(np.float32) * np.float32(told.get_units())
+            frame = newest.get_depth_frame()
+            metres = np.float32(frame.get_units())
+            depth = np.asanyarray(frame.get_data()).astype(np.float32) * metres
         colour = newest.get_color_frame()
         grey = np.ascontiguousarray(np.asanyarray(colour.get_data())[..., _GREEN])
         of_device = colour.frame_timestamp_domain == rs.timestamp_domain.hardware_clock
@@ -148,37 +146,46 @@ def _gives(sensor: Any, profile: Any) -> bool:
     return any(each.unique_id() == profile.unique_id() for each in sensor.get_stream_profiles())
 
 
-def _intrinsics(told: Any) -> Intrinsics:
-    """The lens as the device tells it, in this package's terms."""
+def _intrinsics(reported: Any) -> Intrinsics:
+    """The device's lens model in this package's terms."""
     distortion = None
-    if any(told.coeffs):
-        straight = (rs.distortion.none, rs.distortion.inverse_brown_conrady)
-        if told.model not in (*straight, rs.distortion.brown_conrady):
+    if any(reported.coeffs):
+        undistorted = (rs.distortion.none, rs.distortion.inverse_brown_conrady)
+        if reported.model not in (*undistorted, rs.distortion.brown_conrady):
             raise InvalidInputError(
-                f"the camera's lens model {told.model.name} is not known here; known: "
+                f"the camera's lens model {reported.model.name} is not known here; known: "
                 "brown_conrady, inverse_brown_conrady"
             )
-        if told.model == rs.distortion.brown_conrady:
-            distortion = tuple(float(each) for each in told.coeffs)
-        elif told.model == rs.distortion.inverse_brown_conrady:
-            distortion = _turned_round(told)
-    return Intrinsics(told.fx, told.fy, told.ppx, told.ppy, told.width, told.height, distortion)
+        if reported.model == rs.distortion.brown_conrady:
+            distortion = tuple(float(each) for each in reported.coeffs)
+        elif reported.model == rs.distortion.inverse_brown_conrady:
+            distortion = _inverted(reported)
+    return Intrinsics(
+        reported.fx,
+        reported.fy,
+        reported.ppx,
+        reported.ppy,
+        reported.width,
+        reported.height,
+        distortion,
+    )
 
 
-def _turned_round(told: Any) -> tuple[float, ...]:
-    """Brown and Conrady's coefficients for a lens whose way back is told: linear least squares."""
-    columns = np.linspace(0.0, told.width - 1.0, 17)
-    rows = np.linspace(0.0, told.height - 1.0, 11)
+def _inverted(reported: Any) -> tuple[float, ...]:
+    """Brown-Conrady coefficients for a lens whose inverse is reported, by linear least squares."""
+    columns = np.linspace(0.0, reported.width - 1.0, 17)
+    rows = np.linspace(0.0, reported.height - 1.0, 11)
     pixels = [[float(column), float(row)] for column in columns for row in rows]
-    x, y = np.array([rs.rs2_deproject_pixel_to_point(told, each, 1.0)[:2] for each in pixels]).T
+    rays = [rs.rs2_deproject_pixel_to_point(reported, each, 1.0)[:2] for each in pixels]
+    x, y = np.array(rays).T
     square = x * x + y * y
-    bent = (np.array(pixels) - (told.ppx, told.ppy)) / (told.fx, told.fy) - np.stack([x, y], 1)
-    across = [
+    distorted = (np.array(pixels) - (reported.ppx, reported.ppy)) / (reported.fx, reported.fy)
+    terms = [
         np.stack([each * square, each * square**2, *tangential, each * square**3], axis=1)
         for each, tangential in (
             (x, (2.0 * x * y, square + 2.0 * x * x)),
             (y, (square + 2.0 * y * y, 2.0 * x * y)),
         )
     ]
-    found = np.linalg.lstsq(np.concatenate(across), bent.T.ravel(), rcond=None)[0]
-    return tuple(found.tolist())
+    shift = (distorted - np.stack([x, y], 1)).T.ravel()
+    return tuple(np.linalg.lstsq(np.concatenate(terms), shift, rcond=None)[0].tolist())

@@ -1,4 +1,4 @@
-"""Finding AprilTags in a picture. The one module that imports pyapriltags."""
+"""AprilTag detection in pictures. No other module imports pyapriltags."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ import numpy as np
 from PIL import Image
 
 from contactgraph.data import InvalidInputError
+from contactgraph_franka.perception.camera import Window
 
 try:
     import pyapriltags
@@ -16,59 +17,47 @@ except ModuleNotFoundError as error:
     ) from error
 
 _CENTRE = 0.5
-"""px: the library counts from a pixel's edge, `Intrinsics` from its centre."""
-_COARSE = (1.5, 1.0)
-"""By how much the picture is made smaller where all of it is searched, from one frame in which an
-object is lost to the next. The first is 4 times as fast; the second finds what it overlooks."""
-_LARGER, _FINE = 2, 1.5
-"""By how much a window is made larger, and smaller again by the library where it looks for squares.
-Between tag and edge of a block are few pixels, which the library's tiles of 4 px run together."""
+"""px; the library counts from a pixel's edge, `Intrinsics` from its centre."""
+_DECIMATION = (1.5, 1.0)
+"""Reductions of a full frame, in turn while an object is lost. The first is 4 times as fast, the
+second finds smaller tags."""
+_ENLARGEMENT, _WINDOW_DECIMATION = 2, 1.5
+"""Enlargement of a window and reduction inside the library. Few pixels lie between tag and edge of
+a block, and the library's tiles of 4 px would merge them."""
 _SHARPENING = 0.25
 """The library's own default, which its wrapper rounds to zero."""
 _LEAST_MARGIN = 20.0
-"""Of a detection's decision. In pictures without tags false ones stay below, true ones of 20 px
-and more are above."""
-_MARGIN_OF_WINDOW = 0.6
-"""By what share of its own size a window is wider than what was seen, on each side."""
-_LEAST_MARGIN_OF_WINDOW = 24
-"""px. At 1 m and 900 px focal length, what moves at 0.8 m/s goes that far in 1/30 s."""
+"""Least decision margin. False detections stay below; true ones of 20 px and more are above."""
+_WINDOW_MARGIN = 0.6
+"""Margin of a window on each side over the size of the detections."""
+_LEAST_WINDOW_MARGIN = 24
+"""px. At 1 m and 900 px focal length, motion at 0.8 m/s covers it in 1/30 s."""
 
 
 @dataclass(frozen=True, eq=False)
 class TagDetection:
-    """A tag36h11 in a picture. Its pose needs its size, which `TaggedObject` knows."""
+    """A tag36h11 in a picture."""
 
     id: int
     corners: np.ndarray
-    """[4, 2] px, as in the picture: lower left, lower right, upper right, upper left of the tag as
-    one reads it. Pixel centres are whole numbers."""
+    """[4, 2] px: lower left, lower right, upper right, upper left of the tag as printed, with pixel
+    centres at integers."""
     margin: float
-    """Of the decision between black and white, in grey levels: above 20, the larger the surer."""
-
-
-@dataclass(frozen=True)
-class Window:
-    """Part of a picture: columns from `left` to before `right`, rows from `top` to `bottom`."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
+    """Decision margin between black and white, grey levels; at least 20."""
 
 
 class TagDetector:
-    """Finds tags, in windows where they were last seen, and in all of the picture where not.
+    """Detects tags in windows around their last positions, and in the full frame otherwise.
 
-    ``objects`` are the ids that move together, as one object's do. All of the picture is searched
-    at a lower resolution, since that takes more than a hundred milliseconds otherwise; what is
-    found is then looked at again in its window, enlarged.
+    ``objects`` are groups of ids that move together. A full search takes more than a hundred
+    milliseconds, so it runs at a lower resolution; its detections are refined in windows.
     """
 
     def __init__(self, objects: Iterable[Sequence[int]]) -> None:
         self._objects = [frozenset(ids) for ids in objects]
         self._windows: list[Window | None] = [None] * len(self._objects)
-        self._fine = _detector(_FINE)
-        self._coarse = [_detector(smaller) for smaller in _COARSE]
+        self._fine = _detector(_WINDOW_DECIMATION)
+        self._coarse = [_detector(decimation) for decimation in _DECIMATION]
         self._searches = 0
 
     def detect(self, image: np.ndarray) -> list[TagDetection]:
@@ -88,58 +77,58 @@ class TagDetector:
             self._searches = 0
         else:
             self._search(image, found)
-        self._windows = [_around(each, image) for each in found]
-        return [each for some in found for each in some]
+        self._windows = [_window(each, image) for each in found]
+        return [each for group in found for each in group]
 
     def _search(self, image: np.ndarray, found: list[list[TagDetection]]) -> None:
-        """Looks for what is not yet ``found`` in all of the picture."""
-        everywhere = _detected(self._coarse[self._searches % len(_COARSE)], image)
+        """Searches the full frame for the objects missing in ``found``."""
+        everywhere = _detected(self._coarse[self._searches % len(_DECIMATION)], image)
         self._searches += 1
         for index, ids in enumerate(self._objects):
             if not found[index]:
                 coarse = _best(everywhere, ids)
-                found[index] = self._in_window(image, _around(coarse, image), ids) or coarse
+                found[index] = self._in_window(image, _window(coarse, image), ids) or coarse
 
     def _in_window(
         self, image: np.ndarray, window: Window | None, ids: frozenset[int]
     ) -> list[TagDetection]:
         if window is None:
             return []
-        part = image[window.top : window.bottom, window.left : window.right]
-        height, width = part.shape
-        larger = Image.fromarray(part).resize(
-            (_LARGER * width, _LARGER * height), Image.Resampling.BICUBIC
+        enlarged = Image.fromarray(image[window.rows, window.columns]).resize(
+            (_ENLARGEMENT * window.width, _ENLARGEMENT * window.height), Image.Resampling.BICUBIC
         )
-        seen = _detected(self._fine, np.asarray(larger), _LARGER, window.left, window.top)
+        seen = _detected(self._fine, np.asarray(enlarged), _ENLARGEMENT, window.left, window.top)
         return _best(seen, ids)
 
 
-def _detector(smaller: float) -> "pyapriltags.Detector":
-    made = pyapriltags.Detector("tag36h11", quad_decimate=smaller)
-    settings = made.tag_detector_ptr
+def _detector(decimation: float) -> "pyapriltags.Detector":
+    detector = pyapriltags.Detector("tag36h11", quad_decimate=decimation)
+    settings = detector.tag_detector_ptr
     assert settings is not None
     settings.contents.decode_sharpening = _SHARPENING
-    return made
+    return detector
 
 
 def _detected(
     detector: "pyapriltags.Detector",
     image: np.ndarray,
-    larger: int = 1,
+    enlargement: int = 1,
     left: int = 0,
     top: int = 0,
 ) -> list[TagDetection]:
-    """The tags in part of a picture, which was made ``larger``."""
+    """The tags in an enlarged part of a picture, in the picture's pixels."""
     origin = np.array([left - _CENTRE, top - _CENTRE])
     return [
-        TagDetection(int(each.tag_id), each.corners / larger + origin, float(each.decision_margin))
+        TagDetection(
+            int(each.tag_id), each.corners / enlargement + origin, float(each.decision_margin)
+        )
         for each in detector.detect(image)
         if each.decision_margin >= _LEAST_MARGIN
     ]
 
 
 def _best(seen: Sequence[TagDetection], ids: frozenset[int]) -> list[TagDetection]:
-    """Of each of the ``ids`` the surest detection."""
+    """The detection of each of the ``ids`` with the largest margin."""
     best: dict[int, TagDetection] = {}
     for each in seen:
         if each.id in ids and (each.id not in best or each.margin > best[each.id].margin):
@@ -147,14 +136,14 @@ def _best(seen: Sequence[TagDetection], ids: frozenset[int]) -> list[TagDetectio
     return list(best.values())
 
 
-def _around(seen: Sequence[TagDetection], image: np.ndarray) -> Window | None:
-    """Where to look for these next; None where there are none."""
+def _window(seen: Sequence[TagDetection], image: np.ndarray) -> Window | None:
+    """The window of the next search; None without detections."""
     if not seen:
         return None
     corners = np.concatenate([each.corners for each in seen])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = max(_LEAST_MARGIN_OF_WINDOW, _MARGIN_OF_WINDOW * float((high - low).max()))
+    margin = max(_LEAST_WINDOW_MARGIN, _WINDOW_MARGIN * float((high - low).max()))
     height, width = image.shape
     left, top = np.floor(np.maximum(low - margin, 0)).astype(int).tolist()
     right, bottom = np.ceil(np.minimum(high + margin, (width, height))).astype(int).tolist()
-    return Window(left, top, right, bottom)
+    return Window(left, top, right - left, bottom - top)

@@ -1,4 +1,4 @@
-"""How far a hand has carried what it holds."""
+"""Tracking of objects that a camera observes and a hand carries."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -6,7 +6,6 @@ from typing import Protocol
 
 import numpy as np
 
-from contactgraph_franka.perception.perception import PositionMeasurement
 from contactgraph_franka.perception.tracker import (
     FREE,
     GRASPED,
@@ -14,143 +13,143 @@ from contactgraph_franka.perception.tracker import (
     Estimate,
     FilterState,
     ObjectTracker,
+    PositionMeasurement,
 )
 
-_LATE = 0.035
-"""s from when fingers are stopped to when they tell: `FingerContact`'s window, and a look."""
+_FINGER_DELAY = 0.035
+"""s from stopped fingers to their report: `FingerContact`'s window and one reading."""
 _PAUSE = 0.05
-"""s between two notes: what happened in between, nobody knows."""
+"""s between two entries beyond which the motion in between is unknown."""
 _KEPT = 512
-"""Notes, half a second, that frames still ask for that come late."""
-_FIRST_ROOM = 1 << 16
-"""Notes that there is room for at first: a minute at 1 kHz. Doubled when full, which takes 1 ms."""
+"""Entries, half a second, that delayed frames still refer to."""
+_CAPACITY = 1 << 16
+"""Initial number of entries, a minute at 1 kHz. Doubling takes 1 ms."""
 _NOTHING = -1
 
 
-class GraspOffsetHistory:
-    """Of ``count`` objects: the hand's way, added up over the time in which it held each.
+class MeasurementSource(Protocol):
+    """Measurements of objects, as of `contactgraph_franka.perception.perception.Perception`."""
 
-    Seen from what carries it, an object that is held rests, like one on a table. Whoever tracks
-    that sees neither the hand's accelerations nor its own delay.
+    def since(self, name: str, after: float) -> Sequence[PositionMeasurement]:
+        """The newest measurements exposed after ``after`` s, in order."""
+
+
+class GraspOffsetHistory:
+    """The hand's displacement while it grasped each of ``count`` objects, summed up over time.
+
+    An object that is grasped rests relative to this displacement, as one on a table does. A
+    tracker of the difference is affected neither by the hand's accelerations nor by its delay.
     """
 
     def __init__(self, count: int) -> None:
-        self._time = np.empty(_FIRST_ROOM)
-        self._held = np.empty(_FIRST_ROOM, dtype=int)
-        self._hand = np.empty((_FIRST_ROOM, 2, 3))
-        self._moved = np.empty((_FIRST_ROOM, count, 3))
-        self._notes = 0
-        self._still = np.zeros((count, 3))
+        self._time = np.empty(_CAPACITY)
+        self._grasped = np.empty(_CAPACITY, dtype=int)
+        self._hand = np.empty((_CAPACITY, 2, 3))
+        self._sum = np.empty((_CAPACITY, count, 3))
+        self._count = 0
+        self._zero = np.zeros((count, 3))
 
     def begin(self) -> None:
-        """Forgets all but the last half second."""
-        first = max(0, self._notes - _KEPT)
-        for each in (self._time, self._held, self._hand, self._moved):
-            each[: self._notes - first] = each[first : self._notes].copy()
-        self._notes -= first
+        """Discards all but the last half second."""
+        first = max(0, self._count - _KEPT)
+        for each in (self._time, self._grasped, self._hand, self._sum):
+            each[: self._count - first] = each[first : self._count].copy()
+        self._count -= first
 
     def append(
         self, hand: np.ndarray, speed: np.ndarray, stamp: float, held: int | None = None
     ) -> None:
-        """The hand is at ``hand`` [3] m with ``speed`` [3] m/s at ``stamp`` s, and holds an object.
+        """Adds the hand's position [3] m and velocity [3] m/s at ``stamp`` s.
 
-        ``held`` is the object's index; fingers tell of it late, so that it is held since then.
-        Stamps no newer than the last change nothing.
+        ``held`` is the index of the grasped object. Fingers report a grasp late, so it is dated
+        back by their delay. Stamps no newer than the last are ignored.
         """
-        last = self._notes - 1
+        last = self._count - 1
         if last >= 0 and not stamp > self._time[last]:
             return
-        if self._notes == len(self._time):
+        if self._count == len(self._time):
             self._grow()
-        now = self._notes
-        self._notes += 1
+        now = self._count
+        self._count += 1
         self._time[now], self._hand[now, 0], self._hand[now, 1] = stamp, hand, speed
-        self._held[now] = _NOTHING if held is None else held
-        self._moved[now] = self._moved[last] if last >= 0 else self._still
+        self._grasped[now] = _NOTHING if held is None else held
+        self._sum[now] = self._sum[last] if last >= 0 else self._zero
         if held is None or last < 0 or stamp - self._time[last] > _PAUSE:
             return
         since = now
         while (
             since > 0
-            and self._held[since - 1] != held
-            and stamp - self._time[since - 1] < _LATE
+            and self._grasped[since - 1] != held
+            and stamp - self._time[since - 1] < _FINGER_DELAY
             and self._time[since] - self._time[since - 1] < _PAUSE
         ):
             since -= 1
         first = max(since - 1, 0)
-        self._held[since : now + 1] = held
-        self._moved[since : now + 1, held] = self._moved[first, held] + (
+        self._grasped[since : now + 1] = held
+        self._sum[since : now + 1, held] = self._sum[first, held] + (
             self._hand[since : now + 1, 0] - self._hand[first, 0]
         )
 
     def displacement(self, index: int, time: float) -> np.ndarray:
         """[3] m: how far object ``index`` had been carried at ``time`` s."""
-        if not self._notes:
-            return self._still[index]
-        at = self._note_at(time)
-        moved = self._moved[max(at, 0), index]
-        if at == self._notes - 1 and time - self._time[at] < _PAUSE:
+        if not self._count:
+            return self._zero[index]
+        at = self._index_at(time)
+        moved = self._sum[max(at, 0), index]
+        if at == self._count - 1 and time - self._time[at] < _PAUSE:
             moved = moved + (time - self._time[at]) * self.velocity(index)
         return moved
 
     def was_grasped(self, index: int, time: float) -> bool:
-        """Whether the hand held object ``index`` at ``time`` s, as far as is known by now."""
-        at = self._note_at(time)
-        return at >= 0 and bool(self._held[at] == index)
+        """Whether the hand grasped object ``index`` at ``time`` s."""
+        at = self._index_at(time)
+        return at >= 0 and bool(self._grasped[at] == index)
 
     def is_grasped(self, index: int) -> bool:
-        """Whether the hand held object ``index`` at the last note."""
-        return bool(self._notes and self._held[self._notes - 1] == index)
+        """Whether the hand grasped object ``index`` at the last entry."""
+        return bool(self._count and self._grasped[self._count - 1] == index)
 
     def velocity(self, index: int) -> np.ndarray:
-        """[3] m/s: how fast object ``index`` is carried at the last note."""
-        return self._hand[self._notes - 1, 1] if self.is_grasped(index) else self._still[index]
+        """[3] m/s: the velocity at which object ``index`` is carried at the last entry."""
+        return self._hand[self._count - 1, 1] if self.is_grasped(index) else self._zero[index]
 
     def motion(self, index: int, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """[T, 3] m, how far object ``index`` had been carried at the times ``at`` [T] s; and how
-        fast, [T, 3] m/s."""
-        if not self._notes:
+        """Displacements [T, 3] m and velocities [T, 3] m/s of object ``index`` at ``at`` [T] s."""
+        if not self._count:
             return np.zeros((len(at), 3)), np.zeros((len(at), 3))
-        time = self._time[: self._notes]
-        tick = np.clip(np.searchsorted(time, at, side="right") - 1, 0, self._notes - 1)
-        moved = self._moved[: self._notes, index]
+        time = self._time[: self._count]
+        entry = np.clip(np.searchsorted(time, at, side="right") - 1, 0, self._count - 1)
+        moved = self._sum[: self._count, index]
         path = np.stack([np.interp(at, time, moved[:, axis]) for axis in range(3)], axis=1)
-        held = self._held[tick] == index
-        return path, np.where(held[:, None], self._hand[tick, 1], 0.0)
+        grasped = self._grasped[entry] == index
+        return path, np.where(grasped[:, None], self._hand[entry, 1], 0.0)
 
-    def _note_at(self, time: float) -> int:
-        """The last note at ``time`` s; -1 where there is none before."""
-        return int(np.searchsorted(self._time[: self._notes], time, side="right")) - 1
+    def _index_at(self, time: float) -> int:
+        """The last entry at ``time`` s; -1 before the first."""
+        return int(np.searchsorted(self._time[: self._count], time, side="right")) - 1
 
     def _grow(self) -> None:
-        self._time, self._held, self._hand, self._moved = (
+        self._time, self._grasped, self._hand, self._sum = (
             np.concatenate([each, np.empty_like(each)])
-            for each in (self._time, self._held, self._hand, self._moved)
+            for each in (self._time, self._grasped, self._hand, self._sum)
         )
-
-
-class MeasurementSource(Protocol):
-    """Whoever sees objects. `contactgraph_franka.perception.perception.Perception` is one."""
-
-    def since(self, name: str, after: float) -> Sequence[PositionMeasurement]:
-        """Where the newest frames exposed after ``after`` s have an object, in order."""
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """An object, as it was tracked over a run."""
+    """One object over one trajectory."""
 
     carried: GraspOffsetHistory
     index: int
-    """Of the object in ``carried``."""
+    """Index of the object in ``carried``."""
     states: list[FilterState] = field(default_factory=list)
-    """At the frames that counted, seen from what carried it."""
+    """At the accepted frames, relative to the carried displacement."""
 
 
 class TrackedObjects:
-    """Tracks objects, in the order of their nodes; keeps all of it, to be smoothed.
+    """Tracks objects in the order of their nodes, and keeps their states for smoothing.
 
-    What the hand holds moves with it: the camera corrects only where in the hand it is.
+    A grasped object moves with the hand; the camera corrects only its offset in the hand.
     """
 
     def __init__(self, source: MeasurementSource, names: Sequence[str]) -> None:
@@ -158,12 +157,12 @@ class TrackedObjects:
         self._source = source
         self._names = tuple(names)
         self._trackers = [ObjectTracker() for _ in self._names]
-        self._asked = [-np.inf] * len(self._names)
+        self._newest = [-np.inf] * len(self._names)
         self._carried = GraspOffsetHistory(len(self._names))
         self.begin()
 
     def begin(self) -> None:
-        """Forgets what was kept: a new run."""
+        """Starts a new trajectory."""
         self._carried.begin()
         self.tracks = {1 + index: Track(self._carried, index) for index in range(len(self._names))}
         """By node, since then."""
@@ -171,39 +170,35 @@ class TrackedObjects:
     def follow(
         self, hand: np.ndarray, speed: np.ndarray, stamp: float, block: int, contact: float
     ) -> None:
-        """The hand is at ``hand`` [3] m with ``speed`` [3] m/s at ``stamp`` s.
+        """Adds the hand's position [3] m and velocity [3] m/s at ``stamp`` s.
 
-        ``contact``: 1 where its fingers hold ``block``, 0 where not, NaN where that is not known.
+        ``contact``: 1 if its fingers hold ``block``, 0 if not, NaN if unknown.
         """
         self._carried.append(hand, speed, stamp, block if contact > 0.5 else None)
 
     def estimates(self, now: float) -> list[Estimate]:
-        """Where each object is at ``now`` s."""
+        """The estimate of each object at ``now`` s."""
         return [self._estimate(index, now) for index in range(len(self._names))]
 
     def _estimate(self, index: int, now: float) -> Estimate:
         tracker, carried = self._trackers[index], self._carried
-        held = carried.is_grasped(index)
-        for seen in self._source.since(self._names[index], self._asked[index]):
-            self._asked[index] = seen.time
-            there = seen.position - carried.displacement(index, seen.time)
+        for seen in self._source.since(self._names[index], self._newest[index]):
+            self._newest[index] = seen.time
+            offset = seen.position - carried.displacement(index, seen.time)
             since = seen.time if tracker.state is None else tracker.state.time
-            motion = (
-                GRASPED
-                if carried.was_grasped(index, since) and carried.was_grasped(index, seen.time)
-                else FREE
-            )
-            if tracker.measure(there, seen.covariance, seen.time, motion):
+            grasped = all(carried.was_grasped(index, time) for time in (since, seen.time))
+            motion = GRASPED if grasped else FREE
+            if tracker.measure(offset, seen.covariance, seen.time, motion):
                 assert tracker.state is not None
                 self.tracks[1 + index].states.append(tracker.state)
         if tracker.state is None:
             return NEVER_SEEN
-        moved, speed = carried.displacement(index, now), carried.velocity(index)
-        found = tracker.state.estimate(now, GRASPED if held else FREE)
+        grasped = carried.is_grasped(index)
+        relative = tracker.state.estimate(now, GRASPED if grasped else FREE)
         return Estimate(
-            found.position + moved,
-            found.velocity + speed,
-            found.variance,
-            now if held else found.time,  # the hand is measured now, and what it holds with it
-            found.tracked,
+            relative.position + carried.displacement(index, now),
+            relative.velocity + carried.velocity(index),
+            relative.variance,
+            now if grasped else relative.time,  # the hand, and with it the object, is measured now
+            relative.tracked,
         )

@@ -1,12 +1,12 @@
-r"""Position and velocity of an object from late, noisy, sometimes missing or wrong measurements.
+r"""Kalman filter of an object's position and velocity from delayed, noisy measurements.
 
-A Kalman filter with state :math:`(p, v)` and white acceleration of density :math:`q` on each axis:
-over a time :math:`\tau`
+The state :math:`(p, v)` has white acceleration of density :math:`q` on each axis: over a time
+:math:`\tau`
 
 .. math:: F = [1, \tau; 0, 1], \quad Q = q\,[\tau^3/3, \tau^2/2; \tau^2/2, \tau]
 
-Its state stands at the exposure of the last frame that counted; only what is asked for is predicted
-to now. So a delay costs certainty, and nothing has to be undone.
+The state refers to the exposure of the last accepted frame; only estimates are predicted to the
+present. A delay therefore costs certainty, and nothing has to be undone.
 
 An impact changes the velocity of an object at once, which white acceleration does not explain. So
 each measurement has three explanations, tried in this order: smooth motion; an impact since the
@@ -20,44 +20,56 @@ from dataclasses import dataclass
 import numpy as np
 
 _SMOOTH = 11.3
-"""Squared Mahalanobis distance (3 degrees of freedom) that 99 % of smooth motion stays below."""
+"""99 % quantile of the squared Mahalanobis distance (3 degrees of freedom): smooth motion."""
 _GATE = 16.3
-"""The same for 99.9 %: beyond it, a measurement is wrong."""
+"""99.9 % quantile: measurements beyond it are outliers."""
 _FIRST_SPEED = 0.5
-"""m/s, standard deviation of the velocity at a start."""
+"""m/s, standard deviation of the initial velocity."""
 _FORGOTTEN_AFTER = 1.0
-"""s without a measurement after which nothing is known of how it moves: the filter starts anew."""
+"""s without a measurement after which the filter restarts."""
 _LOST_ABOVE = 0.05
-"""m: standard deviation along the worst axis. Where a block that was just struck is now, 0.07 s
-after the last frame, is known to 0.02 m only: that must not stop the hand that grasps it."""
+"""m: largest standard deviation of a tracked position. That of a block 0.07 s after an impact is
+0.02 m, which must not stop the hand that grasps it."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How an object may move, seen from what carries it."""
+    """Motion model of an object relative to its carrier."""
 
     density: float
     """m^2/s^3: of white acceleration."""
     impulse_noise: float
-    """m/s, standard deviation of the change of its velocity when it is struck."""
+    """m/s, standard deviation of the velocity change of an impact."""
     consistent: int
-    """Measurements in a row that agree with each other, not with the filter: it starts anew."""
+    """Outliers in a row, consistent with each other, that restart the filter."""
     lost_after: float
     """s without a measurement."""
 
 
 FREE = Motion(density=0.1, impulse_noise=0.6, consistent=3, lost_after=0.2)
-"""White acceleration of 1.7 m/s^2 from frame to frame at 30 Hz (its square times 1/30 s): as much
-as an arm needs that picks a block up in one sweep, from rest to 0.5 m/s in 0.3 s. Less lags behind;
-more lets what rests jitter. A hand that strikes it moves about as fast as it does then."""
+"""White acceleration of 1.7 m/s^2 from frame to frame at 30 Hz (its square times 1/30 s), enough
+for a pickup in one sweep, from rest to 0.5 m/s in 0.3 s. Lower densities lag; higher ones make
+resting objects jitter. An impact transfers about the speed of the hand."""
 GRASPED = Motion(density=1e-3, impulse_noise=0.05, consistent=15, lost_after=1.0)
-"""In a hand it slips and tilts, by 0.2 m/s^2 from frame to frame. So a lone tag's leaning, which is
-uncertain by 1 cm, averages out, and one that is taken for another counts for nothing."""
+"""A grasped object slips and tilts by 0.2 m/s^2 from frame to frame. This averages the tilt of a
+single tag, uncertain by 1 cm, and ignores a mistaken one."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PositionMeasurement:
+    """Position of an object in one frame, in the frame of the robot's base."""
+
+    position: np.ndarray
+    """[3] m"""
+    covariance: np.ndarray
+    """[3, 3] m^2"""
+    time: float
+    """s: the exposure."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Estimate:
-    """Where an object is at the time that was asked for."""
+    """An object at the requested time."""
 
     position: np.ndarray
     """[3] m"""
@@ -66,15 +78,15 @@ class Estimate:
     variance: np.ndarray
     """[3] m^2, of ``position``."""
     time: float
-    """s: the exposure of the last frame that counted; minus infinity where there was none. Of what
-    a hand holds, when it was asked: the hand is measured then."""
+    """s: exposure of the last accepted frame, minus infinity if none. The requested time for a
+    grasped object, since the hand is measured then."""
     tracked: bool
-    """Whether a frame counted not long ago (`Motion`), and no axis is less sure than 0.05 m."""
+    """Whether the last accepted frame is recent (`Motion`) and each axis is known to 0.05 m."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FilterState:
-    """Position and velocity at one moment, and how sure they are."""
+    """Mean and covariance of position and velocity at one time."""
 
     time: float
     """s"""
@@ -83,12 +95,12 @@ class FilterState:
     covariance: np.ndarray
     """[6, 6]"""
     begun: float = -math.inf
-    """s: when the filter last started, knowing nothing of before."""
+    """s: when the filter last restarted."""
     density: float = math.inf
-    """m^2/s^3, of the acceleration that explains the way here from the state before."""
+    """m^2/s^3, of the acceleration assumed since the previous state."""
 
     def estimate(self, now: float, motion: Motion = FREE) -> Estimate:
-        """The state at ``now`` s, which may be before its own time: then it is that time's."""
+        """The state predicted to ``now`` s; unchanged for an earlier time."""
         ahead = now - self.time
         if not ahead > 0.0:
             ahead = 0.0
@@ -106,7 +118,7 @@ class FilterState:
 
 
 NEVER_SEEN = Estimate(np.zeros(3), np.zeros(3), np.full(3, np.inf), -math.inf, False)
-"""Of an object that no frame has shown yet."""
+"""Estimate of an object before its first measurement."""
 
 
 class ObjectTracker:
@@ -114,57 +126,53 @@ class ObjectTracker:
 
     def __init__(self) -> None:
         self.state: FilterState | None = None
-        """At the last frame that counted; None before the first."""
+        """At the last accepted frame; None before the first."""
         self._newest = -math.inf
-        self._doubtful: list[FilterState] = []
+        self._outliers: list[FilterState] = []
 
     def measure(
         self, position: np.ndarray, covariance: np.ndarray, time: float, motion: Motion = FREE
     ) -> bool:
-        """A frame exposed at ``time`` s showed the object at ``position`` [3] m.
+        """Adds a measurement ``position`` [3] m of the exposure at ``time`` s; True if accepted.
 
-        ``covariance`` [3, 3] m^2; ``motion`` is how it may have moved since the last. True where
-        it counts; frames no newer than the last, and measurements that are not finite, change
-        nothing.
+        ``covariance`` [3, 3] m^2; ``motion`` is the model since the last measurement. Measurements
+        that are not newer, or not finite, are ignored.
         """
         finite = np.isfinite(position).all() and np.isfinite(covariance).all()
         if not (finite and math.isfinite(time) and time > self._newest):
             return False
         self._newest = time
         if self.state is None or time - self.state.time > _FORGOTTEN_AFTER:
-            self._doubtful = []
-            self.state = _started(position, covariance, time)
+            self._outliers = []
+            self.state = _initial(position, covariance, time)
             return True
         updated = _updated(self.state, position, covariance, time, motion)
         if updated is None:
-            updated = self._agreed(position, covariance, time, motion)
+            updated = self._consistent_outliers(position, covariance, time, motion)
         if updated is None:
             return False
-        self.state, self._doubtful = updated, []
+        self.state, self._outliers = updated, []
         return True
 
     def estimate(self, now: float) -> Estimate:
-        """Where the object is at ``now`` s, as far as known."""
-        if self.state is None:
-            return NEVER_SEEN
-        return self.state.estimate(now)
+        """The estimate at ``now`` s."""
+        return NEVER_SEEN if self.state is None else self.state.estimate(now)
 
-    def _agreed(
+    def _consistent_outliers(
         self, position: np.ndarray, covariance: np.ndarray, time: float, motion: Motion
     ) -> FilterState | None:
-        """What the doubtful measurements in a row say, once they are enough and agree."""
-        last = self._doubtful[-1] if self._doubtful else None
+        """The filter of the latest outliers, once enough of them agree."""
         agreed = None
-        if last is not None:
-            agreed = _updated(last, position, covariance, time, motion)
+        if self._outliers:
+            agreed = _updated(self._outliers[-1], position, covariance, time, motion)
         if agreed is None:
-            self._doubtful = [_started(position, covariance, time)]
+            self._outliers = [_initial(position, covariance, time)]
             return None
-        self._doubtful.append(agreed)
-        return agreed if len(self._doubtful) >= motion.consistent else None
+        self._outliers.append(agreed)
+        return agreed if len(self._outliers) >= motion.consistent else None
 
 
-def _started(position: np.ndarray, covariance: np.ndarray, time: float) -> FilterState:
+def _initial(position: np.ndarray, covariance: np.ndarray, time: float) -> FilterState:
     spread = np.zeros((6, 6))
     spread[:3, :3] = covariance
     spread[3:, 3:] = _FIRST_SPEED**2 * np.eye(3)
@@ -178,26 +186,25 @@ def _updated(
     time: float,
     motion: Motion,
 ) -> FilterState | None:
-    """The state after a measurement; None where it is wrong, whatever happened to the object."""
+    """The state after a measurement; None for an outlier."""
     step = time - state.time
     mean = state.mean.copy()
     mean[:3] += step * mean[3:]
     innovation = position - mean[:3]
-    density, impulse = motion.density, motion.impulse_noise**2
     # An impact at a moment uniformly distributed over the step has the covariance of white
     # acceleration of density impulse_noise**2 / step.
-    for extra, gate in ((0.0, _SMOOTH), (impulse / step, _GATE)):
-        spread = predicted(state.covariance, step, density + extra)
-        seen = spread[:3, :3] + covariance
-        gain = np.linalg.solve(seen, spread[:3]).T
-        distance = float(innovation @ np.linalg.solve(seen, innovation))
+    for extra, gate in ((0.0, _SMOOTH), (motion.impulse_noise**2 / step, _GATE)):
+        density = motion.density + extra
+        spread = predicted(state.covariance, step, density)
+        total = spread[:3, :3] + covariance
+        gain = np.linalg.solve(total, spread[:3]).T
+        distance = float(innovation @ np.linalg.solve(total, innovation))
         if distance <= gate:
-            # Joseph's form stays symmetric and positive whatever is rounded.
+            # Joseph's form stays symmetric and positive under rounding.
             keep = np.eye(6)
             keep[:, :3] -= gain
             updated = keep @ spread @ keep.T + gain @ covariance @ gain.T
-            mean = mean + gain @ innovation
-            return FilterState(time, mean, updated, state.begun, density + extra)
+            return FilterState(time, mean + gain @ innovation, updated, state.begun, density)
     return None
 
 

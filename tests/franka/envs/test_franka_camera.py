@@ -1,4 +1,4 @@
-"""Pictures of the arm. MuJoCo takes its OpenGL as it is imported: each test is a process."""
+"""Pictures of the arm. MuJoCo loads OpenGL during its import, so each test is a process."""
 
 import os
 import subprocess
@@ -29,7 +29,9 @@ for seed in (3, 4):
         same = same and np.array_equal(one["position"], other["position"])
 task.close()
 spec = EnvSpec(
-    "Franka-v0", entry_point="contactgraph_franka.envs:FrankaTask", disable_env_checker=True
+    "Franka-v0",
+    entry_point="contactgraph_franka.envs.franka_task:FrankaTask",
+    disable_env_checker=True,
 )
 check_env(gymnasium.make(spec, render_mode="rgb_array").unwrapped)
 np.savez(sys.argv[1], pictures=pictures[::39], same=same)
@@ -51,7 +53,7 @@ def in_process(script, opengl, *arguments, packages=""):
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory):
+def rendered(tmp_path_factory):
     path = tmp_path_factory.mktemp("pictures") / "seen.npz"
     done = in_process(PICTURES, "egl", path)
     if "OpenGL" in done.stderr:
@@ -66,21 +68,24 @@ def share(picture, channel):
     return (picture[..., channel] > 1.5 * others + 20).mean()
 
 
-def test_pictures_show_the_block_the_distractor_and_the_goal(seen):
-    for picture in seen["pictures"]:
+@pytest.mark.slow
+def test_pictures_show_the_block_the_distractor_and_the_goal(rendered):
+    for picture in rendered["pictures"]:
         assert picture.shape == (480, 640, 3) and picture.dtype == np.uint8
         for channel in range(3):
             assert 1e-4 < share(picture, channel) < 0.05
         assert 0.2 < (picture == 255).all(axis=-1).mean() < 0.9
 
 
-def test_pictures_follow_the_arm(seen):
-    first, last, *_ = seen["pictures"].astype(int)
+@pytest.mark.slow
+def test_pictures_follow_the_arm(rendered):
+    first, last, *_ = rendered["pictures"].astype(int)
     moved = np.abs(last - first).max(axis=-1) > 30
     assert 0.01 < moved.mean() < 0.3
 
 
-def test_the_makers_surfaces_are_shown_where_a_package_has_them(seen, tmp_path):
+@pytest.mark.slow
+def test_the_makers_surfaces_are_shown_where_a_package_has_them(rendered, tmp_path):
     package = tmp_path / "dm_robotics" / "panda"
     surfaces = package / "assets" / "panda"
     surfaces.mkdir(parents=True)
@@ -91,15 +96,17 @@ def test_the_makers_surfaces_are_shown_where_a_package_has_them(seen, tmp_path):
     assert done.returncode == 0, done.stderr
     other = np.load(tmp_path / "other.npz")["pictures"]
     # Splinters in place of an arm: more of the white behind it.
-    white = [(pictures[0] == 255).all(axis=-1).mean() for pictures in (seen["pictures"], other)]
+    white = [(pictures[0] == 255).all(axis=-1).mean() for pictures in (rendered["pictures"], other)]
     assert white[1] > white[0] + 0.02
-    assert share(other[0], 0) == pytest.approx(share(seen["pictures"][0], 0), rel=0.5)
+    assert share(other[0], 0) == pytest.approx(share(rendered["pictures"][0], 0), rel=0.5)
 
 
-def test_looking_changes_nothing(seen):
-    assert seen["same"]
+@pytest.mark.slow
+def test_rendering_does_not_change_the_simulation(rendered):
+    assert rendered["same"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("opengl", "said"),
     [
@@ -112,6 +119,7 @@ def test_without_opengl_one_line_says_what_to_set(opengl, said, tmp_path):
     assert done.returncode == 1 and said in done.stderr.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_without_opengl_all_but_pictures_works():
     script = "from contactgraph_franka.envs.franka_task import FrankaTask as T; T().reset(seed=0)"
     assert in_process(script, "disabled").returncode == 0

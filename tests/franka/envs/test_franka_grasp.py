@@ -96,7 +96,9 @@ def test_the_hand_with_its_load_is_a_mass_of_both():
     assert np.degrees(np.linalg.norm(world.impedance.turn)) < 1.0
 
 
-@pytest.mark.parametrize("grasp", list(Grasp))
+@pytest.mark.parametrize(
+    "grasp", [Grasp.FRICTION, pytest.param(Grasp.WELD, marks=pytest.mark.slow)]
+)
 def test_contact_is_measured_where_a_pad_touches(grasp):
     task = WatchedTask(1, grasp)
     run = run_episode(task, FrankaExpert(), 4)

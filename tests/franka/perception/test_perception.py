@@ -66,7 +66,7 @@ def test_frames_are_counted_and_the_newest_that_shows_the_object_is_told():
     empty = CameraFrame(drawn([]), None, 0.03)
     shared = SharedMeasurements(1, multiprocessing.get_context("spawn"))
     watch = DetectionLoop(Frames([*at, empty]), calibration(), shared, lambda: 0.05)
-    assert [watch.look() for _ in range(5)] == [True] * 4 + [False]
+    assert [watch.step() for _ in range(5)] == [True] * 4 + [False]
     assert shared.counts(0) == DetectionCounts(frames=4, lost=1)
     seen = shared.since(0)[-1]
     assert seen.time == pytest.approx(0.02)
@@ -75,6 +75,7 @@ def test_frames_are_counted_and_the_newest_that_shows_the_object_is_told():
     assert count == 4 and mean == pytest.approx(0.035) and longest == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 def test_a_process_tells_where_the_object_is_and_how_fast():
     with Perception(SlidingTag, calibration()) as seeing:
         seen = TrackedObjects(seeing, ("block",))
@@ -95,6 +96,7 @@ def test_a_process_tells_where_the_object_is_and_how_fast():
     assert 0.0 < report.latency <= report.longest_latency
 
 
+@pytest.mark.slow
 def test_what_goes_wrong_in_the_process_is_told():
     seeing = Perception(partial(SlidingTag, 3), calibration())
     until = time.monotonic() + 20.0
@@ -106,6 +108,7 @@ def test_what_goes_wrong_in_the_process_is_told():
     seeing.close()
 
 
+@pytest.mark.slow
 def test_a_process_that_is_gone_is_told():
     with Perception(SlidingTag, calibration()) as seeing:
         os.kill(seeing._process.pid, signal.SIGKILL)
@@ -118,6 +121,7 @@ def no_camera():
     raise InvalidInputError("no camera is attached")
 
 
+@pytest.mark.slow
 def test_the_users_mistakes_are_told_as_such():
     with pytest.raises(InvalidInputError, match=r"^no camera is attached$"):
         Perception(no_camera, calibration()).start()
