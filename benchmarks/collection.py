@@ -2,8 +2,8 @@
 
 Usage: python benchmarks/collection.py [--quick] [--json FILE]
 
-Pickup runs by the scripted expert, through `collect`, with this process alone and with an engine of
-two workers. Runs are compared: they are the same whoever records them.
+Pickup runs by the scripted expert, through `collect`, by this process alone and by an executor
+with two workers. The recorded runs are compared: they must be equal.
 """
 
 import time
@@ -20,10 +20,10 @@ from contactgraph.parallel import LocalExecutor
 RUNS = 1000
 
 
-def recorded(runs: int, engine: LocalExecutor | None) -> tuple[float, list[Trajectory]]:
+def recorded(runs: int, executor: LocalExecutor | None) -> tuple[float, list[Trajectory]]:
     """Seconds, and the runs."""
     began = time.perf_counter()
-    found = collect([PickupTask], [PickupExpert()], runs, seed=0, engine=engine)
+    found = collect([PickupTask], [PickupExpert()], runs, seed=0, executor=executor)
     return time.perf_counter() - began, found
 
 

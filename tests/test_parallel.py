@@ -69,14 +69,14 @@ class Place:
 
 
 def test_each_process_stays_on_a_core_and_is_replaced_after_so_many_units():
-    with LocalExecutor(1).crew(Place().begin, 5, tasks_per_worker=2) as crew:
+    with LocalExecutor(1).pool(Place().begin, 5, items_per_worker=2) as pool:
         workers, processes = [], []
         for unit in range(5):
-            (worker,) = crew.idle()
-            crew.give(worker, unit)
-            (outcome,) = crew.wait()
-            process, cores, most = outcome.answer
-            assert (outcome.unit, len(cores), most) == (unit, 1, "1")
+            (worker,) = pool.idle()
+            pool.submit(worker, unit)
+            (outcome,) = pool.wait()
+            process, cores, most = outcome.result
+            assert (outcome.item, len(cores), most) == (unit, 1, "1")
             workers.append(worker)
             processes.append(process)
     assert workers == [0, 0, 1, 1, 2], "who has compiled nothing yet has another number"
@@ -84,17 +84,17 @@ def test_each_process_stays_on_a_core_and_is_replaced_after_so_many_units():
 
 
 def test_a_process_that_died_is_told_and_another_takes_its_place():
-    with LocalExecutor(2).crew(Errand(deadly=3).begin, 8) as crew:
-        for worker, unit in zip(crew.idle(), (3, 7), strict=True):
-            crew.give(worker, unit)
+    with LocalExecutor(2).pool(Errand(deadly=3).begin, 8) as pool:
+        for worker, unit in zip(pool.idle(), (3, 7), strict=True):
+            pool.submit(worker, unit)
         outcomes = []
         while len(outcomes) < 2:
-            outcomes += crew.wait()
-        (lost,) = [outcome for outcome in outcomes if outcome.answer is None]
-        assert (lost.unit, lost.lost) == (3, "its process died, exit code 7")
-        (fresh,) = [worker for worker in crew.idle() if worker > 1]
-        crew.give(fresh, 6)
-        assert crew.wait()[0].answer[0] == 6
+            outcomes += pool.wait()
+        (lost,) = [outcome for outcome in outcomes if outcome.result is None]
+        assert (lost.item, lost.lost) == (3, "its process died, exit code 7")
+        (fresh,) = [worker for worker in pool.idle() if worker > 1]
+        pool.submit(fresh, 6)
+        assert pool.wait()[0].result[0] == 6
 
 
 def test_there_must_be_a_process():

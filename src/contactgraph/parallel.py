@@ -1,8 +1,8 @@
-"""The contract of an engine: units of work are handed out, and outcomes come back.
+"""Parallel work: the protocol of an executor, and the executor of this machine.
 
-A unit is any plain value, and work answers it. An engine knows nothing of what units are about, and
-decides nothing but which machine takes one; what is next, and what becomes of an answer, is for its
-caller to say.
+`Executor` and `Pool` follow `concurrent.futures`, with two differences: the caller chooses the
+worker of an item, since a worker keeps the programs that it has compiled, and a worker that dies
+costs its own item only. `contactgraph.ray_cluster` has the executor for several machines.
 """
 
 import itertools
@@ -12,385 +12,290 @@ import signal
 import threading
 import traceback
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from contactgraph.data import InvalidInputError
 
-Unit = TypeVar("Unit", bound=Hashable)
-Answer = TypeVar("Answer")
+Item = TypeVar("Item", bound=Hashable)
+Result = TypeVar("Result")
 Work = Callable[[Any], Any]
-Begin = Callable[[], Work]
-"""Called once by whoever does the work, for the work it then does."""
+Initializer = Callable[[], Work]
+"""Called once by each worker; returns the function that the worker applies to its items."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a unit."""
+    """The end of one item's work."""
 
     worker: int
-    unit: Any
-    answer: Any = None
+    item: Any
+    result: Any = None
     lost: str | None = None
-    """Why there is no answer: whoever was at it is gone. One line."""
+    """The reason, in one line, if the worker ended before it had a result."""
 
 
 class Pool(Protocol):
-    """Workers that wait for units of one kind of work."""
+    """Workers that share one initializer."""
 
     def idle(self) -> Sequence[int]:
-        """The workers that would take a unit now.
+        """The workers without an item, by numbers that stand for them as long as they live."""
 
-        A number stands for one worker for as long as it lives, and so for what it has learned
-        (programs that it has compiled); an engine that cannot tell its workers apart numbers the
-        places for them.
-        """
-
-    def give(self, worker: int, unit: Any) -> None:
-        """Have an idle worker begin with a unit."""
+    def submit(self, worker: int, item: Any) -> None:
+        """Gives an item to an idle worker."""
 
     def wait(self) -> Sequence[Outcome]:
-        """Outcomes since the last call, at least one; waits for it.
+        """Waits for at least one outcome; returns all since the last call.
 
-        Raises `InvalidInputError` as the work does, and `RuntimeError` with the traceback of
-        whatever else the work raises.
+        Raises `InvalidInputError` if the work does, and `RuntimeError` with the traceback of any
+        other exception of the work.
         """
 
 
 class Executor(Protocol):
-    """Something that has workers."""
+    """A source of worker pools."""
 
     @property
     def workers(self) -> int:
-        """Units that are done at a time; may change."""
+        """Items that are processed at a time; may change."""
 
     @property
-    def sees_files(self) -> bool:
-        """Whether workers read and write the very files that are seen here."""
+    def shares_files(self) -> bool:
+        """Whether workers see the same files as this process."""
 
-    def crew(
-        self, begin: Begin, units: int, tasks_per_worker: int = 0
+    def pool(
+        self, initializer: Initializer, items: int, items_per_worker: int = 0
     ) -> AbstractContextManager[Pool]:
-        """Workers for so many units at most. They end with the context, whatever they are at.
+        """Workers for at most ``items`` items; all end with the context.
 
-        ``begin``, units and answers are sent from one to the other: they are made of plain values,
-        and of functions and classes that a module has at its top. A worker is replaced by another
-        after ``tasks_per_worker`` units, if that is not 0: programs keep what they have compiled.
+        ``initializer``, items and results are pickled, so functions and classes must be at the
+        top level of a module. A worker is replaced after ``items_per_worker`` items (0: never),
+        which frees the memory of its compiled programs.
         """
 
 
 def map_in_order(
-    engine: Executor, begin: Callable[[], Callable[[Unit], Answer]], units: Sequence[Unit]
-) -> Generator[Answer, None, None]:
-    """What the work answers to each of the units, in their order. Workers end with the iterator.
+    executor: Executor, initializer: Callable[[], Callable[[Item], Result]], items: Sequence[Item]
+) -> Generator[Result, None, None]:
+    """The results of all items, in the order of the items. Workers end with the iterator.
 
-    Raises as `Pool.wait` does, and `RuntimeError` where a worker is lost for good.
+    Raises as `Pool.wait` does, and `RuntimeError` if a worker is lost.
     """
-    waiting = list(reversed(units))
-    done: dict[Unit, Answer] = {}
-    with engine.crew(begin, len(units)) as crew:
-        for unit in units:
-            while unit not in done:
-                for worker in crew.idle()[: len(waiting)]:
-                    crew.give(worker, waiting.pop())
-                for outcome in crew.wait():
+    waiting = list(reversed(items))
+    results: dict[Item, Result] = {}
+    with executor.pool(initializer, len(items)) as pool:
+        for item in items:
+            while item not in results:
+                for worker in pool.idle()[: len(waiting)]:
+                    pool.submit(worker, waiting.pop())
+                for outcome in pool.wait():
                     if outcome.lost is not None:
-                        raise RuntimeError(f"{outcome.unit}: {outcome.lost}")
-                    done[outcome.unit] = outcome.answer
-            yield done.pop(unit)
+                        raise RuntimeError(f"{outcome.item}: {outcome.lost}")
+                    results[outcome.item] = outcome.result
+            yield results.pop(item)
 
 
-@dataclass(frozen=True)
-class _Mistake:
-    """`InvalidInputError`."""
+class _Error(NamedTuple):
+    """An exception of the work, as it is sent between processes."""
 
+    type: type[Exception]
     text: str
 
 
-@dataclass(frozen=True)
-class _Fault:
-    """Any other exception: its traceback."""
-
-    text: str
-
-
-def attempt(begin: Begin, unit: Any) -> Any:
-    """What the work answers to the unit, or raises, as a value that can be sent."""
+def attempt(initializer: Initializer, item: Any) -> Any:
+    """The result of the work, or its exception as a value that can be sent; see `result_of`."""
     try:
-        return begin()(unit)
-    except InvalidInputError as mistake:
-        return _Mistake(str(mistake))
+        return initializer()(item)
+    except InvalidInputError as error:
+        return _Error(InvalidInputError, str(error))
     except Exception:
-        return _Fault(traceback.format_exc())
+        return _Error(RuntimeError, traceback.format_exc())
 
 
-def told(answer: Any) -> Any:
-    """What `attempt` has returned elsewhere.
-
-    Raises `InvalidInputError` where the work did, and `RuntimeError` with the traceback of
-    whatever else it raised.
-    """
-    if isinstance(answer, _Mistake):
-        raise InvalidInputError(answer.text)
-    if isinstance(answer, _Fault):
-        raise RuntimeError(answer.text)
-    return answer
+def result_of(value: Any) -> Any:
+    """The result in a value of `attempt`; raises the exception in its place."""
+    if isinstance(value, _Error):
+        raise value.type(value.text)
+    return value
 
 
 def usable_cores() -> list[int]:
-    """The cores that this process may use; as many as NPROC says, where it is set."""
+    """The cores that this process may use, at most as many as NPROC says, if it is set."""
     if hasattr(os, "sched_getaffinity"):
         cores = sorted(os.sched_getaffinity(0))
     else:
         cores = list(range(os.cpu_count() or 1))
-    most = os.environ.get("NPROC", "")
-    return cores[: max(1, int(most))] if most.isdecimal() else cores
-
-
-def keep_to_one_core() -> None:
-    """Said to whatever this process does from now on; XLA, too, goes by NPROC."""
-    os.environ["NPROC"] = "1"
+    limit = os.environ.get("NPROC", "")
+    return cores[: max(1, int(limit))] if limit.isdecimal() else cores
 
 
 class LocalExecutor:
-    """New processes of this machine, as many as there are cores if not told otherwise.
+    """Processes of this machine, by default one for each core.
 
-    Each stays on one core, where the system lets it. A script in which they are used is imported
-    by every process, so what it does must be under ``if __name__ == "__main__"``. They end with
-    their context, with Ctrl-C and with this process, whatever they are at. Raises
-    `InvalidInputError` where the number of processes is less than 1.
+    Each stays on its core where the system supports it. With ``whole_machine``, there is one
+    process at a time, a new one for each item, with all cores; it may start processes of its own,
+    as a simulated arm does with its camera and its controller.
+
+    Every process imports the main script, whose work must therefore be under ``if __name__ ==
+    "__main__"``. Processes end with their pool, with Ctrl-C and with this process, even while they
+    work. Raises `InvalidInputError` if ``processes`` is less than 1.
     """
 
-    sees_files = True
+    shares_files = True
 
-    def __init__(self, processes: int | None = None) -> None:
-        self.workers = len(usable_cores()) if processes is None else processes
-        if self.workers < 1:
+    def __init__(self, processes: int | None = None, *, whole_machine: bool = False) -> None:
+        if processes is not None and processes < 1:
             raise InvalidInputError(f"processes must be at least 1, found {processes}")
+        self._whole_machine = whole_machine
+        self.workers = 1 if whole_machine else processes or len(usable_cores())
 
     @contextmanager
-    def crew(self, begin: Begin, units: int, tasks_per_worker: int = 0) -> Iterator[Pool]:
+    def pool(
+        self, initializer: Initializer, items: int, items_per_worker: int = 0
+    ) -> Iterator[Pool]:
         """See `Executor`."""
-        crew = _Processes(begin, tasks_per_worker)
+        cores: itertools.cycle[int | None] = itertools.cycle(usable_cores())
+        if self._whole_machine:
+            cores, items_per_worker = itertools.cycle([None]), 1
+        pool = _LocalPool(initializer, items_per_worker)
         try:
-            crew.start(min(self.workers, units))
-            yield crew
+            pool.start(list(itertools.islice(cores, min(self.workers, items))))
+            yield pool
         finally:
-            crew.end()
+            pool.end()
 
 
-class _Process:
-    """A process and the connection to it; begun once, and not before it is needed."""
-
-    def __init__(self, core: int) -> None:
-        self.core, self.units = core, 0
-        self._running: tuple[Connection, BaseProcess] | None = None
-
-    @property
-    def started(self) -> bool:
-        return self._running is not None
-
-    @property
-    def connection(self) -> Connection:
-        assert self._running is not None
-        return self._running[0]
-
-    def start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        with _interrupts_held(), _kept_to(self.core):
-            process.start()
-        theirs.close()
-        self._running = ours, process
-
-    def send(self, value: Any) -> None:
-        with suppress(ConnectionError):  # that it is gone is found by who waits for it
-            self.connection.send(value)
-
-    def exit_code(self) -> int | None:
-        assert self._running is not None
-        self._running[1].join(timeout=1.0)
-        return self._running[1].exitcode
-
-    def end(self) -> None:
-        if self._running is not None:
-            connection, process = self._running
-            process.kill()
-            process.join()
-            connection.close()
-
-
-class _Processes:
-    """Processes by their numbers."""
-
-    def __init__(self, begin: Begin, tasks_per_worker: int) -> None:
-        self._begin, self._units_a_worker = begin, tasks_per_worker
+class _LocalPool:
+    def __init__(self, initializer: Initializer, items_per_worker: int) -> None:
+        self._initializer, self._items_per_worker = initializer, items_per_worker
         self._numbers = itertools.count()
-        self._processes: dict[int, _Process] = {}
-        self._at: dict[int, Any] = {}
-        """The units that processes are at."""
+        self._workers: dict[int, _Worker] = {}
+        self._items: dict[int, Any] = {}
+        """The items that workers are processing."""
 
-    def start(self, count: int) -> None:
-        cores = usable_cores()
-        for number in range(count):
-            self._add(cores[number % len(cores)]).start()
-        # Not with the start: should a process die there, that would wait for ever to be read.
-        for process in self._processes.values():
-            process.send(self._begin)
+    def start(self, cores: Sequence[int | None]) -> None:
+        for core in cores:
+            self._add(core).start()
+        # Sending at the start could wait forever for a process that dies there.
+        for worker in self._workers.values():
+            worker.send(self._initializer)
 
     def idle(self) -> Sequence[int]:
-        return [number for number in self._processes if number not in self._at]
+        return [number for number in self._workers if number not in self._items]
 
-    def give(self, worker: int, unit: Any) -> None:
-        process = self._processes[worker]
-        if not process.started:
+    def submit(self, worker: int, item: Any) -> None:
+        process = self._workers[worker]
+        if process.connection is None:
             process.start()
-            process.send(self._begin)
-        process.units += 1
-        process.send(unit)
-        self._at[worker] = unit
+            process.send(self._initializer)
+        process.items += 1
+        process.send(item)
+        self._items[worker] = item
 
     def wait(self) -> Sequence[Outcome]:
-        numbers: dict[Any, int] = {self._processes[one].connection: one for one in self._at}
+        numbers: dict[Any, int] = {self._workers[one].connection: one for one in self._items}
         return [self._outcome(numbers[ready]) for ready in wait(list(numbers))]
 
     def end(self) -> None:
-        for process in self._processes.values():
-            process.end()
+        for worker in self._workers.values():
+            worker.end()
 
     def _outcome(self, number: int) -> Outcome:
-        unit, process = self._at.pop(number), self._processes[number]
+        item, worker = self._items.pop(number), self._workers[number]
+        assert worker.connection is not None
         try:
-            outcome = Outcome(number, unit, told(process.connection.recv()))
+            outcome = Outcome(number, item, result_of(worker.connection.recv()))
         except (EOFError, ConnectionError):
-            died = f"its process died, exit code {process.exit_code()}"
-            outcome = Outcome(number, unit, lost=died)
-        if outcome.lost is not None or process.units == self._units_a_worker:
-            self._processes.pop(number).end()
-            self._add(process.core)
+            died = f"its process died, exit code {worker.exit_code()}"
+            outcome = Outcome(number, item, lost=died)
+        if outcome.lost is not None or worker.items == self._items_per_worker:
+            self._workers.pop(number).end()
+            self._add(worker.core)
         return outcome
 
-    def _add(self, core: int) -> _Process:
-        process = _Process(core)
-        self._processes[next(self._numbers)] = process
-        return process
+    def _add(self, core: int | None) -> "_Worker":
+        worker = self._workers[next(self._numbers)] = _Worker(core)
+        return worker
 
 
-def _serve(connection: Connection) -> None:
-    """What a process does: answer, until its owner asks no more, or is gone."""
-    keep_to_one_core()
-    with suppress(EOFError, ConnectionError):
-        begin = cache(connection.recv())
-        while True:
-            unit = connection.recv()
-            connection.send(attempt(begin, unit))
+class _Worker:
+    """A process that can be started, with a connection to it. Core None: all cores."""
 
+    def __init__(self, core: int | None) -> None:
+        self.core, self.items = core, 0
+        self.connection: Connection | None = None
+        self._process: BaseProcess | None = None
 
-@contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Processes begun in here never feel Ctrl-C, which is for this one to answer; it waits."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    # It is started with the first process, and would let interrupts through from then on.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _kept_to(core: int) -> Iterator[None]:
-    """Processes begun in here stay on the core: JAX makes as many threads as it sees cores."""
-    if not hasattr(os, "sched_setaffinity"):
-        yield
-        return
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {core})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-
-
-class WholeMachineExecutor:
-    """Every unit has a new process, with all cores; it may start processes of its own.
-
-    For what must be on time, such as a simulated arm with its camera and a controller.
-    """
-
-    workers = 1
-    sees_files = True
-
-    @contextmanager
-    def crew(self, begin: Begin, units: int, tasks_per_worker: int = 0) -> Iterator[Pool]:
-        """See `Executor`."""
-        crew = _OneAtATime(begin)
-        try:
-            yield crew
-        finally:
-            crew.end()
-
-
-class _OneAtATime:
-    def __init__(self, begin: Begin) -> None:
-        self._begin = begin
-        self._number = 0
-        self._running: tuple[BaseProcess, Connection, Any] | None = None
-
-    def idle(self) -> Sequence[int]:
-        return [self._number] if self._running is None else []
-
-    def give(self, worker: int, unit: Any) -> None:
+    def start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe(duplex=False)
-        process = context.Process(target=_do, args=(theirs, self._begin, unit))
-        process.start()
+        connection, theirs = context.Pipe()
+        pinned = self.core is not None
+        # Processes that are daemons must not start processes.
+        process = context.Process(target=_serve, args=(theirs, pinned), daemon=pinned)
+        with nullcontext() if self.core is None else _pinned_start(self.core):
+            process.start()
         theirs.close()
-        self._running = process, ours, unit
+        self.connection, self._process = connection, process
 
-    def wait(self) -> Sequence[Outcome]:
-        assert self._running is not None
-        process, connection, unit = self._running
-        worker = self._number
-        try:
-            outcome = Outcome(worker, unit, told(connection.recv()))
-        except EOFError:
-            process.join()
-            died = f"its process died, exit code {process.exitcode}"
-            outcome = Outcome(worker, unit, lost=died)
-        self.end()
-        return [outcome]
+    def send(self, value: Any) -> None:
+        assert self.connection is not None
+        with suppress(ConnectionError):  # `_LocalPool.wait` finds that the process has died
+            self.connection.send(value)
+
+    def exit_code(self) -> int | None:
+        assert self._process is not None
+        self._process.join(timeout=1.0)
+        return self._process.exitcode
 
     def end(self) -> None:
-        """What is running is asked to end, as by Ctrl-C, so that what it started ends with it."""
-        if self._running is None:
+        if self.connection is None or self._process is None:
             return
-        process, connection, _ = self._running
-        process.join(timeout=5.0)
-        process.terminate()
-        process.join()
-        connection.close()
-        self._running = None
-        self._number += 1
+        self.connection.close()
+        if self.core is None:
+            self._process.join(timeout=5.0)  # so that the processes that it started can end
+            self._process.terminate()
+        else:
+            self._process.kill()
+        self._process.join()
 
 
-def _do(connection: Connection, begin: Begin, unit: Any) -> None:
+def _serve(connection: Connection, pinned: bool) -> None:
+    """The main loop of a worker process; it ends with its owner."""
+    if pinned:
+        os.environ["NPROC"] = "1"  # XLA follows it, too
     threading.Thread(target=_end_with_owner, daemon=True).start()
-    connection.send(attempt(begin, unit))
+    with suppress(EOFError, ConnectionError):
+        initializer = cache(connection.recv())
+        while True:
+            item = connection.recv()
+            connection.send(attempt(initializer, item))
 
 
 def _end_with_owner() -> None:
-    """Daemons end with their owner by themselves, but may not start processes."""
-    owner = multiprocessing.parent_process()
-    if owner is not None:
+    if owner := multiprocessing.parent_process():
         owner.join()
         os._exit(1)
+
+
+@contextmanager
+def _pinned_start(core: int) -> Iterator[None]:
+    """Processes that start in this context stay on the core, and never receive Ctrl-C.
+
+    JAX starts as many threads as it sees cores; this process handles Ctrl-C. Neither exists on
+    every system.
+    """
+    with ExitStack() as restored:
+        if hasattr(signal, "pthread_sigmask"):
+            # The tracker starts with the first process and would unblock interrupts for the others.
+            resource_tracker.ensure_running()
+            mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            restored.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
+        if hasattr(os, "sched_setaffinity"):
+            restored.callback(os.sched_setaffinity, 0, os.sched_getaffinity(0))
+            os.sched_setaffinity(0, {core})
+        yield

@@ -1,5 +1,4 @@
-"""The engine of a cluster of machines: Ray, which decides where a unit is done, and does it again
-where a machine is lost."""
+"""The executor for several machines: Ray, which places items and repeats those of lost machines."""
 
 import logging
 import os
@@ -12,7 +11,7 @@ from importlib.metadata import version
 from typing import Any
 
 from contactgraph.data import InvalidInputError
-from contactgraph.parallel import Begin, Outcome, Pool, Work, attempt, keep_to_one_core, told
+from contactgraph.parallel import Initializer, Outcome, Pool, Work, attempt, result_of
 
 try:
     import ray
@@ -22,53 +21,55 @@ except ImportError as error:
     ) from error
 
 _TRIES = 4
-"""A unit whose process or machine dies is begun so many times before it is called lost."""
+"""Attempts at an item whose process or machine dies, before it is reported as lost."""
 _AHEAD = 2
-"""Units asked for, in cores of the cluster: who has done one finds another waiting."""
+"""Items submitted for each core of the cluster, so that no core waits for its next item."""
 _CORES_KNOWN_S = 1.0
-"""For so long the number of cores is not asked for anew."""
+"""Age of the known number of cores after which it is updated."""
 
 _ANSWER_S = 5.0
 _SETTINGS = bytes(3) + b"\x04" + bytes(5)
 _GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _SETTINGS
-"""How HTTP/2 begins, on which Ray's servers speak; they answer with settings of their own."""
+"""The beginning of HTTP/2, which Ray's servers speak; they answer with settings of their own."""
 
 
 class RayExecutor:
-    """The machines of a Ray cluster: one unit a core at a time. See `connected`.
+    """The machines of a Ray cluster, one item a core at a time. See `connected`.
 
-    They read no files of this machine's. They need this package in the same version, which is
-    checked, and Python in the same.
+    They share no files with this machine. They need the same version of Python, and of this
+    package, which is checked.
     """
 
-    sees_files = False
+    shares_files = False
 
     @property
     def workers(self) -> int:
-        """The cores of the machines that are there now."""
+        """The cores of the machines that are in the cluster now."""
         return max(1, int(ray.cluster_resources().get("CPU", 0)))
 
     @contextmanager
-    def crew(self, begin: Begin, units: int, tasks_per_worker: int = 0) -> Iterator[Pool]:
-        """See `Executor`; machines that come or go are made use of, or done without."""
-        crew = _Places(self, begin, tasks_per_worker)
+    def pool(
+        self, initializer: Initializer, items: int, items_per_worker: int = 0
+    ) -> Iterator[Pool]:
+        """See `Executor`; machines may join and leave the cluster meanwhile."""
+        pool = _RayPool(self, initializer, items_per_worker)
         try:
-            yield crew
+            yield pool
         finally:
-            crew.end()
+            pool.end()
 
 
 @contextmanager
 def connected(address: str | None = None) -> Iterator[RayExecutor]:
-    """The cluster at ``HOST:PORT``, of which this machine is one.
+    """The cluster at ``HOST:PORT``, which this machine belongs to.
 
-    Without an address: that of RAY_ADDRESS, or that which this machine is in, or else one of this
-    machine alone, which ends with the context. Raises `InvalidInputError` where nothing answers at
-    the address, or what answers cannot be worked with.
+    Without an address: the cluster of RAY_ADDRESS, or the one that this machine belongs to, or a
+    new one of this machine alone, which ends with the context. Raises `InvalidInputError` if no
+    usable cluster answers.
     """
     if address is not None:
         _check_answers(address)
-    # Nobody is told that it is used, and what it warns of is not for the user to change.
+    # No usage reports, and no warning about a default that the user cannot change.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     try:
@@ -86,7 +87,7 @@ def _check_answers(address: str) -> None:
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise InvalidInputError(f"a cluster's address must be HOST:PORT, found {address!r}")
-    # Asked first: Ray itself takes a quarter of an hour to give up on a silent port.
+    # Ray itself would wait for a quarter of an hour at a silent port.
     try:
         with socket.create_connection((host, int(port)), timeout=_ANSWER_S) as server:
             server.sendall(_GREETING)
@@ -100,68 +101,72 @@ def _check_answers(address: str) -> None:
         raise InvalidInputError(f"what answers at {address} is no Ray cluster")
 
 
-class _Places:
-    """Units that the cluster was asked for, each in a place with a number."""
+class _RayPool:
+    """Items submitted to the cluster. Ray chooses workers, so numbers stand for items in work."""
 
-    def __init__(self, cluster: RayExecutor, begin: Begin, tasks_per_worker: int) -> None:
+    def __init__(
+        self, cluster: RayExecutor, initializer: Initializer, items_per_worker: int
+    ) -> None:
         self._cluster = cluster
-        self._begin = ray.put(begin)
-        self._perform = ray.remote(num_cpus=1, max_retries=_TRIES - 1, max_calls=tasks_per_worker)(
-            _perform
+        self._initializer = ray.put(initializer)
+        self._process = ray.remote(num_cpus=1, max_retries=_TRIES - 1, max_calls=items_per_worker)(
+            _process
         )
-        self._at: dict[Any, tuple[int, Any]] = {}
-        self._places, self._asked_s = 0, -_CORES_KNOWN_S
+        self._submitted: dict[Any, tuple[int, Any]] = {}
+        self._size, self._updated_s = 0, -_CORES_KNOWN_S
 
     def idle(self) -> Sequence[int]:
-        if time.monotonic() - self._asked_s >= _CORES_KNOWN_S:
-            self._places, self._asked_s = _AHEAD * self._cluster.workers, time.monotonic()
-        taken = {place for place, _ in self._at.values()}
-        return [place for place in range(self._places) if place not in taken]
+        if time.monotonic() - self._updated_s >= _CORES_KNOWN_S:
+            self._size, self._updated_s = _AHEAD * self._cluster.workers, time.monotonic()
+        busy = {worker for worker, _ in self._submitted.values()}
+        return [worker for worker in range(self._size) if worker not in busy]
 
-    def give(self, worker: int, unit: Any) -> None:
-        asked = self._perform.remote([self._begin], version("contactgraph"), unit)
-        self._at[asked] = worker, unit
+    def submit(self, worker: int, item: Any) -> None:
+        # Ray would replace a bare reference by its value.
+        reference = self._process.remote([self._initializer], version("contactgraph"), item)
+        self._submitted[reference] = worker, item
 
     def wait(self) -> Sequence[Outcome]:
-        asked = list(self._at)
-        ray.wait(asked, num_returns=1)
-        return [self._outcome(one) for one in ray.wait(asked, num_returns=len(asked), timeout=0)[0]]
+        submitted = list(self._submitted)
+        ray.wait(submitted, num_returns=1)
+        ready = ray.wait(submitted, num_returns=len(submitted), timeout=0)[0]
+        return [self._outcome(reference) for reference in ready]
 
     def end(self) -> None:
-        for asked in self._at:
-            ray.cancel(asked, force=True)
+        for reference in self._submitted:
+            ray.cancel(reference, force=True)
 
-    def _outcome(self, asked: Any) -> Outcome:
-        worker, unit = self._at.pop(asked)
+    def _outcome(self, reference: Any) -> Outcome:
+        worker, item = self._submitted.pop(reference)
         try:
-            return Outcome(worker, unit, told(ray.get(asked)))
+            return Outcome(worker, item, result_of(ray.get(reference)))
         except ray.exceptions.RayTaskError as error:
-            # The work's own errors are answers: this is of a machine that could not begin with it.
+            # Errors of the work are results: this machine could not even call it.
             raise InvalidInputError(
                 f"a machine of the cluster cannot do the work: {_last_line(error)}; it needs what "
                 "is installed here"
             ) from error
         except ray.exceptions.RayError as error:
-            return Outcome(worker, unit, lost=f"begun {_TRIES} times: {_first_line(error)}")
+            return Outcome(worker, item, lost=f"begun {_TRIES} times: {_first_line(error)}")
 
 
-def _perform(begin: list[Any], wanted: str, unit: Any) -> Any:
-    """What a machine of the cluster does. ``begin`` is in a list, so that Ray leaves it alone."""
-    keep_to_one_core()
-    return attempt(partial(_begun, begin[0], wanted), unit)
+def _process(initializer: list[Any], required: str, item: Any) -> Any:
+    """Runs on a machine of the cluster."""
+    os.environ["NPROC"] = "1"  # XLA follows it, too
+    return attempt(partial(_work, initializer[0], required), item)
 
 
 @lru_cache(maxsize=1)
-def _begun(begin: Any, wanted: str) -> Work:
-    """The work of this process: it begins once."""
-    found, host = version("contactgraph"), socket.gethostname()
-    if found != wanted:
+def _work(initializer: Any, required: str) -> Work:
+    """The work of this process, initialized once."""
+    installed, host = version("contactgraph"), socket.gethostname()
+    if installed != required:
         raise InvalidInputError(
-            f"{host} has contactgraph {found}, not {wanted} as here: all machines "
+            f"{host} has contactgraph {installed}, not {required} as here: all machines "
             "of a cluster need the same"
         )
     try:
-        return ray.get(begin)()
+        return ray.get(initializer)()
     except ray.exceptions.RaySystemError as error:
         raise InvalidInputError(
             f"{host} cannot read the work it was sent ({_first_line(error)}); it needs what is "

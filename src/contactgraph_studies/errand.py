@@ -48,11 +48,11 @@ class Ended:
     """What the command of a `CarriedErrand` has printed."""
 
 
-def errand_of(cell: Cell, records: Records, sees_files: bool) -> Errand | CarriedErrand:
+def errand_of(cell: Cell, records: Records, shares_files: bool) -> Errand | CarriedErrand:
     """Clear the way for the cell; what is to be done by somebody who sees the study's files, or
     does not."""
     arguments = records.begin(cell)
-    if sees_files:
+    if shares_files:
         return Errand(arguments, records.folder.absolute(), records.log_path(cell).absolute())
     read = [path for need in cell.needs for path in need.outputs]
     # A training goes on from what is in its own output.

@@ -41,13 +41,13 @@ class Standing:
 def run_cells(
     cells: Sequence[Cell],
     records: Records,
-    engine: Executor,
+    executor: Executor,
     begin: Callable[[], Callable[[Any], Ended]],
     on_step: Callable[[Standing], None],
 ) -> list[Failure]:
     """Make every cell that is not done; the failures, none where all went well.
 
-    ``cells`` in order, each behind those it needs (`in_order`). The engine's workers carry out
+    ``cells`` in order, each behind those it needs (`in_order`). The executor's workers carry out
     their errands, as ``begin`` tells them. A cell that fails takes only those with it that need it.
     ``on_step`` is called after every cell. Ctrl-C ends the workers; what is half done is taken up
     by the next call.
@@ -57,27 +57,27 @@ def run_cells(
         return []
     made: dict[int, Cell] = {}
     kinds: dict[int, list[str]] = {}
-    with engine.crew(begin, len(schedule.waiting), _CELLS_A_WORKER) as crew:
+    with executor.pool(begin, len(schedule.waiting), _CELLS_A_WORKER) as pool:
         while schedule.waiting or schedule.running:
-            for worker in crew.idle():
+            for worker in pool.idle():
                 cell = schedule.next(kinds.setdefault(worker, []))
                 if cell is None:
                     break
                 kinds[worker].append(cell.kind)
                 made[worker] = cell
-                crew.give(worker, errand_of(cell, records, engine.sees_files))
-            for outcome in crew.wait():
+                pool.submit(worker, errand_of(cell, records, executor.shares_files))
+            for outcome in pool.wait():
                 cell = made.pop(outcome.worker)
                 seconds, failure = _taken(cell, records, outcome)
                 schedule.finished(cell, seconds, failure)
-                left = schedule.seconds_left(engine.workers)
+                left = schedule.seconds_left(executor.workers)
                 on_step(Standing(schedule.done, len(cells), left, cell, failure))
     return schedule.failures
 
 
 def _taken(cell: Cell, records: Records, outcome: Outcome) -> tuple[float, Failure | None]:
     """Put the outcome where it belongs: how long it took, or why there is none."""
-    log, ended = records.log_path(cell), outcome.answer
+    log, ended = records.log_path(cell), outcome.result
     if ended is not None and ended.said:
         log.write_text(ended.said)
     if ended is None or ended.code != 0:

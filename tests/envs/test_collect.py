@@ -32,7 +32,7 @@ def test_processes_record_what_one_would_bit_for_bit():
     # Runs follow other runs than they would in one process: nothing may be left of those.
     mix = [PickupExpert(), ExplorationPolicy()]
     told = []
-    runs = collect([Signed], mix, 7, 3, told.append, engine=LocalExecutor(2))
+    runs = collect([Signed], mix, 7, 3, told.append, executor=LocalExecutor(2))
     alone = collect([PickupTask], mix, 7, 3)
     assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
     assert all(one is other for one, other in zip(told, runs, strict=True))
@@ -42,7 +42,7 @@ def test_processes_record_what_one_would_bit_for_bit():
 
 @pytest.mark.usefixtures("at_once")
 def test_the_doors_expert_keeps_nothing_either():
-    runs = collect([DoorTask], [DoorExpert()], 4, 1, engine=LocalExecutor(2))
+    runs = collect([DoorTask], [DoorExpert()], 4, 1, executor=LocalExecutor(2))
     alone = collect([DoorTask], [DoorExpert()], 4, 1)
     assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
 
@@ -52,4 +52,4 @@ def test_what_is_quickly_done_is_done_alone(monkeypatch):
         raise AssertionError("it does not pay")
 
     monkeypatch.setattr(collecting, "map_in_order", map_in_order)
-    assert len(collect([PickupTask], [PickupExpert()], 5, 0, engine=LocalExecutor(64))) == 5
+    assert len(collect([PickupTask], [PickupExpert()], 5, 0, executor=LocalExecutor(64))) == 5

@@ -101,7 +101,7 @@ def test_processes_record_what_one_would_and_a_run_can_be_had_again(monkeypatch)
     monkeypatch.setattr(collecting, "_START_S", 0.0)
     task, demonstrator = partial(PickupTask, 2, fixed_seed=7), PickupExpert(noise=0.0)
     alone = collect([task], [demonstrator], 5, 3)
-    shared = collect([task], [demonstrator], 4, 3, engine=LocalExecutor(2))
+    shared = collect([task], [demonstrator], 4, 3, executor=LocalExecutor(2))
     assert all(same(one, other) for one, other in zip(alone, shared, strict=False))
     told = alone[4].scene.metadata
     again = PickupTask(told["distractors"], told["substeps"], told["fixed_seed"])

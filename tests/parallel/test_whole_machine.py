@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.parallel import WholeMachineExecutor, map_in_order
+from contactgraph.parallel import LocalExecutor, map_in_order
 
 
 def shout(connection) -> None:
@@ -42,7 +42,7 @@ class Errand:
 
 
 def test_every_unit_has_a_new_process_all_cores_and_children():
-    answers = list(map_in_order(WholeMachineExecutor(), Errand().begin, range(2)))
+    answers = list(map_in_order(LocalExecutor(whole_machine=True), Errand().begin, range(2)))
     assert [index for index, *_ in answers] == [0, 1]
     assert all(parent == process for _, parent, process, _ in answers)
     assert len({process for _, _, process, _ in answers}) == 2
@@ -53,13 +53,13 @@ def test_every_unit_has_a_new_process_all_cores_and_children():
 def test_nobody_outlives_the_owner():
     script = (
         "import os, sys, time\n"
-        "from contactgraph.parallel import WholeMachineExecutor\n"
+        "from contactgraph.parallel import LocalExecutor\n"
         "def begin():\n"
         "    return lambda unit: (print(os.getpid(), flush=True), time.sleep(60))\n"
         "if __name__ == '__main__':\n"
-        "    with WholeMachineExecutor().crew(begin, 1) as crew:\n"
-        "        crew.give(0, 0)\n"
-        "        crew.wait()\n"
+        "    with LocalExecutor(whole_machine=True).pool(begin, 1) as pool:\n"
+        "        pool.submit(0, 0)\n"
+        "        pool.wait()\n"
     )
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "owner.py"
@@ -85,5 +85,5 @@ def test_nobody_outlives_the_owner():
 )
 def test_what_goes_wrong_in_a_process_is_told(errand, error, said):
     with pytest.raises(error, match=said):
-        list(map_in_order(WholeMachineExecutor(), errand.begin, range(2)))
+        list(map_in_order(LocalExecutor(whole_machine=True), errand.begin, range(2)))
     assert multiprocessing.active_children() == []

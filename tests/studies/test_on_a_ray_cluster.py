@@ -44,7 +44,7 @@ def nodes() -> Iterator[Cluster]:
     told = {"health_check_period_ms": 500, "health_check_failure_threshold": 3}
     head = {"num_cpus": 0, "_system_config": told}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(Path(__file__).parent))
+        patch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
         cluster = Cluster(initialize_head=True, head_node_args=head)
         try:
             for _ in range(2):
@@ -68,9 +68,9 @@ def test_recorded_on_a_cluster_a_file_is_the_same(
 
 
 @pytest.fixture(scope="module")
-def engine(nodes: Cluster) -> Iterator[RayExecutor]:
-    with connected(nodes.address) as engine:
-        yield engine
+def executor(nodes: Cluster) -> Iterator[RayExecutor]:
+    with connected(nodes.address) as executor:
+        yield executor
 
 
 @dataclass(frozen=True)
@@ -92,31 +92,31 @@ class Errand:
         return work
 
 
-def test_answers_come_in_order_from_the_machines(engine: RayExecutor) -> None:
-    assert engine.workers == 2
-    answers = list(map_in_order(engine, Errand().begin, range(6)))
+def test_answers_come_in_order_from_the_machines(executor: RayExecutor) -> None:
+    assert executor.workers == 2
+    answers = list(map_in_order(executor, Errand().begin, range(6)))
     assert [unit for unit, _ in answers] == list(range(6))
     assert os.getpid() not in dict(answers).values()
 
 
 def test_what_goes_wrong_on_a_machine_is_told(
-    engine: RayExecutor, monkeypatch: pytest.MonkeyPatch
+    executor: RayExecutor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for errand, error, said in [
         (Errand(refused=3), InvalidInputError, "^errand 3: nobody is in$"),
         (Errand(broken=3), RuntimeError, "(?s)Traceback.*in work.*KeyError: 'spoon'"),
     ]:
         with pytest.raises(error, match=said):
-            list(map_in_order(engine, errand.begin, range(6)))
+            list(map_in_order(executor, errand.begin, range(6)))
     monkeypatch.setattr(ray_cluster, "version", lambda package: "9.9")
     with pytest.raises(InvalidInputError, match=r"has contactgraph 0\.\d.*, not 9\.9 as here"):
-        list(map_in_order(engine, Errand().begin, range(6)))
+        list(map_in_order(executor, Errand().begin, range(6)))
 
 
-def study(folder: Path, cells: list[Cell], engine: RayExecutor) -> tuple[list[Failure], list]:
+def study(folder: Path, cells: list[Cell], executor: RayExecutor) -> tuple[list[Failure], list]:
     steps: list[Standing] = []
     records, begin = Records(folder / "study", "1"), FakeWorker(folder).begin
-    return run_cells(in_order(cells), records, engine, begin, steps.append), steps
+    return run_cells(in_order(cells), records, executor, begin, steps.append), steps
 
 
 def done(folder: Path) -> list[str]:
@@ -126,13 +126,13 @@ def done(folder: Path) -> list[str]:
     return lines
 
 
-def test_files_are_carried_to_cells_and_back(tmp_path: Path, engine: RayExecutor) -> None:
+def test_files_are_carried_to_cells_and_back(tmp_path: Path, executor: RayExecutor) -> None:
     both = Cell("deep/a", ("both", "deep/a"), "both", beside=("deep/a.more",))
     run = Cell("run", ("half", "run"), "half", checkpoints="checkpoint-*")
     joined = Cell("b", ("join", "b", "deep/a.more"), "join", (both,))
     bad = Cell("bad", ("fail", "bad"), "fail")
     dead = Cell("dead", ("die", "dead"), "die")
-    failures, steps = study(tmp_path, [joined, run, bad, dead], engine)
+    failures, steps = study(tmp_path, [joined, run, bad, dead], executor)
     told = {failure.cell.output: failure.reason for failure in failures}
     assert told.pop("dead").startswith("begun 4 times: ")
     assert told == {
@@ -148,7 +148,7 @@ def test_files_are_carried_to_cells_and_back(tmp_path: Path, engine: RayExecutor
     # What is here of a training goes along, and the training goes on from it.
     (tmp_path / "study" / "run").mkdir()
     (tmp_path / "study" / "run" / "checkpoint-1").write_text("")
-    assert study(tmp_path, [joined, run], engine)[0] == []
+    assert study(tmp_path, [joined, run], executor)[0] == []
     assert done(tmp_path) == ["half run --resume"]
     assert (tmp_path / "study" / "run" / "checkpoint-1").exists()
 
@@ -160,7 +160,7 @@ def children(begun: Path) -> dict[int, int]:
 
 
 def test_a_node_that_is_killed_costs_its_cell_alone(
-    tmp_path: Path, nodes: Cluster, engine: RayExecutor
+    tmp_path: Path, nodes: Cluster, executor: RayExecutor
 ) -> None:
     doomed = nodes.add_node(num_cpus=1)
     (raylet,) = doomed.all_processes["raylet"]
@@ -176,18 +176,18 @@ def test_a_node_that_is_killed_costs_its_cell_alone(
     cells = [Cell(f"{n}", ("wait", f"{n}", f"{n}"), "wait") for n in range(9)]
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
-    failures, steps = study(tmp_path, cells, engine)
+    failures, steps = study(tmp_path, cells, executor)
     killer.join()
     assert failures == []
     assert [(tmp_path / "study" / f"{n}").read_text() for n in range(9)] == list("012345678")
     assert sorted(step.last.output for step in steps) == list("012345678"), "each told once"
     times = Counter(done(tmp_path))
     assert sorted(times.values()) == [1] * 8 + [2], "one was done again"
-    assert study(tmp_path, cells, engine) == ([], [])
+    assert study(tmp_path, cells, executor) == ([], [])
     assert done(tmp_path) == []
 
 
-def test_ctrl_c_leaves_what_is_done(tmp_path: Path, engine: RayExecutor) -> None:
+def test_ctrl_c_leaves_what_is_done(tmp_path: Path, executor: RayExecutor) -> None:
     cells = [Cell(f"{n}", ("make", f"{n}"), "make") for n in range(4)]
 
     def interrupted(standing: Standing) -> None:
@@ -195,9 +195,9 @@ def test_ctrl_c_leaves_what_is_done(tmp_path: Path, engine: RayExecutor) -> None
 
     begin, records = FakeWorker(tmp_path).begin, Records(tmp_path / "study", "1")
     with pytest.raises(KeyboardInterrupt):
-        run_cells(cells, records, engine, begin, interrupted)
+        run_cells(cells, records, executor, begin, interrupted)
     (made,) = (cell.output for cell in cells if records.seconds(cell) is not None)
-    assert study(tmp_path, cells, engine)[0] == []
+    assert study(tmp_path, cells, executor)[0] == []
     assert done(tmp_path).count(f"make {made}") == 1
 
 

@@ -61,7 +61,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Cell]]:
     asked: list[list[Cell]] = []
 
     def run_cells(
-        cells: Sequence[Cell], records: Records, engine: object, begin: object, on_step: object
+        cells: Sequence[Cell], records: Records, executor: object, begin: object, on_step: object
     ) -> list[Failure]:
         asked.append(list(cells))
         values = {"success_rate": 1.0, "episodes": 5, "n_step_rmse_planned_m": 0.001}
@@ -135,7 +135,7 @@ def test_what_the_study_of_costs_leaves(
     values = {"success_rate": 0.97, "episodes": 100, "contact_speed_m_s": 1.5}
 
     def run_cells(
-        cells: Sequence[Cell], records: Records, engine: object, begin: object, on_step: object
+        cells: Sequence[Cell], records: Records, executor: object, begin: object, on_step: object
     ) -> list[Failure]:
         for cell in cells:
             path = records.folder / cell.output

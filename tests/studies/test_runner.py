@@ -23,8 +23,8 @@ def run(
 ) -> tuple[list[Failure], list[Standing]]:
     steps: list[Standing] = []
     records = Records(folder, version)
-    engine, begin = LocalExecutor(workers), FakeWorker(folder.absolute()).begin
-    return run_cells(in_order(cells), records, engine, begin, steps.append), steps
+    executor, begin = LocalExecutor(workers), FakeWorker(folder.absolute()).begin
+    return run_cells(in_order(cells), records, executor, begin, steps.append), steps
 
 
 def done(folder: Path) -> list[str]:

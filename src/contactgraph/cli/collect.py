@@ -93,7 +93,7 @@ class Collect:
         if unfinished.found:
             print(f"{self.out}: goes on after {len(unfinished.found)} of {self.episodes} runs")
         with (
-            open_executor(self.cluster) as engine,
+            open_executor(self.cluster) as executor,
             progress("collecting", self.episodes) as steps,
             unfinished,
         ):
@@ -103,7 +103,7 @@ class Collect:
                 self.episodes,
                 self.seed,
                 on_episode=lambda run: steps.advance(unfinished.add(run)),
-                engine=engine,
+                executor=executor,
                 recorded=unfinished.found,
             )
         metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}

@@ -90,7 +90,7 @@ def collect(
     episodes: int,
     seed: int,
     on_episode: Callable[[Trajectory], None] | None = None,
-    engine: Executor | None = None,
+    executor: Executor | None = None,
     recorded: Sequence[Trajectory] = (),
 ) -> list[Trajectory]:
     """Records ``episodes`` runs; run ``i`` is by ``policies[i % len(policies)]``.
@@ -104,7 +104,7 @@ def collect(
     metadata names it, and `run_episode` with it gives that run again.
 
     ``on_episode`` is called with every run as it is done, in order. This process records, or, where
-    there is so much to do that starting them pays, an ``engine``'s workers; then factories and
+    there is so much to do that starting them pays, an ``executor``'s workers; then factories and
     policies must be what an `Executor` can send, which a lambda is not. ``recorded`` are the first
     runs where an earlier call had come so far; they are not made again. Raises `InvalidInputError`
     where a count or the seed is out of range.
@@ -115,7 +115,7 @@ def collect(
         raise InvalidInputError("task_factories must name at least one task, found none")
     wanted = _Runs(tuple(task_factories), tuple(policies), episode_seeds(episodes, seed))
     runs = list(recorded[:episodes])
-    with closing(_made(wanted, range(len(runs), episodes), engine)) as made:
+    with closing(_made(wanted, range(len(runs), episodes), executor)) as made:
         for run in made:
             runs.append(run)
             if on_episode is not None:
@@ -161,15 +161,15 @@ class _Runs:
 
 
 def _made(
-    wanted: _Runs, numbers: range, engine: Executor | None
+    wanted: _Runs, numbers: range, executor: Executor | None
 ) -> Generator[Trajectory, None, None]:
     """The runs of these numbers, in order."""
     record, began = wanted.recorder(), time.perf_counter()
     for done, index in enumerate(numbers):
         spent, left = time.perf_counter() - began, len(numbers) - done
-        if done and engine is not None and spent > _ALONE_S:
+        if done and executor is not None and spent > _ALONE_S:
             alone = spent / done * left
-            if alone * (1.0 - 1.0 / engine.workers) > _START_S:
-                yield from map_in_order(engine, wanted.recorder, numbers[done:])
+            if alone * (1.0 - 1.0 / executor.workers) > _START_S:
+                yield from map_in_order(executor, wanted.recorder, numbers[done:])
                 return
         yield record(index)

@@ -70,19 +70,19 @@ class Reproduce:
             folder=folder,
             command=f"contactgraph reproduce {self.study}{option}",
         )
-        with self._engine(plan) as engine:
-            failures = study.measure(engine)
-            cores = engine.workers
+        with self._executor(plan) as executor:
+            failures = study.measure(executor)
+            cores = executor.workers
         study.write(failures, cores)
         if failures:
             # The page is written all the same; the exit code says that it is not whole.
             sys.exit(1)
 
-    def _engine(self, plan: "StudyPlan") -> "AbstractContextManager[Executor]":
+    def _executor(self, plan: "StudyPlan") -> "AbstractContextManager[Executor]":
         """Who makes the cells of a plan."""
         from contactgraph.cli.options import open_executor
         from contactgraph.data import InvalidInputError
-        from contactgraph.parallel import WholeMachineExecutor
+        from contactgraph.parallel import LocalExecutor
         from contactgraph_studies.sim.study import RehearsalStudy
 
         if not isinstance(plan, RehearsalStudy):
@@ -92,4 +92,4 @@ class Reproduce:
                 f"--cluster: a rehearsal is held on this machine (local), found {self.cluster!r}"
             )
         # Server, camera, planner and loop keep time together, on all cores there are.
-        return nullcontext(WholeMachineExecutor())
+        return nullcontext(LocalExecutor(whole_machine=True))

@@ -28,7 +28,7 @@ class Study:
     command: str
     """That makes the study."""
 
-    def measure(self, engine: Executor) -> list[Failure]:
+    def measure(self, executor: Executor) -> list[Failure]:
         """Make the cells that are not there yet; those that failed."""
         self.folder.mkdir(parents=True, exist_ok=True)
         records = Records(self.folder, version("contactgraph"))
@@ -39,7 +39,7 @@ class Study:
                     _complain(standing.failure)
                 steps.advance(standing.done, f"{_left(standing.seconds_left)}{standing.last.kind}")
 
-            failures = run_cells(self.plan.cells, records, engine, _begin, on_step)
+            failures = run_cells(self.plan.cells, records, executor, _begin, on_step)
         for failure in failures:
             if failure.reason.startswith("not begun"):
                 _complain(failure)
