@@ -1,34 +1,58 @@
-"""What the cells of a study measured, as one number a seed."""
+"""Measured numbers of a study, as statistics over seeds."""
 
 import json
 import math
 import statistics
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from contactgraph_studies.measurement import Measurement
+from contactgraph.evaluate import wilson_interval
+from contactgraph.viz.number_table import short, with_unit
+from contactgraph_studies.job import Measurement
+
+Values = Mapping[str, Any]
+"""The JSON object that a command has written."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number in the output of a command."""
+
+    key: str
+    scale: float = 1.0
+    null: float = math.nan
+    """Value that a JSON null stands for: NaN (not known) or infinity (a diverged prediction)."""
+
+    def read(self, values: Values) -> float:
+        """The number in the unit of display."""
+        value = values[self.key]
+        return self.null if value is None else self.scale * float(value)
+
+
+SUCCESS_PERCENT = Quantity("success_rate", 100.0)
+CONTACT_SPEED = Quantity("contact_speed_m_s")
+PLANNED_F1 = Quantity("edge_f1_planned")
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One cell's numbers."""
+    """The output of one job."""
 
     seed: int
-    values: dict[str, Any]
-    """JSON of the command, by its keys."""
+    values: Values
     command: str
 
 
 @dataclass(frozen=True)
-class Figure:
-    """One number of every seed; none where its cells could not be made."""
+class SeedStatistic:
+    """One number for each seed; none where the jobs failed or the number is not known."""
 
-    values: tuple[float, ...]
-    """Infinite where a prediction was not finite."""
+    values: tuple[float, ...] = ()
+    """Infinite where a prediction diverged."""
     command: str = ""
-    """Of the first seed."""
+    """Command of the first seed."""
 
     @property
     def known(self) -> bool:
@@ -37,79 +61,115 @@ class Figure:
 
     @property
     def median(self) -> float:
-        """Over the seeds; NaN where there are none."""
+        """Median over the seeds; NaN without any value."""
         return statistics.median(self.values) if self.values else math.nan
 
     @property
     def low(self) -> float:
-        """The lowest of any seed."""
+        """The lowest value of any seed."""
         return min(self.values, default=math.nan)
 
     @property
     def high(self) -> float:
-        """The highest of any seed."""
+        """The highest value of any seed."""
         return max(self.values, default=math.nan)
 
 
+@dataclass(frozen=True)
+class Success:
+    """Successful episodes of all seeds together."""
+
+    successes: int
+    episodes: int
+
+    @property
+    def rate(self) -> float:
+        """Successes over episodes."""
+        return self.successes / self.episodes
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % Wilson interval of the rate."""
+        return wilson_interval(self.successes, self.episodes)
+
+    def __str__(self) -> str:
+        """Per cent, with the interval."""
+        low, high = self.interval
+        return f"{100 * self.rate:.0f} % of {self.episodes} ({100 * low:.0f} to {100 * high:.0f})"
+
+
 class Results:
-    """All that was measured, looked up by what it is of."""
+    """The readings of a study by condition."""
 
     def __init__(self, readings: Mapping[Any, list[Reading]]) -> None:
         self._readings = readings
 
     @classmethod
-    def read(cls, folder: Path, wanted: Sequence[Measurement]) -> "Results":
-        """The outputs that are there; a cell that failed has left none."""
-        readings: dict[Hashable, list[Reading]] = {}
-        for one in wanted:
-            path = folder / one.cell.output
+    def read(cls, folder: Path, measurements: Sequence[Measurement]) -> "Results":
+        """The outputs that exist in the folder."""
+        readings: dict[Any, list[Reading]] = {}
+        for one in measurements:
+            of_condition = readings.setdefault(one.condition, [])
+            path = folder / one.job.output
             if path.is_file():
-                reading = Reading(one.seed, json.loads(path.read_text()), one.cell.command)
-                readings.setdefault(one.where, []).append(reading)
+                values = json.loads(path.read_text())
+                of_condition.append(Reading(one.seed, values, one.job.command))
         return cls(readings)
 
-    def readings(self, where: Hashable) -> list[Reading]:
-        """One a seed, in order of seeds."""
-        return self._readings.get(where, [])
+    def readings(self, condition: Any) -> list[Reading]:
+        """One for each seed, in order of seeds."""
+        return self._readings.get(condition, [])
 
-    def error_cm(self, where: Hashable, key: str) -> Figure:
-        """An error in m, as cm. Null is infinite: commands say so of predictions not finite."""
-        return self._figure(where, lambda values: _scaled(values.get(key), 100.0, math.inf), key)
+    def statistic(self, condition: Any, quantity: Quantity) -> SeedStatistic:
+        """Of the readings that have the quantity's key."""
+        found = [one for one in self.readings(condition) if quantity.key in one.values]
+        return _statistic(found, quantity.read)
 
-    def moving_error_cm(self, where: Hashable, key: str, every_key: str) -> Figure:
-        """An error of moving bodies alone, cm. Null where nothing moves too: then not known.
+    def derived(self, condition: Any, value: Callable[[Values], float]) -> SeedStatistic:
+        """A function of several numbers; NaN where it is not known."""
+        return _statistic(self.readings(condition), value)
 
-        ``every_key`` is of all bodies, and tells the two apart.
-        """
-        return self.derived(
-            where,
-            lambda values: _scaled(
-                values.get(key), 100.0, math.inf if values.get(every_key) is None else math.nan
-            ),
-        )
+    def success(self, condition: Any) -> Success | None:
+        """Of closed-loop readings; None without any."""
+        readings = self.readings(condition)
+        if not readings:
+            return None
+        counts = [(one.values["success_rate"], int(one.values["episodes"])) for one in readings]
+        successes = sum(round(rate * episodes) for rate, episodes in counts)
+        return Success(successes, sum(episodes for _, episodes in counts))
 
-    def number(self, where: Hashable, key: str, scale: float = 1.0) -> Figure:
-        """Any other number. Seeds whose number is null, which is not known, are left out."""
-        return self._figure(where, lambda values: _scaled(values.get(key), scale, math.nan), key)
-
-    def growth(self, where: Hashable, key: str) -> Figure:
-        """A growth factor; null is infinite."""
-        return self._figure(where, lambda values: _scaled(values.get(key), 1.0, math.inf), key)
-
-    def derived(self, where: Hashable, value: Callable[[dict[str, Any]], float]) -> Figure:
-        """A number made of several; NaN where it is not known."""
-        return self._figure(where, value, None)
-
-    def _figure(
-        self, where: Hashable, value: Callable[[dict[str, Any]], float], key: str | None
-    ) -> Figure:
-        readings = [
-            reading for reading in self.readings(where) if key is None or key in reading.values
+    def to_json(self, seed_key: str = "seed", omit: Sequence[str] = ()) -> list[dict[str, Any]]:
+        """Labels, seed, command and values of every reading, for ``results.json``."""
+        return [
+            {
+                **asdict(condition),
+                seed_key: one.seed,
+                "command": one.command,
+                "values": {key: one.values[key] for key in one.values if key not in omit},
+            }
+            for condition, readings in self._readings.items()
+            for one in readings
         ]
-        values = [value(reading.values) for reading in readings]
-        known = tuple(one for one in values if not math.isnan(one))
-        return Figure(known, readings[0].command if readings else "")
 
 
-def _scaled(value: float | None, scale: float, missing: float) -> float:
-    return missing if value is None else scale * value
+def with_range(statistic: SeedStatistic, unit: str = "") -> str:
+    """The median, and the range of several seeds."""
+    if not statistic.known:
+        return "not known"
+    median = with_unit(statistic.median, unit)
+    if len(statistic.values) == 1:
+        return median
+    return f"{median} ({short(statistic.low)} to {short(statistic.high)})"
+
+
+def joined(parts: Sequence[str]) -> str:
+    """``a, b and c``."""
+    if len(parts) < 2:
+        return "".join(parts)
+    return f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def _statistic(readings: Sequence[Reading], value: Callable[[Values], float]) -> SeedStatistic:
+    values = [value(one.values) for one in readings]
+    known = tuple(one for one in values if not math.isnan(one))
+    return SeedStatistic(known, readings[0].command if readings else "")

@@ -1,4 +1,4 @@
-"""Makes the cells of a study that are not there yet, several at a time, in order of need."""
+"""Execution of a study's jobs in dependency order, several at a time."""
 
 import statistics
 from collections.abc import Callable, Sequence
@@ -7,161 +7,150 @@ from pathlib import Path
 from typing import Any
 
 from contactgraph.parallel import Executor, Outcome
-from contactgraph_studies.cell import Cell
-from contactgraph_studies.errand import Ended, errand_of
-from contactgraph_studies.parcel import unpack
-from contactgraph_studies.record import Records
+from contactgraph_studies.execution import JobResult, prepare, write_bundle
+from contactgraph_studies.job import Job, JobRecords
 
-_CELLS_A_WORKER = 25
-"""A process keeps every program that it has compiled: 2.7 GB after 60 cells, by measurement."""
+_JOBS_PER_PROCESS = 25
+"""A process keeps every program that it has compiled: 2.7 GB after 60 jobs (measured)."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A cell that could not be made."""
+    """A job that failed, or was not started because one that it needs failed."""
 
-    cell: Cell
+    job: Job
     reason: str
     """One line."""
+    started: bool = True
 
 
 @dataclass(frozen=True)
-class Standing:
-    """How far the study has come."""
+class Progress:
+    """The state of a study after a job has ended."""
 
     done: int
     total: int
     seconds_left: float | None
-    """By the cells of the same kind done so far; None before the first."""
-    last: Cell
+    """Estimate from the finished jobs of the same group; None before the first."""
+    last: Job
     failure: Failure | None
-    """Of the last cell."""
+    """Of the last job."""
 
 
-def run_cells(
-    cells: Sequence[Cell],
-    records: Records,
+def run_jobs(
+    jobs: Sequence[Job],
+    records: JobRecords,
     executor: Executor,
-    begin: Callable[[], Callable[[Any], Ended]],
-    on_step: Callable[[Standing], None],
+    create_worker: Callable[[], Callable[[Any], JobResult]],
+    on_progress: Callable[[Progress], None],
 ) -> list[Failure]:
-    """Make every cell that is not done; the failures, none where all went well.
+    """Run every job that is not done; the failures.
 
-    ``cells`` in order, each behind those it needs (`in_order`). The executor's workers carry out
-    their errands, as ``begin`` tells them. A cell that fails takes only those with it that need it.
-    ``on_step`` is called after every cell. Ctrl-C ends the workers; what is half done is taken up
-    by the next call.
+    ``jobs`` are in dependency order. ``create_worker`` is called once in each worker process and
+    returns the function that executes a job there. A failed job stops only the jobs that need it.
+    Ctrl-C ends the workers; the next call continues the study.
     """
-    schedule = _Schedule(cells, records)
+    schedule = _Schedule(jobs, records)
     if not schedule.waiting:
         return []
-    made: dict[int, Cell] = {}
-    kinds: dict[int, list[str]] = {}
-    with executor.pool(begin, len(schedule.waiting), _CELLS_A_WORKER) as pool:
-        while schedule.waiting or schedule.running:
+    running: dict[int, Job] = {}
+    groups: dict[int, list[str]] = {}
+    with executor.pool(create_worker, len(schedule.waiting), _JOBS_PER_PROCESS) as pool:
+        while schedule.waiting or running:
             for worker in pool.idle():
-                cell = schedule.next(kinds.setdefault(worker, []))
-                if cell is None:
+                job = schedule.next(groups.setdefault(worker, []))
+                if job is None:
                     break
-                kinds[worker].append(cell.kind)
-                made[worker] = cell
-                pool.submit(worker, errand_of(cell, records, executor.shares_files))
+                groups[worker].append(job.group)
+                running[worker] = job
+                pool.submit(worker, prepare(job, records, executor.shares_files))
             for outcome in pool.wait():
-                cell = made.pop(outcome.worker)
-                seconds, failure = _taken(cell, records, outcome)
-                schedule.finished(cell, seconds, failure)
-                left = schedule.seconds_left(executor.workers)
-                on_step(Standing(schedule.done, len(cells), left, cell, failure))
+                job = running.pop(outcome.worker)
+                seconds, failure = _store(job, records, outcome)
+                schedule.end(job, seconds, failure)
+                left = schedule.seconds_left(list(running.values()), executor.workers)
+                on_progress(Progress(schedule.done, len(jobs), left, job, failure))
     return schedule.failures
 
 
-def _taken(cell: Cell, records: Records, outcome: Outcome) -> tuple[float, Failure | None]:
-    """Put the outcome where it belongs: how long it took, or why there is none."""
-    log, ended = records.log_path(cell), outcome.result
-    if ended is not None and ended.said:
-        log.write_text(ended.said)
-    if ended is None or ended.code != 0:
-        reason = outcome.lost or f"exit code {ended.code}"
-        return 0.0, Failure(cell, f"{reason}; {_last_line(log)}")
-    unpack(ended.files, records.folder)
-    records.finish(cell, ended.seconds)
+def _store(job: Job, records: JobRecords, outcome: Outcome) -> tuple[float, Failure | None]:
+    """Write the outputs or the log of a job that has ended; its wall time, s, and its failure."""
+    log, result = records.log_path(job), outcome.result
+    if result is not None and result.log:
+        log.write_text(result.log)
+    if result is None or result.exit_code != 0:
+        reason = outcome.lost or f"exit code {result.exit_code}"
+        return 0.0, Failure(job, f"{reason}; {_last_line(log)}")
+    write_bundle(result.files, records.folder)
+    records.finish(job, result.seconds)
     log.unlink(missing_ok=True)
-    return ended.seconds, None
+    return result.seconds, None
 
 
 def _last_line(log: Path) -> str:
     lines = log.read_text(errors="replace").split("\n") if log.exists() else []
-    said = [line.strip() for line in lines if line.strip()]
-    return said[-1] if said else f"it said nothing in {log}"
+    printed = [line.strip() for line in lines if line.strip()]
+    return printed[-1] if printed else f"it printed nothing to {log}"
 
 
 class _Schedule:
-    """Which cell is next."""
+    """The jobs that still have to run, and the times of those that have run."""
 
-    def __init__(self, cells: Sequence[Cell], records: Records) -> None:
-        took = {cell.output: records.seconds(cell) for cell in cells}
-        stale: set[str] = set()
-        for cell in cells:  # what is made from something that is made anew is made anew
-            if took[cell.output] is None or any(need.output in stale for need in cell.needs):
-                stale.add(cell.output)
-        self.waiting = [cell for cell in cells if cell.output in stale]
-        self.running: dict[str, Cell] = {}
+    def __init__(self, jobs: Sequence[Job], records: JobRecords) -> None:
+        seconds = {job.output: records.seconds(job) for job in jobs}
+        self.waiting: list[Job] = []
         self.failures: list[Failure] = []
-        self._made = {cell.output for cell in cells} - stale
+        self._finished: set[str] = set()
         self._lost: set[str] = set()
         self._seconds: dict[str, list[float]] = {}
-        for cell in cells:
-            seconds = took[cell.output]
-            if cell.output in self._made and seconds is not None:
-                self._seconds.setdefault(cell.kind, []).append(seconds)
+        for job in jobs:
+            took = seconds[job.output]
+            # A job whose input is made again is run again.
+            if took is None or any(need.output not in self._finished for need in job.needs):
+                self.waiting.append(job)
+            else:
+                self._succeed(job, took)
 
     @property
     def done(self) -> int:
-        """Cells that are made, or cannot be."""
-        return len(self._made) + len(self._lost)
+        """Jobs that have succeeded, or cannot."""
+        return len(self._finished) + len(self._lost)
 
-    def next(self, kinds: Sequence[str]) -> Cell | None:
-        """A cell whose inputs are there, if there is one.
-
-        The first of ``kinds``, for which the worker that asks has compiled its programs, if there
-        is one; else the first of all.
-        """
-        ready = [cell for cell in self.waiting if all(n.output in self._made for n in cell.needs)]
+    def next(self, groups: Sequence[str]) -> Job | None:
+        """A job whose inputs exist; preferably of ``groups``, whose programs the worker has."""
+        ready = [job for job in self.waiting if all(n.output in self._finished for n in job.needs)]
         if not ready:
             return None
-        cell = next((cell for cell in ready if cell.kind in kinds), ready[0])
-        self.waiting.remove(cell)
-        self.running[cell.output] = cell
-        return cell
+        job = next((job for job in ready if job.group in groups), ready[0])
+        self.waiting.remove(job)
+        return job
 
-    def finished(self, cell: Cell, seconds: float, failure: Failure | None) -> None:
-        """The cell is made, or could not be."""
-        del self.running[cell.output]
+    def end(self, job: Job, seconds: float, failure: Failure | None) -> None:
+        """Account for a job that has run; after a failure the jobs that need it are lost, too."""
         if failure is None:
-            self._made.add(cell.output)
-            self._seconds.setdefault(cell.kind, []).append(seconds)
-        else:
-            self._lose(failure)
+            self._succeed(job, seconds)
+            return
+        self.failures.append(failure)
+        self._lost.add(job.output)
+        for other in list(self.waiting):  # in dependency order, so one pass is enough
+            lost = [need.output for need in other.needs if need.output in self._lost]
+            if lost:
+                self.waiting.remove(other)
+                self._lost.add(other.output)
+                self.failures.append(Failure(other, f"not started: it needs {lost[0]}", False))
 
-    def seconds_left(self, at_a_time: int) -> float | None:
-        """By the cells of the same kind done so far; None before the first."""
-        every = [seconds for of_kind in self._seconds.values() for seconds in of_kind]
+    def seconds_left(self, running: Sequence[Job], at_a_time: int) -> float | None:
+        """Estimated wall time until the end, s; None before any job has finished."""
+        every = [seconds for group in self._seconds.values() for seconds in group]
         if not every:
             return None
         usual = statistics.fmean(every)
         left = 0.0
-        for cell in [*self.waiting, *self.running.values()]:
-            known = self._seconds.get(cell.kind)
+        for job in [*self.waiting, *running]:
+            known = self._seconds.get(job.group)
             left += statistics.fmean(known) if known else usual
         return left / at_a_time
 
-    def _lose(self, failure: Failure) -> None:
-        """The cell, and whatever needs it, cannot be made."""
-        self.failures.append(failure)
-        self._lost.add(failure.cell.output)
-        for cell in list(self.waiting):  # in order of need, so one pass finds all
-            lost = [need.output for need in cell.needs if need.output in self._lost]
-            if lost:
-                self.waiting.remove(cell)
-                self._lost.add(cell.output)
-                self.failures.append(Failure(cell, f"not begun: it needs {lost[0]}"))
+    def _succeed(self, job: Job, seconds: float) -> None:
+        self._finished.add(job.output)
+        self._seconds.setdefault(job.group, []).append(seconds)

@@ -1,39 +1,34 @@
-"""What must be true of the command lines of every study."""
+"""Checks of the command lines of a study's jobs."""
 
 from collections.abc import Iterable
 
-from contactgraph.cli import main as cli
-from contactgraph_studies.cell import Cell, in_order
+from contactgraph.cli.main import parse
+from contactgraph_studies.job import Job, in_dependency_order
 
 
-def commands_of(cells: Iterable[Cell]) -> set[str]:
-    """The commands; each line is one that they take.
-
-    So that no study finds out at its end that an option is called otherwise.
-    """
-    seen: set[tuple[str, ...]] = set()
-    for arguments in {cell.arguments for cell in in_order(cells)}:
-        # Values differ from cell to cell; options are what could be wrong.
+def commands_of(jobs: Iterable[Job]) -> set[str]:
+    """The commands; asserts that each accepts the options that the jobs give it."""
+    checked: set[tuple[str, ...]] = set()
+    for arguments in {job.arguments for job in in_dependency_order(jobs)}:
+        # Values differ from job to job; a wrong name of an option is the possible mistake.
         options = (arguments[0], *(word for word in arguments if word.startswith("--")))
-        if options in seen:
-            continue
-        seen.add(options)
-        parsed = cli._parse(list(arguments))
-        assert not isinstance(parsed, int), " ".join(arguments)
-    return {options[0] for options in seen}
+        if options not in checked:
+            checked.add(options)
+            assert not isinstance(parse(list(arguments)), int), " ".join(arguments)
+    return {options[0] for options in checked}
 
 
-def outputs_of_several(cells: Iterable[Cell]) -> dict[str, set[str]]:
-    """Outputs that more than one command line makes."""
+def conflicting_outputs(jobs: Iterable[Job]) -> dict[str, set[str]]:
+    """Outputs that more than one command line writes."""
     commands: dict[str, set[str]] = {}
-    waiting = list(cells)
+    waiting = list(jobs)
     while waiting:
-        cell = waiting.pop()
-        commands.setdefault(cell.output, set()).add(cell.command)
-        waiting += cell.needs
-    return {output: found for output, found in commands.items() if len(found) > 1}
+        job = waiting.pop()
+        commands.setdefault(job.output, set()).add(job.command)
+        waiting += job.needs
+    return {output: each for output, each in commands.items() if len(each) > 1}
 
 
-def value(cell: Cell, option: str) -> str:
-    """What follows an option."""
-    return cell.arguments[cell.arguments.index(option) + 1]
+def value(job: Job, option: str) -> str:
+    """The value of an option."""
+    return job.arguments[job.arguments.index(option) + 1]

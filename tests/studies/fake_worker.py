@@ -1,9 +1,9 @@
-"""A worker for tests: answers as the real one does, and writes what it was told to its output.
+"""A worker for tests: answers as the real one, and writes its arguments to its output.
 
 ``make OUT WORDS…`` writes WORDS to OUT; ``both OUT`` writes OUT and OUT.more; ``join OUT IN…``
-writes what the files IN hold; ``fail OUT`` exits with 2 and says why; ``die OUT`` takes the whole
-process with it; ``half OUT`` leaves a checkpoint and fails, unless it resumes; ``wait OUT`` waits
-for the file go.txt, having told in begun.txt who it is, and whose child.
+writes the contents of the files IN; ``fail OUT`` exits with 2 and a message; ``die OUT`` ends the
+process; ``half OUT`` leaves a checkpoint and fails unless it resumes; ``wait OUT`` waits for the
+file go.txt after it has written its process id and its parent's to begun.txt.
 """
 
 import os
@@ -12,22 +12,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from contactgraph_studies.errand import CarriedErrand, Ended, Errand, carry_out
+from contactgraph_studies.execution import JobResult, LocalJob, RemoteJob, execute
 
 
 @dataclass(frozen=True)
 class FakeWorker:
-    """Tells in a folder what was done."""
+    """Records its work in a folder."""
 
     diary: Path
 
-    def begin(self) -> Callable[[Errand | CarriedErrand], Ended]:
+    def create(self) -> Callable[[LocalJob | RemoteJob], JobResult]:
         with (self.diary / "started.txt").open("a") as started:
             started.write("started\n")
         return self.work
 
-    def work(self, errand: Errand | CarriedErrand) -> Ended:
-        return replace(carry_out(errand, self.perform), seconds=0.25)
+    def work(self, job: LocalJob | RemoteJob) -> JobResult:
+        return replace(execute(job, self.perform), seconds=0.25)
 
     def perform(self, arguments: list[str], log: Path) -> int:
         verb, output, *words = arguments

@@ -1,8 +1,11 @@
-"""Results of a study that nobody ran: every number as the paper would have it, until changed."""
+"""Made-up results of the studies: every number supports the paper, until it is changed."""
 
+from collections.abc import Callable
 from typing import Any
 
-from contactgraph_studies.declared import (
+from contactgraph_studies.cost.config import COST_TASKS, FULL_COST, CostTest
+from contactgraph_studies.cost.jobs import cost_measurements
+from contactgraph_studies.paper.config import (
     EVERY_TASK,
     FULL_AB,
     GIM_NON_TEMP,
@@ -14,25 +17,24 @@ from contactgraph_studies.declared import (
     StudyModel,
     TestCondition,
 )
-from contactgraph_studies.plan_cells import Source, Where, measurements
+from contactgraph_studies.paper.jobs import ModelCondition, Source, measurements
 from contactgraph_studies.results import Reading, Results
 
 AMOUNTS = Amounts((0, 1, 2), 20, 20, 100, QUICK.sample_sizes, extras=False)
 
 
-def by_the_paper(where: Where) -> dict[str, Any]:
-    """What a cell would hold if every claim were true."""
-    inside = "as trained" in where.condition
+def by_the_paper(condition: ModelCondition) -> dict[str, Any]:
+    """The numbers of a job if every claim were true."""
     error = 0.008
-    if not inside:
-        error *= 5 if where.model in (NO_GIM.name, NO_KL.name) else 1.1
-    if where.source is Source.samples:
-        # Falls by half with twice the data; No-GIM-Aug needs three and a half times as much.
-        behind = 3.5 if where.model == NO_GIM_AUG.name else 1.0
-        error = 0.2 * behind / where.runs
-    accuracy = 0.99 if where.model == GIM_NON_TEMP.name else 0.999
-    stray = 1.0 if where.model in (NO_KL.name, NO_GIM.name) else 0.001
-    unstable = where.model == FULL_AB.name
+    if "as trained" not in condition.scenes:
+        error *= 5 if condition.model in (NO_GIM.name, NO_KL.name) else 1.1
+    if condition.training_runs is not None:
+        # Half the error with twice the data; No-GIM-Aug needs three and a half times as much.
+        behind = 3.5 if condition.model == NO_GIM_AUG.name else 1.0
+        error = 0.2 * behind / condition.training_runs
+    accuracy = 0.99 if condition.model == GIM_NON_TEMP.name else 0.999
+    stray = 1.0 if condition.model in (NO_KL.name, NO_GIM.name) else 0.001
+    unstable = condition.model == FULL_AB.name
     return {
         "n_step_rmse_m": error,
         "n_step_rmse_moving_m": 2 * error,
@@ -57,23 +59,64 @@ def by_the_paper(where: Where) -> dict[str, Any]:
     }
 
 
+_MEASUREMENTS = measurements(EVERY_TASK, AMOUNTS)
+
+
 def results(
     change: dict[str, Any] | None = None,
     model: StudyModel | None = None,
-    condition: TestCondition | None = None,
+    scenes: TestCondition | None = None,
     source: Source | None = None,
 ) -> Results:
-    """By the paper, but for ``change`` in all cells of the model, condition and source named."""
-    readings: dict[Where, list[Reading]] = {}
-    for one in measurements(EVERY_TASK, AMOUNTS):
-        where = one.where
-        values = by_the_paper(where)
+    """The paper's, with ``change`` in all jobs of the given model, scenes and source."""
+    readings: dict[ModelCondition, list[Reading]] = {}
+    for one in _MEASUREMENTS:
+        condition = one.condition
+        values = by_the_paper(condition)
         if (
             change is not None
-            and (model is None or where.model == model.name)
-            and (condition is None or where.condition == condition.name)
-            and (source is None or where.source is source)
+            and (model is None or condition.model == model.name)
+            and (scenes is None or condition.scenes == scenes.name)
+            and (source is None or condition.source is source)
         ):
             values.update(change)
-        readings.setdefault(where, []).append(Reading(one.seed, values, one.cell.command))
+        readings.setdefault(condition, []).append(Reading(one.seed, values, one.job.command))
     return Results(readings)
+
+
+Change = dict[str, Any] | Callable[[int], dict[str, Any]]
+"""Changed numbers, or a function of the seed that returns them."""
+
+
+def cost_results(
+    change: Change | None = None, task: str = "", test: CostTest | None = None
+) -> Results:
+    """Every target is met, but for ``change`` in the tests of the given task and cost."""
+    readings: dict[Any, list[Reading]] = {}
+    for one in cost_measurements(COST_TASKS, FULL_COST):
+        condition = one.condition
+        values: dict[str, Any] = {
+            "success_rate": 0.99,
+            "episodes": 100,
+            "contact_speed_m_s": 1.5,
+            "touched_bystanders": 2,
+        }
+        if condition.source == "learning":
+            values = {"made": {"seconds": 30.0}, "history": {"imitation": [1.0]}, "Q": [[1.0]]}
+        elif (
+            change is not None
+            and condition.source == "control"
+            and (not task or condition.task == task)
+            and (test is None or _tested(condition) == (test.learned.name, _counts(test)))
+        ):
+            values.update(change(one.seed) if callable(change) else change)
+        readings.setdefault(condition, []).append(Reading(one.seed, values, one.job.command))
+    return Results(readings)
+
+
+def _tested(condition: Any) -> tuple[str, tuple[int, int]]:
+    return condition.learned_from, (condition.demonstrations, condition.distractors)
+
+
+def _counts(test: CostTest) -> tuple[int, int]:
+    return test.learned.demonstrations, test.distractors

@@ -1,12 +1,13 @@
-"""Every claim holds on numbers made up to fit it, and does not on those that speak against it."""
+"""Every claim holds on numbers that fit it, and does not on numbers that contradict it."""
 
 import json
+import math
 
 import pytest
 from made_up import AMOUNTS, results
 
-from contactgraph_studies.claims import claims
-from contactgraph_studies.declared import (
+from contactgraph_studies.paper.claims import claims, data_ratio
+from contactgraph_studies.paper.config import (
     DOOR,
     FRANKA,
     FULL_AB,
@@ -18,53 +19,52 @@ from contactgraph_studies.declared import (
     PICKUP,
     TASKS,
 )
-from contactgraph_studies.plan_cells import Source
+from contactgraph_studies.paper.jobs import Source
 from contactgraph_studies.results import Results
 
-
-def verdicts(found: Results) -> dict[int, bool | None]:
-    return {claim.number: claim.holds for claim in claims(found, TASKS, AMOUNTS)}
-
-
-def test_all_hold_where_the_paper_is_right() -> None:
-    assert verdicts(results()) == dict.fromkeys(range(1, 8), True)
-
-
 ERROR = "n_step_rmse_planned_m"
+
+
+def verdicts(measured: Results) -> dict[int, bool | None]:
+    return {claim.number: claim.holds for claim in claims(measured, TASKS, AMOUNTS)}
+
+
+def test_all_claims_hold_on_the_papers_numbers() -> None:
+    assert verdicts(results()) == dict.fromkeys(range(1, 8), True)
 
 
 @pytest.mark.parametrize(
     ("changed", "false"),
     [
-        (results({ERROR: 0.012}, NO_GIM_AUG, PICKUP.as_trained), {1}),
-        (results({ERROR: None}, GIM_NON_TEMP, DOOR.as_trained), {1}),
-        (results({ERROR: 0.02}, GIM_TEMP, DOOR.hardest), {2}),
-        (results({ERROR: 0.0081}, NO_GIM, PICKUP.hardest), {2}),
-        (results({"n_step_rmse_m": 0.001}, NO_GIM_AUG, source=Source.samples), {3}),
-        (results({"n_step_rmse_m": 0.1}, NO_GIM_AUG, source=Source.samples), {3}),
-        (results({"edge_accuracy_planned": 0.9995}, GIM_NON_TEMP), {4}),
-        (results({"edge_accuracy_unmeasured": 0.999}, GIM_TEMP), {4}),
-        (results({"growth_free": 1.0, "growth_driven": 2.0}, FULL_AB), {5}),
-        (results({"success_rate": 0.6}, FULL_AB, source=Source.long_plan), {5}),
-        (results({"edge_false_alarm_rate": 0.5}, NO_KL), {6}),
-        (results({ERROR: 0.01}, NO_KL, DOOR.hardest), {6}),
-        (results({"edge_false_alarm_rate": 0.02}, GIM_TEMP, PICKUP.as_trained), {7}),
-        (results({"edge_precision": 0.9}, GIM_NON_TEMP, PICKUP.hardest), {7}),
+        (({ERROR: 0.012}, NO_GIM_AUG, PICKUP.as_trained), {1}),
+        (({ERROR: None}, GIM_NON_TEMP, DOOR.as_trained), {1}),
+        (({ERROR: 0.02}, GIM_TEMP, DOOR.hardest), {2}),
+        (({ERROR: 0.0081}, NO_GIM, PICKUP.hardest), {2}),
+        (({"n_step_rmse_m": 0.001}, NO_GIM_AUG, None, Source.samples), {3}),
+        (({"n_step_rmse_m": 0.1}, NO_GIM_AUG, None, Source.samples), {3}),
+        (({"edge_accuracy_planned": 0.9995}, GIM_NON_TEMP), {4}),
+        (({"edge_accuracy_unmeasured": 0.999}, GIM_TEMP), {4}),
+        (({"growth_free": 1.0, "growth_driven": 2.0}, FULL_AB), {5}),
+        (({"success_rate": 0.6}, FULL_AB, None, Source.long_plan), {5}),
+        (({"edge_false_alarm_rate": 0.5}, NO_KL), {6}),
+        (({ERROR: 0.01}, NO_KL, DOOR.hardest), {6}),
+        (({"edge_false_alarm_rate": 0.02}, GIM_TEMP, PICKUP.as_trained), {7}),
+        (({"edge_precision": 0.9}, GIM_NON_TEMP, PICKUP.hardest), {7}),
     ],
 )
-def test_each_can_be_false(changed: Results, false: set[int]) -> None:
-    found = verdicts(changed)
+def test_each_claim_can_be_false(changed: tuple, false: set[int]) -> None:
+    found = verdicts(results(*changed))
     assert {number for number, holds in found.items() if holds is False} == false
     assert None not in found.values()
 
 
-def test_nothing_measured_is_not_known() -> None:
+def test_without_measurements_no_claim_is_judged() -> None:
     assert verdicts(Results({})) == dict.fromkeys(range(1, 8), None)
     for claim in claims(Results({}), TASKS, AMOUNTS):
         json.dumps(claim.to_json(), allow_nan=False)
 
 
-def test_what_a_claim_says() -> None:
+def test_sentences_and_json_of_claims() -> None:
     found = {claim.number: claim for claim in claims(results(), TASKS, AMOUNTS)}
     assert found[1].sentence == "The largest median error of any of these models is 0.8 cm."
     assert "pickup: No-GIM-Aug needs 3.5 times the data" in found[3].sentence
@@ -77,21 +77,46 @@ def test_what_a_claim_says() -> None:
     assert first.sentence == (
         "1 cm or more: No-GIM on pickup (not finite) and No-GIM on door (not finite)."
     )
-    told = first.to_json()
-    assert [number["median"] for number in told["numbers"] if number["task"] == "door"] == [
+    entry = first.to_json()
+    assert [number["median"] for number in entry["numbers"] if number["task"] == "door"] == [
         pytest.approx(0.8),
         pytest.approx(0.8),
         "infinite",
         pytest.approx(0.8),
     ]
-    json.dumps(told, allow_nan=False)
+    json.dumps(entry, allow_nan=False)
 
 
-def test_the_third_is_of_tasks_with_samples_only() -> None:
+def test_the_third_claim_is_judged_on_tasks_with_samples_only() -> None:
     found = {claim.number: claim.holds for claim in claims(results(), [DOOR], AMOUNTS)}
     assert found == dict.fromkeys((1, 2, 4, 5, 6, 7), True)
 
 
-def test_what_a_task_leaves_out_is_not_known_there() -> None:
+def test_claims_about_models_that_a_task_leaves_out_are_not_judged() -> None:
     found = {claim.number: claim.holds for claim in claims(results(), [FRANKA], AMOUNTS)}
     assert found == {**dict.fromkeys((1, 2, 4, 7), True), 5: None, 6: None}
+
+
+SIZES = (10, 20, 40, 80, 160)
+
+
+@pytest.mark.parametrize(
+    ("errors", "runs", "error", "ratio"),
+    [
+        # error = 8 / runs: 1/4 cm is reached with 32 runs.
+        ([8.0 / size for size in SIZES], 16, 0.25, 2.0),
+        # The first crossing counts.
+        ([4.0, 1.0, 3.0, 1.0, 0.5], 10, 2.0, math.sqrt(2.0)),
+        ([5.0, 4.0, 3.0, 3.0, 2.0], 40, 1.0, math.inf),
+        ([0.5, 0.4, 0.3, 0.3, 0.2], 40, 1.0, 10 / 40),
+        # Nothing to interpolate from: the size itself.
+        ([math.inf, math.inf, 0.5, 0.4, 0.3], 40, 1.0, 1.0),
+        ([math.nan] * 5, 40, 1.0, None),
+        ([1.0] * 5, 40, math.nan, None),
+        ([1.0] * 5, 40, math.inf, None),
+    ],
+)
+def test_data_ratios_by_hand(
+    errors: list[float], runs: int, error: float, ratio: float | None
+) -> None:
+    assert data_ratio(SIZES, errors, runs, error) == (ratio and pytest.approx(ratio))

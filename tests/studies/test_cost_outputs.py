@@ -9,38 +9,34 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from made_up_costs import Change, cost_results
+from made_up import Change, cost_results
 
 from contactgraph.control import LearningHistory, write_cost
 from contactgraph.data import Scene, Trajectory, write_trajectories
 from contactgraph.viz import Number
-from contactgraph_studies.chart import svg
-from contactgraph_studies.cost.cells import cost_measurements
-from contactgraph_studies.cost.charts import success_chart
-from contactgraph_studies.cost.claim import transfers
-from contactgraph_studies.cost.declared import (
+from contactgraph_studies.cost.config import (
     COST_TASKS,
     DOOR_COST,
     FULL_COST,
     MULTI_PICKUP_COST,
     PICKUP_COST,
     among_distractors,
-    by_runs,
+    by_demonstrations,
     known_answers,
 )
+from contactgraph_studies.cost.figures import success_figure
+from contactgraph_studies.cost.jobs import cost_measurements
 from contactgraph_studies.cost.known_answer import (
     KnownAnswer,
-    known_answer,
-    known_terms,
+    known_answer_rows,
     own_cost,
+    read_answers,
 )
-from contactgraph_studies.cost.known_table import known_rows
-from contactgraph_studies.cost.study import CostStudy
-from contactgraph_studies.cost.table import cost_csv, cost_rows, cost_table
-from contactgraph_studies.cost.targets import cost_targets
-from contactgraph_studies.results import Results
+from contactgraph_studies.cost.study import CostStudy, cost_table, cost_targets, transfers
+from contactgraph_studies.figures import svg
+from contactgraph_studies.results import Results, with_range
 
-MOST = by_runs(FULL_COST)[-1]
+MOST = by_demonstrations(FULL_COST)[-1]
 
 
 @pytest.mark.parametrize(
@@ -62,7 +58,9 @@ def test_the_claim_is_about_all_episodes_of_pickup(
 
 def test_what_the_claim_says() -> None:
     found = transfers(
-        cost_results({"success_rate": 0.5}, "pickup", by_runs(FULL_COST)[0]), COST_TASKS, FULL_COST
+        cost_results({"success_rate": 0.5}, "pickup", by_demonstrations(FULL_COST)[0]),
+        COST_TASKS,
+        FULL_COST,
     )
     assert found.holds is True, "fewer demonstrations are another question"
     assert found.sentence == (
@@ -70,7 +68,7 @@ def test_what_the_claim_says() -> None:
         "99 % (297 of 300; 97.1 to 99.7) on multi-pickup and 99 % (297 of 300; 97.1 to 99.7) on "
         "door."
     )
-    assert [number.figure.median for number in found.numbers[:4]] == [50.0, 99.0, 99.0, 99.0]
+    assert [number.statistic.median for number in found.numbers[:4]] == [50.0, 99.0, 99.0, 99.0]
     nothing = transfers(Results({}), COST_TASKS, FULL_COST)
     assert (nothing.holds, nothing.sentence) == (None, "Not measured.")
 
@@ -101,42 +99,40 @@ def test_targets_are_judged_by_all_episodes_together() -> None:
 )
 def test_demonstrations_needed(changed: int | None, needed: int | None, also: str) -> None:
     """More must not be worse: the fewest from which on all are enough."""
-    bad = [trial for trial in by_runs(FULL_COST) if trial.lesson.runs == changed]
+    bad = [test for test in by_demonstrations(FULL_COST) if test.learned.demonstrations == changed]
     change = {"success_rate": 0.9} if bad else None
     found = targets(cost_results(change, "pickup", bad[0] if bad else None))
     number = found[f"pickup: demonstrations needed for 95 % (of 5, 10, 20, 40{also})"]
     assert (number.value, number.aim, number.reached) == (needed, 5.0, None)
 
 
-def test_tables_say_the_same_to_people_and_programs() -> None:
-    rows = cost_rows(
-        cost_results(lambda seed: {"success_rate": 1.0 - seed / 100}, "pickup"),
-        COST_TASKS,
-        FULL_COST,
-    )
-    assert len(rows) == 3 * 8 + 1
-    page = cost_table(rows)
-    assert page.rows[3].names == ("pickup", "expert", "40", "0")
-    assert page.rows[3].figures == (
+def test_markdown_and_csv_agree() -> None:
+    measured = cost_results(lambda seed: {"success_rate": 1.0 - seed / 100}, "pickup")
+    table = cost_table(measured, COST_TASKS, FULL_COST)
+    texts = table.texts()
+    assert len(texts) == 3 * 8 + 1
+    assert texts[3] == [
+        *("pickup", "expert", "40", "0"),
         "99 % (297 of 300; 97.1 to 99.7)",
         "100, 99, 98",
         "1.5 (1.5 to 1.5)",
         "",
         "30 (30 to 30)",
-    )
-    assert page.rows[5].names == ("pickup", "expert among 5 distractors", "40", "5")
-    assert page.rows[5].figures[3] == "2, 2, 2"
-    assert page.rows[7].names[1] == "expert, without the prior"
-    assert page.rows[8].names == ("pickup", "not learned: the task's own cost", "", "0")
-    assert page.rows[8].commands[1].startswith("contactgraph control pickup pickup --episodes 40 ")
-    read = list(csv.DictReader(io.StringIO(cost_csv(rows))))
-    assert len(read) == len(rows)
+    ]
+    assert texts[5][:4] == ["pickup", "expert among 5 distractors", "40", "5"]
+    assert texts[5][7] == "2, 2, 2"
+    assert texts[7][1] == "expert, without the prior"
+    assert texts[8][:4] == ["pickup", "not learned: the task's own cost", "", "0"]
+    assert table.commands[8][1].startswith("contactgraph control pickup pickup --episodes 40 ")
+    read = list(csv.DictReader(io.StringIO(table.csv())))
+    assert len(read) == len(texts)
     first = read[3]
     assert (first["successes"], first["episodes"], first["seeds"]) == ("297", "300", "3")
     assert float(first["interval_low"]) == pytest.approx(0.971, abs=5e-4)
     assert (first["success_percent_low"], first["learning_s_median"]) == ("98.0", "30.0")
-    empty = cost_rows(Results({}), COST_TASKS, FULL_COST)
-    assert next(csv.DictReader(io.StringIO(cost_csv(empty))))["successes"] == ""
+    assert first["demonstrations"] == "40" and read[8]["demonstrations"] == ""
+    empty = cost_table(Results({}), COST_TASKS, FULL_COST).csv()
+    assert next(csv.DictReader(io.StringIO(empty)))["successes"] == ""
 
 
 def test_the_known_answer_is_known_up_to_scale() -> None:
@@ -144,8 +140,8 @@ def test_the_known_answer_is_known_up_to_scale() -> None:
     same = replace(own, Q=7.0 * own.Q, R=7.0 * own.R)
     half = replace(own, Q=3.5 * own.Q, R=7.0 * own.R)
     answers = [KnownAnswer(own, same, 0.06), KnownAnswer(own, half, 0.07)]
-    terms = known_terms(answers)
-    assert [(term.name, term.unit) for term in terms] == [
+    terms = known_answer_rows("pickup", "MPC", answers)
+    assert [(term.term, term.unit) for term in terms] == [
         ("gripper - target", "1 m"),
         ("gripper - target", "1 m/s"),
         ("target - goal", "1 m"),
@@ -156,15 +152,14 @@ def test_the_known_answer_is_known_up_to_scale() -> None:
     assert [term.hidden.median for term in terms] == pytest.approx(weights)
     for term in terms:
         assert term.ratio.values == pytest.approx((1.0, 0.5**0.5))
-    first = known_rows(("pickup", "MPC"), answers)[0]
-    assert first.names == ("pickup", "MPC", "gripper - target", "1 m")
-    assert first.figures == (
+    first = terms[0]
+    assert [with_range(one) for one in (first.hidden, first.learned, first.ratio)] == [
         "17.3 (17.3 to 17.3)",
         "14.8 (12.2 to 17.3)",
         "0.854 (0.707 to 1)",
-        "6.5 (6 to 7)",
-    )
-    assert known_rows(("pickup", "MPC"), []) == []
+    ]
+    assert with_range(first.at_limit) == "6.5 (6 to 7)"
+    assert known_answer_rows("pickup", "MPC", []) == []
 
 
 def test_costs_of_several_objects_are_compared_in_the_hidden_ones_order() -> None:
@@ -178,8 +173,8 @@ def test_costs_of_several_objects_are_compared_in_the_hidden_ones_order() -> Non
         nodes=own.nodes[np.array([0, 2, 1])],
         kept_nodes=("gripper", "target-2", "target-1"),
     )
-    terms = known_terms([KnownAnswer(own, turned, 0.0)])
-    assert [term.name for term in terms[::2]] == [
+    terms = known_answer_rows("multi-pickup", "MPC", [KnownAnswer(own, turned, 0.0)])
+    assert [term.term for term in terms[::2]] == [
         "gripper - target-1",
         "target-1 - target-2",
         "target-2 - goal",
@@ -194,8 +189,8 @@ def test_known_answers_are_those_whose_files_are_there(tmp_path: Path) -> None:
     wanted = cost_measurements([DOOR_COST], FULL_COST)
     by_own, by_learned = known_answers(FULL_COST)
     other = replace(own, Q=2.0 * own.Q)
-    for seed, lesson, cost in ((0, by_own, own), (1, by_learned, own), (1, MOST.lesson, other)):
-        path = tmp_path / "cells" / "door" / f"seed-{seed}" / lesson.slug / "cost.json"
+    for seed, learned, cost in ((0, by_own, own), (1, by_learned, own), (1, MOST.learned, other)):
+        path = tmp_path / "cells" / "door" / f"seed-{seed}" / learned.slug / "cost.json"
         path.parent.mkdir(parents=True)
         write_cost(path, cost)
     force = np.array([[10.0, 0.0], [1.0, -10.0], [9.0, 9.0], [0.0, 0.0]])
@@ -207,23 +202,23 @@ def test_known_answers_are_those_whose_files_are_there(tmp_path: Path) -> None:
     )
     write_trajectories(tmp_path / "cells" / "door" / "seed-0" / "own-cost.h5", [run])
     assert float(DOOR_COST.task().action_space.high[0]) == 10.0  # type: ignore[attr-defined]
-    first = known_answer(tmp_path, wanted, DOOR_COST, by_own)
+    first = read_answers(tmp_path, wanted, DOOR_COST, by_own)
     assert [each.at_limit for each in first] == [0.5]
-    assert known_terms(first)[0].ratio.values == pytest.approx((1.0,))
-    second = known_answer(tmp_path, wanted, DOOR_COST, by_learned)
+    assert known_answer_rows("door", "MPC", first)[0].ratio.values == pytest.approx((1.0,))
+    second = read_answers(tmp_path, wanted, DOOR_COST, by_learned)
     assert len(second) == 1 and np.isnan(second[0].at_limit)
-    assert known_terms(second)[0].ratio.values == pytest.approx((0.5**0.5,))
+    assert known_answer_rows("door", "MPC", second)[0].ratio.values == pytest.approx((0.5**0.5,))
 
 
-def test_charts_are_drawn_whatever_is_missing() -> None:
-    whole = svg(success_chart(cost_results(), COST_TASKS, FULL_COST))
-    assert whole == svg(success_chart(cost_results(), COST_TASKS, FULL_COST))
-    assert svg(success_chart(Results({}), COST_TASKS, FULL_COST)) != whole
+def test_the_figure_is_reproducible_and_needs_no_measurement() -> None:
+    whole = svg(success_figure(cost_results(), COST_TASKS, FULL_COST))
+    assert whole == svg(success_figure(cost_results(), COST_TASKS, FULL_COST))
+    assert svg(success_figure(Results({}), COST_TASKS, FULL_COST)) != whole
 
 
-def test_a_study_of_nothing_says_so(tmp_path: Path) -> None:
-    found = CostStudy(COST_TASKS, FULL_COST).findings(tmp_path)
+def test_a_study_without_measurements(tmp_path: Path) -> None:
+    found = CostStudy(COST_TASKS, FULL_COST).result(tmp_path)
     assert [claim.holds for claim in found.claims] == [None]
     assert all(number.value is None for number in found.targets)
-    assert found.readings == [] and found.scenes == []
-    assert "| pickup | expert | 40 | 0 | not known |" in found.table_markdown
+    assert found.readings == [] and list(found.scenes) == []
+    assert "| pickup | expert | 40 | 0 | not known |" in found.tables[0].markdown()

@@ -19,9 +19,8 @@ from contactgraph.cli import main as cli
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import episodes as collecting
 from contactgraph.parallel import map_in_order
-from contactgraph_studies.cell import Cell, in_order
-from contactgraph_studies.record import Records
-from contactgraph_studies.runner import Failure, Standing, run_cells
+from contactgraph_studies.job import Job, JobRecords, in_dependency_order
+from contactgraph_studies.runner import Failure, Progress, run_jobs
 
 pytest.importorskip("ray", reason="Ray is not installed: pip install 'contactgraph[cluster]'")
 
@@ -32,6 +31,7 @@ from contactgraph.ray_cluster import RayExecutor, connected
 
 # Ray starts its processes by fork, of which JAX warns where tests before used it.
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.filterwarnings("ignore:os.fork"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
@@ -113,10 +113,10 @@ def test_what_goes_wrong_on_a_machine_is_told(
         list(map_in_order(executor, Errand().begin, range(6)))
 
 
-def study(folder: Path, cells: list[Cell], executor: RayExecutor) -> tuple[list[Failure], list]:
-    steps: list[Standing] = []
-    records, begin = Records(folder / "study", "1"), FakeWorker(folder).begin
-    return run_cells(in_order(cells), records, executor, begin, steps.append), steps
+def study(folder: Path, jobs: list[Job], executor: RayExecutor) -> tuple[list[Failure], list]:
+    steps: list[Progress] = []
+    records, begin = JobRecords(folder / "study", "1"), FakeWorker(folder).create
+    return run_jobs(in_dependency_order(jobs), records, executor, begin, steps.append), steps
 
 
 def done(folder: Path) -> list[str]:
@@ -127,16 +127,16 @@ def done(folder: Path) -> list[str]:
 
 
 def test_files_are_carried_to_cells_and_back(tmp_path: Path, executor: RayExecutor) -> None:
-    both = Cell("deep/a", ("both", "deep/a"), "both", beside=("deep/a.more",))
-    run = Cell("run", ("half", "run"), "half", checkpoints="checkpoint-*")
-    joined = Cell("b", ("join", "b", "deep/a.more"), "join", (both,))
-    bad = Cell("bad", ("fail", "bad"), "fail")
-    dead = Cell("dead", ("die", "dead"), "die")
+    both = Job("deep/a", ("both", "deep/a"), "both", extra_outputs=("deep/a.more",))
+    run = Job("run", ("half", "run"), "half", checkpoints="checkpoint-*")
+    joined = Job("b", ("join", "b", "deep/a.more"), "join", (both,))
+    bad = Job("bad", ("fail", "bad"), "fail")
+    dead = Job("dead", ("die", "dead"), "die")
     failures, steps = study(tmp_path, [joined, run, bad, dead], executor)
-    told = {failure.cell.output: failure.reason for failure in failures}
+    told = {failure.job.output: failure.reason for failure in failures}
     assert told.pop("dead").startswith("begun 4 times: ")
     assert told == {
-        "run": "exit code 130; it said nothing in " + str(tmp_path / "study" / "run.log"),
+        "run": "exit code 130; it printed nothing to " + str(tmp_path / "study" / "run.log"),
         "bad": "exit code 2; contactgraph: it cannot be",
     }
     assert steps[-1].done == steps[-1].total == 5
@@ -173,31 +173,31 @@ def test_a_node_that_is_killed_costs_its_cell_alone(
         os.kill(worker, signal.SIGKILL)
         (tmp_path / "go.txt").write_text("")
 
-    cells = [Cell(f"{n}", ("wait", f"{n}", f"{n}"), "wait") for n in range(9)]
+    jobs = [Job(f"{n}", ("wait", f"{n}", f"{n}"), "wait") for n in range(9)]
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
-    failures, steps = study(tmp_path, cells, executor)
+    failures, steps = study(tmp_path, jobs, executor)
     killer.join()
     assert failures == []
     assert [(tmp_path / "study" / f"{n}").read_text() for n in range(9)] == list("012345678")
     assert sorted(step.last.output for step in steps) == list("012345678"), "each told once"
     times = Counter(done(tmp_path))
     assert sorted(times.values()) == [1] * 8 + [2], "one was done again"
-    assert study(tmp_path, cells, executor) == ([], [])
+    assert study(tmp_path, jobs, executor) == ([], [])
     assert done(tmp_path) == []
 
 
 def test_ctrl_c_leaves_what_is_done(tmp_path: Path, executor: RayExecutor) -> None:
-    cells = [Cell(f"{n}", ("make", f"{n}"), "make") for n in range(4)]
+    jobs = [Job(f"{n}", ("make", f"{n}"), "make") for n in range(4)]
 
-    def interrupted(standing: Standing) -> None:
+    def interrupted(progress: Progress) -> None:
         raise KeyboardInterrupt
 
-    begin, records = FakeWorker(tmp_path).begin, Records(tmp_path / "study", "1")
+    begin, records = FakeWorker(tmp_path).create, JobRecords(tmp_path / "study", "1")
     with pytest.raises(KeyboardInterrupt):
-        run_cells(cells, records, executor, begin, interrupted)
-    (made,) = (cell.output for cell in cells if records.seconds(cell) is not None)
-    assert study(tmp_path, cells, executor)[0] == []
+        run_jobs(jobs, records, executor, begin, interrupted)
+    (made,) = (job.output for job in jobs if records.seconds(job) is not None)
+    assert study(tmp_path, jobs, executor)[0] == []
     assert done(tmp_path).count(f"make {made}") == 1
 
 

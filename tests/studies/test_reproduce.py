@@ -10,13 +10,12 @@ import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.control import LearningHistory, write_cost
-from contactgraph_studies.cell import Cell
-from contactgraph_studies.cli.study import Study
-from contactgraph_studies.cost import declared
-from contactgraph_studies.cost.declared import PICKUP_COST
+from contactgraph_studies import reproduce
+from contactgraph_studies.cost import config
+from contactgraph_studies.cost.config import PICKUP_COST
 from contactgraph_studies.cost.known_answer import own_cost
-from contactgraph_studies.record import Records
-from contactgraph_studies.runner import Failure, Standing
+from contactgraph_studies.job import Job, JobRecords
+from contactgraph_studies.runner import Failure, Progress
 
 FILES = {
     "claims.json",
@@ -56,27 +55,27 @@ def test_mistakes(
 
 
 @pytest.fixture
-def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Cell]]:
+def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Job]]:
     """Cells are not made: every JSON file that they would write holds the same numbers."""
-    asked: list[list[Cell]] = []
+    asked: list[list[Job]] = []
 
-    def run_cells(
-        cells: Sequence[Cell], records: Records, executor: object, begin: object, on_step: object
+    def run_jobs(
+        jobs: Sequence[Job], records: JobRecords, executor: object, create: object, report: object
     ) -> list[Failure]:
-        asked.append(list(cells))
+        asked.append(list(jobs))
         values = {"success_rate": 1.0, "episodes": 5, "n_step_rmse_planned_m": 0.001}
-        for cell in cells:
-            path = records.folder / cell.output
-            if path.suffix == ".json" and "paper-literal" not in cell.output:
+        for job in jobs:
+            path = records.folder / job.output
+            if path.suffix == ".json" and "paper-literal" not in job.output:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_text(json.dumps(values))
-        lost = [cell for cell in cells if "paper-literal" in cell.output]
-        failures = [Failure(cell, "not begun: it needs something") for cell in lost[1:]]
+        lost = [job for job in jobs if "paper-literal" in job.output]
+        failures = [Failure(job, "not started: it needs something", False) for job in lost[1:]]
         first = Failure(lost[0], "exit code 2; contactgraph: no such model")
-        on_step(Standing(1, 2, 90.0, lost[0], first))  # type: ignore[operator]
+        report(Progress(1, 2, 90.0, lost[0], first))  # type: ignore[operator]
         return [first, *failures]
 
-    monkeypatch.setattr("contactgraph_studies.cli.study.run_cells", run_cells)
+    monkeypatch.setattr("contactgraph_studies.runner.run_jobs", run_jobs)
     return asked
 
 
@@ -84,7 +83,7 @@ def test_what_a_study_leaves(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-    made_up: list[list[Cell]],
+    made_up: list[list[Job]],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as left:
@@ -105,22 +104,22 @@ def test_what_a_study_leaves(
     assert results["versions"].keys() >= {"contactgraph", "jax"}
     assert results["training_seeds"] == [0] and results["date"]
     assert results["failures"][0]["reason"] == "exit code 2; contactgraph: no such model"
-    assert {cell["task"] for cell in results["cells"]} == {"door"}
+    assert {job["task"] for job in results["cells"]} == {"door"}
     assert {path.suffix for path in (folder / "figures").iterdir()} == {".png", ".svg"}
-    assert "What could not be measured" in (folder / "index.html").read_text()
+    assert "Failed measurements" in (folder / "index.html").read_text()
 
 
 def test_all_tasks_go_into_one_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_up: list[list[Cell]]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_up: list[list[Job]]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Study, "write", lambda self, failures, cores: None)
+    monkeypatch.setattr(reproduce, "write_study", lambda *arguments: None)
     with pytest.raises(SystemExit):
         cli.run(["reproduce"])
     with pytest.raises(SystemExit):
         cli.run(["reproduce", "all", "--quick", "--out", "other"])
     assert {path.name for path in tmp_path.iterdir()} == {"results", "other"}
-    full, quick = ({cell.output for cell in cells} for cells in made_up)
+    full, quick = ({job.output for job in jobs} for jobs in made_up)
     assert len(quick) < len(full) / 2
     for task in ("pickup", "multi-pickup", "door"):
         assert f"cells/{task}/seed-0/gim-temp-40/run" in full & quick
@@ -134,21 +133,21 @@ def test_what_the_study_of_costs_leaves(
     learned = replace(own_cost(PICKUP_COST), history=history)
     values = {"success_rate": 0.97, "episodes": 100, "contact_speed_m_s": 1.5}
 
-    def run_cells(
-        cells: Sequence[Cell], records: Records, executor: object, begin: object, on_step: object
+    def run_jobs(
+        jobs: Sequence[Job], records: JobRecords, executor: object, create: object, report: object
     ) -> list[Failure]:
-        for cell in cells:
-            path = records.folder / cell.output
+        for job in jobs:
+            path = records.folder / job.output
             path.parent.mkdir(parents=True, exist_ok=True)
-            if path.name == "cost.json" and "pickup/seed-0" in cell.output:
+            if path.name == "cost.json" and "pickup/seed-0" in job.output:
                 write_cost(path, learned, {"seconds": 12.5})
             elif path.suffix == ".json" and path.name != "cost.json":
                 path.write_text(json.dumps(values))
         return []
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("contactgraph_studies.cli.study.run_cells", run_cells)
-    monkeypatch.setattr(declared, "COST_TASKS", [PICKUP_COST])
+    monkeypatch.setattr("contactgraph_studies.runner.run_jobs", run_jobs)
+    monkeypatch.setattr(config, "COST_TASKS", [PICKUP_COST])
     assert cli.run(["reproduce", "cost", "--quick"]) == 0
     folder = tmp_path / "results" / "cost"
     assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
@@ -158,9 +157,9 @@ def test_what_the_study_of_costs_leaves(
     results = json.loads((folder / "results.json").read_text())
     assert results["command"] == "contactgraph reproduce cost --quick"
     assert (results["demonstrations"], results["test_scene_seeds"]) == ([5, 40], [1100])
-    made = [cell for cell in results["cells"] if cell["source"] == "learning"]
-    assert {cell["values"]["made"]["seconds"] for cell in made} == {12.5}
-    assert all("history" not in cell["values"] and cell["values"]["Q"] for cell in made)
+    made = [job for job in results["cells"] if job["source"] == "learning"]
+    assert {job["values"]["made"]["seconds"] for job in made} == {12.5}
+    assert all("history" not in job["values"] and job["values"]["Q"] for job in made)
     figures = {path.name for path in (folder / "figures").iterdir()}
     assert figures == {
         f"{name}.{kind}"

@@ -5,10 +5,10 @@ import math
 from pathlib import Path
 
 import pytest
+from command_lines import commands_of
 
-from contactgraph.cli.main import parse
 from contactgraph_studies.results import Reading, Results
-from contactgraph_studies.sensing.declared import (
+from contactgraph_studies.sensing import (
     AS_TRAINED,
     FULL_SENSING,
     INFERRED,
@@ -17,9 +17,11 @@ from contactgraph_studies.sensing.declared import (
     SENSING_TASKS,
     UNMEASURED,
     WIDER,
+    SensingStudy,
+    SensorCondition,
+    delay_ms,
+    share_recovered,
 )
-from contactgraph_studies.sensing.results import Sensed, delay_ms, share_recovered
-from contactgraph_studies.sensing.study import SensingStudy
 
 STUDY = SensingStudy(SENSING_TASKS, FULL_SENSING)
 ERROR = "n_step_rmse_planned_m"
@@ -29,15 +31,14 @@ def results_of(**values: dict) -> Results:
     """Of pickup with wider bodies: values by sensor, the same for both seeds."""
     readings = {}
     for slug, sensor in (("measured", MEASURED), ("nothing", UNMEASURED), ("motion", INFERRED)):
-        where = Sensed(PICKUP_SENSING.name, WIDER.name, sensor.name)
+        where = SensorCondition(PICKUP_SENSING.name, WIDER.name, sensor.name)
         readings[where] = [Reading(seed, values[slug], f"command {slug}") for seed in (0, 1)]
     return Results(readings)
 
 
 def test_every_cell_is_a_command_and_made_once() -> None:
-    assert len({cell.output for cell in STUDY.cells}) == len(STUDY.cells) == len(STUDY.wanted)
-    for cell in STUDY.cells:
-        assert parse(list(cell.arguments)) is not None
+    assert len({job.output for job in STUDY.jobs}) == len(STUDY.jobs) == len(STUDY.measurements)
+    assert commands_of(STUDY.jobs) == {"control"}
 
 
 def test_shares_by_hand() -> None:
@@ -60,7 +61,7 @@ def test_a_contact_that_was_never_found_counts() -> None:
         motion={"onsets": 0, name: None},
     )
     delays = [
-        delay_ms(found, Sensed(PICKUP_SENSING.name, WIDER.name, sensor.name), name).values
+        delay_ms(found, SensorCondition(PICKUP_SENSING.name, WIDER.name, sensor.name), name).values
         for sensor in (MEASURED, UNMEASURED, INFERRED)
     ]
     assert delays == [(50.0, 50.0), (math.inf, math.inf), ()]
@@ -72,15 +73,18 @@ def test_findings_from_what_is_there(tmp_path: Path) -> None:
         **{"onset_delay_ms_p50": 0.0, "onset_delay_ms_p95": 50.0, ERROR: 0.04},
         **{"edge_f1_planned": 0.9, "plan_ms_p50": 1.0},
     }
-    for cell in STUDY.cells[:15]:  # pickup, wider: five sensors, three seeds
-        path = tmp_path / cell.output
+    for job in STUDY.jobs[:15]:  # pickup, wider: five sensors, three seeds
+        path = tmp_path / job.output
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(said))
-    found = STUDY.findings(tmp_path)
+    found = STUDY.result(tmp_path)
     reached = {number.name: number.reached for number in found.targets if number.value is not None}
     label = f"{PICKUP_SENSING.name}, {WIDER.name}, by motion alone"
     assert reached == {f"{label}: edge F1": True, f"{label}: onset delay, 95 %": True}
-    first = found.table_markdown.splitlines()[2]
+    first = found.tables[0].markdown().splitlines()[2]
     assert "| contacts measured | 90 % of 60 (80 to 95) | 0.97" in first
-    assert len(found.table_csv.splitlines()) == 1 + len(STUDY.wanted) // 3
+    assert (
+        len(found.tables[0].csv(found.csv_separator).splitlines())
+        == 1 + len(STUDY.measurements) // 3
+    )
     assert len(found.readings) == 15

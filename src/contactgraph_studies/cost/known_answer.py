@@ -1,65 +1,66 @@
-"""Costs learned from runs of a controller whose cost is known, beside that cost."""
+"""Costs learned from a controller whose cost is known, compared with that cost."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import CostTerm, LearnedCost, LearningHistory, cost_terms, read_cost
+from contactgraph.control import LearnedCost, LearningHistory, cost_terms, read_cost
 from contactgraph.data import read_trajectories
 from contactgraph.evaluate import TaskCost
-from contactgraph_studies.cost.cells import Learned, Place
-from contactgraph_studies.cost.declared import CostTask, Lesson
-from contactgraph_studies.measurement import Measurement
-from contactgraph_studies.results import Figure
+from contactgraph_studies.cost.config import CostAmounts, CostCondition, CostTask, known_answers
+from contactgraph_studies.cost.jobs import learning
+from contactgraph_studies.job import Measurement
+from contactgraph_studies.results import SeedStatistic
+from contactgraph_studies.tables import Column, StudyTable
 
 _AT_LIMIT = 0.999
 
 
 @dataclass(frozen=True, eq=False)
 class KnownAnswer:
-    """Of one seed."""
+    """The two costs of one seed."""
 
     hidden: LearnedCost
-    """That the runs were made by."""
+    """Of the controller."""
     learned: LearnedCost
-    """From the runs."""
     at_limit: float
-    """Share of the runs' steps in which the force is as large as it may be."""
+    """Fraction of steps with a saturated force; NaN if the trajectories are missing."""
 
 
-@dataclass(frozen=True)
-class KnownTerm:
-    """What it costs to be off by one unit in one of a cost's terms, as a force: `CostTerm`."""
+class Row(NamedTuple):
+    """A term of the cost: the force that costs as much as being off by one unit."""
 
-    name: str
+    task: str
+    demonstrator: str
+    term: str
     unit: str
-    """Of being off."""
-    hidden: Figure
-    """N; of every seed."""
-    learned: Figure
-    """N; of every seed."""
+    hidden: SeedStatistic
+    """N"""
+    learned: SeedStatistic
+    """N"""
+    at_limit: SeedStatistic
+    """% of steps with a saturated force."""
 
     @property
-    def ratio(self) -> Figure:
+    def ratio(self) -> SeedStatistic:
         """Learned over hidden; 1 is the known answer."""
         pairs = zip(self.learned.values, self.hidden.values, strict=True)
-        return Figure(tuple(learned / hidden for learned, hidden in pairs))
+        return SeedStatistic(tuple(learned / hidden for learned, hidden in pairs))
 
 
 def own_cost(task: CostTask) -> LearnedCost:
-    """The task's own cost, as if it had been learned."""
+    """The task's own cost in the form of a learned one."""
     made = task.task()
     made.reset(seed=0)
     scene, terms = made.scene, made.cost_terms()
-    control_size = int(_limits(task).size)
-    whole = TaskCost.of(terms, control_size).in_scene(scene).quadratic(scene.node_count)
+    whole = TaskCost.of(terms, int(_limits(task).size)).in_scene(scene).quadratic(scene.node_count)
     D = scene.dimension
-    rows = _rows(terms.chain, 2 * D)
+    rows = _state_rows(terms.chain, 2 * D)
     nothing = jnp.zeros(0)
     return LearnedCost(
         Q=whole.Q[rows[:, None], rows[None, :]],
@@ -72,63 +73,93 @@ def own_cost(task: CostTask) -> LearnedCost:
     )
 
 
-def known_answer(
-    folder: Path,
-    wanted: Sequence[Measurement[Place]],
-    task: CostTask,
-    lesson: Lesson,
+def read_answers(
+    folder: Path, measurements: Sequence[Measurement], task: CostTask, learned: CostCondition
 ) -> list[KnownAnswer]:
-    """What there is in the folder; of costs about other nodes than the hidden one's, nothing."""
-    found = []
-    for one in wanted:
-        path = folder / one.cell.output
-        if one.where != Learned(task.name, lesson) or not path.is_file():
+    """The pairs of costs in the folder that are about the same nodes."""
+    answers = []
+    for one in measurements:
+        path = folder / one.job.output
+        if one.condition != learning(task, learned) or not path.is_file():
             continue
-        learned, recorded = read_cost(path), folder / one.cell.needs[0].output
-        known = one.cell.needs[0].needs
-        hidden = read_cost(folder / known[0].output) if known else own_cost(task)
-        if sorted(hidden.kept_nodes) == sorted(learned.kept_nodes):
-            found.append(KnownAnswer(hidden, learned, _at_limit(task, recorded)))
-    return found
+        cost, demonstrations = read_cost(path), one.job.needs[0]
+        hidden_by = demonstrations.needs
+        hidden = read_cost(folder / hidden_by[0].output) if hidden_by else own_cost(task)
+        if sorted(hidden.kept_nodes) == sorted(cost.kept_nodes):
+            at_limit = _at_limit(task, (folder / demonstrations.output).with_suffix(".h5"))
+            answers.append(KnownAnswer(hidden, cost, at_limit))
+    return answers
 
 
-def known_terms(answers: Sequence[KnownAnswer]) -> list[KnownTerm]:
-    """Every term of the hidden cost of the first seed, by position and by velocity."""
+def known_answer_rows(task: str, demonstrator: str, answers: Sequence[KnownAnswer]) -> list[Row]:
+    """Every term of the hidden cost, by position and by velocity."""
     if not answers:
         return []
     order = answers[0].hidden.kept_nodes
-    hidden = [cost_terms(_about(each.hidden, order)) for each in answers]
-    learned = [cost_terms(_about(each.learned, order)) for each in answers]
-
-    def of(costs: list[tuple[CostTerm, ...]], place: int, size: Callable) -> Figure:
-        return Figure(tuple(size(terms[place]) for terms in costs))
-
+    hidden = [cost_terms(_reordered(each.hidden, order)) for each in answers]
+    learned = [cost_terms(_reordered(each.learned, order)) for each in answers]
+    at_limit = SeedStatistic(tuple(100.0 * each.at_limit for each in answers))
     return [
-        KnownTerm(term.name, unit, of(hidden, place, size), of(learned, place, size))
-        for place, term in enumerate(hidden[0])
-        for unit, size in (("1 m", _position), ("1 m/s", _velocity))
+        Row(
+            task,
+            demonstrator,
+            term.name,
+            unit,
+            SeedStatistic(tuple(getattr(terms[index], part) for terms in hidden)),
+            SeedStatistic(tuple(getattr(terms[index], part) for terms in learned)),
+            at_limit,
+        )
+        for index, term in enumerate(hidden[0])
+        for unit, part in (("1 m", "position"), ("1 m/s", "velocity"))
     ]
 
 
-def _position(term: CostTerm) -> float:
-    return term.position
+def known_answer_table(
+    folder: Path,
+    measurements: Sequence[Measurement],
+    tasks: Sequence[CostTask],
+    amounts: CostAmounts,
+) -> StudyTable:
+    """Hidden and learned costs, term by term."""
+    return StudyTable.measure(
+        slug="known-answer",
+        title="A known answer",
+        caption="Costs learned from runs of MPC with a known cost, beside that cost. Each term "
+        "is given as the force that costs as much as being off by one unit for one step; a factor "
+        "on the whole cost, which no run can show, cancels. Median of the seeds, with their range. "
+        "LQR knows no limit of the force, so steps with a saturated force mislead it.",
+        columns=[
+            Column(lambda row: row.task, heading="Task", label=True),
+            Column(lambda row: row.demonstrator, heading="Demonstrated by", label=True),
+            Column(lambda row: row.term, heading="Term", label=True),
+            Column(lambda row: row.unit, heading="Off by", label=True),
+            Column(lambda row: row.hidden, heading="hidden, N"),
+            Column(lambda row: row.learned, heading="learned, N"),
+            Column(lambda row: row.ratio, heading="learned over hidden"),
+            Column(lambda row: row.at_limit, heading="steps with a saturated force, %"),
+        ],
+        conditions=[
+            row
+            for task in tasks
+            for learned in known_answers(amounts)
+            for row in known_answer_rows(
+                task.name, learned.name, read_answers(folder, measurements, task, learned)
+            )
+        ],
+    )
 
 
-def _velocity(term: CostTerm) -> float:
-    return term.velocity
-
-
-def _about(cost: LearnedCost, names: Sequence[str]) -> LearnedCost:
+def _reordered(cost: LearnedCost, names: Sequence[str]) -> LearnedCost:
     """The same cost with its nodes in another order."""
-    places = [cost.kept_nodes.index(name) for name in names]
-    rows = _rows(places, 2 * cost.goal.shape[0])
-    Q, nodes = cost.Q[rows[:, None], rows[None, :]], cost.nodes[np.array(places)]
+    order = [cost.kept_nodes.index(name) for name in names]
+    rows = _state_rows(order, 2 * cost.goal.shape[0])
+    Q, nodes = cost.Q[rows[:, None], rows[None, :]], cost.nodes[np.array(order)]
     return replace(cost, Q=Q, nodes=nodes, kept_nodes=tuple(names))
 
 
-def _rows(nodes: Sequence[int], part: int) -> np.ndarray:
-    """Where the states of these nodes, of so many numbers each, are in a state."""
-    return (part * np.asarray(nodes)[:, None] + np.arange(part)).reshape(-1)
+def _state_rows(nodes: Sequence[int], size: int) -> np.ndarray:
+    """Indices of the nodes' states, ``size`` numbers each, in a flat state."""
+    return (size * np.asarray(nodes)[:, None] + np.arange(size)).reshape(-1)
 
 
 def _limits(task: CostTask) -> np.ndarray:
@@ -136,10 +167,8 @@ def _limits(task: CostTask) -> np.ndarray:
     return cast(gymnasium.spaces.Box, task.task().action_space).high
 
 
-def _at_limit(task: CostTask, measured: Path) -> float:
-    """Of the runs beside a file of measurements; NaN where they are not there."""
-    runs = measured.with_suffix(".h5")
-    if not runs.is_file():
+def _at_limit(task: CostTask, trajectories: Path) -> float:
+    if not trajectories.is_file():
         return float("nan")
-    force = np.concatenate([run.control for run in read_trajectories(runs)])
+    force = np.concatenate([one.control for one in read_trajectories(trajectories)])
     return float(np.mean((np.abs(force) >= _AT_LIMIT * _limits(task)).any(axis=1)))

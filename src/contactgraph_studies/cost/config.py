@@ -1,0 +1,144 @@
+"""Configuration of the study of learned costs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from contactgraph.envs import DoorTask, MultiPickupTask, PickupTask
+from contactgraph.envs.contract import Task
+from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP, TEST_SEED, Options
+
+
+@dataclass(frozen=True)
+class CostTask:
+    """A task, controlled with the shipped model of the same name."""
+
+    name: str
+    task: Callable[[], Task]
+    without_prior: bool = False
+    """Whether learning without the prior is measured, too."""
+
+
+@dataclass(frozen=True)
+class Demonstrator:
+    """A policy that demonstrates a task."""
+
+    slug: str
+    """Part of file names."""
+    name: str
+    distractors: int = 0
+    """Distractors in the demonstrated scenes."""
+    planned: bool = False
+    """MPC, with another goal in every demonstration; else the task's expert, always with the same
+    goal and objects."""
+    hidden: "CostCondition | None" = None
+    """How the cost of MPC was learned; None: it is the task's own."""
+
+
+@dataclass(frozen=True)
+class CostCondition:
+    """One way to learn a cost."""
+
+    slug: str
+    """Folder name."""
+    name: str
+    demonstrator: Demonstrator
+    demonstrations: int
+    options: Options = ()
+    """Options of ``learn-cost``."""
+
+
+@dataclass(frozen=True)
+class CostTest:
+    """Control with a learned cost, in scenes whose goal and objects were not demonstrated."""
+
+    learned: CostCondition
+    distractors: int = 0
+
+
+@dataclass(frozen=True)
+class CostAmounts:
+    """Number of seeds, demonstrations and episodes."""
+
+    seeds: tuple[int, ...]
+    """Of demonstrations; each seed has its own goal and objects."""
+    demonstrations: tuple[int, ...]
+    """In ascending order."""
+    episodes: int
+    """For each seed and test."""
+
+    @property
+    def most(self) -> int:
+        """The number of recorded demonstrations."""
+        return self.demonstrations[-1]
+
+
+SCENE_SEED = TEST_SEED + 100
+"""Test scenes have this seed plus that of the demonstrations: different for every seed, so that all
+seeds may be pooled, and the same for every test. No model and no other study uses them."""
+DISTRACTORS = 5
+LOOK_AHEAD = 20
+"""Steps that the learner looks ahead in these tasks."""
+
+EXPERT = Demonstrator("expert", "expert")
+EXPERT_AMONG = Demonstrator(
+    "expert-among-5", f"expert among {DISTRACTORS} distractors", distractors=DISTRACTORS
+)
+OWN_COST = Demonstrator("own-cost", "MPC with the task's own cost", planned=True)
+
+PICKUP_COST = CostTask(PICKUP.name, PickupTask, without_prior=True)
+MULTI_PICKUP_COST = CostTask(MULTI_PICKUP.name, MultiPickupTask)
+DOOR_COST = CostTask(DOOR.name, DoorTask)
+COST_TASKS = (PICKUP_COST, MULTI_PICKUP_COST, DOOR_COST)
+
+FULL_COST = CostAmounts((0, 1, 2), (5, 10, 20, 40), 100)
+QUICK_COST = CostAmounts((0,), (5, 40), 10)
+
+
+def by_demonstrations(amounts: CostAmounts) -> list[CostTest]:
+    """Learned from the expert; tested without distractors."""
+    return [CostTest(_learned(EXPERT, count)) for count in amounts.demonstrations]
+
+
+def among_distractors(amounts: CostAmounts) -> list[CostTest]:
+    """Tested with distractors; learned without and with others."""
+    return [
+        CostTest(_learned(demonstrator, amounts.most), DISTRACTORS)
+        for demonstrator in (EXPERT, EXPERT_AMONG)
+    ]
+
+
+def known_answers(amounts: CostAmounts) -> tuple[CostCondition, CostCondition]:
+    """Learned from MPC with a known cost: the task's own cost, and a learned one.
+
+    The task's own cost often asks for more force than the limit, and a saturated force does not
+    show the cost; a cost learned from an expert hardly ever does.
+    """
+    hidden = _learned(EXPERT, amounts.most)
+    name = "MPC with the cost learned from the expert"
+    again = Demonstrator("learned-cost", name, planned=True, hidden=hidden)
+    return _learned(OWN_COST, amounts.most), _learned(again, amounts.most)
+
+
+def without_prior(amounts: CostAmounts) -> CostTest:
+    """Learned from the expert without the prior towards independent cost terms."""
+    learned = _learned(EXPERT, amounts.most)
+    options = ("--prior-weight", "0")
+    name = f"{learned.name}, without the prior"
+    return CostTest(CostCondition(f"{learned.slug}-no-prior", name, EXPERT, amounts.most, options))
+
+
+def tests_of(task: CostTask, amounts: CostAmounts) -> list[CostTest]:
+    """All tests of a task, in the order of the table."""
+    own = CostTest(known_answers(amounts)[0])
+    every = [*by_demonstrations(amounts), *among_distractors(amounts), own]
+    return [*every, without_prior(amounts)] if task.without_prior else every
+
+
+def learned_costs(task: CostTask, amounts: CostAmounts) -> list[CostCondition]:
+    """All costs that are learned for a task."""
+    tested = [test.learned for test in tests_of(task, amounts)]
+    return list(dict.fromkeys([*tested, *known_answers(amounts)]))
+
+
+def _learned(demonstrator: Demonstrator, count: int) -> CostCondition:
+    return CostCondition(f"{demonstrator.slug}-{count}", demonstrator.name, demonstrator, count)

@@ -1,0 +1,137 @@
+"""Figures of the study of learned costs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from contactgraph.control import read_cost
+from contactgraph.model import shipped_model
+from contactgraph.viz import cost_figure
+from contactgraph.viz.scene_picture import BODY_COLOURS
+from contactgraph_studies.cost.config import (
+    CostAmounts,
+    CostTask,
+    among_distractors,
+    by_demonstrations,
+    known_answers,
+)
+from contactgraph_studies.cost.jobs import OwnCostLabels, control, learning
+from contactgraph_studies.cost.known_answer import read_answers
+from contactgraph_studies.figures import (
+    LEGEND,
+    SOFT,
+    TEXT,
+    first_episode,
+    panel_row,
+    write_figure,
+    write_scene,
+)
+from contactgraph_studies.job import Measurement
+from contactgraph_studies.results import SUCCESS_PERCENT, Results
+from contactgraph_studies.study import Picture
+
+ENOUGH = 0.95
+"""The success for which the number of demonstrations is a target."""
+
+
+def success_figure(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts) -> Figure:
+    """Success by number of demonstrations: all seeds with their interval, and each as a dot."""
+    figure, panels = panel_row(3.6 * len(tasks) + 0.6, 3.8, [task.name for task in tasks])
+    colour, counts = BODY_COLOURS[0], amounts.demonstrations
+    for axes, task in zip(panels, tasks, strict=True):
+        pooled = []
+        for position, test in enumerate(by_demonstrations(amounts)):
+            labels = control(task, test)
+            success = results.success(labels)
+            if success is None:
+                continue
+            pooled.append((position, 100.0 * success.rate))
+            ends = [100.0 * end for end in success.interval]
+            first = position == 0
+            label = "95 % interval" if first else "_"
+            axes.plot([position] * 2, ends, color=colour, lw=1.4, label=label)
+            seeds = results.statistic(labels, SUCCESS_PERCENT).values
+            label = "each seed" if first else "_"
+            beside = [position + 0.1] * len(seeds)
+            axes.plot(beside, seeds, "o", color=SOFT, ms=3, alpha=0.7, label=label)
+        rates = [rate for _, rate in pooled]
+        axes.plot(
+            [x for x, _ in pooled], rates, "o-", color=colour, lw=1.6, ms=5, label="all seeds"
+        )
+        axes.axhline(100.0 * ENOUGH, color=SOFT, lw=0.7, ls=(0, (2, 3)))
+        axes.set_xticks(range(len(counts)), [str(count) for count in counts])
+        axes.set_xlim(-0.5, len(counts) - 0.5)
+        axes.set_xlabel("demonstrations", **TEXT)
+    panels[0].set_ylabel("success, %", **TEXT)
+    panels[-1].legend(**LEGEND, loc="lower right")
+    return figure
+
+
+def cost_pictures(
+    results: Results,
+    folder: Path,
+    measurements: Sequence[Measurement],
+    tasks: Sequence[CostTask],
+    amounts: CostAmounts,
+) -> list[Picture]:
+    """The figures, written to ``figures/NAME.png`` and ``.svg`` in the folder."""
+    pictures = [
+        write_figure(
+            folder,
+            "success",
+            "Success with unseen goals and objects",
+            "By the number of demonstrations that the cost was learned from. The dotted line is at "
+            f"{100 * ENOUGH:.0f} %.",
+            success_figure(results, tasks, amounts),
+        )
+    ]
+    for task in tasks:
+        most = by_demonstrations(amounts)[-1].learned
+        path = _output(folder, measurements, learning(task, most))
+        if path is not None:
+            title = f"The learned cost, {task.name}"
+            caption = f"From {amounts.most} demonstrations with one goal, the first seed's."
+            figure = cost_figure(read_cost(path))
+            pictures.append(write_figure(folder, f"cost-{task.name}", title, caption, figure))
+        for learned in known_answers(amounts):
+            answers = read_answers(folder, measurements, task, learned)
+            if answers:
+                figure = cost_figure(answers[0].learned, answers[0].hidden)
+                name = f"known-{learned.demonstrator.slug}-{task.name}"
+                caption = (
+                    f"Learned from {learned.demonstrations} runs of {learned.name}, the first "
+                    "seed's; below it that cost."
+                )
+                title = f"A known answer, {task.name}"
+                pictures.append(write_figure(folder, name, title, caption, figure))
+    return pictures
+
+
+def cost_scenes(
+    folder: Path,
+    measurements: Sequence[Measurement],
+    tasks: Sequence[CostTask],
+    amounts: CostAmounts,
+) -> list[Picture]:
+    """The first episode of the first seed of every task, among distractors."""
+    test, pictures = among_distractors(amounts)[0], []
+    caption = "A closed-loop episode with the learned cost, replanned every step."
+    for task in tasks:
+        path = _output(folder, measurements, control(task, test))
+        title = f"{task.name}, {test.distractors} distractors in view"
+        scene = None if path is None else first_episode(path, shipped_model(task.name), title)
+        if scene is not None:
+            pictures.append(write_scene(folder, f"scene-{task.name}", title, caption, scene))
+    return pictures
+
+
+def _output(
+    folder: Path, measurements: Sequence[Measurement], labels: OwnCostLabels
+) -> Path | None:
+    """Of the first seed; None if it does not exist."""
+    for one in measurements:
+        if one.condition == labels:
+            path = folder / one.job.output
+            return path if path.is_file() else None
+    return None

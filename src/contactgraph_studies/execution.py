@@ -1,0 +1,129 @@
+"""Execution of one job in a worker process, on this machine or on another one."""
+
+import os
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from contactgraph_studies.job import Job, JobRecords
+
+FileBundle = tuple[tuple[str, bytes], ...]
+"""Paths relative to a folder, and contents."""
+RunCommand = Callable[[list[str], Path], int]
+"""Runs a command line in the current folder with its output in a log file; the exit code."""
+
+
+@dataclass(frozen=True)
+class LocalJob:
+    """A command line to run in the study's own folder."""
+
+    arguments: tuple[str, ...]
+    folder: Path
+    log: Path
+
+
+@dataclass(frozen=True)
+class RemoteJob:
+    """A command line to run in a new folder that holds the given files."""
+
+    arguments: tuple[str, ...]
+    files: FileBundle
+    outputs: tuple[str, ...]
+    """Files and folders to send back."""
+
+
+@dataclass(frozen=True)
+class JobResult:
+    """The end of a command."""
+
+    exit_code: int
+    seconds: float
+    files: FileBundle = ()
+    """Outputs of a `RemoteJob`."""
+    log: str = ""
+    """Printed output of a `RemoteJob`."""
+
+
+def prepare(job: Job, records: JobRecords, shares_files: bool) -> LocalJob | RemoteJob:
+    """Clear the job's output and describe its execution, with or without a shared file system."""
+    arguments = records.begin(job)
+    if shares_files:
+        return LocalJob(arguments, records.folder.absolute(), records.log_path(job).absolute())
+    inputs = [path for need in job.needs for path in need.outputs]
+    # The job's own outputs go along because a training resumes from its checkpoint.
+    files = bundle_files(records.folder, [*inputs, *job.outputs])
+    return RemoteJob(arguments, files, job.outputs)
+
+
+def create_worker() -> Callable[[LocalJob | RemoteJob], JobResult]:
+    """The function that a worker process calls for each job."""
+    from contactgraph.cli.main import run  # not at the top: the command line imports the studies
+
+    return partial(execute, run_command=partial(_run_logged, run))
+
+
+def execute(job: LocalJob | RemoteJob, run_command: RunCommand) -> JobResult:
+    """Run one job."""
+    if isinstance(job, LocalJob):
+        return _timed(job.arguments, job.folder, job.log, run_command)
+    with tempfile.TemporaryDirectory(prefix="contactgraph-") as name:
+        folder, log = Path(name) / "study", Path(name) / "log"
+        folder.mkdir()
+        write_bundle(job.files, folder)
+        for output in job.outputs:
+            (folder / output).parent.mkdir(parents=True, exist_ok=True)
+        try:
+            result = _timed(job.arguments, folder, log, run_command)
+        finally:
+            os.chdir(tempfile.gettempdir())  # some systems cannot remove the current folder
+        files = bundle_files(folder, job.outputs) if result.exit_code == 0 else ()
+        printed = log.read_text(errors="replace") if log.exists() else ""
+        return JobResult(result.exit_code, result.seconds, files, printed)
+
+
+def bundle_files(folder: Path, paths: Iterable[str]) -> FileBundle:
+    """The files at these paths, and all files in the folders at these paths, that exist."""
+    contents: dict[str, bytes] = {}
+    for path in paths:
+        top = folder / path
+        for file in sorted(top.rglob("*")) if top.is_dir() else [top]:
+            if file.is_file():
+                contents[file.relative_to(folder).as_posix()] = file.read_bytes()
+    return tuple(contents.items())
+
+
+def write_bundle(bundle: FileBundle, folder: Path) -> None:
+    """Write the files into the folder."""
+    for path, content in bundle:
+        file = folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content)
+
+
+def _timed(
+    arguments: tuple[str, ...], folder: Path, log: Path, run_command: RunCommand
+) -> JobResult:
+    os.chdir(folder)
+    start = time.perf_counter()
+    exit_code = run_command(list(arguments), log)
+    return JobResult(exit_code, time.perf_counter() - start)
+
+
+def _run_logged(run: Callable[[list[str]], int], arguments: list[str], log: Path) -> int:
+    """Call ``run`` with the output of the process, that of C libraries included, in the log."""
+    with log.open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    try:
+        return run(arguments)
+    except Exception:
+        traceback.print_exc()  # the worker goes on with the next job
+        return 1
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()

@@ -1,0 +1,147 @@
+"""Style and output of a study's figures."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from contactgraph.data import atomic_write, read_trajectories
+from contactgraph.model.io import load_model
+from contactgraph.viz import SceneRun, scene_run, write_summary_figure
+from contactgraph.viz.scene_picture import CONTACT_COLOUR, body_colour
+from contactgraph.viz.selection import focus_nodes, involved_nodes, leading_edges, shown_directions
+from contactgraph_studies.study import Picture
+
+INK, SOFT, RULE = "#1d2127", "#616872", "#e2ded5"
+TEXT: dict[str, Any] = {"color": SOFT, "fontsize": 9}
+LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
+_FOLDER = "figures"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, in inches, drawn without a display."""
+    figure = Figure(figsize=(width, height), facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def panel_row(
+    width: float, height: float, titles: list[str], share_y: bool = True
+) -> tuple[Figure, list[Axes]]:
+    """A figure with one panel for each title, side by side."""
+    figure = new_figure(width, height)
+    panels = list(figure.subplots(1, len(titles), squeeze=False, sharey=share_y)[0])
+    for axes, title in zip(panels, titles, strict=True):
+        style_axes(axes, title)
+    return figure, panels
+
+
+def style_axes(axes: Axes, title: str = "") -> None:
+    """A frame in the background."""
+    axes.set_title(title, fontsize=11, color=INK, loc="left")
+    axes.tick_params(colors=SOFT, labelsize=9, length=3)
+    axes.grid(axis="y", color=RULE, lw=0.6)
+    axes.set_axisbelow(True)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(RULE)
+
+
+def svg(figure: Figure) -> bytes:
+    """The figure as SVG; equal figures give equal bytes."""
+    text = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "contactgraph", "svg.fonttype": "path"}):
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()
+
+
+def write_figure(folder: Path, name: str, title: str, caption: str, figure: Figure) -> Picture:
+    """Write ``figures/NAME.svg`` and ``.png``; the figure for the page."""
+    path = folder / _FOLDER / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = svg(figure)
+    with atomic_write(path.with_name(f"{name}.svg")) as temporary:
+        temporary.write_bytes(image)
+    with atomic_write(path.with_name(f"{name}.png")) as temporary:
+        figure.savefig(temporary, dpi=130, format="png")
+    return Picture(title, caption, image, "svg+xml")
+
+
+def write_scene(folder: Path, name: str, title: str, caption: str, scene: SceneRun) -> Picture:
+    """Write the summary figure of an episode to ``figures/NAME.png``."""
+    path = folder / _FOLDER / f"{name}.png"
+    write_summary_figure(path, scene)
+    return Picture(title, caption, path.read_bytes(), "png")
+
+
+def first_episode(numbers: Path, model: Path, title: str) -> SceneRun | None:
+    """The first trajectory beside a file of numbers; None if it or the model is missing."""
+    trajectories = numbers.with_suffix(".h5")
+    if not (trajectories.is_file() and model.is_file()):
+        return None
+    return scene_run(
+        load_model(model).model, title, read_trajectories(trajectories).trajectories[0]
+    )
+
+
+def parameter_figure(scene: SceneRun) -> Figure:
+    """Belief, speed, inverse mass, stiffness and damping over time; bands mark true contact.
+
+    In three dimensions parameters along the vertical are dashed.
+    """
+    speed = np.linalg.norm(scene.velocity, axis=-1)[:-1]
+    parameters = [
+        ("1/m, 1/kg", scene.inverse_mass),
+        ("k/m, 1/s²", scene.stiffness),
+        ("c/m, 1/s", scene.damping),
+    ]
+    shown = [("speed, m/s", [speed])]
+    shown += [(name, shown_directions(each)) for name, each in parameters if each is not None]
+    figure = new_figure(7.0, 1.4 * (1 + len(shown)))
+    axes = figure.subplots(1 + len(shown), 1, sharex=True)
+    time = np.arange(scene.steps + 1) * scene.dt
+    for panel, name in zip(axes, ("belief", *(name for name, _ in shown)), strict=True):
+        _mark_contact(panel, scene, time)
+        style_axes(panel)
+        panel.set_ylabel(name, **TEXT)
+    for edge in leading_edges(scene):
+        belief, name = scene.belief[:, edge], scene.edge_name(edge)
+        axes[0].stairs(belief, time, baseline=None, lw=1.6, label=name)
+    if axes[0].get_legend_handles_labels()[0]:
+        axes[0].legend(**LEGEND, loc="center right")
+    involved = involved_nodes(scene)
+    nodes = list(dict.fromkeys([*focus_nodes(scene), *involved]))[:6]
+    for panel, (_, directions) in zip(axes[1:], shown, strict=True):
+        for node in nodes:
+            colour, name = body_colour(node, involved), scene.node_name[node]
+            for values, style in zip(directions, ("-", "--"), strict=False):
+                label = name if style == "-" else None
+                line: dict[str, Any] = {"color": colour, "lw": 1.4, "ls": style, "label": label}
+                panel.stairs(values[:, node], time, baseline=None, **line)
+    axes[1].legend(**LEGEND, loc="upper right", ncols=len(nodes))
+    axes[-1].set_xlabel("time, s", **TEXT)
+    return figure
+
+
+def _mark_contact(axes: Axes, scene: SceneRun, time: np.ndarray) -> None:
+    """A band while the first of the leading edges is in true contact."""
+    leading = leading_edges(scene, limit=1)
+    if scene.contact is None or not leading:
+        return
+    axes.fill_between(
+        time[:-1],
+        0.0,
+        1.0,
+        where=scene.contact[1:, leading[0]],
+        step="post",
+        color=CONTACT_COLOUR,
+        alpha=0.55,
+        lw=0,
+        transform=axes.get_xaxis_transform(),
+        zorder=0,
+    )

@@ -1,0 +1,93 @@
+"""The page of a study: one HTML file, claims first, that loads nothing."""
+
+import base64
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from importlib.resources import files
+from string import Template
+
+from contactgraph.viz.markup import numbers_table
+from contactgraph_studies.results import with_range
+from contactgraph_studies.study import Claim, ClaimNumber, Picture, StudyResult
+
+VERDICTS = {True: "holds", False: "does not hold", None: "not known"}
+_CLASSES = {True: "met", False: "missed", None: ""}
+
+
+def study_page(
+    result: StudyResult,
+    failures: Sequence[tuple[str, str]],
+    commands: Sequence[str],
+    versions: Mapping[str, str],
+    date: str,
+) -> str:
+    """The page as text; ``failures`` are commands and reasons."""
+    own, shared = files("contactgraph_studies") / "assets", files("contactgraph.viz") / "assets"
+    styles = (shared / "page.css", own / "study.css")
+    return Template((own / "study.html").read_text(encoding="utf-8")).substitute(
+        title=escape(result.title),
+        summary=escape(result.summary),
+        style="".join(style.read_text(encoding="utf-8") for style in styles),
+        claims=_section("claims", "What the paper claims", map(_claim, result.claims)),
+        failures=_failures(failures),
+        figures=_section("figures", "Figures", map(_picture, result.figures)),
+        asked=escape(result.targets_heading),
+        targets=numbers_table(tuple(result.targets)),
+        tables="".join(table.html() for table in result.tables),
+        scenes=_section("scenes", "Scenes", map(_picture, result.scenes)),
+        commands="\n".join(escape(command) for command in commands),
+        versions=", ".join(f"{escape(name)} {escape(v)}" for name, v in versions.items()),
+        date=escape(date),
+    )
+
+
+def _section(slug: str, heading: str, parts: Iterable[str]) -> str:
+    """Nothing if there are no parts."""
+    inside = "".join(parts)
+    return f'<section id="{slug}"><h2>{heading}</h2>\n{inside}\n</section>\n' if inside else ""
+
+
+def _claim(claim: Claim) -> str:
+    rows = "".join(_claim_row(number) for number in claim.numbers)
+    return (
+        f'<article class="claim"><p class="verdict {_CLASSES[claim.holds]}">'
+        f"{VERDICTS[claim.holds]}</p><div>"
+        f"<h3>{claim.number}. {escape(claim.title)}</h3>"
+        f"<blockquote>{escape(claim.quote)}</blockquote>"
+        f"<p>{escape(claim.sentence)}</p>"
+        f'<details><summary>Numbers</summary><p class="caption">It holds if '
+        f"{escape(claim.criterion)}.</p>"
+        '<div class="wide"><table class="plain"><thead><tr><th>Task</th><th>What</th>'
+        "<th>Median (range over seeds)</th><th>Command</th></tr></thead>"
+        f"<tbody>{rows}</tbody></table></div></details></div></article>"
+    )
+
+
+def _claim_row(number: ClaimNumber) -> str:
+    return (
+        f"<tr><td>{escape(number.task)}</td><td>{escape(number.name)}</td>"
+        f'<td class="figure">{escape(with_range(number.statistic, number.unit))}</td>'
+        f"<td><code>{escape(number.statistic.command)}</code></td></tr>"
+    )
+
+
+def _failures(failures: Sequence[tuple[str, str]]) -> str:
+    if not failures:
+        return ""
+    items = "".join(
+        f"<li><code>{escape(command)}</code> {escape(reason)}</li>" for command, reason in failures
+    )
+    return (
+        "<section><h2>Failed measurements</h2><details>"
+        f'<summary>{len(failures)} commands failed</summary><ul class="plain">{items}</ul>'
+        "</details></section>"
+    )
+
+
+def _picture(picture: Picture) -> str:
+    data = base64.b64encode(picture.image).decode("ascii")
+    return (
+        f"<figure><h3>{escape(picture.title)}</h3>"
+        f'<img alt="{escape(picture.title)}" src="data:image/{picture.media_type};base64,{data}">'
+        f'<figcaption class="caption">{escape(picture.caption)}</figcaption></figure>'
+    )

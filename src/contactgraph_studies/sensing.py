@@ -1,0 +1,272 @@
+"""The study of contact without a sensor: beliefs corrected by observed motion."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from contactgraph.cli.tasks import Target
+from contactgraph.viz import Number
+from contactgraph_studies.job import Job, Measurement, in_dependency_order
+from contactgraph_studies.paper.config import DOOR, FRANKA, MULTI_PICKUP, PICKUP, Options
+from contactgraph_studies.results import PLANNED_F1, Quantity, Results, SeedStatistic, Values
+from contactgraph_studies.study import StudyResult, judged
+from contactgraph_studies.tables import Column, StudyTable, known_text
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Contact information that a controller receives."""
+
+    slug: str
+    """Part of file names."""
+    name: str
+    options: Options
+    """Options of ``control``."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A difference from training."""
+
+    slug: str
+    name: str
+    options: Options
+
+
+@dataclass(frozen=True)
+class SensingTask:
+    """A task, controlled with the shipped model of the same name."""
+
+    name: str
+    conditions: tuple[Condition, ...]
+    replan_every: int
+    """Half a second, so that plans can be compared with their execution; 1 step if the task cannot
+    be done that way."""
+
+
+@dataclass(frozen=True)
+class SensingAmounts:
+    """Number of seeds and episodes."""
+
+    seeds: tuple[int, ...]
+    """Of scenes, above `SCENE_SEED`."""
+    episodes: int
+    """For each seed, condition and sensor."""
+
+
+SCENE_SEED = 1200
+"""No model, no other study and no tuning uses these scenes."""
+
+MEASURED = Sensor("measured", "contacts measured", ())
+UNMEASURED = Sensor("unmeasured", "nothing", ("--unmeasured",))
+INFERRED = Sensor("inferred", "motion", ("--unmeasured", "--infer-contacts"))
+MISSING = Sensor("missing", "a sensor with 30 % misses", ("--misses", "0.3"))
+BOTH = Sensor("both", "that sensor and motion", ("--misses", "0.3", "--infer-contacts"))
+SENSORS = (MEASURED, UNMEASURED, INFERRED, MISSING, BOTH)
+
+_CAMERA = ("--position-noise", "0.001", "--velocity-noise", "0.02")
+_WIDER = ("--radius", "0.042")
+AS_TRAINED = Condition("as-trained", "as trained", ())
+CAMERA = Condition("camera", "seen by a camera (1 mm, 2 cm/s)", _CAMERA)
+WIDER = Condition("wider", "bodies 5 % wider than the model knows", _WIDER)
+BOTH_OFF = Condition("wider-camera", "wider, and seen by a camera", (*_WIDER, *_CAMERA))
+"""A model with exact radii predicts contact without any sensor. A sensor can help if the radii are
+wrong, and 2 mm is a realistic error."""
+
+PICKUP_SENSING = SensingTask(PICKUP.name, (WIDER, AS_TRAINED, CAMERA, BOTH_OFF), 10)
+SENSING_TASKS = (
+    PICKUP_SENSING,
+    SensingTask(MULTI_PICKUP.name, (CAMERA,), 10),
+    SensingTask(DOOR.name, (CAMERA,), 10),
+    SensingTask(FRANKA.name, (CAMERA,), 1),
+)
+
+FULL_SENSING = SensingAmounts((0, 1, 2), 20)
+QUICK_SENSING = SensingAmounts((0,), 3)
+
+_F1_TARGET = Target(0.85, 0.95)
+_DELAY_TARGET_MS = Target(50.0, 20.0)
+_RECOVERED_TARGET = Target(50.0, 90.0)
+_GAINS = {
+    "n_step_rmse_planned_m": "the planned error",
+    "edge_f1_found": "edge F1",
+    "success_rate": "success",
+}
+_NO_GAIN = 0.02
+"""Relative gain by measured contacts below which there is nothing to recover."""
+_F1 = Quantity("edge_f1_found")
+_ERROR = Quantity("n_step_rmse_planned_m", 100.0)
+_PLAN_MS = Quantity("plan_ms_p50")
+
+
+@dataclass(frozen=True)
+class SensorCondition:
+    """The labels of a number in ``results.json``."""
+
+    task: str
+    condition: str
+    contacts_known_by: str
+
+
+@dataclass(frozen=True)
+class SensingStudy:
+    """Control of some tasks with every sensor."""
+
+    tasks: Sequence[SensingTask]
+    amounts: SensingAmounts
+
+    @cached_property
+    def measurements(self) -> list[Measurement]:
+        """Everything that is measured."""
+        return [
+            Measurement(
+                SensorCondition(task.name, condition.name, sensor.name),
+                seed,
+                _control_job(task, condition, sensor, seed, self.amounts),
+            )
+            for task in self.tasks
+            for condition in task.conditions
+            for sensor in (SENSORS if condition is WIDER else SENSORS[:3])
+            for seed in self.amounts.seeds
+        ]
+
+    @cached_property
+    def jobs(self) -> list[Job]:
+        """All jobs."""
+        return in_dependency_order(one.job for one in self.measurements)
+
+    def result(self, folder: Path) -> StudyResult:
+        """Targets and table; the paper makes no claim."""
+        results = Results.read(folder, self.measurements)
+        seeds, episodes = self.amounts.seeds, self.amounts.episodes
+        conditions = list(dict.fromkeys(one.condition for one in self.measurements))
+        return StudyResult(
+            title="Contact without a sensor",
+            summary="Contact beliefs, corrected by how well each hypothesis explains the observed "
+            "motion, compared with beliefs that measured contacts correct and with beliefs "
+            f"without correction. The shipped models; {len(seeds)} seed(s) of scenes, {episodes} "
+            "episodes each.",
+            targets_heading="Targets of contact without a sensor",
+            targets=sensing_targets(results, self.tasks, self.amounts),
+            tables=[sensing_table(results, conditions)],
+            amounts={
+                "episodes": episodes,
+                "scene_seeds": [SCENE_SEED + seed for seed in seeds],
+            },
+            readings=results.to_json(),
+            csv_separator=" ",
+        )
+
+
+def _control_job(
+    task: SensingTask, condition: Condition, sensor: Sensor, seed: int, amounts: SensingAmounts
+) -> Job:
+    output = f"cells/{task.name}/{condition.slug}/{sensor.slug}-{seed}.json"
+    replan = () if task.replan_every == 1 else ("--replan-every", str(task.replan_every))
+    arguments = (
+        *("control", task.name, task.name),
+        *("--episodes", str(amounts.episodes), "--seed", str(SCENE_SEED + seed)),
+        *(*replan, *condition.options, *sensor.options),
+        *("--json", output),
+    )
+    group = f"control {task.name} {'inferred' if '--infer-contacts' in sensor.options else ''}"
+    return Job(output, arguments, group)
+
+
+def sensing_table(results: Results, conditions: Sequence[SensorCondition]) -> StudyTable:
+    """Every sensor under every condition."""
+
+    def number(name: str, quantity: Quantity) -> Column:
+        return Column(lambda row: results.statistic(row, quantity), name, name, text=known_text)
+
+    def delay(name: str, key: str) -> Column:
+        return Column(lambda row: delay_ms(results, row, key), name, name, text=known_text)
+
+    return StudyTable.measure(
+        slug="table",
+        title="Every sensor",
+        caption="Median over seeds of scenes, with their range; success of all episodes together. "
+        "Edge F1: beliefs about the last step, corrected by all observations, against "
+        "contacts. Delay: from the first observation at which a contact holds to the first at "
+        "which it is believed. Planned: over 0.5 s, planned against executed positions. An "
+        "infinite delay is a contact that was never detected.",
+        columns=[
+            Column(lambda row: row.task, "Task", "Task", label=True),
+            Column(lambda row: row.condition, "Condition", "Condition", label=True),
+            Column(
+                lambda row: row.contacts_known_by,
+                "Contacts known by",
+                "Contacts known by",
+                label=True,
+            ),
+            Column(lambda row: results.success(row) or "not known", "", "success (95 %)"),
+            Column(lambda row: getattr(results.success(row), "successes", None), "successes"),
+            Column(lambda row: getattr(results.success(row), "episodes", None), "episodes"),
+            number("edge F1", _F1),
+            delay("onset delay, ms: median", "onset_delay_ms_p50"),
+            delay("95 %", "onset_delay_ms_p95"),
+            number("planned error, cm", _ERROR),
+            number("edge F1, planned", PLANNED_F1),
+            number("control tick, ms", _PLAN_MS),
+            Column(lambda row: results.statistic(row, _F1).command, "command"),
+        ],
+        conditions=conditions,
+        commands=lambda row: (results.statistic(row, _F1).command,),
+    )
+
+
+def sensing_targets(
+    results: Results, tasks: Sequence[SensingTask], amounts: SensingAmounts
+) -> tuple[Number, ...]:
+    """The targets of contact inferred from motion."""
+    numbers = []
+    for task in tasks:
+        for condition in task.conditions:
+            where = SensorCondition(task.name, condition.name, INFERRED.name)
+            label = f"{task.name}, {condition.name}, by motion alone"
+            f1 = results.statistic(where, _F1)
+            numbers.append(judged(f"{label}: edge F1", "", f1, _F1_TARGET, amounts.seeds))
+            delay, name = delay_ms(results, where, "onset_delay_ms_p95"), "onset delay, 95 %"
+            numbers.append(
+                judged(f"{label}: {name}", "ms", delay, _DELAY_TARGET_MS, amounts.seeds, True)
+            )
+    for condition in PICKUP_SENSING.conditions:
+        for key, name in _GAINS.items():
+            share = share_recovered(results, PICKUP_SENSING, condition, key)
+            label = f"{PICKUP_SENSING.name}, {condition.name}: share of what contacts measured gain"
+            label += f" in {name}{'' if share.known else ' (they gain nothing)'}"
+            target = _RECOVERED_TARGET if share.known else None
+            numbers.append(judged(label, "%", share, target, amounts.seeds))
+    return tuple(numbers)
+
+
+def delay_ms(results: Results, condition: SensorCondition, key: str) -> SeedStatistic:
+    """A delay of contact onsets; infinite if a contact was never detected."""
+
+    def value(values: Values) -> float:
+        count, delay = values[f"{key.split('_', maxsplit=1)[0]}s"], values[key]
+        return math.nan if not count else math.inf if delay is None else float(delay)
+
+    return results.derived(condition, value)
+
+
+def share_recovered(
+    results: Results, task: SensingTask, condition: Condition, key: str
+) -> SeedStatistic:
+    """[%] Gain by motion over the gain by measured contacts, of all seeds together.
+
+    Without a value if measured contacts gain nothing or a number is missing.
+    """
+    means = []
+    for sensor in (MEASURED, UNMEASURED, INFERRED):
+        where = SensorCondition(task.name, condition.name, sensor.name)
+        statistic = results.statistic(where, Quantity(key))
+        if not statistic.known or len(statistic.values) < len(results.readings(where)):
+            return SeedStatistic()
+        means.append(sum(statistic.values) / len(statistic.values))
+    best, worst, reached = means
+    if abs(best - worst) < _NO_GAIN * abs(worst):
+        return SeedStatistic()
+    return SeedStatistic((100.0 * (reached - worst) / (best - worst),), statistic.command)

@@ -1,1 +1,0 @@
-"""The paper's real experiment, rehearsed: recorded, learned from, controlled, all by a server."""

@@ -1,0 +1,184 @@
+"""Table, targets, figures and page of the study of models, from made-up numbers."""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+from made_up import AMOUNTS, by_the_paper, results
+from matplotlib.figure import Figure
+
+from contactgraph.viz.number_table import csv_numbers, markdown_numbers
+from contactgraph_studies.figures import new_figure, svg, write_figure
+from contactgraph_studies.page import study_page
+from contactgraph_studies.paper.claims import claims
+from contactgraph_studies.paper.config import (
+    DOOR,
+    FRANKA,
+    FULL_AB,
+    GIM_TEMP,
+    MODELS,
+    PICKUP,
+    TASKS,
+    StudyTask,
+)
+from contactgraph_studies.paper.figures import (
+    edge_figure,
+    error_figure,
+    fault_figure,
+    sample_figure,
+)
+from contactgraph_studies.paper.jobs import planned
+from contactgraph_studies.paper.study import model_table, model_targets
+from contactgraph_studies.results import Reading, Results, SeedStatistic, joined, with_range
+from contactgraph_studies.study import Picture, StudyResult
+from contactgraph_studies.tables import StudyTable
+
+ERROR = "n_step_rmse_planned_m"
+
+
+def read_csv(table: StudyTable) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(table.csv())))
+
+
+def table_of(measured: Results, tasks: Sequence[StudyTask] = (PICKUP,)) -> StudyTable:
+    return model_table(measured, tasks, AMOUNTS)
+
+
+def test_one_row_for_each_task_condition_and_model() -> None:
+    rows = read_csv(table_of(results(), TASKS))
+    assert len(rows) == 3 * 2 * len(MODELS), "the extra condition is left out"
+    first, free = rows[0], next(row for row in rows if row["model"] == FULL_AB.name)
+    assert list(first)[:6] == [
+        *("task", "scenes", "in_distribution", "model", "seeds"),
+        "planned_cm_median",
+    ]
+    assert list(first.values())[:8] == [
+        *("pickup", "as trained", "True", "GIM-Temp", "3"),
+        *("0.8", "0.8", "0.8"),
+    ]
+    assert (first["successes"], first["episodes"], first["episodes_every_step"]) == (
+        *("60", "60"),
+        "60",
+    )
+    folder = "cells/pickup/seed-0/gim-temp-40/run"
+    assert first["command_closed_loop"].startswith(f"contactgraph control {folder} ")
+    assert first["command_open_loop"].startswith("contactgraph evaluate ")
+    assert (free["successes"], free["successes_every_step"]) == ("6", "")
+
+
+def test_markdown_and_csv_agree() -> None:
+    table = table_of(results({ERROR: None}, FULL_AB))
+    markdown = table.markdown().splitlines()
+    assert len(markdown) == 2 + len(read_csv(table))
+    assert markdown[1] == "|" + 12 * "---|"
+    assert markdown[2].startswith("| pickup | as trained | GIM-Temp | 0.8 (0.8 to 0.8) | 1.6 ")
+    assert markdown[2].endswith("| 100 % of 60 (94 to 100) | 100 % of 60 (94 to 100) |")
+    assert "| Full-AB | not finite (not finite to not finite) |" in markdown[6]
+    assert markdown[6].endswith("| 10 % of 60 (5 to 20) |  |")
+    assert read_csv(table)[4]["planned_cm_median"] == "inf"
+
+
+def test_missing_measurements_are_empty_cells() -> None:
+    row = read_csv(table_of(Results({})))[0]
+    empty = ("planned_cm_median", "successes", "command_open_loop")
+    assert [row[name] for name in (*empty, "seeds")] == ["", "", "", "0"]
+
+
+def test_an_error_of_moving_bodies_is_not_known_if_nothing_moves() -> None:
+    moving = "n_step_rmse_planned_moving_m"
+    still = read_csv(table_of(results({moving: None}, FULL_AB)))[4]
+    assert still["planned_moving_cm_median"] == ""
+    diverged = read_csv(table_of(results({moving: None, ERROR: None}, FULL_AB)))[4]
+    assert diverged["planned_moving_cm_median"] == "inf"
+
+
+def test_targets_are_judged_by_the_median_over_seeds() -> None:
+    condition = planned(DOOR, GIM_TEMP, DOOR.hardest)
+    readings = [
+        Reading(seed, {**by_the_paper(condition), ERROR: error}, "contactgraph control")
+        for seed, error in enumerate((0.001, 0.011, 0.05))
+    ]
+    measured = Results({condition: readings})
+    numbers = {number.name: number for number in model_targets(measured, [DOOR], (0, 1, 2))}
+    error = numbers["door, 10 more doors: N-step error, planned against executed"]
+    assert error.value == pytest.approx(1.1)
+    assert error.interval == pytest.approx((0.1, 5.0))
+    assert (error.at_least, error.aim, error.reached) == (1.2, 0.3, True)
+    assert numbers["door, 10 more doors: edge F1, the same"].reached is True
+    assert numbers["door, 10 more doors: success"].reached is None, "not measured"
+    text = markdown_numbers(list(numbers.values()))
+    assert "planned against executed | 1.1 cm (0.1 to 5) | 1.2 | 0.3 | yes |" in text
+    assert "10 more doors: success | not known | 95 | 100 |  |" in text
+    arm = {number.name: number for number in model_targets(results(), [FRANKA], (0, 1, 2))}
+    assert arm["franka, 5 distractors: success"].at_least == 90.0
+    assert len(arm) == 2 * 6, "speed at contact and control time are judged for the arm alone"
+    missed = model_targets(results({ERROR: 0.02}, GIM_TEMP), TASKS, (0,))
+    assert "| **no** |" in markdown_numbers(missed)
+    read = list(csv.DictReader(io.StringIO(csv_numbers(missed))))
+    assert len(read) == len(missed) == 3 * 2 * 4
+    assert (read[0]["value"], read[0]["reached"]) == ("2.0", "False")
+
+
+def test_the_page_begins_with_verdicts_and_loads_nothing() -> None:
+    result = StudyResult(
+        title="Study <1>",
+        summary="in short",
+        claims=claims(results({ERROR: 0.02}), TASKS, AMOUNTS),
+        targets_heading="Targets",
+        targets=model_targets(results(), TASKS, (0, 1, 2)),
+        tables=[table_of(results())],
+        figures=[Picture("Errors", "cm", b"<svg/>", "svg+xml")],
+        amounts={},
+        readings=[],
+    )
+    failures = [("contactgraph x", "exit code 2; <b>")]
+    page = study_page(result, failures, ["contactgraph reproduce all"], {"jax": "1"}, "today")
+    assert page.count("<td>pickup</td><td>as trained</td><td>GIM-Temp</td>") == 1
+    assert 'title="contactgraph control cells/pickup/seed-0/gim-temp-40/run ' in page
+    assert "Study &lt;1&gt;" in page and "exit code 2; &lt;b&gt;" in page
+    assert page.index('class="verdict missed">does not hold') < page.index('id="figures"')
+    assert page.index('class="verdict met">holds') < page.index('id="figures"')
+    assert "data:image/svg+xml;base64,PHN2Zy8+" in page
+    assert "default-src 'none'" in page
+    assert "http://" not in page and "https://" not in page
+    assert "$" not in page, "every field of the template is filled"
+
+
+FIGURES: list[Callable[[Results], Figure]] = [
+    lambda measured: error_figure(measured, [DOOR]),
+    lambda measured: edge_figure(measured, [DOOR]),
+    lambda measured: fault_figure(measured, [DOOR]),
+    lambda measured: sample_figure(measured, [PICKUP], AMOUNTS),
+]
+
+
+@pytest.mark.parametrize("draw", FIGURES)
+def test_figures_are_reproducible_and_need_no_measurement(
+    draw: Callable[[Results], Figure],
+) -> None:
+    whole = svg(draw(results()))
+    assert whole == svg(draw(results()))
+    assert svg(draw(Results({}))) != whole
+
+
+def test_infinite_errors_are_hatched_bars() -> None:
+    figure = error_figure(results({ERROR: None}, FULL_AB), TASKS)
+    hatched = [bar for axes in figure.axes for bar in axes.patches if bar.get_hatch()]
+    assert len(hatched) == 2 * len(TASKS)
+
+
+def test_both_files_of_a_figure_are_written(tmp_path: Path) -> None:
+    picture = write_figure(tmp_path, "edges", "Edges", "caption", new_figure(1.0, 1.0))
+    files = sorted((tmp_path / "figures").iterdir())
+    assert [path.name for path in files] == ["edges.png", "edges.svg"]
+    assert picture.image == files[1].read_bytes()
+
+
+def test_text_of_numbers() -> None:
+    assert with_range(SeedStatistic()) == "not known"
+    assert with_range(SeedStatistic((1.0,)), "cm") == "1 cm"
+    assert with_range(SeedStatistic((3.0, 1.0, math.inf)), "cm") == "3 cm (1 to not finite)"
+    assert joined([]) == "" and joined(["a"]) == "a" and joined(["a", "b", "c"]) == "a, b and c"
