@@ -12,8 +12,7 @@ import numpy as np
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import model_diagnostics, run_episode
 from contactgraph.model import load_model, shipped_model
-from contactgraph.viz import write_summary_figure
-from contactgraph_studies.scenes import scene_run
+from contactgraph.viz import scene_run, write_summary_figure
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 model = load_model(shipped_model("pickup")).model
