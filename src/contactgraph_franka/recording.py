@@ -1,27 +1,38 @@
-"""Writes down what a loop reads and sends, and makes a run of it."""
+r"""Recording of what a control loop reads and sends, as a trajectory to train models on.
+
+A tracker inside a loop uses past frames only, and lags. A recorded trajectory is smoothed with the
+later frames too, by the Rauch-Tung-Striebel recursion over the tracker's own filter,
+
+.. math:: x_k \leftarrow x_k + P_k F^T \bar P_{k+1}^{-1} (x_{k+1} - F x_k),
+
+backwards over the frames, with the tracker's explanation of each (smooth motion or an impulse).
+"""
 
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
-from contactgraph_franka.perception.tracked_objects import Track
 from contactgraph_franka.perception.tracker import predicted
 from contactgraph_franka.safety.robot import RobotReading
 
-_SPARE_TICKS = 100
+if TYPE_CHECKING:
+    from contactgraph_franka.perception.tracked_objects import Track
+
+_SPARE_CYCLES = 100
 
 
 class TrajectoryRecorder:
-    """An `OnTick` of `ControlLoop`: nothing is computed and no memory taken while it runs.
+    """A `CycleCallback` of `ControlLoop` that writes into preallocated memory.
 
-    What was recorded before a stop is a run like any other. ``N`` nodes in ``D`` dimensions.
+    A recording that ends by a stop is a trajectory like any other. ``N`` nodes in ``D`` dimensions.
     """
 
     def __init__(self, seconds: float, nodes: int, dimension: int = 3, period: float = 0.001):
-        """For runs of up to ``seconds``, of ticks every ``period`` s.
+        """For trajectories of up to ``seconds``, with cycles of ``period`` s.
 
         Raises `InvalidInputError` where they are not positive.
         """
@@ -29,26 +40,26 @@ class TrajectoryRecorder:
             raise InvalidInputError(
                 f"seconds and period must be positive, found {seconds} and {period}"
             )
-        ticks = math.ceil(seconds / period) + _SPARE_TICKS
+        cycles = math.ceil(seconds / period) + _SPARE_CYCLES
         self._period = period
-        self._sent_at = np.empty(ticks)
-        self._sent = np.empty((ticks, dimension))
-        self._read_at = np.empty(ticks)
-        self._position = np.empty((ticks, nodes, dimension))
-        self._velocity = np.empty((ticks, nodes, dimension))
-        self._time = np.empty((ticks, nodes))
-        self._tracked = np.empty((ticks, nodes), dtype=bool)
-        self._contact = np.empty((ticks, nodes, nodes))
+        self._sent_at = np.empty(cycles)
+        self._sent = np.empty((cycles, dimension))
+        self._read_at = np.empty(cycles)
+        self._position = np.empty((cycles, nodes, dimension))
+        self._velocity = np.empty((cycles, nodes, dimension))
+        self._time = np.empty((cycles, nodes))
+        self._tracked = np.empty((cycles, nodes), dtype=bool)
+        self._contact = np.empty((cycles, nodes, nodes))
         self.began = math.nan
-        """s, on the loop's clock: when the first state of the last `run` was."""
-        self.begin()
+        """s, on the loop's clock: the time of the first state of the last `trajectory`."""
+        self.reset()
 
-    def begin(self) -> None:
-        """Forgets everything: a new run."""
+    def reset(self) -> None:
+        """Discards the recording."""
         self._reads = self._sends = 0
 
     def __call__(self, now: float, reading: RobotReading | None, sent: np.ndarray | None) -> None:
-        """Takes in a tick. What does not fit in any more, or is not finite, is left out."""
+        """Records a cycle. Readings beyond the capacity, or not finite, are left out."""
         if reading is not None and self._reads < len(self._read_at) and self._fits(reading):
             index = self._reads
             self._read_at[index] = now
@@ -63,12 +74,14 @@ class TrajectoryRecorder:
             self._sent[self._sends] = sent
             self._sends += 1
 
-    def run(self, scene: Scene, tracks: Mapping[int, Track] | None = None) -> Trajectory | None:
-        """The run, in steps of the loop's period, from the first force sent to the last.
+    def trajectory(
+        self, scene: Scene, tracks: "Mapping[int, Track] | None" = None
+    ) -> Trajectory | None:
+        """The recording in steps of the loop's period, from the first force sent to the last.
 
-        ``scene`` is that of the run; its ``dt`` is set. ``tracks`` are those of objects by
-        their nodes (`TrackedObjects`): where they were is smoothed from that; states of other nodes
-        are as they were read. Contact is recorded where it was measured throughout.
+        ``scene`` is that of the trajectory; its ``dt`` is set. ``tracks`` (`TrackedObjects`) by
+        node replace objects' readings by smoothed states; other nodes' states are those read.
+        Contact is recorded where it was measured throughout.
         None where there is no step. Raises `InvalidInputError` where an object was in no frame, or
         where the scene has other nodes.
         """
@@ -83,10 +96,10 @@ class TrajectoryRecorder:
         if steps < 1:
             return None
         at = first + self._period * np.arange(steps + 1)
-        position, velocity = self._as_read(scene, at)
+        position, velocity = self._interpolated(scene, at)
         for node, track in (tracks or {}).items():
             position[:, node], velocity[:, node] = smooth_track(track, at)
-        # The tick nearest to each state: its force acts in the step from there.
+        # The force sent in the cycle nearest to a state acts in the step from there.
         sent = np.searchsorted(self._sent_at[: self._sends], at[:-1] + self._period / 2.0) - 1
         last = np.searchsorted(self._read_at[: self._reads], at + self._period / 2.0) - 1
         contact = self._contact[last]
@@ -101,17 +114,17 @@ class TrajectoryRecorder:
             measured_at=self._time[last] - first,
         )
 
-    def _as_read(self, scene: Scene, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """[T+1, N, D] each, between readings on the straight line.
+    def _interpolated(self, scene: Scene, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """[T+1, N, D] each, interpolated linearly between readings.
 
-        The stamps of what is driven say when it was there; those of other nodes, when they were
-        last measured, but their states are those at the time of the reading.
+        The time stamps of actuated nodes belong to their states. Those of other nodes are the times
+        of their last measurement, while their states are predicted to the time of the reading.
         """
         position = np.empty((len(at), *self._position.shape[1:]))
         velocity = np.empty_like(position)
         for node in range(scene.node_count):
-            driven = bool(scene.actuated[node])
-            stamps = self._time[: self._reads, node] if driven else self._read_at[: self._reads]
+            actuated = bool(scene.actuated[node])
+            stamps = self._time[: self._reads, node] if actuated else self._read_at[: self._reads]
             stamps, index = np.unique(stamps, return_index=True)
             for axis in range(scene.dimension):
                 position[:, node, axis] = np.interp(at, stamps, self._position[index, node, axis])
@@ -124,43 +137,48 @@ class TrajectoryRecorder:
         return reading.position.shape == shape and all(np.isfinite(v).all() for v in values)
 
 
-def smooth_track(track: Track, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def smooth_track(track: "Track", at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Position and velocity, each [T, 3] m and m/s, at the times ``at`` [T] s.
 
-    Before the first frame that counted, and after the last, the object goes on as it did there.
-    Raises `InvalidInputError` where there was none.
+    Between two frames the expected motion under white acceleration is the cubic with the frames'
+    positions and velocities at its ends; before the first frame and after the last, the velocity is
+    constant. All of it is relative to the hand that carried the object, whose motion is added.
+    Raises `InvalidInputError` where no frame showed the object.
     """
     states = track.states
     if not states:
-        raise InvalidInputError("the object was in no frame: it cannot be said where it was")
+        raise InvalidInputError("the object was in no frame: its position is unknown")
     means = [state.mean for state in states]
     for index in reversed(range(len(states) - 1)):
-        here, after = states[index], states[index + 1]
-        if here.begun != after.begun:
-            continue  # the filter lost it in between, and says nothing of how it got there
-        step = after.time - here.time
+        state, following = states[index], states[index + 1]
+        if state.begun != following.begun:
+            continue  # the filter restarted, and does not relate the two
+        step = following.time - state.time
         forward = np.eye(6)
         forward[:3, 3:] = step * np.eye(3)
-        ahead = predicted(here.covariance, step, after.density)
-        gain = np.linalg.solve(ahead, forward @ here.covariance).T
-        means[index] = here.mean + gain @ (means[index + 1] - forward @ here.mean)
-    position, velocity = _between(np.array([state.time for state in states]), np.stack(means), at)
-    moved, speed = track.carried.motion(track.index, at)
-    return position + moved, velocity + speed
+        predicted_covariance = predicted(state.covariance, step, following.density)
+        gain = np.linalg.solve(predicted_covariance, forward @ state.covariance).T
+        means[index] = state.mean + gain @ (means[index + 1] - forward @ state.mean)
+    times = np.array([state.time for state in states])
+    position, velocity = _interpolate_cubic(times, np.stack(means), at)
+    carried, speed = track.carried.motion(track.index, at)
+    return position + carried, velocity + speed
 
 
-def _between(frame: np.ndarray, mean: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The cubics between ``mean`` [K, 6] at ``frame`` [K] s, and straight on outside of them."""
-    inside = np.clip(at, frame[0], frame[-1])
-    index = np.clip(np.searchsorted(frame, inside, side="right") - 1, 0, max(0, len(frame) - 2))
-    after = np.minimum(index + 1, len(frame) - 1)
-    step = (frame[after] - frame[index])[:, None]
+def _interpolate_cubic(
+    times: np.ndarray, mean: np.ndarray, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The cubics between ``mean`` [K, 6] at ``times`` [K] s, and straight lines outside."""
+    inside = np.clip(at, times[0], times[-1])
+    index = np.clip(np.searchsorted(times, inside, side="right") - 1, 0, max(0, len(times) - 2))
+    after = np.minimum(index + 1, len(times) - 1)
+    step = (times[after] - times[index])[:, None]
     step = np.where(step > 0.0, step, 1.0)
-    s = (inside - frame[index])[:, None] / step
+    s = (inside - times[index])[:, None] / step
     p, v = mean[index, :3], mean[index, 3:] * step
     q, w = mean[after, :3], mean[after, 3:] * step
-    way = q - p
-    position = p + s * v + s**2 * (3.0 * way - 2.0 * v - w) + s**3 * (v + w - 2.0 * way)
-    velocity = v + 2.0 * s * (3.0 * way - 2.0 * v - w) + 3.0 * s**2 * (v + w - 2.0 * way)
+    d = q - p
+    position = p + s * v + s**2 * (3.0 * d - 2.0 * v - w) + s**3 * (v + w - 2.0 * d)
+    velocity = v + 2.0 * s * (3.0 * d - 2.0 * v - w) + 3.0 * s**2 * (v + w - 2.0 * d)
     velocity = velocity / step
     return position + (at - inside)[:, None] * velocity, velocity

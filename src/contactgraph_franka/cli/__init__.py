@@ -1,1 +1,1 @@
-"""Commands of the arm: `contactgraph robot`."""
+"""Commands of the arm: ``contactgraph robot``."""

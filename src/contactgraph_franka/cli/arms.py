@@ -1,4 +1,4 @@
-"""A look through a camera, before anything moves."""
+"""Arms by their addresses: real, simulated behind the real protocol, or fake."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,94 +8,59 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from contactgraph.cli.options import choice
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.cli.options import FAKE, ArmOptions, RobotFault
+from contactgraph_franka.cli.options import FAKE, NO_BLOCK, ArmOptions, RobotFault
 from contactgraph_franka.driver.readings import AssumedBlock
 from contactgraph_franka.envs.pickup import ArmLayout
 from contactgraph_franka.loop import WallClock
-from contactgraph_franka.perception import Camera, CameraCalibration
-from contactgraph_franka.perception.detector import ObjectDetector, PoseEstimate
-from contactgraph_franka.perception.tracked_objects import TrackedObjects
-from contactgraph_franka.safety import FakeRobot, Robot, SafetyLimits, Stop
+from contactgraph_franka.perception import Camera, CameraCalibration, read_calibration
+from contactgraph_franka.safety import FakeRobot, Robot, SafetyLimits
 from contactgraph_franka.safety.fake_robot import RealtimeFakeRobot
-
-_LOOK_S = 15.0
-"""Wall seconds: rehearsed cameras are slow."""
-
-
-def glimpsed(
-    open_camera: Callable[[], Camera], calibration: CameraCalibration, name: str
-) -> PoseEstimate:
-    """The object of this name, in the first frame that shows it.
-
-    Raises `RobotFault` where none does.
-    """
-    camera = open_camera()
-    try:
-        sight, until = ObjectDetector(calibration), time.monotonic() + _LOOK_S
-        while time.monotonic() < until:
-            frame = camera.read()
-            seen = {} if frame is None else sight.detect(frame)
-            if name in seen:
-                return seen[name]
-            time.sleep(0.01)
-    finally:
-        camera.close()
-    raise RobotFault(
-        f"the camera does not see the {name}: is it in the picture, lit, its tags towards the "
-        "camera, and the calibration this camera's?"
-    )
-
-
-def glimpsed_yaw(
-    open_camera: Callable[[], Camera], calibration: CameraCalibration, name: str
-) -> float:
-    """rad: how the object is turned about the vertical. Raises as `glimpsed`."""
-    turn = glimpsed(open_camera, calibration, name).pose[:3, :3]
-    return float(np.arctan2(turn[1, 0], turn[0, 0]))
-
 
 if TYPE_CHECKING:
     from contactgraph_franka.driver.franka_robot import FrankaRobot
     from contactgraph_franka.driver.gripper import FrankaGripper
+    from contactgraph_franka.perception.tracked_objects import TrackedObjects
     from contactgraph_franka.sim.simulated_robot import SimulatedRobot
 
 _FAKE_HAND, _FAKE_BLOCK = (0.5, -0.2, 0.25), (0.5, 0.05, 0.1)
-"""m: where they are at first."""
-_SLOWLY = 0.2
-"""Of the arm's own speed, where it moves by itself."""
-_NODES = ("block",)
-"""After the hand."""
+"""m: the first positions."""
+_REAL_SPEED, _SIMULATED_SPEED = 0.2, 0.5
+"""Shares of the arm's own limits, for its position control."""
+_BLOCK = "block"
+"""Name of the node after the hand."""
+_DETECTION_TIMEOUT = 15.0
+"""Wall seconds: rendered cameras are slow."""
 
 
 class Arm(Protocol):
-    """An arm, and what else a person does with it than to push it about."""
+    """A robot with its clock, its object source, and motions outside the control loop."""
 
     robot: Robot
     clock: WallClock
-    words: str
-    """What it is."""
+    name: str
+    """Text for the user."""
     real: bool
-    """Whether somebody could get hurt."""
-    seen: TrackedObjects | None
-    """What its camera sees; None without one."""
+    """Whether it can hurt a person."""
+    tracker: "TrackedObjects | None"
+    """The tracker of the block; None without a camera."""
     assumed: AssumedBlock | None
-    """The block that nobody sees; None where somebody does."""
-
+    """The block at a given position; None with a camera."""
     block_yaw: float
-    """rad: how the block was turned when the arm was open_arm; 0 where nobody saw it."""
+    """rad: orientation of the block when the arm was opened; 0 without a camera."""
 
     def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
-        """Names and words."""
+        """Names and texts."""
 
     def move_to(self, position: np.ndarray, yaw: float) -> None:
         """Moves the open hand slowly to ``position`` [3] m; raises `RobotFault` where it cannot."""
 
-    def arrange(self, layout: ArmLayout) -> bool:
-        """Puts the block where ``layout`` has it; False where a person must do it."""
+    def place_block(self, layout: ArmLayout) -> bool:
+        """Puts the block to its position in ``layout``; False where a person must do it."""
 
-    def said(self) -> str:
-        """What the arm itself said of its last end; empty where it said nothing."""
+    def last_error(self) -> str:
+        """The arm's own message about its last stop; empty where there is none."""
 
 
 class FakeArm:
@@ -103,9 +68,9 @@ class FakeArm:
 
     real = False
     block_yaw = 0.0
-    seen: TrackedObjects | None = None
+    tracker: "TrackedObjects | None" = None
     assumed: AssumedBlock | None = None
-    words = "a fake arm: a point mass and an object without weight"
+    name = "a fake arm: a point mass and an object without weight"
 
     def __init__(self) -> None:
         self.clock = WallClock()
@@ -124,40 +89,40 @@ class FakeArm:
         ]
 
     def move_to(self, position: np.ndarray, yaw: float) -> None:
-        """See `Arm`; it is there at once."""
+        """See `Arm`; it takes no time."""
         self._fake.place(position, self._fake.position[1])
 
-    def arrange(self, layout: ArmLayout) -> bool:
+    def place_block(self, layout: ArmLayout) -> bool:
         """See `Arm`."""
         self._fake.place(self._fake.position[0], layout.blocks[0])
         return True
 
-    def said(self) -> str:
+    def last_error(self) -> str:
         """See `Arm`."""
         return ""
 
 
 class FrankaArm:
-    """An arm of Franka's, with its gripper."""
+    """A Franka arm with its gripper; ``simulation`` is None for a real one."""
 
     def __init__(
         self,
         robot: "FrankaRobot",
         gripper: "FrankaGripper",
         clock: WallClock,
-        rehearsal: "SimulatedRobot | None",
-        seen: TrackedObjects | None,
-        assumed: AssumedBlock | None,
+        simulation: "SimulatedRobot | None",
+        objects: "TrackedObjects | AssumedBlock",
         block_yaw: float,
     ) -> None:
         self.robot: Robot = robot
-        self.block_yaw = block_yaw
-        self.clock, self.seen, self.assumed = clock, seen, assumed
-        self.real = rehearsal is None
-        self.words = f"the arm at {robot.address}"
-        if rehearsal is not None:
-            self.words = f"the rehearsed arm at {robot.address}, {rehearsal.pace:g} times slower"
-        self._franka, self._gripper, self._rehearsal = robot, gripper, rehearsal
+        self.clock, self.block_yaw = clock, block_yaw
+        self.tracker = None if isinstance(objects, AssumedBlock) else objects
+        self.assumed = objects if isinstance(objects, AssumedBlock) else None
+        self.real = simulation is None
+        self.name = f"the arm at {robot.address}"
+        if simulation is not None:
+            self.name = f"the simulated arm at {robot.address}, {simulation.pace:g} times slower"
+        self._franka, self._gripper, self._simulation = robot, gripper, simulation
 
     def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
         """See `Arm`."""
@@ -173,30 +138,31 @@ class FrankaArm:
         """See `Arm`."""
         self._gripper.open()
         if self._franka.ended is not None and not self._franka.recover():
-            raise RobotFault(f"{self.words} does not recover: {self._franka.last_error}")
-        ended = self._franka.move_to(position, yaw, speed=_SLOWLY if self.real else 0.5)
+            raise RobotFault(f"{self.name} does not recover: {self._franka.last_error}")
+        speed = _REAL_SPEED if self.real else _SIMULATED_SPEED
+        ended = self._franka.move_to(position, yaw, speed=speed)
         if ended is not None:
-            raise RobotFault(f"{self.words} {ended}; it said: {self.said()}")
+            raise RobotFault(f"{self.name} {ended}; its message: {self.last_error()}")
 
-    def arrange(self, layout: ArmLayout) -> bool:
+    def place_block(self, layout: ArmLayout) -> bool:
         """See `Arm`."""
-        if self._rehearsal is None:
+        if self._simulation is None:
             return False
-        self._rehearsal.place_block(0, layout.blocks[0], float(layout.block_yaw[0]))
+        self._simulation.place_block(0, layout.blocks[0], float(layout.block_yaw[0]))
         return True
 
-    def said(self) -> str:
+    def last_error(self) -> str:
         """See `Arm`."""
-        ended: Stop | None = self._franka.ended
-        words = "" if ended is None else ended.reason.value
-        return " ".join(f"{words} {self._franka.last_error}".split())
+        ended = self._franka.ended
+        reason = "" if ended is None else ended.reason.value
+        return " ".join(f"{reason} {self._franka.last_error}".split())
 
 
 @contextmanager
 def open_arm(address: str, options: ArmOptions) -> Iterator[Arm]:
-    """The arm at ``address``, with whoever sees its block; nothing moves.
+    """Connects to the arm at ``address`` and its object source; nothing moves.
 
-    Raises `InvalidInputError` where there is none, or what it needs is not there.
+    Raises `InvalidInputError` where there is none, or a part it needs is missing.
     """
     if address == FAKE:
         if options.camera != "none" or options.block is not None:
@@ -206,23 +172,17 @@ def open_arm(address: str, options: ArmOptions) -> Iterator[Arm]:
     from contactgraph_franka.driver.franka_robot import FrankaRobot
     from contactgraph_franka.driver.gripper import FrankaGripper
 
-    rehearsal = _rehearsal(address)
-    clock = WallClock() if rehearsal is None else rehearsal.clock
+    simulation = _simulation(address)
+    clock = WallClock() if simulation is None else simulation.clock
     with ExitStack() as stack:
-        seen, assumed, yaw = _objects(address, options, clock, rehearsal, stack)
+        objects, yaw = _object_source(address, options, clock, simulation, stack)
         gripper = stack.enter_context(FrankaGripper(address, clock))
-        robot = FrankaRobot(
-            address,
-            seen or assumed,
-            clock,
-            fingers=gripper,
-        )
-        stack.enter_context(robot)
-        yield FrankaArm(robot, gripper, clock, rehearsal, seen, assumed, yaw)
+        robot = stack.enter_context(FrankaRobot(address, objects, clock, fingers=gripper))
+        yield FrankaArm(robot, gripper, clock, simulation, objects, yaw)
 
 
-def _rehearsal(address: str) -> "SimulatedRobot | None":
-    """The one that runs at ``address``, if one does."""
+def _simulation(address: str) -> "SimulatedRobot | None":
+    """The simulated robot at ``address``, if there is one."""
     from contactgraph_franka.sim.simulated_robot import attach
 
     try:
@@ -231,52 +191,73 @@ def _rehearsal(address: str) -> "SimulatedRobot | None":
         return None
 
 
-def _objects(
+def _object_source(
     address: str,
     options: ArmOptions,
     clock: WallClock,
-    rehearsal: "SimulatedRobot | None",
+    simulation: "SimulatedRobot | None",
     stack: ExitStack,
-) -> tuple[TrackedObjects | None, AssumedBlock | None, float]:
-    """Who tells where the block is, a camera or the user; and how it is turned, rad."""
-    from contactgraph.cli.options import choice
-
+) -> "tuple[TrackedObjects | AssumedBlock, float]":
+    """The source of the block's position, a camera or the user, and the block's yaw, rad."""
     choice("--camera", options.camera, dict.fromkeys(("none", "realsense", "rendered")))
     if options.camera == "none":
         if options.block is None:
             raise InvalidInputError("without a --camera, --block X Y Z must say where the block is")
-        return None, AssumedBlock(np.array(options.block, dtype=float)), 0.0
+        return AssumedBlock(np.array(options.block, dtype=float)), 0.0
     if options.block is not None:
         raise InvalidInputError("--block: the camera sees it, so one of the two must be left out")
-    from contactgraph_franka.cli.arms import glimpsed_yaw
-    from contactgraph_franka.perception import Camera, read_calibration
     from contactgraph_franka.perception.perception import Perception
+    from contactgraph_franka.perception.tracked_objects import TrackedObjects
 
-    open_eye: Callable[[], Camera]
-    told = None if options.calibration is None else read_calibration(options.calibration)
+    open_camera, calibration = _camera(address, options, simulation)
+    if _BLOCK not in calibration.objects:
+        known = ", ".join(calibration.objects) or "no objects"
+        raise InvalidInputError(f"the calibration knows {known}; it must know {_BLOCK}")
+    yaw = _block_yaw(open_camera, calibration)
+    perception = stack.enter_context(Perception(open_camera, calibration, clock))
+    return TrackedObjects(perception, (_BLOCK,)), yaw
+
+
+def _camera(
+    address: str, options: ArmOptions, simulation: "SimulatedRobot | None"
+) -> tuple[Callable[[], Camera], CameraCalibration]:
+    path = options.calibration
+    calibration = None if path is None else read_calibration(path)
     if options.camera == "rendered":
         from contactgraph_franka.sim.simulated_robot import open_camera
 
-        if rehearsal is None:
+        if simulation is None:
             raise InvalidInputError(
-                f"--camera rendered: no rehearsal runs at {address}; an arm has a realsense"
+                f"--camera rendered: no simulated robot runs at {address}; an arm has a realsense"
             )
-        told = rehearsal.calibration() if told is None else told
-        open_eye = partial(open_camera, address)
-    else:
-        from contactgraph_franka.perception.realsense import RealSenseCamera
+        return partial(open_camera, address), calibration or simulation.calibration()
+    from contactgraph_franka.perception.realsense import RealSenseCamera
 
-        if told is None:
-            raise InvalidInputError(
-                "--camera realsense needs --calibration FILE, as `contactgraph robot calibrate` "
-                "writes it"
-            )
-        open_eye = RealSenseCamera
-    missing = [name for name in _NODES if name not in told.objects]
-    if missing:
+    if calibration is None:
         raise InvalidInputError(
-            f"the calibration knows {', '.join(told.objects) or 'no objects'}; it must know block"
+            "--camera realsense needs --calibration FILE, as `contactgraph robot calibrate` "
+            "writes it"
         )
-    yaw = glimpsed_yaw(open_eye, told, *_NODES)
-    perception = stack.enter_context(Perception(open_eye, told, clock))
-    return TrackedObjects(perception, _NODES), None, yaw
+    return RealSenseCamera, calibration
+
+
+def _block_yaw(open_camera: Callable[[], Camera], calibration: CameraCalibration) -> float:
+    """rad: orientation of the block about the vertical, in the first frame that shows it.
+
+    Raises `RobotFault` where none does.
+    """
+    from contactgraph_franka.perception.detector import ObjectDetector
+
+    camera = open_camera()
+    try:
+        detector, until = ObjectDetector(calibration), time.monotonic() + _DETECTION_TIMEOUT
+        while time.monotonic() < until:
+            frame = camera.read()
+            detected = {} if frame is None else detector.detect(frame)
+            if _BLOCK in detected:
+                rotation = detected[_BLOCK].pose[:3, :3]
+                return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+            time.sleep(0.01)
+    finally:
+        camera.close()
+    raise RobotFault(f"the camera does not see the {_BLOCK}: {NO_BLOCK}")

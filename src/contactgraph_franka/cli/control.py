@@ -1,21 +1,51 @@
-"""``contactgraph robot run``: a model controls an arm."""
+"""``contactgraph robot run`` and ``rehearse-control``: MPC of a real or simulated arm."""
 
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from statistics import median
+from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import Positional, arg
 
-from contactgraph_franka.cli.options import ArmOptions
-from contactgraph_franka.loop import Planner
+from contactgraph.cli.options import check_range, check_seed
+from contactgraph.cli.output import check_writable, progress, write_json
+from contactgraph.data import InvalidInputError, Trajectory, write_trajectories
+from contactgraph_franka.cli.arms import Arm, open_arm
+from contactgraph_franka.cli.options import (
+    ArmOptions,
+    RobotFault,
+    check_position,
+    check_seconds,
+    count_down,
+    ctrl_c,
+    point,
+    wait_for_block,
+)
+from contactgraph_franka.cli.session import (
+    Session,
+    SimulatedSetup,
+    block_position,
+    episode_layout,
+    episode_seed,
+    simulated_setup,
+)
+from contactgraph_franka.envs.pickup import (
+    GOAL_RADIUS,
+    HAND,
+    TARGET,
+    pickup_cost,
+    pickup_scene,
+    sweep_start,
+    sweep_yaw,
+)
+from contactgraph_franka.loop import Planner, PlannerProcess
+from contactgraph_franka.safety import SafetyLimits
 
-if TYPE_CHECKING:
-    import numpy as np
-
-    from contactgraph_franka.cli.arms import Arm
-    from contactgraph_franka.safety import SafetyLimits
+_CONTROL_WEIGHT = 0.03
+"""1/N^2. With the simulated task's 0.01, long plans begin with more force than an arm's limits
+permit, more along one axis than along another, so that the hand approaches on a curve."""
 
 
 @dataclass(frozen=True)
@@ -25,73 +55,53 @@ class Run:
     model: Positional[Annotated[str, arg(metavar="MODEL")]]
     """A run folder, a model file, or a model that ships with the package (franka)."""
     address: Positional[Annotated[str, arg(metavar="ADDR")]]
-    """The arm's address, one in a rehearsal, or fake."""
+    """The arm's address, a simulated robot's, or fake."""
     goal: Annotated[tuple[float, ...], arg(metavar="X Y Z")]
-    """Where to bring the block, m, in the frame of the arm's base."""
+    """Goal of the block, m, in the frame of the arm's base."""
     arm: ArmOptions = field(default_factory=ArmOptions)
     seconds: float = 5.0
-    """For how long."""
+    """Duration."""
     horizon: Annotated[int, arg(metavar="INT")] = 100
     """Steps to plan ahead."""
     infer_contacts: bool = False
-    """Find contacts by how things move, besides what the fingers tell."""
+    """Infer contacts from motion, besides the fingers' sensor."""
     stay: bool = False
-    """Begin where the hand is, in place of moving slowly to where it can sweep from."""
+    """Begin at the hand's present position, without moving slowly to the start of a sweep first."""
     dry_run: bool = False
-    """Read, plan and say what would be done; the arm is sent nothing."""
+    """Read, plan and print the plans; the arm receives no command."""
     save: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Write the run to this dataset file (HDF5), in steps of 0.001 s."""
+    """Write the trajectory to this dataset file (HDF5), in steps of 0.001 s."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the measurements to this file."""
 
     def run(self) -> None:
-        """Run, and say how it went."""
+        """Control the arm, and print the result."""
         from contactgraph.cli.models import model_path
-        from contactgraph.cli.options import check_range
-        from contactgraph.cli.output import check_writable, write_json
-        from contactgraph.data import write_trajectories
-        from contactgraph_franka.cli.arms import open_arm
-        from contactgraph_franka.cli.control import mpc_planner
-        from contactgraph_franka.cli.options import (
-            RobotFault,
-            check_seconds,
-            count_down,
-            ctrl_c,
-            place,
-            wait_for_block,
-        )
-        from contactgraph_franka.cli.session import Session
-        from contactgraph_franka.loop import PlannerProcess
 
         for path in (self.save, self.json):
             check_writable(path)
         check_seconds("--seconds", self.seconds)
         check_range("--horizon", self.horizon, 1, 1000)
         limits = self.arm.limits(self.address)
-        goal = place("--goal", self.goal, limits)
-        make = partial(
-            mpc_planner,
-            model_path(self.model),
-            limits.max_force,
-            self.horizon,
-            self.infer_contacts,
-        )
+        goal = check_position("--goal", self.goal, limits)
+        model = model_path(self.model)
+        make = partial(mpc_planner, model, limits.max_force, self.horizon, self.infer_contacts)
         with open_arm(self.address, self.arm) as arm:
             wait_for_block(arm)
-            with PlannerProcess(make) as planning:
-                session = Session(arm, limits, planning, self.seconds, self.dry_run)
+            with PlannerProcess(make) as planner:
+                session = Session(arm, limits, planner, self.seconds, self.dry_run)
                 if not (self.dry_run or self.stay):
-                    self._move_to_start(arm, goal, limits)
-                count_down(arm, self._words(goal))
+                    _move_to_start(arm, goal, limits)
+                count_down(arm, self._announcement(goal))
                 with ctrl_c() as pressed:
                     report = session.run(goal, 0, pressed)
-                said = "" if report.completed else arm.said()
-            run = session.recorded(goal, {"model": self.model, "address": self.address})
-        if run is not None and self.save is not None:
-            write_trajectories(self.save, [run], {"task": "franka"})
+                error = "" if report.completed else arm.last_error()
+            trajectory = session.trajectory(goal, {"model": self.model, "address": self.address})
+        if trajectory is not None and self.save is not None:
+            write_trajectories(self.save, [trajectory], {"task": "franka"})
         for line in report.lines():
             print(line)
-        ended = session.ended(goal)
+        outcome = session.outcome(goal)
         write_json(
             self.json,
             {
@@ -100,87 +110,70 @@ class Run:
                 "goal": goal.tolist(),
                 "dry_run": self.dry_run,
                 "pace": arm.clock.pace,
-                **ended.to_json(),
+                **outcome.to_json(),
                 **report.to_json(),
             },
         )
         if not report.completed:
-            raise RobotFault(f"the arm stopped: {report.stop.reason.value}. {said}".strip())
+            raise RobotFault(f"the arm stopped: {report.stop.reason.value}. {error}".strip())
         if not self.dry_run:
-            print(ended.words)
+            print(outcome)
 
-    def _words(self, goal: "np.ndarray") -> str:
-        where = ", ".join(f"{number:g}" for number in goal)
+    def _announcement(self, goal: np.ndarray) -> str:
+        at = ", ".join(f"{number:g}" for number in goal)
         if self.dry_run:
-            return f"plans to bring the block to ({where}) m are made and said; nothing is sent"
+            return f"plans to bring the block to ({at}) m are made and printed; nothing is sent"
         return (
-            f"the hand will sweep through the block and bring it to ({where}) m within "
+            f"the hand will sweep through the block and bring it to ({at}) m within "
             f"{self.seconds:g} s, with at most {self.arm.max_force:g} N"
         )
 
-    def _move_to_start(self, arm: "Arm", goal: "np.ndarray", limits: "SafetyLimits") -> None:
-        import numpy as np
 
-        from contactgraph_franka.cli.options import RobotFault, count_down
-        from contactgraph_franka.cli.session import seen_block
-        from contactgraph_franka.envs.pickup import sweep_start, sweep_yaw
-
-        block = seen_block(arm)
-        low, high = np.array(limits.workspace_low), np.array(limits.workspace_high)
-        hand = sweep_start(block, arm.block_yaw, goal, low, high)
-        where = ", ".join(f"{number:.3f}" for number in block)
-        if hand is None:
-            raise RobotFault(
-                f"the block at ({where}) m cannot be swept through within the workspace: put it "
-                "nearer to the middle, or use --stay"
-            )
-        at = ", ".join(f"{number:.2f}" for number in hand)
-        count_down(arm, f"the block is at ({where}) m; the hand first moves slowly to ({at}) m")
-        arm.move_to(hand, sweep_yaw(hand, block))
-
-
-if TYPE_CHECKING:
-    from contactgraph.data import Trajectory
-    from contactgraph_franka.cli.session import Session, SimulatedSetup
+def _move_to_start(arm: Arm, goal: np.ndarray, limits: SafetyLimits) -> None:
+    """Moves the hand slowly to the start of a sweep through the block."""
+    block = block_position(arm)
+    low, high = np.array(limits.workspace_low), np.array(limits.workspace_high)
+    hand = sweep_start(block, arm.block_yaw, goal, low, high)
+    at = point(block, 3)
+    if hand is None:
+        raise RobotFault(
+            f"the block at {at} m cannot be swept through within the workspace: put it "
+            "nearer to the middle, or use --stay"
+        )
+    count_down(arm, f"the block is at {at} m; the hand first moves slowly to {point(hand)} m")
+    arm.move_to(hand, sweep_yaw(hand, block))
 
 
 @dataclass(frozen=True)
 class RehearseControl:
-    """Rehearse an arm that picks blocks up by MPC with a learned model, seen by its camera.
+    """Let a simulated arm with a camera pick up blocks, by MPC with a learned model.
 
-    Each episode has its own start, block and goal. It succeeded where, at its end and in truth, a
-    finger touches the block within 0.05 m of the goal.
+    Each episode has its own start, block and goal. It succeeds if at its end, by the ground truth,
+    a finger touches the block within 0.05 m of the goal.
     """
 
     model: Positional[Annotated[str, arg(metavar="MODEL")]]
     """A run folder, a model file, or a model that ships with the package (franka)."""
     episodes: int = 20
-    """How many."""
+    """Number of episodes."""
     seed: int = 0
     """The same seed has the same starts, blocks and goals."""
     seconds: float = 5.0
-    """For how long each goes on."""
+    """Duration of each."""
     pace: float = 4.0
     """Wall seconds to a simulated one."""
     horizon: Annotated[int, arg(metavar="INT")] = 100
     """Steps to plan ahead."""
     infer_contacts: bool = False
-    """Find contacts by how things move, besides what the fingers tell."""
+    """Infer contacts from motion, besides the fingers' sensor."""
     save: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Write the runs, as they really were, to this dataset file (HDF5)."""
+    """Write the ground-truth trajectories to this dataset file (HDF5)."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the measurements to this file."""
 
     def run(self) -> None:
-        """Control, and say how it went."""
+        """Run the episodes, and print the success rate."""
         from contactgraph.cli.models import model_path
-        from contactgraph.cli.options import check_range, check_seed
-        from contactgraph.cli.output import check_writable, progress, write_json
-        from contactgraph.data import write_trajectories
-        from contactgraph_franka.cli.control import mpc_planner
-        from contactgraph_franka.cli.options import check_seconds
-        from contactgraph_franka.cli.session import Session, simulated_setup
-        from contactgraph_franka.loop import PlannerProcess
 
         for path in (self.save, self.json):
             check_writable(path)
@@ -189,60 +182,53 @@ class RehearseControl:
         check_seed(self.seed)
         check_seconds("--seconds", self.seconds, 25.0)
         model = model_path(self.model)
-        found: list[dict[str, Any]] = []
-        runs: list[Trajectory] = []
-        with simulated_setup(self.pace) as stage:
-            force = stage.limits.max_force
+        results: list[dict[str, Any]] = []
+        trajectories: list[Trajectory] = []
+        with simulated_setup(self.pace) as setup:
+            force = setup.limits.max_force
             make = partial(mpc_planner, model, force, self.horizon, self.infer_contacts)
-            with PlannerProcess(make) as planning, progress("episodes", self.episodes) as steps:
-                session = Session(stage.arm, stage.limits, planning, self.seconds)
+            with PlannerProcess(make) as planner, progress("episodes", self.episodes) as steps:
+                session = Session(setup.arm, setup.limits, planner, self.seconds)
                 for number in range(self.episodes):
-                    values, run = self._episode(stage, session, number)
-                    found.append(values)
-                    runs.extend([] if run is None else [run])
-                    steps.advance(number + 1, f"{sum(each['success'] for each in found)} succeed")
-            server = stage.rehearsal.report()
-        if runs and self.save is not None:
-            write_trajectories(self.save, runs, {"task": "franka", "seed": self.seed})
-        summary = self._summary(found)
-        write_json(self.json, {**summary, "server_ticks_per_wall_s": server.rate, "each": found})
+                    result, truth = self._episode(setup, session, number)
+                    results.append(result)
+                    trajectories.extend([] if truth is None else [truth])
+                    steps.advance(number + 1, f"{sum(one['success'] for one in results)} succeed")
+            server = setup.simulation.report()
+        if trajectories and self.save is not None:
+            write_trajectories(self.save, trajectories, {"task": "franka", "seed": self.seed})
+        summary = self._summary(results)
+        write_json(self.json, {**summary, "server_ticks_per_wall_s": server.rate, "each": results})
         low, high = summary["success_interval"]
         rate = summary["success_rate"]
         print(f"success {100 * rate:.0f} % ({100 * low:.0f} to {100 * high:.0f})")
-        for each in found:
-            if not each["success"]:
-                print(f"  {each['number']}: {100 * each['distance_m']:.1f} cm; {each['end']}")
+        for one in results:
+            if not one["success"]:
+                print(f"  {one['number']}: {100 * one['distance_m']:.1f} cm; {one['end']}")
 
     def _episode(
-        self, stage: "SimulatedSetup", session: "Session", number: int
-    ) -> "tuple[dict[str, Any], Trajectory | None]":
-        """What is measured of an episode, and how it really was; None where nothing was sent."""
-        import numpy as np
-
-        from contactgraph_franka.cli.session import episode_layout, episode_seed
-        from contactgraph_franka.envs.pickup import GOAL_RADIUS, HAND, TARGET
+        self, setup: SimulatedSetup, session: Session, number: int
+    ) -> tuple[dict[str, Any], Trajectory | None]:
+        """Measurements and ground truth of an episode; the latter None where no force was sent."""
         from contactgraph_franka.sim.shared_state import ground_truth_trajectory
 
-        layout = episode_layout(self.seed, number, stage.limits)
-        stage.arrange(layout)
-        report = session.run(layout.goal, episode_seed(self.seed, number), lambda: False)
-        run = session.recorded(layout.goal, {"number": number, "model": self.model})
-        last = stage.rehearsal.ground_truth.newest()
+        layout = episode_layout(self.seed, number, setup.limits)
+        setup.arrange(layout)
+        report = session.run(layout.goal, episode_seed(self.seed, number))
+        recorded = session.trajectory(layout.goal, {"number": number, "model": self.model})
+        ground_truth = setup.simulation.ground_truth
+        last = ground_truth.newest()
         distance = float(np.linalg.norm(last["position"][TARGET] - layout.goal))
         held = bool(last["fingers"][TARGET - 1].any())
-        truth = (
-            None
-            if run is None
-            else ground_truth_trajectory(stage.rehearsal.ground_truth, run, session.began)
-        )
-        speed = error = None
-        if run is not None and truth is not None and truth.contact is not None:
+        truth = speed = error = None
+        if recorded is not None:
+            truth = ground_truth_trajectory(ground_truth, recorded, session.began)
+        if recorded is not None and truth is not None and truth.contact is not None:
             touched = np.flatnonzero(truth.contact[:, HAND, TARGET])
             if len(touched):
                 speed = float(np.linalg.norm(truth.velocity[touched[0], HAND]))
-            error = float(
-                np.median(np.linalg.norm((run.position - truth.position)[:, TARGET], axis=1))
-            )
+            offset = (recorded.position - truth.position)[:, TARGET]
+            error = float(np.median(np.linalg.norm(offset, axis=1)))
         return {
             "number": number,
             "success": held and distance <= GOAL_RADIUS,
@@ -260,13 +246,11 @@ class RehearseControl:
             "plans_late": report.plans_late,
         }, truth
 
-    def _summary(self, found: list[dict[str, Any]]) -> dict[str, Any]:
-        from statistics import median
-
+    def _summary(self, results: list[dict[str, Any]]) -> dict[str, Any]:
         from contactgraph.evaluate import wilson_interval
 
-        successes = sum(each["success"] for each in found)
-        speeds = [one for each in found if (one := each["contact_speed_m_s"]) is not None]
+        successes = sum(one["success"] for one in results)
+        speeds = [speed for one in results if (speed := one["contact_speed_m_s"]) is not None]
         return {
             "run": self.model,
             "seed": self.seed,
@@ -275,49 +259,32 @@ class RehearseControl:
             "pace": self.pace,
             "infer_contacts": self.infer_contacts,
             "successes": successes,
-            "success_rate": successes / len(found),
-            "success_interval": list(wilson_interval(successes, len(found))),
+            "success_rate": successes / len(results),
+            "success_interval": list(wilson_interval(successes, len(results))),
             "contact_speed_m_s": median(speeds) if speeds else None,
-            "rate_hz": min(each["rate_hz"] for each in found),
+            "rate_hz": min(one["rate_hz"] for one in results),
         }
-
-
-_NOWHERE = np.zeros(3)
-"""m: each run has its own goal."""
-_CONTROL_WEIGHT = 0.03
-"""1/N^2. With the simulated task's 0.01, plans that far ahead begin with more force than an arm's
-limits let pass, more along one axis than along another: the hand comes to the block on a bow."""
 
 
 def mpc_planner(path: Path, max_force: float, horizon: int, infer_contacts: bool) -> Planner:
     """MPC with the model in the file ``path``, for the arm's pickup; forces up to ``max_force`` N.
 
-    Raises `InvalidInputError` where there is no such model, or it is for something else.
+    Raises `InvalidInputError` where the file holds no model, or one of another task.
     """
-    from contactgraph.data import InvalidInputError
     from contactgraph.evaluate.mpc_policy import TaskCost
     from contactgraph.model import ContactDynamics, MotionNoise
     from contactgraph.model.io import load_model
-    from contactgraph_franka.envs.pickup import pickup_cost, pickup_scene
     from contactgraph_franka.loop.mpc_planner import MPCPlanner
 
     model = load_model(path).model
     if not isinstance(model, ContactDynamics):
         raise InvalidInputError(f"{path}: must be a model of contacts to control an arm with")
+    goal = np.zeros(3)  # each episode has its own
     return MPCPlanner(
         model,
-        pickup_scene(model.dt, _NOWHERE),
-        TaskCost.of(replace(pickup_cost(), control_weight=_CONTROL_WEIGHT), len(_NOWHERE)),
+        pickup_scene(model.dt, goal),
+        TaskCost.of(replace(pickup_cost(), control_weight=_CONTROL_WEIGHT), len(goal)),
         max_force,
         horizon=horizon,
         motion_noise=MotionNoise() if infer_contacts else None,
     )
-
-
-def expert_planner(noise: float) -> Planner:
-    """The scripted expert of the arm's pickup, with ``noise`` N on its force."""
-    from contactgraph_franka.envs.expert import FrankaExpert
-    from contactgraph_franka.envs.pickup import pickup_scene
-    from contactgraph_franka.loop.planner import PolicyPlanner
-
-    return PolicyPlanner(FrankaExpert(noise=noise), pickup_scene(0.01, _NOWHERE))

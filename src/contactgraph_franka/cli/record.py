@@ -1,328 +1,290 @@
-"""``contactgraph robot record``: runs of the scripted expert on an arm."""
+"""``contactgraph robot record`` and ``rehearse-record``: datasets from a real or simulated arm."""
 
 import math
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 from tyro.conf import Positional, arg
 
-from contactgraph_franka.cli.options import ArmOptions
+from contactgraph.cli.options import check_range, check_seed, check_share
+from contactgraph.cli.output import check_writable, progress, write_json
+from contactgraph.data import (
+    InvalidInputError,
+    Metadata,
+    Trajectory,
+    read_trajectories,
+    write_trajectories,
+)
+from contactgraph_franka.cli.arms import Arm, open_arm
+from contactgraph_franka.cli.options import (
+    ArmOptions,
+    RobotFault,
+    check_seconds,
+    count_down,
+    ctrl_c,
+    point,
+    wait_for_block,
+)
+from contactgraph_franka.cli.session import (
+    Session,
+    SimulatedSetup,
+    episode_layout,
+    episode_seed,
+    simulated_setup,
+)
+from contactgraph_franka.envs.pickup import HAND, TARGET, ArmLayout, pickup_scene
+from contactgraph_franka.loop import Planner, PlannerProcess
+from contactgraph_franka.loop.planner import PolicyPlanner
 
-if TYPE_CHECKING:
-    from contactgraph.data import Trajectory
-    from contactgraph_franka.cli.arms import Arm
-    from contactgraph_franka.envs.pickup import ArmLayout
-    from contactgraph_franka.safety import SafetyLimits
-
+_DT = 0.01
+"""s, of a policy's steps."""
 _SHORTEST_S = 1.0
-"""What was recorded before a stop is kept where it lasted so long."""
+"""s of recording before a stop that make a trajectory."""
+_SHORTEST_SHARE = 0.5
+"""The same of a simulated arm, as a share of the episode."""
+_ATTEMPTS = 6
+"""Layouts tried for one trajectory, where the control loop stops."""
+_MAX_TRAJECTORIES = 1000
+"""In a file."""
 
 
 @dataclass(frozen=True)
 class Record:
-    """Record runs of the scripted expert on an arm, to train on; goes on where it was stopped.
+    """Record trajectories of the scripted expert on an arm, to train on; resumes after a stop.
 
-    Every run has its own start, goal and place of the block, by its number and the seed; in a
-    rehearsal the block is put there, else a person is asked to. Every run is kept as it ends.
+    Each has its own start, goal and position of the block, by its number and the seed. A simulated
+    robot puts the block there, else a person is asked to. Each is written as it ends.
     """
 
     address: Positional[Annotated[str, arg(metavar="ADDR")]]
-    """The arm's address, one in a rehearsal, or fake."""
+    """The arm's address, a simulated robot's, or fake."""
     out: Annotated[Path, arg(metavar="FILE")]
-    """The dataset file (HDF5); runs that are in it already count."""
+    """The dataset file (HDF5); trajectories already in it count."""
     runs: int = 30
-    """How many runs the file is to have."""
+    """Number of trajectories in the file."""
     seconds: float = 10.0
-    """For how long each goes on."""
+    """Duration of each."""
     seed: int = 0
     """The same seed has the same starts, goals and noise."""
     noise: Annotated[float, arg(metavar="N")] = 0.5
-    """Standard deviation of the force added on each axis: it tells masses from drags."""
+    """Standard deviation of the force added on each axis, which makes masses identifiable."""
     arm: ArmOptions = field(default_factory=ArmOptions)
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.cli.options import check_range, check_seed
-        from contactgraph.cli.output import check_writable, progress
-        from contactgraph.data import InvalidInputError, Metadata, write_trajectories
-        from contactgraph_franka.cli.arms import open_arm
-        from contactgraph_franka.cli.control import expert_planner
-        from contactgraph_franka.cli.options import RobotFault, check_seconds, ctrl_c
-        from contactgraph_franka.cli.session import Session
-        from contactgraph_franka.loop import PlannerProcess
-
         check_writable(self.out)
-        check_range("--runs", self.runs, 1, 1000)
+        check_range("--runs", self.runs, 1, _MAX_TRAJECTORIES)
         check_seed(self.seed)
         check_seconds("--seconds", self.seconds)
         if not 0.0 <= self.noise < math.inf:
             raise InvalidInputError(f"--noise must be at least 0, found {self.noise}")
         limits = self.arm.limits(self.address)
-        done = self._done()
+        done = _existing(self.out, seed=self.seed, noise=self.noise)
         if len(done) >= self.runs:
-            print(f"{self.out}: has its {len(done)} runs already")
+            print(f"{self.out}: has its {len(done)} trajectories already")
             return
-        told: Metadata = {"task": "franka", "seed": self.seed, "noise": self.noise}
-        make = partial(expert_planner, self.noise)
+        metadata: Metadata = {"task": "franka", "seed": self.seed, "noise": self.noise}
         with (
             open_arm(self.address, self.arm) as arm,
-            PlannerProcess(make) as planning,
+            PlannerProcess(partial(expert_planner, self.noise)) as planner,
             progress("recording", self.runs) as steps,
         ):
-            session = Session(arm, limits, planning, self.seconds)
+            session = Session(arm, limits, planner, self.seconds)
             for number in range(len(done), self.runs):
-                layout = self._layout(number, limits)
-                self._arrange(arm, layout)
+                layout = episode_layout(self.seed, number, limits)
+                _arrange(arm, layout)
                 with ctrl_c() as pressed:
-                    report = session.run(layout.goal, _run_seed(self.seed, number), pressed)
-                run = session.recorded(
+                    report = session.run(layout.goal, episode_seed(self.seed, number), pressed)
+                trajectory = session.trajectory(
                     layout.goal, {"number": number, "policy": "FrankaExpert", "seed": self.seed}
                 )
-                if run is not None and run.steps * run.scene.dt >= _SHORTEST_S:
-                    done.append(run)
-                    write_trajectories(self.out, done, told)
+                seconds = 0.0 if trajectory is None else trajectory.steps * trajectory.scene.dt
+                if trajectory is not None and seconds >= _SHORTEST_S:
+                    done.append(trajectory)
+                    write_trajectories(self.out, done, metadata)
                 if not report.completed:
-                    reason = f"{report.stop.reason.value}. {arm.said()}".strip()
+                    reason = f"{report.stop.reason.value}. {arm.last_error()}".strip()
                     raise RobotFault(
-                        f"run {number} stopped: {reason} {self.out} has {len(done)} runs; the same "
-                        "command goes on from there"
+                        f"episode {number} stopped: {reason} {self.out} has {len(done)} "
+                        "trajectories; the same command continues from there"
                     )
-                held = "held at the goal" if session.ended(layout.goal).success else "not brought"
                 if pressed():
                     break
-                steps.advance(number + 1, f"{held}, {report.rate_hz:.0f} Hz")
-        print(f"{self.out}: {len(done)} runs of {self.runs}")
+                success = session.outcome(layout.goal).success
+                result = "held at the goal" if success else "not brought to the goal"
+                steps.advance(number + 1, f"{result}, {report.rate_hz:.0f} Hz")
+        print(f"{self.out}: {len(done)} trajectories of {self.runs}")
         if done:
-            succeeded = sum(bool(run.scene.metadata.get("success")) for run in done)
-            print(f"the expert succeeded in {succeeded} of {len(done)} runs")
-
-    def _done(self) -> "list[Trajectory]":
-        """What the file holds already."""
-        from contactgraph.data import InvalidInputError, read_trajectories
-
-        if not self.out.exists():
-            return []
-        found = read_trajectories(self.out)
-        if found.metadata.get("seed") != self.seed or found.metadata.get("noise") != self.noise:
-            raise InvalidInputError(
-                f"{self.out}: was recorded with --seed {found.metadata.get('seed')} --noise "
-                f"{found.metadata.get('noise')}; go on with these, or name another file"
-            )
-        return list(found)
-
-    def _layout(self, number: int, limits: "SafetyLimits") -> "ArmLayout":
-        import numpy as np
-
-        from contactgraph_franka.envs.pickup import sample_layout, sweep_fits
-
-        random = np.random.default_rng([self.seed, number])
-        low, high = np.array(limits.workspace_low), np.array(limits.workspace_high)
-        while True:
-            layout = sample_layout(random, 0)
-            if sweep_fits(layout.hand, layout.blocks[0], low, high):
-                return layout
-
-    def _arrange(self, arm: "Arm", layout: "ArmLayout") -> None:
-        """Hand and block to where the run begins."""
-        from contactgraph_franka.cli.options import count_down, wait_for_block
-
-        hand = ", ".join(f"{number:.2f}" for number in layout.hand)
-        count_down(arm, f"the hand opens and moves slowly to ({hand}) m")
-        arm.move_to(layout.hand, layout.yaw)
-        if not arm.arrange(layout):
-            x, y, _ = layout.blocks[0]
-            input(f"Put the block at ({x:.2f}, {y:.2f}) m, a side towards the hand; then Enter ")
-        wait_for_block(arm)
-        goal = ", ".join(f"{number:.2f}" for number in layout.goal)
-        count_down(arm, f"the hand will sweep through the block and bring it to ({goal}) m")
+            succeeded = sum(bool(each.scene.metadata.get("success")) for each in done)
+            print(f"the expert succeeded in {succeeded} of {len(done)} trajectories")
 
 
-def _run_seed(seed: int, number: int) -> int:
-    import numpy as np
+def _existing(path: Path, **flags: float) -> list[Trajectory]:
+    """The trajectories of an earlier call of the command, which must have had the same flags."""
+    if not path.exists():
+        return []
+    dataset = read_trajectories(path)
+    if any(dataset.metadata.get(name) != value for name, value in flags.items()):
+        earlier = " ".join(f"--{name} {dataset.metadata.get(name)}" for name in flags)
+        raise InvalidInputError(
+            f"{path}: was recorded with {earlier}; use the same, or name another file"
+        )
+    return list(dataset)
 
-    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+
+def _arrange(arm: Arm, layout: ArmLayout) -> None:
+    """Puts hand and block to the start of an episode."""
+    count_down(arm, f"the hand opens and moves slowly to {point(layout.hand)} m")
+    arm.move_to(layout.hand, layout.yaw)
+    if not arm.place_block(layout):
+        at = point(layout.blocks[0][:2])
+        input(f"Put the block at {at} m, a side towards the hand; then Enter ")
+    wait_for_block(arm)
+    goal = point(layout.goal)
+    count_down(arm, f"the hand will sweep through the block and bring it to {goal} m")
 
 
-if TYPE_CHECKING:
-    from contactgraph.data import Trajectory
-    from contactgraph_franka.cli.session import Session, SimulatedSetup
-    from contactgraph_franka.loop import Planner
+def expert_planner(noise: float) -> Planner:
+    """The scripted expert of the arm's pickup, with ``noise`` N on its force."""
+    from contactgraph_franka.envs.expert import FrankaExpert
 
-_AGAIN = 6
-"""Times that another run is begun where one was stopped, before the whole is given up."""
-_MOST_RUNS = 1000
-"""In a file."""
-_SHORTEST = 0.5
-"""Of a run's time, what must have been recorded for it to count."""
+    return PolicyPlanner(FrankaExpert(noise=noise), pickup_scene(_DT, np.zeros(3)))
 
 
 @dataclass(frozen=True)
 class RehearseRecord:
-    """Rehearse an arm and record runs of it, seen by its camera; goes on where it was stopped.
+    """Record trajectories of a simulated arm with a camera; resumes after a stop.
 
-    In some runs the block is picked up, at rest or in passing, and carried from place to place, in
-    others the hand moves beside it. Contacts are the simulation's, for judging what is found
-    without a sensor: training reads none. Beside FILE.h5 it writes FILE.truth.h5, the same runs as
-    they really were, and FILE.live.h5, as they were known while they went on: not smoothed by what
-    was seen later.
+    In some the block is grasped, at rest or in passing, and carried from place to place, in others
+    the hand moves beside it. Contacts are the simulation's, to score contacts estimated without a
+    sensor; training reads none. Beside FILE.h5 it writes FILE.truth.h5, the same trajectories by
+    the simulation's ground truth, and FILE.live.h5, as they were tracked online, without smoothing.
     """
 
     out: Annotated[Path, arg(metavar="FILE")]
-    """The dataset file (HDF5); runs that are in it already count."""
+    """The dataset file (HDF5); trajectories already in it count."""
     runs: int = 30
-    """How many runs the file is to have."""
+    """Number of trajectories in the file."""
     seconds: float = 10.0
-    """For how long each goes on."""
+    """Duration of each."""
     seed: int = 0
     """The same seed has the same starts, goals and noise."""
     pace: float = 4.0
     """Wall seconds to a simulated one."""
     stopping: float = 0.5
-    """The share of grasps at rest; the others are in passing, as all of the paper's are."""
+    """Share of grasps at rest; the others are in passing, as all of the paper's."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Write how well the block was seen, and what the loop held, to this file."""
+    """Write the tracking errors of the block, and the loop's rates, to this file."""
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.cli.options import check_range, check_seed, check_share
-        from contactgraph.cli.output import check_writable, write_json
-        from contactgraph_franka.cli.options import check_seconds
-
         for path in (self.out, self.json):
             check_writable(path)
-        check_range("--runs", self.runs, 1, _MOST_RUNS)
+        check_range("--runs", self.runs, 1, _MAX_TRAJECTORIES)
         check_seed(self.seed)
         check_seconds("--seconds", self.seconds, 25.0)
         check_share("--stopping", self.stopping)
         paths = [self.out, *(self.out.with_suffix(f".{name}.h5") for name in ("truth", "live"))]
-        kept = [self._done(path) for path in paths]
-        # A process that was ended between two files has one run more in one of them.
+        kept = [_existing(path, seed=self.seed) for path in paths]
+        # A process that was killed between two files has left one more in the first of them.
         count = min(map(len, kept))
-        kept = [runs[:count] for runs in kept]
+        kept = [trajectories[:count] for trajectories in kept]
         if count < self.runs:
             self._record(paths, kept)
-        done, true, _ = kept
-        values = _summary(done, true)
+        values = _summary(kept[0], kept[1])
         write_json(self.json, {"data": str(self.out), "seed": self.seed, **values})
         print(
-            f"{self.out}: {len(done)} runs, {values['completed']} of them to their end; the block "
-            f"is off by {1e3 * values['position_error_m']:.2f} mm (median), "
+            f"{self.out}: {values['runs']} trajectories, {values['completed']} of them to their "
+            f"end; the block is off by {1e3 * values['position_error_m']:.2f} mm (median), "
             f"{1e3 * values['position_error_worst_m']:.1f} mm (worst)"
         )
 
-    def _record(self, paths: list[Path], kept: "list[list[Trajectory]]") -> None:
-        """Records what is missing, and writes after every run."""
-        from functools import partial
-
-        from contactgraph.cli.output import progress
-        from contactgraph.data import Metadata, write_trajectories
-        from contactgraph_franka.cli.session import Session, simulated_setup
-        from contactgraph_franka.loop import PlannerProcess
-
-        told: Metadata = {"task": "franka", "seed": self.seed}
+    def _record(self, paths: list[Path], kept: list[list[Trajectory]]) -> None:
+        """Records the missing trajectories, and writes each as it ends."""
+        metadata: Metadata = {"task": "franka", "seed": self.seed}
         with (
-            simulated_setup(self.pace) as stage,
-            PlannerProcess(partial(recording_planner, self.stopping)) as planning,
+            simulated_setup(self.pace) as setup,
+            PlannerProcess(partial(recording_planner, self.stopping)) as planner,
             progress("recording", self.runs) as steps,
         ):
-            session = Session(stage.arm, stage.limits, planning, self.seconds)
+            session = Session(setup.arm, setup.limits, planner, self.seconds)
             for number in range(len(kept[0]), self.runs):
-                made = self._recorded(stage, session, number)
-                for path, runs, run in zip(paths, kept, made, strict=True):
-                    runs.append(run)
-                    write_trajectories(path, runs, told)
-                steps.advance(number + 1, f"{made[0].steps} steps")
+                recorded = self._episode(setup, session, number)
+                for path, trajectories, new in zip(paths, kept, recorded, strict=True):
+                    trajectories.append(new)
+                    write_trajectories(path, trajectories, metadata)
+                steps.advance(number + 1, f"{recorded[0].steps} steps")
 
-    def _done(self, path: Path) -> "list[Trajectory]":
-        """What the file holds already."""
-        from contactgraph.data import InvalidInputError, read_trajectories
-
-        if not path.exists():
-            return []
-        found = read_trajectories(path)
-        if found.metadata.get("seed") != self.seed:
-            raise InvalidInputError(
-                f"{path}: was recorded with --seed {found.metadata.get('seed')}; go on with it, or "
-                "name another file"
-            )
-        return list(found)
-
-    def _recorded(
-        self, stage: "SimulatedSetup", session: "Session", number: int
-    ) -> "tuple[Trajectory, Trajectory, Trajectory]":
-        """A run, how it really was, and as it was known while it went on."""
-        from contactgraph.data import Metadata
-        from contactgraph_franka.cli.options import RobotFault
-        from contactgraph_franka.cli.session import episode_layout, episode_seed
+    def _episode(
+        self, setup: SimulatedSetup, session: Session, number: int
+    ) -> tuple[Trajectory, Trajectory, Trajectory]:
+        """One trajectory: smoothed, by the ground truth, and as tracked online."""
         from contactgraph_franka.envs.expert import grasps
         from contactgraph_franka.sim.shared_state import ground_truth_trajectory
 
-        for attempt in range(_AGAIN):
-            # Where the arm hides the block for too long, it does so each time: another one then.
-            draw = number + attempt * _MOST_RUNS
+        for attempt in range(_ATTEMPTS):
+            # A layout in which the arm hides the block for too long fails again: another is drawn.
+            draw = number + attempt * _MAX_TRAJECTORIES
             seed = episode_seed(self.seed, draw)
-            layout = episode_layout(self.seed, draw, stage.limits)
-            stage.arrange(layout)
-            report = session.run(layout.goal, seed, lambda: False)
-            told: Metadata = {
+            layout = episode_layout(self.seed, draw, setup.limits)
+            setup.arrange(layout)
+            report = session.run(layout.goal, seed)
+            metadata: Metadata = {
                 "number": number,
-                "policy": "RecordingPolicy",
+                "policy": "FrankaRecording",
                 "grasp": grasps(seed),
                 "attempt": attempt,
                 "completed": report.completed,
                 "end": report.stop.reason.value,
                 "rate_hz": report.rate_hz,
             }
-            run = session.recorded(layout.goal, told)
-            live = session.recorded(layout.goal, told, smooth=False)
-            if run is None or live is None:
+            smooth = session.trajectory(layout.goal, metadata)
+            live = session.trajectory(layout.goal, metadata, smooth=False)
+            if smooth is None or live is None:
                 continue
-            if run.steps >= _SHORTEST * self.seconds / run.scene.dt:
-                truth = ground_truth_trajectory(stage.rehearsal.ground_truth, run, session.began)
-                labelled = [replace(each, contact=truth.contact) for each in (run, live)]
-                return labelled[0], truth, labelled[1]
+            if smooth.steps >= _SHORTEST_SHARE * self.seconds / smooth.scene.dt:
+                truth = ground_truth_trajectory(
+                    setup.simulation.ground_truth, smooth, session.began
+                )
+                smooth, live = (replace(each, contact=truth.contact) for each in (smooth, live))
+                return smooth, truth, live
         raise RobotFault(
-            f"run {number} stopped {_AGAIN} times, at last: {report.stop.reason.value}"
+            f"episode {number} stopped {_ATTEMPTS} times, at last: {report.stop.reason.value}"
         )
 
 
-def _summary(done: "list[Trajectory]", true: "list[Trajectory]") -> dict[str, Any]:
-    """What recording came to, all runs together."""
-    import numpy as np
-
-    from contactgraph_franka.envs.pickup import HAND, TARGET
-
-    off = [run.position - truth.position for run, truth in zip(done, true, strict=True)]
-    error = np.concatenate([np.linalg.norm(each, axis=2) for each in off])
-    told = [run.scene.metadata for run in done]
+def _summary(recorded: list[Trajectory], truth: list[Trajectory]) -> dict[str, Any]:
+    """Tracking errors and loop rates of all trajectories together."""
+    error = np.concatenate(
+        [
+            np.linalg.norm(each.position - true.position, axis=2)
+            for each, true in zip(recorded, truth, strict=True)
+        ]
+    )
+    metadata = [each.scene.metadata for each in recorded]
     return {
-        "runs": len(done),
-        "steps": sum(run.steps for run in done),
-        "completed": sum(bool(one["completed"]) for one in told),
-        "with_grasp": sum(bool(one["grasp"]) for one in told),
+        "runs": len(recorded),
+        "steps": sum(each.steps for each in recorded),
+        "completed": sum(bool(one["completed"]) for one in metadata),
+        "with_grasp": sum(bool(one["grasp"]) for one in metadata),
         "held_at_some_time": sum(
-            bool(truth.contact[:, HAND, TARGET].any())
-            for truth in true
-            if truth.contact is not None
+            bool(true.contact[:, HAND, TARGET].any()) for true in truth if true.contact is not None
         ),
-        "pace": [float(one["pace"]) for one in told],
-        "rate_hz": min(float(one["rate_hz"]) for one in told),
+        "pace": [float(one["pace"]) for one in metadata],
+        "rate_hz": min(float(one["rate_hz"]) for one in metadata),
         "position_error_m": float(np.median(error[:, TARGET])),
         "position_error_p95_m": float(np.percentile(error[:, TARGET], 95.0)),
         "position_error_worst_m": float(error[:, TARGET].max()),
         "hand_error_worst_m": float(error[:, HAND].max()),
-        "each": told,
+        "each": metadata,
     }
 
 
-def recording_planner(stopping: float) -> "Planner":
-    """What `RecordingPolicy` asks for, in steps of 0.01 s; ``stopping`` is its share of stops."""
-    import numpy as np
-
+def recording_planner(stopping: float) -> Planner:
+    """`RecordingPolicy` as a planner; ``stopping`` is its share of grasps at rest."""
     from contactgraph_franka.envs.expert import RecordingPolicy
-    from contactgraph_franka.envs.pickup import pickup_scene
-    from contactgraph_franka.loop.planner import PolicyPlanner
 
-    return PolicyPlanner(RecordingPolicy(stopping), pickup_scene(0.01, np.zeros(3)))
+    return PolicyPlanner(RecordingPolicy(stopping), pickup_scene(_DT, np.zeros(3)))

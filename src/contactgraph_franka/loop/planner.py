@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from contactgraph.data import Scene
-from contactgraph.envs.contract import Policy
 from contactgraph_franka.safety.robot import RobotReading
+
+if TYPE_CHECKING:
+    from contactgraph.data import Scene
+    from contactgraph.envs.contract import Policy
 
 _HELD_STEPS = 5
 """Steps for which a policy's force counts where no newer one comes."""
@@ -123,7 +125,7 @@ class AsyncPlanner(Protocol):
 class PolicyPlanner:
     """A `Planner` that calls a task's policy, such as a scripted expert, in every step."""
 
-    def __init__(self, policy: Policy, scene: Scene) -> None:
+    def __init__(self, policy: "Policy", scene: "Scene") -> None:
         """``scene`` is that of all episodes; each has its own goal."""
         self._policy, self._scene = policy, scene
         self.interval = float(scene.dt)

@@ -57,7 +57,7 @@ def test_a_dry_run_says_plans_and_sends_nothing(
     arguments = ["--seconds", 0.6, "--dry-run", "--json", path, "--save", save]
     code, said = patiently(capsys, "robot", "run", "franka", "fake", *GOAL, *arguments)
     assert code == 0
-    assert "nothing is sent" in said and "first push" in said
+    assert "nothing is sent" in said and "first force" in said
     numbers = json.loads(path.read_text())
     assert numbers["dry_run"] and numbers["plans"] > 0
     (run,) = read_trajectories(save)
@@ -93,7 +93,7 @@ def test_records_go_on_where_they_were_stopped(
     np.testing.assert_array_equal(again.position, first.position)
     assert not np.allclose(first.scene.goal, second.scene.goal)
     assert told(*record, "--runs", 2) == 0
-    assert "has its 2 runs already" in capsys.readouterr().out
+    assert "has its 2 trajectories already" in capsys.readouterr().out
     assert told(*record[:-1], 4, "--runs", 3) == 2
     assert "was recorded with --seed 3" in capsys.readouterr().err
     assert describe_file(path).steps == (first.steps, second.steps)
@@ -139,7 +139,7 @@ def test_ctrl_c_ends_a_run_gently(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "mistake"),
     [
-        (["run", "franka", "fake", "--goal", 1, 2, 3], "--goal must be a place in the arm's works"),
+        (["run", "franka", "fake", "--goal", 1, 2, 3], "--goal must be a position in the arm's w"),
         (["run", "franka", "fake", "--goal", 1, 2], "found 1 2"),
         (["run", "franka", "fake", *GOAL, "--seconds", 0], "--seconds must be above 0"),
         (["run", "franka", "fake", *GOAL, "--max-force", 30], "at most 16.8 N, found 30"),

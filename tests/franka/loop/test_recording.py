@@ -30,7 +30,7 @@ def recorded(seconds: float, *faults: Fault) -> TrajectoryRecorder:
 
 
 def test_a_run_moves_as_its_controls_say(tmp_path: Path) -> None:
-    run = recorded(0.4).run(SCENE)
+    run = recorded(0.4).trajectory(SCENE)
     assert run is not None
     assert run.scene.dt == 0.001 and 395 <= run.steps <= 405
     # The fake hand weighs 4 kg: steps of 1 ms under the recorded forces lead where it went.
@@ -47,12 +47,15 @@ def test_a_run_moves_as_its_controls_say(tmp_path: Path) -> None:
 
 
 def test_what_was_recorded_before_a_stop_is_a_run() -> None:
-    run = recorded(0.4, lost_packet_fault(100, 10**6)).run(SCENE)
+    run = recorded(0.4, lost_packet_fault(100, 10**6)).trajectory(SCENE)
     assert run is not None and 95 <= run.steps <= 105
 
 
 def test_readings_that_did_not_come_are_bridged() -> None:
-    whole, lost = recorded(0.2).run(SCENE), recorded(0.2, lost_packet_fault(50, 52)).run(SCENE)
+    whole, lost = (
+        recorded(0.2).trajectory(SCENE),
+        recorded(0.2, lost_packet_fault(50, 52)).trajectory(SCENE),
+    )
     assert whole is not None and lost is not None
     near = slice(0, 60)
     np.testing.assert_allclose(lost.position[near], whole.position[near], atol=2e-4)
@@ -63,12 +66,12 @@ def test_nothing_sent_is_no_run() -> None:
     reading = FakeRobot().read()
     assert reading is not None
     recorder(0.0, reading, None)
-    assert recorder.run(SCENE) is None
+    assert recorder.trajectory(SCENE) is None
     recorder(0.001, None, np.zeros(3))
     recorder(0.002, None, np.zeros(3))
-    assert recorder.run(SCENE) is not None
-    recorder.begin()
-    assert recorder.run(SCENE) is None
+    assert recorder.trajectory(SCENE) is not None
+    recorder.reset()
+    assert recorder.trajectory(SCENE) is None
 
 
 def test_contact_that_was_not_measured_is_not_recorded() -> None:
@@ -83,7 +86,7 @@ def test_contact_that_was_not_measured_is_not_recorded() -> None:
                 np.zeros((2, 3)), np.zeros((2, 3)), np.full(2, now), now, np.ones(2), contact=touch
             )
             recorder(now, reading, np.zeros(3))
-        run = recorder.run(SCENE)
+        run = recorder.trajectory(SCENE)
         assert run is not None and (run.contact is not None) == known
         assert not known or (run.contact[:, 0, 1].all() and not run.contact[:, 0, 0].any())
 
@@ -95,7 +98,7 @@ def test_more_ticks_than_there_is_room_for_are_left_out() -> None:
     for tick in range(1000):
         now = 0.001 * tick
         recorder(now, replace(reading, time=np.full(2, now)), np.zeros(3))
-    run = recorder.run(SCENE)
+    run = recorder.trajectory(SCENE)
     assert run is not None and run.steps == 199
 
 
