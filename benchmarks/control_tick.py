@@ -4,8 +4,8 @@ Usage: python benchmarks/control_tick.py [--quick] [--json FILE]
 
 Whole episodes of the pickup task, planned 20 steps ahead, and of the arm's, planned 50 (half a
 second) ahead, with the shipped models; the arm's need the extra ``mujoco``. Compilation happens in
-`MPC.reset`; it is timed and counted apart, and a tick that compiled would show in the last column.
-Ticks are made `pin_to_core`.
+`ActiveSetMPC.reset`; it is timed and counted apart, and a tick that compiled would show in the last
+column. Ticks are made `pin_to_core`.
 
 The rows named "bystanders" are pickups with as many nodes as the row says, of which all but two
 stand off the ways, no less dense than the task's own. Each of their ticks is made for every number
@@ -23,7 +23,7 @@ from measuring import Compilations, arguments, report
 
 from contactgraph.control import (
     ILQR,
-    MPC,
+    ActiveSetMPC,
     ControlLimits,
     MPCState,
     QuadraticCost,
@@ -41,10 +41,10 @@ DENSITY = 5.0
 """Bystanders a square metre: 20 in the task's square of 2 m."""
 
 
-def controller(model: ContactDynamics, task: GripperTask, horizon: int) -> MPC:
+def controller(model: ContactDynamics, task: GripperTask, horizon: int) -> ActiveSetMPC:
     """With at most five rollouts a tick."""
     limits = ControlLimits(jnp.asarray(task.action_space.low), jnp.asarray(task.action_space.high))
-    return MPC(model, ILQR(horizon=horizon, iterations=5, limits=limits))
+    return ActiveSetMPC(model, ILQR(horizon=horizon, iterations=5, limits=limits))
 
 
 def cost_of(task: GripperTask, goal: np.ndarray, nodes: int) -> QuadraticCost:
@@ -58,7 +58,7 @@ def cost_of(task: GripperTask, goal: np.ndarray, nodes: int) -> QuadraticCost:
 class Ticks:
     """What is measured of a controller in one kind of scene."""
 
-    mpc: MPC
+    mpc: ActiveSetMPC
     heard: Compilations
     milliseconds: list[float] = field(default_factory=list)
     in_play: list[int] = field(default_factory=list)
@@ -81,7 +81,7 @@ class Ticks:
         plan, state = self.mpc.step(observation, observation["contact"], state)
         force = np.asarray(plan.controls)[0]  # waits for the plan
         self.milliseconds.append(1e3 * (time.perf_counter() - began))
-        self.in_play.append(int(np.sum(np.asarray(plan.who) >= 0)))
+        self.in_play.append(int(np.sum(np.asarray(plan.node_ids) >= 0)))
         self.in_ticks += self.heard.count - before
         return force, state
 

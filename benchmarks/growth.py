@@ -28,7 +28,7 @@ from measuring import machine
 from model_at_scale import measured as step_of
 from training_memory import measured as memory_of
 
-from contactgraph.control import ILQR, MPC, ControlLimits, chain_cost
+from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits, chain_cost
 from contactgraph.envs import PickupTask
 from contactgraph.model import ContactDynamics, load_model, scene_nodes, shipped_model
 
@@ -68,7 +68,7 @@ def horizon(model: ContactDynamics, quick: bool) -> Iterator[Row]:
     task = PickupTask()
     limits = ControlLimits(jnp.asarray(task.action_space.low), jnp.asarray(task.action_space.high))
     for ahead in (5, 10) if quick else (5, 10, 20, 50, 100, 200, _MOST_PLANNED):
-        mpc = MPC(model, ILQR(horizon=ahead, iterations=5, limits=limits))
+        mpc = ActiveSetMPC(model, ILQR(horizon=ahead, iterations=5, limits=limits))
         observation, _ = task.reset(seed=0)
         terms, size = task.cost_terms(), len(task.action_space.low)
         weights = terms.pick_weights, terms.goal_weights, terms.control_weight

@@ -308,7 +308,7 @@ def test_files_that_are_no_good(mistake, demos: Path, tmp_path: Path) -> None:
 def test_costs_that_do_not_fit(
     mistake, cost: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("contactgraph.control.MPC.reset", asking)  # which compiles
+    monkeypatch.setattr("contactgraph.control.ActiveSetMPC.reset", asking)  # which compiles
     said = mistake("control", "door", "door", "--cost", cost)
     assert said == (
         "the cost is about the nodes gripper, target, but the scene has no target; its nodes are "

@@ -1,7 +1,6 @@
 """Ticks among the nodes in play answer what ticks about the whole scene answer."""
 
 import logging
-from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -10,9 +9,9 @@ import numpy as np
 import pytest
 from control_models import nodes_of
 
-from contactgraph.control import ILQR, MPC, ControlLimits, PlanStatus, chain_cost
+from contactgraph.control import ILQR, MPC, ActiveSetMPC, ControlLimits, PlanStatus, chain_cost
 from contactgraph.data import InvalidInputError, edge_index, pair_indices
-from contactgraph.model import ContactSensor, MotionNoise, load_model, shipped_model
+from contactgraph.model import MotionNoise, load_model, shipped_model
 
 CAPACITY, HORIZON = 30, 12
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
@@ -34,15 +33,13 @@ def model(double_precision):
 
 
 @pytest.fixture(scope="module")
-def local(model) -> MPC:
-    return MPC(model, ILQR(HORIZON, 5, LIMITS))
+def local(model) -> ActiveSetMPC:
+    return ActiveSetMPC(model, ILQR(HORIZON, 5, LIMITS))
 
 
 @pytest.fixture(scope="module")
 def whole(model) -> MPC:
-    # With rates by edge nobody is left out.
-    rate = jnp.full(len(pair_indices(CAPACITY)), 0.01)
-    return MPC(model, ILQR(HORIZON, 5, LIMITS), ContactSensor(rate, rate))
+    return MPC(model, ILQR(HORIZON, 5, LIMITS))
 
 
 def cost(goal=GOAL):
@@ -70,7 +67,7 @@ def crowd(count: int, seed: int) -> dict[str, np.ndarray]:
     return {"position": np.array(placed), "velocity": np.zeros((count, 2))}
 
 
-def both(local: MPC, whole: MPC, seen: dict, steps: int) -> list[np.ndarray]:
+def both(local: ActiveSetMPC, whole: MPC, seen: dict, steps: int) -> list[np.ndarray]:
     """Drives both through the world as the whole plan has it; who was in play at each step."""
     count = len(seen["position"])
     nodes = nodes_of(count, CAPACITY)
@@ -83,14 +80,13 @@ def both(local: MPC, whole: MPC, seen: dict, steps: int) -> list[np.ndarray]:
             plan, states[index] = mpc.step(seen, contacts, states[index])
             plans.append(plan)
         found, wanted = plans
-        who = np.asarray(found.who)
+        who = np.asarray(found.node_ids)
         inside = who[who >= 0]
         in_play.append(inside)
         np.testing.assert_allclose(found.controls, wanted.controls, atol=1e-7)
         np.testing.assert_allclose(found.cost, wanted.cost, rtol=1e-9)
         assert int(found.iterations) == int(wanted.iterations)
-        predicted = np.asarray(wanted.states).reshape(HORIZON + 1, CAPACITY, 2, 2)
-        ours = np.asarray(found.states).reshape(HORIZON + 1, len(who), 2, 2)[:, : len(inside)]
+        predicted, ours = np.asarray(wanted.states), np.asarray(found.states)[:, : len(inside)]
         np.testing.assert_allclose(ours, predicted[:, inside], atol=1e-7)
         first, second = pair_indices(len(inside)).T
         edge = edge_index(inside[first], inside[second])
@@ -124,12 +120,12 @@ def test_a_bystander_in_the_way_is_in_play_and_matters(local, whole):
         seen = scene(11, others)
         plan, _ = local.step(seen, None, local.reset(seen, nodes, cost()))
         plans.append(plan)
-        assert 2 in plan.who.tolist() or others[0][0] > 3.0
+        assert 2 in plan.node_ids.tolist() or others[0][0] > 3.0
     assert np.max(np.abs(plans[0].controls - plans[1].controls)) > 0.1
 
 
 ALONG, ACROSS = TARGET - GRIPPER, np.array([-0.053, 0.085])
-CAPACITY_EXCEEDED = [
+BESIDE = [
     GRIPPER + part * ALONG + side * ACROSS
     for part in (0.12, 0.21, 0.3, 0.39, 0.48, 0.57, 0.66, 0.75, 0.84, 0.93)
     for side in (-1, 1)
@@ -158,17 +154,17 @@ def test_bystanders_far_away_compile_nothing(local, compilations):
         state = local.reset(scene(count), nodes_of(count, CAPACITY), cost())
         for seed in range(3):
             plan, state = local.step(scene(count, seed=seed), np.eye(count), state)
-            assert plan.outcome.solved and plan.who.tolist() == [0, 1]
+            assert plan.outcome.solved and plan.node_ids.tolist() == [0, 1]
     # Up to eighteen in play, too: `reset` has seen to that.
-    joining = scene(30, others=CAPACITY_EXCEEDED[:4])
+    joining = scene(30, others=BESIDE[:4])
     plan, state = local.step(joining, None, state)
-    assert set(range(6)) <= set(state.who.tolist()) and len(state.who) == 6
+    assert set(range(6)) <= set(state.node_ids.tolist()) and len(state.node_ids) == 6
     assert len(compilations) == before
 
 
 def test_room_for_more_is_made_once_and_logged(model, caplog):
-    mpc = MPC(model, ILQR(HORIZON, 5, LIMITS))
-    crowded = scene(30, others=CAPACITY_EXCEEDED)
+    mpc = ActiveSetMPC(model, ILQR(HORIZON, 5, LIMITS))
+    crowded = scene(30, others=BESIDE)
     with caplog.at_level(logging.WARNING, logger="contactgraph"):
         state = mpc.reset(scene(30), nodes_of(30, CAPACITY), cost())
         assert not caplog.messages
@@ -176,23 +172,23 @@ def test_room_for_more_is_made_once_and_logged(model, caplog):
             plan, state = mpc.step(seen, None, state)
             assert plan.outcome.solved
     (message,) = caplog.messages
-    assert "up to 30 nodes in play; so far there was room for 18" in message
+    assert "up to 30 active nodes; so far there was room for 18" in message
 
 
 def test_with_a_limit_there_is_never_more_in_play(model):
-    mpc = MPC(model, ILQR(HORIZON, 5, LIMITS), max_active_nodes=2)
+    mpc = ActiveSetMPC(model, ILQR(HORIZON, 5, LIMITS), max_active_nodes=2)
     nodes, near = nodes_of(11, CAPACITY), scene(11, others=[0.5 * (GRIPPER + TARGET)])
     state = mpc.reset(scene(11), nodes, cost())
     plan, state = mpc.step(scene(11), None, state)
     crowded, after = mpc.step(near, None, state)
     assert crowded.outcome == PlanStatus.CAPACITY_EXCEEDED and "limit" in crowded.outcome.message
     np.testing.assert_array_equal(crowded.controls[:-1], plan.controls[1:])
-    np.testing.assert_array_equal(after.seen.control, crowded.controls[0])
+    np.testing.assert_array_equal(after.last.control, crowded.controls[0])
     assert mpc.step(scene(11), None, after)[0].outcome.solved
     with pytest.raises(InvalidInputError, match=r"max_active_nodes must be at least 3 .* found 2"):
         mpc.reset(near, nodes, cost())
     with pytest.raises(InvalidInputError, match="max_active_nodes must be at least 1, found 0"):
-        MPC(model, ILQR(HORIZON), max_active_nodes=0)
+        ActiveSetMPC(model, ILQR(HORIZON), max_active_nodes=0)
 
 
 def test_whoever_is_left_out_must_be_seen_all_the_same(local):
@@ -209,14 +205,14 @@ def test_whoever_is_left_out_must_be_seen_all_the_same(local):
 def test_what_comes_near_on_its_own_is_in_play(local):
     nodes = nodes_of(11, CAPACITY)
     state = local.reset(scene(11, others=[[-0.7, 1.5]]), nodes, cost())
-    assert 2 not in state.who
+    assert 2 not in state.node_ids
     coming = scene(11, others=[[-0.7, 1.5]])
     coming["velocity"][2] = [0.0, -2.0]
     plan, state = local.step(coming, None, state)
-    assert 2 in plan.who
+    assert 2 in plan.node_ids
     for _ in range(2):  # it leaves with the tick after the one that shows that it may
         plan, state = local.step(scene(11), None, state)
-    assert state.who.tolist() == [0, 1]
+    assert state.node_ids.tolist() == [0, 1]
 
 
 def test_another_cost_is_about_others(local, whole):
@@ -226,9 +222,9 @@ def test_another_cost_is_about_others(local, whole):
     for mpc in (local, whole):
         state = mpc.reset(seen, nodes, cost())
         _, state = mpc.step(seen, None, state)
-        plan, _ = mpc.step(seen, None, replace(state, cost=other))
+        plan, _ = mpc.step(seen, None, state, cost=other)
         controls.append(plan.controls)
-    assert {0, 2} <= set(plan.who.tolist())
+    assert {0, 2} <= set(plan.node_ids.tolist())
     np.testing.assert_allclose(*controls, atol=1e-7)
 
 
@@ -245,12 +241,12 @@ def test_feedback_acts_on_whoever_is_in_play(local, whole):
 
 @pytest.mark.parametrize("noise", [None, MotionNoise()])
 def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
-    rate = jnp.full(len(pair_indices(5)), 0.01)
     answers = []
-    for sensor, most in ((ContactSensor(), 4), (ContactSensor(rate, rate), None)):
-        mpc = MPC(
-            model, ILQR(3, 1), sensor, replan_every=2, motion_noise=noise, max_active_nodes=most
-        )
+    options = {"replan_every": 2, "motion_noise": noise}
+    for mpc in (
+        ActiveSetMPC(model, ILQR(3, 1), max_active_nodes=4, **options),
+        MPC(model, ILQR(3, 1), **options),
+    ):
         about = chain_cost((0, 1), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, GOAL, 5)
         seen = scene(5, others=[[-0.4, -0.5]])
         state = mpc.reset(seen, nodes_of(5, 5), about)
@@ -258,24 +254,25 @@ def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
             seen["position"][0, 0] += 0.05 * speed
             seen["velocity"][0, 0] = speed
             plan, state = mpc.step(seen, None, state, np.array([4.0, 0.0]))
-        answers.append((plan.controls, state.seen.belief.probability[:3], state.seen.told[:3]))
-    assert len(state.who) == 5
+        answers.append(
+            (plan.controls, state.last.belief.probability[:3], state.last.motion_log_odds[:3])
+        )
+    assert len(state.node_ids) == 5
     for ours, wanted in zip(*answers, strict=True):
         np.testing.assert_allclose(ours, wanted, atol=1e-6)
 
 
 def test_of_a_rejected_trial_only_the_steps_count_that_could_have_saved_it(model):
     far = np.array([1.5, 1.0])
-    mpc = MPC(model, ILQR(HORIZON, 8, LIMITS))
+    mpc = ActiveSetMPC(model, ILQR(HORIZON, 8, LIMITS))
     seen = scene(11)
     state = mpc.reset(seen, nodes_of(11, CAPACITY), cost(far))
     given_up = []
     for _ in range(25):
         plan, state = mpc.step(seen, None, state)
-        assert state.memory.swept is not None
-        known = np.isfinite(np.asarray(state.memory.swept.lower)[: int(plan.iterations), :, 0, 0])
+        known = np.isfinite(np.asarray(plan.swept.lower)[: int(plan.iterations), :, 0, 0])
         assert known[0].all() and (np.diff(known.astype(int), axis=1) <= 0).all()
         given_up.append((~known).any())
-        after = np.asarray(plan.states[1]).reshape(-1, 2, 2)[:2]
+        after = np.asarray(plan.states[1])[:2]
         seen["position"][:2], seen["velocity"][:2] = after[:, 0], after[:, 1]
     assert any(given_up) and not all(given_up)

@@ -11,9 +11,8 @@ from control_models import blocks
 
 from contactgraph.control import ControlLimits, LQRProblem, solve_lqr
 from contactgraph.control.box_qp import solve_box_qp, solve_small
-from contactgraph.control.lqr import improve_policy
+from contactgraph.control.lqr import block_dynamics, improve_policy
 from contactgraph.control.riccati_form import block_form, dense_form
-from contactgraph.control.rollout import block_index, in_blocks
 
 
 @pytest.fixture(autouse=True)
@@ -134,6 +133,26 @@ def test_expected_decrease_is_what_the_step_gains_on_linear_dynamics():
     assert jnp.sum(softer.step**2) < jnp.sum(better.step**2)
 
 
+def test_controls_at_a_limit_have_no_feedback_and_the_others_have_that_of_their_own_problem():
+    problem = random_problem(6)
+    start, controls = jnp.ones(6), jnp.zeros((15, 2))
+    states = follow(problem, start, controls)
+    limits = ControlLimits(jnp.asarray([-2.0, -90.0]), jnp.asarray([2.0, 90.0]))
+    bounded = improve_policy(problem, states[:-1], controls, jnp.zeros(()), limits)
+    held = np.abs(np.asarray(bounded.step)) == np.array([2.0, 90.0])
+    assert held[:, 0].any() and not held[:, 0].all() and not held[:, 1].any()
+    gains = np.asarray(bounded.policy.K)
+    assert not np.any(gains[held]) and np.all(gains[~held] != 0.0)
+    # Backwards from the last step: with a control held, the gain of the other is -G / S of its own.
+    final = np.asarray(problem.Q[-1])
+    B, A, R = (np.asarray(leaf[-1]) for leaf in (problem.B, problem.A, problem.R))
+    S, G = R + B.T @ final @ B, B.T @ final @ A
+    free = ~held[-1]
+    expected = np.zeros((2, 6))
+    expected[free] = -np.linalg.solve(S[np.ix_(free, free)], G[free])
+    np.testing.assert_allclose(gains[-1], expected, atol=1e-9)
+
+
 def test_no_step_is_left_at_the_optimum():
     problem = random_problem(7)
     states, controls = map(jnp.asarray, kkt_solution(problem, np.ones(6)))
@@ -157,11 +176,11 @@ def test_block_diagonal_form_equals_the_dense_one(N, U):
     A, B, offset = linear.stacked()
     dense = random_problem(8, horizon, 2 * N * D, U)
     dense = LQRProblem(A, B, offset, dense.Q, dense.R, dense.q, dense.r)
-    index = block_index(jnp.arange(N), D)
-    assert sorted(np.asarray(index).tolist()) == list(range(2 * N * D))
-    np.testing.assert_array_equal(in_blocks(linear)[1], B[:, index])
+    # From [N, 2, D] to [2, N, D].
+    index = np.arange(2 * N * D).reshape(N, 2, D).swapaxes(0, 1).ravel()
+    np.testing.assert_array_equal(block_dynamics(linear)[1], B[:, index])
     block = LQRProblem(
-        *in_blocks(linear),
+        *block_dynamics(linear),
         dense.Q[:, index[:, None], index],
         dense.R,
         dense.q[:, index],

@@ -44,10 +44,10 @@ def after_a_push(mpc: MPC, speeds, applied, contacts=None):
 
 def test_a_load_is_a_contact_though_it_is_too_far_for_one(inferring, model) -> None:
     loaded, free = [0.1, 0.1], [0.2, 0.0]
-    assert after_a_push(inferring, loaded, PUSH).seen.belief.probability[0] > 0.9
-    assert after_a_push(inferring, free, PUSH).seen.belief.probability[0] < 0.05
+    assert after_a_push(inferring, loaded, PUSH).last.belief.probability[0] > 0.9
+    assert after_a_push(inferring, free, PUSH).last.belief.probability[0] < 0.05
     without = MPC(model, ILQR(3, 1))
-    assert after_a_push(without, loaded, PUSH).seen.belief.probability[0] < 0.5
+    assert after_a_push(without, loaded, PUSH).last.belief.probability[0] < 0.5
 
 
 def test_it_matters_what_was_applied(inferring) -> None:
@@ -57,16 +57,16 @@ def test_it_matters_what_was_applied(inferring) -> None:
     planned = np.asarray(plan.controls[0], float)
     told = inferring.step(seen([0.1, 0.1]), None, state, planned)[1]
     untold = inferring.step(seen([0.1, 0.1]), None, state)[1]
-    np.testing.assert_array_equal(told.seen.belief.probability, untold.seen.belief.probability)
+    np.testing.assert_array_equal(told.last.belief.probability, untold.last.belief.probability)
     other = inferring.step(seen([0.1, 0.1]), None, state, planned + 3.0)[1]
-    assert other.seen.belief.probability[0] != told.seen.belief.probability[0]
+    assert other.last.belief.probability[0] != told.last.belief.probability[0]
 
 
 def test_both_sources_count(inferring) -> None:
     half_sure = [0.115, 0.085]  # m/s; neither one body moved nor two
     contact, none = np.ones((2, 2)), np.zeros((2, 2))
     by_motion, up, down = (
-        float(after_a_push(inferring, half_sure, PUSH, said).seen.belief.probability[0])
+        float(after_a_push(inferring, half_sure, PUSH, said).last.belief.probability[0])
         for said in (None, contact, none)
     )
     assert down < by_motion < up
@@ -78,9 +78,9 @@ def test_a_bad_observation_judges_neither_of_its_steps(inferring) -> None:
     for observation in (blind, seen([0.5, 0.0])):
         carried = state.belief.probability
         _, state = inferring.step(observation, None, state, PUSH)
-        np.testing.assert_array_equal(state.seen.belief.probability, carried)
+        np.testing.assert_array_equal(state.last.belief.probability, carried)
     _, state = inferring.step(seen([0.7, 0.0]), None, state, PUSH)
-    assert np.all(np.isfinite(state.seen.belief.probability))
+    assert np.all(np.isfinite(state.last.belief.probability))
 
 
 def test_without_it_nothing_but_measured_contacts_counts(model) -> None:
@@ -89,13 +89,13 @@ def test_without_it_nothing_but_measured_contacts_counts(model) -> None:
     _, state = mpc.step(seen([0.0, 0.0]), None, state)
     plan, after = mpc.step(seen([0.1, 0.1]), None, state)
     # Whatever was seen and applied before.
-    memory = eqx.tree_at(
-        lambda m: (m.seen.position, m.seen.told), state.memory, replace_fn=jnp.ones_like
+    carry = eqx.tree_at(
+        lambda m: (m.last.position, m.last.motion_log_odds), state.carry, replace_fn=jnp.ones_like
     )
-    forgetful = replace(state, memory=memory)
+    forgetful = replace(state, carry=carry)
     other, _ = mpc.step(seen([0.1, 0.1]), None, forgetful, PUSH)
     assert eqx.tree_equal(plan, other)
-    np.testing.assert_array_equal(after.seen.belief.probability, state.belief.probability)
+    np.testing.assert_array_equal(after.last.belief.probability, state.belief.probability)
 
 
 def test_arguments(inferring) -> None:

@@ -83,11 +83,11 @@ class Watched:
     belief: ContactBelief
 
     @property
-    def seen(self):
+    def last(self):
         return self
 
     @property
-    def who(self):
+    def node_ids(self):
         return np.arange(4)
 
 
@@ -100,7 +100,8 @@ class Watcher:
     def reset(self, observation, nodes, cost):
         return Watched(cost, two_type_belief(jnp.zeros(nodes.candidate.shape)))
 
-    def step(self, observation, contacts, state, applied):
+    def step(self, observation, contacts, state, applied, cost):
+        state = state if cost is None else replace(state, cost=cost)
         self.costs.append(state.cost.quadratic(4))
         touching = contacts[tuple(pair_indices(len(contacts)).T)]
         held = replace(state, belief=two_type_belief(jnp.asarray(touching, float)))
@@ -140,12 +141,12 @@ def test_the_chain_follows_what_is_held(held, expected):
     for cost, chain in zip(costs, (TOLD, expected, TOLD), strict=True):
         wanted = chain_cost(chain, *WEIGHTS, np.ones(2), 4)
         assert np.array_equal(cost.Q, wanted.Q) and np.array_equal(cost.goal, wanted.goal)
-        assert cost.involved.tolist() == list(chain)
+        assert cost.cost_node_ids.tolist() == list(chain)
 
 
 def test_with_nothing_further_to_pick_up_the_chain_stays():
     for cost in planned_for([[(0, 3)], [], []], chain=(0, 3)):
-        assert cost.involved.tolist() == [0, 3]
+        assert cost.cost_node_ids.tolist() == [0, 3]
 
 
 def test_padding_changes_no_control():

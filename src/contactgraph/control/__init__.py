@@ -1,5 +1,6 @@
 """Plans and controls through contact, with any model that offers a linear step."""
 
+from contactgraph.control.active_set import ActiveSetMPC as ActiveSetMPC
 from contactgraph.control.box_qp import ControlLimits as ControlLimits
 from contactgraph.control.cost import Cost as Cost
 from contactgraph.control.cost import QuadraticCost as QuadraticCost
@@ -17,7 +18,6 @@ from contactgraph.control.cost_learning.learner import CostLearningConfig as Cos
 from contactgraph.control.cost_learning.learner import learn_cost as learn_cost
 from contactgraph.control.host import pin_to_core as pin_to_core
 from contactgraph.control.ilqr import ILQR as ILQR
-from contactgraph.control.lqr import AffinePolicy as AffinePolicy
 from contactgraph.control.lqr import LQRProblem as LQRProblem
 from contactgraph.control.lqr import QuadraticValue as QuadraticValue
 from contactgraph.control.lqr import solve_lqr as solve_lqr
@@ -25,7 +25,10 @@ from contactgraph.control.lqr_adjoint import LQRTrajectory as LQRTrajectory
 from contactgraph.control.lqr_adjoint import lqr_trajectory as lqr_trajectory
 from contactgraph.control.lqr_adjoint import tracking_problem as tracking_problem
 from contactgraph.control.mpc import MPC as MPC
-from contactgraph.control.mpc_state import MPCState as MPCState
+from contactgraph.control.mpc import MPCState as MPCState
 from contactgraph.control.plan import Plan as Plan
+from contactgraph.control.plan import Planner as Planner
 from contactgraph.control.plan import PlanStatus as PlanStatus
 from contactgraph.control.plan import shift_plan as shift_plan
+from contactgraph.control.policy import AffinePolicy as AffinePolicy
+from contactgraph.control.subproblem import ActiveSetState as ActiveSetState

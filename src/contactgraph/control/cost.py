@@ -36,7 +36,7 @@ class QuadraticCost(eqx.Module):
     """Where the state should be, m and m/s."""
     terminal_weight: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.ones(()))
     """Factor on the last step's ``Q``."""
-    involved: Int[Array, " M"] | None = None
+    cost_node_ids: Int[Array, " M"] | None = None
     """Nodes whose rows of ``Q`` are not all zero. None: all of them.
 
     The dynamics are block diagonal, one block a node, so the gain on a node without cost is
@@ -124,7 +124,7 @@ def chain_cost(
         Q=jnp.asarray(Q.reshape(node_count * size, node_count * size)),
         R=jnp.asarray(control_weight * np.eye(control_size or dimension)),
         goal=jnp.asarray(target.reshape(-1)),
-        involved=jnp.asarray(np.asarray(chain, dtype=np.int32)),
+        cost_node_ids=jnp.asarray(np.asarray(chain, dtype=np.int32)),
     )
 
 

@@ -7,12 +7,21 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
-from contactgraph.control.lqr import AffinePolicy, Improvement, LQRProblem, improve_policy
+from contactgraph.control.lqr import (
+    Improvement,
+    LQRProblem,
+    block_cost,
+    block_dynamics,
+    block_gains,
+    improve_policy,
+    node_gains,
+)
 from contactgraph.control.plan import Plan, PlanStatus
+from contactgraph.control.policy import AffinePolicy
 from contactgraph.control.riccati_form import block_form
-from contactgraph.control.rollout import Rollout, block_index, in_blocks, roll_out
+from contactgraph.control.rollout import Rollout, roll_out
 from contactgraph.control.swept_bounds import SweptBounds
-from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity, stack_state
+from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity
 
 _RUNNING = -1
 _ARMIJO = 1e-4
@@ -49,11 +58,6 @@ class ILQR(eqx.Module):
     step_sizes: tuple[float, ...] = eqx.field(static=True, default=(1.0, 0.5, 0.2))
     """Parts of the full step, tried in this order."""
 
-    def zero_policy(self, size: int, cost: QuadraticCost) -> AffinePolicy:
-        """The guess that applies no force; ``size`` is n = 2ND."""
-        U, dtype = cost.control_size, cost.R.dtype
-        return AffinePolicy(jnp.zeros((self.horizon, U, size), dtype), self._nothing(U, dtype))
-
     def solve(
         self,
         model: StepModel,
@@ -85,17 +89,21 @@ class ILQR(eqx.Module):
         """
         count, dimension = state.position.shape
         quadratic = cost.quadratic(count)
-        involved = jnp.arange(count) if quadratic.involved is None else quadratic.involved
-        index = block_index(involved, dimension)
-        guess = self.zero_policy(2 * state.position.size, quadratic) if guess is None else guess
-        part = _part_of(quadratic, index, self.horizon)
-        trial = AffinePolicy(guess.K[:, :, index], guess.k)
+        ids = quadratic.cost_node_ids
+        ids = jnp.arange(count) if ids is None else ids
+        part = block_cost(quadratic, ids, dimension, self.horizon)
+        if guess is None:
+            idle = self._idle(quadratic.control_size, part.R.dtype)
+            gains = jnp.zeros((*idle.shape, part.goal.shape[-1]), part.R.dtype)
+            trial = AffinePolicy(gains, idle)
+        else:
+            trial = AffinePolicy(block_gains(guess.K, ids), guess.k)
 
         # Within `jax.jit` it is traced once, not for its shape and then again.
         follow = eqx.filter_jit(roll_out)
         begin = state, control_sensitivity(model, state, nodes)
         shape = jax.eval_shape(
-            lambda: follow(model, begin, nodes, trial, self.limits, involved),
+            lambda: follow(model, begin, nodes, trial, self.limits, ids),
         )
         zero = jnp.zeros((), part.R.dtype)
         search = _Search(
@@ -112,19 +120,19 @@ class ILQR(eqx.Module):
 
         def advance(carry: Carry) -> Carry:
             search, swept = carry
-            rollout = follow(model, begin, nodes, search.trial, self.limits, involved)
+            rollout = follow(model, begin, nodes, search.trial, self.limits, ids)
             costs = part.by_step(rollout.x, rollout.controls)
             given_up = jnp.cumsum(costs[:-1]) > _SURELY * search.cost
-            told = swept.with_rollout(search.iteration, rollout, ~given_up, nodes, dt)
-            return self._judge(search, rollout, jnp.sum(costs), part), told
+            swept = swept.with_rollout(search.iteration, rollout, ~given_up, nodes, dt)
+            return self._judge(search, rollout, jnp.sum(costs), part), swept
 
         def running(carry: Carry) -> Bool[Array, ""]:
             search, _ = carry
             return (search.status == _RUNNING) & (search.iteration < self.iterations)
 
-        nowhere = SweptBounds.nowhere(self.iterations, self.horizon, state.position)
-        search, swept = jax.lax.while_loop(running, advance, (search, nowhere))
-        return self._plan(search, index, 2 * state.position.size), swept
+        nothing = SweptBounds.empty(self.iterations, self.horizon, state.position)
+        search, swept = jax.lax.while_loop(running, advance, (search, nothing))
+        return self._plan(search, ids), swept
 
     def _judge(
         self, search: "_Search", rollout: Rollout, total: Float[Array, ""], part: QuadraticCost
@@ -174,7 +182,7 @@ class ILQR(eqx.Module):
         self, reference: Rollout, part: QuadraticCost, damping: Float[Array, ""]
     ) -> Improvement:
         Q, R, goal = part.over(self.horizon)
-        A, B, offset = in_blocks(reference.dynamics)
+        A, B, offset = block_dynamics(reference.dynamics)
         problem = LQRProblem(
             A=A,
             B=B,
@@ -188,28 +196,27 @@ class ILQR(eqx.Module):
             problem, reference.x[:-1], reference.controls, damping, self.limits, block_form
         )
 
-    def _plan(self, search: "_Search", index: Int[Array, " m"], size: int) -> Plan:
+    def _plan(self, search: "_Search", node_ids: Int[Array, " M"]) -> Plan:
         reference = search.reference
-        found = jnp.isfinite(search.cost)
+        known = jnp.isfinite(search.cost)
         gains = search.improvement.policy.K
-        gains = jnp.where(found & jnp.all(jnp.isfinite(gains)), gains, 0.0)
-        U, dtype = gains.shape[1], gains.dtype
-        controls = jnp.where(found, reference.controls, self._nothing(U, dtype))
-        k = controls - jnp.sum(gains * reference.x[:-1, None, :], axis=-1)
-        full = jnp.zeros((self.horizon, U, size), dtype).at[:, :, index].set(gains)
+        gains = jnp.where(known & jnp.all(jnp.isfinite(gains)), gains, 0.0)
+        controls = jnp.where(known, reference.controls, self._idle(gains.shape[1], gains.dtype))
+        policy = AffinePolicy.around(gains, reference.x[:-1], controls)
+        K = node_gains(gains, node_ids, reference.position[0])
         out_of_time = search.status == _RUNNING
         return Plan(
-            states=stack_state(reference.position, reference.velocity),
+            states=jnp.stack([reference.position, reference.velocity], axis=2),
             controls=controls,
-            policy=AffinePolicy(full, k),
+            policy=AffinePolicy(K, policy.k),
             beliefs=reference.beliefs,
             cost=search.cost,
             status=jnp.where(out_of_time, PlanStatus.ITERATION_LIMIT, search.status),
             iterations=search.iteration,
-            who=jnp.arange(size // (2 * reference.position.shape[-1]), dtype=jnp.int32),
+            node_ids=jnp.arange(reference.position.shape[1], dtype=jnp.int32),
         )
 
-    def _nothing(self, control_size: int, dtype: jnp.dtype) -> Float[Array, "H U"]:
+    def _idle(self, control_size: int, dtype: jnp.dtype) -> Float[Array, "H U"]:
         """No force, or the nearest that the limits allow."""
         zero = jnp.zeros((self.horizon, control_size), dtype)
         return zero if self.limits is None else self.limits(zero).astype(dtype)
@@ -231,12 +238,6 @@ class _Search(eqx.Module):
     status: Int[Array, ""]
 
 
-def _part_of(cost: QuadraticCost, index: Int[Array, " m"], horizon: int) -> QuadraticCost:
-    """The cost on the involved nodes, in `block_state`'s order, one matrix a step."""
-    Q, R, goal = cost.over(horizon)
-    return QuadraticCost(Q[:, index[:, None], index[None, :]], R, goal[:, index])
-
-
 def _adapted(
     damping: Float[Array, ""], accepted: Bool[Array, ""], exhausted: Bool[Array, ""]
 ) -> Float[Array, ""]:
@@ -250,6 +251,5 @@ def _trial_policy(
     reference: Rollout, improvement: Improvement, step_size: Float[Array, ""]
 ) -> AffinePolicy:
     """Part of the step, with full feedback on how the states come out different."""
-    K = improvement.policy.K
-    k = reference.controls + step_size * improvement.step
-    return AffinePolicy(K, k - jnp.sum(K * reference.x[:-1, None, :], axis=-1))
+    control = reference.controls + step_size * improvement.step
+    return AffinePolicy.around(improvement.policy.K, reference.x[:-1], control)

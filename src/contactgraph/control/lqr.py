@@ -35,6 +35,8 @@ from contactgraph.control.box_qp import (
     solve_box_qp,
     solve_small,
 )
+from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.policy import AffinePolicy
 from contactgraph.control.riccati_form import (
     Ahead,
     Form,
@@ -42,21 +44,9 @@ from contactgraph.control.riccati_form import (
     dense_form,
     dense_product,
 )
+from contactgraph.model import LinearDynamics
 
 _Arrays = TypeVar("_Arrays")
-
-
-class AffinePolicy(eqx.Module):
-    """``u = K x + k``: affine in the state itself, not in a deviation from a reference."""
-
-    K: Float[Array, "*H U n"]
-    """N/m and N s/m."""
-    k: Float[Array, "*H U"]
-    """N"""
-
-    def __call__(self, x: Float[Array, " n"]) -> Float[Array, " U"]:
-        """The control [N] of one step's policy at a state."""
-        return self.K @ x + self.k
 
 
 class QuadraticValue(eqx.Module):
@@ -160,7 +150,7 @@ def improve_policy(
         else:
             target, free = solve_box_qp(S, slope, limits)
             K = -solve_small(free_part(S, free), jnp.where(free[:, None], G, 0.0))
-        policy = AffinePolicy(K, target - K @ x)
+        policy = AffinePolicy.around(K, x, target)
         step = target - u
         # V(reference) - V(target) of a quadratic with curvature S and slope at the target.
         half_slope = jnp.sum(S * target, axis=-1) + slope
@@ -227,3 +217,46 @@ def _before(
     """P and p of this step."""
     P = form.before(now.ahead, stage.A, stage.Q, policy.K, step)
     return P, stage.q + now.ahead.slope + jnp.sum(now.ahead.G * policy.k[:, None], axis=0)
+
+
+def block_state(
+    position: Float[Array, "N D"], velocity: Float[Array, "N D"], node_ids: Int[Array, " M"]
+) -> Float[Array, " m"]:
+    """All positions of the M nodes, then all their velocities: `block_form`'s order of states."""
+    return jnp.stack([position[node_ids], velocity[node_ids]]).reshape(-1)
+
+
+def block_dynamics(
+    dynamics: LinearDynamics,
+) -> tuple[Float[Array, "H 2 2 k"], Float[Array, "H m U"], Float[Array, "H m"]]:
+    """``A, B, offset`` of [H, M, D, …] dynamics, as `block_form` takes them; ``k = MD``."""
+    horizon, U = dynamics.B.shape[0], dynamics.B.shape[-1]
+    A = jnp.moveaxis(dynamics.A.reshape(horizon, -1, 2, 2), 1, -1)
+    B = jnp.moveaxis(dynamics.B.reshape(horizon, -1, 2, U), 2, 1)
+    offset = jnp.moveaxis(dynamics.offset.reshape(horizon, -1, 2), 2, 1)
+    return A, B.reshape(horizon, -1, U), offset.reshape(horizon, -1)
+
+
+def block_cost(
+    cost: QuadraticCost, node_ids: Int[Array, " M"], dimension: int, horizon: int
+) -> QuadraticCost:
+    """The cost on the M nodes in `block_state`'s order, one matrix a step."""
+    Q, R, goal = cost.over(horizon)
+    part = jnp.arange(2)[:, None, None]
+    index = ((2 * node_ids[:, None] + part) * dimension + jnp.arange(dimension)).reshape(-1)
+    return QuadraticCost(Q[:, index[:, None], index[None, :]], R, goal[:, index])
+
+
+def block_gains(K: Float[Array, "H U N 2 D"], node_ids: Int[Array, " M"]) -> Float[Array, "H U m"]:
+    """The gains on the M nodes in `block_state`'s order."""
+    return jnp.moveaxis(K[:, :, node_ids], 3, 2).reshape(*K.shape[:2], -1)
+
+
+def node_gains(
+    gains: Float[Array, "H U m"], node_ids: Int[Array, " M"], like: Float[Array, "N D"]
+) -> Float[Array, "H U N 2 D"]:
+    """`block_gains` turned back; zero on nodes without a cost."""
+    count, dimension = like.shape
+    by_node = jnp.moveaxis(gains.reshape(*gains.shape[:2], 2, -1, dimension), 2, 3)
+    whole = jnp.zeros((*gains.shape[:2], count, 2, dimension), gains.dtype)
+    return whole.at[:, :, node_ids].set(by_node)

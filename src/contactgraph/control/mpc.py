@@ -1,35 +1,66 @@
-"""Model predictive control through contact: one compiled call a tick."""
+"""Model predictive control through contact: one compiled call a control step."""
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 
-from contactgraph.control.compiled_tick import CompiledTick
-from contactgraph.control.cost import Cost
-from contactgraph.control.host import MeasurementReader, Motion, Observation
-from contactgraph.control.ilqr import ILQR
-from contactgraph.control.local_tick import LocalTick
-from contactgraph.control.mpc_state import MPCState
-from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.tick import Controller
+from contactgraph.control.cost import Cost, QuadraticCost
+from contactgraph.control.host import (
+    Motion,
+    Observation,
+    applied_control,
+    edge_contacts,
+    padded_motion,
+)
+from contactgraph.control.mpc_step import LastObservation, MPCCarry, MPCConfig, jit_step
+from contactgraph.control.plan import Plan, Planner, PlanStatus
+from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.data import InvalidInputError
 from contactgraph.model import (
+    ContactBelief,
     ContactSensor,
     MotionNoise,
     Nodes,
     StepModel,
     check_motion_model,
-    interaction_cutoff,
 )
 
 _EXACT = ContactSensor()
+_State = TypeVar("_State", bound="MPCState")
+
+
+@dataclass(frozen=True, eq=False)
+class MPCState:
+    """State between two control steps."""
+
+    nodes: Nodes
+    cost: QuadraticCost
+    node_ids: np.ndarray
+    """[N] The scene's nodes that all of this is about, in their order; -1 for padding."""
+    carry: MPCCarry
+
+    @property
+    def plan(self) -> Plan:
+        """The last plan, as of the last observation."""
+        return self.carry.plan
+
+    @property
+    def belief(self) -> ContactBelief:
+        """About the step that leads to the next observation, not yet corrected by its contacts."""
+        return self.carry.belief
+
+    @property
+    def last(self) -> LastObservation:
+        """The last observation, the belief about the step before it, and the control after it."""
+        return self.carry.last
 
 
 class MPC:
-    """Plans anew at every tick, from what was observed and which contacts were measured.
+    """Plans at every control step, from an observation and the contacts measured with it.
 
     ```python
     mpc = MPC(model, ILQR(horizon=20, limits=limits))
@@ -39,100 +70,66 @@ class MPC:
         apply(plan.controls[0])
     ```
 
-    A tick corrects the belief about the step just made by the contacts measured now (the paper's
-    posterior), plans from there with the last plan as the guess, and carries the belief that the
-    model predicts for the step it is about to make. With a ``motion_noise`` the motion observed
-    corrects the belief too, so that a contact is found without a sensor: see
-    `contact_log_likelihood_ratio`.
+    A control step corrects the belief about the step just made by the contacts measured now (the
+    paper's posterior), plans from there with the previous plan as the guess, and carries the belief
+    that the model predicts for the coming step. With a ``motion_noise`` the observed motion
+    corrects the belief too: see `contact_log_likelihood_ratio`.
 
-    **Who matters.** With a model whose edges have an end (`interaction_cutoff`), a tick is about
-    the nodes in play alone, and takes next to no longer for all the bystanders that a scene may
-    hold; the answer is that of a tick about all. See `contactgraph.control.in_play`, and
-    `Plan.who`.
+    The plan is about all nodes: `ActiveSetMPC` gives the same plans in scenes of many nodes in less
+    time. Goals, weights, poses, contacts and the number of nodes within the capacity are arguments
+    of the compiled step and do not recompile it; the horizon, the capacity and the number of nodes
+    with a cost do. `reset` compiles, so that no step has to.
 
-    Goals, weights, poses, contacts and the number of nodes within the capacity are arguments of
-    the compiled tick and do not recompile it; the horizon, the capacity (where all are in play)
-    and the number of nodes with a cost do. `reset` compiles, so that no tick has to, but where
-    more nodes come into play than ever: that is logged, and happens once for up to 54, 162, …
-    nodes. With ``max_active_nodes`` it never happens; a tick that would need more
-    is CAPACITY_EXCEEDED.
+    **A bad step is data.** A non-finite observation, or a prediction that is not finite, gives the
+    previous plan shifted by one step, under its `PlanStatus`; a non-finite contact counts as not
+    measured. Controls are finite and within limits whatever comes in.
 
-    **A bad tick is data.** A non-finite observation, or a prediction that is not finite, gives
-    the running plan moved on by one step, under its `PlanStatus`; a non-finite contact counts as
-    not measured. Controls are finite and within limits whatever comes in.
-
-    **Deadline.** A Python thread cannot interrupt a compiled call. What bounds a tick is
-    ``ilqr.iterations``. With a deadline the time of each tick is measured, and one that took
-    longer answers with the plan that was running before, marked DEADLINE_MISSED: it was made
-    for this moment, as predicted. The plan that came too late is complete and is the next tick's
-    guess.
+    **Deadline.** A Python thread cannot interrupt a compiled call: the planner's ``iterations``
+    bound a step's time. With a deadline each step's time is measured. A step that took longer
+    answers with the previous plan, shifted, as DEADLINE_MISSED; the plan that came too late is
+    complete and is the next step's guess.
     """
 
     def __init__(
         self,
         model: StepModel,
-        ilqr: ILQR,
+        planner: Planner,
         sensor: ContactSensor = _EXACT,
         replan_every: int = 1,
         deadline: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
         motion_noise: MotionNoise | None = None,
-        max_active_nodes: int | None = None,
     ) -> None:
         """``deadline`` in seconds, from the call of `step` to the plan; ``clock`` measures it.
 
-        ``motion_noise`` None: beliefs are corrected by measured contacts alone.
-        ``max_active_nodes`` nodes may matter to a plan; None: however many do.
-        Raises `InvalidInputError` for a ``replan_every`` outside ``1 … horizon``, a deadline or a
-        limit that is not positive, or a ``motion_noise`` with a model that cannot judge motion.
+        ``motion_noise`` None: beliefs are corrected by measured contacts alone. Raises
+        `InvalidInputError` for a ``replan_every`` outside ``1 … horizon``, a deadline that is not
+        positive, or a ``motion_noise`` with a model that cannot judge motion.
         """
-        if not 1 <= replan_every <= ilqr.horizon:
+        if not 1 <= replan_every <= planner.horizon:
             raise InvalidInputError(
-                f"replan_every must be 1 to the horizon ({ilqr.horizon}), found {replan_every}"
+                f"replan_every must be 1 to the horizon ({planner.horizon}), found {replan_every}"
             )
         if deadline is not None and not deadline > 0:
             raise InvalidInputError(f"deadline must be positive seconds, found {deadline}")
         if motion_noise is not None:
             check_motion_model(model)
-        if max_active_nodes is not None and max_active_nodes < 1:
-            raise InvalidInputError(
-                f"max_active_nodes must be at least 1, found {max_active_nodes}"
-            )
-        self._deadline = deadline
-        self._clock = clock
-        # Rates by edge are about the scene as a whole.
-        near = (
-            interaction_cutoff(model)
-            if np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) == 0
-            else None
-        )
-        self._compiled = CompiledTick(
-            Controller(model, ilqr, sensor, motion_noise, replan_every, near),
-            falls_back=deadline is not None or max_active_nodes is not None,
-        )
-        self._local = LocalTick(self._compiled, near, max_active_nodes)
-        self._readers: dict[tuple[int, int], MeasurementReader] = {}
+        self.config = MPCConfig(model, planner, sensor, motion_noise, replan_every)
+        self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
+        self._deadline, self.clock = deadline, clock
+        self._first = jit_step(MPCConfig.first_carry, self.config)
+        self._step = jit_step(MPCConfig.step, self.config)
+        self._previous = jit_step(MPCConfig.previous_plan, self.config)
 
     def reset(self, observation: Observation, nodes: Nodes, cost: Cost) -> MPCState:
-        """Begin a run: the model's first belief and a first plan. Compiles where need be.
+        """Begin an episode: the model's first belief and a first plan. Compiles where need be.
 
-        Raises `InvalidInputError` where the observation is not finite, shapes do not fit, or more
-        nodes are in play than may be.
+        Raises `InvalidInputError` where the observation is not finite or shapes do not fit.
         """
-        capacity = nodes.mask.shape[0]
-        quadratic = cost.quadratic(capacity)
-        size = quadratic.goal.shape[-1]
-        if size % (2 * capacity):
-            raise InvalidInputError(
-                f"cost.goal must have 2ND entries for the capacity N = {capacity}, found {size}"
-            )
-        reader = self._reader(capacity, size)
-        position, velocity = reader.motion(observation)
-        mask = np.asarray(nodes.mask)
-        for name, value in (("position", position), ("velocity", velocity)):
-            if not np.all(np.isfinite(value[mask])):
-                raise InvalidInputError(f"observation's {name} must be finite to begin with")
-        return self._local.begin(reader, _shown(mask, position, velocity), nodes, quadratic)
+        nodes, quadratic = self.checked(nodes, cost)
+        motion = self.first_motion(observation, nodes, quadratic)
+        state = self.first(nodes, quadratic, np.arange(len(nodes.mask)), motion)
+        return self.planned(state, motion)
 
     def step(
         self,
@@ -140,33 +137,26 @@ class MPC:
         contacts: np.ndarray | None,
         state: MPCState,
         applied: np.ndarray | None = None,
+        *,
+        nodes: Nodes | None = None,
+        cost: Cost | None = None,
+        replan: bool | None = None,
     ) -> tuple[Plan, MPCState]:
-        """One tick: the plan whose ``controls[0]`` [N] to apply now, and the state to pass on.
+        """One control step: the plan whose ``controls[0]`` [N] to apply now, and the next state.
 
         ``contacts``: [n, n], symmetric, 1 touching, 0 not, NaN not measured; None: nothing is.
-        ``applied``: [U] N, what was applied, on its mean, since the last tick, where feedback or a
-        robot's limits made it another control than the last plan's first; None: that one.
-        Raises `InvalidInputError` where shapes do not fit, or a cost that was replaced is about
-        more nodes than may be in play; and never for a value.
+        ``applied``: [U] N, mean control applied since the last step; None: the last plan's first.
+        ``nodes``, ``cost``: replace the state's from now on. ``replan``: True makes a plan now,
+        False reuses the previous one; None: every ``replan_every`` steps.
+        Raises `InvalidInputError` where shapes do not fit, never for a value.
         """
-        begin = self._clock()
-        mask = np.asarray(state.nodes.mask)
-        reader = self._reader(len(mask), state.cost.goal.shape[-1])
-        motion = _shown(mask, *reader.motion(observation))
-        told = reader.applied(applied, state.plan.controls.shape[-1])
-        plan, after, crowded = self._local(state, reader, motion, contacts, told)
-        status = PlanStatus.CAPACITY_EXCEEDED if crowded else None
-        if self._deadline is not None:
-            jax.block_until_ready(plan.controls)
-            status = (
-                PlanStatus.DEADLINE_MISSED if self._clock() - begin > self._deadline else status
-            )
-        if status is None:
-            return plan, after
-        plan = self._compiled.running(state.memory, status)
-        control = jax.device_put(np.asarray(plan.controls)[0])
-        seen = replace(after.seen, control=control)
-        return plan, replace(after, memory=replace(after.memory, seen=seen))
+        begin = self.clock()
+        if nodes is not None or cost is not None:
+            about = state.nodes if nodes is None else nodes, state.cost if cost is None else cost
+            checked = self.checked(*about)
+            state = replace(state, nodes=checked[0], cost=checked[1])
+        motion = self.motion(observation, state.nodes, state.cost)
+        return self.answer(begin, state, self.advance(state, motion, contacts, applied, replan))
 
     def control(self, plan: Plan, observation: Observation) -> np.ndarray:
         """[U] N: the plan's first control with its feedback on a later observation.
@@ -174,28 +164,104 @@ class MPC:
         For a loop that is faster than the planner. Falls back on ``plan.controls[0]`` where the
         observation is not finite.
         """
-        who = np.asarray(plan.who)
+        ids = np.asarray(plan.node_ids)
         count, dimension = np.shape(observation["position"])
-        capacity = max(count, int(who.max()) + 1)
-        position, velocity = self._reader(capacity, 2 * capacity * dimension).motion(observation)
-        x = np.stack([position[who], velocity[who]], axis=1).reshape(-1)
-        K, k = np.asarray(plan.policy.K[0]), np.asarray(plan.policy.k[0])
-        used = np.any(K != 0, axis=0)
-        u = K[:, used] @ x[used] + k
-        u = u if np.all(np.isfinite(u)) else np.asarray(plan.controls[0])
-        limits = self._compiled.controller.ilqr.limits
-        return u if limits is None else np.clip(u, limits.lower, limits.upper)
+        capacity = max(count, int(ids.max()) + 1)
+        position, velocity = padded_motion(observation, capacity, dimension, self.dtype)
+        first: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[0], plan.policy)
+        x = np.stack([position[ids], velocity[ids]], axis=1)
+        # A node without a gain may be anywhere, or not observed.
+        control = np.asarray(first(np.where(np.any(first.K != 0, axis=0), x, 0.0)))
+        control = control if np.all(np.isfinite(control)) else np.asarray(plan.controls)[0]
+        limits = self.config.planner.limits
+        return control if limits is None else np.clip(control, limits.lower, limits.upper)
 
-    def _reader(self, capacity: int, size: int) -> MeasurementReader:
-        """For ``N`` nodes with ``size = 2ND``."""
-        key = (capacity, size)
-        if key not in self._readers:
-            dimension = size // (2 * capacity)
-            self._readers[key] = MeasurementReader(capacity, dimension, self._compiled.dtype)
-        return self._readers[key]
+    def checked(self, nodes: Nodes, cost: Cost) -> tuple[Nodes, QuadraticCost]:
+        """In shapes that fit, on the device, without weak types: these would compile again."""
+        capacity = len(nodes.mask)
+        quadratic = cost.quadratic(capacity)
+        size = quadratic.goal.shape[-1]
+        if size % (2 * capacity):
+            raise InvalidInputError(
+                f"cost.goal must have 2ND entries for the capacity N = {capacity}, found {size}"
+            )
 
+        def typed(value: Any) -> np.ndarray:
+            array = np.asarray(value)
+            return array.astype(self.dtype) if np.issubdtype(array.dtype, np.floating) else array
 
-def _shown(mask: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> Motion:
-    """Whatever padding holds, it is zero."""
-    hidden = ~mask[:, None]
-    return np.where(hidden, 0, position), np.where(hidden, 0, velocity)
+        # Made by NumPy and moved: each `jax.numpy` call would compile a program of its own.
+        return jax.device_put(jax.tree.map(typed, (nodes, quadratic)))
+
+    def motion(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> Motion:
+        """Of all nodes [N, D]; zero for padding, whatever was observed there."""
+        mask = np.asarray(nodes.mask)[:, None]
+        dimension = cost.goal.shape[-1] // (2 * len(mask))
+        motion = padded_motion(observation, len(mask), dimension, self.dtype)
+        return np.where(mask, motion[0], 0), np.where(mask, motion[1], 0)
+
+    def first_motion(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> Motion:
+        """As `motion`; raises `InvalidInputError` where it is not finite."""
+        motion = self.motion(observation, nodes, cost)
+        for name, value in zip(("position", "velocity"), motion, strict=True):
+            if not np.all(np.isfinite(value)):
+                raise InvalidInputError(f"observation's {name} must be finite to begin with")
+        return motion
+
+    def first(
+        self,
+        nodes: Nodes,
+        cost: QuadraticCost,
+        node_ids: np.ndarray,
+        motion: Motion,
+        swept: SweptBounds | None = None,
+    ) -> MPCState:
+        """The state before any control step; ``motion`` is of all nodes of the scene."""
+        moved = motion[0][node_ids], motion[1][node_ids]
+        carry = self._first(nodes, cost, *moved, node_ids.astype(np.int32), swept)
+        return MPCState(nodes, cost, node_ids, carry)
+
+    def planned(self, state: _State, motion: Motion) -> _State:
+        """The state with a plan, before any control step; compiles where need be."""
+        after = self.advance(state, motion)
+        if self._deadline is not None:
+            self.answer(0.0, state, after, PlanStatus.DEADLINE_MISSED)
+        return replace(state, carry=replace(state.carry, plan=after.plan))
+
+    def advance(
+        self,
+        state: _State,
+        motion: Motion,
+        contacts: np.ndarray | None = None,
+        applied: np.ndarray | None = None,
+        replan: bool | None = None,
+    ) -> _State:
+        """The state after a control step; ``motion`` and ``contacts`` are of the whole scene."""
+        if replan is False and self.config.replan_every == 1:
+            raise InvalidInputError("replan=False needs a replan_every above 1")
+        position, velocity = motion
+        carry = self._step(
+            state.nodes,
+            state.cost,
+            state.carry,
+            position[state.node_ids],
+            velocity[state.node_ids],
+            edge_contacts(contacts, state.node_ids, len(position), self.dtype),
+            applied_control(applied, state.cost.control_size, self.dtype),
+            np.asarray(-1 if replan is None else replan, np.int32),
+        )
+        return replace(state, carry=carry)
+
+    def answer(
+        self, begin: float, state: MPCState, after: _State, status: PlanStatus | None = None
+    ) -> tuple[Plan, _State]:
+        """The new plan; or ``state``'s, shifted, where that one is late or there is a status."""
+        if self._deadline is not None:
+            jax.block_until_ready(after.plan.controls)
+            late = self.clock() - begin > self._deadline
+            status = PlanStatus.DEADLINE_MISSED if late else status
+        if status is None:
+            return after.plan, after
+        plan = self._previous(state.carry, np.asarray(status, np.int32))
+        last = replace(after.last, control=jax.device_put(np.asarray(plan.controls)[0]))
+        return plan, replace(after, carry=replace(after.carry, last=last))

@@ -1,18 +1,23 @@
-"""What a planner answers with: data, also when it failed."""
+"""Plans, their statuses, and the interface of a planner."""
 
+from dataclasses import replace
 from enum import IntEnum
+from typing import Protocol
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from contactgraph.control.lqr import AffinePolicy
-from contactgraph.model import ContactBelief
+from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.policy import AffinePolicy
+from contactgraph.control.swept_bounds import SweptBounds
+from contactgraph.model import ContactBelief, ModelState, Nodes, StepModel
 
 
 class PlanStatus(IntEnum):
-    """How a plan came about; `message` says it in words."""
+    """How a plan came about; `message` is a sentence for the user."""
 
     CONVERGED = 0
     ITERATION_LIMIT = 1
@@ -36,14 +41,14 @@ class PlanStatus(IntEnum):
 
 _MESSAGES = {
     PlanStatus.CONVERGED: "Converged: no further decrease of the cost is expected.",
-    PlanStatus.ITERATION_LIMIT: "Stopped at the iteration limit; the best plan found is used.",
-    PlanStatus.NO_DESCENT: "No step lowered the cost any more; the best plan found is used.",
+    PlanStatus.ITERATION_LIMIT: "Stopped at the iteration limit; the best plan so far is used.",
+    PlanStatus.NO_DESCENT: "No step lowered the cost any more; the best plan so far is used.",
     PlanStatus.NOT_FINITE: "The model's prediction was not finite; the previous plan is used.",
-    PlanStatus.PLAN_REUSED: "Not replanned in this tick: the running plan's feedback was used.",
+    PlanStatus.PLAN_REUSED: "Not replanned in this step: the previous plan's feedback was used.",
     PlanStatus.DEADLINE_MISSED: "Planning missed the deadline; the previous plan is used.",
     PlanStatus.BAD_OBSERVATION: "The observation was not finite; the previous plan is used.",
     PlanStatus.CAPACITY_EXCEEDED: (
-        "More nodes are in play than the limit allows; the previous plan is used."
+        "More nodes are active than the limit allows; the previous plan is used."
     ),
 }
 
@@ -51,12 +56,12 @@ _MESSAGES = {
 class Plan(eqx.Module):
     """``H`` steps ahead. Step ``t`` leads from ``states[t]`` to ``states[t+1]``."""
 
-    states: Float[Array, "H+1 n"]
-    """`stack_state`'s vectors, m and m/s."""
+    states: Float[Array, "H+1 N 2 D"]
+    """Position m and velocity m/s of each node."""
     controls: Float[Array, "H U"]
     """N; finite and within the limits, whatever the status."""
     policy: AffinePolicy
-    """Feedback around the plan: gives ``controls[t]`` at ``states[t]``."""
+    """Feedback around the plan, K [H, U, N, 2, D]: gives ``controls[t]`` at ``states[t]``."""
     beliefs: ContactBelief
     """[H, E, K] belief t is about step t."""
     cost: Float[Array, ""]
@@ -65,8 +70,10 @@ class Plan(eqx.Module):
     """A `PlanStatus`; see `outcome`."""
     iterations: Int[Array, ""]
     """Rollouts of the model that the plan took."""
-    who: Int[Array, " N"]
-    """Which of the scene's nodes the plan is about, in their order; -1 for padding."""
+    node_ids: Int[Array, " N"]
+    """The scene's nodes that the plan is about, in their order; -1 for padding."""
+    swept: SweptBounds | None = None
+    """Bounds of all trial rollouts, where the planner records them."""
 
     @property
     def outcome(self) -> PlanStatus:
@@ -75,32 +82,58 @@ class Plan(eqx.Module):
 
     def with_status(self, status: PlanStatus) -> "Plan":
         """The same plan under another status."""
-        return eqx.tree_at(
-            lambda plan: plan.status, self, jnp.asarray(status, dtype=self.status.dtype)
-        )
+        return replace(self, status=jnp.asarray(status, dtype=self.status.dtype))
+
+
+class Planner(Protocol):
+    """The interface that `MPC` asks of a planner, a pytree such as an `equinox.Module`.
+
+    `ILQR` is one; ``examples/extend_planner_mppi.py`` writes another.
+    """
+
+    @property
+    def horizon(self) -> int:
+        """H, steps of a plan."""
+        ...
+
+    @property
+    def limits(self) -> ControlLimits | None:
+        """Bounds on every control, N. None: unbounded."""
+        ...
+
+    def solve(
+        self,
+        model: StepModel,
+        state: ModelState,
+        nodes: Nodes,
+        cost: QuadraticCost,
+        guess: AffinePolicy | None = None,
+    ) -> Plan:
+        """A plan from a state; ``guess`` is the previous plan's policy, shifted. Is compiled.
+
+        With the status NOT_FINITE nothing else of the plan is used.
+        """
+        ...
 
 
 def shift_plan(plan: Plan) -> Plan:
     """The plan from its second step on.
 
-    The new last step applies no force and holds the last predicted state: whoever follows a plan
-    to its end without news comes to rest under zero control (or the nearest that limits allow,
-    which is the caller's to enforce).
+    The new last step applies no force and holds the last predicted state: a plan followed to its
+    end without any observation ends in zero control (or the nearest that limits allow, which is
+    the caller's to enforce).
     """
 
-    def onward(values: Array) -> Array:
+    def last_repeated(values: Array) -> Array:
         return jnp.concatenate([values[1:], values[-1:]])
 
-    def ending_in_zero(values: Array) -> Array:
+    def last_zero(values: Array) -> Array:
         return jnp.concatenate([values[1:], jnp.zeros_like(values[-1:])])
 
-    return Plan(
-        states=onward(plan.states),
-        controls=ending_in_zero(plan.controls),
-        policy=jax.tree.map(ending_in_zero, plan.policy),
-        beliefs=jax.tree.map(onward, plan.beliefs),
-        cost=plan.cost,
-        status=plan.status,
-        iterations=plan.iterations,
-        who=plan.who,
+    return replace(
+        plan,
+        states=last_repeated(plan.states),
+        controls=last_zero(plan.controls),
+        policy=jax.tree.map(last_zero, plan.policy),
+        beliefs=jax.tree.map(last_repeated, plan.beliefs),
     )

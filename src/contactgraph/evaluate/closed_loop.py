@@ -9,7 +9,7 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import ILQR, MPC, ControlLimits
+from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits
 from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.envs.contract import Task
 from contactgraph.envs.episodes import episode_seeds, run_episode
@@ -204,7 +204,7 @@ def control_task(
     terms = task.cost_terms()
     limits = ControlLimits(jnp.asarray(box.low), jnp.asarray(box.high))
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
-    mpc = MPC(
+    mpc = ActiveSetMPC(
         model,
         ilqr,
         sensor or faults.sensor,

@@ -4,17 +4,21 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from contactgraph.control import MPC, Cost, MPCState, Plan, QuadraticCost, chain_cost
+from contactgraph.control import MPC, ActiveSetMPC, Cost, MPCState, Plan, QuadraticCost, chain_cost
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
 from contactgraph.envs.contract import ChainCost, Feedback, Observation
-from contactgraph.evaluate.plan_tracking import EpisodeRecord, edge_probabilities, planned_positions
+from contactgraph.evaluate.plan_tracking import (
+    EpisodeRecord,
+    edge_probabilities,
+    plan_feedback,
+    planned_positions,
+)
 from contactgraph.evaluate.sensor_faults import FaultySensor, ObservationNoise, SensorFaults
 from contactgraph.model import ContactBelief, scene_nodes
-from contactgraph_franka.loop.plan_feedback import plan_feedback
 
 
 class SceneCost(Cost, Protocol):
@@ -91,12 +95,13 @@ class MPCPolicy:
 
     Scenes are padded to a capacity of nodes, so that another number of objects recompiles
     nothing; a scene above it raises the capacity, and compiles once more, unless only part of it is
-    in play (`MPC`). Compiling is done before an episode's first tick and is not part of its time.
+    active (`ActiveSetMPC`). Compiling is done before an episode's first tick and is not part of its
+    time.
     """
 
     def __init__(
         self,
-        mpc: MPC,
+        mpc: MPC | ActiveSetMPC,
         cost: SceneCost,
         node_capacity: int = 0,
         faults: SensorFaults = _EXACT,
@@ -120,7 +125,7 @@ class MPCPolicy:
         self._noise_rng = noise.begin(0)
         self._sensor: FaultySensor | None = None
         self._scene: Scene | None = None
-        self._state: MPCState | None = None
+        self._state: Any = None
         self._ticks: list[_Tick] = []
         self._applied: np.ndarray | None = None
 
@@ -144,12 +149,17 @@ class MPCPolicy:
             self._state = self._begin(observation)
         contacts = self._contacts(observation)
         begin = time.perf_counter()
-        self._state = self._along_what_is_held(self._state)
-        plan, self._state = self._mpc.step(observation, contacts, self._state, self._applied)
+        plan, self._state = self._mpc.step(
+            observation,
+            contacts,
+            self._state,
+            self._applied,
+            cost=self._reordered(self._state),
+        )
         control = np.asarray(plan.controls[0], dtype=np.float64)  # waits for the plan
         took = time.perf_counter() - begin
         seen = np.array(observation["position"]), np.array(observation["velocity"])
-        found = self._state.seen.belief, self._state.who
+        found = self._state.last.belief, self._state.node_ids
         self._ticks.append(_Tick(1e3 * took, plan, *seen, *found))
         self._applied = None
         return control
@@ -181,7 +191,7 @@ class MPCPolicy:
             ),
             plan_belief=np.stack(
                 [
-                    edge_probabilities(each.plan.beliefs, np.asarray(each.plan.who), count)
+                    edge_probabilities(each.plan.beliefs, np.asarray(each.plan.node_ids), count)
                     for each in self._ticks
                 ]
             ),
@@ -201,24 +211,24 @@ class MPCPolicy:
         nodes = scene_nodes(self._scene, self._capacity)
         return self._mpc.reset(observation, nodes, self._placed)
 
-    def _along_what_is_held(self, state: MPCState) -> MPCState:
-        """The state with the cost's held nodes before those that are still to be picked up.
+    def _reordered(self, state: MPCState) -> SceneCost | None:
+        """The cost with the grasped nodes before those still to be picked up; None: no change.
 
-        A node that is picked up out of turn would else stand in the chain between two that pull
-        at it, and nothing further would be picked up.
+        Without it a node that is picked up out of turn stays in the chain between two others that
+        pull at it, and nothing further is picked up.
         """
         order = self._chain
         if len(order) < 3:
-            return state
-        who = state.who.tolist()
-        active = pair_indices(len(who))[np.asarray(state.belief.probability) > 0.5]
-        contact = np.zeros((len(who), len(who)), dtype=bool)
+            return None
+        node_ids = state.node_ids.tolist()
+        active = pair_indices(len(node_ids))[np.asarray(state.belief.probability) > 0.5]
+        contact = np.zeros((len(node_ids), len(node_ids)), dtype=bool)
         contact[active[:, 0], active[:, 1]] = contact[active[:, 1], active[:, 0]] = True
-        held = joined(contact[None])[0, who.index(order[0])] > 0
+        grasped = joined(contact[None])[0, node_ids.index(order[0])] > 0
         onward = tuple(
-            sorted(order, key=lambda node: (not held[who.index(node)], order.index(node)))
+            sorted(order, key=lambda node: (not grasped[node_ids.index(node)], order.index(node)))
         )
         if onward == self._order:
-            return state
+            return None
         self._order = onward
-        return replace(state, cost=self._placed.among(onward).quadratic(self._capacity))
+        return self._placed.among(onward)

@@ -8,6 +8,7 @@ import numpy as np
 
 from contactgraph.control import Plan, PlanStatus
 from contactgraph.data import Trajectory, edge_index, pair_indices
+from contactgraph.envs.feedback import PlanFeedback
 from contactgraph.evaluate.baselines import constant_velocity, frozen_contact
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
 from contactgraph.model import ContactBelief
@@ -173,26 +174,37 @@ def planned_positions(
 ) -> np.ndarray:
     """[H+1, N, D] m: where the plan puts every node at steps of ``dt`` s.
 
-    Nodes that are not in play go on as they were observed, at ``position`` m with ``velocity`` m/s,
-    [N, D].
+    Nodes that are not active keep the observed ``position`` m and ``velocity`` m/s, [N, D].
     """
-    count, dimension = position.shape
-    who, slots = present(plan, count)
-    states = np.asarray(plan.states, np.float64).reshape(len(plan.states), -1, 2, dimension)
+    node_ids, slots = _present(plan, len(position))
+    states = np.asarray(plan.states, np.float64)
     ahead = dt * np.arange(len(states))[:, None, None]
     whole = position + ahead * velocity
-    whole[:, who] = states[:, slots, 0]
+    whole[:, node_ids] = states[:, slots, 0]
     return whole
 
 
-def edge_probabilities(belief: ContactBelief, who: np.ndarray, count: int) -> np.ndarray:
+def plan_feedback(plan: Plan, dt: float, capacity: int) -> PlanFeedback:
+    """The feedback along a plan with steps of ``dt`` s, padded to a ``capacity`` of nodes.
+
+    It does not depend on nodes that are not active.
+    """
+    node_ids, slots = _present(plan, capacity)
+    states, gains = np.asarray(plan.states, float), np.asarray(plan.policy.K, float)
+    all_states = np.zeros((len(states), capacity, *states.shape[2:]))
+    all_gains = np.zeros((*gains.shape[:2], capacity, *gains.shape[3:]))
+    all_states[:, node_ids], all_gains[:, :, node_ids] = states[:, slots], gains[:, :, slots]
+    return PlanFeedback(all_states, np.asarray(plan.controls, float), all_gains, dt)
+
+
+def edge_probabilities(belief: ContactBelief, node_ids: np.ndarray, count: int) -> np.ndarray:
     """[..., E] that each edge of a scene of ``count`` nodes is active.
 
-    ``belief`` is about the nodes ``who``, -1 for padding. An edge of any other is out of reach of
-    all that matters, and taken to be inactive.
+    ``belief`` is about the nodes ``node_ids``, -1 for padding. Edges of other nodes are beyond the
+    model's cutoff from all that matters, and taken to be inactive.
     """
     probability = np.asarray(belief.probability, np.float64)
-    first, second = who[pair_indices(len(who))].T
+    first, second = node_ids[pair_indices(len(node_ids))].T
     known = (first >= 0) & (second >= 0) & (first < count) & (second < count)
     first, second = first[known], second[known]
     whole = np.zeros((*probability.shape[:-1], count * (count - 1) // 2))
@@ -200,8 +212,8 @@ def edge_probabilities(belief: ContactBelief, who: np.ndarray, count: int) -> np
     return whole
 
 
-def present(plan: Plan, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the first ``count`` nodes of the scene are in play, and their places in the plan."""
-    who = np.asarray(plan.who)
-    slots = np.flatnonzero((who >= 0) & (who < count))
-    return who[slots], slots
+def _present(plan: Plan, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The active ones of the first ``count`` nodes of the scene, and their slots in the plan."""
+    node_ids = np.asarray(plan.node_ids)
+    slots = np.flatnonzero((node_ids >= 0) & (node_ids < count))
+    return node_ids[slots], slots

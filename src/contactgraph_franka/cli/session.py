@@ -22,8 +22,8 @@ from contactgraph_franka.loop import (
     AsyncPlanner,
     ControlLoop,
     EpisodeStart,
-    FeedbackLaw,
     LoopReport,
+    PlanFeedback,
     PlanResult,
     TimedObservation,
 )
@@ -93,7 +93,7 @@ class PrintedPlans:
         if result is None or self._began is None or result.observed_at < self._due:
             return result
         self._due = result.observed_at + _PRINT_INTERVAL
-        if isinstance(result.policy, FeedbackLaw):
+        if isinstance(result.policy, PlanFeedback):
             hand, block = result.policy.states[-1, :2, 0]
             print(
                 f"at {result.observed_at - self._began:4.1f} s: first force "

@@ -6,13 +6,13 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import ILQR, MPC, ControlLimits, MPCState
+from contactgraph.control import ILQR, ActiveSetMPC, ActiveSetState, ControlLimits
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.evaluate.mpc_policy import SceneCost
+from contactgraph.evaluate.plan_tracking import plan_feedback
 from contactgraph.model import ContactDynamics, ContactSensor, MotionNoise, scene_nodes
 from contactgraph.model.filter import check_fit
-from contactgraph_franka.loop import EpisodeStart, FeedbackLaw, TimedObservation
-from contactgraph_franka.loop.plan_feedback import plan_feedback
+from contactgraph_franka.loop import EpisodeStart, PlanFeedback, TimedObservation
 
 _SHARES = np.array([0.5, 0.5, np.sqrt(0.5)])
 """Bounds of a plan's force along each axis, as shares of the largest force. Their squares add up
@@ -52,9 +52,7 @@ class MPCPlanner:
             raise InvalidInputError(f"the robot moves in 3 dimensions, found {scene.dimension}")
         bound = jnp.asarray(max_force * _SHARES)
         ilqr = ILQR(horizon=horizon, iterations=iterations, limits=ControlLimits(-bound, bound))
-        # No step plans but those that set the counter below.
-        self._every = horizon
-        self._mpc = MPC(
+        self._mpc = ActiveSetMPC(
             model,
             ilqr,
             ContactSensor() if sensor is None else sensor,
@@ -62,7 +60,7 @@ class MPCPlanner:
             motion_noise=motion_noise,
         )
         self._scene, self._cost = scene, cost
-        self._state: MPCState | None = None
+        self._state: ActiveSetState | None = None
         self.interval = float(scene.dt)
         """s: the model's step."""
 
@@ -73,16 +71,19 @@ class MPCPlanner:
         observation = start.reading.observation(start.goal)
         self._state = self._mpc.reset(observation, nodes, self._cost.in_scene(scene))
 
-    def plan(self, observations: Sequence[TimedObservation]) -> FeedbackLaw | None:
+    def plan(self, observations: Sequence[TimedObservation]) -> PlanFeedback | None:
         """See `Planner`."""
         if self._state is None:
             raise InvalidInputError("call reset(start) first")
         for each in observations:
-            due = self._every if each is observations[-1] else 0
-            memory = replace(self._state.memory, steps_since_plan=jnp.asarray(due, jnp.int32))
-            state = replace(self._state, memory=memory)
             observed = {"position": each.reading.position, "velocity": each.reading.velocity}
-            plan, self._state = self._mpc.step(observed, each.reading.contact, state, each.applied)
+            plan, self._state = self._mpc.step(
+                observed,
+                each.reading.contact,
+                self._state,
+                each.applied,
+                replan=each is observations[-1],
+            )
         if not plan.outcome.solved:
             return None
         return plan_feedback(plan, self.interval, self._scene.node_count)

@@ -130,7 +130,7 @@ class LearnedCost(eqx.Module):
             Q=Q.at[rows[:, None], rows[None, :]].set(self.Q),
             R=self.R,
             goal=goal.reshape(-1),
-            involved=self.nodes,
+            cost_node_ids=self.nodes,
         )
 
 

@@ -1,7 +1,6 @@
-"""Laws that planners answer with.
+"""Feedback along a plan, in NumPy alone.
 
-They come from another process into the midst of a loop, so what they are made of must be imported
-there already, and light: numbers, and nothing that planning needs.
+A robot's loop receives it from a planning process, so its module must not import JAX.
 """
 
 from dataclasses import dataclass
@@ -10,8 +9,8 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class FeedbackLaw:
-    r"""A plan's controls, corrected by its feedback about where it meant the nodes to be by then.
+class PlanFeedback:
+    r"""A plan's controls with its feedback on how far the nodes are from their planned states.
 
     In step :math:`t`, of which the part :math:`s \in [0, 1)` has passed, with the plan's states
     :math:`\bar x` and controls :math:`\bar u`,
@@ -20,11 +19,11 @@ class FeedbackLaw:
     """
 
     states: np.ndarray
-    """[H+1, N, 2, D]: position m and velocity m/s of each node, as planned."""
+    """[H+1, N, 2, D]: planned position m and velocity m/s of each node."""
     controls: np.ndarray
     """[H, U] N"""
     gains: np.ndarray
-    """[H, U, 2ND]"""
+    """[H, U, N, 2, D]"""
     dt: float
     """s, of a step."""
 
@@ -49,5 +48,5 @@ class FeedbackLaw:
         state = np.zeros(self.states.shape[1:])
         state[: len(position), 0], state[: len(position), 1] = position, velocity
         begin, end = self.states[step], self.states[step + 1]
-        astray = state - (begin + part * (end - begin))
-        return self.controls[step] + self.gains[step] @ astray.ravel()
+        deviation = state - (begin + part * (end - begin))
+        return self.controls[step] + self.gains[step].reshape(-1, state.size) @ deviation.ravel()

@@ -1,0 +1,293 @@
+"""Model predictive control about the active nodes of a scene alone.
+
+A node is active wherever it is, if the control acts on it, the cost is about it, it hangs on a
+hinge (its body is longer than its node says), or it moves so fast that it may come from anywhere.
+Other nodes become active where a plan's trial rollouts came near them (`SweptBounds`).
+"""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.cost import Cost, QuadraticCost
+from contactgraph.control.host import Motion, Observation
+from contactgraph.control.ilqr import ILQR
+from contactgraph.control.mpc import MPC
+from contactgraph.control.plan import Plan, PlanStatus
+from contactgraph.control.policy import AffinePolicy
+from contactgraph.control.subproblem import (
+    ActiveSetState,
+    active_part,
+    bucket_size,
+    carried_over,
+    padded,
+    required_nodes,
+)
+from contactgraph.control.swept_bounds import ActiveBounds, SweptBounds
+from contactgraph.data import InvalidInputError
+from contactgraph.model import (
+    ContactSensor,
+    ModelState,
+    MotionNoise,
+    Nodes,
+    StepModel,
+    interaction_cutoff,
+)
+
+_EXACT = ContactSensor()
+_READY = 18
+"""Active nodes that `reset` compiles for, where no limit is given."""
+_NONE = np.zeros(0, int)
+_log = logging.getLogger(__name__)
+
+
+class _RecordingILQR(eqx.Module):
+    """iLQR whose plans hold the swept bounds of all trials, for a model with steps of ``dt`` s."""
+
+    ilqr: ILQR
+    dt: float = eqx.field(static=True)
+
+    @property
+    def horizon(self) -> int:
+        return self.ilqr.horizon
+
+    @property
+    def limits(self) -> ControlLimits | None:
+        return self.ilqr.limits
+
+    def solve(
+        self,
+        model: StepModel,
+        state: ModelState,
+        nodes: Nodes,
+        cost: QuadraticCost,
+        guess: AffinePolicy | None = None,
+    ) -> Plan:
+        plan, swept = self.ilqr.search(model, state, nodes, cost, guess, self.dt)
+        return replace(plan, swept=swept)
+
+
+class ActiveSetMPC:
+    """`MPC` in scenes of many nodes: the same answers, from a plan about the active nodes alone.
+
+    It applies to models whose edges have a cutoff (`interaction_cutoff`); with others all nodes
+    are active. After a control step whose trials came near inactive nodes, these become active and
+    the step is made again from where it began. So the answer is that of `MPC`. Nodes leave one step
+    later, since a step that shows that they may has perhaps been made twice already.
+
+    `reset` compiles for up to 18 active nodes. More of them recompile once for up to 54, 162, …
+    nodes, which is logged. With ``max_active_nodes`` a step never compiles: one that would need
+    more active nodes gives the previous plan, shifted, as CAPACITY_EXCEEDED.
+    """
+
+    def __init__(
+        self,
+        model: StepModel,
+        ilqr: ILQR,
+        sensor: ContactSensor = _EXACT,
+        replan_every: int = 1,
+        deadline: float | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+        motion_noise: MotionNoise | None = None,
+        max_active_nodes: int | None = None,
+    ) -> None:
+        """As `MPC`; ``max_active_nodes`` None: without a limit.
+
+        Raises `InvalidInputError` as `MPC` does, and for a limit below 1.
+        """
+        if max_active_nodes is not None and max_active_nodes < 1:
+            raise InvalidInputError(
+                f"max_active_nodes must be at least 1, found {max_active_nodes}"
+            )
+        # Sensor rates by edge are about the scene as a whole.
+        by_edge = np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) > 0
+        self._cutoff = None if by_edge else interaction_cutoff(model)
+        planner = ilqr if self._cutoff is None else _RecordingILQR(ilqr, self._cutoff.dt)
+        self._mpc = MPC(model, planner, sensor, replan_every, deadline, clock, motion_noise)
+        self._ilqr, self._max = ilqr, max_active_nodes
+        self._largest = 0
+        self._compiled: set[tuple] = set()
+
+    def reset(self, observation: Observation, nodes: Nodes, cost: Cost) -> ActiveSetState:
+        """As `MPC.reset`; also compiles for more active nodes, up to the limit or 18.
+
+        Raises `InvalidInputError` where the scene needs more active nodes than the limit.
+        """
+        scene = self._mpc.checked(nodes, cost)
+        motion = self._mpc.first_motion(observation, *scene)
+        required, capacity = self._required(*scene), len(scene[0].mask)
+        most = max(len(required), self._max or _READY)
+        sizes = {bucket_size(count, capacity) for count in range(len(required), most + 1)}
+        for size in sorted(sizes, reverse=True):
+            part = active_part(scene, padded(required, size), required, motion)
+            self._compile(part)
+        before, after, missing = self._settled(self._first(part), motion)
+        self._check_limit(int(np.sum(before.node_ids >= 0)) + len(missing))
+        return replace(before, carry=replace(before.carry, plan=after.plan))
+
+    def step(
+        self,
+        observation: Observation,
+        contacts: np.ndarray | None,
+        state: ActiveSetState,
+        applied: np.ndarray | None = None,
+        *,
+        nodes: Nodes | None = None,
+        cost: Cost | None = None,
+        replan: bool | None = None,
+    ) -> tuple[Plan, ActiveSetState]:
+        """As `MPC.step`; raises `InvalidInputError` also where a new cost needs more nodes than the
+        limit."""
+        begin = self._mpc.clock()
+        current = state
+        if nodes is not None or cost is not None:
+            about = state.scene[0] if nodes is None else nodes
+            current = self._in_scene(state, about, state.scene[1] if cost is None else cost)
+        motion = self._mpc.motion(observation, *current.scene)
+        current = self._shrunk(current)
+        _, after, missing = self._settled(current, motion, contacts, applied, replan)
+        status = PlanStatus.CAPACITY_EXCEEDED if len(missing) else None
+        return self._mpc.answer(begin, state, after, status)
+
+    def control(self, plan: Plan, observation: Observation) -> np.ndarray:
+        """See `MPC.control`."""
+        return self._mpc.control(plan, observation)
+
+    def _settled(
+        self,
+        state: ActiveSetState,
+        motion: Motion,
+        contacts: np.ndarray | None = None,
+        applied: np.ndarray | None = None,
+        replan: bool | None = None,
+    ) -> tuple[ActiveSetState, ActiveSetState, np.ndarray]:
+        """A control step about all nodes that matter: the states before and after it, and the nodes
+        that the limit keeps out."""
+        known = bool(np.isfinite(motion[0]).all() and np.isfinite(motion[1]).all())
+        if not known:  # The active nodes cannot be told; the step meets a bad observation.
+            motion = np.full_like(motion[0], np.nan), np.full_like(motion[1], np.nan)
+        while True:
+            after = self._mpc.advance(state, motion, contacts, applied, replan)
+            if not known or self._cutoff is None:
+                return state, after, _NONE
+            after = self._with_observation(replace(after, last_motion=motion))
+            if not len(state.inactive):
+                return state, after, _NONE
+            bounds = self._bounds(after)
+            missing = bounds.nodes_to_add(state.inactive, motion)
+            inside = state.node_ids[state.node_ids >= 0]
+            free = len(missing) if self._max is None else max(0, self._max - len(inside))
+            if not len(missing[:free]):
+                return state, after, missing
+            # Spare slots take the nodes that may matter next.
+            size = bucket_size(len(inside) + len(missing[:free]), len(motion[0]))
+            free = min(size, self._max or size) - len(inside)
+            near = bounds.nodes_to_add(state.inactive, motion, cutoffs=2.0)
+            state = self._with_active(state, np.concatenate([inside, near[:free]]))
+
+    def _bounds(self, state: ActiveSetState) -> ActiveBounds:
+        assert self._cutoff is not None and state.plan.swept is not None
+        return ActiveBounds(state.plan.swept, state.node_ids, state.required, self._cutoff)
+
+    def _with_observation(self, state: ActiveSetState) -> ActiveSetState:
+        """Where the plan was reused, its bounds also hold the observed positions."""
+        every = self._mpc.config.replan_every
+        if every == 1 or state.plan.outcome != PlanStatus.PLAN_REUSED:
+            return state
+        assert self._cutoff is not None and state.plan.swept is not None
+        position, velocity = (values[state.node_ids] for values in state.last_motion)
+        mask = state.node_ids[:, None] >= 0
+        position, velocity = np.where(mask, position, 0.0), np.where(mask, velocity, 0.0)
+        onward = position + self._cutoff.dt * velocity
+        swept = state.plan.swept.including([position, onward], state.nodes)
+        plan = replace(state.plan, swept=swept)
+        return replace(state, carry=replace(state.carry, plan=plan))
+
+    def _shrunk(self, state: ActiveSetState) -> ActiveSetState:
+        """About fewer nodes, where the last step's rollouts show that a smaller size is enough."""
+        capacity, size = len(state.last_motion[0]), len(state.node_ids)
+        if bucket_size(int(np.sum(state.required)), capacity) >= size:
+            return state
+        kept = self._bounds(state).nodes_to_keep(state.last_motion)
+        return state if bucket_size(len(kept), capacity) >= size else self._with_active(state, kept)
+
+    def _in_scene(self, state: ActiveSetState, nodes: Nodes, cost: Cost) -> ActiveSetState:
+        """With other nodes or another cost, and the nodes active that these require."""
+        scene = self._mpc.checked(nodes, cost)
+        required = self._required(*scene)
+        before = np.intersect1d(state.node_ids, np.flatnonzero(np.asarray(scene[0].mask)))
+        inside = np.union1d(before, required)
+        if self._max is not None and len(inside) > self._max:
+            inside = required  # Other nodes that matter are added again.
+        return self._with_active(state, inside, scene, required)
+
+    def _with_active(
+        self,
+        state: ActiveSetState,
+        inside: np.ndarray,
+        scene: tuple[Nodes, QuadraticCost] | None = None,
+        required: np.ndarray | None = None,
+    ) -> ActiveSetState:
+        """The state with the nodes ``inside`` active; in another scene, where one is given."""
+        ids = padded(inside, bucket_size(len(inside), len(state.last_motion[0])))
+        required = state.node_ids[state.required] if required is None else required
+        part = active_part(scene or state.scene, ids, required, state.last_motion, state.carry)
+        if np.array_equal(ids, state.node_ids):
+            return part
+        self._announce(len(ids))
+        return carried_over(state, self._first(part))
+
+    def _first(self, part: ActiveSetState) -> ActiveSetState:
+        """The part before any control step."""
+        swept: Any = None
+        if self._cutoff is not None:
+            dimension = part.last_motion[0].shape[1]
+            shape = self._ilqr.iterations, self._ilqr.horizon, len(part.node_ids), dimension
+            nothing: Any = np.full(shape, np.inf, self._mpc.dtype)
+            swept = SweptBounds(nothing, -nothing)
+        first = self._mpc.first(part.nodes, part.cost, part.node_ids, part.last_motion, swept)
+        return replace(part, carry=first.carry)
+
+    def _compile(self, part: ActiveSetState) -> None:
+        """Compiles a step about such a part, where that has not been done."""
+        leaves = jax.tree.leaves((part.nodes, part.cost))
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        if shapes in self._compiled:
+            return
+        self._compiled.add(shapes)
+        self._announce(len(part.node_ids))
+        state = self._mpc.planned(self._first(part), part.last_motion)
+        jax.block_until_ready(state.plan)
+        if self._max is not None:
+            self._mpc.answer(0.0, state, state, PlanStatus.CAPACITY_EXCEEDED)
+
+    def _announce(self, count: int) -> None:
+        if self._largest and count > self._largest:
+            _log.warning(
+                "compiling a control step for up to %d active nodes; so far there was room for %d",
+                count,
+                self._largest,
+            )
+        self._largest = max(self._largest, count)
+
+    def _required(self, nodes: Nodes, cost: QuadraticCost) -> np.ndarray:
+        """[m] Nodes that are active wherever they are; raises where the limit is lower."""
+        if self._cutoff is None:
+            required = np.arange(len(nodes.mask))
+        else:
+            required = required_nodes(nodes, cost)
+        self._check_limit(len(required))
+        return required
+
+    def _check_limit(self, count: int) -> None:
+        if self._max is not None and count > self._max:
+            raise InvalidInputError(
+                f"max_active_nodes must be at least {count} for this scene, found {self._max}"
+            )

@@ -1,0 +1,206 @@
+"""One control step of model predictive control, as pure functions that `MPC` compiles."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.plan import Plan, Planner, PlanStatus, shift_plan
+from contactgraph.control.policy import AffinePolicy
+from contactgraph.control.swept_bounds import SweptBounds
+from contactgraph.model import (
+    ContactBelief,
+    ContactSensor,
+    ModelState,
+    MotionNoise,
+    Nodes,
+    StepModel,
+    check_motion_model,
+    correct,
+    correct_by_motion,
+)
+
+
+class LastObservation(eqx.Module):
+    """The last observation with its belief and control, from which motion is judged."""
+
+    position: Float[Array, "N D"]
+    """m; NaN before the first control step."""
+    velocity: Float[Array, "N D"]
+    """m/s"""
+    belief: ContactBelief
+    """About the step that led there, corrected by all that was observed."""
+    motion_log_odds: Float[Array, " E"]
+    """See `MotionEvidence`."""
+    control: Float[Array, " U"]
+    """N, of the plan that was returned."""
+
+
+class MPCCarry(eqx.Module):
+    """Arrays that one compiled control step hands to the next."""
+
+    belief: ContactBelief
+    """About the step that leads to the next observation, not yet corrected by its contacts."""
+    plan: Plan
+    """The last plan, as of the last observation."""
+    steps_since_plan: Int[Array, ""]
+    last: LastObservation
+    is_first: Bool[Array, ""]
+    """True until the first step: the plan starts at the coming observation, not before it."""
+
+
+class MPCConfig(eqx.Module):
+    """The parts of a control step; the methods are pure and compiled by `MPC`."""
+
+    model: StepModel
+    planner: Planner
+    sensor: ContactSensor
+    motion_noise: MotionNoise | None
+    """None: motion does not correct beliefs."""
+    replan_every: int = eqx.field(static=True)
+    """Control steps from plan to plan; in between the last plan's feedback acts."""
+
+    def first_carry(
+        self,
+        nodes: Nodes,
+        cost: QuadraticCost,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        node_ids: Int[Array, " N"],
+        swept: SweptBounds | None,
+    ) -> MPCCarry:
+        """Before any control step: the model's first belief, and a plan without forces."""
+        belief = self.model.initial_belief(position, velocity, nodes)
+        H, U, state = self.planner.horizon, cost.control_size, (len(position), 2, position.shape[1])
+        plan = Plan(
+            states=jnp.zeros((H + 1, *state)),
+            controls=jnp.zeros((H, U)),
+            policy=AffinePolicy(jnp.zeros((H, U, *state)), jnp.zeros((H, U))),
+            beliefs=jax.tree.map(lambda v: jnp.broadcast_to(v, (H, *v.shape)), belief),
+            cost=jnp.zeros(()),
+            status=jnp.asarray(PlanStatus.NOT_FINITE, jnp.int32),
+            iterations=jnp.zeros((), jnp.int32),
+            node_ids=node_ids,
+            swept=swept,
+        )
+        unknown = jnp.full_like(position, jnp.nan)
+        odds = jnp.zeros(nodes.candidate.shape)
+        return MPCCarry(
+            belief=belief,
+            plan=plan,
+            steps_since_plan=jnp.asarray(self.replan_every, jnp.int32),
+            last=LastObservation(unknown, unknown, belief, odds, jnp.zeros(U)),
+            is_first=jnp.ones((), bool),
+        )
+
+    def step(
+        self,
+        nodes: Nodes,
+        cost: QuadraticCost,
+        carry: MPCCarry,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        contact: Float[Array, " E"],
+        applied: Float[Array, " U"],
+        replan: Int[Array, ""],
+    ) -> MPCCarry:
+        """Correct the belief, then make a plan, or reuse the previous one where that is due.
+
+        ``applied``: the control [N] of the step just made; NaN where it was the last plan's.
+        ``replan``: 1 makes a plan, 0 reuses one, -1 makes one every ``replan_every`` steps.
+        """
+        # Padding must not matter, not even where it is NaN.
+        position = jnp.where(nodes.mask[:, None], position, 0.0)
+        velocity = jnp.where(nodes.mask[:, None], velocity, 0.0)
+        usable = jnp.all(jnp.isfinite(position)) & jnp.all(jnp.isfinite(velocity))
+        due = jnp.where(replan < 0, carry.steps_since_plan >= self.replan_every, replan > 0)
+        previous = self.previous_plan(carry)
+        last, odds = carry.last, carry.last.motion_log_odds
+        belief = carry.belief
+        if self.motion_noise is not None:
+            belief, odds = correct_by_motion(
+                check_motion_model(self.model),
+                belief,
+                ModelState(last.position, last.velocity, last.belief),
+                odds,
+                jnp.where(jnp.isfinite(applied), applied, last.control),
+                (position, velocity),
+                nodes,
+                self.motion_noise,
+            )
+        belief = correct(belief, contact, self.sensor)
+        now = ModelState(position, velocity, belief)
+
+        def keep() -> Plan:
+            return previous.with_status(PlanStatus.BAD_OBSERVATION)
+
+        def make() -> Plan:
+            plan = self.planner.solve(self.model, now, nodes, cost, previous.policy)
+            plan = replace(plan, node_ids=previous.node_ids)
+            failed = plan.status == PlanStatus.NOT_FINITE
+            kept = replace(previous.with_status(PlanStatus.NOT_FINITE), swept=plan.swept)
+            return jax.tree.map(lambda new, old: jnp.where(failed, old, new), plan, kept)
+
+        if self.replan_every == 1:
+            plan = jax.lax.cond(usable, make, keep)
+        else:
+            branch = jnp.where(usable, jnp.where(due, 2, 1), 0)
+            plan = jax.lax.switch(branch, [keep, lambda: self._reused(previous, now, nodes), make])
+        solved = plan.status <= PlanStatus.NO_DESCENT
+        return MPCCarry(
+            belief=jax.tree.map(lambda value: value[0], plan.beliefs),
+            plan=plan,
+            steps_since_plan=jnp.where(solved, 1, carry.steps_since_plan + 1),
+            last=LastObservation(position, velocity, belief, odds, plan.controls[0]),
+            is_first=jnp.zeros((), bool),
+        )
+
+    def previous_plan(self, carry: MPCCarry, status: Int[Array, ""] | None = None) -> Plan:
+        """The last plan from the present on; under ``status``, where one is given."""
+        last, is_first = carry.plan, carry.is_first
+        shifted = shift_plan(last)
+        plan = jax.tree.map(lambda old, new: jnp.where(is_first, old, new), last, shifted)
+        if self.planner.limits is not None:
+            # Limits that exclude zero, or were tightened since, bind the old plan too.
+            plan = replace(plan, controls=self.planner.limits(plan.controls))
+        return plan if status is None else replace(plan, status=status)
+
+    def _reused(self, previous: Plan, now: ModelState, nodes: Nodes) -> Plan:
+        """The previous plan with its feedback on the observation, and the belief it implies."""
+        x = jnp.stack([now.position, now.velocity], axis=1)
+        control = jax.tree.map(lambda of_step: of_step[0], previous.policy)(x)
+        control = jnp.where(jnp.isfinite(control), control, previous.controls[0])
+        control = control if self.planner.limits is None else self.planner.limits(control)
+        _, belief = self.model.linear_step(now, nodes)
+        return replace(
+            previous.with_status(PlanStatus.PLAN_REUSED),
+            states=previous.states.at[0].set(x),
+            controls=previous.controls.at[0].set(control),
+            beliefs=jax.tree.map(
+                lambda old, new: old.at[0].set(jnp.where(jnp.isfinite(new), new, old[0])),
+                previous.beliefs,
+                belief,
+            ),
+        )
+
+
+def jit_step(method: Callable, config: MPCConfig) -> Callable:
+    """A method of `MPCConfig`, compiled.
+
+    The config's arrays are arguments of the compiled function: as constants they would be folded.
+    In a flat tuple they are dispatched faster than in their tree.
+    """
+    dynamic, static = eqx.partition(config, eqx.is_array)
+    leaves, treedef = jax.tree.flatten(dynamic)
+
+    def call(leaves: tuple, *inputs: Any) -> Any:
+        rebuilt = eqx.combine(jax.tree.unflatten(treedef, leaves), static)
+        return method(rebuilt, *inputs)
+
+    return partial(jax.jit(call), tuple(leaves))
