@@ -1,4 +1,4 @@
-"""Everything of a real arm but the arm: its protocol, a tagged block, a camera that renders it."""
+"""The simulated robot: the arm behind its real protocol, tagged blocks and a rendered camera."""
 
 from contactgraph_franka.sim.camera import CameraSettings as CameraSettings
 from contactgraph_franka.sim.simulated_robot import RobotSimulator as RobotSimulator

@@ -1,4 +1,8 @@
-"""A simulated arm over a table with tagged blocks. The one module that imports franky_sim."""
+"""The simulated arm over a table with tagged blocks, served by the arm's own protocol.
+
+``python -m contactgraph_franka.sim.arm_server FOLDER`` is the server's process. No other module
+imports franky_sim.
+"""
 
 import os
 import sys
@@ -27,7 +31,7 @@ try:
     from franky_sim.mujoco_simulator import MujocoSimulator
 except ModuleNotFoundError as error:
     raise InvalidInputError(
-        "a rehearsal needs franky-sim: pip install 'contactgraph[rehearsal]'"
+        "a simulated robot needs franky-sim: pip install 'contactgraph[rehearsal]'"
     ) from error
 
 TICK = 0.001
@@ -35,41 +39,44 @@ TICK = 0.001
 START = (0.0, -0.2849, 0.0, -2.3967, 0.0, 2.1118, np.pi / 4)
 """rad: the grasp point at (0.45, 0, 0.3) m, the hand pointing down."""
 GRASP_POINT = (0.0, 0.0, 0.1254)
-"""m, in the hand's frame: where a block's centre is when the fingers hold it, 22 mm beyond the
-middle of their pads. A block 0.1 m high would meet the palm if they held its middle."""
+"""Centre of a grasped block in the hand's frame, m: 22 mm beyond the middle of the pads, where a
+block 0.1 m high does not meet the palm."""
 _STIFFNESS = (600.0, 600.0, 400.0, 400.0, 50.0, 50.0, 20.0)
-"""N m/rad, of the arm's own joint controller, which holds it while nobody commands torques."""
+"""N m/rad, of the arm's joint controller, which holds it while no torques are commanded."""
 _DAMPING = (25.0, 40.0, 20.0, 20.0, 1.0, 1.0, 0.2)
-"""N m s/rad. More than an inertia a tick is unstable, and nothing but inertia is in the joints."""
+"""N m s/rad. More than the joint's inertia over a control step is unstable."""
 _SPINDLE = "2"
-"""kg, what a finger's drive feels like. With franky-sim's 0.2 its speed controller overshoots, and
-fingers close twice as fast as they are told."""
+"""Apparent mass of a finger's drive, kg. With franky-sim's 0.2 the speed controller overshoots, and
+fingers close twice as fast as commanded."""
 _SKIN_FRICTION = ".6 .01 .0001"
-"""Of pads on a block, as in the arm's task."""
-# The hand's own mass, with the two fingers of 0.015 kg that MuJoCo's model adds to it. Its frame is
-# turned by an eighth against the flange's, in which the arm is told of it.
+"""Friction of pads on a block, as in the arm's task."""
+# The hand's own mass, without the two fingers of 0.015 kg that MuJoCo's model adds. Its frame is
+# turned by an eighth against the flange's, in which the load is declared.
 _FINGERS = 0.03
 _HAND = 0.73
 _HAND_CENTRE = (-0.01, 0.0, 0.03)
 _FINGERS_CENTRE = (0.0, 0.0, 0.0584)
 _HAND_INERTIA = (0.001, 0.0025, 0.0017)
+_CATCH_UP = 10
+"""Steps behind time that are caught up with; more are dropped."""
+_OWNER_CHECK = 100
+"""Steps between checks that the owner lives."""
 
 
 class ArmScene:
-    """franky-sim's arm with a table at z = 0 and ``blocks`` tagged blocks.
+    """franky-sim's arm with a table at z = 0 and ``blocks`` tagged blocks. A context manager.
 
-    What differs from the scene that franky-sim makes by itself: joints have neither friction nor
-    motor inertia, since a real arm's commanded torques are those behind its gears, "without gravity
-    and friction" (libfranka's `Torques`); the controller that holds the arm meanwhile is soft
-    enough for that; fingers keep to the speed that they are told; links collide with nothing, the
-    hand with blocks and table; contacts are those of the arm's task (`tasks/mujoco/panda.xml`).
+    It differs from franky-sim's own scene: joints have neither friction nor motor inertia, since a
+    real arm's commanded torques are "without gravity and friction" (libfranka's `Torques`); the
+    holding controller is soft enough for that; fingers keep to the commanded speed; links collide
+    with nothing, the hand with blocks and table; contacts are those of `envs/panda.xml`.
 
-    Use as a context manager. Raises `InvalidInputError` for a count that there are no tags for.
+    Raises `InvalidInputError` for a count without tags.
     """
 
     def __init__(self, blocks: int = 1, mass: float = MASS) -> None:
         self.blocks = scene_blocks(blocks, mass)
-        """Node 1 and on; node 0 is the hand."""
+        """Nodes 1 and on; node 0 is the hand."""
         self._simulator = MujocoSimulator()
 
     def __enter__(self) -> "ArmScene":
@@ -79,12 +86,11 @@ class ArmScene:
         )
         """franky-sim's own, for its torques and fingers."""
         scene = self._simulator.scene
-        _as_behind_gears(scene)
-        _as_in_the_task(scene)
+        _edit_scene(scene)
         for block in self.blocks:
             block.append_to(scene)
         self.description = ElementTree.tostring(scene, encoding="unicode")
-        """What MuJoCo is told: for a renderer's copy."""
+        """The MJCF, for a renderer's copy."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -92,46 +98,138 @@ class ArmScene:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """Since `start` or `server`."""
+        """Available after `start` or `server`."""
         return self._simulator.model
 
     @property
     def data(self) -> mujoco.MjData:
-        """Since `start` or `server`."""
+        """Available after `start` or `server`."""
         return self._simulator.data
 
     def start(self) -> None:
-        """Sets all up to be stepped from here, without a server."""
+        """Prepares for `step` without a server."""
         self._simulator.start()
 
     @contextmanager
     def server(self, address: str) -> Iterator[list[Any]]:
-        """Sets all up behind the arm's protocol at ``address``.
+        """Serves the arm's protocol at ``address``.
 
-        Gives franky-sim's servers: in every tick they `process_commands` before `step`, and
-        `send_state` after it.
+        Yields franky-sim's servers: `process_commands` before every `step`, `send_state` after it.
         """
         with SimulationServer(self._simulator, hostname_candidates=[address]) as server:
             yield server.robot_servers
 
     def step(self) -> None:
-        """Moves on by a tick under the last torques."""
+        """Advances by a control step under the last torques."""
         self._simulator.step()
 
     def place_block(self, index: int, position: np.ndarray, yaw: float) -> None:
-        """Puts block ``index`` at ``position`` [3] m, turned by ``yaw`` rad, at rest."""
-        first = 6 * index
-        place = self.data.qpos[JOINTS + 2 + 7 * index :][:7]
-        place[:3] = position
-        place[3:] = np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)
-        self.data.qvel[JOINTS + 2 + first :][:6] = 0.0
-        # Contacts of the old place must not be where the next step starts from.
+        """Moves block ``index`` to ``position`` [3] m and ``yaw`` rad, at rest."""
+        qpos = self.data.qpos[JOINTS + 2 + 7 * index :][:7]
+        qpos[:3] = position
+        qpos[3:] = np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)
+        self.data.qvel[JOINTS + 2 + 6 * index :][:6] = 0.0
+        # The contact forces of the old position must not start the next solve.
         self.data.qacc_warmstart[:] = 0.0
         mujoco.mj_forward(self.model, self.data)
 
 
+class GroundTruthReader:
+    """Fills a row of `ground_truth_dtype` with the present state of ``scene``."""
+
+    def __init__(self, scene: ArmScene, row: np.ndarray) -> None:
+        model, data = scene.model, scene.data
+        self._model, self._data, self._row = model, data, row
+        count, first = len(scene.blocks), JOINTS + 2
+        self._site = model.site("grasp").id
+        self._twist, self._quaternion = np.zeros(6), np.zeros(4)
+        self._hand_position = data.site_xpos[self._site]
+        self._hand_frame = data.site_xmat[self._site]
+        self._block_poses = data.qpos[first:].reshape(count, 7)
+        self._block_velocities = data.qvel[first:].reshape(count, 6)
+        self._fingers = data.qpos[JOINTS:first]
+        # The column of each shape that a block may touch: left finger, right finger, table.
+        columns = {
+            model.geom(f"{side}_pad{number}").id: column
+            for column, side in enumerate(("left", "right"))
+            for number in range(1, 6)
+        }
+        columns[model.geom("ground").id] = 2
+        self._touch_index: dict[tuple[int, int], tuple[int, int]] = {}
+        for block in range(count):
+            geom = model.geom(f"block{block}").id
+            for other, column in columns.items():
+                self._touch_index[geom, other] = self._touch_index[other, geom] = block, column
+        self._touch = np.zeros((count, 3), bool)
+
+    def fill(self, tick: int, stamp: float) -> None:
+        """The state after step ``tick``, ``stamp`` s on the reader's clock."""
+        model, data, row = self._model, self._data, self._row
+        # After a step, derived quantities are still those of its beginning.
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, self._site, self._twist, 0)
+        mujoco.mju_mat2Quat(self._quaternion, self._hand_frame)
+        self._touch[:] = False
+        for pair in data.contact.geom.tolist():
+            index = self._touch_index.get((pair[0], pair[1]))
+            if index is not None:
+                self._touch[index] = True
+        position, velocity, turn = row["position"][0], row["velocity"][0], row["turn"][0]
+        row["time"], row["stamp"] = (tick + 1) * TICK, stamp
+        position[0], position[1:] = self._hand_position, self._block_poses[:, :3]
+        velocity[0], velocity[1:] = self._twist[3:], self._block_velocities[:, :3]
+        turn[0], turn[1:] = self._quaternion, self._block_poses[:, 3:]
+        row["fingers"][0], row["standing"][0] = self._touch[:, :2], self._touch[:, 2]
+        row["width"] = self._fingers[0] + self._fingers[1]
+        row["places"][0] = data.qpos
+
+
+def main() -> None:
+    """Serves until the owner ends."""
+    folder = Path(sys.argv[1])
+    session = read_session(folder)
+    with ArmScene(session.blocks, session.mass) as scene:
+        (folder / "scene.xml").write_text(scene.description)
+        with scene.server(session.address) as servers, realtime_priority():
+            _serve(scene, servers, folder, session.pace)
+
+
+def _serve(scene: ArmScene, servers: list[Any], folder: Path, pace: float) -> None:
+    """Control steps at absolute times, so that delays do not add up."""
+    truth = GroundTruthWriter(folder, len(scene.blocks), scene.model.nq)
+    counters = ServerCounters(folder, scene.model.nq, pace * TICK)
+    resets = SceneResetService(folder)
+    reader = GroundTruthReader(scene, truth.row)
+    period, owner = pace * TICK, os.getppid()
+    tick, due = 0, time.monotonic()
+    counters.start(due)
+    while tick % _OWNER_CHECK or os.getppid() == owner:
+        due += period
+        wait = due - time.monotonic()
+        if wait > 0.0:
+            time.sleep(wait)
+        begun = time.monotonic()
+        if begun - due > _CATCH_UP * period:
+            missed = int((begun - due) / period)
+            counters.drop(missed)
+            due += missed * period
+        for server in servers:
+            server.process_commands()
+        resets.execute(scene.place_block)
+        scene.step()
+        for server in servers:
+            server.send_state()
+        reader.fill(tick, time.monotonic() / pace)
+        truth.publish(tick)
+        tick += 1
+        done = time.monotonic()
+        counters.count(tick, done, done - begun, begun - due)
+
+
 def _hand_parameters() -> "RobotParameters":
-    """So that the arm bears the weight of its hand, fingers included, to the last gram."""
+    """The exact load of the hand and its fingers, which the arm compensates."""
     mass = _HAND + _FINGERS
     centres = np.array([_HAND_CENTRE, _FINGERS_CENTRE])
     centre = (_HAND * centres[0] + _FINGERS * centres[1]) / mass
@@ -147,153 +245,37 @@ def _hand_parameters() -> "RobotParameters":
     )
 
 
-def _as_behind_gears(scene: ElementTree.Element) -> None:
+def _edit_scene(scene: ElementTree.Element) -> None:
+    """The differences from franky-sim's own scene, see `ArmScene`."""
     for joint in scene.iterfind("worldbody//joint"):
         if "fr3_joint" in joint.get("name", ""):
             joint.attrib.update(frictionloss="0", armature="0", damping="0")
         elif "finger_joint" in joint.get("name", ""):
             joint.attrib.update(armature=_SPINDLE)
-
-
-def _as_in_the_task(scene: ElementTree.Element) -> None:
-    option = _found(scene, "option")
-    option.attrib.update(cone="elliptic", impratio="10")
-    hand = _found(scene, "worldbody//body[@name='robot0_hand']")
-    ElementTree.SubElement(
-        hand, "site", name="grasp", pos=" ".join(str(number) for number in GRASP_POINT)
-    )
-    skin = _found(scene, "default//default[@class='collision']/geom")
+    _element(scene, "option").attrib.update(cone="elliptic", impratio="10")
+    hand = _element(scene, "worldbody//body[@name='robot0_hand']")
+    position = " ".join(str(number) for number in GRASP_POINT)
+    ElementTree.SubElement(hand, "site", name="grasp", pos=position)
+    skin = _element(scene, "default//default[@class='collision']/geom")
     skin.attrib.update(CONTACT, friction=_SKIN_FRICTION)
-    _found(scene, "worldbody/geom[@name='ground']").attrib.update(CONTACT, friction=WOOD_FRICTION)
-    for shape in scene.iterfind("worldbody//geom[@mesh]"):
-        if "fr3_link" in shape.get("name", ""):
-            shape.attrib.update(contype="0", conaffinity="0")
+    ground = _element(scene, "worldbody/geom[@name='ground']")
+    ground.attrib.update(CONTACT, friction=WOOD_FRICTION)
+    for geom in scene.iterfind("worldbody//geom[@mesh]"):
+        if "fr3_link" in geom.get("name", ""):
+            geom.attrib.update(contype="0", conaffinity="0")
     for side in ("left", "right"):
-        finger = _found(scene, f"worldbody//body[@name='robot0_{side}_finger']")
-        for shape in finger.iterfind("geom[@class]"):
-            if shape.get("class", "").startswith("fingertip_pad"):
-                number = shape.get("class", "")[-1]
-                shape.set("name", f"{side}_pad{number}")
+        finger = _element(scene, f"worldbody//body[@name='robot0_{side}_finger']")
+        for geom in finger.iterfind("geom[@class]"):
+            kind = geom.get("class", "")
+            if kind.startswith("fingertip_pad"):
+                geom.set("name", f"{side}_pad{kind[-1]}")
 
 
-def _found(scene: ElementTree.Element, path: str) -> ElementTree.Element:
-    part = scene.find(path)
-    if part is None:
+def _element(scene: ElementTree.Element, path: str) -> ElementTree.Element:
+    element = scene.find(path)
+    if element is None:
         raise InvalidInputError(f"franky-sim's scene has no {path}: another version than 1.0?")
-    return part
-
-
-_FIRST = JOINTS + 2
-"""The arm's joints and fingers come first, in positions as in velocities."""
-
-
-class GroundTruthReader:
-    """Fills a row of `ground_truth_dtype` with the present of ``scene``."""
-
-    def __init__(self, scene: ArmScene, row: np.ndarray) -> None:
-        model, data = scene.model, scene.data
-        self._model, self._data, self._row = model, data, row
-        count = len(scene.blocks)
-        self._site = model.site("grasp").id
-        self._twist, self._quaternion = np.zeros(6), np.zeros(4)
-        self._hand_place, self._hand_frame = data.site_xpos[self._site], data.site_xmat[self._site]
-        self._block_places = data.qpos[_FIRST:].reshape(count, 7)
-        self._block_rates = data.qvel[_FIRST:].reshape(count, 6)
-        self._fingers = data.qpos[JOINTS:_FIRST]
-        block = {model.geom(f"block{index}").id: index for index in range(count)}
-        pads = {
-            model.geom(f"{side}_pad{number}").id: which
-            for which, side in enumerate(("left", "right"))
-            for number in range(1, 6)
-        }
-        ground = model.geom("ground").id
-        # What two shapes that touch mean: (block, left or right finger or table).
-        self._meaning: dict[tuple[int, int], tuple[int, int]] = {}
-        for other, which in {**pads, ground: 2}.items():
-            for shape, index in block.items():
-                self._meaning[shape, other] = self._meaning[other, shape] = (index, which)
-        self._touch = np.zeros((count, 3), bool)
-
-    def fill(self, tick: int, stamp: float) -> None:
-        """The state after ``tick`` ticks, ``stamp`` s on the reader's clock."""
-        model, data, row = self._model, self._data, self._row
-        # A step leaves positions where it ends, but what follows from them where it began.
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_comVel(model, data)
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, self._site, self._twist, 0)
-        mujoco.mju_mat2Quat(self._quaternion, self._hand_frame)
-        self._touch[:] = False
-        for pair in data.contact.geom.tolist():
-            meaning = self._meaning.get((pair[0], pair[1]))
-            if meaning is not None:
-                self._touch[meaning] = True
-        row["time"], row["stamp"] = (tick + 1) * TICK, stamp
-        row["position"][0, 0], row["position"][0, 1:] = self._hand_place, self._block_places[:, :3]
-        row["velocity"][0, 0], row["velocity"][0, 1:] = (
-            self._twist[3:],
-            self._block_rates[:, :3],
-        )
-        row["turn"][0, 0], row["turn"][0, 1:] = self._quaternion, self._block_places[:, 3:]
-        row["fingers"][0], row["standing"][0] = self._touch[:, :2], self._touch[:, 2]
-        row["width"] = self._fingers[0] + self._fingers[1]
-        row["places"][0] = data.qpos
-
-
-_CATCH_UP = 10
-"""Ticks behind time that are made up for at once; more are left out, as if time had stood still."""
-_LOOK = 100
-"""Ticks between looks whether the owner still lives."""
-
-
-def main() -> None:
-    """Serves until the owner ends."""
-    folder = Path(sys.argv[1])
-    session = read_session(folder)
-    with ArmScene(session.blocks, session.mass) as scene:
-        (folder / "scene.xml").write_text(scene.description)
-        with scene.server(session.address) as ends:
-            truth = GroundTruthWriter(folder, session.blocks, scene.model.nq)
-            counters = ServerCounters(folder, scene.model.nq, session.pace * TICK)
-            # As an arm's own computer does, it goes first where cores are few.
-            with realtime_priority():
-                _serve(scene, ends, truth, counters, SceneResetService(folder), session.pace)
-
-
-def _serve(
-    scene: ArmScene,
-    ends: list,
-    truth: GroundTruthWriter,
-    counters: ServerCounters,
-    orders: SceneResetService,
-    pace: float,
-) -> None:
-    """Ticks by absolute times: what one loses in sleeping too long, the next makes up for."""
-    observer = GroundTruthReader(scene, truth.row)
-    period, owner = pace * TICK, os.getppid()
-    tick, due = 0, time.monotonic()
-    counters.start(due)
-    while tick % _LOOK or os.getppid() == owner:
-        due += period
-        wait = due - time.monotonic()
-        if wait > 0.0:
-            time.sleep(wait)
-        begun = time.monotonic()
-        if begun - due > _CATCH_UP * period:
-            missed = int((begun - due) / period)
-            counters.drop(missed)
-            due += missed * period
-        for end in ends:
-            end.process_commands()
-        orders.carry_out(scene.place_block)
-        scene.step()
-        for end in ends:
-            end.send_state()
-        observer.fill(tick, time.monotonic() / pace)
-        truth.publish(tick)
-        tick += 1
-        done = time.monotonic()
-        counters.count(tick, done, done - begun, begun - due)
+    return element
 
 
 if __name__ == "__main__":

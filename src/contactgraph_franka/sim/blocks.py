@@ -1,4 +1,4 @@
-"""Which cells of a tag36h11 are black: the family's published codes, for the tags of rehearsals."""
+"""Blocks with tags on their faces, for MuJoCo and for the detector."""
 
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -8,45 +8,131 @@ import numpy as np
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.envs.pickup import BLOCK
 from contactgraph_franka.perception.calibration import Tag, TaggedObject
-from contactgraph_franka.perception.camera import pose
+from contactgraph_franka.perception.camera import pose, transform
 
 CELLS = 8
-"""Black border included; a white one, a cell wide, must surround it."""
-# Bits, the most significant first: three sides of a ring and its corner, turned by quarters.
+"""Cells along a tag36h11 with its black border; a white one, a cell wide, must surround it."""
+MASS = 0.83
+"""kg, of the paper's block."""
+LARGEST_COUNT = 2
+"""Blocks that there are tags for."""
+CONTACT = {"solref": ".003 1", "solimp": ".95 .99 .001", "condim": "4"}
+WOOD_FRICTION = ".5 .005 .0001"
+"""Contact and friction of a block on the table, as in the arm's task."""
+_POSITIONS = ((0.5, -0.15, 0.05), (0.5, 0.15, 0.05))
+"""Initial positions of the blocks, m."""
+_TAGS_A_BLOCK = 9
+_LIFT = 1e-4
+"""m, of the print above the paper, against flicker."""
+# Columns and rows of the first half of the code's bits, the most significant first. The other half
+# is its image under half a turn.
 _COLUMN = (1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4)
 _ROW = (1, 1, 1, 1, 1, 2, 2, 2, 3, 1, 2, 3, 4, 5, 2, 3, 4, 3)
+# fmt: off
 _CODES = (
-    0xD7E00984B,
-    0xDDA664CA7,
-    0xDC4A1C821,
-    0xE17B470E9,
-    0xEF91D01B1,
-    0xF429CDD73,
-    0x05DA29225,
-    0x1106CBA43,
-    0x223BED79D,
-    0x21F51213C,
-    0x33EB19CA6,
-    0x3F76EB0F8,
-    0x469A97414,
-    0x45DCFE0B0,
-    0x4A6465F72,
-    0x51801DB96,
-    0x5EB946B4E,
-    0x68A7CC2EC,
-    0x6F0BA2652,
-    0x78765559D,
-    0x87B83D129,
-    0x86CC4A5C5,
-    0x8B64DF90F,
-    0x9C577B611,
+    0xD7E00984B, 0xDDA664CA7, 0xDC4A1C821, 0xE17B470E9, 0xEF91D01B1, 0xF429CDD73,
+    0x05DA29225, 0x1106CBA43, 0x223BED79D, 0x21F51213C, 0x33EB19CA6, 0x3F76EB0F8,
+    0x469A97414, 0x45DCFE0B0, 0x4A6465F72, 0x51801DB96, 0x5EB946B4E, 0x68A7CC2EC,
+    0x6F0BA2652, 0x78765559D, 0x87B83D129, 0x86CC4A5C5, 0x8B64DF90F, 0x9C577B611,
 )
+# fmt: on
 TAGS = len(_CODES)
-"""How many tags are known here: ids 0 to TAGS - 1."""
+"""Number of tags whose published code is known here: ids 0 to TAGS - 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class TaggedBlock:
+    """A block as MJCF elements, and its tags for the detector."""
+
+    body: ElementTree.Element
+    """For the scene's ``worldbody``, with a free joint."""
+    assets: tuple[ElementTree.Element, ...]
+    """For its ``asset``; they refer to no files."""
+    tagged: TaggedObject
+
+    def append_to(self, scene: ElementTree.Element) -> None:
+        """Adds the block to an MJCF tree whose root is ``scene``."""
+        for name, parts in (("asset", self.assets), ("worldbody", (self.body,))):
+            section = scene.find(name)
+            if section is None:
+                section = ElementTree.SubElement(scene, name)
+            section.extend(parts)
+
+
+def scene_blocks(count: int, mass: float = MASS) -> tuple[TaggedBlock, ...]:
+    """The blocks of a scene, nodes 1 and on, of ``mass`` kg each; node 0 is the hand.
+
+    Raises `InvalidInputError` for a count without tags, or an impossible mass.
+    """
+    if not 0 <= count <= LARGEST_COUNT:
+        raise InvalidInputError(f"blocks must be 0 to {LARGEST_COUNT}, found {count}")
+    if not 0.01 <= mass <= 10.0:
+        raise InvalidInputError(f"mass of a block must be 0.01 to 10 kg, found {mass}")
+    blocks = tuple(
+        tagged_block(
+            f"block{index}", np.array(position), first_tag=_TAGS_A_BLOCK * index, mass=mass
+        )
+        for index, position in enumerate(_POSITIONS[:count])
+    )
+    for block in blocks:
+        for geom in block.body.findall("geom[@name]"):
+            geom.attrib.update(CONTACT, friction=WOOD_FRICTION)
+    return blocks
+
+
+def block_names(count: int) -> list[str]:
+    """The names of nodes 1 and on."""
+    return ["block", *(f"block-{index}" for index in range(1, count))][:count]
+
+
+def tagged_block(
+    name: str,
+    position: np.ndarray,
+    yaw: float = 0.0,
+    first_tag: int = 0,
+    sides: np.ndarray = BLOCK,
+    mass: float = MASS,
+) -> TaggedBlock:
+    """A standing block at ``position`` [3] m and ``yaw`` rad with nine tags.
+
+    Its frame is at its centre, z up. Each upright face has two tags, at its ends, so that the tilt
+    is well observed and fingers around the middle cover none; the top has one. They are as large
+    as the narrowest face of ``sides`` [3] m allows with a white border, 0.032 m for the default.
+    Ids count from ``first_tag``. Raises `InvalidInputError` for unknown ids, or a block less than
+    twice as high as wide.
+    """
+    if first_tag < 0 or first_tag + _TAGS_A_BLOCK > TAGS:
+        raise InvalidInputError(
+            f"first_tag must be 0 to {TAGS - _TAGS_A_BLOCK}, found {first_tag} for {name}"
+        )
+    width = float(min(sides[:2]))
+    if sides[2] < 2.0 * width:
+        raise InvalidInputError(f"sides of {name} must be twice as high as wide, found {sides}")
+    size = width * CELLS / (CELLS + 2)
+    tags = tuple(
+        Tag(first_tag + number, size, tag_pose)
+        for number, tag_pose in enumerate(_tag_poses(np.asarray(sides, float), width))
+    )
+    body = ElementTree.Element("body", name=name, pos=_text(position))
+    body.set("quat", _text([np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)]))
+    ElementTree.SubElement(body, "freejoint", name=f"{name}_free")
+    paper = {"name": name, "type": "box", "size": _text(np.asarray(sides) / 2.0)}
+    paper |= {"mass": str(mass), "material": f"{name}_paper", "friction": "1 .01 .001"}
+    ElementTree.SubElement(body, "geom", paper)
+    ink = {"type": "mesh", "mesh": f"{name}_print", "material": f"{name}_ink"}
+    ElementTree.SubElement(body, "geom", ink, mass="0", contype="0", conaffinity="0")
+    # Matt materials: reflections would hide a tag.
+    materials = (
+        ElementTree.Element(
+            "material", name=f"{name}_{part}", rgba=colour, specular="0", reflectance="0"
+        )
+        for part, colour in (("paper", ".9 .9 .9 1"), ("ink", ".05 .05 .05 1"))
+    )
+    return TaggedBlock(body, (_print_mesh(name, tags), *materials), TaggedObject(tags))
 
 
 def black_cells(tag: int) -> np.ndarray:
-    """[8, 8] bool, rows from the top: the cells of tag36h11 number ``tag`` that are black.
+    """[8, 8] bool, rows from the top: the black cells of tag36h11 number ``tag``.
 
     Raises `InvalidInputError` for a tag whose code is not known here.
     """
@@ -60,106 +146,24 @@ def black_cells(tag: int) -> np.ndarray:
     return black
 
 
-MASS = 0.83
-"""kg, of the paper's block."""
-_TAGS_A_BLOCK = 9
-_LIFT = 1e-4
-"""m: how far print lies above paper, lest the two flicker."""
-
-
-@dataclass(frozen=True, eq=False)
-class TaggedBlock:
-    """What a scene needs to hold the block, and a reader to find it."""
-
-    body: ElementTree.Element
-    """For the scene's ``worldbody``; free to move."""
-    assets: tuple[ElementTree.Element, ...]
-    """For its ``asset``. No files: all is in the elements."""
-    tagged: TaggedObject
-
-    def append_to(self, scene: ElementTree.Element) -> None:
-        """Puts the block into an MJCF tree whose root is ``scene``."""
-        for name, parts in (("asset", self.assets), ("worldbody", (self.body,))):
-            place = scene.find(name)
-            if place is None:
-                place = ElementTree.SubElement(scene, name)
-            place.extend(parts)
-
-
-def tagged_block(
-    name: str,
-    position: np.ndarray,
-    yaw: float = 0.0,
-    first_tag: int = 0,
-    sides: np.ndarray = BLOCK,
-    mass: float = MASS,
-) -> TaggedBlock:
-    """A standing block with nine tags: two on each upright face, one on top.
-
-    The block's frame is in its centre, z up; it is put at ``position`` [3] m, turned by ``yaw``
-    rad. Tags are as large as the narrowest face leaves room for with a white border (0.032 m where
-    ``sides`` [3] m is 0.04 x 0.04 x 0.1), at the upper and the lower end of the faces: the farther
-    apart, the better is the block's tilt seen, and fingers that hold the middle cover none wholly.
-    Ids count from ``first_tag``. Raises `InvalidInputError` for ids beyond those known, or a block
-    less than twice as high as it is wide.
-    """
-    if first_tag < 0 or first_tag + _TAGS_A_BLOCK > TAGS:
-        raise InvalidInputError(
-            f"first_tag must be 0 to {TAGS - _TAGS_A_BLOCK}, found {first_tag} for {name}"
-        )
-    width = float(min(sides[:2]))
-    if sides[2] < 2.0 * width:
-        raise InvalidInputError(f"sides of {name} must be twice as high as wide, found {sides}")
-    size = width * CELLS / (CELLS + 2)
-    tags = tuple(
-        Tag(first_tag + number, size, place)
-        for number, place in enumerate(_places(np.asarray(sides, float), width))
-    )
-    body = ElementTree.Element("body", name=name, pos=_text(position))
-    body.set("quat", _text([np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)]))
-    ElementTree.SubElement(body, "freejoint", name=f"{name}_free")
-    ElementTree.SubElement(
-        body,
-        "geom",
-        name=name,
-        type="box",
-        size=_text(np.asarray(sides) / 2.0),
-        mass=str(mass),
-        material=f"{name}_paper",
-        friction="1 .01 .001",
-    )
-    ElementTree.SubElement(
-        body,
-        "geom",
-        type="mesh",
-        mesh=f"{name}_print",
-        material=f"{name}_ink",
-        mass="0",
-        contype="0",
-        conaffinity="0",
-    )
-    return TaggedBlock(body, (_print(name, tags), *_materials(name)), TaggedObject(tags))
-
-
-def _places(sides: np.ndarray, width: float) -> list[np.ndarray]:
+def _tag_poses(sides: np.ndarray, width: float) -> list[np.ndarray]:
     """Poses [4, 4] of the tags in the block's frame."""
     up = np.array([0.0, 0.0, 1.0])
     end = (sides[2] - width) / 2.0
-    places = []
+    poses = []
     for axis, sign in ((0, 1.0), (1, 1.0), (0, -1.0), (1, -1.0)):
         out = np.zeros(3)
         out[axis] = sign
         turn = np.stack([np.cross(up, out), up, out], axis=1)
-        print_at = out * (sides[axis] / 2.0 + _LIFT)
-        places += [pose(turn, print_at + up * height) for height in (end, -end)]
-    return [*places, pose(np.eye(3), up * (sides[2] / 2.0 + _LIFT))]
+        centre = out * (sides[axis] / 2.0 + _LIFT)
+        poses += [pose(turn, centre + up * height) for height in (end, -end)]
+    return [*poses, pose(np.eye(3), up * (sides[2] / 2.0 + _LIFT))]
 
 
-def _print(name: str, tags: tuple[Tag, ...]) -> ElementTree.Element:
-    """The black cells of all tags as one mesh, each cell two triangles.
+def _print_mesh(name: str, tags: tuple[Tag, ...]) -> ElementTree.Element:
+    """The black cells of all tags as one mesh, two triangles each.
 
-    Not a texture: those need a picture in a file or in the loader's hands, and are blurred where
-    they are drawn smaller than they are.
+    A texture would need a picture file, and is blurred when minified.
     """
     vertices: list[np.ndarray] = []
     faces: list[tuple[int, int, int]] = []
@@ -167,8 +171,7 @@ def _print(name: str, tags: tuple[Tag, ...]) -> ElementTree.Element:
     grid = np.stack([*np.meshgrid(line, -line), np.zeros((CELLS + 1, CELLS + 1))], axis=-1)
     for tag in tags:
         start = len(vertices) * grid[..., 0].size
-        points = grid.reshape(-1, 3) * tag.size
-        vertices.append(points @ tag.pose[:3, :3].T + tag.pose[:3, 3])
+        vertices.append(transform(tag.pose, grid.reshape(-1, 3) * tag.size))
         for row, column in np.argwhere(black_cells(tag.id)):
             corner = start + row * (CELLS + 1) + column
             below = corner + CELLS + 1
@@ -182,50 +185,5 @@ def _print(name: str, tags: tuple[Tag, ...]) -> ElementTree.Element:
     )
 
 
-def _materials(name: str) -> tuple[ElementTree.Element, ...]:
-    # Matt: a shine on a tag hides it.
-    return tuple(
-        ElementTree.Element(
-            "material", name=f"{name}_{part}", rgba=colour, specular="0", reflectance="0"
-        )
-        for part, colour in (("paper", ".9 .9 .9 1"), ("ink", ".05 .05 .05 1"))
-    )
-
-
 def _text(numbers: np.ndarray | list[float]) -> str:
     return " ".join(f"{number:.9g}" for number in numbers)
-
-
-LARGEST_COUNT = 2
-"""As many as there are tags for."""
-CONTACT = {"solref": ".003 1", "solimp": ".95 .99 .001", "condim": "4"}
-WOOD_FRICTION = ".5 .005 .0001"
-"""As in the arm's task: of a block on the table."""
-_PLACES = ((0.5, -0.15, 0.05), (0.5, 0.15, 0.05))
-"""m: where blocks stand at first."""
-_TAGS = 9
-"""Of each block."""
-
-
-def scene_blocks(count: int, mass: float = MASS) -> tuple[TaggedBlock, ...]:
-    """Node 1 and on of a scene with ``count`` blocks of ``mass`` kg; node 0 is the hand.
-
-    Raises `InvalidInputError` for a count that there are no tags for, or a mass that is none.
-    """
-    if not 0 <= count <= LARGEST_COUNT:
-        raise InvalidInputError(f"blocks must be 0 to {LARGEST_COUNT}, found {count}")
-    if not 0.01 <= mass <= 10.0:
-        raise InvalidInputError(f"mass of a block must be 0.01 to 10 kg, found {mass}")
-    made = tuple(
-        tagged_block(f"block{index}", np.array(place), first_tag=_TAGS * index, mass=mass)
-        for index, place in enumerate(_PLACES[:count])
-    )
-    for block in made:
-        for shape in block.body.findall("geom[@name]"):
-            shape.attrib.update(CONTACT, friction=WOOD_FRICTION)
-    return made
-
-
-def block_names(count: int) -> list[str]:
-    """The names of nodes 1 and on."""
-    return ["block", *(f"block-{index}" for index in range(1, count))][:count]

@@ -1,93 +1,50 @@
-"""Parts of a frame."""
+"""A camera that renders a MuJoCo scene with given intrinsics and noise.
+
+``python -m contactgraph_franka.sim.rendered_camera FOLDER`` is the camera's process.
+"""
 
 import copy
 import math
 import os
 import sys
 import time
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.envs.arm_model import mujoco
+from contactgraph_franka.envs.arm_model import mujoco, open_renderer
 from contactgraph_franka.loop.realtime import set_nice
-from contactgraph_franka.perception.camera import CameraFrame, Intrinsics
+from contactgraph_franka.perception.camera import CameraFrame, Intrinsics, Window
 from contactgraph_franka.sim.camera import FrameWriter
 from contactgraph_franka.sim.session import read_session
 from contactgraph_franka.sim.shared_state import GroundTruth, read_places
 
-_HALF_BODY = 0.075
-"""m: all of a block is within this distance of its centre, seen from wherever."""
+_BODY_RADIUS = 0.075
+"""m, of a sphere about a block's centre that contains it."""
 _STEP = 64
-"""px: widths are multiples of it, so that few different ones come up."""
-
-
-@dataclass(frozen=True)
-class Window:
-    """Columns from ``left`` on and rows from ``top`` on, px."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-    @property
-    def rows(self) -> slice:
-        """Of the frame."""
-        return slice(self.top, self.top + self.height)
-
-    @property
-    def columns(self) -> slice:
-        """Of the frame."""
-        return slice(self.left, self.left + self.width)
-
-
-def whole(lens: Intrinsics) -> Window:
-    """All of it."""
-    return Window(0, 0, lens.width, lens.height)
-
-
-def window_around(point: np.ndarray, pose: np.ndarray, lens: Intrinsics) -> Window | None:
-    """A square about a body at ``point`` [3] m, moved into the frame; None where it is not in view.
-
-    ``pose`` [4, 4] is the camera's.
-    """
-    x, y, z = (point - pose[:3, 3]) @ pose[:3, :3]
-    if z <= _HALF_BODY:
-        return None
-    half = max(lens.fx, lens.fy) * _HALF_BODY / (z - _HALF_BODY)
-    column, row = lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy
-    if not (-half < column < lens.width + half and -half < row < lens.height + half):
-        return None
-    side = min(_STEP * int(np.ceil(2.0 * half / _STEP)), lens.width, lens.height)
-    left = int(np.clip(round(column - side / 2.0), 0, lens.width - side))
-    top = int(np.clip(round(row - side / 2.0), 0, lens.height - side))
-    return Window(left, top, side, side)
-
-
+"""px: widths of windows are multiples of it, which bounds the number of renderers."""
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 _DEPTH_STEP = 0.001
-"""m: depth cameras tell whole millimetres."""
+"""m: depth cameras measure whole millimetres."""
 _NOISE_PICTURES = 3
-"""As much noise is drawn beforehand; a frame's is a part of it, from a random pixel on."""
+"""Pictures of noise drawn beforehand; a frame's noise begins at a random pixel of it."""
+_NICENESS = 5
+_VISUAL, _COLLISION, _SHOWN, _HIDDEN = 2, 3, 0, 4
+"""Groups of geoms."""
 
 
 class RenderedCamera:
-    """Renders what a camera would see at ``pose`` [4, 4] in the world, as a `CameraFrame`.
+    """Renders frames at ``pose`` [4, 4] in the world.
 
-    The camera's frame is that of `Intrinsics`: x right, y down, z forward. ``intrinsics`` are met
-    exactly; they must have no distortion. ``grey_noise`` is a standard deviation in grey levels,
-    ``depth_noise`` one in m at 1 m, growing with the square of the distance as it does where depth
-    comes from two views; None: no depth. Edges are smoothed by drawing ``fineness`` times as many
-    pixels each way: everywhere, or, where ``bodies`` are named, only about these; elsewhere then
-    every second pixel alone is drawn, and all of it takes a quarter of the time. The model is
-    copied, so that whoever simulates it is not disturbed. Raises
-    `InvalidInputError` where MuJoCo has no OpenGL to draw with.
+    The camera's frame is that of `Intrinsics`, without distortion. ``grey_noise`` is a standard
+    deviation in grey levels, ``depth_noise`` one in m at 1 m that grows with the square of the
+    distance as for stereo cameras; None: no depth. ``fineness`` is the supersampling, everywhere
+    or only about the named ``bodies``; every second pixel is then rendered elsewhere, which takes a
+    quarter of the time. The model is copied. Raises `InvalidInputError` if MuJoCo has no OpenGL to
+    render with.
     """
 
     def __init__(
@@ -108,7 +65,8 @@ class RenderedCamera:
             )
         self.intrinsics = intrinsics
         self.pose = np.array(pose, dtype=np.float64)
-        """[4, 4]: where it stands, in the world's frame."""
+        """[4, 4]: camera to world."""
+        self._frame = Window(0, 0, intrinsics.width, intrinsics.height)
         self._depth_noise = depth_noise
         self._fineness = fineness
         self._random = np.random.default_rng(seed)
@@ -121,7 +79,7 @@ class RenderedCamera:
         visual = self._model.vis
         visual.global_.offwidth = fineness * intrinsics.width
         visual.global_.offheight = fineness * intrinsics.height
-        # Shadows take most of the time where the processor draws; `fineness` smooths instead.
+        # Shadows take most of the time without a GPU; `fineness` replaces anti-aliasing.
         visual.quality.shadowsize = visual.quality.offsamples = 0
         visual.headlight.ambient[:] = visual.headlight.diffuse[:] = 0.4
         visual.headlight.specular[:] = 0.0
@@ -129,15 +87,14 @@ class RenderedCamera:
         self._renderers: dict[tuple[int, int], Any] = {}
         self._renderer(intrinsics.height, intrinsics.width)
 
-    def picture(self, places: np.ndarray, time: float) -> CameraFrame:
-        """The frame that is exposed at ``time`` s while the scene's ``qpos`` is ``places``."""
-        self._data.qpos[:] = places
+    def picture(self, qpos: np.ndarray, time: float) -> CameraFrame:
+        """The frame exposed at ``time`` s in the state ``qpos`` of the scene."""
+        self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        lens = self.intrinsics
-        exact = self._coarse() if self._bodies else self._grey(whole(lens), self._fineness)
+        exact = self._coarse() if self._bodies else self._grey(self._frame, self._fineness)
         for body in self._bodies:
-            part = window_around(self._data.xpos[body], self.pose, lens)
+            part = window_around(self._data.xpos[body], self.pose, self.intrinsics)
             if part is not None:
                 exact[part.rows, part.columns] = self._grey(part, self._fineness)
         begin = int(self._random.integers((_NOISE_PICTURES - 1) * self._size))
@@ -146,27 +103,19 @@ class RenderedCamera:
         return CameraFrame(grey, self._depth(), time)
 
     def close(self) -> None:
-        """Gives OpenGL back what it needs."""
+        """Releases the renderers."""
         for renderer in self._renderers.values():
             renderer.close()
 
     def _renderer(self, height: int, width: int) -> Any:
-        found = self._renderers.get((height, width))
-        if found is not None:
-            return found
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")  # GLFW warns where it fails
-                made = mujoco.Renderer(self._model, height, width)
-        except Exception as error:
-            raise InvalidInputError(
-                "a rendered camera needs OpenGL without a screen: set MUJOCO_GL=egl before Python "
-                "starts (Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri)"
-            ) from error
-        return self._renderers.setdefault((height, width), made)
+        size = height, width
+        if size not in self._renderers:
+            purpose = "a rendered camera needs"
+            self._renderers[size] = open_renderer(self._model, height, width, purpose)
+        return self._renderers[size]
 
     def _aimed(self, part: Window, height: int, width: int) -> Any:
-        """A renderer whose camera is where `pose` says, with the frustum of a part of the frame."""
+        """A renderer at the camera's pose, with the frustum of a part of the frame."""
         lens = self.intrinsics
         renderer = self._renderer(height, width)
         renderer.update_scene(self._data)
@@ -175,7 +124,7 @@ class RenderedCamera:
             camera.forward[:] = self.pose[:3, 2]
             camera.up[:] = -self.pose[:3, 1]
             near = camera.frustum_near
-            # Pixel centres are whole numbers: the picture's edges are half a pixel further out.
+            # Pixel centres are integers, so that edges of pixels are half a pixel further out.
             left = near * (part.left - 0.5 - lens.cx) / lens.fx
             right = near * (part.left + part.width - 0.5 - lens.cx) / lens.fx
             camera.frustum_center = (left + right) / 2.0
@@ -187,26 +136,26 @@ class RenderedCamera:
     def _grey(self, part: Window, fineness: int) -> np.ndarray:
         """[H, W] float32 grey levels of a part of the frame."""
         fine = self._aimed(part, fineness * part.height, fineness * part.width).render()
-        # Rows first and in whole numbers: four times as fast as all at once.
+        # Summing rows first, as integers, is four times as fast as one sum.
         rows = fine.reshape(part.height, fineness, -1).sum(axis=1, dtype=np.uint16)
         pixels = rows.reshape(-1, 3 * fineness).astype(np.float32)
         weights = np.tile(_GREY / fineness**2, fineness)
         return (pixels @ weights).reshape(part.height, part.width)
 
     def _coarse(self) -> np.ndarray:
-        """[H, W] float32 grey levels of all of the frame, of which every second pixel is drawn."""
+        """[H, W] float32 grey levels of the frame, of which every second pixel is rendered."""
         lens = self.intrinsics
         height, width = -(-lens.height // 2), -(-lens.width // 2)
-        # Of an odd number the last one stands for a pixel beyond the frame.
-        drawn = self._aimed(Window(0, 0, 2 * width, 2 * height), height, width).render()
-        grey = (drawn.reshape(-1, 3).astype(np.float32) @ _GREY).reshape(height, width)
+        # An odd size is rendered with a pixel beyond the frame.
+        coarse = self._aimed(Window(0, 0, 2 * width, 2 * height), height, width).render()
+        grey = (coarse.reshape(-1, 3).astype(np.float32) @ _GREY).reshape(height, width)
         return grey.repeat(2, axis=0).repeat(2, axis=1)[: lens.height, : lens.width]
 
     def _depth(self) -> np.ndarray | None:
         if self._depth_noise is None:
             return None
         lens, each = self.intrinsics, 1 if self._bodies else self._fineness
-        renderer = self._aimed(whole(lens), each * lens.height, each * lens.width)
+        renderer = self._aimed(self._frame, each * lens.height, each * lens.width)
         renderer.enable_depth_rendering()
         fine = renderer.render()
         renderer.disable_depth_rendering()
@@ -216,25 +165,37 @@ class RenderedCamera:
         return (np.rint(noisy / _DEPTH_STEP) * _DEPTH_STEP).astype(np.float32)
 
 
-_BEHIND = 5
-"""How much this process yields to those that must be on time."""
-_LOOKS, _HULLS, _SHOWN, _HIDDEN = 2, 3, 0, 4
-"""Groups of shapes: those for looks, and the coarser ones that collide."""
+def window_around(point: np.ndarray, pose: np.ndarray, lens: Intrinsics) -> Window | None:
+    """A square about a body at ``point`` [3] m, shifted into the frame; None if out of view.
+
+    ``pose`` [4, 4] is the camera's.
+    """
+    x, y, z = (point - pose[:3, 3]) @ pose[:3, :3]
+    if z <= _BODY_RADIUS:
+        return None
+    half = max(lens.fx, lens.fy) * _BODY_RADIUS / (z - _BODY_RADIUS)
+    column, row = lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy
+    if not (-half < column < lens.width + half and -half < row < lens.height + half):
+        return None
+    side = min(_STEP * int(np.ceil(2.0 * half / _STEP)), lens.width, lens.height)
+    left = int(np.clip(round(column - side / 2.0), 0, lens.width - side))
+    top = int(np.clip(round(row - side / 2.0), 0, lens.height - side))
+    return Window(left, top, side, side)
 
 
 def main() -> None:
-    """Takes pictures until the owner ends."""
+    """Renders frames until the owner ends."""
     folder = Path(sys.argv[1])
     session = read_session(folder)
     settings = session.camera
     if settings is None:
-        raise InvalidInputError("this rehearsal has no camera")
-    set_nice(_BEHIND)
+        raise InvalidInputError("this simulated robot has no camera")
+    set_nice(_NICENESS)
     model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
-    # The hand must hide what it hides; drawn with its maker's surfaces it takes twice as long.
+    # The hand must occlude blocks; its visual meshes take twice as long as its collision shapes.
     group = model.geom_group
-    group[group == _LOOKS] = _HIDDEN
-    group[group == _HULLS] = _SHOWN
+    group[group == _VISUAL] = _HIDDEN
+    group[group == _COLLISION] = _SHOWN
     camera = RenderedCamera(
         model,
         settings.pose,
@@ -246,33 +207,22 @@ def main() -> None:
     )
     truth = GroundTruth(folder, session.blocks, read_places(folder))
     frames = FrameWriter(folder, settings.intrinsics, settings.depth_noise is not None)
-    _film(camera, truth, frames, session.pace, settings.rate, settings.delay)
-
-
-def _film(
-    camera: RenderedCamera,
-    truth: GroundTruth,
-    frames: FrameWriter,
-    pace: float,
-    rate: float,
-    delay: float,
-) -> None:
-    """Takes ``rate`` frames a second of the reader's clock; each can be had ``delay`` s later."""
-    owner = os.getppid()
+    rate, pace, owner = settings.rate, session.pace, os.getppid()
+    # Frames are due at multiples of 1 / rate on the reader's clock.
     number = math.ceil(time.monotonic() / pace * rate)
     while os.getppid() == owner:
         _sleep_until(number / rate * pace)
         now = truth.newest()
-        picture = camera.picture(now["places"], float(now["stamp"]))
-        _sleep_until((picture.time + delay) * pace)
-        frames.publish(picture)
+        frame = camera.picture(now["places"], float(now["stamp"]))
+        _sleep_until((frame.time + settings.delay) * pace)
+        frames.publish(frame)
         following = max(number + 1, math.ceil(time.monotonic() / pace * rate))
         frames.miss(following - number - 1)
         number = following
 
 
 def _sleep_until(moment: float) -> None:
-    """``moment`` s on the wall's clock."""
+    """``moment`` s on the wall clock."""
     time.sleep(max(0.0, moment - time.monotonic()))
 
 

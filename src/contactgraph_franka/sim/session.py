@@ -1,4 +1,4 @@
-"""What the processes of a rehearsal know of each other: a folder that its address names."""
+"""The simulated robot's processes, and the folder in memory by which others find them."""
 
 import json
 import os
@@ -17,43 +17,48 @@ from contactgraph.data.json_fields import parse_json
 from contactgraph_franka.sim.camera import CameraSettings
 
 _PORTS = (1337, 1338)
-"""Of the arm and of its gripper: the protocol's own."""
+"""Ports of the protocol, for the arm and its gripper."""
+_START = 30.0
+"""Largest time of a process to be ready, s."""
+_END = 2.0
+"""Largest time of a process to end on request, s."""
+_MISTAKE = "contactgraph.data.errors.InvalidInputError: "
 
 
 @dataclass(frozen=True)
 class Session:
-    """How a rehearsal runs. Whoever knows the address can read it: see `attached`."""
+    """Settings of a simulated robot, in a folder that its address determines."""
 
     address: str
     """A loopback address, such as 127.0.0.1."""
     pace: float
-    """Seconds on the wall for each simulated one."""
+    """Wall seconds of a simulated second."""
     blocks: int
     mass: float
     """kg, of each block."""
     owner: int
-    """The process that ends when the rehearsal does."""
+    """Id of the process that started it."""
     camera: CameraSettings | None
 
     @property
     def folder(self) -> Path:
-        """In memory, where the system has such files."""
+        """In shared memory, if the system has it."""
         memory = Path("/dev/shm")
-        place = memory if memory.is_dir() else Path(tempfile.gettempdir())
-        return place / f"contactgraph-{os.getuid()}-{self.address}"
+        parent = memory if memory.is_dir() else Path(tempfile.gettempdir())
+        return parent / f"contactgraph-{os.getuid()}-{self.address}"
 
     def create(self) -> None:
-        """Makes the folder; one whose owner is gone is replaced.
+        """Makes the folder, replacing that of a dead owner.
 
-        Raises `InvalidInputError` where another rehearsal runs at the address.
+        Raises `InvalidInputError` if another simulated robot runs at the address.
         """
         folder = self.folder
         if folder.exists():
             other = _owner(folder)
-            if other is not None and _alive(other):
+            if other is not None:
                 raise InvalidInputError(
-                    f"a rehearsal already runs at {self.address} (process {other}): close it, or "
-                    "choose another address from 127.0.0.1 on"
+                    f"a simulated robot already runs at {self.address} (process {other}): close "
+                    "it, or choose another address from 127.0.0.1 on"
                 )
             shutil.rmtree(folder)
         folder.mkdir(mode=0o700)
@@ -66,29 +71,28 @@ class Session:
 
 def read_session(folder: Path) -> Session:
     """The session that made ``folder``."""
-    told = parse_json((folder / "session.json").read_text())
-    camera = told.pop("camera")
-    return Session(**told, camera=None if camera is None else CameraSettings.from_dict(camera))
+    fields = parse_json((folder / "session.json").read_text())
+    camera = fields.pop("camera")
+    return Session(**fields, camera=None if camera is None else CameraSettings.from_dict(camera))
 
 
-def attached(address: str) -> Session:
-    """The session that runs at ``address``; raises `InvalidInputError` where there is none."""
+def find_session(address: str) -> Session:
+    """The session that runs at ``address``; raises `InvalidInputError` if there is none."""
     folder = Session(address, 1.0, 0, 0.0, 0, None).folder
-    owner = _owner(folder)
-    if owner is None or not _alive(owner):
+    if _owner(folder) is None:
         raise InvalidInputError(
-            f"no rehearsal runs at {address}: start one with `contactgraph robot rehearse`"
+            f"no simulated robot runs at {address}: start one with `contactgraph robot rehearse`"
         )
     return read_session(folder)
 
 
 def free_address(candidates: Sequence[str]) -> str:
-    """The first of the ``candidates`` at which nobody listens.
+    """The first of the ``candidates`` whose ports are free.
 
-    Raises `InvalidInputError` where all are taken, or are no addresses of this machine.
+    Raises `InvalidInputError` if there is none, or none is an address of this machine.
     """
     for address in candidates:
-        if all(_free(address, port) for port in _PORTS):
+        if all(_is_free(address, port) for port in _PORTS):
             return address
     raise InvalidInputError(
         f"ports {_PORTS[0]} and {_PORTS[1]} are not free at {', '.join(candidates)}: another "
@@ -96,44 +100,8 @@ def free_address(candidates: Sequence[str]) -> str:
     )
 
 
-def _free(address: str, port: int) -> bool:
-    with socket.socket() as probe:
-        # As the server does it: connections that just ended do not keep the port.
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((address, port))
-        except OSError:
-            return False
-    return True
-
-
-def _owner(folder: Path) -> int | None:
-    try:
-        owner = parse_json((folder / "session.json").read_text())["owner"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return owner if isinstance(owner, int) else None
-
-
-def _alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
-
-
-_START = 30.0
-"""s: for so long a process may take to be ready."""
-_END = 2.0
-"""s: for so long it may take to end when asked to."""
-_MISTAKE = "contactgraph.data.errors.InvalidInputError: "
-
-
 class ChildProcess:
-    """``python -m MODULE FOLDER``, whose last words are kept in the folder."""
+    """``python -m MODULE FOLDER``, with its output in a log file of the folder."""
 
     def __init__(self, module: str, folder: Path, environment: Mapping[str, str] | None = None):
         self._module = module
@@ -145,7 +113,7 @@ class ChildProcess:
                 stdout=log,
                 stderr=log,
                 env={**os.environ, **(environment or {})},
-                # Ctrl-C is for the owner to answer.
+                # Ctrl-C is for the owner to handle.
                 start_new_session=True,
             )
 
@@ -159,12 +127,12 @@ class ChildProcess:
             time.sleep(0.01)
 
     def check(self) -> None:
-        """Raises what the process died of: `InvalidInputError`, or else `RuntimeError`."""
+        """Raises the error that ended the process: `InvalidInputError`, or `RuntimeError`."""
         code = self._process.poll()
         if code is None:
             return
-        words = self._log.read_text().strip().splitlines() if self._log.exists() else []
-        last = words[-1] if words else "without a word"
+        lines = self._log.read_text().strip().splitlines() if self._log.exists() else []
+        last = lines[-1] if lines else "without a word"
         if last.startswith(_MISTAKE):
             raise InvalidInputError(last.removeprefix(_MISTAKE))
         raise RuntimeError(f"{self._module} ended with code {code}: {last}")
@@ -177,3 +145,31 @@ class ChildProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+def _is_free(address: str, port: int) -> bool:
+    with socket.socket() as probe:
+        # As the server does: connections that just ended do not occupy the port.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((address, port))
+        except OSError:
+            return False
+    return True
+
+
+def _owner(folder: Path) -> int | None:
+    """The living process that owns ``folder``."""
+    try:
+        owner = parse_json((folder / "session.json").read_text())["owner"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    if not isinstance(owner, int):
+        return None
+    try:
+        os.kill(owner, 0)
+    except ProcessLookupError:
+        return None
+    except PermissionError:
+        pass
+    return owner

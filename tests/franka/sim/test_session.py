@@ -1,4 +1,4 @@
-"""The folder by which processes find a rehearsal."""
+"""The folder by which processes find a simulated robot."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.sim.camera import CameraSettings
-from contactgraph_franka.sim.session import Session, attached, free_address
+from contactgraph_franka.sim.session import Session, find_session, free_address
 
 ADDRESS = "127.0.7.1"
 
@@ -27,15 +27,15 @@ def clean() -> Iterator[None]:
 def test_who_knows_the_address_finds_all_of_it() -> None:
     made = session(os.getpid(), CameraSettings(delay=0.05, depth_noise=0.002))
     made.create()
-    assert attached(ADDRESS) == made
+    assert find_session(ADDRESS) == made
 
 
 def test_a_running_one_is_not_replaced_and_a_dead_one_is() -> None:
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     session(gone.pid).create()
-    with pytest.raises(InvalidInputError, match=r"no rehearsal runs at 127\.0\.7\.1"):
-        attached(ADDRESS)
+    with pytest.raises(InvalidInputError, match=r"no simulated robot runs at 127\.0\.7\.1"):
+        find_session(ADDRESS)
     session(os.getpid()).create()
     with pytest.raises(InvalidInputError, match=rf"already runs at .* \(process {os.getpid()}\)"):
         session(os.getpid()).create()
@@ -43,7 +43,7 @@ def test_a_running_one_is_not_replaced_and_a_dead_one_is() -> None:
 
 def test_where_nothing_runs_the_error_says_how_to_start() -> None:
     with pytest.raises(InvalidInputError, match="contactgraph robot rehearse"):
-        attached(ADDRESS)
+        find_session(ADDRESS)
 
 
 def test_addresses_of_other_machines_are_not_free() -> None:

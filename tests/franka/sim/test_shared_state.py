@@ -65,7 +65,7 @@ def test_orders_are_carried_out_once(tmp_path: Path, monkeypatch: pytest.MonkeyP
     done: list[tuple[int, list[float], float]] = []
 
     def serve(_: float) -> None:
-        taker.carry_out(lambda block, place, yaw: done.append((block, place.tolist(), yaw)))
+        taker.execute(lambda block, place, yaw: done.append((block, place.tolist(), yaw)))
 
     monkeypatch.setattr("contactgraph_franka.sim.shared_state.time.sleep", serve)
     request_block_pose(tmp_path, 0, np.array([0.5, 0.1, 0.05]), 0.2)
@@ -76,6 +76,6 @@ def test_orders_are_carried_out_once(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_a_deaf_server_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     SceneResetService(tmp_path)
-    monkeypatch.setattr("contactgraph_franka.sim.shared_state._PATIENCE", 0.01)
+    monkeypatch.setattr("contactgraph_franka.sim.shared_state._TIMEOUT", 0.01)
     with pytest.raises(RuntimeError, match="did not put the block"):
         request_block_pose(tmp_path, 0, np.zeros(3), 0.0)

@@ -1,5 +1,5 @@
-"""The real detector on really rendered frames: MuJoCo takes its OpenGL as it is imported, so that
-frames are rendered by a process of their own."""
+"""The detector on rendered frames. MuJoCo loads OpenGL during its import, so that a process of its
+own renders them."""
 
 import os
 import subprocess
@@ -135,6 +135,7 @@ def errors(images, depths=None):
 
 
 @pytest.mark.parametrize("kind", ["exact", "noisy", "windows"])
+@pytest.mark.slow
 def test_blocks_are_seen_to_a_millimetre(frames, kind):
     off = errors(frames[kind])
     assert np.isfinite(off).all()
@@ -142,11 +143,13 @@ def test_blocks_are_seen_to_a_millimetre(frames, kind):
     assert off[:, 1].max() < np.radians(1.5)
 
 
+@pytest.mark.slow
 def test_depth_does_not_harm(frames):
     off = errors(frames["noisy"], frames["noisy_depth"])
     assert np.median(off[:, 0]) < 5e-4 and off[:, 0].max() < 3e-3
 
 
+@pytest.mark.slow
 def test_a_held_block_is_seen_where_a_tag_is(frames):
     off = errors(frames["held"])
     seen = np.isfinite(off[:, 0])
@@ -154,6 +157,7 @@ def test_a_held_block_is_seen_where_a_tag_is(frames):
     assert np.median(off[seen, 0]) < 1e-3 and off[seen, 0].max() < 0.01
 
 
+@pytest.mark.slow
 def test_edges_are_where_the_intrinsics_say(frames):
     """The half pixel, the axes, the principal point: a tag's edges, none of them by a detector."""
     across = []
@@ -174,6 +178,7 @@ def test_edges_are_where_the_intrinsics_say(frames):
     assert abs(np.mean(across)) < 0.03 and np.std(across) < 0.05
 
 
+@pytest.mark.slow
 def test_depth_is_the_distance_along_the_axis(frames):
     for depth, place in zip(frames["exact_depth"], POSES, strict=True):
         to_camera = inverse(CAMERA) @ place
@@ -185,16 +190,19 @@ def test_depth_is_the_distance_along_the_axis(frames):
     assert ratio.std() == pytest.approx(0.003, rel=0.1)
 
 
+@pytest.mark.slow
 def test_noise_is_as_large_as_asked(frames):
     exact, noisy = frames["exact"].astype(float), frames["noisy"].astype(float)
     inside = (exact > 20.0) & (exact < 235.0)
     assert (noisy - exact)[inside].std() == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_block_is_as_heavy_as_the_papers(frames):
     assert frames["mass"] == pytest.approx(0.83)
 
 
+@pytest.mark.slow
 def test_without_opengl_one_line_says_what_to_set(tmp_path):
     np.savez(tmp_path / "told.npz", lens=[9.0] * 4 + [64, 48], camera=CAMERA, places=[[0.0] * 7])
     done = in_process(RENDERED, "disabled", tmp_path / "told.npz", tmp_path / "none.npz")

@@ -1,4 +1,4 @@
-"""The processes of a rehearsal: how they begin, how they end, and the camera's."""
+"""The processes of the simulated robot: start, end, and the camera."""
 
 import os
 import signal
@@ -16,7 +16,7 @@ pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehear
 from contactgraph_franka.perception.camera import CameraFrame
 from contactgraph_franka.perception.detector import ObjectDetector
 from contactgraph_franka.sim.camera import CameraSettings
-from contactgraph_franka.sim.session import attached
+from contactgraph_franka.sim.session import find_session
 from contactgraph_franka.sim.simulated_robot import RobotSimulator, SimulatedRobot, attach
 
 PACE = 2.0
@@ -30,21 +30,23 @@ def test_an_impossible_pace_is_refused(pace: float) -> None:
         RobotSimulator(pace=pace)
 
 
-def test_a_server_that_dies_is_told(server_turn: None) -> None:
-    rehearsal = RobotSimulator(pace=PACE)
-    with rehearsal as running:
-        rehearsal.check()
-        server = rehearsal._children[0]._process
+@pytest.mark.slow
+def test_the_death_of_a_server_is_reported(server_turn: None) -> None:
+    simulator = RobotSimulator(pace=PACE)
+    with simulator as running:
+        simulator.check()
+        server = simulator._children[0]._process
         server.kill()
         server.wait()
         with pytest.raises(RuntimeError, match=r"arm_server ended with code -9"):
-            rehearsal.check()
+            simulator.check()
         address = running.address
-    with pytest.raises(InvalidInputError, match="no rehearsal runs"):
-        attached(address)
+    with pytest.raises(InvalidInputError, match="no simulated robot runs"):
+        find_session(address)
 
 
-def test_nothing_outlives_its_owner(server_turn: None) -> None:
+@pytest.mark.slow
+def test_no_process_outlives_its_owner(server_turn: None) -> None:
     script = (
         "import time\nfrom contactgraph_franka.sim.simulated_robot import RobotSimulator\n"
         "r = RobotSimulator(pace=2.0)\nwith r as running:\n"
@@ -70,6 +72,7 @@ def _alive(process: int) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_frames_come_late_and_show_the_block_where_it_was(server_turn: None) -> None:
     settings = CameraSettings(delay=0.03)
     try:

@@ -41,6 +41,7 @@ def go(scene: ArmScene, start: np.ndarray, end: np.ndarray, seconds: float) -> N
         hold(scene, start + (end - start) * (10 * part**3 - 15 * part**4 + 6 * part**5))
 
 
+@pytest.mark.slow
 def test_an_arm_without_torques_floats_where_it_is(scene: ArmScene) -> None:
     before = seen(scene)["position"].copy()
     for _ in range(2000):
@@ -68,6 +69,7 @@ def test_torques_meet_the_links_inertia_and_nothing_else(scene: ArmScene) -> Non
     np.testing.assert_allclose(scene.data.qvel[:7] / TICK, expected, rtol=0.02, atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_grasped_block_stays_in_hand_under_3_m_s2(scene: ArmScene) -> None:
     at = np.array([0.45, 0.0, 0.05])
     scene.place_block(0, at, 0.0)

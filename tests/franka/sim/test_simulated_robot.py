@@ -1,4 +1,4 @@
-"""The server's processes, and the real client against them."""
+"""The simulated robot's server, and the real client against it."""
 
 import time
 from collections.abc import Iterator
@@ -12,6 +12,8 @@ pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehear
 
 from contactgraph_franka.sim.simulated_robot import RobotSimulator, SimulatedRobot, attach
 
+pytestmark = pytest.mark.slow
+
 PACE = 2.0
 
 
@@ -21,7 +23,7 @@ def running(server_turn: None) -> Iterator[SimulatedRobot]:
         yield running
 
 
-def test_the_simulation_keeps_to_the_readers_clock(running: SimulatedRobot) -> None:
+def test_the_simulation_keeps_to_the_clock(running: SimulatedRobot) -> None:
     first = running.ground_truth.newest()
     time.sleep(0.5)
     rows = running.ground_truth.since(int(first["tick"]))
@@ -33,7 +35,7 @@ def test_the_simulation_keeps_to_the_readers_clock(running: SimulatedRobot) -> N
     assert running.report().ticks > 250
 
 
-def test_the_client_sees_the_arm_where_it_is(running: SimulatedRobot) -> None:
+def test_the_client_reads_the_state_of_the_simulation(running: SimulatedRobot) -> None:
     franky = pytest.importorskip("franky", reason="needs pip install 'contactgraph[robot]'")
     for attempt in range(3):
         try:
@@ -52,7 +54,7 @@ def test_the_client_sees_the_arm_where_it_is(running: SimulatedRobot) -> None:
     assert state.m_ee == pytest.approx(0.76)
 
 
-def test_a_block_is_put_where_asked_from_any_process(running: SimulatedRobot) -> None:
+def test_any_process_can_place_a_block(running: SimulatedRobot) -> None:
     attach(running.address).place_block(0, np.array([0.6, 0.1, 0.05]), 0.4)
     time.sleep(0.1)
     row = running.ground_truth.newest()
@@ -75,7 +77,7 @@ def test_impossible_places_are_refused(
         running.place_block(index, np.array(position))
 
 
-def test_a_taken_address_is_told(running: SimulatedRobot) -> None:
+def test_an_occupied_address_is_refused(running: SimulatedRobot) -> None:
     with (
         pytest.raises(InvalidInputError, match="are not free at"),
         RobotSimulator(addresses=[running.address]),
