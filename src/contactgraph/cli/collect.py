@@ -1,45 +1,52 @@
-"""``contactgraph collect``: record runs of a task."""
+"""``contactgraph collect``: record trajectories of a task."""
 
+import hashlib
+import json
+import shutil
+import sys
+import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from types import TracebackType
+from typing import Annotated, Any, Self
 
-from tyro.conf import Positional, arg
+from tyro.conf import arg
+
+from contactgraph.cli.options import Distractors, Grasp, Objects, TaskArgument
+from contactgraph.data import InvalidInputError, Trajectory, read_trajectories, write_trajectories
 
 
 @dataclass(frozen=True)
 class Collect:
-    """Record runs of a task by its scripted expert, and write them to a dataset file.
+    """Record trajectories of a task by its scripted expert, and write them to a dataset file.
 
-    Where it was interrupted, the same command goes on.
+    The same command continues an interrupted recording.
     """
 
-    task: Positional[Annotated[str, arg(metavar="TASK")]]
-    """The task: pickup, multi-pickup, door or franka (an arm; needs the extra mujoco)."""
+    task: TaskArgument
     out: Annotated[Path, arg(metavar="FILE")]
     """The file to write (HDF5)."""
     episodes: int = 40
-    """How many runs."""
+    """Number of episodes."""
     seed: int = 0
-    """The same seed records the same runs."""
-    distractors: int = 0
-    """Bystanders: objects, 0 to 20, doors, 0 to 10, or blocks, 0 to 5."""
-    objects: Annotated[int | None, arg(metavar="INT")] = None
-    """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
-    grasp: Annotated[str | None, arg(metavar="HOW")] = None
-    """How fingers hold, where the task has some: friction or weld."""
+    """Random seed; the same seed records the same trajectories."""
+    distractors: Distractors = 0
+    objects: Objects = None
+    grasp: Grasp = None
     mixed: bool = False
-    """Runs take turns at 0 to DISTRACTORS bystanders, and at 1 to OBJECTS objects if given."""
-    goal: Annotated[str, arg(metavar="HOW")] = "sampled"
-    """sampled: every run has its own goal and targets. fixed: all runs share them."""
-    expert: Annotated[str, arg(metavar="WHO")] = "train"
-    """train: with noise on its force, to learn masses from. demo: without, to learn costs from."""
+    """Alternate scenes with 0 to DISTRACTORS distractors, and with 1 to OBJECTS objects."""
+    goal: Annotated[str, arg(metavar="NAME")] = "sampled"
+    """sampled: a goal and targets for each episode. fixed: the same for all."""
+    expert: Annotated[str, arg(metavar="NAME")] = "train"
+    """train: with noise on the force, to learn models from. demo: without, to learn costs from."""
     exploration: float = 0.0
-    """Share of runs with random forces in place of the expert."""
+    """Share of episodes with random forces in place of the expert."""
     resting: float = 0.0
-    """Share of runs without any force."""
-    cluster: Annotated[str, arg(metavar="WHERE")] = "local"
-    """local: one process a core. ray or ray:HOST:PORT: on the machines of a Ray cluster."""
+    """Share of episodes without any force."""
+    cluster: Annotated[str, arg(metavar="NAME")] = "local"
+    """local: a process for each core. ray or ray:HOST:PORT: the machines of a Ray cluster."""
 
     def run(self) -> None:
         """Record and write."""
@@ -51,14 +58,7 @@ class Collect:
             open_executor,
         )
         from contactgraph.cli.output import check_writable, progress
-        from contactgraph.cli.tasks import (
-            TaskOptions,
-            known_task,
-            mixed_factories,
-            task_factory,
-        )
-        from contactgraph.cli.unfinished_runs import UnfinishedRuns
-        from contactgraph.data import InvalidInputError, Metadata, write_trajectories
+        from contactgraph.cli.tasks import TaskOptions, known_task, mixed_factories, task_factory
         from contactgraph.envs import RestPolicy
         from contactgraph.envs.episodes import collect, fixed_seed
 
@@ -83,43 +83,117 @@ class Collect:
                 "be left out"
             )
         check_writable(self.out)
-        explores = round(self.exploration * self.episodes)
+        explorations = round(self.exploration * self.episodes)
         rests = round(self.resting * self.episodes)
-        experts = self.episodes - explores - rests
+        experts = self.episodes - explorations - rests
         policies = [expert() for _ in range(experts)]
-        policies += [task.explorer() for _ in range(explores)]
+        policies += [task.explorer() for _ in range(explorations)]
         policies += [RestPolicy() for _ in range(rests)]
-        unfinished = UnfinishedRuns(self.out, self._inputs())
-        if unfinished.found:
-            print(f"{self.out}: goes on after {len(unfinished.found)} of {self.episodes} runs")
+        unfinished = UnfinishedRecording(self.out, self._inputs())
+        if unfinished.recorded:
+            done = len(unfinished.recorded)
+            print(f"{self.out}: goes on after {done} of {self.episodes} runs")
         with (
             open_executor(self.cluster) as executor,
-            progress("collecting", self.episodes) as steps,
+            progress("collecting", self.episodes) as bar,
             unfinished,
         ):
-            runs = collect(
+            trajectories = collect(
                 factories,
                 policies,
                 self.episodes,
                 self.seed,
-                on_episode=lambda run: steps.advance(unfinished.add(run)),
+                on_episode=lambda trajectory: bar.advance(unfinished.add(trajectory)),
                 executor=executor,
-                recorded=unfinished.found,
+                recorded=unfinished.recorded,
             )
-        metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
+        metadata = {"task": self.task, "seed": self.seed, **options.metadata}
         if self.mixed:
             metadata["mixed"] = True
         if demonstrates:
             metadata["expert"] = self.expert
-        write_trajectories(self.out, runs, metadata)
+        write_trajectories(self.out, trajectories, metadata)
         unfinished.remove()
-        print(f"{self.out}: {len(runs)} runs of {self.task}, seed {self.seed}")
+        print(f"{self.out}: {len(trajectories)} runs of {self.task}, seed {self.seed}")
         if experts:
-            succeeded = sum(bool(run.scene.metadata["success"]) for run in runs[:experts])
-            print(f"the expert succeeded in {succeeded} of {experts} runs")
+            successes = sum(bool(each.scene.metadata["success"]) for each in trajectories[:experts])
+            print(f"the expert succeeded in {successes} of {experts} runs")
 
     def _inputs(self) -> dict[str, Any]:
-        """All on which the runs depend; not where they are written, nor by whom."""
+        """The options that the trajectories depend on."""
         inputs = asdict(self)
         del inputs["out"], inputs["cluster"]
         return inputs
+
+
+_SAVE_INTERVAL_S = 10.0
+"""Recording time that a killed process may lose."""
+
+
+class UnfinishedRecording:
+    """Trajectories of an interrupted recording, in a folder beside its file ``path``.
+
+    The folder's name depends on everything that shapes the trajectories, so that only the same
+    recording continues. It holds files of some trajectories each, named by the index of the first.
+    As a context manager, it saves all trajectories if the block ends with an exception, such as
+    Ctrl-C, and reports that.
+    """
+
+    def __init__(self, path: Path, inputs: Mapping[str, Any]) -> None:
+        """``inputs``: by name, the JSON values that the trajectories depend on."""
+        text = json.dumps({**inputs, "version": version("contactgraph")}, sort_keys=True)
+        fingerprint = hashlib.sha256(text.encode()).hexdigest()[:12]
+        self.folder = path.with_name(f"{path.name}.unfinished-{fingerprint}")
+        self.recorded = self._read()
+        """The first trajectories, recorded by an earlier call."""
+        self._saved, self._new = len(self.recorded), list[Trajectory]()
+        self._saved_s = time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            return
+        self._save()
+        if self._saved:
+            print(
+                f"{self.folder}: {self._saved} runs are kept; the same command goes on from there",
+                file=sys.stderr,
+            )
+
+    def add(self, trajectory: Trajectory) -> int:
+        """Adds the next trajectory, saved after some seconds; the number that there are now."""
+        self._new.append(trajectory)
+        if time.monotonic() - self._saved_s >= _SAVE_INTERVAL_S:
+            self._save()
+        return self._saved + len(self._new)
+
+    def remove(self) -> None:
+        """Removes the folder, once the trajectories are in the file."""
+        if self.folder.is_dir():
+            shutil.rmtree(self.folder)
+
+    def _read(self) -> list[Trajectory]:
+        """The saved trajectories up to the first gap or damaged file."""
+        trajectories: list[Trajectory] = []
+        for path in sorted(self.folder.glob("*.h5")):
+            if path.stem != f"{len(trajectories):06d}":
+                break
+            try:
+                trajectories.extend(read_trajectories(path))
+            except InvalidInputError:
+                break
+        return trajectories
+
+    def _save(self) -> None:
+        if self._new:
+            self.folder.mkdir(exist_ok=True)
+            write_trajectories(self.folder / f"{self._saved:06d}.h5", self._new)
+            self._saved, self._new = self._saved + len(self._new), []
+        self._saved_s = time.monotonic()

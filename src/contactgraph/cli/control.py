@@ -3,67 +3,81 @@
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import arg
 
-_FARTHER = 2
-"""With a learned cost plans look so many times as far ahead. A cost is learned along contacts that
-were made, so nothing in it says that they must be: who does not look beyond a contact may find that
-it does not pay, and hover before it."""
+from contactgraph.cli.options import (
+    Delay,
+    Distractors,
+    FalseAlarms,
+    Grasp,
+    Misses,
+    ModelArgument,
+    Objects,
+    OutputFile,
+    TaskArgument,
+)
+
+if TYPE_CHECKING:
+    from contactgraph.evaluate import ClosedLoopMetrics, OpenLoopMetrics
+
+_LEARNED_COST_HORIZON = 2
+"""Factor of the default horizon with a learned cost. Such a cost does not demand the contacts that
+its demonstrations made: a plan that ends before their benefit would hover before the object."""
+
+_RECORDED = (
+    *("cost", "horizon", "replan_every", "false_alarms", "misses", "delay", "unmeasured"),
+    *("position_noise", "velocity_noise", "infer_contacts"),
+)
+"""Options that the JSON file repeats."""
 
 
 @dataclass(frozen=True)
 class Control:
     """Control a task through contact by iLQR-MPC with a learned model, episode after episode."""
 
-    model: Positional[Annotated[str, arg(metavar="MODEL")]]
-    """A run folder, a model file, or a model that ships with the package (pickup)."""
-    task: Positional[Annotated[str, arg(metavar="TASK")]]
-    """The task: pickup, multi-pickup, door or franka (an arm; needs the extra mujoco)."""
+    model: ModelArgument
+    task: TaskArgument
     episodes: int = 100
-    """How many episodes."""
+    """Number of episodes."""
     seed: int = 0
-    """The same seed gives the same episodes."""
-    distractors: int = 0
-    """Bystanders: objects, 0 to 20, doors, 0 to 10, or blocks, 0 to 5."""
-    objects: Annotated[int | None, arg(metavar="INT")] = None
-    """Objects to pick up, 1 to 5, where the task has a choice (multi-pickup: 2)."""
-    grasp: Annotated[str | None, arg(metavar="HOW")] = None
-    """How fingers hold, where the task has some: friction or weld."""
-    radius: Annotated[float | None, arg(metavar="M")] = None
-    """Of every body of pickup, m, in place of the 0.04 m that its models are trained with."""
-    cost: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Plan with the cost in this file, as learn-cost writes it, in place of the task's own."""
-    horizon: Annotated[int | None, arg(metavar="INT")] = None
-    """Steps to plan ahead; 20, for franka 50, with --cost twice that, if not given."""
+    """Random seed; the same seed gives the same episodes."""
+    distractors: Distractors = 0
+    objects: Objects = None
+    grasp: Grasp = None
+    radius: Annotated[float | None, arg(metavar="M", help_behavior_hint="(pickup: 0.04)")] = None
+    """Radius of every body of pickup, m."""
+    cost: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(the task's cost)")] = None
+    """Cost file by learn-cost, to plan with in place of the task's own cost."""
+    horizon: Annotated[
+        int | None, arg(metavar="INT", help_behavior_hint="(20; franka 50; with --cost the double)")
+    ] = None
+    """Planning horizon, steps."""
     replan_every: int = 1
-    """Steps between plans; feedback acts in between."""
-    deadline_ms: Annotated[float | None, arg(metavar="MS")] = None
-    """A plan that takes longer, in ms, is not used; the last one is."""
-    false_alarms: Annotated[float, arg(metavar="RATE")] = 0.0
-    """Share of free edges that a lying sensor reports as touching, at every step."""
-    misses: Annotated[float, arg(metavar="RATE")] = 0.0
-    """Share of touching edges that it reports as free."""
-    delay: Annotated[int, arg(metavar="STEPS")] = 0
-    """Steps by which the sensor is late."""
+    """Steps between plans; the plan's feedback acts in between."""
+    deadline_ms: Annotated[float | None, arg(metavar="MS", help_behavior_hint="(optional)")] = None
+    """Time limit of a plan, ms; the previous plan replaces a later one."""
+    false_alarms: FalseAlarms = 0.0
+    misses: Misses = 0.0
+    delay: Delay = 0
     unmeasured: bool = False
-    """Keep all measured contacts from the controller."""
+    """Control without a contact sensor."""
     position_noise: Annotated[float, arg(metavar="M")] = 0.0
-    """Noise on every position that the controller observes: standard deviation, m."""
+    """Standard deviation of the noise on every observed position, m."""
     velocity_noise: Annotated[float, arg(metavar="M/S")] = 0.0
-    """The same on velocities, m/s."""
+    """Standard deviation of the noise on every observed velocity, m/s."""
     infer_contacts: bool = False
-    """Correct beliefs by how things are seen to move, too: contact without a sensor."""
-    json: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Correct the contact beliefs by the observed motion, too."""
+    json: OutputFile = None
     """Write the measurements to this file."""
-    video: Annotated[Path | None, arg(metavar="FILE")] = None
+    video: OutputFile = None
     """Write the first episode as an animation to this file (.gif, or .mp4 with ffmpeg)."""
-    save: Annotated[Path | None, arg(metavar="FILE")] = None
+    save: OutputFile = None
     """Write the episodes to this dataset file (HDF5)."""
 
     def run(self) -> None:
-        """Run the episodes and say how they went."""
+        """Run the episodes, write the files that are asked for, and print a summary."""
         from contactgraph.cli.models import model_path
         from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
         from contactgraph.cli.output import check_writable, progress, write_json
@@ -84,8 +98,7 @@ class Control:
         )
         from contactgraph.model import MotionNoise
         from contactgraph.model.io import load_model
-        from contactgraph.viz import scene_run
-        from contactgraph.viz.animation import check_animation, write_animation
+        from contactgraph.viz import check_animation, scene_run, write_animation
 
         for path in (self.json, self.video, self.save):
             check_writable(path)
@@ -95,7 +108,7 @@ class Control:
         check_seed(self.seed)
         horizon = known_task(self.task).horizon
         if self.cost is not None:
-            horizon *= _FARTHER
+            horizon *= _LEARNED_COST_HORIZON
         if self.horizon is not None:
             check_range("--horizon", self.horizon, 1, 1000)
             horizon = self.horizon
@@ -106,24 +119,20 @@ class Control:
                 "must be left out"
             )
         noise = ObservationNoise(self.position_noise, self.velocity_noise, self.seed)
-        motion_noise = None
-        if self.infer_contacts:
-            motion_noise = MotionNoise(noise.position, noise.velocity)
+        motion_noise = MotionNoise(noise.position, noise.velocity) if self.infer_contacts else None
         options = TaskOptions(self.distractors, self.objects, self.grasp, radius=self.radius)
         factory = task_factory(self.task, options)
         cost = None if self.cost is None else read_cost(self.cost)
         model = load_model(model_path(self.model)).model
         first: list[EpisodeRecord] = []
-        done = itertools.count(1)
+        finished = itertools.count(1)
+        with progress("controlling", self.episodes) as bar:
 
-        with progress("controlling", self.episodes) as steps:
+            def on_episode(trajectory: Trajectory, record: EpisodeRecord) -> None:
+                first[:] = first or [record]
+                bar.advance(next(finished))
 
-            def on_episode(run: Trajectory, record: EpisodeRecord) -> None:
-                if not first:
-                    first.append(record)
-                steps.advance(next(done))
-
-            metrics, runs = control_task(
+            metrics, trajectories = control_task(
                 model,
                 factory,
                 self.episodes,
@@ -138,47 +147,42 @@ class Control:
                 motion_noise=motion_noise,
                 on_episode=on_episode,
             )
-        told: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
-        dataset = Dataset(tuple(runs), told)
+        metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
+        dataset = Dataset(tuple(trajectories), metadata)
         predicted = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)
         values = {
             "run": self.model,
-            **told,
+            **metadata,
+            **{name: getattr(self, name) for name in _RECORDED},
             "cost": None if self.cost is None else str(self.cost),
             "horizon": horizon,
-            "replan_every": self.replan_every,
-            "false_alarms": self.false_alarms,
-            "misses": self.misses,
-            "delay": self.delay,
-            "unmeasured": self.unmeasured,
-            "position_noise": self.position_noise,
-            "velocity_noise": self.velocity_noise,
-            "infer_contacts": self.infer_contacts,
             **predicted.to_json(),
             **metrics.to_json(),
         }
         if self.save is not None:
-            write_trajectories(self.save, runs, dataset.metadata)
+            write_trajectories(self.save, trajectories, metadata)
         if self.video is not None:
             name = f"{self.task}, {self.distractors} distractors"
-            write_animation(self.video, scene_run(model, name, runs[0], first[0].plan))
+            write_animation(self.video, scene_run(model, name, trajectories[0], first[0].plan))
         write_json(self.json, values)
-        low, high = metrics.success_interval
-        print(
-            f"success                    {100 * metrics.success_rate:.0f} % of "
-            f"{metrics.episodes} episodes (95 %: {100 * low:.0f} to {100 * high:.0f})"
-        )
-        speed = metrics.contact_speed_m_s
-        print(f"speed at contact, median   {'no contact' if speed is None else f'{speed:.2f} m/s'}")
-        print(f"touched a bystander        {metrics.touched_bystanders} episodes")
-        print(
-            f"control tick               {metrics.plan_ms_p50:.2f} ms median, "
-            f"{metrics.plan_ms_p99:.2f} ms 99 %"
-        )
-        f1 = metrics.found.edges.f1
-        print(f"contacts known, F1          {'no contact' if f1 is None else f'{f1:.4f}'}")
-        error = f"{100 * predicted.n_step_rmse_m:.3f} cm"
-        print(f"predicted, over {predicted.n_steps} steps   {error}")
-        planned = metrics.planned.planned.rmse
-        if planned is not None:
-            print(f"planned, over {predicted.n_steps} steps     {100 * planned:.3f} cm")
+        _print_summary(metrics, predicted)
+
+
+def _print_summary(metrics: "ClosedLoopMetrics", predicted: "OpenLoopMetrics") -> None:
+    low, high = metrics.success_interval
+    speed, f1 = metrics.contact_speed_m_s, metrics.found.edges.f1
+    planned = metrics.planned.planned.rmse
+    print(
+        f"success                    {100 * metrics.success_rate:.0f} % of "
+        f"{metrics.episodes} episodes (95 %: {100 * low:.0f} to {100 * high:.0f})"
+    )
+    print(f"speed at contact, median   {'no contact' if speed is None else f'{speed:.2f} m/s'}")
+    print(f"touched a distractor       {metrics.touched_bystanders} episodes")
+    print(
+        f"control step               {metrics.plan_ms_p50:.2f} ms median, "
+        f"{metrics.plan_ms_p99:.2f} ms 99 %"
+    )
+    print(f"contact estimate, F1       {'no contact' if f1 is None else f'{f1:.4f}'}")
+    print(f"predicted, over {predicted.n_steps} steps   {100 * predicted.n_step_rmse_m:.3f} cm")
+    if planned is not None:
+        print(f"planned, over {predicted.n_steps} steps     {100 * planned:.3f} cm")

@@ -1,36 +1,36 @@
-"""``contactgraph evaluate``: how well a model predicts recorded runs."""
+"""``contactgraph evaluate``: prediction errors of a model on recorded trajectories."""
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
+
+from contactgraph.cli.options import Delay, FalseAlarms, Misses, ModelArgument, OutputFile
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Predict recorded runs half a second ahead from every state, and measure the errors."""
+    """Predict recorded trajectories 0.5 s ahead from every state, and measure the errors."""
 
-    model: Positional[Annotated[str, arg(metavar="MODEL")]]
-    """A run folder, a model file, or a model that ships with the package (pickup)."""
+    model: ModelArgument
     data: Positional[Annotated[Path, arg(metavar="DATA")]]
     """A dataset file (HDF5)."""
-    json: Annotated[Path | None, arg(metavar="FILE")] = None
+    json: OutputFile = None
     """Write the measurements to this file."""
-    false_alarms: Annotated[float, arg(metavar="RATE")] = 0.0
-    """Share of free edges that a lying sensor reports as touching, at every step."""
-    misses: Annotated[float, arg(metavar="RATE")] = 0.0
-    """Share of touching edges that it reports as free."""
-    delay: Annotated[int, arg(metavar="STEPS")] = 0
-    """Steps by which the sensor is late."""
+    false_alarms: FalseAlarms = 0.0
+    misses: Misses = 0.0
+    delay: Delay = 0
     infer_contacts: bool = False
-    """Predict by beliefs, too, that are corrected by the motion seen and by no measured contact."""
-    growth_steps: Annotated[int | None, arg(metavar="STEPS")] = None
-    """Roll the model out so many steps from the start of every run too: does it stay bounded?"""
+    """Measure beliefs that are corrected by the observed motion alone, too."""
+    growth_steps: Annotated[int | None, arg(metavar="STEPS", help_behavior_hint="(optional)")] = (
+        None
+    )
+    """Also roll the model out over this many steps from every start, and measure its growth."""
 
     def run(self) -> None:
-        """Evaluate and say."""
+        """Evaluate, and print a summary."""
         from contactgraph.cli.models import in_steps_of, model_path
         from contactgraph.cli.options import check_range, sensor_faults
         from contactgraph.cli.output import check_writable, write_json
@@ -46,8 +46,10 @@ class Evaluate:
         model = load_model(model_path(self.model)).model
         dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
         motion_noise = MotionNoise() if self.infer_contacts else None
-        measured = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)
-        metrics = measured.to_json()
+        metrics = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)
+        growth = None
+        if self.growth_steps is not None:
+            growth = rollout_growth(model, dataset, self.growth_steps)
         values = {
             "run": self.model,
             "data": str(self.data),
@@ -57,56 +59,50 @@ class Evaluate:
             "misses": self.misses,
             "delay": self.delay,
             "infer_contacts": self.infer_contacts,
-            **metrics,
+            **metrics.to_json(),
+            **({} if growth is None else growth.to_json()),
         }
-        if self.growth_steps is not None:
-            growth = rollout_growth(model, dataset, self.growth_steps)
-            values.update(growth.to_json())
         write_json(self.json, values)
-        for line in _lines(values):
-            print(line)
-        if self.growth_steps is not None:
+        _print_summary(values)
+        if growth is not None:
             print(
                 f"over {self.growth_steps} steps the state grows {_times(growth.growth_free)} "
                 f"without control, {_times(growth.growth_driven)} with it"
             )
-        lacking = sum(run.contact is None for run in dataset)
-        if lacking:
+        unlabelled = sum(trajectory.contact is None for trajectory in dataset)
+        if unlabelled:
             print(
-                f"edges were not scored: {lacking} of {len(dataset)} runs in {self.data} have no "
-                "contact field"
+                f"edges were not scored: {unlabelled} of {len(dataset)} runs in {self.data} have "
+                "no contact field"
             )
 
 
-def _times(growth: float) -> str:
-    return f"{growth:.3g} times" if math.isfinite(growth) else "without bound"
-
-
-def _lines(values: dict) -> list[str]:
+def _print_summary(values: dict[str, Any]) -> None:
     def centimetres(name: str) -> str:
         value = values.get(name)
         return "unknown" if value is None else f"{100 * value:.3f} cm"
 
-    def share(name: str) -> str:
+    def score(name: str) -> str:
         value = values.get(name)
         return "unknown" if value is None else f"{value:.4f}"
 
+    print(f"error over {values['n_steps']} steps             {centimetres('n_step_rmse_m')}")
+    print(f"  bodies that move                {centimetres('n_step_rmse_moving_m')}")
+    print(f"  contact changes                 {centimetres('n_step_rmse_contact_m')}")
+    print(f"  contact does not change         {centimetres('n_step_rmse_free_m')}")
+    print(f"baseline: fixed contact           {centimetres('frozen_contact_rmse_m')}")
+    print(f"baseline: constant velocity       {centimetres('constant_velocity_rmse_m')}")
+    print(
+        f"edges: precision {score('edge_precision')}, recall {score('edge_recall')}, "
+        f"F1 {score('edge_f1')}"
+    )
+    print(f"edges without measured contacts: F1 {score('edge_f1_unmeasured')}")
+    if values["infer_contacts"]:
+        print(f"edges inferred from motion: F1 {score('edge_f1_inferred')}")
     switch = values.get("switch_time_error_s")
-    return [
-        f"error over {values['n_steps']} steps      {centimetres('n_step_rmse_m')}",
-        f"  bodies that move         {centimetres('n_step_rmse_moving_m')}",
-        f"  contact changes          {centimetres('n_step_rmse_contact_m')}",
-        f"  contact does not change  {centimetres('n_step_rmse_free_m')}",
-        f"floor: frozen contact      {centimetres('frozen_contact_rmse_m')}",
-        f"floor: constant velocity   {centimetres('constant_velocity_rmse_m')}",
-        f"edges: precision {share('edge_precision')}, recall {share('edge_recall')}, "
-        f"F1 {share('edge_f1')}",
-        f"edges without measured contacts: F1 {share('edge_f1_unmeasured')}",
-        *(
-            [f"edges inferred from motion: F1 {share('edge_f1_inferred')}"]
-            if values["infer_contacts"]
-            else []
-        ),
-        "contact begins             "
-        + ("unknown" if switch is None else f"{1000 * switch:.1f} ms off, mean"),
-    ]
+    error = "unknown" if switch is None else f"{1000 * switch:.1f} ms, mean"
+    print(f"error of the start of contact     {error}")
+
+
+def _times(growth: float) -> str:
+    return f"{growth:.3g} times" if math.isfinite(growth) else "without bound"

@@ -1,97 +1,151 @@
-"""``contactgraph info``: what is in a dataset, a model, a run or a learned cost."""
+"""``contactgraph info``: the contents of a file or folder, or the shipped models and the tasks."""
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from contactgraph.control import LearnedCost
+
+_LAST_STEPS = 50
+"""Steps whose mean is the final imitation loss: each step sees other windows."""
 
 
 @dataclass(frozen=True)
 class Info:
-    """Say what is in a dataset, a model, a cost file, a run folder, or a model that ships."""
+    """Describe a dataset, a model, a cost file or a run folder; list shipped models and tasks."""
 
-    file: Positional[Annotated[str, arg(metavar="FILE")]]
-    """The file or folder, or the name of a model that ships with the package."""
+    file: Positional[
+        Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(optional)")]
+    ] = None
+    """A file, a folder or the name of a shipped model. Without it, all names are listed."""
 
     def run(self) -> None:
-        """Look and say."""
+        """Print the description."""
         from contactgraph.data import InvalidInputError
         from contactgraph.model import shipped_models
 
+        if self.file is None:
+            _print_names()
+            return
         path = Path(self.file)
         if path.is_dir():
-            self._run_folder(path)
+            _print_run_folder(path)
         elif path.suffix == ".safetensors" or (not path.exists() and self.file in shipped_models()):
-            self._model()
+            _print_model(self.file)
         elif path.exists() and path.suffix.lower() == ".json":
-            self._cost(path)
+            _print_cost(path)
         elif path.exists():
-            self._dataset(path)
+            _print_dataset(path)
         else:
             raise InvalidInputError(
                 f"{self.file}: does not exist; models that ship are {', '.join(shipped_models())}"
             )
 
-    def _run_folder(self, path: Path) -> None:
-        from contactgraph.train import RunFolder
 
-        folder = RunFolder(path)
-        config, rows = folder.config(), folder.metrics()
-        print(f"{path}: run folder, {config.get('model')}, seed {config.get('seed')}")
-        print(f"  data        {config.get('data')}")
-        if rows:
-            last = rows[-1]
-            print(f"  trained     {last['step']:.0f} of {config.get('steps')} steps")
-            best = min(row["held_out_rmse_m"] for row in rows)
-            print(f"  held-out    {100 * best:.3f} cm")
-        else:
-            print("  trained     no checkpoint yet")
-        for checkpoint in folder.checkpoints():
-            print(f"  checkpoint  {checkpoint.name}")
+def _print_names() -> None:
+    from contactgraph.cli.tasks import TaskOptions, known_task, task_factory, task_names
+    from contactgraph.data import InvalidInputError
+    from contactgraph.model import shipped_model, shipped_models
+    from contactgraph.model.io import describe_model
 
-    def _model(self) -> None:
-        from contactgraph.cli.models import model_path
-        from contactgraph.model.io import describe_model
+    print("models that ship with the package:")
+    for name in shipped_models():
+        summary = describe_model(shipped_model(name))
+        print(f"  {name:<14}{summary.parameter_count} parameters, steps of {summary.dt:g} s")
+    print("tasks:")
+    for name in task_names():
+        try:
+            task_factory(name, TaskOptions())
+            text = known_task(name).summary
+        except (InvalidInputError, ImportError) as error:  # a missing extra
+            text = f"not available: {error}"
+        print(f"  {name:<14}{text}")
+    print(f"  {'module:Class':<14}a class of your own")
 
-        path = model_path(self.file)
-        summary = describe_model(path)
-        print(f"{self.file}: model, {summary.parameter_count} parameters, {summary.size} bytes")
-        print(f"  degrees of freedom  {summary.dimension} a node, control {summary.control_size}")
-        print(f"  dt                  {summary.dt} s")
-        for name, value in summary.training.items():
-            print(f"  {name:<19} {_text(value)}")
-        print(f"  parts               {_text(summary.model)}")
 
-    def _cost(self, path: Path) -> None:
-        from contactgraph.cli.cost_words import participant_lines, term_lines
-        from contactgraph.control import describe_cost
+def _print_run_folder(path: Path) -> None:
+    from contactgraph.train import RunFolder
 
-        summary = describe_cost(path)
-        cost = summary.cost
-        goal = ", ".join(f"{float(number):.3g}" for number in cost.goal)
-        print(f"{path}: learned cost about {', '.join(cost.kept_nodes)}")
-        print(f"  degrees of freedom  {len(cost.goal)} a node, control {len(cost.R)}")
-        print(f"  goal                {goal} m; control takes the scene's")
-        for line in (*participant_lines(cost), *term_lines(cost)):
-            print(f"  {line}")
-        for name, value in summary.made.items():
-            print(f"  {name:<22}{_text(value)}")
+    folder = RunFolder(path)
+    config, rows = folder.config(), folder.metrics()
+    print(f"{path}: run folder, {config.get('model')}, seed {config.get('seed')}")
+    print(f"  data        {config.get('data')}")
+    if rows:
+        print(f"  trained     {rows[-1]['step']:.0f} of {config.get('steps')} steps")
+        print(f"  held-out    {100 * min(row['held_out_rmse_m'] for row in rows):.3f} cm")
+    else:
+        print("  trained     no checkpoint yet")
+    for checkpoint in folder.checkpoints():
+        print(f"  checkpoint  {checkpoint.name}")
 
-    def _dataset(self, path: Path) -> None:
-        from contactgraph.data import describe_file
 
-        summary = describe_file(path)
-        nodes = [len(names) for names in summary.node_name]
-        print(f"{path}: dataset, {len(summary.steps)} runs, {summary.size} bytes")
-        print(f"  steps     {_span(summary.steps)} of {summary.dt[0]} s")
-        print(f"  nodes     {_span(nodes)}: {', '.join(summary.node_name[0])}")
-        print(f"  control   {_span(summary.control_size)}")
-        labelled = sum(bool(has) for has in summary.has_contact)
-        print(f"  contacts  in {labelled} of {len(summary.steps)} runs")
-        for name, value in summary.metadata.items():
-            print(f"  {name:<9} {_text(value)}")
+def _print_model(name: str) -> None:
+    from contactgraph.cli.models import model_path
+    from contactgraph.model.io import describe_model
+
+    summary = describe_model(model_path(name))
+    print(f"{name}: model, {summary.parameter_count} parameters, {summary.size} bytes")
+    print(f"  degrees of freedom  {summary.dimension} a node, control {summary.control_size}")
+    print(f"  dt                  {summary.dt} s")
+    for key, value in summary.training.items():
+        print(f"  {key:<19} {_text(value)}")
+    print(f"  parts               {_text(summary.model)}")
+
+
+def _print_cost(path: Path) -> None:
+    from contactgraph.control import describe_cost
+
+    summary = describe_cost(path)
+    cost = summary.cost
+    goal = ", ".join(f"{float(number):.3g}" for number in cost.goal)
+    print(f"{path}: learned cost about {', '.join(cost.kept_nodes)}")
+    print(f"  degrees of freedom  {len(cost.goal)} a node, control {len(cost.R)}")
+    print(f"  goal                {goal} m; control takes the scene's")
+    for line in cost_lines(cost):
+        print(f"  {line}")
+    for name, value in summary.made.items():
+        print(f"  {name:<22}{_text(value)}")
+
+
+def cost_lines(cost: "LearnedCost") -> list[str]:
+    """The cost's nodes, weights and imitation loss, as lines of text."""
+    from contactgraph.control import cost_terms
+
+    lines = [f"kept     {each.name}: {each.reason}" for each in cost.participants if each.kept]
+    dropped: dict[str, list[str]] = {}
+    for each in cost.participants:
+        if not each.kept:
+            dropped.setdefault(each.reason, []).append(each.name)
+    lines += [f"dropped  {', '.join(names)}: {why}" for why, names in dropped.items()]
+    terms = cost_terms(cost)
+    width = max(len(term.name) for term in terms)
+    lines += [
+        f"{term.name:<{width}}  1 m costs as much as {term.position:.3g} N, "
+        f"1 m/s as much as {term.velocity:.3g} N"
+        for term in terms
+    ]
+    loss = cost.history.imitation
+    first, last = float(loss[0]), float(loss[-_LAST_STEPS:].mean())
+    return [*lines, f"imitation loss  {first:.4f} at the beginning, {last:.4f} in the end"]
+
+
+def _print_dataset(path: Path) -> None:
+    from contactgraph.data import describe_file
+
+    summary = describe_file(path)
+    nodes = [len(names) for names in summary.node_name]
+    print(f"{path}: dataset, {len(summary.steps)} runs, {summary.size} bytes")
+    print(f"  steps     {_span(summary.steps)} of {summary.dt[0]} s")
+    print(f"  nodes     {_span(nodes)}: {', '.join(summary.node_name[0])}")
+    print(f"  control   {_span(summary.control_size)}")
+    labelled = sum(bool(has) for has in summary.has_contact)
+    print(f"  contacts  in {labelled} of {len(summary.steps)} runs")
+    for name, value in summary.metadata.items():
+        print(f"  {name:<9} {_text(value)}")
 
 
 def _span(values: Any) -> str:

@@ -1,7 +1,8 @@
-"""Models by the names a user types."""
+"""Models by name: presets to train, and model files."""
 
 from pathlib import Path
 
+from contactgraph.cli.options import choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
     Preset,
@@ -24,13 +25,21 @@ MODELS: dict[str, Preset] = {
     "paper-literal-no-gim": paper_literal_no_gim,
 }
 
+_STEP_TOLERANCE = 1e-6
+"""Relative difference of time steps that counts as none."""
 
-def model_path(run: str) -> Path:
-    """The model file of a run folder, a model file itself, or a model that ships with the package.
 
-    Raises `InvalidInputError` where there is none.
+def model_preset(name: str) -> Preset:
+    """The preset of a name, or a function ``module:factory`` that is called like a preset."""
+    return load_object("--model", name) if ":" in name else choice("--model", name, MODELS)
+
+
+def model_path(name: str) -> Path:
+    """The model file of a run folder, a model file itself, or a shipped model.
+
+    Raises `InvalidInputError` if there is none.
     """
-    path = Path(run)
+    path = Path(name)
     if path.is_file():
         return path
     if path.is_dir():
@@ -38,28 +47,25 @@ def model_path(run: str) -> Path:
         if inside.is_file():
             return inside
         raise InvalidInputError(
-            f"{run}: has no model.safetensors; it must be a folder that train has made"
+            f"{name}: has no model.safetensors; it must be a folder that train has made"
         )
-    if run in shipped_models():
-        return shipped_model(run)
+    if name in shipped_models():
+        return shipped_model(name)
     raise InvalidInputError(
-        f"{run}: no such run folder or model file; models that ship are "
+        f"{name}: no such run folder or model file; models that ship are "
         f"{', '.join(shipped_models())}"
     )
 
 
-_WHOLE = 1e-6
-
-
 def in_steps_of(model: object, dataset: Dataset, name: str) -> Dataset:
-    """The runs of ``dataset``, in longer steps where the model's step is a multiple of theirs.
+    """The dataset, subsampled if the model's time step is a multiple of its own.
 
-    ``name`` is the data set's, for the line that says so. Where it is none, they are left as they
-    are, for whoever compares the two to refuse.
+    ``name`` is the dataset's, for the line that is printed then. Other time steps are left for
+    the check that model and data fit.
     """
     dt = getattr(model, "dt", dataset.dt)
     every = round(dt / dataset.dt)
-    if every < 2 or abs(every * dataset.dt - dt) > _WHOLE * dt:
+    if every < 2 or abs(every * dataset.dt - dt) > _STEP_TOLERANCE * dt:
         return dataset
     print(f"{name}: every {every}th step is taken, since the model's are {dt:g} s long")
     return subsample(dataset, every)

@@ -4,7 +4,10 @@ import importlib
 import math
 import sys
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+from tyro.conf import Positional, arg
 
 from contactgraph.data import InvalidInputError
 from contactgraph.parallel import Executor, LocalExecutor
@@ -13,6 +16,59 @@ if TYPE_CHECKING:
     from contactgraph.evaluate import SensorFaults
 
 Value = TypeVar("Value")
+
+ModelArgument = Positional[
+    Annotated[
+        str,
+        arg(
+            metavar="MODEL",
+            help="A run folder of train, a model file, or a shipped model: door, franka, "
+            "multi-pickup or pickup.",
+        ),
+    ]
+]
+TaskArgument = Positional[
+    Annotated[
+        str,
+        arg(
+            metavar="TASK",
+            help="pickup, multi-pickup, door, another task that contactgraph info lists, or "
+            "module:Class.",
+        ),
+    ]
+]
+Distractors = Annotated[
+    int, arg(help="Further bodies: pickups 0 to 20, door 0 to 10, franka 0 to 5.")
+]
+Objects = Annotated[
+    int | None,
+    arg(
+        metavar="INT",
+        help="Objects to pick up, 1 to 5, for tasks with a choice.",
+        help_behavior_hint="(multi-pickup: 2)",
+    ),
+]
+Grasp = Annotated[
+    str | None,
+    arg(
+        metavar="NAME",
+        help="Contact model of the fingers, for tasks with fingers: friction or weld.",
+        help_behavior_hint="(franka: friction)",
+    ),
+]
+FalseAlarms = Annotated[
+    float,
+    arg(
+        metavar="RATE",
+        help="Share of free edges that the contact sensor reports as touching, at every step.",
+    ),
+]
+Misses = Annotated[
+    float,
+    arg(metavar="RATE", help="Share of touching edges that the contact sensor reports as free."),
+]
+Delay = Annotated[int, arg(metavar="STEPS", help="Delay of the contact sensor, steps.")]
+OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")]
 
 _LARGEST_SEED = 2**32 - 1
 """Random keys are made of 32 bits: a larger seed would give the numbers of a smaller one."""

@@ -123,10 +123,10 @@ class KnownTask:
     """Default planning horizon, steps."""
     max_force: float | None = MAX_FORCE
     """Bound of the control on each axis, N."""
-    extra: str | None = None
-    """The extra of this distribution that the task needs."""
+    summary: str = ""
+    """One line for the list of tasks."""
     title: str = "A contact graph learned from recorded trajectories"
-    """Title of the task's report page."""
+    """Title of the report page."""
     conditions: tuple[TestCondition, ...] = (TestCondition("as-trained", "as trained", True),)
     """Test conditions: the one in distribution first, the hardest last."""
     targets: TaskTargets = TaskTargets()
@@ -179,6 +179,7 @@ TASKS = {
         _pickup,
         PickupExpert,
         partial(PickupExpert, noise=0.0),
+        summary="a gripper picks up an object and takes it to a goal",
         title="A contact graph that picks things up",
         conditions=(
             TestCondition("as-trained", "as trained", True),
@@ -191,6 +192,7 @@ TASKS = {
         _multi_pickup,
         PickupExpert,
         partial(PickupExpert, noise=0.0),
+        summary="a gripper picks up objects in turn and takes them to a goal",
         title="A contact graph that picks up one thing after another",
         conditions=(
             TestCondition("as-trained", "as trained, 2 picks", True),
@@ -202,6 +204,7 @@ TASKS = {
         _door,
         DoorExpert,
         partial(DoorExpert, noise=0.0),
+        summary="a gripper opens a hinged door to an angle",
         title="A contact graph that opens doors",
         conditions=(
             TestCondition("as-trained", "as trained", True),

@@ -1,4 +1,4 @@
-"""``contactgraph train``: fit a model to recorded runs."""
+"""``contactgraph train``: fit a model to recorded trajectories."""
 
 import math
 import sys
@@ -11,53 +11,62 @@ from tyro.conf import Positional, arg
 
 @dataclass(frozen=True)
 class Train:
-    """Fit a model to the runs of a dataset file. Contact labels in it are not read."""
+    """Fit a model to the trajectories of a dataset file. Its contact labels are not used."""
 
     data: Positional[Annotated[Path, arg(metavar="DATA")]]
     """The dataset file (HDF5)."""
     out: Annotated[Path, arg(metavar="FOLDER")]
-    """The folder of the run; new, or with --resume the one to go on with."""
-    model: str = "gim-temp"
-    """gim-temp, gim-non-temp, no-gim, full-ab, paper-literal or paper-literal-no-gim."""
+    """The run folder: a new one, or with --resume the one to continue."""
+    model: Annotated[
+        str,
+        arg(
+            metavar="NAME",
+            help="gim-temp, gim-non-temp, no-gim, full-ab, paper-literal, paper-literal-no-gim, or "
+            "module:factory.",
+        ),
+    ] = "gim-temp"
     every: Annotated[int, arg(metavar="K")] = 1
-    """Take every K-th step of the runs, with controls averaged: robots record in steps of 0.001 s,
-    and models of 0.01 s are quicker and see as much."""
+    """Use every K-th step of the trajectories, with the mean of the controls in between."""
     seed: int = 0
-    """One seed makes one result."""
+    """Random seed; the same seed gives the same model."""
     resume: bool = False
-    """Go on from the last checkpoint of the run, with the settings it was begun with."""
-    contact_distance: float | None = None
-    """About where bodies touch, centre to centre, in m (the paper's d_th). A distance that the
-    data tell is kept; another is where learning it begins. (default: the data's, or 0.085)"""
+    """Continue from the last checkpoint of the run folder, with the options it was started with."""
+    contact_distance: Annotated[
+        float | None, arg(metavar="M", help_behavior_hint="(default: the data's, or 0.085)")
+    ] = None
+    """Distance of the centres of touching bodies, m (d_th); a first guess where it is learned."""
     held_out: float = 0.15
-    """Share of the runs kept from training, to choose the best model by."""
+    """Share of the trajectories kept from training, to choose the best model by."""
     steps: int = 2000
     """Optimiser steps."""
     batch_size: int = 32
-    """Windows a step."""
+    """Windows in a batch."""
     window_length: int = 8
-    """Steps of a window."""
+    """Steps in a window."""
     learning_rate: float = 3e-3
     """Highest learning rate."""
     event_fraction: float = 0.6
-    """Share of windows that hold an impact."""
-    rollout_from: float | None = None
-    """Part of the steps after which whole windows are predicted too. (default: 0.5; 0 where
-    bodies have weight, since only then is it told from a grasp)"""
+    """Share of windows that contain an impact."""
+    rollout_from: Annotated[
+        float | None,
+        arg(metavar="SHARE", help_behavior_hint="(default: 0.5; 0 if bodies have weight)"),
+    ] = None
+    """Share of the steps after which the loss includes the rollout of whole windows."""
     bystanders: int = 1
-    """Resting bodies put into every window; none where what can be touched hangs on hinges."""
+    """Resting distractors put into every window; none if what can be touched is hinged."""
     prior_weight: float = 0.05
-    """Weight of the KL divergence of beliefs from the distance prior; 0 leaves it out."""
-    devices: Annotated[int | None, arg(metavar="INT")] = None
-    """Split every batch over so many devices of this machine. (default: as many as there are and
-    BATCH_SIZE divides by)"""
+    """Weight of the KL divergence of beliefs from the distance prior."""
+    devices: Annotated[
+        int | None, arg(metavar="INT", help_behavior_hint="(default: the most that divide a batch)")
+    ] = None
+    """Number of devices of this machine that share every batch."""
 
     def run(self) -> None:
         """Train, saving checkpoints on the way."""
         import jax
 
-        from contactgraph.cli.models import MODELS
-        from contactgraph.cli.options import check_range, check_seed, check_weight, choice
+        from contactgraph.cli.models import model_preset
+        from contactgraph.cli.options import check_range, check_seed, check_weight
         from contactgraph.cli.output import progress, provenance, sha256
         from contactgraph.data import (
             InvalidInputError,
@@ -81,39 +90,39 @@ class Train:
         )
 
         folder = RunFolder(self.out)
-        told = self._settled(folder.config()) if self.resume else self
-        check_seed(told.seed)
-        distance = told.contact_distance
+        options = self._started_with(folder.config()) if self.resume else self
+        check_seed(options.seed)
+        distance = options.contact_distance
         if distance is not None and not (distance > 0 and math.isfinite(distance)):
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
-        build = choice("--model", told.model, MODELS)
-        check_weight("--prior-weight", told.prior_weight)
-        recipe = TrainConfig(
-            **{name: getattr(told, name) for name in _RECIPE},
-            rollout_from=0.0 if told.rollout_from is None else told.rollout_from,
-            weights=LossTerms(prior=told.prior_weight),
+        build = model_preset(options.model)
+        check_weight("--prior-weight", options.prior_weight)
+        config = TrainConfig(
+            **{name: getattr(options, name) for name in _CONFIG},
+            rollout_from=0.0 if options.rollout_from is None else options.rollout_from,
+            weights=LossTerms(prior=options.prior_weight),
         )
-        check_range("--every", told.every, 1, 100_000)
-        dataset = subsample(read_trajectories(self.data), told.every)
-        suited = defaults_from_data(dataset)
-        if told.rollout_from is None:
-            recipe = replace(recipe, rollout_from=suited.rollout_from)
+        check_range("--every", options.every, 1, 100_000)
+        dataset = subsample(read_trajectories(self.data), options.every)
+        defaults = defaults_from_data(dataset)
+        if options.rollout_from is None:
+            config = replace(config, rollout_from=defaults.rollout_from)
         checksum = sha256(self.data)
-        train, held_out = split_by_trajectory(dataset, told.held_out, told.seed)
+        train, held_out = split_by_trajectory(dataset, options.held_out, options.seed)
         for part in (train, held_out):  # checked before a folder is created
-            check_window_length(recipe.window_length, max(each.steps for each in part))
-        devices = jax.local_devices()[: self._devices(len(jax.local_devices()), told.batch_size)]
+            check_window_length(config.window_length, max(each.steps for each in part))
+        devices = jax.local_devices()[: self._devices(len(jax.local_devices()), options.batch_size)]
         model = build(
             dataset.dimension,
             dataset.control_size,
             dataset.dt,
-            suited.contact_distance if distance is None else distance,
-            hinges=suited.hinges,
-            weight=suited.weight,
-            learned_contact_distance=suited.learned_contact_distance or distance is not None,
-            key=jax.random.key(told.seed),
+            defaults.contact_distance if distance is None else distance,
+            hinges=defaults.hinges,
+            weight=defaults.weight,
+            learned_contact_distance=defaults.learned_contact_distance or distance is not None,
+            key=jax.random.key(options.seed),
         )
-        state = initial_state(model, recipe, told.seed)
+        state = initial_state(model, config, options.seed)
         spent = 0.0
         if self.resume:
             spent = folder.metrics()[-1]["seconds"] if folder.metrics() else 0.0
@@ -121,17 +130,17 @@ class Train:
                 raise InvalidInputError(f"{self.data}: not the data that {self.out} was begun with")
             state = folder.latest(state)
         else:
-            config = {**asdict(told), "data": str(self.data), "out": str(self.out)}
-            folder.create({**config, "data_sha256": checksum, **provenance()}, state)
-        options = f"--model {told.model} --seed {told.seed}"
-        options += "".join(
-            f" --{name.replace('_', '-')} {getattr(told, name)}"
+            saved = {**asdict(options), "data": str(self.data), "out": str(self.out)}
+            folder.create({**saved, "data_sha256": checksum, **provenance()}, state)
+        flags = f"--model {options.model} --seed {options.seed}"
+        flags += "".join(
+            f" --{name.replace('_', '-')} {getattr(options, name)}"
             for name in ("every", "bystanders", "prior_weight")
-            if getattr(told, name) != getattr(type(told), name)
+            if getattr(options, name) != getattr(type(options), name)
         )
         summary = {
-            "command": f"contactgraph train {self.data.name} {options}",
-            "seed": told.seed,
+            "command": f"contactgraph train {self.data.name} {flags}",
+            "seed": options.seed,
             "runs": len(train),
             "held_out_runs": len(held_out),
             "data": dataset.metadata,
@@ -140,19 +149,19 @@ class Train:
         }
 
         def keep_best(state: FitState, seconds: float) -> None:
-            found = {
+            result = {
                 "step": int(state.step),
                 "held_out_rmse_m": float(state.best_error),
                 "training_s": round(seconds, 1),
             }
-            save_model(folder.model_path, state.best_model, {**summary, **found})
+            save_model(folder.model_path, state.best_model, {**summary, **result})
 
         warning = velocity_warning(dataset)
         if warning is not None:
             print(f"contactgraph: warning: {self.data}: {warning}", file=sys.stderr)
-        with progress("training", recipe.steps) as steps:
+        with progress("training", config.steps) as bar:
             if math.isfinite(float(state.best_error)):
-                # A run killed after its checkpoint and before its model has an older one.
+                # A process killed between the two has a newer checkpoint than model.
                 keep_best(state, spent)
 
             def on_check(check: FitProgress) -> None:
@@ -160,18 +169,18 @@ class Train:
                 folder.save(check)
                 keep_best(check.state, check.seconds)
                 best = float(check.state.best_error)
-                steps.advance(check.step, f"held-out error {100 * best:.3f} cm")
+                bar.advance(check.step, f"held-out error {100 * best:.3f} cm")
 
-            result = fit(state, train, held_out, recipe, on_check, devices)
+            result = fit(state, train, held_out, config, on_check, devices)
         if result.status is FitStatus.not_finite:
             raise InvalidInputError(f"{self.out}: {result.status.value}")
         print(
             f"{folder.model_path}: held-out error {100 * result.held_out_rmse_m:.3f} cm over "
-            f"{recipe.window_length} steps; {result.status.value}"
+            f"{config.window_length} steps; {result.status.value}"
         )
 
     def _devices(self, there: int, batch_size: int) -> int:
-        """How many devices share a batch."""
+        """The number of devices that share a batch."""
         from contactgraph.data import InvalidInputError
 
         even = [count for count in range(1, there + 1) if batch_size % count == 0]
@@ -185,27 +194,27 @@ class Train:
             )
         return self.devices
 
-    def _settled(self, config: dict) -> "Train":
-        """The settings the run was begun with."""
+    def _started_with(self, config: dict[str, Any]) -> "Train":
+        """The options that the run folder was started with."""
         from contactgraph.data import InvalidInputError
 
-        told: dict[str, Any] = {}
-        for setting in fields(self):
-            if setting.name in ("data", "out", "resume", "devices"):
+        options: dict[str, Any] = {}
+        for option in fields(self):
+            if option.name in ("data", "out", "resume", "devices"):
                 continue
-            found, default = config.get(setting.name), setting.default
-            # Without a default it is a number, or the data's choice.
-            kinds = (float, type(None)) if default is None else (type(default),)
-            if type(found) not in kinds:
+            value, default = config.get(option.name), option.default
+            # An option without a default is a number or null.
+            types = (float, type(None)) if default is None else (type(default),)
+            if type(value) not in types:
                 raise InvalidInputError(
-                    f"{self.out / 'config.json'}: {setting.name} must be like "
-                    f"{default!r}, found {found!r}"
+                    f"{self.out / 'config.json'}: {option.name} must be like "
+                    f"{default!r}, found {value!r}"
                 )
-            told[setting.name] = found
-        return Train(data=self.data, out=self.out, **told)
+            options[option.name] = value
+        return Train(data=self.data, out=self.out, **options)
 
 
-_RECIPE = (
+_CONFIG = (
     "steps",
     "batch_size",
     "window_length",

@@ -1,5 +1,6 @@
 """Pictures of what was learned: the report page, an animation of a run, a still for a README."""
 
+from contactgraph.viz.animation import check_animation as check_animation
 from contactgraph.viz.animation import write_animation as write_animation
 from contactgraph.viz.cost_picture import cost_figure as cost_figure
 from contactgraph.viz.cost_picture import write_cost_picture as write_cost_picture

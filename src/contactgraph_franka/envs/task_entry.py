@@ -42,7 +42,7 @@ FRANKA = KnownTask(
     explorer=_explorer,
     horizon=50,
     max_force=MAX_FORCE,
-    extra="mujoco",
+    summary="a robot arm picks up a block and takes it to a goal (MuJoCo)",
     title="A contact graph that picks things up with an arm",
     conditions=(
         TestCondition("as-trained", "as trained", True),

@@ -5,8 +5,8 @@ from pathlib import Path
 import h5py
 import pytest
 
+from contactgraph.cli import collect as collect_command
 from contactgraph.cli import main as cli
-from contactgraph.cli import unfinished_runs
 from contactgraph.data import read_trajectories
 from contactgraph.envs import episodes as collecting
 
@@ -59,7 +59,7 @@ def test_twice_interrupted_it_is_the_same_file_and_no_run_is_made_twice(
     capsys: pytest.CaptureFixture[str],
     every_s: float,
 ) -> None:
-    monkeypatch.setattr(unfinished_runs, "_EVERY_S", every_s)
+    monkeypatch.setattr(collect_command, "_SAVE_INTERVAL_S", every_s)
     whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
     assert cli.run([*COMMAND, str(whole)]) == 0
     interrupter.made = 0
@@ -92,7 +92,7 @@ def test_other_runs_begin_anew_and_leave_those_alone(
 def test_what_cannot_be_read_is_recorded_anew(
     tmp_path: Path, interrupter: Interrupter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(unfinished_runs, "_EVERY_S", 0.0)
+    monkeypatch.setattr(collect_command, "_SAVE_INTERVAL_S", 0.0)
     out = tmp_path / "x.h5"
     interrupter.at = 4
     assert cli.run([*COMMAND, str(out)]) == 130
