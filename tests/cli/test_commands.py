@@ -229,7 +229,7 @@ def test_evaluate(
     assert (values["run"], values["data"]) == (str(trained), str(fresh))
     assert (values["n_steps"], values["episodes"], values["seed"]) == (10, 6, 1)
     assert all(isinstance(values[name], int | float) for name in OPEN_LOOP)
-    assert f"error over 10 steps      {100 * values['n_step_rmse_m']:.3f} cm" in captured.out
+    assert f"error over 10 steps             {100 * values['n_step_rmse_m']:.3f} cm" in captured.out
     assert f"F1 {values['edge_f1']:.4f}" in captured.out
     # A model file does as well as the run it is in.
     again = tmp_path / "again.json"

@@ -64,7 +64,6 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("collect", "collect needs TASK and --out (see contactgraph collect --help)"),
         ("evaluate", "evaluate needs MODEL and DATA (see"),
         ("control x", "control needs TASK (see"),
-        ("info", "info needs FILE (see"),
         ("info a b", "info does not take b (see"),
         ("train a --out b --stps 3", "train does not take --stps 3; did you mean --steps? (see"),
         ("train a --stps 3", "train does not take --stps 3 (see"),

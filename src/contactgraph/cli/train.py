@@ -49,7 +49,7 @@ class Train:
     """Share of windows that contain an impact."""
     rollout_from: Annotated[
         float | None,
-        arg(metavar="SHARE", help_behavior_hint="(default: 0.5; 0 if bodies have weight)"),
+        arg(metavar="SHARE", help_behavior_hint="(default: 0.5; with weight 0)"),
     ] = None
     """Share of the steps after which the loss includes the rollout of whole windows."""
     bystanders: int = 1
