@@ -173,7 +173,7 @@ def test_control_plans_with_it(cost: Path, tmp_path: Path, monkeypatch: pytest.M
     values = json.loads(result.read_text())
     assert values["cost"] == str(cost)
     assert values["episodes"] == 1
-    monkeypatch.setattr("contactgraph.evaluate.closed_loop", asking)
+    monkeypatch.setattr("contactgraph.evaluate.control_task", asking)
     with pytest.raises(Asked) as asked:
         cli.run([*command, "--cost", str(cost)])
     planned = asked.value.args[1]["cost"]

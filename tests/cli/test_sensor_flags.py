@@ -37,7 +37,7 @@ def interrupting(calls: list[dict]) -> Callable:
 def test_the_flags_reach_their_work(pickups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[dict] = []
     monkeypatch.setattr("contactgraph.evaluate.evaluate_open_loop", interrupting(calls))
-    monkeypatch.setattr("contactgraph.evaluate.closed_loop", interrupting(calls))
+    monkeypatch.setattr("contactgraph.evaluate.control_task", interrupting(calls))
     flags = ["--false-alarms", "0.05", "--misses", "0.2", "--delay", "2"]
     control = ["control", "pickup", "pickup", "--seed", "7"]
     for command in (["evaluate", "pickup", str(pickups)], control):
