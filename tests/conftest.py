@@ -3,6 +3,7 @@
 import os
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,8 +18,8 @@ import jax  # noqa: E402  after what it goes by
 
 _MOST_MAPS = 20_000
 
-STEPS = 300
-"""Of the shared training; with checks every 125 it ends in the second stage, on a short chunk."""
+SHORT = ("--steps", "12", "--batch-size", "4", "--window-length", "3", "--rollout-from", "0.6")
+"""Options of the shared training: three checks, the rollout term from the last one on."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -60,19 +61,25 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def learned(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run folder of a training long enough to know near from touching."""
-    path = tmp_path_factory.mktemp("learned") / "run"
-    _done(["train", str(recorded), "--out", str(path), "--steps", "800"])
-    return path
-
-
-@pytest.fixture(scope="session")
 def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run folder of a short training. Not to be changed."""
+    """The run folder of a training of 12 steps with a check every 4. Not to be changed."""
     path = tmp_path_factory.mktemp("trained") / "run"
-    _done(["train", str(recorded), "--out", str(path), "--steps", str(STEPS)])
+    with pytest.MonkeyPatch.context() as patch:
+        _check_every_4(patch)
+        _done(["train", str(recorded), "--out", str(path), *SHORT])
     return path
+
+
+@pytest.fixture
+def frequent_checks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trainings by the command check every 4 steps, as the one of `trained` did."""
+    _check_every_4(monkeypatch)
+
+
+def _check_every_4(patch: pytest.MonkeyPatch) -> None:
+    from contactgraph.train import TrainConfig
+
+    patch.setattr("contactgraph.train.TrainConfig", partial(TrainConfig, check_every=4))
 
 
 @pytest.fixture(scope="module")

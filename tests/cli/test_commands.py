@@ -170,13 +170,13 @@ def test_train_leaves_a_run_folder(trained: Path, recorded: Path) -> None:
         "config.json",
         "metrics.jsonl",
         "model.safetensors",
-        "checkpoint-0000000250.safetensors",
-        "checkpoint-0000000300.safetensors",
+        "checkpoint-0000000008.safetensors",
+        "checkpoint-0000000012.safetensors",
     }
     config = json.loads((trained / "config.json").read_text())
-    assert (config["model"], config["seed"], config["steps"]) == ("gim-temp", 0, 300)
+    assert (config["model"], config["seed"], config["steps"]) == ("gim-temp", 0, 12)
     rows = [json.loads(line) for line in (trained / "metrics.jsonl").read_text().splitlines()]
-    assert [row["step"] for row in rows] == [125, 250, 300]
+    assert [row["step"] for row in rows] == [4, 8, 12]
     names = {"step", "prediction", "squared", "rollout", "prior", "held_out_rmse_m", "seconds"}
     assert all(set(row) == names for row in rows)
     assert [row["rollout"] > 0 for row in rows] == [False, False, True]
@@ -276,7 +276,7 @@ def test_control_in_space(tmp_path: Path) -> None:
 
 def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for what, said in {
-        trained: ["run folder, gim-temp, seed 0", "300 of 300 steps", "held-out"],
+        trained: ["run folder, gim-temp, seed 0", "12 of 12 steps", "held-out"],
         trained / "model.safetensors": ["model, ", "2 a node, control 2", "0.05 s", "data_sha256"],
         recorded: ["dataset, 20 runs", "200 of 0.05 s", "2: gripper, target", "in 20 of 20 runs"],
         "pickup": ["pickup: model, ", "command", "seed"],
@@ -291,7 +291,7 @@ def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str])
 def test_info_of_a_checkpoint_says_what_it_is_not(
     trained: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = trained / "checkpoint-0000000300.safetensors"
+    path = trained / "checkpoint-0000000012.safetensors"
     with safetensors.safe_open(path, framework="numpy") as file:
         assert json.loads(file.metadata()["contactgraph"])["format"] == "contactgraph-checkpoint"
     assert cli.run(["info", str(path)]) == 2

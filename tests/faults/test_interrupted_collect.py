@@ -1,4 +1,4 @@
-"""Ctrl-C or a kill while several processes record: none of them is left."""
+"""Ctrl-C or a kill while several processes record leaves no process behind."""
 
 import os
 import signal
@@ -12,9 +12,10 @@ import pytest
 
 from contactgraph.parallel import usable_cores
 
-pytestmark = pytest.mark.skipif(
-    len(usable_cores()) == 1, reason="with one core there is one process"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(len(usable_cores()) == 1, reason="with one core there is one process"),
+]
 
 SCRIPT = """
 import signal
@@ -25,8 +26,8 @@ if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())
 """
-"""As installed: every process imports it anew. It hears Ctrl-C even where a shell lets what it
-starts in the background ignore it."""
+"""As installed: every process imports it. It reacts to Ctrl-C even where a shell lets background
+processes ignore it."""
 
 
 @pytest.fixture

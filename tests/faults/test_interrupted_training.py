@@ -1,4 +1,4 @@
-"""Ctrl-C, and a loss that breaks, in the real command."""
+"""Ctrl-C, and a loss that is not finite, in the command."""
 
 import dataclasses
 import shutil
@@ -18,18 +18,27 @@ from contactgraph.cli import main as cli
 from contactgraph.model import gim_temp
 from contactgraph.train import RunFolder, TrainConfig, initial_state, save_checkpoint
 
+SHORT = ("--steps", "12", "--batch-size", "4", "--window-length", "3", "--rollout-from", "0.6")
+"""The options of the fixture `trained`."""
+
 MAIN = """
 import signal, sys
+from functools import partial
+import contactgraph.train as train
 from contactgraph.cli.main import main
+train.TrainConfig = partial(train.TrainConfig, check_every=4)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 main(sys.argv[1:])
 """
-"""It hears Ctrl-C even where a shell lets what it starts in the background ignore it."""
+"""It reacts to Ctrl-C even where a shell lets background processes ignore it."""
 
 
-def test_ctrl_c_leaves_a_run_that_resumes(recorded: Path, trained: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_ctrl_c_leaves_a_run_that_resumes(
+    recorded: Path, trained: Path, tmp_path: Path, frequent_checks: None
+) -> None:
     run = tmp_path / "run"
-    command = ["train", str(recorded), "--out", str(run), "--steps", "300"]
+    command = ["train", str(recorded), "--out", str(run), *SHORT]
     with subprocess.Popen(
         [sys.executable, "-c", MAIN, *command],
         stderr=subprocess.PIPE,
@@ -51,16 +60,18 @@ def test_ctrl_c_leaves_a_run_that_resumes(recorded: Path, trained: Path, tmp_pat
             assert array.tobytes() == ours[name].tobytes(), (path.name, name)
 
 
-def test_a_loss_that_is_not_finite_is_said_and_breaks_nothing(
-    recorded: Path, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_loss_that_is_not_finite_is_reported_and_breaks_nothing(
+    recorded: Path,
+    trained: Path,
+    tmp_path: Path,
+    frequent_checks: None,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     run = tmp_path / "run"
     shutil.copytree(trained, run)
     for path in RunFolder(run).checkpoints():
         path.unlink()
-    state = initial_state(
-        gim_temp(2, 2, 0.05, 0.1, key=jax.random.key(0)), TrainConfig(steps=300), 0
-    )
+    state = initial_state(gim_temp(2, 2, 0.05, key=jax.random.key(0)), TrainConfig(steps=12), 0)
     broken = jax.tree.map(
         lambda leaf: leaf * jnp.nan if eqx.is_inexact_array(leaf) else leaf, state.model
     )

@@ -1,4 +1,4 @@
-"""kill -9 while a checkpoint is saved: whoever comes next finds a whole one, and goes on."""
+"""After kill -9 while a checkpoint is saved, a whole checkpoint is there to resume from."""
 
 import json
 import subprocess
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import pytest
 
 from contactgraph.model import gim_temp
 from contactgraph.train import RunFolder, TrainConfig, initial_state, load_checkpoint
@@ -44,6 +45,7 @@ for pause in sys.stdin:
 """
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_a_run_has_a_whole_checkpoint(tmp_path: Path) -> None:
     run = tmp_path / "run"
     like = initial_state(gim_temp(2, 2, 0.05, key=jax.random.key(0)), TrainConfig(), 0)

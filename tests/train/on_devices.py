@@ -15,7 +15,7 @@ from contactgraph.model import ContactDynamics, gim_temp
 from contactgraph.model.serialization import module_arrays
 from contactgraph.train import FitState, TrainConfig, fit, initial_state
 
-RECIPE = TrainConfig(steps=12, batch_size=8, window_length=3, rollout_from=1.0, bystanders=0)
+CONFIG = TrainConfig(steps=12, batch_size=8, window_length=3, rollout_from=1.0, bystanders=0)
 
 
 def first_model() -> ContactDynamics:
@@ -23,8 +23,8 @@ def first_model() -> ContactDynamics:
 
 
 def trained(devices: list[jax.Device], path: Path) -> FitState:
-    state = initial_state(first_model(), RECIPE, 0)
-    return fit(state, *split(path), RECIPE, devices=devices).state
+    state = initial_state(first_model(), CONFIG, 0)
+    return fit(state, *split(path), CONFIG, devices=devices).state
 
 
 def main() -> None:

@@ -15,8 +15,9 @@ from contactgraph.train.batch import batch_split
 PROGRAM = Path(__file__).with_name("on_devices.py")
 
 
+@pytest.mark.slow
 def test_four_devices_train_what_one_trains(recorded: Path) -> None:
-    """In double precision: in single, Adam makes whole steps of gradients that are but rounding."""
+    """Double precision: in single precision, Adam makes whole steps of mere rounding errors."""
     told = subprocess.run(
         [sys.executable, "-W", "error", str(PROGRAM), str(recorded)],
         env={

@@ -7,9 +7,11 @@ import pytest
 
 from contactgraph.data import Dataset, Scene, Trajectory, pad_trajectories
 from contactgraph.model import Nodes
-from contactgraph.train.batch import Window, add_distractor, has_resting_bodies
+from contactgraph.train.batch import Window, has_resting_bodies
+from contactgraph.train.batch import add_distractor as eager
 
 NEAREST, FARTHEST = 0.1, 0.3
+add_distractor = jax.jit(eager)
 
 
 def windows(position: np.ndarray, mask: list[bool]) -> Window:

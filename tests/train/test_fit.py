@@ -1,6 +1,8 @@
-"""Whole trainings: what they read, what a seed decides, how they end, what they learn."""
+"""Trainings: their inputs, their dependence on the seed, how they end, what they learn."""
 
+import contextlib
 import dataclasses
+import importlib
 import json
 import math
 from pathlib import Path
@@ -11,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from training import (
-    RECIPE,
+    CONFIG,
+    Enough,
     assert_bit_equal,
     bit_equal,
     first_state,
@@ -20,10 +23,12 @@ from training import (
     trained_on,
 )
 
+from contactgraph.cli import main as cli
 from contactgraph.data import (
     Dataset,
     Scene,
     Trajectory,
+    pad_trajectories,
     read_trajectories,
     strip_contacts,
     write_trajectories,
@@ -31,9 +36,15 @@ from contactgraph.data import (
 from contactgraph.evaluate import evaluate_open_loop
 from contactgraph.model import gim_temp
 from contactgraph.model.io import load_model
-from contactgraph.train import FitStatus, RunFolder, TrainConfig, fit, initial_state
+from contactgraph.train import FitStatus, LossTerms, RunFolder, TrainConfig, fit, initial_state
+from contactgraph.train.batch import Window, WindowSource
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "short_training.json"
+
+FIT = importlib.import_module("contactgraph.train.fit")
+"""The module; the package has the function of the same name."""
+
+pytestmark = pytest.mark.usefixtures("trained")  # it fills the compilation cache
 
 
 def test_contact_labels_are_not_read(recorded: Path, tmp_path: Path) -> None:
@@ -64,19 +75,17 @@ def test_masses_radii_and_names_are_not_read(recorded: Path) -> None:
         )
         for run in train
     ]
-    expected = states_until(125, first_state(), (train, held_out))
-    assert_bit_equal(
-        states_until(125, first_state(), (Dataset(tuple(nameless)), held_out)), expected
-    )
+    expected = states_until(4, first_state(), (train, held_out))
+    assert_bit_equal(states_until(4, first_state(), (Dataset(tuple(nameless)), held_out)), expected)
 
 
 def test_one_seed_makes_one_result_and_another_seed_another(recorded: Path) -> None:
     parts = split(recorded)
-    once = states_until(125, first_state(), parts)
-    assert_bit_equal(states_until(125, first_state(), parts), once)
+    once = states_until(4, first_state(), parts)
+    assert_bit_equal(states_until(4, first_state(), parts), once)
     # The same model, other draws: the key alone must make the difference.
     other = dataclasses.replace(first_state(), key=first_state(1).key)
-    assert not bit_equal(states_until(125, other, parts).model, once.model)
+    assert not bit_equal(states_until(4, other, parts).model, once.model)
     assert not bit_equal(first_state(1).model, first_state(0).model)
 
 
@@ -87,19 +96,19 @@ def test_a_first_state_has_the_types_of_all_that_follow(recorded: Path) -> None:
         arrays = jax.tree.leaves(eqx.filter(state, eqx.is_array))
         return [(leaf.shape, leaf.dtype, leaf.weak_type) for leaf in arrays]
 
-    assert types(states_until(125, first_state(), split(recorded))) == types(first_state())
+    assert types(states_until(4, first_state(), split(recorded))) == types(first_state())
 
 
 def test_training_stops_where_the_held_out_error_no_longer_falls(recorded: Path) -> None:
     hopeless = dataclasses.replace(
         first_state(),
         best_error=jnp.zeros((), float),
-        checks_without_gain=jnp.full((), RECIPE.patience - 1, int),
+        checks_without_gain=jnp.full((), CONFIG.patience - 1, int),
     )
     checks = []
     result = trained_on(split(recorded), hopeless, checks.append)
     assert result.status is FitStatus.stopped_early
-    assert [check.step for check in checks] == [125]
+    assert [check.step for check in checks] == [4]
     assert_bit_equal(result.model, hopeless.best_model)
     again = trained_on(split(recorded), result.state, checks.append)
     assert again.status is FitStatus.stopped_early
@@ -114,22 +123,101 @@ def test_a_loss_that_is_not_finite_ends_training_and_is_not_saved(recorded: Path
     checks = []
     result = trained_on(split(recorded), state, checks.append)
     assert result.status is FitStatus.not_finite
-    assert checks == [], "nobody is asked to save it"
+    assert checks == [], "it is not offered to be saved"
     assert_bit_equal(result.model, state.best_model)
     assert math.isinf(result.held_out_rmse_m)
 
 
-def test_the_best_model_is_the_one_that_is_kept(recorded: Path) -> None:
-    good = states_until(250, first_state(), split(recorded))
-    # One stage more, from a model that lost its way but remembers the good one.
-    lost = dataclasses.replace(good, model=first_state(3).model)
-    result = trained_on(split(recorded), lost)
-    assert result.held_out_rmse_m == float(good.best_error)
+def test_the_best_model_is_kept(recorded: Path) -> None:
+    parts, checks = split(recorded), []
+    result = trained_on(parts, first_state(), checks.append)
+    best = min(checks, key=lambda check: check.held_out_rmse_m)
+    assert result.held_out_rmse_m == best.held_out_rmse_m
+    assert_bit_equal(result.model, best.state.model)
+    # One check more, from another model with the memory of a better one.
+    good = checks[1].state
+    lost = dataclasses.replace(
+        good, model=first_state(3).model, best_error=jnp.full((), 1e-6, float)
+    )
+    result = trained_on(parts, lost)
+    assert result.held_out_rmse_m == pytest.approx(1e-6)
     assert_bit_equal(result.model, good.best_model)
 
 
+def test_the_command_trains_on_no_held_out_trajectory(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts = []
+
+    def spy(state: object, train: Dataset, held_out: Dataset, *arguments: object) -> None:
+        parts.extend([train, held_out])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactgraph.train.fit", spy)
+    assert cli.run(["train", str(recorded), "--out", str(tmp_path / "run")]) == 130
+    train, held_out = ({run.position.tobytes() for run in part} for part in parts)
+    assert (len(train), len(held_out)) == (17, 3)
+    assert not train & held_out
+
+
+def test_training_draws_from_its_own_part_and_checks_on_the_other(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each part is padded once, without contact labels."""
+    padded, given = [], []
+
+    def spy(trajectories: Dataset, **options: bool) -> object:
+        padded.append(trajectories)
+        assert options == {"contacts": False}
+        return pad_trajectories(trajectories, **options)
+
+    def stop(state: object, source: WindowSource, checked: Window, *rest: object) -> None:
+        given.extend([source, checked])
+        raise Enough
+
+    monkeypatch.setattr(FIT, "pad_trajectories", spy)
+    monkeypatch.setattr(FIT, "_advance", stop)
+    train, held_out = split(recorded)
+    with contextlib.suppress(Enough):
+        fit(first_state(), train, held_out, CONFIG)
+    assert padded == [train, held_out]
+    source, checked = given
+    every = np.stack([run.position for run in train]).astype(np.float32)
+    np.testing.assert_array_equal(source.trajectories.position[: len(train)], every)
+    states = {state.astype(np.float32).tobytes() for run in held_out for state in run.position}
+    assert all(np.asarray(state).tobytes() in states for state in checked.position[:, 0])
+
+
+def test_a_step_follows_the_gradient_of_the_loss_plus_the_weighted_rollout(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Toy losses with known gradients, 1 and the parameter itself; Adam's first moment tells."""
+
+    def total(model: object, power: int) -> jax.Array:
+        leaves = jax.tree.leaves(eqx.filter(model, eqx.is_inexact_array))
+        return sum((jnp.sum(leaf**power) / power for leaf in leaves), jnp.zeros(()))
+
+    monkeypatch.setattr(
+        FIT, "window_loss", lambda model, *rest: LossTerms(total(model, 1), 0, 0, 0)
+    )
+    monkeypatch.setattr(FIT, "rollout_loss", lambda model, *rest: total(model, 2))
+    monkeypatch.setattr(FIT, "rollout_rmse", lambda *rest: jnp.ones(()))
+    config = TrainConfig(steps=1, check_every=1, rollout_from=0.0, bystanders=0)
+    model = first_state().model
+    state = fit(initial_state(model, config, 0), *split(recorded), config).state
+    params = eqx.filter(model, eqx.is_inexact_array)
+    gradient = jax.tree.map(lambda leaf: 1.0 + config.weights.rollout * leaf, params)
+    norm = np.sqrt(sum(float(jnp.sum(leaf**2)) for leaf in jax.tree.leaves(gradient)))
+    assert norm > 1.0, "the gradient is clipped to norm 1"
+    clipped = jax.tree.map(lambda leaf: leaf / norm, gradient)
+    moment = state.optimiser[1][0].mu
+    for found, expected in zip(jax.tree.leaves(moment), jax.tree.leaves(clipped), strict=True):
+        np.testing.assert_allclose(found, 0.1 * expected, rtol=1e-5)
+
+
+@pytest.mark.slow
 def test_a_file_of_ones_own_trains(tmp_path: Path) -> None:
-    """In space, nobody actuated, other names, other numbers of nodes and steps."""
+    """In space, without actuation, with other names, other numbers of nodes and steps."""
     rng = np.random.default_rng(0)
 
     def run(names: tuple[str, ...], steps: int) -> Trajectory:
@@ -144,16 +232,19 @@ def test_a_file_of_ones_own_trains(tmp_path: Path) -> None:
     path = tmp_path / "mine.h5"
     write_trajectories(path, [run(("cup", "lid"), 6), run(("a", "b", "c"), 9), run(("x", "y"), 9)])
     dataset = read_trajectories(path)
-    recipe = TrainConfig(steps=2, batch_size=2, window_length=2, rollout_from=1.0)
-    state = initial_state(gim_temp(3, 0, 0.01, key=jax.random.key(0)), recipe, 0)
+    config = TrainConfig(steps=2, batch_size=2, window_length=2, rollout_from=1.0)
+    state = initial_state(gim_temp(3, 0, 0.01, key=jax.random.key(0)), config, 0)
     checks = []
-    result = fit(state, dataset, dataset, recipe, checks.append)
+    result = fit(state, dataset, dataset, config, checks.append)
     assert result.status is FitStatus.finished
     assert math.isfinite(result.held_out_rmse_m)
     assert not bit_equal(result.state.model, state.model)
 
 
-def test_what_a_short_training_learns(learned: Path, fresh: Path) -> None:
+@pytest.mark.slow
+def test_what_a_short_training_learns(recorded: Path, fresh: Path, tmp_path: Path) -> None:
+    learned = tmp_path / "run"
+    assert cli.run(["train", str(recorded), "--out", str(learned), "--steps", "800"]) == 0
     model = load_model(learned / "model.safetensors").model
     metrics = evaluate_open_loop(model, read_trajectories(fresh))
     assert metrics.n_step_rmse_m < 0.005
@@ -163,8 +254,11 @@ def test_what_a_short_training_learns(learned: Path, fresh: Path) -> None:
     assert metrics.edge_f1 > 0.97
 
 
-def test_a_short_training_is_what_it_was(trained: Path) -> None:
-    """Bands are wide: platforms round differently, and 300 steps of rounding grow."""
+@pytest.mark.slow
+def test_a_short_training_is_what_it_was(recorded: Path, tmp_path: Path) -> None:
+    """Bands are wide: platforms round differently, and the difference grows over 300 steps."""
+    trained = tmp_path / "run"
+    assert cli.run(["train", str(recorded), "--out", str(trained), "--steps", "300"]) == 0
     golden = json.loads(GOLDEN.read_text())
     rows = RunFolder(trained).metrics()
     assert [row["step"] for row in rows] == [row["step"] for row in golden["checks"]]

@@ -36,6 +36,7 @@ def windows() -> Window:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lists", [NeighborList(9, 5, 5), NeighborList(9, None, None)])
 def test_loss_and_gradient_are_those_of_all_pairs(lists: NeighborList) -> None:
     model = gim_temp(2, 2, 0.05, width=8, key=jax.random.key(1))
@@ -58,6 +59,7 @@ def test_loss_and_gradient_are_those_of_all_pairs(lists: NeighborList) -> None:
         np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-5 + 1e-3 * scale)
 
 
+@pytest.mark.slow
 def test_chunk_after_chunk_is_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     model = gim_temp(2, 2, 0.05, width=8, key=jax.random.key(1))
     pair = windows()
@@ -80,3 +82,22 @@ def test_chunk_after_chunk_is_all_at_once(monkeypatch: pytest.MonkeyPatch) -> No
         for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(gradient), strict=True):
             scale = float(np.abs(other).max())
             np.testing.assert_allclose(one, other, rtol=2e-3, atol=1e-5 + 1e-3 * scale)
+
+
+@pytest.mark.parametrize("devices", [1, 2])
+@pytest.mark.parametrize("edges", [1, 70, 200])
+def test_a_chunked_function_is_the_function_of_every_item(devices: int, edges: int) -> None:
+    """Chunks of all items, of a few with a remainder, and of one."""
+    x, y = np.random.default_rng(0).normal(size=(2, 14, 3)).astype(np.float32)
+
+    def function(item: jax.Array, other: tuple[jax.Array]) -> dict[str, jax.Array]:
+        return {"sum": jnp.sum(item * other[0]), "sine": jnp.sin(item)}
+
+    def total(x: jax.Array) -> jax.Array:
+        found = chunked_vmap.chunked_vmap(function, (x, (y,)), edges, devices)
+        return jnp.sum(found["sum"] * jnp.arange(14.0)) + jnp.sum(found["sine"])
+
+    expected = np.sum(np.sum(x * y, axis=1) * np.arange(14.0)) + np.sum(np.sin(x))
+    value, gradient = jax.value_and_grad(total)(x)
+    np.testing.assert_allclose(value, expected, rtol=1e-5)
+    np.testing.assert_allclose(gradient, y * np.arange(14.0)[:, None] + np.cos(x), rtol=1e-5)

@@ -1,31 +1,55 @@
-"""Interrupted and resumed is the same as never interrupted, to the last bit."""
+"""An interrupted and resumed training equals an uninterrupted one to the last bit."""
 
+import itertools
 import json
 import shutil
 from pathlib import Path
 
+import equinox as eqx
+import jax
+import numpy as np
 import pytest
 import safetensors.numpy
 from training import assert_bit_equal, first_state, split, states_until, trained_on
 
 from contactgraph.cli import main as cli
 from contactgraph.data import InvalidInputError
-from contactgraph.train import RunFolder, load_checkpoint, save_checkpoint
+from contactgraph.train import FitProgress, RunFolder, load_checkpoint, save_checkpoint
+
+pytestmark = pytest.mark.usefixtures("trained")  # it fills the compilation cache
 
 
-@pytest.mark.parametrize("steps", [125, 250])
-def test_from_any_checkpoint_on(recorded: Path, tmp_path: Path, steps: int) -> None:
-    """250 is where the rollout joins the loss; 50 steps, no whole chunk, are left from there."""
+def test_from_any_checkpoint_on(recorded: Path, tmp_path: Path) -> None:
+    """One check before the rollout joins the loss, and one where it does."""
     parts, path = split(recorded), tmp_path / "checkpoint.safetensors"
     straight = trained_on(parts, first_state())
-    interrupted = states_until(steps, first_state(), parts)
-    save_checkpoint(path, interrupted)
-    restored = load_checkpoint(path, first_state(1))
-    assert_bit_equal(restored, interrupted)
-    resumed = trained_on(parts, restored)
-    assert_bit_equal(resumed.state, straight.state)
-    assert resumed.held_out_rmse_m == straight.held_out_rmse_m
-    assert resumed.status is straight.status
+    for steps in (4, 8):
+        interrupted = states_until(steps, first_state(), parts)
+        save_checkpoint(path, interrupted)
+        restored = load_checkpoint(path, first_state(1))
+        assert_bit_equal(restored, interrupted)
+        resumed = trained_on(parts, restored)
+        assert_bit_equal(resumed.state, straight.state)
+        assert resumed.held_out_rmse_m == straight.held_out_rmse_m
+        assert resumed.status is straight.status
+
+
+def test_the_latest_checkpoint_of_a_folder_holds_the_whole_state(tmp_path: Path) -> None:
+    """Every array differs from that of a fresh state, so that none can be left out unnoticed."""
+    folder = RunFolder(tmp_path / "run")
+    folder.create({}, first_state())
+    counter = itertools.count(1)
+
+    def shifted(leaf: object) -> object:
+        return leaf + np.asarray(next(counter), leaf.dtype) if eqx.is_array(leaf) else leaf
+
+    states = [jax.tree.map(shifted, first_state()) for _ in range(2)]
+    for step, state in enumerate(states, start=1):
+        folder.save(FitProgress(step, 2, {}, 1.0, 0.0, state))
+    restored = folder.latest(first_state(1))
+    assert_bit_equal(restored.optimiser, states[-1].optimiser)
+    assert_bit_equal(restored, states[-1])
+    assert_bit_equal(load_checkpoint(folder.checkpoints()[0], first_state(1)), states[0])
 
 
 def rewound(run: Path, to: Path, step: int) -> Path:
@@ -48,11 +72,11 @@ def weights(path: Path) -> dict:
     return {name: a.tobytes() for name, a in safetensors.numpy.load_file(path).items()}
 
 
-@pytest.mark.parametrize("step", [250, 300])
+@pytest.mark.parametrize("step", [8, 12])
 def test_the_command_leaves_the_same_folder(
-    recorded: Path, trained: Path, tmp_path: Path, step: int
+    recorded: Path, trained: Path, tmp_path: Path, frequent_checks: None, step: int
 ) -> None:
-    """300 is a run killed between its last checkpoint and its model."""
+    """12 is a training killed between its last checkpoint and its model."""
     run = rewound(trained, tmp_path / "run", step)
     assert cli.run(["train", str(recorded), "--out", str(run), "--resume"]) == 0
     assert rows(run) == rows(trained)
@@ -64,9 +88,9 @@ def test_the_command_leaves_the_same_folder(
 
 
 def test_a_row_without_its_checkpoint_is_measured_again(trained: Path, tmp_path: Path) -> None:
-    """What a kill between measurements and checkpoint leaves: a row too many, never one too few."""
-    run = rewound(trained, tmp_path / "run", 250)
-    assert [row["step"] for row in RunFolder(run).metrics()] == [125, 250, 300]
+    """A kill between measurements and checkpoint leaves one row too many, never one too few."""
+    run = rewound(trained, tmp_path / "run", 8)
+    assert [row["step"] for row in RunFolder(run).metrics()] == [4, 8, 12]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,7 @@
-"""One recipe and one split for all tests of training, so that they compile it once."""
+"""One configuration and one split for all tests of training, which then compile one program.
+
+It is the configuration of the fixture `trained`, whose program the compilation cache keeps.
+"""
 
 import contextlib
 from collections.abc import Callable
@@ -12,8 +15,10 @@ from contactgraph.model import gim_temp
 from contactgraph.model.serialization import module_arrays
 from contactgraph.train import FitProgress, FitResult, FitState, TrainConfig, fit, initial_state
 
-RECIPE = TrainConfig(steps=300)
-"""What `contactgraph train --steps 300` uses: checks at 125, 250 and 300, the last in stage two."""
+CONFIG = TrainConfig(
+    steps=12, batch_size=4, window_length=3, rollout_from=0.6, check_every=4, patience=12
+)
+"""Checks at 4, 8 and 12 steps, the last of them with the rollout term."""
 
 
 class Enough(Exception):
@@ -25,22 +30,21 @@ def split(path: Path) -> tuple[Dataset, Dataset]:
 
 
 def first_state(seed: int = 0) -> FitState:
-    model = gim_temp(2, 2, 0.05, 0.1, key=jax.random.key(seed))
-    return initial_state(model, RECIPE, seed)
+    return initial_state(gim_temp(2, 2, 0.05, key=jax.random.key(seed)), CONFIG, seed)
 
 
 def states_until(steps: int, state: FitState, parts: tuple[Dataset, Dataset]) -> FitState:
     """The state at the first check at or after so many steps."""
-    found = []
+    states = []
 
     def on_check(check: FitProgress) -> None:
-        found.append(check.state)
+        states.append(check.state)
         if check.step >= steps:
             raise Enough
 
     with contextlib.suppress(Enough):
-        fit(state, *parts, RECIPE, on_check)
-    return found[-1]
+        fit(state, *parts, CONFIG, on_check)
+    return states[-1]
 
 
 def trained_on(
@@ -48,7 +52,7 @@ def trained_on(
     state: FitState,
     on_check: Callable[[FitProgress], None] = lambda check: None,
 ) -> FitResult:
-    return fit(state, *parts, RECIPE, on_check)
+    return fit(state, *parts, CONFIG, on_check)
 
 
 def assert_bit_equal(found: object, expected: object) -> None:
