@@ -147,7 +147,7 @@ def write_study(
         },
     )
     write_text(folder / "table.md", "\n".join(table.markdown() for table in result.tables))
-    write_text(folder / "table.csv", result.tables[0].csv(result.csv_separator))
+    write_text(folder / "table.csv", result.tables[0].csv())
     write_text(folder / "targets.md", markdown_numbers(result.targets))
     write_text(folder / "targets.csv", csv_numbers(result.targets))
     commands = [command, *(job.command for job in study.jobs)]

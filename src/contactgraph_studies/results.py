@@ -18,15 +18,19 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number in the output of a command."""
+    """A number in the output of a command, or made of several."""
 
     key: str
     scale: float = 1.0
     null: float = math.nan
     """Value that a JSON null stands for: NaN (not known) or infinity (a diverged prediction)."""
+    derived: Callable[[Values], float] | None = None
+    """Reads the number of an output that has the key; NaN if it is not known."""
 
     def read(self, values: Values) -> float:
         """The number in the unit of display."""
+        if self.derived is not None:
+            return self.derived(values)
         value = values[self.key]
         return self.null if value is None else self.scale * float(value)
 
@@ -123,11 +127,9 @@ class Results:
     def statistic(self, condition: Any, quantity: Quantity) -> SeedStatistic:
         """Of the readings that have the quantity's key."""
         found = [one for one in self.readings(condition) if quantity.key in one.values]
-        return _statistic(found, quantity.read)
-
-    def derived(self, condition: Any, value: Callable[[Values], float]) -> SeedStatistic:
-        """A function of several numbers; NaN where it is not known."""
-        return _statistic(self.readings(condition), value)
+        values = [quantity.read(one.values) for one in found]
+        known = tuple(value for value in values if not math.isnan(value))
+        return SeedStatistic(known, found[0].command if found else "")
 
     def success(self, condition: Any) -> Success | None:
         """Of closed-loop readings; None without any."""
@@ -167,9 +169,3 @@ def joined(parts: Sequence[str]) -> str:
     if len(parts) < 2:
         return "".join(parts)
     return f"{', '.join(parts[:-1])} and {parts[-1]}"
-
-
-def _statistic(readings: Sequence[Reading], value: Callable[[Values], float]) -> SeedStatistic:
-    values = [value(one.values) for one in readings]
-    known = tuple(one for one in values if not math.isnan(one))
-    return SeedStatistic(known, readings[0].command if readings else "")

@@ -8,11 +8,21 @@ from pathlib import Path
 
 from contactgraph.cli.tasks import Target
 from contactgraph.viz import Number
-from contactgraph_studies.job import Job, Measurement, in_dependency_order
+from contactgraph_studies.job import Job, Measurement
 from contactgraph_studies.paper.config import DOOR, FRANKA, MULTI_PICKUP, PICKUP, Options
 from contactgraph_studies.results import PLANNED_F1, Quantity, Results, SeedStatistic, Values
-from contactgraph_studies.study import StudyResult, judged
-from contactgraph_studies.tables import Column, StudyTable, known_text
+from contactgraph_studies.study import Study, StudyResult, judged
+from contactgraph_studies.tables import (
+    Column,
+    Row,
+    StudyTable,
+    command,
+    counts,
+    known_text,
+    label,
+    statistic,
+    success,
+)
 
 
 @dataclass(frozen=True)
@@ -111,7 +121,7 @@ class SensorCondition:
 
 
 @dataclass(frozen=True)
-class SensingStudy:
+class SensingStudy(Study):
     """Control of some tasks with every sensor."""
 
     tasks: Sequence[SensingTask]
@@ -132,11 +142,6 @@ class SensingStudy:
             for seed in self.amounts.seeds
         ]
 
-    @cached_property
-    def jobs(self) -> list[Job]:
-        """All jobs."""
-        return in_dependency_order(one.job for one in self.measurements)
-
     def result(self, folder: Path) -> StudyResult:
         """Targets and table; the paper makes no claim."""
         results = Results.read(folder, self.measurements)
@@ -156,7 +161,6 @@ class SensingStudy:
                 "scene_seeds": [SCENE_SEED + seed for seed in seeds],
             },
             readings=results.to_json(),
-            csv_separator=" ",
         )
 
 
@@ -179,12 +183,9 @@ def sensing_table(results: Results, conditions: Sequence[SensorCondition]) -> St
     """Every sensor under every condition."""
 
     def number(name: str, quantity: Quantity) -> Column:
-        return Column(lambda row: results.statistic(row, quantity), name, name, text=known_text)
+        return statistic(name, name, "it", quantity, known_text)
 
-    def delay(name: str, key: str) -> Column:
-        return Column(lambda row: delay_ms(results, row, key), name, name, text=known_text)
-
-    return StudyTable.measure(
+    return StudyTable.of(
         slug="table",
         title="Every sensor",
         caption="Median over seeds of scenes, with their range; success of all episodes together. "
@@ -193,27 +194,30 @@ def sensing_table(results: Results, conditions: Sequence[SensorCondition]) -> St
         "which it is believed. Planned: over 0.5 s, planned against executed positions. An "
         "infinite delay is a contact that was never detected.",
         columns=[
-            Column(lambda row: row.task, "Task", "Task", label=True),
-            Column(lambda row: row.condition, "Condition", "Condition", label=True),
-            Column(
-                lambda row: row.contacts_known_by,
-                "Contacts known by",
-                "Contacts known by",
-                label=True,
-            ),
-            Column(lambda row: results.success(row) or "not known", "", "success (95 %)"),
-            Column(lambda row: getattr(results.success(row), "successes", None), "successes"),
-            Column(lambda row: getattr(results.success(row), "episodes", None), "episodes"),
+            *(label(name, name) for name in ("Task", "Condition", "Contacts known by")),
+            success("success (95 %)", "it", lambda one: str(one or "not known")),
+            *counts("it"),
             number("edge F1", _F1),
-            delay("onset delay, ms: median", "onset_delay_ms_p50"),
-            delay("95 %", "onset_delay_ms_p95"),
+            number("onset delay, ms: median", _delay_ms("onset_delay_ms_p50")),
+            number("95 %", ONSET_DELAY_P95),
             number("planned error, cm", _ERROR),
             number("edge F1, planned", PLANNED_F1),
             number("control tick, ms", _PLAN_MS),
-            Column(lambda row: results.statistic(row, _F1).command, "command"),
+            command("command", "it", _F1),
         ],
-        conditions=conditions,
-        commands=lambda row: (results.statistic(row, _F1).command,),
+        rows=[
+            Row(
+                {
+                    "Task": condition.task,
+                    "Condition": condition.condition,
+                    "Contacts known by": condition.contacts_known_by,
+                },
+                results,
+                {"it": condition},
+            )
+            for condition in conditions
+        ],
+        separator=" ",
     )
 
 
@@ -228,7 +232,7 @@ def sensing_targets(
             label = f"{task.name}, {condition.name}, by motion alone"
             f1 = results.statistic(where, _F1)
             numbers.append(judged(f"{label}: edge F1", "", f1, _F1_TARGET, amounts.seeds))
-            delay, name = delay_ms(results, where, "onset_delay_ms_p95"), "onset delay, 95 %"
+            delay, name = results.statistic(where, ONSET_DELAY_P95), "onset delay, 95 %"
             numbers.append(
                 judged(f"{label}: {name}", "ms", delay, _DELAY_TARGET_MS, amounts.seeds, True)
             )
@@ -242,14 +246,17 @@ def sensing_targets(
     return tuple(numbers)
 
 
-def delay_ms(results: Results, condition: SensorCondition, key: str) -> SeedStatistic:
+def _delay_ms(key: str) -> Quantity:
     """A delay of contact onsets; infinite if a contact was never detected."""
 
-    def value(values: Values) -> float:
-        count, delay = values[f"{key.split('_', maxsplit=1)[0]}s"], values[key]
-        return math.nan if not count else math.inf if delay is None else float(delay)
+    def delay(values: Values) -> float:
+        count = values[f"{key.split('_', maxsplit=1)[0]}s"]
+        return math.nan if not count else math.inf if values[key] is None else float(values[key])
 
-    return results.derived(condition, value)
+    return Quantity(key, derived=delay)
+
+
+ONSET_DELAY_P95 = _delay_ms("onset_delay_ms_p95")
 
 
 def share_recovered(

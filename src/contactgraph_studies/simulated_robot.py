@@ -9,10 +9,10 @@ from typing import NamedTuple
 from contactgraph.cli.tasks import Target
 from contactgraph.viz import Number
 from contactgraph.viz.number_table import short
-from contactgraph_studies.job import Job, Measurement, in_dependency_order
+from contactgraph_studies.job import Job, Measurement
 from contactgraph_studies.results import SUCCESS_PERCENT, Quantity, Results
-from contactgraph_studies.study import StudyResult, judged
-from contactgraph_studies.tables import Column, StudyTable
+from contactgraph_studies.study import Study, StudyResult, judged
+from contactgraph_studies.tables import Column, Row, StudyTable, label
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ _SHOWN = {
 
 
 @dataclass(frozen=True)
-class SimulatedRobotStudy:
+class SimulatedRobotStudy(Study):
     """Each job needs the whole machine."""
 
     amounts: SimAmounts
@@ -143,11 +143,6 @@ class SimulatedRobotStudy:
                 for source in _CONTACT_SOURCES
             ),
         ]
-
-    @cached_property
-    def jobs(self) -> list[Job]:
-        """All jobs in dependency order."""
-        return in_dependency_order(one.job for one in self.measurements)
 
     def result(self, folder: Path) -> StudyResult:
         """Targets and table; the paper's claims about its arm are not judged."""
@@ -200,19 +195,9 @@ def _evaluation(model: Job, validation: Job, data: str, name: str) -> Job:
     return Job(output, arguments, "evaluate", (model, validation))
 
 
-class Row(NamedTuple):
-    """A number of the table."""
-
-    what: str
-    number: str
-    unit: str
-    value: float
-    command: str
-
-
 def sim_table(results: Results) -> StudyTable:
     """Every number that is known."""
-    return StudyTable.measure(
+    return StudyTable.of(
         slug="table",
         title="All numbers",
         caption="Recorded runs are those of a scripted expert, some with a grasp and some without, "
@@ -222,21 +207,28 @@ def sim_table(results: Results) -> StudyTable:
         "(inferred). Frozen contact is the error of true masses and the contact of each window's "
         "first step.",
         columns=[
-            Column(lambda row: row.what, "What", "What", label=True),
-            Column(lambda row: row.number, "number"),
-            Column(lambda row: _heading(row.number), "", "number", label=True),
-            Column(lambda row: row.unit, "unit", "unit", label=True),
-            Column(lambda row: row.value, "value", "value", text=short),
-            Column(lambda row: row.command, "command"),
+            label("What", "What"),
+            label("number"),
+            Column("", "number", lambda row: _heading(row.labels["number"]), is_label=True),
+            label("unit", "unit"),
+            Column("value", "value", lambda row: row.labels["value"], short),
+            label("command"),
         ],
-        conditions=[
-            Row(condition.source, key, unit, scale * reading.values[key], reading.command)
+        rows=[
+            Row(
+                {
+                    "What": condition.source,
+                    "number": key,
+                    "unit": unit,
+                    "value": scale * reading.values[key],
+                    "command": reading.command,
+                }
+            )
             for condition, quantities in _SHOWN.items()
             for reading in results.readings(condition)
             for key, (unit, scale) in quantities.items()
             if isinstance(reading.values.get(key), int | float)
         ],
-        commands=lambda row: (row.command,),
     )
 
 

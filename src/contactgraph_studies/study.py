@@ -1,15 +1,17 @@
-"""The contract of a study: its jobs, and the claims, tables and figures made from their output."""
+"""The contract of a study: its measurements, and the claims, tables and figures made from them."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from contactgraph.cli.tasks import Target
 from contactgraph.viz import Number
-from contactgraph_studies.job import Job
-from contactgraph_studies.results import SeedStatistic
+from contactgraph_studies.job import Job, Measurement, in_dependency_order
+from contactgraph_studies.results import Quantity, Results, SeedStatistic
 from contactgraph_studies.tables import StudyTable
 
 
@@ -33,7 +35,7 @@ class ClaimNumber:
     unit: str
     statistic: SeedStatistic
 
-    def to_json(self) -> Mapping[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """Median and range over training seeds; infinity is the word ``infinite``."""
         statistic = self.statistic
         return {
@@ -53,13 +55,12 @@ class Claim:
 
     number: int
     title: str
-    """The claim in short."""
     quote: str
     """The paper's words."""
     criterion: str
     """The condition under which it holds."""
-    tasks: tuple[str, ...]
-    numbers: tuple[ClaimNumber, ...]
+    tasks: Sequence[str]
+    numbers: Sequence[ClaimNumber]
     holds: bool | None
     """None: not enough was measured."""
     sentence: str
@@ -83,6 +84,7 @@ class Claim:
 class Evidence:
     """The numbers and partial verdicts of one claim, collected task by task."""
 
+    results: Results
     tasks: Sequence[str]
     numbers: list[ClaimNumber] = field(default_factory=list)
     verdicts: list[bool | None] = field(default_factory=list)
@@ -93,6 +95,18 @@ class Evidence:
         """Record a number; returns it."""
         self.numbers.append(ClaimNumber(name, task, unit, statistic))
         return statistic
+
+    def measure(
+        self, name: str, task: str, unit: str, condition: Any, quantity: Quantity
+    ) -> SeedStatistic:
+        """Record a measured number; returns it."""
+        return self.add(name, task, unit, self.results.statistic(condition, quantity))
+
+    def judge(self, holds: bool, *needed: SeedStatistic) -> bool:
+        """Add a verdict; returns whether all ``needed`` numbers are known."""
+        known = all(one.known for one in needed)
+        self.verdicts.append(holds if known else None)
+        return known
 
     @property
     def holds(self) -> bool | None:
@@ -106,16 +120,9 @@ class Evidence:
     ) -> Claim:
         """The claim with this evidence; the sentence is by default that of all tasks."""
         joint = f"{'; '.join(self.sentences)}." if self.sentences else "Not measured."
-        return Claim(
-            number,
-            title,
-            quote,
-            criterion,
-            tuple(self.tasks),
-            tuple(self.numbers),
-            self.holds,
-            sentence or joint,
-        )
+        sentence = sentence or joint
+        holds = self.holds
+        return Claim(number, title, quote, criterion, self.tasks, self.numbers, holds, sentence)
 
 
 @dataclass(frozen=True)
@@ -135,17 +142,22 @@ class StudyResult:
     claims: Sequence[Claim] = ()
     figures: Sequence[Picture] = ()
     scenes: Sequence[Picture] = ()
-    csv_separator: str = "_"
-    """Between a statistic and median, low or high in the headings of ``table.csv``."""
 
 
-class Study(Protocol):
-    """What `contactgraph reproduce` runs."""
+class Study(ABC):
+    """A set of measurements and their evaluation."""
 
     @property
-    def jobs(self) -> Sequence[Job]:
-        """All jobs in dependency order."""
+    @abstractmethod
+    def measurements(self) -> Sequence[Measurement]:
+        """Everything that is measured."""
 
+    @cached_property
+    def jobs(self) -> list[Job]:
+        """All jobs in dependency order."""
+        return in_dependency_order(one.job for one in self.measurements)
+
+    @abstractmethod
     def result(self, folder: Path) -> StudyResult:
         """From the outputs in the folder; figures are written to it."""
 
@@ -156,9 +168,9 @@ def judged(
     statistic: SeedStatistic,
     target: Target | None,
     seeds: Sequence[int],
-    lower_is_better: bool = False,
+    lower: bool = False,
 ) -> Number:
-    """The median over seeds with its range, beside the target."""
+    """The median over seeds with its range, beside the target; ``lower``: lower is better."""
     return Number(
         name=name,
         value=statistic.median if statistic.known else None,
@@ -166,7 +178,7 @@ def judged(
         interval=(statistic.low, statistic.high) if len(statistic.values) > 1 else None,
         at_least=None if target is None else target.at_least,
         aim=None if target is None else target.aim,
-        lower_is_better=lower_is_better,
+        lower_is_better=lower,
         command=statistic.command,
         seed=tuple(seeds),
     )

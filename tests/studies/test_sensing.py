@@ -13,13 +13,13 @@ from contactgraph_studies.sensing import (
     FULL_SENSING,
     INFERRED,
     MEASURED,
+    ONSET_DELAY_P95,
     PICKUP_SENSING,
     SENSING_TASKS,
     UNMEASURED,
     WIDER,
     SensingStudy,
     SensorCondition,
-    delay_ms,
     share_recovered,
 )
 
@@ -61,7 +61,9 @@ def test_a_contact_that_was_never_found_counts() -> None:
         motion={"onsets": 0, name: None},
     )
     delays = [
-        delay_ms(found, SensorCondition(PICKUP_SENSING.name, WIDER.name, sensor.name), name).values
+        found.statistic(
+            SensorCondition(PICKUP_SENSING.name, WIDER.name, sensor.name), ONSET_DELAY_P95
+        ).values
         for sensor in (MEASURED, UNMEASURED, INFERRED)
     ]
     assert delays == [(50.0, 50.0), (math.inf, math.inf), ()]
@@ -83,8 +85,5 @@ def test_findings_from_what_is_there(tmp_path: Path) -> None:
     assert reached == {f"{label}: edge F1": True, f"{label}: onset delay, 95 %": True}
     first = found.tables[0].markdown().splitlines()[2]
     assert "| contacts measured | 90 % of 60 (80 to 95) | 0.97" in first
-    assert (
-        len(found.tables[0].csv(found.csv_separator).splitlines())
-        == 1 + len(STUDY.measurements) // 3
-    )
+    assert len(found.tables[0].csv().splitlines()) == 1 + len(STUDY.measurements) // 3
     assert len(found.readings) == 15

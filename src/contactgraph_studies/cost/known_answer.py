@@ -1,9 +1,9 @@
 """Costs learned from a controller whose cost is known, compared with that cost."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import gymnasium
 import jax.numpy as jnp
@@ -16,13 +16,12 @@ from contactgraph_studies.cost.config import CostAmounts, CostCondition, CostTas
 from contactgraph_studies.cost.jobs import learning
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.results import SeedStatistic
-from contactgraph_studies.tables import Column, StudyTable
+from contactgraph_studies.tables import Row, StudyTable, label
 
 _AT_LIMIT = 0.999
 
 
-@dataclass(frozen=True, eq=False)
-class KnownAnswer:
+class KnownAnswer(NamedTuple):
     """The two costs of one seed."""
 
     hidden: LearnedCost
@@ -30,27 +29,6 @@ class KnownAnswer:
     learned: LearnedCost
     at_limit: float
     """Fraction of steps with a saturated force; NaN if the trajectories are missing."""
-
-
-class Row(NamedTuple):
-    """A term of the cost: the force that costs as much as being off by one unit."""
-
-    task: str
-    demonstrator: str
-    term: str
-    unit: str
-    hidden: SeedStatistic
-    """N"""
-    learned: SeedStatistic
-    """N"""
-    at_limit: SeedStatistic
-    """% of steps with a saturated force."""
-
-    @property
-    def ratio(self) -> SeedStatistic:
-        """Learned over hidden; 1 is the known answer."""
-        pairs = zip(self.learned.values, self.hidden.values, strict=True)
-        return SeedStatistic(tuple(learned / hidden for learned, hidden in pairs))
 
 
 def own_cost(task: CostTask) -> LearnedCost:
@@ -91,27 +69,32 @@ def read_answers(
     return answers
 
 
-def known_answer_rows(task: str, demonstrator: str, answers: Sequence[KnownAnswer]) -> list[Row]:
-    """Every term of the hidden cost, by position and by velocity."""
+def known_answer_terms(answers: Sequence[KnownAnswer]) -> list[dict[str, Any]]:
+    """The terms of the hidden cost, each as the force, N, that costs as much as being off by one
+    unit of position or velocity."""
     if not answers:
         return []
     order = answers[0].hidden.kept_nodes
     hidden = [cost_terms(_reordered(each.hidden, order)) for each in answers]
     learned = [cost_terms(_reordered(each.learned, order)) for each in answers]
     at_limit = SeedStatistic(tuple(100.0 * each.at_limit for each in answers))
-    return [
-        Row(
-            task,
-            demonstrator,
-            term.name,
-            unit,
-            SeedStatistic(tuple(getattr(terms[index], part) for terms in hidden)),
-            SeedStatistic(tuple(getattr(terms[index], part) for terms in learned)),
-            at_limit,
-        )
-        for index, term in enumerate(hidden[0])
-        for unit, part in (("1 m", "position"), ("1 m/s", "velocity"))
-    ]
+    rows = []
+    for index, term in enumerate(hidden[0]):
+        for unit, part in (("1 m", "position"), ("1 m/s", "velocity")):
+            of_hidden = tuple(getattr(terms[index], part) for terms in hidden)
+            of_learned = tuple(getattr(terms[index], part) for terms in learned)
+            ratios = tuple(one / other for one, other in zip(of_learned, of_hidden, strict=True))
+            rows.append(
+                {
+                    "Term": term.name,
+                    "Off by": unit,
+                    "hidden, N": SeedStatistic(of_hidden),
+                    "learned, N": SeedStatistic(of_learned),
+                    "learned over hidden": SeedStatistic(ratios),
+                    "steps with a saturated force, %": at_limit,
+                }
+            )
+    return rows
 
 
 def known_answer_table(
@@ -121,30 +104,21 @@ def known_answer_table(
     amounts: CostAmounts,
 ) -> StudyTable:
     """Hidden and learned costs, term by term."""
-    return StudyTable.measure(
+    labels = ("Task", "Demonstrated by", "Term", "Off by")
+    numbers = ("hidden, N", "learned, N", "learned over hidden", "steps with a saturated force, %")
+    return StudyTable.of(
         slug="known-answer",
         title="A known answer",
         caption="Costs learned from runs of MPC with a known cost, beside that cost. Each term "
         "is given as the force that costs as much as being off by one unit for one step; a factor "
         "on the whole cost, which no run can show, cancels. Median of the seeds, with their range. "
         "LQR knows no limit of the force, so steps with a saturated force mislead it.",
-        columns=[
-            Column(lambda row: row.task, heading="Task", label=True),
-            Column(lambda row: row.demonstrator, heading="Demonstrated by", label=True),
-            Column(lambda row: row.term, heading="Term", label=True),
-            Column(lambda row: row.unit, heading="Off by", label=True),
-            Column(lambda row: row.hidden, heading="hidden, N"),
-            Column(lambda row: row.learned, heading="learned, N"),
-            Column(lambda row: row.ratio, heading="learned over hidden"),
-            Column(lambda row: row.at_limit, heading="steps with a saturated force, %"),
-        ],
-        conditions=[
-            row
+        columns=[label(name, name, name in labels) for name in (*labels, *numbers)],
+        rows=[
+            Row({"Task": task.name, "Demonstrated by": learned.name, **terms})
             for task in tasks
             for learned in known_answers(amounts)
-            for row in known_answer_rows(
-                task.name, learned.name, read_answers(folder, measurements, task, learned)
-            )
+            for terms in known_answer_terms(read_answers(folder, measurements, task, learned))
         ],
     )
 

@@ -1,19 +1,19 @@
 """The study of learned costs: its claim, its targets, its table and its result."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 from contactgraph.cli.tasks import Target
 from contactgraph.viz import Number
 from contactgraph.viz.number_table import short
+from contactgraph_studies import tables
 from contactgraph_studies.cost.config import (
     PICKUP_COST,
     SCENE_SEED,
     CostAmounts,
-    CostCondition,
     CostTask,
     CostTest,
     among_distractors,
@@ -22,14 +22,13 @@ from contactgraph_studies.cost.config import (
 )
 from contactgraph_studies.cost.figures import ENOUGH, cost_pictures, cost_scenes
 from contactgraph_studies.cost.jobs import (
-    OwnCostLabels,
     control,
     cost_measurements,
     demonstrated,
     learning,
 )
 from contactgraph_studies.cost.known_answer import known_answer_table
-from contactgraph_studies.job import Job, Measurement, in_dependency_order
+from contactgraph_studies.job import Measurement
 from contactgraph_studies.results import (
     CONTACT_SPEED,
     SUCCESS_PERCENT,
@@ -39,8 +38,8 @@ from contactgraph_studies.results import (
     Success,
     joined,
 )
-from contactgraph_studies.study import Claim, Evidence, StudyResult, judged
-from contactgraph_studies.tables import Column, StudyTable, known_text
+from contactgraph_studies.study import Claim, Evidence, Study, StudyResult, judged
+from contactgraph_studies.tables import Row, StudyTable, label, statistic
 
 _PAPER = 0.98
 _UNSEEN = Target(98.0, 100.0)
@@ -50,6 +49,7 @@ _LEARNING_S = Target(300.0, 60.0)
 _FEW = 5.0
 """Demonstrations for a success of `ENOUGH`."""
 _TOUCHED = Quantity("touched_bystanders")
+_SECONDS = Quantity("made", derived=lambda values: float(values["made"]["seconds"]))
 _OMITTED = ("history", "in_words")
 """Fields of a cost file that are long, or the same in all."""
 _VERDICTS = {
@@ -60,7 +60,7 @@ _VERDICTS = {
 
 
 @dataclass(frozen=True)
-class CostStudy:
+class CostStudy(Study):
     """Costs learned from demonstrations of some tasks."""
 
     tasks: Sequence[CostTask]
@@ -71,34 +71,28 @@ class CostStudy:
         """Everything that is measured."""
         return cost_measurements(self.tasks, self.amounts)
 
-    @cached_property
-    def jobs(self) -> list[Job]:
-        """All jobs in dependency order."""
-        return in_dependency_order(one.job for one in self.measurements)
-
     def result(self, folder: Path) -> StudyResult:
         """The claim, tables and figures."""
-        results = Results.read(folder, self.measurements)
-        claim = transfers(results, self.tasks, self.amounts)
-        shared = (folder, self.measurements, self.tasks, self.amounts)
-        seeds, episodes = self.amounts.seeds, self.amounts.episodes
+        results, amounts = Results.read(folder, self.measurements), self.amounts
+        claim = transfers(results, self.tasks, amounts)
+        shared = (folder, self.measurements, self.tasks, amounts)
         return StudyResult(
             title="A cost, learned from demonstrations",
             summary="A cost learned from an expert's runs through a differentiable LQR on "
-            f"the learned model: {_VERDICTS[claim.holds]}. {len(seeds)} seed(s) of demonstrations, "
-            f"each with one goal; {episodes} closed-loop episodes a seed, with goals and objects "
-            "that no demonstration had.",
+            f"the learned model: {_VERDICTS[claim.holds]}. {len(amounts.seeds)} seed(s) of "
+            f"demonstrations, each with one goal; {amounts.episodes} closed-loop episodes a seed, "
+            "with goals and objects that no demonstration had.",
             claims=[claim],
             targets_heading="Targets of learned costs",
-            targets=cost_targets(results, self.tasks, self.amounts),
-            tables=[cost_table(results, self.tasks, self.amounts), known_answer_table(*shared)],
+            targets=cost_targets(results, self.tasks, amounts),
+            tables=[cost_table(results, self.tasks, amounts), known_answer_table(*shared)],
             figures=cost_pictures(results, *shared),
             scenes=cost_scenes(*shared),
             amounts={
-                "demonstration_seeds": list(seeds),
-                "demonstrations": list(self.amounts.demonstrations),
-                "episodes": episodes,
-                "test_scene_seeds": [SCENE_SEED + seed for seed in seeds],
+                "demonstration_seeds": list(amounts.seeds),
+                "demonstrations": list(amounts.demonstrations),
+                "episodes": amounts.episodes,
+                "test_scene_seeds": [SCENE_SEED + seed for seed in amounts.seeds],
             },
             readings=results.to_json(omit=_OMITTED),
         )
@@ -106,7 +100,7 @@ class CostStudy:
 
 def transfers(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts) -> Claim:
     """Claim 8: a learned cost does the task for goals and objects that were not demonstrated."""
-    found = Evidence([task.name for task in tasks])
+    found = Evidence(results, [task.name for task in tasks])
     rates = {}
     for task in tasks:
         for test in by_demonstrations(amounts):
@@ -136,59 +130,33 @@ def transfers(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts)
     )
 
 
-class Row(NamedTuple):
-    """A row of the table; without a test: the task's own cost."""
-
-    task: CostTask
-    test: CostTest | None
-
-    @property
-    def labels(self) -> OwnCostLabels:
-        """Of control."""
-        return demonstrated(self.task) if self.test is None else control(self.task, self.test)
-
-    @property
-    def learned_from(self) -> str:
-        """The demonstrator."""
+def _row(results: Results, task: CostTask, test: CostTest | None) -> Row:
+    """A cost in one kind of scene; without a test: the task's own cost."""
+    if test is None:
         own = "not learned: the task's own cost"
-        return own if self.test is None else self.test.learned.name
-
-    @property
-    def demonstrations(self) -> int | None:
-        """The number learned from."""
-        return None if self.test is None else self.test.learned.demonstrations
-
-    @property
-    def distractors(self) -> int:
-        """In the scenes of control."""
-        return 0 if self.test is None else self.test.distractors
+        labels: dict[str, Any] = {"learned_from": own, "demonstrations": None, "distractors": 0}
+        conditions: dict[str, Any] = {"control": demonstrated(task)}
+    else:
+        learned = test.learned
+        labels = {
+            "learned_from": learned.name,
+            "demonstrations": learned.demonstrations,
+            "distractors": test.distractors,
+        }
+        conditions = {"control": control(task, test), "learning": learning(task, learned)}
+        if test.distractors:
+            conditions["among distractors"] = conditions["control"]
+    success = results.success(conditions["control"])
+    low, high = (None, None) if success is None else success.interval
+    seeds = len(results.statistic(conditions["control"], SUCCESS_PERCENT).values)
+    labels |= {"task": task.name, "seeds": seeds, "interval_low": low, "interval_high": high}
+    return Row(labels, results, conditions)
 
 
 def cost_table(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts) -> StudyTable:
     """Every cost in every kind of scene; the task's own cost comes last."""
-
-    def statistic(quantity: Quantity) -> Callable[[Row], SeedStatistic]:
-        return lambda row: results.statistic(row.labels, quantity)
-
-    def success(row: Row) -> Success | None:
-        return results.success(row.labels)
-
-    def count(field: str) -> Callable[[Row], int | None]:
-        return lambda row: getattr(success(row), field, None)
-
-    def interval(end: int) -> Callable[[Row], float | None]:
-        return lambda row: None if (one := success(row)) is None else one.interval[end]
-
-    def seconds(row: Row) -> SeedStatistic:
-        if row.test is None:
-            return SeedStatistic()
-        return learning_seconds(results, row.task, row.test.learned)
-
-    def commands(row: Row) -> tuple[str, str]:
-        return seconds(row).command, results.statistic(row.labels, SUCCESS_PERCENT).command
-
-    rate, touched = statistic(SUCCESS_PERCENT), statistic(_TOUCHED)
-    return StudyTable.measure(
+    touched = "episodes in which a distractor was touched"
+    return StudyTable.of(
         slug="table",
         title="Every cost",
         caption="Success in scenes whose goal and objects were in no demonstration: the episodes "
@@ -198,39 +166,28 @@ def cost_table(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts
         "one core while another job runs on the other. The task's own cost is tested in the "
         "scenes of its demonstrations.",
         columns=[
-            Column(lambda row: row.task.name, "task", "Task", label=True),
-            Column(lambda row: row.learned_from, "learned_from", "Cost learned from", label=True),
-            Column(lambda row: row.demonstrations, "demonstrations", "demonstrations", label=True),
-            Column(lambda row: row.distractors, "distractors", "distractors in view", label=True),
-            Column(lambda row: len(rate(row).values), "seeds"),
-            Column(success, "", "success (95 %)", text=success_text),
-            Column(rate, "", "each seed, %", text=_each_seed),
-            Column(count("successes"), "successes"),
-            Column(count("episodes"), "episodes"),
-            Column(interval(0), "interval_low"),
-            Column(interval(1), "interval_high"),
-            Column(rate, "success_percent"),
-            Column(statistic(CONTACT_SPEED), "contact_speed_m_s", "speed at contact, m/s"),
-            Column(touched, "touched_bystanders"),
-            Column(
-                lambda row: touched(row) if row.distractors else SeedStatistic(),
-                "",
-                "episodes in which a distractor was touched",
-                text=_each_seed,
-            ),
-            Column(seconds, "learning_s", "learning, s", text=known_text),
-            Column(lambda row: commands(row)[0], "command_learning"),
-            Column(lambda row: commands(row)[1], "command_control"),
+            label("task", "Task"),
+            label("learned_from", "Cost learned from"),
+            label("demonstrations", "demonstrations"),
+            label("distractors", "distractors in view"),
+            label("seeds"),
+            tables.success("success (95 %)", "control", success_text),
+            statistic("", "each seed, %", "control", SUCCESS_PERCENT, _each_seed),
+            *tables.counts("control"),
+            label("interval_low"),
+            label("interval_high"),
+            statistic("success_percent", "", "control", SUCCESS_PERCENT),
+            statistic("contact_speed_m_s", "speed at contact, m/s", "control", CONTACT_SPEED),
+            statistic("touched_bystanders", "", "control", _TOUCHED),
+            statistic("", touched, "among distractors", _TOUCHED, _each_seed),
+            statistic("learning_s", "learning, s", "learning", _SECONDS, tables.known_text),
+            tables.command("command_learning", "learning", _SECONDS),
+            tables.command("command_control", "control", SUCCESS_PERCENT),
         ],
-        conditions=[Row(task, test) for task in tasks for test in (*tests_of(task, amounts), None)],
-        commands=commands,
+        rows=[
+            _row(results, task, test) for task in tasks for test in (*tests_of(task, amounts), None)
+        ],
     )
-
-
-def learning_seconds(results: Results, task: CostTask, learned: CostCondition) -> SeedStatistic:
-    """Wall time of learning, s."""
-    labels = learning(task, learned)
-    return results.derived(labels, lambda values: float(values["made"]["seconds"]))
 
 
 def success_text(success: Success | None) -> str:
@@ -252,28 +209,18 @@ def cost_targets(
     """The targets of every task."""
     numbers = []
     for task in tasks:
-        most = by_demonstrations(amounts)[-1]
-        numbers += [
-            _success_target(results, task, most, amounts, _UNSEEN),
-            *(
-                _success_target(results, task, test, amounts, _AMONG_DISTRACTORS)
-                for test in among_distractors(amounts)
-            ),
-            _demonstrations_target(results, task, amounts),
-            judged(
-                f"{task.name}: learning from {amounts.most} demonstrations, on one core",
-                "s",
-                learning_seconds(results, task, most.learned),
-                _LEARNING_S,
-                amounts.seeds,
-                lower_is_better=True,
-            ),
-        ]
+        most, among = by_demonstrations(amounts)[-1], among_distractors(amounts)
+        tests = [(most, _UNSEEN), *((test, _AMONG_DISTRACTORS) for test in among)]
+        numbers += [_success_target(results, task, *each, amounts) for each in tests]
+        numbers.append(_demonstrations_target(results, task, amounts))
+        seconds = results.statistic(learning(task, most.learned), _SECONDS)
+        name = f"{task.name}: learning from {amounts.most} demonstrations, on one core"
+        numbers.append(judged(name, "s", seconds, _LEARNING_S, amounts.seeds, lower=True))
     return tuple(numbers)
 
 
 def _success_target(
-    results: Results, task: CostTask, test: CostTest, amounts: CostAmounts, asked: Target
+    results: Results, task: CostTask, test: CostTest, target: Target, amounts: CostAmounts
 ) -> Number:
     """Success of the episodes of all seeds together, with their Wilson interval."""
     labels = control(task, test)
@@ -285,7 +232,7 @@ def _success_target(
     if success is not None:
         name += f" ({success.successes} of {success.episodes} episodes; "
         name += f"each seed: {_each_seed(each)} %)"
-    number = judged(name, "%", each, asked, amounts.seeds)
+    number = judged(name, "%", each, target, amounts.seeds)
     if success is None:
         return number
     low, high = success.interval
@@ -308,5 +255,5 @@ def _demonstrations_target(results: Results, task: CostTask, amounts: CostAmount
         tried += ": not enough"
     name = f"{task.name}: demonstrations needed for {100 * ENOUGH:.0f} % (of {tried})"
     statistic = SeedStatistic(tuple(needed), command)
-    number = judged(name, "", statistic, None, amounts.seeds, lower_is_better=True)
+    number = judged(name, "", statistic, None, amounts.seeds, lower=True)
     return replace(number, aim=_FEW)

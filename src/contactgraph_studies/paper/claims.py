@@ -1,17 +1,13 @@
-"""The paper's claims about prediction errors (1 to 3)."""
+"""The paper's claims about prediction errors (1 to 3), and the list of all seven."""
 
 import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from contactgraph.cli.tasks import TestCondition
 from contactgraph.viz.number_table import short, with_unit
-from contactgraph_studies.paper.claims_graph import (
-    corrected_edges,
-    edges_mean_contact,
-    free_matrices,
-    prior_needed,
-)
+from contactgraph_studies.paper import claims_graph
 from contactgraph_studies.paper.config import (
     GIM_NON_TEMP,
     GIM_TEMP,
@@ -22,7 +18,6 @@ from contactgraph_studies.paper.config import (
     Amounts,
     StudyModel,
     StudyTask,
-    TestCondition,
 )
 from contactgraph_studies.paper.jobs import (
     PLANNED_ERROR,
@@ -37,10 +32,8 @@ from contactgraph_studies.study import Claim, Evidence
 
 _SMALL_CM = 1.0
 """The paper's "less than a centimeter"."""
-_SHARP = 2.0
-"""Ratio of errors from which on the growth is sharp."""
-_SLIGHT = 1.5
-"""Ratio of errors up to which the growth is slight."""
+_SHARP, _SLIGHT = 2.0, 1.5
+"""Growth of an error from which on it is sharp, and up to which it is slight."""
 _MORE_DATA = 3.0
 """The lower end of the paper's "three to four times more data"."""
 _COMPARED = (GIM_TEMP, GIM_NON_TEMP, NO_GIM, NO_GIM_AUG)
@@ -51,26 +44,23 @@ def claims(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> li
     """Claims 1 to 7; the third only if the error of a task is measured by training data."""
     sampled = [task for task in tasks if task.with_samples]
     return [
-        small_in_distribution(results, tasks),
-        generalisation(results, tasks),
-        *([more_data(results, sampled, amounts)] if sampled else []),
-        corrected_edges(results, tasks),
-        free_matrices(results, tasks),
-        prior_needed(results, tasks),
-        edges_mean_contact(results, tasks),
+        _small_in_distribution(results, tasks),
+        _generalisation(results, tasks),
+        *([_more_data(results, sampled, amounts)] if sampled else []),
+        *claims_graph.claims(results, tasks),
     ]
 
 
-def small_in_distribution(results: Results, tasks: Sequence[StudyTask]) -> Claim:
+def _small_in_distribution(results: Results, tasks: Sequence[StudyTask]) -> Claim:
     """Claim 1."""
-    found = Evidence([task.name for task in tasks])
+    found = Evidence(results, [task.name for task in tasks])
     large = []
     for task in tasks:
         for model in (model for model in _COMPARED if model in task.models):
-            error = results.statistic(planned(task, model, task.as_trained), PLANNED_ERROR)
-            found.add(model.name, task.name, "cm", error)
-            found.verdicts.append(error.median < _SMALL_CM if error.known else None)
-            if found.verdicts[-1] is False:
+            condition = planned(task, model, task.as_trained)
+            error = found.measure(model.name, task.name, "cm", condition, PLANNED_ERROR)
+            found.judge(error.median < _SMALL_CM, error)
+            if error.median >= _SMALL_CM:
                 large.append(f"{model.name} on {task.name} ({with_unit(error.median, 'cm')})")
     known = [one.statistic.median for one in found.numbers if one.statistic.known]
     worst = with_unit(max(known, default=math.nan), "cm")
@@ -90,9 +80,9 @@ def small_in_distribution(results: Results, tasks: Sequence[StudyTask]) -> Claim
     )
 
 
-def generalisation(results: Results, tasks: Sequence[StudyTask]) -> Claim:
+def _generalisation(results: Results, tasks: Sequence[StudyTask]) -> Claim:
     """Claim 2."""
-    found = Evidence([task.name for task in tasks])
+    found = Evidence(results, [task.name for task in tasks])
     literal = []
     for task in tasks:
         growth = {}
@@ -103,19 +93,17 @@ def generalisation(results: Results, tasks: Sequence[StudyTask]) -> Claim:
             open_loop = _growth(results, task, model, recorded, RECORDED_ERROR)
             found.add(ratio, task.name, "times", growth[model])
             found.add(f"{ratio}, open loop", task.name, "times", open_loop)
-            error = results.statistic(planned(task, model, task.hardest), PLANNED_ERROR)
-            found.add(name, task.name, "cm", error)
+            condition = planned(task, model, task.hardest)
+            found.measure(name, task.name, "cm", condition, PLANNED_ERROR)
             if model in (LITERAL_NO_GIM, LITERAL) and open_loop.known:
                 literal.append(f"{task.name}, {model.name} {_times(open_loop.median)}")
-        if not (growth[NO_GIM].known and growth[GIM_TEMP].known):
-            found.verdicts.append(None)
-            continue
         sharp, slight = growth[NO_GIM].median, growth[GIM_TEMP].median
-        found.verdicts.append(sharp >= _SHARP and slight <= _SLIGHT)
-        found.sentences.append(
-            f"{task.name}: No-GIM's error is {_times(sharp)} that in distribution, "
-            f"GIM-Temp's {_times(slight)}"
-        )
+        holds = sharp >= _SHARP and slight <= _SLIGHT
+        if found.judge(holds, growth[NO_GIM], growth[GIM_TEMP]):
+            found.sentences.append(
+                f"{task.name}: No-GIM's error is {_times(sharp)} that in distribution, "
+                f"GIM-Temp's {_times(slight)}"
+            )
     if literal:
         found.sentences.append(f"in the paper's own form, open loop: {', '.join(literal)}")
     return found.claim(
@@ -140,27 +128,22 @@ def _growth(
     outside = results.statistic(condition_of(task, model, task.hardest), error)
     if len(inside.values) != len(outside.values):
         return SeedStatistic()
-    ratios = [
-        math.inf if math.isinf(far) else far / near
-        for near, far in zip(inside.values, outside.values, strict=True)
-        if near > 0.0
-    ]
+    pairs = zip(inside.values, outside.values, strict=True)
+    ratios = [math.inf if math.isinf(far) else far / near for near, far in pairs if near > 0.0]
     return SeedStatistic(tuple(ratios), outside.command)
 
 
 def sample_errors(
-    results: Results, task: StudyTask, model: StudyModel, condition: TestCondition, runs: int
+    results: Results, task: StudyTask, model: StudyModel, scenes: TestCondition, runs: int
 ) -> SeedStatistic:
     """Open-loop error of a model trained on this number of trajectories, cm."""
-    where = ModelCondition(
-        Source.samples, task.name, model.name, condition.name, training_runs=runs
-    )
-    return results.statistic(where, RECORDED_ERROR)
+    labels = (Source.samples, task.name, model.name, scenes.name)
+    return results.statistic(ModelCondition(*labels, training_runs=runs), RECORDED_ERROR)
 
 
-def more_data(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> Claim:
+def _more_data(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> Claim:
     """Claim 3."""
-    found = Evidence([task.name for task in tasks])
+    found = Evidence(results, [task.name for task in tasks])
     sizes, most = amounts.sample_sizes, max(amounts.sample_sizes)
     for task in tasks:
         few = task.training_runs
@@ -168,19 +151,16 @@ def more_data(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) ->
         curve = [sample_errors(results, task, NO_GIM_AUG, task.hardest, size) for size in sizes]
         found.add(f"GIM-Temp, {few} runs", task.name, "cm", own)
         found.add(f"No-GIM-Aug, {most} runs", task.name, "cm", curve[-1])
-        ratios = []
-        for seed in range(min(len(one.values) for one in (own, *curve))):
-            errors = [one.values[seed] for one in curve]
-            ratio = data_ratio(sizes, errors, few, own.values[seed])
-            if ratio is not None:
-                ratios.append(ratio)
-        if not ratios:
-            found.verdicts.append(None)
-            continue
-        needed = SeedStatistic(tuple(ratios), curve[-1].command)
-        found.add("data needed for equal error", task.name, "times", needed)
+        ratios = [
+            data_ratio(sizes, [one.values[seed] for one in curve], few, own.values[seed])
+            for seed in range(min(len(one.values) for one in (own, *curve)))
+        ]
+        known = tuple(ratio for ratio in ratios if ratio is not None)
+        needed = SeedStatistic(known, curve[-1].command)
         reached = math.isfinite(needed.median)
-        found.verdicts.append(reached and needed.median >= _MORE_DATA)
+        if not found.judge(reached and needed.median >= _MORE_DATA, needed):
+            continue
+        found.add("data needed for equal error", task.name, "times", needed)
         found.sentences.append(
             f"{task.name}: No-GIM-Aug needs {short(needed.median)} times the data"
             if reached
@@ -209,21 +189,18 @@ def data_ratio(
     interpolated linearly in log-log; the first crossing counts. An error that the smallest size
     already has gives an upper bound of the ratio. Infinity: never reached. None: not known.
     """
-    known = [
-        (size, error)
-        for size, error in zip(sizes, errors, strict=True)
-        if not math.isnan(error) and error > 0.0
-    ]
+    pairs = zip(sizes, errors, strict=True)
+    known = [(size, error) for size, error in pairs if not math.isnan(error) and error > 0.0]
     if not known or not reference_error > 0.0 or math.isinf(reference_error):
         return None
-    previous: tuple[int, float] | None = None
+    previous_size, previous = 0, math.inf
     for size, error in known:
         if error <= reference_error:
-            if previous is None or math.isinf(previous[1]):
+            if math.isinf(previous):
                 return size / reference_runs
-            logs = np.log([error, previous[1]]), np.log([size, previous[0]])
+            logs = np.log([error, previous]), np.log([size, previous_size])
             return math.exp(np.interp(np.log(reference_error), *logs)) / reference_runs
-        previous = size, error
+        previous_size, previous = size, error
     return math.inf
 
 

@@ -30,10 +30,8 @@ _CONNECTED = 90.0
 """%: share of active edges without contact from which on a graph is fully connected."""
 _AS_BAD = 0.5
 """Ratio of errors from which on they are equally bad; models vary by as much between seeds."""
-_STRAY = 1.0
-"""%: edges active without contact, of all without contact."""
-_PRECISE = 95.0
-"""%"""
+_STRAY, _PRECISE = 1.0, 95.0
+"""%: largest share of edges without contact that are active, and least precision."""
 _UNBOUNDED = 10.0
 """Growth of the state over an episode in which true states grow two- to threefold."""
 _INFEASIBLE = 50.0
@@ -50,34 +48,43 @@ _SPECTRAL_RADIUS = {
 }
 
 
-def corrected_edges(results: Results, tasks: Sequence[StudyTask]) -> Claim:
+def _larger_growth(values: Values) -> float:
+    growth = [values.get(quantity.key) for quantity in _GROWTH.values()]
+    return max(math.inf if value is None else value for value in growth)
+
+
+_LARGEST_GROWTH = Quantity("growth_free", derived=_larger_growth)
+
+
+def claims(results: Results, tasks: Sequence[StudyTask]) -> list[Claim]:
+    """Claims 4 to 7."""
+    every = (_corrected_edges, _free_matrices, _prior_needed, _edges_mean_contact)
+    return [claim(Evidence(results, [task.name for task in tasks]), tasks) for claim in every]
+
+
+def _corrected_edges(found: Evidence, tasks: Sequence[StudyTask]) -> Claim:
     """Claim 4."""
-    found = Evidence([task.name for task in tasks])
     for task in tasks:
         scenes, name = task.as_trained, task.name
-        own = results.statistic(planned(task, GIM_TEMP, scenes), PLANNED_ACCURACY)
-        other = results.statistic(planned(task, GIM_NON_TEMP, scenes), PLANNED_ACCURACY)
-        found.add("GIM-Temp, edge accuracy", name, "%", own)
-        found.add("GIM-Non-Temp, edge accuracy", name, "%", other)
-        corrected = results.statistic(recorded(task, GIM_TEMP, scenes), EDGE_ACCURACY)
-        without = results.statistic(recorded(task, GIM_TEMP, scenes), UNMEASURED_ACCURACY)
-        reference = results.statistic(recorded(task, GIM_NON_TEMP, scenes), EDGE_ACCURACY)
-        found.add("GIM-Temp, recorded, corrected", name, "%", corrected)
-        found.add("GIM-Temp, recorded, not corrected", name, "%", without)
-        found.add("GIM-Non-Temp, recorded", name, "%", reference)
+        closed, opened = planned(task, GIM_TEMP, scenes), recorded(task, GIM_TEMP, scenes)
+        own = found.measure("GIM-Temp, edge accuracy", name, "%", closed, PLANNED_ACCURACY)
+        closed = planned(task, GIM_NON_TEMP, scenes)
+        other = found.measure("GIM-Non-Temp, edge accuracy", name, "%", closed, PLANNED_ACCURACY)
+        label = "GIM-Temp, recorded"
+        corrected = found.measure(f"{label}, corrected", name, "%", opened, EDGE_ACCURACY)
+        plain = found.measure(f"{label}, not corrected", name, "%", opened, UNMEASURED_ACCURACY)
+        reference = recorded(task, GIM_NON_TEMP, scenes)
+        found.measure("GIM-Non-Temp, recorded", name, "%", reference, EDGE_ACCURACY)
         for fault in FAULTS:
-            where = ModelCondition(Source.faults, name, GIM_TEMP.name, scenes.name, fault.name)
-            accuracy = results.statistic(where, EDGE_ACCURACY)
-            found.add(f"GIM-Temp, recorded, sensor {fault.name}", name, "%", accuracy)
-        if not (own.known and other.known and corrected.known and without.known):
-            found.verdicts.append(None)
-            continue
-        found.verdicts.append(own.median > other.median and corrected.median > without.median)
-        found.sentences.append(
-            f"{name}: {_percent(own.median)} against GIM-Non-Temp's {_percent(other.median)} "
-            f"in closed loop; on recorded runs {_percent(corrected.median)} with correction, "
-            f"{_percent(without.median)} without"
-        )
+            faulty = ModelCondition(Source.faults, name, GIM_TEMP.name, scenes.name, fault.name)
+            found.measure(f"{label}, sensor {fault.name}", name, "%", faulty, EDGE_ACCURACY)
+        holds = own.median > other.median and corrected.median > plain.median
+        if found.judge(holds, own, other, corrected, plain):
+            found.sentences.append(
+                f"{name}: {_percent(own.median)} against GIM-Non-Temp's {_percent(other.median)} "
+                f"in closed loop; on recorded runs {_percent(corrected.median)} with correction, "
+                f"{_percent(plain.median)} without"
+            )
     return found.claim(
         number=4,
         title="GIM-Temp's edge accuracy is above GIM-Non-Temp's, because contacts correct it",
@@ -90,9 +97,8 @@ def corrected_edges(results: Results, tasks: Sequence[StudyTask]) -> Claim:
     )
 
 
-def free_matrices(results: Results, tasks: Sequence[StudyTask]) -> Claim:
+def _free_matrices(found: Evidence, tasks: Sequence[StudyTask]) -> Claim:
     """Claim 5."""
-    found = Evidence([task.name for task in tasks])
     for task in tasks:
         largest, success = {}, {}
         for model in (FULL_AB, GIM_TEMP):
@@ -100,27 +106,25 @@ def free_matrices(results: Results, tasks: Sequence[StudyTask]) -> Claim:
             growth = ModelCondition(Source.growth, *labels)
             for unit, quantities in (("times", _GROWTH), ("", _SPECTRAL_RADIUS)):
                 for name, quantity in quantities.items():
-                    statistic = results.statistic(growth, quantity)
-                    found.add(f"{model.name}, {name}", task.name, unit, statistic)
-            largest[model] = results.derived(growth, _largest_growth)
+                    found.measure(f"{model.name}, {name}", task.name, unit, growth, quantity)
+            largest[model] = found.results.statistic(growth, _LARGEST_GROWTH)
             for source, name in ((Source.planned, "short way"), (Source.long_plan, "whole run")):
-                rate = results.statistic(ModelCondition(source, *labels), SUCCESS_PERCENT)
-                success[model, source] = rate
-                found.add(f"{model.name}, success, planned a {name} ahead", task.name, "%", rate)
-        short_plan, long_plan = success[FULL_AB, Source.planned], success[FULL_AB, Source.long_plan]
-        if not (largest[FULL_AB].known and short_plan.known and long_plan.known):
-            found.verdicts.append(None)
-            continue
+                name = f"{model.name}, success, planned a {name} ahead"
+                condition = ModelCondition(source, *labels)
+                success[model, source] = found.measure(
+                    name, task.name, "%", condition, SUCCESS_PERCENT
+                )
+        near, far = success[FULL_AB, Source.planned], success[FULL_AB, Source.long_plan]
         grown = largest[FULL_AB].median
-        infeasible = max(short_plan.median, long_plan.median) < _INFEASIBLE
-        found.verdicts.append(grown >= _UNBOUNDED and infeasible)
-        found.sentences.append(
-            f"{task.name}: rolled out over a whole run its states grow "
-            f"{'not finitely' if math.isinf(grown) else f'{short(grown)} times'} "
-            f"(GIM-Temp's {short(largest[GIM_TEMP].median)} times), and control succeeds in "
-            f"{short(short_plan.median)} % of the episodes planned a short way ahead, "
-            f"{short(long_plan.median)} % of those planned a whole run ahead"
-        )
+        holds = grown >= _UNBOUNDED and max(near.median, far.median) < _INFEASIBLE
+        if found.judge(holds, largest[FULL_AB], near, far):
+            found.sentences.append(
+                f"{task.name}: rolled out over a whole run its states grow "
+                f"{'not finitely' if math.isinf(grown) else f'{short(grown)} times'} "
+                f"(GIM-Temp's {short(largest[GIM_TEMP].median)} times), and control succeeds in "
+                f"{short(near.median)} % of the episodes planned a short way ahead, "
+                f"{short(far.median)} % of those planned a whole run ahead"
+            )
     return found.claim(
         number=5,
         title="Full-AB trains, but LQR on it is infeasible: its rollouts grow without bound",
@@ -133,32 +137,24 @@ def free_matrices(results: Results, tasks: Sequence[StudyTask]) -> Claim:
     )
 
 
-def _largest_growth(values: Values) -> float:
-    growth = [values.get(quantity.key) for quantity in _GROWTH.values()]
-    return max(math.inf if value is None else value for value in growth)
-
-
-def prior_needed(results: Results, tasks: Sequence[StudyTask]) -> Claim:
+def _prior_needed(found: Evidence, tasks: Sequence[StudyTask]) -> Claim:
     """Claim 6."""
-    found = Evidence([task.name for task in tasks])
     for task in tasks:
-        scenes = task.hardest
-        stray = results.statistic(recorded(task, NO_KL, scenes), _FALSE_ALARMS)
-        own = results.statistic(planned(task, NO_KL, scenes), PLANNED_ERROR)
-        other = results.statistic(planned(task, NO_GIM, scenes), PLANNED_ERROR)
-        found.add("edges active of those without contact, without KL", task.name, "%", stray)
-        found.add(f"without KL, {scenes.name}", task.name, "cm", own)
-        found.add(f"No-GIM, {scenes.name}", task.name, "cm", other)
-        if not (stray.known and own.known and other.known):
-            found.verdicts.append(None)
-            continue
+        scenes, name = task.hardest, task.name
+        condition = recorded(task, NO_KL, scenes)
+        label = "edges active of those without contact, without KL"
+        stray = found.measure(label, name, "%", condition, _FALSE_ALARMS)
+        condition = planned(task, NO_KL, scenes)
+        own = found.measure(f"without KL, {scenes.name}", name, "cm", condition, PLANNED_ERROR)
+        condition = planned(task, NO_GIM, scenes)
+        other = found.measure(f"No-GIM, {scenes.name}", name, "cm", condition, PLANNED_ERROR)
         as_bad = math.isinf(own.median) or own.median >= _AS_BAD * other.median
-        found.verdicts.append(stray.median >= _CONNECTED and as_bad)
-        found.sentences.append(
-            f"{task.name}: {_percent(stray.median)} of the edges without contact are active, and "
-            f"with {scenes.name} the error is {with_unit(own.median, 'cm')} against No-GIM's "
-            f"{with_unit(other.median, 'cm')}"
-        )
+        if found.judge(stray.median >= _CONNECTED and as_bad, stray, own, other):
+            found.sentences.append(
+                f"{name}: {_percent(stray.median)} of the edges without contact are active, and "
+                f"with {scenes.name} the error is {with_unit(own.median, 'cm')} against No-GIM's "
+                f"{with_unit(other.median, 'cm')}"
+            )
     return found.claim(
         number=6,
         title="Without the KL term the graph stays fully connected and generalises no better than "
@@ -171,29 +167,27 @@ def prior_needed(results: Results, tasks: Sequence[StudyTask]) -> Claim:
     )
 
 
-def edges_mean_contact(results: Results, tasks: Sequence[StudyTask]) -> Claim:
+def _edges_mean_contact(found: Evidence, tasks: Sequence[StudyTask]) -> Claim:
     """Claim 7."""
-    found = Evidence([task.name for task in tasks])
     wrong, rates = [], []
-    for task in tasks:
-        for model in (GIM_TEMP, GIM_NON_TEMP):
-            for condition in (task.as_trained, task.hardest):
-                where = recorded(task, model, condition)
-                name = f"{model.name}, {condition.name}"
-                stray = results.statistic(where, _FALSE_ALARMS)
-                precision = results.statistic(where, _PRECISION)
-                found.add(f"{name}, active without contact", task.name, "%", stray)
-                found.add(f"{name}, precision", task.name, "%", precision)
-                rates += [stray.median] if stray.known else []
-                if not (stray.known and precision.known):
-                    found.verdicts.append(None)
-                    continue
-                found.verdicts.append(stray.median <= _STRAY and precision.median >= _PRECISE)
-                if not found.verdicts[-1]:
-                    wrong.append(
-                        f"{name} on {task.name} (precision {_percent(precision.median)}, "
-                        f"{_percent(stray.median)} of the edges without contact active)"
-                    )
+    cases = [
+        (task, model, scenes)
+        for task in tasks
+        for model in (GIM_TEMP, GIM_NON_TEMP)
+        for scenes in (task.as_trained, task.hardest)
+    ]
+    for task, model, scenes in cases:
+        condition, name = recorded(task, model, scenes), f"{model.name}, {scenes.name}"
+        label = f"{name}, active without contact"
+        stray = found.measure(label, task.name, "%", condition, _FALSE_ALARMS)
+        precision = found.measure(f"{name}, precision", task.name, "%", condition, _PRECISION)
+        rates += [stray.median] if stray.known else []
+        holds = stray.median <= _STRAY and precision.median >= _PRECISE
+        if found.judge(holds, stray, precision) and not holds:
+            wrong.append(
+                f"{name} on {task.name} (precision {_percent(precision.median)}, "
+                f"{_percent(stray.median)} of the edges without contact active)"
+            )
     largest = _percent(max(rates, default=math.nan))
     return found.claim(
         number=7,

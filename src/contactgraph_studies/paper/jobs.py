@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum, auto
 from functools import cached_property
 
+from contactgraph.cli.tasks import TestCondition
 from contactgraph_studies.job import Job, Measurement
 from contactgraph_studies.paper.config import (
     FAULTS,
@@ -14,10 +15,9 @@ from contactgraph_studies.paper.config import (
     NO_GIM_AUG,
     TEST_SEED,
     Amounts,
-    SensorFault,
+    Options,
     StudyModel,
     StudyTask,
-    TestCondition,
 )
 from contactgraph_studies.results import Quantity
 
@@ -32,7 +32,7 @@ class Source(StrEnum):
     every_step = auto()
     """Closed loop, replanned every step."""
     long_plan = auto()
-    """Closed loop, planned over a whole episode."""
+    """Closed loop, planned over a whole episode: the growth of Full-AB shows there."""
     growth = auto()
     """Rolled out over a whole episode."""
     samples = auto()
@@ -68,26 +68,25 @@ UNMEASURED_ACCURACY = Quantity("edge_accuracy_unmeasured", 100.0)
 """%, without contact measurements."""
 
 
-def planned(task: StudyTask, model: StudyModel, condition: TestCondition) -> ModelCondition:
+def planned(task: StudyTask, model: StudyModel, scenes: TestCondition) -> ModelCondition:
     """Planned against executed trajectories."""
-    return ModelCondition(Source.planned, task.name, model.name, condition.name)
+    return ModelCondition(Source.planned, task.name, model.name, scenes.name)
 
 
-def recorded(task: StudyTask, model: StudyModel, condition: TestCondition) -> ModelCondition:
+def recorded(task: StudyTask, model: StudyModel, scenes: TestCondition) -> ModelCondition:
     """Predictions of recorded expert trajectories."""
-    return ModelCondition(Source.recorded, task.name, model.name, condition.name)
+    return ModelCondition(Source.recorded, task.name, model.name, scenes.name)
 
 
 def measurements(tasks: Sequence[StudyTask], amounts: Amounts) -> list[Measurement]:
     """All of a study: the targets of GIM-Temp first, then the rest, seed by seed."""
     every = [one for seed in amounts.seeds for task in tasks for one in _of(task, seed, amounts)]
     first = (Source.recorded, Source.planned, Source.every_step)
-    return sorted(
-        every,
-        key=lambda one: (
-            not (one.condition.model == GIM_TEMP.name and one.condition.source in first)
-        ),
-    )
+
+    def is_late(one: Measurement) -> bool:
+        return not (one.condition.model == GIM_TEMP.name and one.condition.source in first)
+
+    return sorted(every, key=is_late)
 
 
 def conditions_of(task: StudyTask, amounts: Amounts) -> list[TestCondition]:
@@ -96,42 +95,33 @@ def conditions_of(task: StudyTask, amounts: Amounts) -> list[TestCondition]:
 
 
 def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
+    trained_on, long = task.as_trained, str(task.run_steps)
+    episodes = ("--episodes", str(amounts.episodes), "--replan-every", str(task.steps_ahead))
+    success_episodes = ("--episodes", str(amounts.success_episodes))
+    long_plan = ("--episodes", "5", "--horizon", long, "--replan-every", "50")
     for model in task.models:
         runs = task.augmented_runs if model.augmented else task.training_runs
-        trained = _TrainedModel(task, model, seed, runs, amounts)
-        for condition in conditions_of(task, amounts):
-            yield trained.recorded(condition)
-            yield trained.planned(condition)
+        one = _TrainedModel(task, model, seed, runs, amounts)
+        for scenes in conditions_of(task, amounts):
+            yield one.evaluate(Source.recorded, scenes, f"recorded-{scenes.slug}")
+            options = (*episodes, *task.planned_options)
+            # The page shows episodes of GIM-Temp.
+            yield one.control(Source.planned, scenes, "planned", options, model is GIM_TEMP)
             if model is GIM_TEMP:
-                yield trained.every_step(condition)
-        if model is GIM_TEMP:
-            yield from (trained.with_fault(fault) for fault in FAULTS)
+                yield one.control(Source.every_step, scenes, "every-step", success_episodes)
+        for fault in FAULTS if model is GIM_TEMP else ():
+            name, options = fault.slug, fault.options
+            yield one.evaluate(Source.faults, trained_on, name, options, sensor=fault.name)
         if model in (GIM_TEMP, FULL_AB) and FULL_AB in task.models:
-            yield trained.growth()
-            yield trained.long_plan()
+            yield one.evaluate(Source.growth, trained_on, "growth", ("--growth-steps", long))
+            yield one.control(Source.long_plan, trained_on, "long-plan", long_plan)
     for runs in amounts.sample_sizes if task.with_samples else ():
         for model in (GIM_TEMP, NO_GIM_AUG):
-            trained = _TrainedModel(task, model, seed, runs, amounts)
-            # At 40 trajectories this is a job of the main table, found by its output and run once.
-            yield trained.recorded(task.as_trained, Source.samples, runs)
-            yield trained.recorded(task.hardest, Source.samples, runs)
-
-
-def training_data(task: StudyTask, augmented: bool, runs: int, seed: int) -> Job:
-    """Expert trajectories to train on."""
-    kind = "augmented" if augmented else "train"
-    output = f"cells/{task.name}/seed-{seed}/{kind}-{runs}.h5"
-    options = task.augmented_options if augmented else ()
-    arguments = ("collect", task.name, "--episodes", str(runs), "--seed", str(seed), *options)
-    return Job(output, (*arguments, "--out", output), f"collect {task.name}")
-
-
-def unseen_data(task: StudyTask, condition: TestCondition, amounts: Amounts) -> Job:
-    """Expert trajectories in scenes that are in no training data."""
-    output = f"cells/{task.name}/test-{condition.slug}.h5"
-    counts = ("--episodes", str(amounts.test_runs), "--seed", str(TEST_SEED))
-    arguments = ("collect", task.name, *counts, *condition.options, "--out", output)
-    return Job(output, arguments, f"collect {task.name}")
+            one = _TrainedModel(task, model, seed, runs, amounts)
+            for scenes in (trained_on, task.hardest):
+                # At 40 trajectories a job of the main table, found by its output and run once.
+                name = f"recorded-{scenes.slug}"
+                yield one.evaluate(Source.samples, scenes, name, training_runs=runs)
 
 
 @dataclass(frozen=True)
@@ -144,97 +134,68 @@ class _TrainedModel:
     runs: int
     amounts: Amounts
 
-    @cached_property
-    def _folder(self) -> str:
-        return f"cells/{self.task.name}/seed-{self.seed}/{self.model.slug}-{self.runs}"
+    @property
+    def folder(self) -> str:
+        return f"cells/{self.task.name}/seed-{self.seed}"
 
     @cached_property
-    def _training(self) -> Job:
-        data = training_data(self.task, self.model.augmented, self.runs, self.seed)
-        output = f"{self._folder}/run"
-        arguments = (
-            *("train", data.output, "--out", output, *self.model.options),
-            *("--seed", str(self.seed)),
-            *self.task.training_options,
-            *self.amounts.training_options,
+    def training(self) -> Job:
+        task, model = self.task, self.model
+        options = task.augmented_options if model.augmented else ()
+        data = self.trajectories(
+            f"{self.folder}/{'augmented' if model.augmented else 'train'}-{self.runs}.h5",
+            *("--episodes", str(self.runs), "--seed", str(self.seed), *options),
         )
-        group = f"train {self.task.name} {self.model.slug}"
+        output = f"{self.folder}/{model.slug}-{self.runs}/run"
+        arguments = (
+            *("train", data.output, "--out", output, *model.options, "--seed", str(self.seed)),
+            *(*task.training_options, *self.amounts.training_options),
+        )
+        group = f"train {task.name} {model.slug}"
         return Job(output, arguments, group, (data,), checkpoints="checkpoint-*.safetensors")
 
-    def recorded(
-        self,
-        condition: TestCondition,
-        source: Source = Source.recorded,
-        training_runs: int | None = None,
-    ) -> Measurement:
-        job = self._evaluation(condition, f"recorded-{condition.slug}")
-        return self._measurement(source, condition, job, training_runs=training_runs)
+    def trajectories(self, output: str, *options: str) -> Job:
+        """Expert trajectories."""
+        arguments = ("collect", self.task.name, *options, "--out", output)
+        return Job(output, arguments, f"collect {self.task.name}")
 
-    def with_fault(self, fault: SensorFault) -> Measurement:
-        scenes = self.task.as_trained
-        job = self._evaluation(scenes, fault.slug, fault.options)
-        return self._measurement(Source.faults, scenes, job, sensor=fault.name)
-
-    def growth(self) -> Measurement:
-        scenes = self.task.as_trained
-        job = self._evaluation(scenes, "growth", ("--growth-steps", str(self.task.run_steps)))
-        return self._measurement(Source.growth, scenes, job)
-
-    def planned(self, condition: TestCondition) -> Measurement:
-        options = (
-            *("--episodes", str(self.amounts.episodes)),
-            *("--replan-every", str(self.task.steps_ahead)),
-            *self.task.planned_options,
-        )
-        # The page shows episodes of GIM-Temp.
-        job = self._control(condition, "planned", options, save=self.model is GIM_TEMP)
-        return self._measurement(Source.planned, condition, job)
-
-    def every_step(self, condition: TestCondition) -> Measurement:
-        options = ("--episodes", str(self.amounts.success_episodes))
-        job = self._control(condition, "every-step", options)
-        return self._measurement(Source.every_step, condition, job)
-
-    def long_plan(self) -> Measurement:
-        """The paper plans Full-AB over a whole episode, where its growth shows."""
-        scenes = self.task.as_trained
-        horizon = ("--horizon", str(self.task.run_steps), "--replan-every", "50")
-        job = self._control(scenes, "long-plan", ("--episodes", "5", *horizon))
-        return self._measurement(Source.long_plan, scenes, job)
-
-    def _measurement(
+    def evaluate(
         self,
         source: Source,
         scenes: TestCondition,
-        job: Job,
+        name: str,
+        options: Options = (),
         sensor: str | None = None,
         training_runs: int | None = None,
     ) -> Measurement:
-        condition = ModelCondition(
-            source, self.task.name, self.model.name, scenes.name, sensor, training_runs
-        )
-        return Measurement(condition, self.seed, job)
+        """Predictions of expert trajectories in scenes that are in no training data."""
+        counts = ("--episodes", str(self.amounts.test_runs), "--seed", str(TEST_SEED))
+        output = f"cells/{self.task.name}/test-{scenes.slug}.h5"
+        data = self.trajectories(output, *counts, *scenes.options)
+        output = self.training.output.removesuffix("run") + f"{name}.json"
+        arguments = ("evaluate", self.training.output, data.output, *options, "--json", output)
+        group = f"evaluate {data.output} after {self.training.group}"
+        job = Job(output, arguments, group, (self.training, data))
+        labels = (self.task.name, self.model.name, scenes.name, sensor, training_runs)
+        return Measurement(ModelCondition(source, *labels), self.seed, job)
 
-    def _evaluation(
-        self, condition: TestCondition, name: str, options: tuple[str, ...] = ()
-    ) -> Job:
-        data = unseen_data(self.task, condition, self.amounts)
-        output = f"{self._folder}/{name}.json"
-        arguments = ("evaluate", self._training.output, data.output, *options, "--json", output)
-        group = f"evaluate {data.output} after {self._training.group}"
-        return Job(output, arguments, group, (self._training, data))
-
-    def _control(
-        self, condition: TestCondition, name: str, options: tuple[str, ...], save: bool = False
-    ) -> Job:
-        output = f"{self._folder}/{name}-{condition.slug}.json"
-        saved = (output.replace(".json", ".h5"),) if save else ()
+    def control(
+        self,
+        source: Source,
+        scenes: TestCondition,
+        name: str,
+        options: Options,
+        save: bool = False,
+    ) -> Measurement:
+        """Closed-loop episodes."""
+        path = self.training.output.removesuffix("run") + f"{name}-{scenes.slug}"
+        output, saved = f"{path}.json", (f"{path}.h5",) if save else ()
         arguments = (
-            *("control", self._training.output, self.task.name, "--seed", str(TEST_SEED)),
-            *condition.options,
-            *options,
-            *("--json", output),
-            *(("--save", *saved) if saved else ()),
+            *("control", self.training.output, self.task.name, "--seed", str(TEST_SEED)),
+            *(*scenes.options, *options, "--json", output),
+            *(("--save", *saved) if save else ()),
         )
-        group = f"{name} {condition.slug} after {self._training.group}"
-        return Job(output, arguments, group, (self._training,), saved)
+        group = f"{name} {scenes.slug} after {self.training.group}"
+        job = Job(output, arguments, group, (self.training,), saved)
+        condition = ModelCondition(source, self.task.name, self.model.name, scenes.name)
+        return Measurement(condition, self.seed, job)
