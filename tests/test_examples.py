@@ -17,6 +17,7 @@ SAYS = {
     "05_own_task.py": "Fetch keeps the contract\nsuccess: 100%",
     "06_compose_a_model.py": "with the true masses, contact frozen",
     "07_learn_cost.py": "goals that no demonstration had: 100 %",
+    "extend_planner_mppi.py": "nearer",
 }
 WRITES = {
     "01_collect_and_train.py": "model.safetensors",
@@ -30,7 +31,8 @@ CACHE_VERBS = ("reading", "writing")
 def test_every_example_is_listed_here_and_numbered_in_order() -> None:
     names = sorted(path.name for path in EXAMPLES.glob("*.py"))
     assert names == sorted(SAYS)
-    assert [name[:2] for name in names] == [f"{n:02d}" for n in range(1, len(names) + 1)]
+    numbers = [name[:2] for name in names if not name.startswith("extend_")]
+    assert numbers == [f"{n:02d}" for n in range(1, len(numbers) + 1)]
 
 
 @pytest.mark.parametrize("name", sorted(SAYS))

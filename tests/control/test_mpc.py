@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import operator
 
 import equinox as eqx
 import jax
@@ -10,7 +11,16 @@ import numpy as np
 import pytest
 from control_models import Broken, StickyBodies, nodes_of
 
-from contactgraph.control import ILQR, MPC, ControlLimits, PlanStatus, chain_cost, shift_plan
+from contactgraph.control import (
+    ILQR,
+    MPC,
+    AffinePolicy,
+    ControlLimits,
+    Plan,
+    PlanStatus,
+    chain_cost,
+    shift_plan,
+)
 from contactgraph.data import InvalidInputError
 from contactgraph.model import ContactSensor, LinearDynamics, ModelState, correct, two_type_belief
 
@@ -243,12 +253,50 @@ def test_between_plans_the_feedback_acts():
     bad = scene()
     bad["position"][0] = np.nan
     np.testing.assert_array_equal(mpc.control(followed, bad), followed.controls[0])
+    # Far off the feedback asks for more than the limits allow.
+    away = scene(CAPACITY)
+    away["position"][0] += [30.0, -30.0]
+    x = np.stack([away["position"], away["velocity"]], 1)
+    asked = np.tensordot(followed.policy.K[0], x, 3) + followed.policy.k[0]
+    assert np.all(np.abs(asked) > 2 * LARGEST)
+    np.testing.assert_array_equal(mpc.control(followed, away), LARGEST * np.sign(asked))
+    at_once, _ = mpc.step(scene(), None, state, replan=True)
+    assert at_once.outcome.solved
     followed, state = mpc.step(scene(), None, state)
     assert followed.outcome == PlanStatus.PLAN_REUSED
     plan, state = mpc.step(bad, None, state)
     assert plan.outcome == PlanStatus.BAD_OBSERVATION
+    reused, _ = mpc.step(scene(), None, state, replan=False)
+    assert reused.outcome == PlanStatus.PLAN_REUSED
     plan, state = mpc.step(scene(), None, state)
     assert plan.outcome.solved
+
+
+def test_a_shifted_plan_ends_at_rest():
+    rng = np.random.default_rng(0)
+    H, U, state = 3, 2, (2, 2, 1)
+    plan = Plan(
+        states=jnp.asarray(rng.normal(size=(H + 1, *state))),
+        controls=jnp.asarray(rng.normal(size=(H, U))),
+        policy=AffinePolicy(
+            jnp.asarray(rng.normal(size=(H, U, *state))), jnp.asarray(rng.normal(size=(H, U)))
+        ),
+        beliefs=two_type_belief(jnp.asarray(rng.uniform(size=(H, 1)))),
+        cost=jnp.asarray(7.0),
+        status=jnp.asarray(2),
+        iterations=jnp.asarray(5),
+        node_ids=jnp.arange(2),
+    )
+    shifted = shift_plan(plan)
+    for name in ("states", "beliefs.type_probability"):
+        before, after = (operator.attrgetter(name)(each) for each in (plan, shifted))
+        np.testing.assert_array_equal(after, np.concatenate([before[1:], before[-1:]]))
+    for name in ("controls", "policy.K", "policy.k"):
+        before, after = (operator.attrgetter(name)(each) for each in (plan, shifted))
+        np.testing.assert_array_equal(after[:-1], before[1:])
+        assert not np.any(after[-1])
+    kept = [(each.cost, each.status, each.iterations, each.node_ids) for each in (plan, shifted)]
+    assert eqx.tree_equal(*kept)
 
 
 def test_a_broken_model_never_comes_out_as_a_control():
@@ -276,6 +324,9 @@ def test_mistakes_are_named(mpc, start):
         "contacts must have shape \\(n, n\\) with n <= 4": step(scene(), np.zeros((3, 2))),
         "velocity must be finite": lambda: mpc.reset(bad, nodes_of(3, CAPACITY), cost_to()),
         "2ND entries for the capacity N = 3": lambda: mpc.reset(scene(), nodes_of(3, 3), cost_to()),
+        "replan=False needs a replan_every above 1": lambda: mpc.step(
+            scene(), None, start, replan=False
+        ),
         "replan_every must be 1 to the horizon": lambda: MPC(StickyBodies(), ilqr, replan_every=0),
         "deadline must be positive": lambda: MPC(StickyBodies(), ilqr, deadline=math.nan),
     }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from control_models import StickyBodies, nodes_of
 
-from contactgraph.control import ILQR, MPC, chain_cost
+from contactgraph.control import ILQR, MPC, PlanStatus, chain_cost
 from contactgraph.data import InvalidInputError
 from contactgraph.model import MotionNoise, load_model, shipped_model
 
@@ -29,9 +29,22 @@ def model():
     return load_model(shipped_model("pickup")).model
 
 
+class Clock:
+    """Every reading is ``step`` seconds after the one before."""
+
+    now = step = 0.0
+
+    def __call__(self) -> float:
+        self.now += self.step
+        return self.now
+
+
+CLOCK = Clock()
+
+
 @pytest.fixture(scope="module")
 def inferring(model) -> MPC:
-    return MPC(model, ILQR(3, 1), motion_noise=MotionNoise())
+    return MPC(model, ILQR(3, 1), motion_noise=MotionNoise(), deadline=0.01, clock=CLOCK)
 
 
 def after_a_push(mpc: MPC, speeds, applied, contacts=None):
@@ -60,6 +73,17 @@ def test_it_matters_what_was_applied(inferring) -> None:
     np.testing.assert_array_equal(told.last.belief.probability, untold.last.belief.probability)
     other = inferring.step(seen([0.1, 0.1]), None, state, planned + 3.0)[1]
     assert other.last.belief.probability[0] != told.last.belief.probability[0]
+
+
+def test_after_a_late_step_the_control_is_that_of_the_plan_that_was_returned(inferring) -> None:
+    state = inferring.reset(seen([0.0, 0.0]), nodes_of(2, 2), COST)
+    _, state = inferring.step(seen([0.0, 0.0]), None, state)
+    CLOCK.step = 0.02
+    late, after = inferring.step(seen([0.1, 0.1]), None, state)
+    CLOCK.step = 0.0
+    assert late.outcome == PlanStatus.DEADLINE_MISSED
+    np.testing.assert_array_equal(after.last.control, late.controls[0])
+    assert np.any(late.controls[0] != after.plan.controls[0])
 
 
 def test_both_sources_count(inferring) -> None:
