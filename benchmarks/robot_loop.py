@@ -75,7 +75,7 @@ def measured(seconds: float) -> dict[str, float | int | str]:
             "gap worst": timing.state_gap_ms_worst,
             "read us": 1e6 * float(np.median(timed.read_s)),
             "send us": 1e6 * float(np.median(timed.send_s)),
-            "arm Hz": arm.report().rate,
+            "arm Hz": arm.rate,
             "end": held.stop.reason.name.lower(),
         }
 

@@ -256,7 +256,7 @@ def beside(bench: Bench, ticks: int) -> Iterator[dict[str, Any]]:
     )
     yield _lateness("alone", loop(ticks, lambda: None))
     shared = SharedMeasurements(1, multiprocessing.get_context("spawn"))
-    watch = DetectionLoop(Replay(taken.image), known, shared, time.monotonic)
+    watch = DetectionLoop(Replay(taken.image), known, shared)
     ended = threading.Event()
     thread = threading.Thread(target=_watching, args=(watch, ended))
     thread.start()

@@ -175,7 +175,7 @@ def open_arm(address: str, options: ArmOptions) -> Iterator[Arm]:
     simulation = _simulation(address)
     clock = WallClock() if simulation is None else simulation.clock
     with ExitStack() as stack:
-        objects, yaw = _object_source(address, options, clock, simulation, stack)
+        objects, yaw = _object_source(address, options, simulation, stack)
         gripper = stack.enter_context(FrankaGripper(address, clock))
         robot = stack.enter_context(FrankaRobot(address, objects, clock, fingers=gripper))
         yield FrankaArm(robot, gripper, clock, simulation, objects, yaw)
@@ -194,7 +194,6 @@ def _simulation(address: str) -> "SimulatedRobot | None":
 def _object_source(
     address: str,
     options: ArmOptions,
-    clock: WallClock,
     simulation: "SimulatedRobot | None",
     stack: ExitStack,
 ) -> "tuple[TrackedObjects | AssumedBlock, float]":
@@ -214,7 +213,7 @@ def _object_source(
         known = ", ".join(calibration.objects) or "no objects"
         raise InvalidInputError(f"the calibration knows {known}; it must know {_BLOCK}")
     yaw = _block_yaw(open_camera, calibration)
-    perception = stack.enter_context(Perception(open_camera, calibration, clock))
+    perception = stack.enter_context(Perception(open_camera, calibration))
     return TrackedObjects(perception, (_BLOCK,)), yaw
 
 

@@ -5,9 +5,8 @@ import multiprocessing
 import signal
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 from typing import Any
@@ -21,17 +20,14 @@ from contactgraph_franka.perception.camera import Camera, Intrinsics
 from contactgraph_franka.perception.detector import ObjectDetector
 from contactgraph_franka.perception.tracker import PositionMeasurement
 
-_TIME, _FRAMES, _LOST = range(3)
-_POSITION, _COVARIANCE = slice(3, 6), slice(6, 15)
-_NUMBERS = 15
+_TIME, _POSITION, _COVARIANCE = 0, slice(1, 4), slice(4, 13)
+_NUMBERS = 13
 """Numbers in a row, at the indices above; fields of a structured array read much slower."""
 _ROWS = 8
 """Rows of an object: all but the oldest are valid while the next is written, however long its
 writer waits for a core."""
 _RETURNED = 5
 """Of those, at most so many are returned; a reader has three frames' time to copy them."""
-_LATENCY = 3
-"""Numbers: frames, the sum of their latencies, the largest latency [s]."""
 _PAUSE = 0.001
 """s between polls for a new frame."""
 _NICENESS = 5
@@ -39,32 +35,12 @@ _START_S = 60.0
 """Largest time to import and to open a camera, s."""
 
 
-@dataclass(frozen=True)
-class DetectionCounts:
-    """Frames so far, and those without the object."""
-
-    frames: int
-    lost: int
-
-
-@dataclass(frozen=True)
-class PerceptionReport:
-    """Detections and latency so far."""
-
-    frames: int
-    latency: float
-    """s, mean, from the exposure of a frame to the availability of its measurements."""
-    longest_latency: float
-    """s"""
-    objects: Mapping[str, DetectionCounts]
-
-
 class SharedMeasurements:
     """The newest measurements of each of ``count`` objects. One process writes, others read."""
 
     def __init__(self, count: int, context: BaseContext) -> None:
         self._count = count
-        self._memory: Any = context.RawArray("d", count * (_ROWS * _NUMBERS + 1) + _LATENCY)
+        self._memory: Any = context.RawArray("d", count * (_ROWS * _NUMBERS + 1))
         self._map()
 
     def __getstate__(self) -> tuple[int, Any]:
@@ -79,18 +55,14 @@ class SharedMeasurements:
         numbers = np.frombuffer(self._memory)
         used = self._count * _ROWS * _NUMBERS
         self._rows = numbers[:used].reshape(self._count, _ROWS, _NUMBERS)
-        self._latency = numbers[used : used + _LATENCY]
-        self._written = numbers[used + _LATENCY :].view(np.int64)  # number of writes
+        self._written = numbers[used:].view(np.int64)  # number of writes
 
-    def write(self, index: int, seen: PositionMeasurement | None, counts: DetectionCounts) -> None:
-        """Publishes an object's newest measurement, None before the first, and its counts."""
+    def write(self, index: int, measurement: PositionMeasurement) -> None:
+        """Publishes an object's newest measurement."""
         written = int(self._written[index]) + 1
         row = self._rows[index, written % _ROWS]
-        row[_TIME] = -np.inf
-        if seen is not None:
-            row[_TIME] = seen.time
-            row[_POSITION], row[_COVARIANCE] = seen.position, seen.covariance.ravel()
-        row[_FRAMES], row[_LOST] = counts.frames, counts.lost
+        row[_TIME], row[_POSITION] = measurement.time, measurement.position
+        row[_COVARIANCE] = measurement.covariance.ravel()
         # Last: the processors that the arm's library supports keep the order of writes.
         self._written[index] = written
 
@@ -100,40 +72,19 @@ class SharedMeasurements:
         # Most calls find nothing new.
         if not newest or not self._rows[index, newest % _ROWS, _TIME] > after:
             return []
-        found: list[PositionMeasurement] = []
-        for row in self._copied(index, _RETURNED):
-            moment = float(row[_TIME])
-            # A frame without the object repeats the previous measurement.
-            if moment > after:
-                covariance = row[_COVARIANCE].reshape(3, 3)
-                found.append(PositionMeasurement(row[_POSITION], covariance, moment))
-                after = moment
-        return found
+        return [
+            PositionMeasurement(row[_POSITION], row[_COVARIANCE].reshape(3, 3), float(row[_TIME]))
+            for row in self._newest(index)
+            if row[_TIME] > after
+        ]
 
-    def counts(self, index: int) -> DetectionCounts:
-        """An object's newest counts."""
-        if not self._written[index]:
-            return DetectionCounts(0, 0)
-        (row,) = self._copied(index, 1)
-        return DetectionCounts(int(row[_FRAMES]), int(row[_LOST]))
-
-    def add_frame(self, latency: float) -> None:
-        """Counts a frame whose measurements came ``latency`` s after its exposure."""
-        frames, total, longest = self._latency
-        self._latency[:] = frames + 1, total + latency, max(longest, latency)
-
-    def latency(self) -> tuple[int, float, float]:
-        """Frames so far, and the mean and largest latency [s]."""
-        frames, total, longest = self._latency.tolist()
-        return int(frames), total / frames if frames else float("nan"), longest
-
-    def _copied(self, index: int, most: int) -> np.ndarray:
-        """[K, 15]: the newest K <= ``most`` rows, the oldest first."""
+    def _newest(self, index: int) -> np.ndarray:
+        """[K, 13]: the newest rows, the oldest first."""
         while True:
             written = int(self._written[index])
-            wanted = np.arange(max(written - most, 0) + 1, written + 1)
+            wanted = np.arange(max(written - _RETURNED, 0) + 1, written + 1)
             rows = self._rows[index, wanted % _ROWS]
-            if self._written[index] - written < _ROWS - most:
+            if self._written[index] - written < _ROWS - _RETURNED:
                 return rows
 
 
@@ -141,35 +92,20 @@ class DetectionLoop:
     """Detects the objects in each new frame and publishes their positions."""
 
     def __init__(
-        self,
-        camera: Camera,
-        calibration: CameraCalibration,
-        shared: SharedMeasurements,
-        clock: Callable[[], float],
+        self, camera: Camera, calibration: CameraCalibration, shared: SharedMeasurements
     ) -> None:
-        """``clock`` is the one that frames are stamped with."""
-        self._camera, self._shared, self._clock = camera, shared, clock
+        self._camera, self._shared = camera, shared
         self._detector = ObjectDetector(calibration)
-        self._newest: dict[str, PositionMeasurement | None] = dict.fromkeys(calibration.objects)
-        self._counts = {name: DetectionCounts(0, 0) for name in calibration.objects}
+        self._indices = {name: index for index, name in enumerate(calibration.objects)}
 
     def step(self) -> bool:
         """Processes the newest frame; False if there is none."""
         frame = self._camera.read()
         if frame is None:
             return False
-        estimates = self._detector.detect(frame)
-        for index, name in enumerate(self._newest):
-            found = estimates.get(name)
-            if found is not None:
-                self._newest[name] = PositionMeasurement(
-                    found.position, found.covariance, frame.time
-                )
-            count = self._counts[name]
-            count = DetectionCounts(count.frames + 1, count.lost + (found is None))
-            self._counts[name] = count
-            self._shared.write(index, self._newest[name], count)
-        self._shared.add_frame(self._clock() - frame.time)
+        for name, found in self._detector.detect(frame).items():
+            measurement = PositionMeasurement(found.position, found.covariance, frame.time)
+            self._shared.write(self._indices[name], measurement)
         return True
 
 
@@ -177,20 +113,14 @@ class Perception:
     """Detects a calibration's objects in its own process. A context manager, or `start`, `close`.
 
     ``open_camera``, a function or class of a module or a partial of one, is called in the new
-    process. ``clock``, likewise, stamps frames and must be the same in all processes, as
-    `time.monotonic` is.
+    process. Its clock must be the same in all processes, as `time.monotonic` is.
 
     A thread would share Python's interpreter lock with a control loop of 1 ms
     (benchmarks/tag_pose.py measures both). Raises the `InvalidInputError` of ``open_camera``, and
     one if the camera's size differs from the calibration's or there is no object to detect.
     """
 
-    def __init__(
-        self,
-        open_camera: Callable[[], Camera],
-        calibration: CameraCalibration,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, open_camera: Callable[[], Camera], calibration: CameraCalibration) -> None:
         if not calibration.objects:
             raise InvalidInputError("the calibration names no objects: nothing can be watched")
         self._names = tuple(calibration.objects)
@@ -200,7 +130,7 @@ class Perception:
         self._remote: Connection | None = remote
         self._process = context.Process(
             target=_run,
-            args=(remote, self._shared, open_camera, calibration, clock),
+            args=(remote, self._shared, open_camera, calibration),
             daemon=True,
             name="perception",
         )
@@ -251,19 +181,12 @@ class Perception:
         """An object's measurements exposed after ``after`` s: the newest five at most, in order."""
         return self._shared.since(self._names.index(name), after)
 
-    def report(self) -> PerceptionReport:
-        """Frames, lost frames, and latency so far."""
-        frames, mean, longest = self._shared.latency()
-        objects = {name: self._shared.counts(index) for index, name in enumerate(self._names)}
-        return PerceptionReport(frames, mean, longest, objects)
-
 
 def _run(
     connection: Connection,
     shared: SharedMeasurements,
     open_camera: Callable[[], Camera],
     calibration: CameraCalibration,
-    clock: Callable[[], float],
 ) -> None:
     """The camera's process; sends None when the camera is open, and the error that ends it."""
     # Ctrl-C is for the control loop, which then closes this process.
@@ -274,7 +197,7 @@ def _run(
         camera = open_camera()
         try:
             _check_size(camera.intrinsics, calibration.intrinsics)
-            loop = DetectionLoop(camera, calibration, shared, clock)
+            loop = DetectionLoop(camera, calibration, shared)
             connection.send(None)
             # A message, or the end of the other process, ends the loop.
             while not connection.poll():

@@ -20,11 +20,7 @@ from contactgraph_franka.envs.arm_model import JOINTS, mujoco
 from contactgraph_franka.loop.realtime import realtime_priority
 from contactgraph_franka.sim.blocks import CONTACT, MASS, WOOD_FRICTION, scene_blocks
 from contactgraph_franka.sim.session import read_session
-from contactgraph_franka.sim.shared_state import (
-    GroundTruthWriter,
-    SceneResetService,
-    ServerCounters,
-)
+from contactgraph_franka.sim.shared_state import SceneResetService, create_ground_truth
 
 try:
     from franky_sim import RobotParameters, SimulationServer
@@ -134,12 +130,12 @@ class ArmScene:
         mujoco.mj_forward(self.model, self.data)
 
 
-class GroundTruthReader:
-    """Fills a row of `ground_truth_dtype` with the present state of ``scene``."""
+class StateRecorder:
+    """Records the present state of ``scene`` in the fields of `ground_truth_fields`."""
 
-    def __init__(self, scene: ArmScene, row: np.ndarray) -> None:
+    def __init__(self, scene: ArmScene) -> None:
         model, data = scene.model, scene.data
-        self._model, self._data, self._row = model, data, row
+        self._model, self._data = model, data
         count, first = len(scene.blocks), JOINTS + 2
         self._site = model.site("grasp").id
         self._twist, self._quaternion = np.zeros(6), np.zeros(4)
@@ -162,9 +158,9 @@ class GroundTruthReader:
                 self._touch_index[geom, other] = self._touch_index[other, geom] = block, column
         self._touch = np.zeros((count, 3), bool)
 
-    def fill(self, tick: int, stamp: float) -> None:
-        """The state after step ``tick``, ``stamp`` s on the reader's clock."""
-        model, data, row = self._model, self._data, self._row
+    def fill(self, row: np.void, number: int, stamp: float) -> None:
+        """Fills ``row`` with the state after step ``number``, ``stamp`` s on the reader's clock."""
+        model, data = self._model, self._data
         # After a step, derived quantities are still those of its beginning.
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -176,14 +172,14 @@ class GroundTruthReader:
             index = self._touch_index.get((pair[0], pair[1]))
             if index is not None:
                 self._touch[index] = True
-        position, velocity, turn = row["position"][0], row["velocity"][0], row["turn"][0]
-        row["time"], row["stamp"] = (tick + 1) * TICK, stamp
+        position, velocity, turn = row["position"], row["velocity"], row["turn"]
+        row["time"], row["stamp"] = (number + 1) * TICK, stamp
         position[0], position[1:] = self._hand_position, self._block_poses[:, :3]
         velocity[0], velocity[1:] = self._twist[3:], self._block_velocities[:, :3]
         turn[0], turn[1:] = self._quaternion, self._block_poses[:, 3:]
-        row["fingers"][0], row["standing"][0] = self._touch[:, :2], self._touch[:, 2]
+        row["fingers"], row["standing"] = self._touch[:, :2], self._touch[:, 2]
         row["width"] = self._fingers[0] + self._fingers[1]
-        row["places"][0] = data.qpos
+        row["places"] = data.qpos
 
 
 def main() -> None:
@@ -198,34 +194,26 @@ def main() -> None:
 
 def _serve(scene: ArmScene, servers: list[Any], folder: Path, pace: float) -> None:
     """Control steps at absolute times, so that delays do not add up."""
-    truth = GroundTruthWriter(folder, len(scene.blocks), scene.model.nq)
-    counters = ServerCounters(folder, scene.model.nq, pace * TICK)
-    resets = SceneResetService(folder)
-    reader = GroundTruthReader(scene, truth.row)
     period, owner = pace * TICK, os.getppid()
-    tick, due = 0, time.monotonic()
-    counters.start(due)
-    while tick % _OWNER_CHECK or os.getppid() == owner:
+    number, due = 0, time.monotonic()
+    truth = create_ground_truth(folder, len(scene.blocks), scene.model.nq, due / pace)
+    recorder, resets = StateRecorder(scene), SceneResetService(folder)
+    while number % _OWNER_CHECK or os.getppid() == owner:
         due += period
-        wait = due - time.monotonic()
-        if wait > 0.0:
-            time.sleep(wait)
-        begun = time.monotonic()
-        if begun - due > _CATCH_UP * period:
-            missed = int((begun - due) / period)
-            counters.drop(missed)
-            due += missed * period
+        late = time.monotonic() - due
+        if late < 0.0:
+            time.sleep(-late)
+        elif late > _CATCH_UP * period:
+            due += int(late / period) * period
         for server in servers:
             server.process_commands()
         resets.execute(scene.place_block)
         scene.step()
         for server in servers:
             server.send_state()
-        reader.fill(tick, time.monotonic() / pace)
-        truth.publish(tick)
-        tick += 1
-        done = time.monotonic()
-        counters.count(tick, done, done - begun, begun - due)
+        recorder.fill(truth.begin(), number, time.monotonic() / pace)
+        truth.publish()
+        number += 1
 
 
 def _hand_parameters() -> "RobotParameters":

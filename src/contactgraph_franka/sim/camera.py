@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph_franka.perception.camera import CameraFrame, Intrinsics, pose
-from contactgraph_franka.sim.shared_state import create_shared, open_shared
+from contactgraph_franka.sim.shared_state import RingReader, RingWriter
 
 _EYE = np.array([1.3, 0.0, 0.4])
 _LOOK_AT = np.array([0.45, 0.0, 0.15])
@@ -61,73 +61,48 @@ class CameraSettings:
         return CameraSettings(**{**fields, "intrinsics": Intrinsics(**lens), "place": place})
 
 
-def _frame_dtype(lens: Intrinsics, depth: bool) -> np.dtype:
-    shape = (lens.height, lens.width)
-    fields: list[tuple] = [("number", "i8"), ("time", "f8"), ("image", "u1", shape)]
-    if depth:
-        fields.append(("depth", "f4", shape))
-    return np.dtype([*fields, ("again", "i8")])
+def frame_ring(folder: Path, lens: Intrinsics, depth: bool) -> RingWriter:
+    """The ring of a camera's frames."""
+    return RingWriter(folder / "frames", _frame_fields(lens, depth), _SLOTS)
 
 
-class FrameWriter:
-    """The camera's end of the frames."""
-
-    def __init__(self, folder: Path, lens: Intrinsics, depth: bool) -> None:
-        self._slots = create_shared(folder / "frames", _frame_dtype(lens, depth), _SLOTS)
-        self._slots["number"] = self._slots["again"] = -1
-        self._number = -1
-        self._newest = create_shared(folder / "newest-frame", np.dtype("i8"), 2)
-        self._newest[:] = -1, 0
-
-    def publish(self, frame: CameraFrame) -> None:
-        """Publishes a frame to readers."""
-        self._number += 1
-        slot = self._slots[self._number % _SLOTS]
-        slot["number"] = self._number
-        slot["time"], slot["image"] = frame.time, frame.image
-        if frame.depth is not None:
-            slot["depth"] = frame.depth
-        slot["again"] = self._number
-        self._newest[0] = self._number
-
-    def miss(self, frames: int) -> None:
-        """Counts frames left out while a previous one was rendered."""
-        self._newest[1] += frames
+def publish_frame(ring: RingWriter, frame: CameraFrame) -> None:
+    """Publishes a frame to readers."""
+    slot = ring.begin()
+    slot["time"], slot["image"] = frame.time, frame.image
+    if frame.depth is not None:
+        slot["depth"] = frame.depth
+    ring.publish()
 
 
 class SimulatedCamera:
-    """A `Camera` that reads the frames of `FrameWriter`, from any process."""
+    """A `Camera` that reads the frames of another process."""
 
     def __init__(self, folder: Path, lens: Intrinsics, depth: bool) -> None:
         self._lens = lens
         self._has_depth = depth
-        self._slots = open_shared(folder / "frames", _frame_dtype(lens, depth))
-        self._newest = open_shared(folder / "newest-frame", np.dtype("i8"))
-        self._last = -1
+        self._ring = RingReader(folder / "frames", _frame_fields(lens, depth))
+        self._read = 0
 
     @property
     def intrinsics(self) -> Intrinsics:
         """Intrinsics of all frames."""
         return self._lens
 
-    @property
-    def missed(self) -> int:
-        """Frames left out while a previous one was rendered."""
-        return int(self._newest[1])
-
     def read(self) -> CameraFrame | None:
         """The newest frame; None if there is none since the last call."""
-        while True:
-            number = int(self._newest[0])
-            if number == self._last:
-                return None
-            slot = self._slots[number % _SLOTS]
-            image, time = slot["image"].copy(), float(slot["time"])
-            depth = slot["depth"].copy() if self._has_depth else None
-            # The numbers differ if the slot was overwritten meanwhile.
-            if slot["number"] == slot["again"] == number:
-                self._last = number
-                return CameraFrame(image, depth, time)
+        if self._ring.count == self._read:
+            return None
+        record = self._ring.newest()
+        self._read = int(record["number"]) + 1
+        depth = record["depth"] if self._has_depth else None
+        return CameraFrame(record["image"], depth, float(record["time"]))
 
     def close(self) -> None:
         """Does nothing: shared memory needs no release."""
+
+
+def _frame_fields(lens: Intrinsics, depth: bool) -> list[tuple]:
+    shape = (lens.height, lens.width)
+    fields: list[tuple] = [("time", "f8"), ("image", "u1", shape)]
+    return [*fields, ("depth", "f4", shape)] if depth else fields

@@ -18,9 +18,9 @@ from contactgraph.data import InvalidInputError
 from contactgraph_franka.envs.arm_model import mujoco, open_renderer
 from contactgraph_franka.loop.realtime import set_nice
 from contactgraph_franka.perception.camera import CameraFrame, Intrinsics, Window
-from contactgraph_franka.sim.camera import FrameWriter
+from contactgraph_franka.sim.camera import frame_ring, publish_frame
 from contactgraph_franka.sim.session import read_session
-from contactgraph_franka.sim.shared_state import GroundTruth, read_places
+from contactgraph_franka.sim.shared_state import GroundTruth
 
 _BODY_RADIUS = 0.075
 """m, of a sphere about a block's centre that contains it."""
@@ -205,8 +205,8 @@ def main() -> None:
         bodies=[f"block{index}" for index in range(session.blocks)],
         seed=settings.seed,
     )
-    truth = GroundTruth(folder, session.blocks, read_places(folder))
-    frames = FrameWriter(folder, settings.intrinsics, settings.depth_noise is not None)
+    truth = GroundTruth(folder, session.blocks)
+    frames = frame_ring(folder, settings.intrinsics, settings.depth_noise is not None)
     rate, pace, owner = settings.rate, session.pace, os.getppid()
     # Frames are due at multiples of 1 / rate on the reader's clock.
     number = math.ceil(time.monotonic() / pace * rate)
@@ -215,10 +215,8 @@ def main() -> None:
         now = truth.newest()
         frame = camera.picture(now["places"], float(now["stamp"]))
         _sleep_until((frame.time + settings.delay) * pace)
-        frames.publish(frame)
-        following = max(number + 1, math.ceil(time.monotonic() / pace * rate))
-        frames.miss(following - number - 1)
-        number = following
+        publish_frame(frames, frame)
+        number = max(number + 1, math.ceil(time.monotonic() / pace * rate))
 
 
 def _sleep_until(moment: float) -> None:

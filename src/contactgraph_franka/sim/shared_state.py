@@ -1,9 +1,9 @@
-"""Memory that the simulated robot's processes share: ground truth, scene resets, timing."""
+"""Memory that the simulated robot's processes share: records, ground truth, scene resets."""
 
 import fcntl
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +19,8 @@ _REQUEST = np.dtype(
 )
 _TIMEOUT = 5.0
 """Wall time to wait for a scene reset, s."""
-_COUNTERS = np.dtype(
-    {
-        "names": ["places", "ready", "ticks", "late", "dropped", "began", "now", "busy", "latest"],
-        "formats": ["i8"] * 5 + ["f8"] * 4,
-    }
-)
-_LATE = 0.5
-"""Delay of a late control step, in steps."""
+_HEADER = np.dtype([("places", "i8"), ("start", "f8")])
+_INDEX = np.dtype("i8")
 
 
 def create_shared(path: Path, dtype: np.dtype, count: int) -> np.ndarray:
@@ -39,74 +33,124 @@ def open_shared(path: Path, dtype: np.dtype, write: bool = False) -> np.ndarray:
     return np.asarray(np.memmap(path, dtype, mode="r+" if write else "r"))
 
 
-def ground_truth_dtype(blocks: int, places: int) -> np.dtype:
+class RingWriter:
+    """The writing end of a ring of ``slots`` records in a file, without locks.
+
+    The processors that the arm's library supports keep the order of writes.
+    """
+
+    def __init__(self, path: Path, fields: list[tuple], slots: int) -> None:
+        self._slots = create_shared(path, _ring_dtype(fields), slots)
+        self._slots["number"] = self._slots["again"] = -1
+        self._count = create_shared(path.with_suffix(".count"), _INDEX, 1)
+        self._number = -1
+
+    def begin(self) -> np.void:
+        """The next record, to be filled and then published."""
+        self._number += 1
+        self._slot = self._slots[self._number % len(self._slots)]
+        self._slot["number"] = self._number
+        return self._slot
+
+    def publish(self) -> None:
+        """Shows the record to readers."""
+        self._slot["again"] = self._number
+        self._count[0] = self._number + 1
+
+
+class RingReader:
+    """The reading end of `RingWriter`, in any process."""
+
+    def __init__(self, path: Path, fields: list[tuple]) -> None:
+        self._slots = open_shared(path, _ring_dtype(fields))
+        self._count = open_shared(path.with_suffix(".count"), _INDEX)
+
+    @property
+    def count(self) -> int:
+        """Number of published records."""
+        return int(self._count[0])
+
+    def newest(self) -> np.void:
+        """A copy of the newest record; there must be one."""
+        while True:
+            number = self.count - 1
+            record = self._slots[number % len(self._slots)].copy()
+            if record["number"] == record["again"] == number:
+                return record
+
+    def last(self, first: int) -> np.ndarray:
+        """[K]: the complete records from number ``first`` on that are still kept, in order."""
+        wanted = np.arange(max(first, self.count - len(self._slots) + _MARGIN, 0), self.count)
+        records = self._slots[wanted % len(self._slots)]
+        return records[(records["number"] == wanted) & (records["again"] == wanted)]
+
+
+def _ring_dtype(fields: list[tuple]) -> np.dtype:
+    # The two numbers of a record differ while it is written.
+    return np.dtype([("number", "i8"), *fields, ("again", "i8")])
+
+
+def ground_truth_fields(blocks: int, places: int) -> list[tuple]:
     """The fields of a control step, for ``blocks`` blocks and a ``qpos`` of ``places`` numbers.
 
     Nodes are the hand's grasp point and the blocks. Positions are in the frame of the arm's base.
     """
-    return np.dtype(
-        [
-            ("tick", "i8"),
-            ("time", "f8"),  # s, simulated since the start
-            ("stamp", "f8"),  # s, on the reader's clock
-            ("position", "f8", (1 + blocks, 3)),  # m
-            ("velocity", "f8", (1 + blocks, 3)),  # m/s
-            ("turn", "f8", (1 + blocks, 4)),  # unit quaternions, the real part first
-            ("fingers", "?", (blocks, 2)),  # whether the left, the right finger touches
-            ("standing", "?", (blocks,)),  # whether it touches the table
-            ("width", "f8"),  # m between the fingers
-            ("places", "f8", (places,)),  # MuJoCo's qpos, for a renderer
-            ("again", "i8"),  # the tick again: the two differ while a row is written
-        ]
-    )
+    return [
+        ("time", "f8"),  # s, simulated since the start
+        ("stamp", "f8"),  # s, on the reader's clock
+        ("position", "f8", (1 + blocks, 3)),  # m
+        ("velocity", "f8", (1 + blocks, 3)),  # m/s
+        ("turn", "f8", (1 + blocks, 4)),  # unit quaternions, the real part first
+        ("fingers", "?", (blocks, 2)),  # whether the left, the right finger touches
+        ("standing", "?", (blocks,)),  # whether it touches the table
+        ("width", "f8"),  # m between the fingers
+        ("places", "f8", (places,)),  # MuJoCo's qpos, for a renderer
+    ]
 
 
-class GroundTruthWriter:
-    """Writes a control step at a time: the caller fills ``row``, then calls `publish`."""
+def create_ground_truth(folder: Path, blocks: int, places: int, start: float) -> RingWriter:
+    """The ring of control steps of a simulation that starts at ``start`` s, on the reader's clock.
 
-    def __init__(self, folder: Path, blocks: int, places: int) -> None:
-        dtype = ground_truth_dtype(blocks, places)
-        self._rows = create_shared(folder / "truth", dtype, _KEPT)
-        self._rows["tick"] = self._rows["again"] = -1
-        self._newest = create_shared(folder / "newest", np.dtype("i8"), 1)
-        self._newest[0] = -1
-        self.row = np.zeros(1, dtype)
-
-    def publish(self, tick: int) -> None:
-        """Publishes ``row`` as that of step ``tick``, which counts from 0."""
-        self.row["tick"] = self.row["again"] = tick
-        # The processors that the arm's library supports keep this order of writes.
-        self._rows[tick % _KEPT : tick % _KEPT + 1] = self.row
-        self._newest[0] = tick
+    The number of a record is that of its step, which counts from 0.
+    """
+    header = create_shared(folder / "header", _HEADER, 1)
+    header["places"], header["start"] = places, start
+    return RingWriter(folder / "truth", ground_truth_fields(blocks, places), _KEPT)
 
 
 class GroundTruth:
-    """Reads the control steps of `GroundTruthWriter`, from any process."""
+    """The control steps of a simulation, from any process."""
 
-    def __init__(self, folder: Path, blocks: int, places: int) -> None:
-        self._rows = open_shared(folder / "truth", ground_truth_dtype(blocks, places))
-        self._newest = open_shared(folder / "newest", np.dtype("i8"))
+    def __init__(self, folder: Path, blocks: int) -> None:
+        header = open_shared(folder / "header", _HEADER)[0]
+        self._start = float(header["start"])
+        fields = ground_truth_fields(blocks, int(header["places"]))
+        self._ring = RingReader(folder / "truth", fields)
 
     def newest(self) -> np.void:
-        """The newest step, with the fields of `ground_truth_dtype`."""
-        while True:
-            tick = int(self._newest[0])
-            row = self._rows[tick % _KEPT].copy()
-            if row["tick"] == row["again"] == tick:
-                return row
+        """The newest step, with the fields of `ground_truth_fields` and its ``number``."""
+        return self._ring.newest()
 
-    def since(self, tick: int) -> np.ndarray:
-        """[K]: the kept steps after ``tick``, in order."""
-        newest = int(self._newest[0])
-        first = max(tick + 1, newest + 1 - _KEPT + _MARGIN, 0)
-        rows = self._rows[np.arange(first, newest + 1) % _KEPT]
-        valid = (rows["tick"] == np.arange(first, newest + 1)) & (rows["again"] == rows["tick"])
-        return rows[valid]
+    def since(self, number: int) -> np.ndarray:
+        """[K]: the kept steps after ``number``, in order."""
+        return self._ring.last(number + 1)
 
     def between(self, begin: float, end: float) -> np.ndarray:
         """[K]: the kept steps with stamps from ``begin`` to ``end`` s on the reader's clock."""
         rows = self.since(-1)
         return rows[(rows["stamp"] >= begin) & (rows["stamp"] <= end)]
+
+    @property
+    def rate(self) -> float:
+        """Steps a second of the reader's clock since the start; 1000 if on time."""
+        newest = self.newest()
+        return float((newest["number"] + 1) / max(newest["stamp"] - self._start, 1e-9))
+
+
+def is_ready(folder: Path) -> bool:
+    """Whether the simulation of ``folder`` has made its first step."""
+    path = folder / "truth.count"
+    return path.exists() and path.stat().st_size >= 8 and bool(open_shared(path, _INDEX)[0] > 0)
 
 
 def ground_truth_trajectory(truth: GroundTruth, run: Trajectory, began: float) -> Trajectory:
@@ -169,71 +213,3 @@ def request_block_pose(folder: Path, block: int, position: np.ndarray, yaw: floa
             if time.monotonic() > until:
                 raise RuntimeError("the simulated robot did not put the block there in 5 s")
             time.sleep(0.001)
-
-
-@dataclass(frozen=True)
-class ServerReport:
-    """Timing of the server since its start."""
-
-    ticks: int
-    late: int
-    """Control steps begun more than half a step late."""
-    dropped: int
-    """Control steps left out, since the server was too late."""
-    rate: float
-    """Control steps a second of wall time; 1000 / pace is on time."""
-    busy: float
-    """Share of the time in which it worked."""
-    latest: float
-    """s of wall time: the largest delay of a step."""
-
-
-class ServerCounters:
-    """The server's end of its report. ``places`` is the length of MuJoCo's ``qpos``."""
-
-    def __init__(self, folder: Path, places: int, period: float) -> None:
-        self._shared = create_shared(folder / "counters", _COUNTERS, 1)
-        self._shared["places"] = places
-        self._late_after = _LATE * period
-
-    def start(self, now: float) -> None:
-        """Marks the server as ready from ``now`` s on."""
-        self._shared["began"] = self._shared["now"] = now
-        self._shared["ready"] = 1
-
-    def count(self, ticks: int, now: float, worked: float, behind: float) -> None:
-        """Counts a step that began ``behind`` s late and took ``worked`` s."""
-        shared = self._shared
-        shared["ticks"], shared["now"] = ticks, now
-        shared["busy"] += worked
-        if behind > self._late_after:
-            shared["late"] += 1
-            shared["latest"] = max(shared["latest"][0], behind)
-
-    def drop(self, ticks: int) -> None:
-        """Counts steps that were left out."""
-        self._shared["dropped"] += ticks
-
-
-def read_report(folder: Path) -> ServerReport | None:
-    """The report of the server of ``folder``; None before it is ready."""
-    path = folder / "counters"
-    if not path.exists() or path.stat().st_size < _COUNTERS.itemsize:
-        return None
-    counters = open_shared(path, _COUNTERS)[0]
-    if not counters["ready"]:
-        return None
-    span = max(float(counters["now"] - counters["began"]), 1e-9)
-    return ServerReport(
-        ticks=int(counters["ticks"]),
-        late=int(counters["late"]),
-        dropped=int(counters["dropped"]),
-        rate=float(counters["ticks"]) / span,
-        busy=float(counters["busy"]) / span,
-        latest=float(counters["latest"]),
-    )
-
-
-def read_places(folder: Path) -> int:
-    """The length of MuJoCo's ``qpos``; the server must be ready."""
-    return int(open_shared(folder / "counters", _COUNTERS)["places"][0])

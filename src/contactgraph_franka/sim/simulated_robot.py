@@ -13,13 +13,7 @@ from contactgraph_franka.perception.camera import pose, rotation_of
 from contactgraph_franka.sim.blocks import MASS, block_names, scene_blocks
 from contactgraph_franka.sim.camera import CameraSettings, SimulatedCamera
 from contactgraph_franka.sim.session import ChildProcess, Session, find_session, free_address
-from contactgraph_franka.sim.shared_state import (
-    GroundTruth,
-    ServerReport,
-    read_places,
-    read_report,
-    request_block_pose,
-)
+from contactgraph_franka.sim.shared_state import GroundTruth, is_ready, request_block_pose
 
 ADDRESSES = tuple(f"127.0.0.{number}" for number in range(1, 10))
 """Addresses of a simulated robot; it takes the first free one."""
@@ -30,7 +24,7 @@ class SimulatedRobot:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._truth = GroundTruth(session.folder, session.blocks, read_places(session.folder))
+        self._truth = GroundTruth(session.folder, session.blocks)
 
     @property
     def address(self) -> str:
@@ -46,6 +40,11 @@ class SimulatedRobot:
     def clock(self) -> WallClock:
         """The reader's clock, slower than the wall clock by `pace`, of all time stamps."""
         return WallClock(self._session.pace)
+
+    @property
+    def rate(self) -> float:
+        """Control steps a second of wall time since the start; 1000 / `pace` if on time."""
+        return self._truth.rate / self._session.pace
 
     @property
     def ground_truth(self) -> GroundTruth:
@@ -90,13 +89,6 @@ class SimulatedRobot:
         objects = {name: block.tagged for name, block in zip(names, blocks, strict=True)}
         made = datetime.now(UTC).isoformat(timespec="seconds")
         return CameraCalibration(settings.intrinsics, camera_pose, objects, made)
-
-    def report(self) -> ServerReport:
-        """The server's timing."""
-        report = read_report(self._session.folder)
-        if report is None:
-            raise InvalidInputError(f"the simulated robot at {self.address} has ended")
-        return report
 
     def _settings(self) -> CameraSettings:
         if self._session.camera is None:
@@ -147,10 +139,10 @@ class RobotSimulator:
         folder = self._session.folder
         try:
             arm = self._start("arm_server")
-            arm.wait_until(lambda: read_report(folder) is not None)
+            arm.wait_until(lambda: is_ready(folder))
             if self._camera is not None:
                 camera = self._start("rendered_camera", {"MUJOCO_GL": "egl"})
-                camera.wait_until((folder / "newest-frame").exists)
+                camera.wait_until((folder / "frames.count").exists)
             return SimulatedRobot(self._session)
         except BaseException:
             self.__exit__()

@@ -141,7 +141,7 @@ def test_a_hand_under_force_is_a_mass(robot: FrankaRobot, force: list[float]) ->
 def test_a_stop_brakes_at_once(arm: SimulatedRobot, robot: FrankaRobot) -> None:
     def attempt() -> None:
         rows = pushed(robot, np.array([0.0, 8.0, 0.0]), 0.2)
-        stopped = arm.ground_truth.newest()["tick"]
+        stopped = arm.ground_truth.newest()["number"]
         assert rows[-1, 5] > 0.3
         assert robot.send(np.array([0.0, 8.0, 0.0]), 0.0) is None
         assert at_rest(robot, 1.0)

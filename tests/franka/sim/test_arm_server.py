@@ -9,8 +9,8 @@ from contactgraph.data import InvalidInputError
 
 pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehearsal]'")
 
-from contactgraph_franka.sim.arm_server import START, TICK, ArmScene, GroundTruthReader
-from contactgraph_franka.sim.shared_state import ground_truth_dtype
+from contactgraph_franka.sim.arm_server import START, TICK, ArmScene, StateRecorder
+from contactgraph_franka.sim.shared_state import ground_truth_fields
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 """The hand's quaternion (x, y, z, w), pointing down."""
@@ -26,9 +26,10 @@ def scene() -> Iterator[ArmScene]:
 
 
 def seen(scene: ArmScene) -> np.void:
-    row = np.zeros(1, ground_truth_dtype(len(scene.blocks), scene.model.nq))
-    GroundTruthReader(scene, row).fill(0, 0.0)
-    return row[0]
+    fields = ground_truth_fields(len(scene.blocks), scene.model.nq)
+    row = np.zeros(1, np.dtype(fields))[0]
+    StateRecorder(scene).fill(row, 0, 0.0)
+    return row
 
 
 def hold(scene: ArmScene, point: np.ndarray) -> None:

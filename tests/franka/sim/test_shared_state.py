@@ -7,60 +7,65 @@ import pytest
 
 from contactgraph_franka.perception.camera import CameraFrame, Intrinsics
 from contactgraph_franka.sim import shared_state as module
-from contactgraph_franka.sim.camera import FrameWriter, SimulatedCamera
+from contactgraph_franka.sim.camera import SimulatedCamera, frame_ring, publish_frame
 from contactgraph_franka.sim.shared_state import (
     GroundTruth,
-    GroundTruthWriter,
+    RingWriter,
     SceneResetService,
+    create_ground_truth,
+    is_ready,
     request_block_pose,
 )
 
 LENS = Intrinsics(20.0, 20.0, 7.5, 7.5, 16, 16)
 
 
-def written(folder: Path, ticks: int) -> tuple[GroundTruthWriter, GroundTruth]:
-    writer = GroundTruthWriter(folder, blocks=1, places=3)
-    for tick in range(ticks):
-        writer.row["position"] = writer.row["stamp"] = tick
-        writer.publish(tick)
-    return writer, GroundTruth(folder, blocks=1, places=3)
+def written(folder: Path, steps: int) -> tuple[RingWriter, GroundTruth]:
+    writer = create_ground_truth(folder, blocks=1, places=3, start=-1.0)
+    assert not is_ready(folder)
+    for number in range(steps):
+        row = writer.begin()
+        row["position"] = row["stamp"] = number
+        writer.publish()
+    assert is_ready(folder)
+    return writer, GroundTruth(folder, blocks=1)
 
 
-def test_ticks_are_read_in_order_from_any(tmp_path: Path) -> None:
+def test_steps_are_read_in_order(tmp_path: Path) -> None:
     _, truth = written(tmp_path, 10)
-    assert truth.newest()["tick"] == 9
-    assert truth.since(6)["tick"].tolist() == [7, 8, 9]
+    assert truth.newest()["number"] == 9 and truth.rate == 1.0
+    assert truth.since(6)["number"].tolist() == [7, 8, 9]
     assert truth.between(2.5, 5.0)["position"][:, 0, 0].tolist() == [3.0, 4.0, 5.0]
 
 
-def test_old_ticks_give_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_old_steps_are_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_KEPT", 16)
     monkeypatch.setattr(module, "_MARGIN", 4)
     _, truth = written(tmp_path, 50)
-    assert truth.since(-1)["tick"].tolist() == list(range(38, 50))
+    assert truth.since(-1)["number"].tolist() == list(range(38, 50))
 
 
-def test_a_tick_that_is_being_written_is_left_out(tmp_path: Path) -> None:
+def test_a_step_that_is_being_written_is_left_out(tmp_path: Path) -> None:
     writer, truth = written(tmp_path, 10)
-    writer._rows["again"][8] = 3
-    assert truth.since(5)["tick"].tolist() == [6, 7, 9]
+    writer._slots["again"][8] = 3
+    assert truth.since(5)["number"].tolist() == [6, 7, 9]
 
 
 def test_a_camera_gives_each_frame_once_and_the_newest(tmp_path: Path) -> None:
-    writer = FrameWriter(tmp_path, LENS, depth=True)
+    ring = frame_ring(tmp_path, LENS, depth=True)
     camera = SimulatedCamera(tmp_path, LENS, depth=True)
     assert camera.read() is None
     for number in range(7):
         image = np.full((16, 16), number, np.uint8)
-        writer.publish(CameraFrame(image, image.astype(np.float32) / 2.0, time=0.1 * number))
-    writer.miss(2)
+        depth = image.astype(np.float32) / 2.0
+        publish_frame(ring, CameraFrame(image, depth, time=0.1 * number))
     frame = camera.read()
     assert frame is not None and frame.depth is not None
     assert (frame.time, frame.image[3, 4], frame.depth[3, 4]) == (0.1 * 6, 6, 3.0)
-    assert camera.read() is None and camera.missed == 2
+    assert camera.read() is None
 
 
-def test_orders_are_carried_out_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resets_are_executed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     taker = SceneResetService(tmp_path)
     done: list[tuple[int, list[float], float]] = []
 
@@ -74,7 +79,7 @@ def test_orders_are_carried_out_once(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert done == [(0, [0.5, 0.1, 0.05], 0.2), (1, [0.6, 0.0, 0.05], 0.0)]
 
 
-def test_a_deaf_server_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_server_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     SceneResetService(tmp_path)
     monkeypatch.setattr("contactgraph_franka.sim.shared_state._TIMEOUT", 0.01)
     with pytest.raises(RuntimeError, match="did not put the block"):
