@@ -1,4 +1,4 @@
-"""Files that are replaced as a whole: whoever looks sees the old one or the new one."""
+"""Atomic file writes: a reader sees the old file or the whole new one, never a part."""
 
 import os
 import secrets
@@ -11,11 +11,12 @@ from contactgraph.data.errors import InvalidInputError
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A path to write to, in the same folder, which replaces ``path`` when the block ends.
+    """A temporary path in the same folder, which replaces ``path`` when the block ends.
 
-    After a failure, or Ctrl-C, ``path`` is as it was and the temporary file is gone; only a
-    killed process leaves one (``.NAME.*.tmp``). Raises `InvalidInputError` where the folder does
-    not exist or cannot be written to.
+    Both the file and the folder's entry reach the disk (fsync), the file before it is renamed.
+    After a failure, or Ctrl-C, ``path`` is unchanged and the temporary file is gone; only a killed
+    process leaves one (``.NAME.*.tmp``). Raises `InvalidInputError` where the folder does not
+    exist or cannot be written to.
     """
     if not path.parent.is_dir():
         raise InvalidInputError(f"{path}: folder {path.parent} does not exist")

@@ -2,7 +2,6 @@
 
 import importlib
 import importlib.util
-import os
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from contactgraph.data import InvalidInputError
+from contactgraph.data import InvalidInputError, atomic_write
 from contactgraph.viz.scene_picture import INK, SOFT, draw_scene
 from contactgraph.viz.scene_run import SceneRun
 
@@ -33,15 +32,11 @@ def write_animation(path: str | Path, run: SceneRun) -> None:
     states = frame_states(run)
     seconds = run.dt * states.step
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
+    with atomic_write(path) as temporary:
         if program:
-            _write_mp4(unfinished, _frames(run, states), seconds, program)
+            _write_mp4(temporary, _frames(run, states), seconds, program)
         else:
-            _write_gif(unfinished, _frames(run, states), seconds)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+            _write_gif(temporary, _frames(run, states), seconds)
 
 
 def check_animation(path: Path) -> None:

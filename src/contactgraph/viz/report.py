@@ -4,7 +4,6 @@ import base64
 import hashlib
 import json
 import math
-import os
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -12,7 +11,7 @@ from string import Template
 
 import numpy as np
 
-from contactgraph.data import InvalidInputError
+from contactgraph.data import InvalidInputError, atomic_write
 from contactgraph.viz.markup import errors_table, footer, numbers_table, tiles
 from contactgraph.viz.report_data import ReportData
 from contactgraph.viz.scene_run import SceneRun
@@ -56,9 +55,8 @@ def write_report(path: str | Path, data: ReportData) -> None:
     if path.is_dir():
         raise InvalidInputError(f"report: {path} is a folder; name a file such as index.html in it")
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    unfinished.write_text(page(data), encoding="utf-8")
-    unfinished.replace(path)
+    with atomic_write(path) as temporary:
+        temporary.write_text(page(data), encoding="utf-8")
 
 
 def page(data: ReportData) -> str:

@@ -1,6 +1,5 @@
 """One picture of a whole run: moments of the scene above the belief and the learned masses."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 
+from contactgraph.data import atomic_write
 from contactgraph.viz.scene_picture import (
     BELIEF_COLOUR,
     CONTACT_COLOUR,
@@ -34,13 +34,8 @@ def write_summary_figure(path: str | Path, run: SceneRun) -> None:
     """Write a PNG of ``run``, whole or not at all: five moments, the belief and 1/m over time."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{os.getpid()}.{path.name}")
-    figure = summary_figure(run)
-    try:
-        figure.savefig(unfinished, dpi=150, format="png")
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with atomic_write(path) as temporary:
+        summary_figure(run).savefig(temporary, dpi=150, format="png")
 
 
 def summary_figure(run: SceneRun) -> Figure:
