@@ -1,4 +1,4 @@
-"""What the documents say is so: code runs, links lead somewhere, commands parse, files exist."""
+"""The documents are true: code runs, links lead somewhere, commands parse, files exist."""
 
 import re
 import shlex
@@ -29,8 +29,8 @@ def name(page: Path) -> str:
 
 
 def blocks(page: Path, languages: set[str]) -> list[str]:
-    found = FENCE.findall(page.read_text(encoding="utf-8"))
-    return [content for language, content in found if language in languages]
+    fences = FENCE.findall(page.read_text(encoding="utf-8"))
+    return [content for language, content in fences if language in languages]
 
 
 def prose(page: Path) -> str:
@@ -42,13 +42,13 @@ def commands(page: Path) -> Iterator[list[str]]:
     for block in blocks(page, SHELL):
         for line in block.replace("\\\n", " ").splitlines():
             words = shlex.split(line.removeprefix("$ "), comments=True)
-            # Lines that name alternatives or leave something out are grammar, not commands.
+            # Lines with alternatives or omissions are grammar, not commands.
             if words[:1] == ["contactgraph"] and not re.search(r"[\[\]|…<>]|\.\.\.", line):
                 yield words[1:]
 
 
 def anchors(page: Path) -> set[str]:
-    """Headings as a forge's links name them."""
+    """Anchors of a page's headings, as GitHub makes them."""
     heads = re.findall(r"^#+ +(.+)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
     plain = (re.sub(r"[^\w\- ]", "", head.lower()) for head in heads)
     return {head.strip().replace(" ", "-") for head in plain}
@@ -56,7 +56,7 @@ def anchors(page: Path) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The blocks of a page in their order, in one namespace: a later one may use an earlier."""
+    """The blocks of a page run in order in one namespace, so a block may use an earlier one."""
     monkeypatch.chdir(tmp_path)
     matplotlib.use("agg")
     namespace: dict[str, object] = {"__name__": "__main__"}
@@ -87,21 +87,21 @@ def test_command_lines_parse(page: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_make_targets_and_files_exist(page: Path) -> None:
-    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    text = page.read_text(encoding="utf-8")
-    for target in re.findall(r"^make (\w+)|`make (\w+)", text, re.MULTILINE):
-        assert "".join(target) in targets, f"{name(page)}: make {''.join(target)}"
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    text = "\n".join(blocks(page, SHELL)) + "\n" + "\n".join(CODE.findall(prose(page)))
+    for target in re.findall(r"^make ([a-z-]+)", text, re.MULTILINE):
+        assert target in targets, f"{name(page)}: make {target}"
     for code in CODE.findall(prose(page)):
         path = code.split("::")[0].rstrip("/")
         if path.split("/")[0] in TOP and re.fullmatch(r"[\w./*-]+", path):
             assert list(ROOT.glob(path)), f"{name(page)} names {code}"
 
 
-def test_the_commands_of_the_documents_are_found() -> None:
-    """Were the pattern to lose sight of them, nothing above would be tested."""
-    found = {words[0] for page in PAGES for words in commands(page)}
+def test_the_documents_use_every_command() -> None:
+    """Without a match of the pattern, no command line would be tested."""
+    used = {words[0] for page in PAGES for words in commands(page)}
     others = {"reproduce", "report", "robot", "info"}
-    assert found == {"collect", "train", "evaluate", "control", "learn-cost", *others}
+    assert used == {"collect", "train", "evaluate", "control", "learn-cost", *others}
 
 
 @pytest.mark.parametrize("words", [["train"], ["collect", "pickup"], ["control", "--seed", "x"]])
