@@ -142,3 +142,10 @@ def test_arguments_out_of_range():
         collect([PickupTask], [], 1, 0)
     with pytest.raises(InvalidInputError, match="seed must be at least 0, found -2"):
         run_episode(PickupTask(), policy, -2)
+
+
+def test_the_policy_has_a_seed_of_its_own():
+    policy = Pusher()
+    run_episode(PickupTask(), policy, 5)
+    assert policy.seed != 5, "noise from the scene's numbers would depend on the layout"
+    assert policy.seed == int(np.random.SeedSequence(5).generate_state(1)[0])

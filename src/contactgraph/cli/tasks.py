@@ -269,8 +269,8 @@ def _factory_of_class(
     given = {key: value for key, value in given.items() if value is not None}
     for key, value in given.items():
         if key not in parameters:
-            flag = "--goal" if key == "fixed_seed" else f"--{key}"
-            _refuse(name, flag, value, f"takes no argument {key!r}")
+            flag, found = (f"--{key}", value) if key != "fixed_seed" else ("--goal", "fixed")
+            _refuse(name, flag, found, f"takes no argument {key!r}")
     return partial(task_class, **given)
 
 

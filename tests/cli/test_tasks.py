@@ -1,0 +1,93 @@
+"""Tasks by name: the library's, those of other packages, and classes named module:Class."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from contactgraph.cli import main as cli
+from contactgraph.cli.tasks import TASKS, TaskOptions, known_task, task_factory, task_names
+from contactgraph.data import InvalidInputError, read_trajectories
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+LINE = "extend_task:Line"
+
+
+@pytest.fixture
+def in_examples(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The folder of the examples as the current one, whose modules can be named."""
+    monkeypatch.chdir(EXAMPLES)
+    yield
+    sys.modules.pop("extend_task", None)
+
+
+def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.metadata.EntryPoint.load", lambda entry: pytest.fail("loaded"))
+    assert task_names() == ("pickup", "multi-pickup", "door", "franka")
+
+
+def test_a_task_of_another_package_comes_by_its_entry_point() -> None:
+    franka = known_task("franka")
+    assert (franka.horizon, franka.max_force, len(franka.conditions)) == (50, 20.0, 2)
+    assert franka.error_target_cm(franka.conditions[0]) is not None
+
+
+def test_targets_are_those_of_the_first_and_the_last_condition() -> None:
+    pickup = TASKS["pickup"]
+    targets = [pickup.error_target_cm(condition) for condition in pickup.conditions]
+    assert [target and target.at_least for target in targets] == [0.4, None, 0.3]
+
+
+def test_collect_and_control_take_a_class(
+    in_examples: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "line.h5"
+    options = ["--episodes", "3", "--distractors", "1", "--mixed", "--exploration", "0.34"]
+    assert cli.run(["collect", LINE, *options, "--out", str(path)]) == 0
+    dataset = read_trajectories(path)
+    assert dataset.metadata == {"task": LINE, "seed": 0, "distractors": 1, "mixed": True}
+    assert [each.scene.node_count for each in dataset] == [2, 3, 2]
+    policies = [each.scene.metadata["policy"] for each in dataset]
+    assert policies == ["PickupExpert", "PickupExpert", "ExplorationPolicy"]
+    calls = []
+
+    def stop(model, factory, *arguments, **options):
+        calls.append((type(factory()).__name__, options["horizon"]))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactgraph.evaluate.control_task", stop)
+    assert cli.run(["control", "pickup", LINE, "--distractors", "1"]) == 130
+    assert calls == [("Line", 20)]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (TaskOptions(objects=2), "--objects: extend_task:Line takes no argument 'objects', found "),
+        (TaskOptions(fixed_seed=3), "--goal: extend_task:Line takes no argument 'fixed_seed', f"),
+        (TaskOptions(radius=0.1), "--radius: extend_task:Line takes no argument 'radius', found "),
+    ],
+)
+def test_options_that_a_class_does_not_take(
+    in_examples: None, options: TaskOptions, message: str
+) -> None:
+    with pytest.raises(InvalidInputError, match=f"^{message}"):
+        task_factory(LINE, options)
+
+
+def test_a_class_without_an_expert_is_explored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = "from contactgraph.envs import PickupTask\n\n\nclass Plain(PickupTask):\n    pass\n"
+    (tmp_path / "plain_task.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    task = known_task("plain_task:Plain")
+    assert type(task.expert()).__name__ == "ExplorationPolicy"
+    assert task.max_force is None and task.error_target_cm(task.conditions[0]) is None
+    sys.modules.pop("plain_task")
+
+
+def test_radius_is_pickup_s() -> None:
+    with pytest.raises(InvalidInputError, match="^--radius: only pickup has bodies"):
+        task_factory("door", TaskOptions(radius=0.05))
