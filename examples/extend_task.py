@@ -60,6 +60,5 @@ class Line(GripperTask):
 if __name__ == "__main__":
     check_task(Line)
     trajectory = run_episode(Line(distractors=2), PickupExpert(), seed=0)
-    print(
-        f"Line meets the task contract; the expert's success: {trajectory.scene.metadata['success']}"
-    )
+    success = trajectory.scene.metadata["success"]
+    print(f"Line meets the task contract; the expert's success: {success}")

@@ -89,5 +89,5 @@ def test_a_class_without_an_expert_is_explored(
 
 
 def test_radius_is_pickup_s() -> None:
-    with pytest.raises(InvalidInputError, match="^--radius: only pickup has bodies"):
+    with pytest.raises(InvalidInputError, match=r"^--radius: only pickup has bodies"):
         task_factory("door", TaskOptions(radius=0.05))
