@@ -27,14 +27,11 @@ SWEEP_SPEED = 0.38
 """Horizontal speed of the hand at the block, m/s."""
 RISE = 0.06
 """Vertical speed of the hand at the block, m/s: a grasped block leaves the table at once."""
-_MEAN = 0.55
-"""Mean speed of a segment over the sweep speed."""
-_SHORTEST = 0.5
-"""Least duration of a segment from rest to rest, s."""
+_MEAN = 0.55  # Mean speed of a segment over the sweep speed
+_SHORTEST = 0.5  # Least duration of a segment from rest to rest, s
 LONGEST = 3.3
 """Largest duration of a sweep, s; longer ones are sped up."""
-_GRASP_S = 0.6
-"""Time that a hand at rest gives its fingers to close, s."""
+_GRASP_S = 0.6  # Time that a hand at rest gives its fingers to close, s
 
 GRASPING = 0.7
 """Share of the recorded episodes with a grasp."""
@@ -45,10 +42,8 @@ _GRASP_OFFSET = 0.007
 blocks at one position in the hand does not predict contact at others."""
 _FURTHER_POINTS, _FREE_POINTS = 3, 6
 """Points visited after the goal, and in free-space excitation; more than there is time for."""
-_BLOCK_CLEARANCE = 0.16
-"""Least horizontal distance from the block of a low free-space path, m."""
-_SAFE_HEIGHT = 0.2
-"""Height from which the grasp point may cross the block, m."""
+_BLOCK_CLEARANCE = 0.16  # Least horizontal distance from the block of a low free-space path, m
+_SAFE_HEIGHT = 0.2  # Height from which the grasp point may cross the block, m
 _GRASPING_NOISE, _FREE_NOISE = 0.4, 1.0
 """N; a free hand tolerates more noise than one that must hit a block."""
 

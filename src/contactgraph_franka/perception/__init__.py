@@ -1,7 +1,6 @@
-"""Where tagged objects are: from camera frames to positions, velocities and how sure they are.
+"""Positions and velocities of tagged objects from camera frames.
 
-What needs a library of its own is imported by its module: `tags`, `sight`, `watch` and `perception`
-the finder of tags, `realsense` the maker's library.
+Only `tags`, `detector` and `perception` import pyapriltags, and only `realsense` pyrealsense2.
 """
 
 from contactgraph_franka.perception.calibration import CalibrationResiduals as CalibrationResiduals

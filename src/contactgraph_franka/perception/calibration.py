@@ -16,8 +16,7 @@ CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5,
 """[4, 3] of a tag of size 1 in its own frame, in the order of the detector."""
 FORMAT = "contactgraph-camera"
 VERSION = 1
-_SIZE_LIMIT = 1_000_000
-"""Bytes."""
+_SIZE_LIMIT = 1_000_000  # Bytes
 _WORDS = {
     "camera_pose": "4 x 4, camera to the robot's base [m]; the camera's x right, y down, z forward",
     "intrinsics": "px; pixel centres at whole numbers; distortion k1, k2, p1, p2, k3, or null",

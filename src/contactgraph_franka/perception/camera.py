@@ -14,12 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from contactgraph.data import InvalidInputError
 
-_UNDISTORT_STEPS = 8
-"""Fixed-point iterations; lenses of depth cameras converge to 1e-9 in five."""
+_UNDISTORT_STEPS = 8  # Fixed-point iterations; lenses of depth cameras converge to 1e-9 in five
 _OFFSETS = 300
 """Frames whose clock offsets are kept, ten seconds at 30 Hz; clocks drift by 1 ms in minutes."""
-_ORTHOGONALITY = 1e-4
-"""Largest deviation of a stored matrix from a rotation."""
+_ORTHOGONALITY = 1e-4  # Largest deviation of a stored matrix from a rotation
 
 
 def pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:

@@ -19,8 +19,7 @@ _LARGEST_CORNER_ERROR, _LARGEST_ERROR = 30.0, 6.0
 _INSIDE = 0.8
 """Share of a tag's side whose depth is used; pixels further out may show the background."""
 _LEAST_PIXELS = 20
-_GATE = 4.0
-"""Standard deviations beyond which depth is that of an occluder."""
+_GATE = 4.0  # Standard deviations beyond which depth is that of an occluder
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 _REACH = 2.5  # px, largest search distance across an edge
-_CELL_SHARE = 0.85
-"""Largest search distance, in cells of the tag; the next cell has another colour."""
-_CELLS = 8
-"""A tag's side, in cells."""
-_LEAST_REACH = 0.9
-"""px; a cell narrower than that is no wider than the blur."""
+_CELL_SHARE = 0.85  # Largest search distance, in cells of the tag; the next cell has another colour
+_CELLS = 8  # A tag's side, in cells
+_LEAST_REACH = 0.9  # px; a cell narrower than that is no wider than the blur
 _ALONG = np.linspace(0.07, 0.93, 24)
 """Sample positions along an edge, without the ends, which the next edge blurs."""
 _ACROSS = np.linspace(-1.0, 1.0, 11)

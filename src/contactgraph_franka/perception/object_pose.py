@@ -27,24 +27,19 @@ from contactgraph_franka.perception.tags import TagDetection
 
 CORNER_NOISE = 0.15
 """px, standard deviation of a detected corner's coordinates."""
-_HUBER = 3.0
-"""Standard deviations from which an error counts linearly, as of a half hidden edge."""
+_HUBER = 3.0  # Standard deviations from which an error counts linearly, as of a half hidden edge
 _ITERATIONS = 15
 _STEP_TOLERANCE = 1e-6  # rad and m
-_LARGEST_TURN = 0.5
-"""rad, of one step; limits divergence from a poor start."""
-_LEAST_INFORMATION = 1e-3
+_LARGEST_TURN = 0.5  # rad, of one step; limits divergence from a poor start
+_PRIOR = 1e-3 * np.eye(6)
 """Prior information on turns [1/rad^2] and positions [1/m^2]: 30 rad and 30 m."""
-_LEAST_FACING = 0.2
-"""Cosine between a tag's normal and the line of sight, below which edges blur."""
-_SAME = 1e-3
-"""Largest difference between the entries of two poses that count as one."""
+_LEAST_FACING = 0.2  # Cosine between a tag's normal and the line of sight, below which edges blur
+_SAME = 1e-3  # Largest difference between the entries of two poses that count as one
 _UNLIKELY = 500.0
 """Difference in loss that rules out the second pose. It is large, since edges distinguish two poses
 far better than corners, some of which are a pixel off."""
 _LEAST_EDGES = 4
-_MEDIAN = 0.6745
-"""Median of the absolute value of a standard normal variable."""
+_MEDIAN = 0.6745  # Median of the absolute value of a standard normal variable
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +153,7 @@ def fit_pose(start: np.ndarray, observed: Observations) -> PoseFit:
         residual, jacobian = _linearised(turn, position, observed)
         weight = _HUBER / np.maximum(np.abs(residual), _HUBER)
         step = np.linalg.solve(
-            jacobian.T @ (weight[:, None] * jacobian) + _LEAST_INFORMATION * np.eye(6),
+            jacobian.T @ (weight[:, None] * jacobian) + _PRIOR,
             jacobian.T @ (weight * residual),
         )
         step *= min(1.0, _LARGEST_TURN / max(float(np.linalg.norm(step[:3])), 1e-12))
@@ -172,7 +167,7 @@ def fit_pose(start: np.ndarray, observed: Observations) -> PoseFit:
     in_front = np.isfinite(loss) and position[2] > 0.0
     return PoseFit(
         pose(nearest_rotation(turn), position) if in_front else start,
-        jacobian.T @ (weight[:, None] * jacobian) + _LEAST_INFORMATION * np.eye(6),
+        jacobian.T @ (weight[:, None] * jacobian) + _PRIOR,
         float(loss) if in_front else np.inf,
         residual,
     )
@@ -227,7 +222,9 @@ def _linearised(
     across = observed.directions
     by_move = np.concatenate([across, -(across * rays).sum(axis=1, keepdims=True)], axis=1) / depth
     # A turn w moves a point by w x (R p), so that its slope is (R p) x (slope by the move).
-    by_turn = np.cross(turned, by_move)
+    # Written out, which is several times as fast as `np.cross`.
+    (x, y, z), (u, v, w) = turned.T, by_move.T
+    by_turn = np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
     residual = ((observed.rays - rays) * across).sum(axis=1)
     return residual, np.concatenate([by_turn, by_move], axis=1)
 

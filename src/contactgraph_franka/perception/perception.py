@@ -28,11 +28,9 @@ _ROWS = 8
 writer waits for a core."""
 _RETURNED = 5
 """Of those, at most so many are returned; a reader has three frames' time to copy them."""
-_PAUSE = 0.001
-"""s between polls for a new frame."""
+_PAUSE = 0.001  # s between polls for a new frame
 _NICENESS = 5
-_START_S = 60.0
-"""Largest time to import and to open a camera, s."""
+_START_S = 60.0  # Largest time to import and to open a camera, s
 
 
 class SharedMeasurements:

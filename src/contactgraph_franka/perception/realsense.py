@@ -36,10 +36,8 @@ except ModuleNotFoundError as error:
 except (ImportError, OSError) as error:
     raise InvalidInputError(f"pyrealsense2 cannot be loaded: {error}") from error
 
-_GREEN = 1
-"""The colour channel used as grey; half of the sensor's pixels measure it."""
-_QUEUE = 4
-"""Largest number of unread frames."""
+_GREEN = 1  # The colour channel used as grey; half of the sensor's pixels measure it
+_QUEUE = 4  # Largest number of unread frames
 
 
 class RealSenseCamera:

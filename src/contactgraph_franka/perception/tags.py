@@ -16,20 +16,17 @@ except ModuleNotFoundError as error:
         "finding tags needs pyapriltags: pip install 'contactgraph[robot]'"
     ) from error
 
-_CENTRE = 0.5
-"""px; the library counts from a pixel's edge, `Intrinsics` from its centre."""
+_CENTRE = 0.5  # px; the library counts from a pixel's edge, `Intrinsics` from its centre
 _DECIMATION = (1.5, 1.0)
 """Reductions of a full frame, in turn while an object is lost. The first is 4 times as fast, the
 second finds smaller tags."""
 _ENLARGEMENT, _WINDOW_DECIMATION = 2, 1.5
 """Enlargement of a window and reduction inside the library. Few pixels lie between tag and edge of
 a block, and the library's tiles of 4 px would merge them."""
-_SHARPENING = 0.25
-"""The library's own default, which its wrapper rounds to zero."""
+_SHARPENING = 0.25  # The library's own default, which its wrapper rounds to zero
 _LEAST_MARGIN = 20.0
 """Least decision margin. False detections stay below; true ones of 20 px and more are above."""
-_WINDOW_MARGIN = 0.6
-"""Margin of a window on each side over the size of the detections."""
+_WINDOW_MARGIN = 0.6  # Margin of a window on each side over the size of the detections
 _LEAST_WINDOW_MARGIN = 24
 """px. At 1 m and 900 px focal length, motion at 0.8 m/s covers it in 1/30 s."""
 

@@ -18,12 +18,9 @@ from contactgraph_franka.perception.tracker import (
 
 _FINGER_DELAY = 0.035
 """s from stopped fingers to their report: `FingerContact`'s window and one reading."""
-_PAUSE = 0.05
-"""s between two entries beyond which the motion in between is unknown."""
-_KEPT = 512
-"""Entries, half a second, that delayed frames still refer to."""
-_CAPACITY = 1 << 16
-"""Initial number of entries, a minute at 1 kHz. Doubling takes 1 ms."""
+_PAUSE = 0.05  # s between two entries beyond which the motion in between is unknown
+_KEPT = 512  # Entries, half a second, that delayed frames still refer to
+_CAPACITY = 1 << 16  # Initial number of entries, a minute at 1 kHz. Doubling takes 1 ms
 _NOTHING = -1
 
 

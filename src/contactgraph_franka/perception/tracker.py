@@ -21,12 +21,9 @@ import numpy as np
 
 _SMOOTH = 11.3
 """99 % quantile of the squared Mahalanobis distance (3 degrees of freedom): smooth motion."""
-_GATE = 16.3
-"""99.9 % quantile: measurements beyond it are outliers."""
-_FIRST_SPEED = 0.5
-"""m/s, standard deviation of the initial velocity."""
-_FORGOTTEN_AFTER = 1.0
-"""s without a measurement after which the filter restarts."""
+_GATE = 16.3  # 99.9 % quantile: measurements beyond it are outliers
+_FIRST_SPEED = 0.5  # m/s, standard deviation of the initial velocity
+_FORGOTTEN_AFTER = 1.0  # s without a measurement after which the filter restarts
 _LOST_ABOVE = 0.05
 """m: largest standard deviation of a tracked position. That of a block 0.07 s after an impact is
 0.02 m, which must not stop the hand that grasps it."""

@@ -44,8 +44,7 @@ _DAMPING = (25.0, 40.0, 20.0, 20.0, 1.0, 1.0, 0.2)
 _SPINDLE = "2"
 """Apparent mass of a finger's drive, kg. With franky-sim's 0.2 the speed controller overshoots, and
 fingers close twice as fast as commanded."""
-_SKIN_FRICTION = ".6 .01 .0001"
-"""Friction of pads on a block, as in the arm's task."""
+_SKIN_FRICTION = ".6 .01 .0001"  # Friction of pads on a block, as in the arm's task
 # The hand's own mass, without the two fingers of 0.015 kg that MuJoCo's model adds. Its frame is
 # turned by an eighth against the flange's, in which the load is declared.
 _FINGERS = 0.03
@@ -53,10 +52,8 @@ _HAND = 0.73
 _HAND_CENTRE = (-0.01, 0.0, 0.03)
 _FINGERS_CENTRE = (0.0, 0.0, 0.0584)
 _HAND_INERTIA = (0.001, 0.0025, 0.0017)
-_CATCH_UP = 10
-"""Steps behind time that are caught up with; more are dropped."""
-_OWNER_CHECK = 100
-"""Steps between checks that the owner lives."""
+_CATCH_UP = 10  # Steps behind time that are caught up with; more are dropped
+_OWNER_CHECK = 100  # Steps between checks that the owner lives
 
 
 class ArmScene:

@@ -19,11 +19,9 @@ LARGEST_COUNT = 2
 CONTACT = {"solref": ".003 1", "solimp": ".95 .99 .001", "condim": "4"}
 WOOD_FRICTION = ".5 .005 .0001"
 """Contact and friction of a block on the table, as in the arm's task."""
-_POSITIONS = ((0.5, -0.15, 0.05), (0.5, 0.15, 0.05))
-"""Initial positions of the blocks, m."""
+_POSITIONS = ((0.5, -0.15, 0.05), (0.5, 0.15, 0.05))  # Initial positions of the blocks, m
 _TAGS_A_BLOCK = 9
-_LIFT = 1e-4
-"""m, of the print above the paper, against flicker."""
+_LIFT = 1e-4  # m, of the print above the paper, against flicker
 # Columns and rows of the first half of the code's bits, the most significant first. The other half
 # is its image under half a turn.
 _COLUMN = (1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4)

@@ -14,8 +14,7 @@ _LOOK_AT = np.array([0.45, 0.0, 0.15])
 """m, in the frame of the arm's base. From higher up the hand hides the block before it grasps it
 (0.4 s in one sweep of fourteen from 0.55 m); from lower, a grasped block shows a single tag, whose
 tilt is uncertain (1 cm of error, and more)."""
-_SLOTS = 4
-"""A reader has three frames' time to copy one."""
+_SLOTS = 4  # A reader has three frames' time to copy one
 
 
 def look_at(eye: np.ndarray, point: np.ndarray) -> np.ndarray:

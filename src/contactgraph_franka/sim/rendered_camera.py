@@ -22,18 +22,14 @@ from contactgraph_franka.sim.camera import frame_ring, publish_frame
 from contactgraph_franka.sim.session import read_session
 from contactgraph_franka.sim.shared_state import GroundTruth
 
-_BODY_RADIUS = 0.075
-"""m, of a sphere about a block's centre that contains it."""
-_STEP = 64
-"""px: widths of windows are multiples of it, which bounds the number of renderers."""
+_BODY_RADIUS = 0.075  # m, of a sphere about a block's centre that contains it
+_STEP = 64  # px: widths of windows are multiples of it, which bounds the number of renderers
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)
-_DEPTH_STEP = 0.001
-"""m: depth cameras measure whole millimetres."""
+_DEPTH_STEP = 0.001  # m: depth cameras measure whole millimetres
 _NOISE_PICTURES = 3
 """Pictures of noise drawn beforehand; a frame's noise begins at a random pixel of it."""
 _NICENESS = 5
-_VISUAL, _COLLISION, _SHOWN, _HIDDEN = 2, 3, 0, 4
-"""Groups of geoms."""
+_VISUAL, _COLLISION, _SHOWN, _HIDDEN = 2, 3, 0, 4  # Groups of geoms
 
 
 class RenderedCamera:

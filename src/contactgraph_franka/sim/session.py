@@ -16,12 +16,9 @@ from contactgraph.data import InvalidInputError
 from contactgraph.data.json_fields import parse_json
 from contactgraph_franka.sim.camera import CameraSettings
 
-_PORTS = (1337, 1338)
-"""Ports of the protocol, for the arm and its gripper."""
-_START = 30.0
-"""Largest time of a process to be ready, s."""
-_END = 2.0
-"""Largest time of a process to end on request, s."""
+_PORTS = (1337, 1338)  # Ports of the protocol, for the arm and its gripper
+_START = 30.0  # Largest time of a process to be ready, s
+_END = 2.0  # Largest time of a process to end on request, s
 _MISTAKE = "contactgraph.data.errors.InvalidInputError: "
 
 

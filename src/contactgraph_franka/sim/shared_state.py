@@ -12,13 +12,11 @@ from contactgraph.data import InvalidInputError, Trajectory
 
 _KEPT = 1 << 15
 """Control steps kept: 32 simulated seconds, so that an episode can be read when it is over."""
-_MARGIN = 64
-"""Oldest steps that may be overwritten while they are read."""
+_MARGIN = 64  # Oldest steps that may be overwritten while they are read
 _REQUEST = np.dtype(
     [("asked", "i8"), ("done", "i8"), ("block", "i8"), ("position", "f8", (3,)), ("yaw", "f8")]
 )
-_TIMEOUT = 5.0
-"""Wall time to wait for a scene reset, s."""
+_TIMEOUT = 5.0  # Wall time to wait for a scene reset, s
 _HEADER = np.dtype([("places", "i8"), ("start", "f8")])
 _INDEX = np.dtype("i8")
 
