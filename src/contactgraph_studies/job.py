@@ -13,6 +13,19 @@ from typing import Any
 
 from contactgraph.data import atomic_write
 
+Options = tuple[str, ...]
+"""Options of a command."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A variation of a command."""
+
+    slug: str
+    """Part of file names."""
+    name: str
+    options: Options = ()
+
 
 @dataclass(frozen=True)
 class Job:

@@ -1,17 +1,56 @@
-"""The page of a study: one HTML file, claims first, that loads nothing."""
+"""The files of a study; its page is one HTML file, claims first, that loads nothing."""
 
 import base64
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 from string import Template
 
+from contactgraph.cli.output import provenance, write_json, write_text
 from contactgraph.viz.markup import numbers_table
+from contactgraph.viz.number_table import csv_numbers, markdown_numbers
 from contactgraph_studies.results import with_range
-from contactgraph_studies.study import Claim, ClaimNumber, Picture, StudyResult
+from contactgraph_studies.runner import Failure
+from contactgraph_studies.study import Claim, ClaimNumber, Picture, Study, StudyResult
 
-VERDICTS = {True: "holds", False: "does not hold", None: "not known"}
+_VERDICTS = {True: "holds", False: "does not hold", None: "not known"}
 _CLASSES = {True: "met", False: "missed", None: ""}
+
+
+def write_study(
+    study: Study, folder: Path, command: str, failures: Sequence[Failure], cores: int
+) -> None:
+    """Write claims, tables, figures and the page from the outputs in the folder; print claims."""
+    result, origin = study.result(folder), provenance()
+    date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    failed = [(failure.job.command, failure.reason) for failure in failures]
+    write_json(folder / "claims.json", {"claims": [claim.to_json() for claim in result.claims]})
+    write_json(
+        folder / "results.json",
+        {
+            "command": command,
+            "date": date,
+            **origin,
+            "cores": cores,
+            **result.amounts,
+            "failures": [{"command": line, "reason": reason} for line, reason in failed],
+            "cells": result.readings,
+        },
+    )
+    write_text(folder / "table.md", "\n".join(table.markdown() for table in result.tables))
+    write_text(folder / "table.csv", result.tables[0].csv())
+    write_text(folder / "targets.md", markdown_numbers(result.targets))
+    write_text(folder / "targets.csv", csv_numbers(result.targets))
+    commands = [command, *(job.command for job in study.jobs)]
+    page = study_page(result, failed, commands, origin["versions"], date)
+    write_text(folder / "index.html", page)
+    for claim in result.claims:
+        print(f"{claim.number}. {_VERDICTS[claim.holds]}: {claim.title}")
+        print(f"   {claim.sentence}")
+    print(markdown_numbers(result.targets))
+    print(f"the page: {folder / 'index.html'}")
 
 
 def study_page(
@@ -51,7 +90,7 @@ def _claim(claim: Claim) -> str:
     rows = "".join(_claim_row(number) for number in claim.numbers)
     return (
         f'<article class="claim"><p class="verdict {_CLASSES[claim.holds]}">'
-        f"{VERDICTS[claim.holds]}</p><div>"
+        f"{_VERDICTS[claim.holds]}</p><div>"
         f"<h3>{claim.number}. {escape(claim.title)}</h3>"
         f"<blockquote>{escape(claim.quote)}</blockquote>"
         f"<p>{escape(claim.sentence)}</p>"

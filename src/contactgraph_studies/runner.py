@@ -1,14 +1,18 @@
 """Execution of a study's jobs in dependency order, several at a time."""
 
 import statistics
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from contactgraph.cli.output import progress
 from contactgraph.parallel import Executor, Outcome
-from contactgraph_studies.execution import JobResult, prepare, write_bundle
+from contactgraph_studies.execution import JobResult, create_worker, prepare, write_bundle
 from contactgraph_studies.job import Job, JobRecords
+from contactgraph_studies.study import Study
 
 _JOBS_PER_PROCESS = 25
 """A process keeps every program that it has compiled: 2.7 GB after 60 jobs (measured)."""
@@ -41,12 +45,12 @@ def run_jobs(
     jobs: Sequence[Job],
     records: JobRecords,
     executor: Executor,
-    create_worker: Callable[[], Callable[[Any], JobResult]],
+    initializer: Callable[[], Callable[[Any], JobResult]],
     on_progress: Callable[[Progress], None],
 ) -> list[Failure]:
     """Run every job that is not done; the failures.
 
-    ``jobs`` are in dependency order. ``create_worker`` is called once in each worker process and
+    ``jobs`` are in dependency order. ``initializer`` is called once in each worker process and
     returns the function that executes a job there. A failed job stops only the jobs that need it.
     Ctrl-C ends the workers; the next call continues the study.
     """
@@ -55,7 +59,7 @@ def run_jobs(
         return []
     running: dict[int, Job] = {}
     groups: dict[int, list[str]] = {}
-    with executor.pool(create_worker, len(schedule.waiting), _JOBS_PER_PROCESS) as pool:
+    with executor.pool(initializer, len(schedule.waiting), _JOBS_PER_PROCESS) as pool:
         while schedule.waiting or running:
             for worker in pool.idle():
                 job = schedule.next(groups.setdefault(worker, []))
@@ -71,6 +75,31 @@ def run_jobs(
                 left = schedule.seconds_left(list(running.values()), executor.workers)
                 on_progress(Progress(schedule.done, len(jobs), left, job, failure))
     return schedule.failures
+
+
+def run_study(study: Study, folder: Path, executor: Executor) -> list[Failure]:
+    """Run a study in a folder, with progress and failures on stderr."""
+
+    def report(failure: Failure) -> None:
+        command = failure.job.command
+        print(f"failed: {command} ({failure.reason})", file=sys.stderr, flush=True)
+
+    folder.mkdir(parents=True, exist_ok=True)
+    records = JobRecords(folder, version("contactgraph"))
+    with progress("jobs", len(study.jobs)) as bar:
+
+        def on_progress(now: Progress) -> None:
+            if now.failure is not None:
+                report(now.failure)
+            left = now.seconds_left
+            estimate = "" if left is None else f"about {max(1, round(left / 60))} min left; "
+            bar.advance(now.done, f"{estimate}{now.last.group}")
+
+        failures = run_jobs(study.jobs, records, executor, create_worker, on_progress)
+    for failure in failures:
+        if not failure.started:
+            report(failure)
+    return failures
 
 
 def _store(job: Job, records: JobRecords, outcome: Outcome) -> tuple[float, Failure | None]:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from contactgraph.cli.tasks import Target
 from contactgraph.viz import Number
-from contactgraph_studies.job import Job, Measurement
-from contactgraph_studies.paper.config import DOOR, FRANKA, MULTI_PICKUP, PICKUP, Options
+from contactgraph_studies.job import Job, Measurement, Variant
+from contactgraph_studies.paper.config import DOOR, FRANKA, MULTI_PICKUP, PICKUP
 from contactgraph_studies.results import PLANNED_F1, Quantity, Results, SeedStatistic, Values
 from contactgraph_studies.study import Study, StudyResult, judged
 from contactgraph_studies.tables import (
@@ -26,31 +26,11 @@ from contactgraph_studies.tables import (
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """Contact information that a controller receives."""
-
-    slug: str
-    """Part of file names."""
-    name: str
-    options: Options
-    """Options of ``control``."""
-
-
-@dataclass(frozen=True)
-class Condition:
-    """A difference from training."""
-
-    slug: str
-    name: str
-    options: Options
-
-
-@dataclass(frozen=True)
 class SensingTask:
     """A task, controlled with the shipped model of the same name."""
 
     name: str
-    conditions: tuple[Condition, ...]
+    conditions: tuple[Variant, ...]
     replan_every: int
     """Half a second, so that plans can be compared with their execution; 1 step if the task cannot
     be done that way."""
@@ -69,19 +49,20 @@ class SensingAmounts:
 SCENE_SEED = 1200
 """No model, no other study and no tuning uses these scenes."""
 
-MEASURED = Sensor("measured", "contacts measured", ())
-UNMEASURED = Sensor("unmeasured", "nothing", ("--unmeasured",))
-INFERRED = Sensor("inferred", "motion", ("--unmeasured", "--infer-contacts"))
-MISSING = Sensor("missing", "a sensor with 30 % misses", ("--misses", "0.3"))
-BOTH = Sensor("both", "that sensor and motion", ("--misses", "0.3", "--infer-contacts"))
+MEASURED = Variant("measured", "contacts measured")
+UNMEASURED = Variant("unmeasured", "nothing", ("--unmeasured",))
+INFERRED = Variant("inferred", "motion", ("--unmeasured", "--infer-contacts"))
+MISSING = Variant("missing", "a sensor with 30 % misses", ("--misses", "0.3"))
+BOTH = Variant("both", "that sensor and motion", ("--misses", "0.3", "--infer-contacts"))
 SENSORS = (MEASURED, UNMEASURED, INFERRED, MISSING, BOTH)
+"""Contact information that a controller receives."""
 
 _CAMERA = ("--position-noise", "0.001", "--velocity-noise", "0.02")
 _WIDER = ("--radius", "0.042")
-AS_TRAINED = Condition("as-trained", "as trained", ())
-CAMERA = Condition("camera", "seen by a camera (1 mm, 2 cm/s)", _CAMERA)
-WIDER = Condition("wider", "bodies 5 % wider than the model knows", _WIDER)
-BOTH_OFF = Condition("wider-camera", "wider, and seen by a camera", (*_WIDER, *_CAMERA))
+AS_TRAINED = Variant("as-trained", "as trained")
+CAMERA = Variant("camera", "seen by a camera (1 mm, 2 cm/s)", _CAMERA)
+WIDER = Variant("wider", "bodies 5 % wider than the model knows", _WIDER)
+BOTH_OFF = Variant("wider-camera", "wider, and seen by a camera", (*_WIDER, *_CAMERA))
 """A model with exact radii predicts contact without any sensor. A sensor can help if the radii are
 wrong, and 2 mm is a realistic error."""
 
@@ -124,8 +105,8 @@ class SensorCondition:
 class SensingStudy(Study):
     """Control of some tasks with every sensor."""
 
-    tasks: Sequence[SensingTask]
     amounts: SensingAmounts
+    tasks: Sequence[SensingTask] = SENSING_TASKS
 
     @cached_property
     def measurements(self) -> list[Measurement]:
@@ -165,7 +146,7 @@ class SensingStudy(Study):
 
 
 def _control_job(
-    task: SensingTask, condition: Condition, sensor: Sensor, seed: int, amounts: SensingAmounts
+    task: SensingTask, condition: Variant, sensor: Variant, seed: int, amounts: SensingAmounts
 ) -> Job:
     output = f"cells/{task.name}/{condition.slug}/{sensor.slug}-{seed}.json"
     replan = () if task.replan_every == 1 else ("--replan-every", str(task.replan_every))
@@ -260,7 +241,7 @@ ONSET_DELAY_P95 = _delay_ms("onset_delay_ms_p95")
 
 
 def share_recovered(
-    results: Results, task: SensingTask, condition: Condition, key: str
+    results: Results, task: SensingTask, condition: Variant, key: str
 ) -> SeedStatistic:
     """[%] Gain by motion over the gain by measured contacts, of all seeds together.
 

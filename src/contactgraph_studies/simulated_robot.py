@@ -4,12 +4,11 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 from contactgraph.cli.tasks import Target
 from contactgraph.viz import Number
 from contactgraph.viz.number_table import short
-from contactgraph_studies.job import Job, Measurement
+from contactgraph_studies.job import Job, Measurement, Options, Variant
 from contactgraph_studies.results import SUCCESS_PERCENT, Quantity, Results
 from contactgraph_studies.study import Study, StudyResult, judged
 from contactgraph_studies.tables import Column, Row, StudyTable, label
@@ -27,7 +26,7 @@ class SimAmounts:
     """Of control, for each source of contacts."""
     pace: float
     """Wall time over simulated time; the fastest that two cores reach with server and camera."""
-    training_options: tuple[str, ...]
+    training_options: Options
 
 
 @dataclass(frozen=True)
@@ -37,19 +36,9 @@ class Condition:
     source: str
 
 
-class ContactSource(NamedTuple):
-    """The contact information of a controller."""
-
-    slug: str
-    """Part of file names."""
-    name: str
-    options: tuple[str, ...]
-    """Options of ``rehearse-control``."""
-
-    @property
-    def condition(self) -> Condition:
-        """Control with it."""
-        return Condition(f"control, contacts {self.name}")
+def controlled(contacts: Variant) -> Condition:
+    """Control with this source of contacts."""
+    return Condition(f"control, contacts {contacts.name}")
 
 
 _MODEL_EVERY = 10
@@ -67,8 +56,8 @@ mass of a free hand is learned badly: errors of 2.5 cm instead of 0.3 over half 
 FULL_SIM = SimAmounts(25, 5, 10.0, 20, 4.0, _FEW_IMPACTS)
 QUICK_SIM = SimAmounts(4, 1, 5.0, 1, 4.0, (*_FEW_IMPACTS, "--steps", "600"))
 
-BY_FINGERS = ContactSource("fingers", "by the fingers' width", ())
-BY_MOTION = ContactSource("motion", "by the fingers' width, and by motion", ("--infer-contacts",))
+BY_FINGERS = Variant("fingers", "by the fingers' width")
+BY_MOTION = Variant("motion", "by the fingers' width, and by motion", ("--infer-contacts",))
 _CONTACT_SOURCES = (BY_FINGERS, BY_MOTION)
 TRAINING, VALIDATION = Condition("training runs"), Condition("validation runs")
 SMOOTHED = Condition("predictions, smoothed states")
@@ -97,7 +86,7 @@ _CONTROLLED = {
 _SHOWN = {
     **dict.fromkeys((TRAINING, VALIDATION), _RECORDED),
     **dict.fromkeys((SMOOTHED, LIVE), _PREDICTED),
-    **dict.fromkeys((source.condition for source in _CONTACT_SOURCES), _CONTROLLED),
+    **dict.fromkeys((controlled(source) for source in _CONTACT_SOURCES), _CONTROLLED),
 }
 """Unit and scale of the numbers in the table."""
 
@@ -139,7 +128,7 @@ class SimulatedRobotStudy(Study):
                 )
             ),
             *(
-                Measurement(source.condition, _CONTROL_SEED, self._control(model, source))
+                Measurement(controlled(source), _CONTROL_SEED, self._control(model, source))
                 for source in _CONTACT_SOURCES
             ),
         ]
@@ -168,7 +157,7 @@ class SimulatedRobotStudy(Study):
             readings=results.to_json(),
         )
 
-    def _recording(self, name: str, seed: int, runs: int, options: tuple[str, ...] = ()) -> Job:
+    def _recording(self, name: str, seed: int, runs: int, options: Options = ()) -> Job:
         """Trajectories through server and camera, beside a file of numbers."""
         output, *files = (f"cells/{name}{end}" for end in (".json", ".h5", ".truth.h5", ".live.h5"))
         arguments = (
@@ -179,7 +168,7 @@ class SimulatedRobotStudy(Study):
         )
         return Job(output, arguments, "rehearse-record", extra_outputs=tuple(files))
 
-    def _control(self, model: Job, source: ContactSource) -> Job:
+    def _control(self, model: Job, source: Variant) -> Job:
         output, trajectories = (f"cells/control-{source.slug}{end}" for end in (".json", ".h5"))
         arguments = (
             *("robot", "rehearse-control", model.output, *source.options),
@@ -254,7 +243,7 @@ def sim_targets(results: Results, amounts: SimAmounts) -> tuple[Number, ...]:
         *(
             (
                 f"{success} {source.name}",
-                *("%", source.condition, SUCCESS_PERCENT, Target(75.0, 100.0), False),
+                *("%", controlled(source), SUCCESS_PERCENT, Target(75.0, 100.0), False),
             )
             for source in _CONTACT_SOURCES
         ),

@@ -1,6 +1,7 @@
 """``contactgraph reproduce``: which studies there are, what it writes, how it exits."""
 
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.control import LearningHistory, write_cost
-from contactgraph_studies import reproduce
+from contactgraph_studies import page
 from contactgraph_studies.cost import config
 from contactgraph_studies.cost.config import PICKUP_COST
 from contactgraph_studies.cost.known_answer import own_cost
@@ -113,7 +114,7 @@ def test_all_tasks_go_into_one_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_up: list[list[Job]]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(reproduce, "write_study", lambda *arguments: None)
+    monkeypatch.setattr(page, "write_study", lambda *arguments: None)
     with pytest.raises(SystemExit):
         cli.run(["reproduce"])
     with pytest.raises(SystemExit):
@@ -166,7 +167,21 @@ def test_what_the_study_of_costs_leaves(
         for name in ("success", "cost-pickup", "known-own-cost-pickup", "known-learned-cost-pickup")
         for kind in ("png", "svg")
     }
-    page = (folder / "index.html").read_text()
-    assert 'id="known-answer"' in page and page.count("data:image/svg+xml") == 4
+    html = (folder / "index.html").read_text()
+    assert 'id="known-answer"' in html and html.count("data:image/svg+xml") == 4
     known = "| pickup | MPC with the task's own cost | target - goal | 1 m | 70.7 | 70.7 | 1 |"
     assert known in (folder / "table.md").read_text()
+
+
+def test_without_pandas(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    for name in [name for name in sys.modules if name.startswith("contactgraph_studies.")]:
+        monkeypatch.delitem(sys.modules, name)
+    assert cli.run(["reproduce", "door", "--quick"]) == 2
+    assert capsys.readouterr().err == (
+        "contactgraph: reproduce needs pandas: pip install 'contactgraph[studies]'\n"
+    )
+    assert list(tmp_path.iterdir()) == []

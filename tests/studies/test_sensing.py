@@ -15,7 +15,6 @@ from contactgraph_studies.sensing import (
     MEASURED,
     ONSET_DELAY_P95,
     PICKUP_SENSING,
-    SENSING_TASKS,
     UNMEASURED,
     WIDER,
     SensingStudy,
@@ -23,7 +22,7 @@ from contactgraph_studies.sensing import (
     share_recovered,
 )
 
-STUDY = SensingStudy(SENSING_TASKS, FULL_SENSING)
+STUDY = SensingStudy(FULL_SENSING)
 ERROR = "n_step_rmse_planned_m"
 
 

@@ -14,6 +14,7 @@ from contactgraph_studies.simulated_robot import (
     QUICK_SIM,
     TRAINING,
     SimulatedRobotStudy,
+    controlled,
 )
 
 NUMBERS = {
@@ -76,7 +77,7 @@ def test_the_table_has_every_number_that_is_known(folder: Path) -> None:
     assert "| training runs" in found.tables[0].markdown()
     sources = [reading["source"] for reading in found.readings]
     assert len(sources) == len(NUMBERS)
-    assert {TRAINING.source, LIVE.source, BY_FINGERS.condition.source} < set(sources)
+    assert {TRAINING.source, LIVE.source, controlled(BY_FINGERS).source} < set(sources)
 
 
 def test_the_summary_names_the_number_of_episodes(folder: Path) -> None:

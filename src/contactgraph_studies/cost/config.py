@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from contactgraph.envs import DoorTask, MultiPickupTask, PickupTask
 from contactgraph.envs.contract import Task
-from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP, TEST_SEED, Options
+from contactgraph_studies.job import Options
+from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP, TEST_SEED
 
 
 @dataclass(frozen=True)

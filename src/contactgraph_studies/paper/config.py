@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from contactgraph.cli.tasks import TASKS as LIBRARY_TASKS
 from contactgraph.cli.tasks import KnownTask, TestCondition
 from contactgraph_franka.envs.task_entry import FRANKA as FRANKA_TASK
-
-Options = tuple[str, ...]
-"""Of a command."""
+from contactgraph_studies.job import Options, Variant
 
 
 @dataclass(frozen=True)
@@ -18,6 +16,8 @@ class StudyModel:
     """Part of folder names."""
     name: str
     """The paper's, if it has one."""
+    colour: str
+    """In all figures."""
     options: Options
     """Options of ``train``."""
     augmented: bool = False
@@ -71,16 +71,6 @@ class StudyTask:
 
 
 @dataclass(frozen=True)
-class SensorFault:
-    """A fault of the contact sensor."""
-
-    slug: str
-    name: str
-    options: Options
-    """Options of ``evaluate``."""
-
-
-@dataclass(frozen=True)
 class Amounts:
     """Number of seeds, trajectories and episodes."""
 
@@ -105,17 +95,18 @@ TEST_SEED = 1000
 
 # No-GIM is to do without augmentation, so no bodies are added to its training windows.
 _PLAIN = ("--bystanders", "0")
-GIM_TEMP = StudyModel("gim-temp", "GIM-Temp", ("--model", "gim-temp"))
-GIM_NON_TEMP = StudyModel("gim-non-temp", "GIM-Non-Temp", ("--model", "gim-non-temp"))
-NO_GIM = StudyModel("no-gim", "No-GIM", ("--model", "no-gim", *_PLAIN))
-NO_GIM_AUG = StudyModel("no-gim-aug", "No-GIM-Aug", NO_GIM.options, augmented=True)
-FULL_AB = StudyModel("full-ab", "Full-AB", ("--model", "full-ab"))
-NO_KL = StudyModel(
-    "gim-temp-no-kl", "GIM-Temp without KL", ("--model", "gim-temp", "--prior-weight", "0")
-)
-LITERAL = StudyModel("paper-literal", "paper-literal", ("--model", "paper-literal", *_PLAIN))
+GIM_TEMP = StudyModel("gim-temp", "GIM-Temp", "#1b66a8", ("--model", "gim-temp"))
+GIM_NON_TEMP = StudyModel("gim-non-temp", "GIM-Non-Temp", "#7fb2dd", ("--model", "gim-non-temp"))
+NO_GIM = StudyModel("no-gim", "No-GIM", "#cb5f12", ("--model", "no-gim", *_PLAIN))
+NO_GIM_AUG = StudyModel("no-gim-aug", "No-GIM-Aug", "#eca86f", NO_GIM.options, augmented=True)
+FULL_AB = StudyModel("full-ab", "Full-AB", "#7650a3", ("--model", "full-ab"))
+_NO_PRIOR = ("--model", "gim-temp", "--prior-weight", "0")
+NO_KL = StudyModel("gim-temp-no-kl", "GIM-Temp without KL", "#0d8074", _NO_PRIOR)
+_LITERAL = ("--model", "paper-literal", *_PLAIN)
+LITERAL = StudyModel("paper-literal", "paper-literal", "#a5a9ae", _LITERAL)
+_LITERAL_NO_GIM = ("--model", "paper-literal-no-gim", *_PLAIN)
 LITERAL_NO_GIM = StudyModel(
-    "paper-literal-no-gim", "paper-literal No-GIM", ("--model", "paper-literal-no-gim", *_PLAIN)
+    "paper-literal-no-gim", "paper-literal No-GIM", "#6d7278", _LITERAL_NO_GIM
 )
 MODELS = (GIM_TEMP, GIM_NON_TEMP, NO_GIM, NO_GIM_AUG, FULL_AB, NO_KL, LITERAL, LITERAL_NO_GIM)
 
@@ -148,12 +139,12 @@ EVERY_TASK = (*TASKS, FRANKA)
 _RATES = {1: "0.01", 5: "0.05", 20: "0.2"}
 FAULTS = (
     *(
-        SensorFault(f"{kind}-{percent}", f"{percent} % {name}", (f"--{kind}", rate))
+        Variant(f"{kind}-{percent}", f"{percent} % {name}", (f"--{kind}", rate))
         for kind, name in (("false-alarms", "false alarms"), ("misses", "misses"))
         for percent, rate in _RATES.items()
     ),
-    SensorFault("delay-1", "one step late", ("--delay", "1")),
-    SensorFault("delay-2", "two steps late", ("--delay", "2")),
+    Variant("delay-1", "one step late", ("--delay", "1")),
+    Variant("delay-2", "two steps late", ("--delay", "2")),
 )
 
 FULL = Amounts((0, 1, 2), 20, 20, 100, (5, 10, 20, 40, 80, 160), extras=True)

@@ -7,7 +7,7 @@ from enum import StrEnum, auto
 from functools import cached_property
 
 from contactgraph.cli.tasks import TestCondition
-from contactgraph_studies.job import Job, Measurement
+from contactgraph_studies.job import Job, Measurement, Options
 from contactgraph_studies.paper.config import (
     FAULTS,
     FULL_AB,
@@ -15,7 +15,6 @@ from contactgraph_studies.paper.config import (
     NO_GIM_AUG,
     TEST_SEED,
     Amounts,
-    Options,
     StudyModel,
     StudyTask,
 )
