@@ -36,13 +36,13 @@ class ArmWorld:
     def __init__(
         self,
         joints: np.ndarray,
-        place: np.ndarray,
+        blocks: np.ndarray,
         yaw: np.ndarray,
         dt: float,
         grasp: Grasp = Grasp.FRICTION,
     ) -> None:
-        """``joints`` [7] rad; positions ``place`` [M, 3] m and ``yaw`` [M] rad of the blocks."""
-        self.description = _scene_xml(place, yaw)
+        """``joints`` [7] rad; positions ``blocks`` [M, 3] m and ``yaw`` [M] rad of the blocks."""
+        self.description = _scene_xml(blocks, yaw)
         """The MJCF of the scene."""
         self.model = mujoco.MjModel.from_xml_string(self.description)
         self.data = mujoco.MjData(self.model)
@@ -54,12 +54,12 @@ class ArmWorld:
         mujoco.mj_forward(model, data)
         self.impedance = Impedance(model, data)
         self.brakes = JointLimitBrakes(model, data)
-        self._contacts = _Contacts(model, data, len(place))
+        self._contacts = _Contacts(model, data, len(blocks))
         self._touched: set[int] = set()
         self._substeps = round(dt / model.opt.timestep)
         # Views of MuJoCo's arrays. Blocks are the last bodies, each with 6 velocities.
         self._hand_position = data.site_xpos[model.site("grasp").id]
-        self._block_position = data.xpos[model.nbody - len(place) :]
+        self._block_position = data.xpos[model.nbody - len(blocks) :]
         self._block_velocity = data.qvel[JOINTS + 2 :].reshape(-1, 6)[:, :3]
         links = [model.body(f"link{index}").id for index in range(8)]
         self._links = [*links, model.body("hand").id]
@@ -221,7 +221,7 @@ def _time_to(distance_square: float, closing: float, speed_square: float) -> flo
     return (closing - root) / speed_square
 
 
-def _scene_xml(place: np.ndarray, yaw: np.ndarray) -> str:
+def _scene_xml(position: np.ndarray, yaw: np.ndarray) -> str:
     blocks = "".join(
         _BLOCK.format(
             index=index,
@@ -232,11 +232,11 @@ def _scene_xml(place: np.ndarray, yaw: np.ndarray) -> str:
             mass=BLOCK_MASS,
             colour=".2 .6 .3 1" if index else ".8 .3 .2 1",
         )
-        for index, ((x, y, z), angle) in enumerate(zip(place, yaw, strict=True))
+        for index, ((x, y, z), angle) in enumerate(zip(position, yaw, strict=True))
     )
     welds = "".join(
         f'<weld name="weld{index}" body1="hand" body2="block{index}" active="false"/>'
-        for index in range(len(place))
+        for index in range(len(position))
     )
     return arm_xml().replace(
         "</worldbody>\n  <equality>", f"{blocks}</worldbody>\n  <equality>{welds}"

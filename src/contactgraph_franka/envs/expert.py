@@ -38,8 +38,8 @@ GRASPING = 0.7
 STOPPING = 0.5
 """Share of those in which the hand stops to grasp."""
 _GRASP_OFFSET = 0.007
-"""Largest distance of that stop from the block's centre on each axis, m. A model that has seen
-blocks at one position in the hand does not predict contact at others."""
+"""Largest distance of that stop from the block's centre on each axis, m. A model trained
+on one position in the hand does not predict contact at others."""
 _FURTHER_POINTS, _FREE_POINTS = 3, 6
 """Points visited after the goal, and in free-space excitation; more than there is time for."""
 _BLOCK_CLEARANCE = 0.16  # Least horizontal distance from the block of a low free-space path, m
@@ -279,15 +279,15 @@ def _quintic(
     duration: float,
 ) -> np.ndarray:
     """[6, 3]: coefficients of the position over s in [0, 1], without acceleration at the ends."""
-    way = end - start - duration * start_velocity
+    displacement = end - start - duration * start_velocity
     change = duration * (end_velocity - start_velocity)
     return np.stack(
         [
             start,
             duration * start_velocity,
             np.zeros(3),
-            10.0 * way - 4.0 * change,
-            -15.0 * way + 7.0 * change,
-            6.0 * way - 3.0 * change,
+            10.0 * displacement - 4.0 * change,
+            -15.0 * displacement + 7.0 * change,
+            6.0 * displacement - 3.0 * change,
         ]
     )

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_REACH = 2.5  # px, largest search distance across an edge
+_SEARCH = 2.5  # px, largest search distance across an edge
 _CELL_SHARE = 0.85  # Largest search distance, in cells of the tag; the next cell has another colour
 _CELLS = 8  # A tag's side, in cells
-_LEAST_REACH = 0.9  # px; a cell narrower than that is no wider than the blur
+_LEAST_SEARCH = 0.9  # px; a cell narrower than that is no wider than the blur
 _ALONG = np.linspace(0.07, 0.93, 24)
 """Sample positions along an edge, without the ends, which the next edge blurs."""
 _ACROSS = np.linspace(-1.0, 1.0, 11)
@@ -52,23 +52,23 @@ def find_edges(image: np.ndarray, corners: np.ndarray) -> Edges:
     inwards = np.einsum("ec,ec->e", middles - starts, normal)
     normal *= -np.sign(inwards)[:, None]
     cell = 2.0 * np.abs(inwards) / _CELLS
-    reach = np.minimum(_REACH, _CELL_SHARE * cell)
+    search = np.minimum(_SEARCH, _CELL_SHARE * cell)
     samples = (
         starts[:, None, None]
         + _ALONG[:, None, None] * sides[:, None, None]
-        + (reach[:, None] * _ACROSS)[:, None, :, None] * normal[:, None, None]
+        + (search[:, None] * _ACROSS)[:, None, :, None] * normal[:, None, None]
     )
     grey, inside = _interpolated(image, samples)
     black = np.median(grey[:, :, :2], axis=(1, 2))
     white = np.median(grey[:, :, -2:], axis=(1, 2))
-    shift = _crossing(grey, (black + white) / 2.0) * reach[:, None]
+    shift = _crossing(grey, (black + white) / 2.0) * search[:, None]
     at_ends, enough = _fit_lines(shift)
     contrast = white - black > _LEAST_CONTRAST
     return Edges(
         np.stack([starts, starts + sides], axis=1) + at_ends[:, :, None] * normal[:, None],
         normal,
         np.maximum(_FINEST, _NARROW / np.maximum(cell, 1e-3) ** 2),
-        inside & contrast & enough & (reach > _LEAST_REACH),
+        inside & contrast & enough & (search > _LEAST_SEARCH),
     )
 
 

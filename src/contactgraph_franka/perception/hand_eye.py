@@ -175,10 +175,10 @@ def _checked(hand_poses: np.ndarray, sightings: Sequence[ObjectPose]) -> np.ndar
     return hands
 
 
-def _initial_marker(hands: np.ndarray, seen: Sequence[np.ndarray]) -> np.ndarray:
+def _initial_marker(hands: np.ndarray, markers: Sequence[np.ndarray]) -> np.ndarray:
     """[4, 4]: the marker in the hand, from all pairs of poses."""
     pairs = [
-        (inverse(hands[j]) @ hands[i], inverse(seen[j]) @ seen[i])
+        (inverse(hands[j]) @ hands[i], inverse(markers[j]) @ markers[i])
         for i, j in itertools.combinations(range(len(hands)), 2)
     ]
     # A and B turn by the same angle; X aligns their rotation vectors.

@@ -229,12 +229,12 @@ def _linearised(
     return residual, np.concatenate([by_turn, by_move], axis=1)
 
 
-def _facing(seen: ObjectPose, tagged: TaggedObject) -> list[int]:
+def _facing(estimate: ObjectPose, tagged: TaggedObject) -> list[int]:
     """Ids of the tags that face the camera, including the detected ones."""
-    facing = set(seen.tags)
+    facing = set(estimate.tags)
     for tag in tagged.tags:
-        centre = transform(seen.pose, tag.pose[:3, 3])
-        normal = seen.pose[:3, :3] @ tag.pose[:3, 2]
+        centre = transform(estimate.pose, tag.pose[:3, 3])
+        normal = estimate.pose[:3, :3] @ tag.pose[:3, 2]
         if -normal @ centre > _LEAST_FACING * np.linalg.norm(centre):
             facing.add(tag.id)
     return sorted(facing)

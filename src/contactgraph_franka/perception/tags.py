@@ -94,8 +94,10 @@ class TagDetector:
         enlarged = Image.fromarray(image[window.rows, window.columns]).resize(
             (_ENLARGEMENT * window.width, _ENLARGEMENT * window.height), Image.Resampling.BICUBIC
         )
-        seen = _detected(self._fine, np.asarray(enlarged), _ENLARGEMENT, window.left, window.top)
-        return _best(seen, ids)
+        detections = _detected(
+            self._fine, np.asarray(enlarged), _ENLARGEMENT, window.left, window.top
+        )
+        return _best(detections, ids)
 
 
 def _detector(decimation: float) -> "pyapriltags.Detector":
@@ -124,20 +126,20 @@ def _detected(
     ]
 
 
-def _best(seen: Sequence[TagDetection], ids: frozenset[int]) -> list[TagDetection]:
+def _best(detections: Sequence[TagDetection], ids: frozenset[int]) -> list[TagDetection]:
     """The detection of each of the ``ids`` with the largest margin."""
     best: dict[int, TagDetection] = {}
-    for each in seen:
+    for each in detections:
         if each.id in ids and (each.id not in best or each.margin > best[each.id].margin):
             best[each.id] = each
     return list(best.values())
 
 
-def _window(seen: Sequence[TagDetection], image: np.ndarray) -> Window | None:
+def _window(detections: Sequence[TagDetection], image: np.ndarray) -> Window | None:
     """The window of the next search; None without detections."""
-    if not seen:
+    if not detections:
         return None
-    corners = np.concatenate([each.corners for each in seen])
+    corners = np.concatenate([each.corners for each in detections])
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = max(_LEAST_WINDOW_MARGIN, _WINDOW_MARGIN * float((high - low).max()))
     height, width = image.shape

@@ -179,13 +179,13 @@ class TrackedObjects:
 
     def _estimate(self, index: int, now: float) -> Estimate:
         tracker, carried = self._trackers[index], self._carried
-        for seen in self._source.since(self._names[index], self._newest[index]):
-            self._newest[index] = seen.time
-            offset = seen.position - carried.displacement(index, seen.time)
-            since = seen.time if tracker.state is None else tracker.state.time
-            grasped = all(carried.was_grasped(index, time) for time in (since, seen.time))
+        for measurement in self._source.since(self._names[index], self._newest[index]):
+            self._newest[index] = measurement.time
+            offset = measurement.position - carried.displacement(index, measurement.time)
+            since = measurement.time if tracker.state is None else tracker.state.time
+            grasped = all(carried.was_grasped(index, time) for time in (since, measurement.time))
             motion = GRASPED if grasped else FREE
-            if tracker.measure(offset, seen.covariance, seen.time, motion):
+            if tracker.measure(offset, measurement.covariance, measurement.time, motion):
                 assert tracker.state is not None
                 self.tracks[1 + index].states.append(tracker.state)
         if tracker.state is None:

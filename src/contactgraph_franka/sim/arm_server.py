@@ -176,7 +176,7 @@ class StateRecorder:
         turn[0], turn[1:] = self._quaternion, self._block_poses[:, 3:]
         row["fingers"], row["standing"] = self._touch[:, :2], self._touch[:, 2]
         row["width"] = self._fingers[0] + self._fingers[1]
-        row["places"] = data.qpos
+        row["qpos"] = data.qpos
 
 
 def main() -> None:

@@ -209,7 +209,7 @@ def main() -> None:
     while os.getppid() == owner:
         _sleep_until(number / rate * pace)
         now = truth.newest()
-        frame = camera.picture(now["places"], float(now["stamp"]))
+        frame = camera.picture(now["qpos"], float(now["stamp"]))
         _sleep_until((frame.time + settings.delay) * pace)
         publish_frame(frames, frame)
         number = max(number + 1, math.ceil(time.monotonic() / pace * rate))

@@ -17,7 +17,7 @@ _REQUEST = np.dtype(
     [("asked", "i8"), ("done", "i8"), ("block", "i8"), ("position", "f8", (3,)), ("yaw", "f8")]
 )
 _TIMEOUT = 5.0  # Wall time to wait for a scene reset, s
-_HEADER = np.dtype([("places", "i8"), ("start", "f8")])
+_HEADER = np.dtype([("nq", "i8"), ("start", "f8")])
 _INDEX = np.dtype("i8")
 
 
@@ -88,8 +88,8 @@ def _ring_dtype(fields: list[tuple]) -> np.dtype:
     return np.dtype([("number", "i8"), *fields, ("again", "i8")])
 
 
-def ground_truth_fields(blocks: int, places: int) -> list[tuple]:
-    """The fields of a control step, for ``blocks`` blocks and a ``qpos`` of ``places`` numbers.
+def ground_truth_fields(blocks: int, nq: int) -> list[tuple]:
+    """The fields of a control step, for ``blocks`` blocks and a ``qpos`` of ``nq`` numbers.
 
     Nodes are the hand's grasp point and the blocks. Positions are in the frame of the arm's base.
     """
@@ -102,18 +102,18 @@ def ground_truth_fields(blocks: int, places: int) -> list[tuple]:
         ("fingers", "?", (blocks, 2)),  # whether the left, the right finger touches
         ("standing", "?", (blocks,)),  # whether it touches the table
         ("width", "f8"),  # m between the fingers
-        ("places", "f8", (places,)),  # MuJoCo's qpos, for a renderer
+        ("qpos", "f8", (nq,)),  # of MuJoCo, for a renderer
     ]
 
 
-def create_ground_truth(folder: Path, blocks: int, places: int, start: float) -> RingWriter:
+def create_ground_truth(folder: Path, blocks: int, nq: int, start: float) -> RingWriter:
     """The ring of control steps of a simulation that starts at ``start`` s, on the reader's clock.
 
     The number of a record is that of its step, which counts from 0.
     """
     header = create_shared(folder / "header", _HEADER, 1)
-    header["places"], header["start"] = places, start
-    return RingWriter(folder / "truth", ground_truth_fields(blocks, places), _KEPT)
+    header["nq"], header["start"] = nq, start
+    return RingWriter(folder / "truth", ground_truth_fields(blocks, nq), _KEPT)
 
 
 class GroundTruth:
@@ -122,7 +122,7 @@ class GroundTruth:
     def __init__(self, folder: Path, blocks: int) -> None:
         header = open_shared(folder / "header", _HEADER)[0]
         self._start = float(header["start"])
-        fields = ground_truth_fields(blocks, int(header["places"]))
+        fields = ground_truth_fields(blocks, int(header["nq"]))
         self._ring = RingReader(folder / "truth", fields)
 
     def newest(self) -> np.void:
@@ -151,13 +151,13 @@ def is_ready(folder: Path) -> bool:
     return path.exists() and path.stat().st_size >= 8 and bool(open_shared(path, _INDEX)[0] > 0)
 
 
-def ground_truth_trajectory(truth: GroundTruth, run: Trajectory, began: float) -> Trajectory:
-    """``run`` with true positions, velocities and contacts.
+def ground_truth_trajectory(truth: GroundTruth, recorded: Trajectory, began: float) -> Trajectory:
+    """``recorded`` with true positions, velocities and contacts.
 
     ``began`` s on the reader's clock is the time of its first state. A block touches the hand if a
     finger touches it. Raises `InvalidInputError` if the ground truth is no longer kept.
     """
-    at = began + run.scene.dt * np.arange(run.steps + 1)
+    at = began + recorded.scene.dt * np.arange(recorded.steps + 1)
     rows = truth.between(at[0] - 0.1, at[-1] + 0.1)
     if not len(rows) or rows["stamp"][0] > at[0]:
         raise InvalidInputError(f"the truth of {at[0]:.3f} s on is no longer kept")
@@ -165,11 +165,11 @@ def ground_truth_trajectory(truth: GroundTruth, run: Trajectory, began: float) -
     index = np.maximum(np.searchsorted(rows["stamp"], at, side="right") - 1, 0)
     late = (at - rows["stamp"][index])[:, None, None]
     velocity = rows["velocity"][index]
-    nodes = run.scene.node_count
+    nodes = recorded.scene.node_count
     contact = np.zeros((len(at), nodes, nodes), bool)
     contact[:, 0, 1:] = contact[:, 1:, 0] = rows["fingers"][index].any(axis=2)
     return replace(
-        run,
+        recorded,
         position=rows["position"][index] + late * velocity,
         velocity=velocity,
         contact=contact,

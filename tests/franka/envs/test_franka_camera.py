@@ -85,7 +85,7 @@ def test_pictures_follow_the_arm(rendered):
 
 
 @pytest.mark.slow
-def test_the_makers_surfaces_are_shown_where_a_package_has_them(rendered, tmp_path):
+def test_the_makers_meshes_are_rendered_if_installed(rendered, tmp_path):
     package = tmp_path / "dm_robotics" / "panda"
     surfaces = package / "assets" / "panda"
     surfaces.mkdir(parents=True)
@@ -114,7 +114,7 @@ def test_rendering_does_not_change_the_simulation(rendered):
         ("nonsense", "MuJoCo cannot load the OpenGL of MUJOCO_GL=nonsense: unset it"),
     ],
 )
-def test_without_opengl_one_line_says_what_to_set(opengl, said, tmp_path):
+def test_without_opengl_the_error_names_the_variable(opengl, said, tmp_path):
     done = in_process(PICTURES, opengl, tmp_path / "none.npz")
     assert done.returncode == 1 and said in done.stderr.splitlines()[-1]
 

@@ -55,7 +55,7 @@ def test_the_block_moves_with_the_hand_from_the_grasp_on(sweeps):
 
 
 @pytest.mark.slow
-def test_what_is_grasped_leaves_the_table_at_once(sweeps):
+def test_a_grasped_block_leaves_the_table_at_once(sweeps):
     for _, run, _ in sweeps:
         at = grasped(run)
         assert run.velocity[at, 0, 2] > 0.02

@@ -143,7 +143,7 @@ def test_a_block_left_alone_rests():
     assert not observation["contact"].any()
 
 
-def test_the_scene_says_what_is_there():
+def test_the_scene_describes_its_nodes():
     task = FrankaTask(1, Grasp.WELD)
     observation, _ = task.reset(seed=5)
     scene = task.scene

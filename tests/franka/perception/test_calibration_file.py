@@ -37,7 +37,7 @@ def calibration(**change):
     return CameraCalibration(**{**fields, **change})
 
 
-def test_what_is_written_is_read(tmp_path):
+def test_a_calibration_is_read_as_written(tmp_path):
     for number, told in enumerate((calibration(), calibration(residuals=None, objects={}))):
         path = tmp_path / f"{number}.json"
         write_calibration(path, told)
@@ -93,7 +93,7 @@ def changed(content, where, value):
         (["objects"], {}, "field 'objects' must be a list of objects"),
     ],
 )
-def test_what_is_wrong_is_named(where, value, said, tmp_path):
+def test_errors_name_the_wrong_field(where, value, said, tmp_path):
     path = tmp_path / "camera.json"
     write_calibration(path, calibration())
     content = json.loads(path.read_text())

@@ -33,7 +33,7 @@ def simulated(count, rng, spread=0.35, axes=(1.0, 1.0, 1.0), noise=0.0):
     return np.array(hands), seen
 
 
-def test_without_noise_camera_and_marker_are_found_exactly():
+def test_calibration_without_noise_is_exact():
     found = calibrate(*simulated(8, np.random.default_rng(0)), MARKER, LENS)
     np.testing.assert_allclose(found.camera_pose, CAMERA, atol=1e-7)
     np.testing.assert_allclose(found.marker_pose, MARKER_POSE, atol=1e-7)
@@ -41,7 +41,7 @@ def test_without_noise_camera_and_marker_are_found_exactly():
     assert found.residuals.poses == 8
 
 
-def test_noise_is_told_by_the_residuals_and_averaged():
+def test_residuals_measure_the_noise_that_is_averaged():
     found = calibrate(*simulated(20, np.random.default_rng(1), noise=5e-4), MARKER, LENS)
     off = inverse(found.camera_pose) @ CAMERA
     assert np.linalg.norm(off[:3, 3]) < 2e-3
@@ -69,7 +69,7 @@ def test_a_hand_that_turns_about_less_than_two_axes_is_refused(axes):
     assert "0.0 degrees" in str(error.value) and "\n" not in str(error.value)
 
 
-def test_what_cannot_be_calibrated_is_named():
+def test_impossible_calibrations_are_refused():
     hands, seen = simulated(8, np.random.default_rng(4))
     with pytest.raises(InvalidInputError, match=r"at least 6 poses of the hand, found 5$"):
         calibrate(hands[:5], seen[:5], MARKER, LENS)

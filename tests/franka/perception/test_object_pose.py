@@ -180,7 +180,7 @@ def test_turns_and_their_vectors():
         (lambda: Intrinsics(9.0, 9.0, 1.0, 0.0, 64, 48, (0.1,)), "distortion must be 5 finite"),
     ],
 )
-def test_what_cannot_be_is_named(make, said):
+def test_impossible_values_are_refused(make, said):
     with pytest.raises(InvalidInputError, match=said):
         make()
 

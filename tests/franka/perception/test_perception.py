@@ -33,7 +33,7 @@ def expected(column):
     return CAMERA[:3, :3] @ (DISTANCE * ray) + CAMERA[:3, 3]
 
 
-def test_a_drawn_tag_is_seen_where_it_is_drawn():
+def test_the_position_of_a_drawn_tag_is_exact():
     seen = ObjectDetector(calibration()).detect(CameraFrame(drawn([(3, 100, 80)]), None, 5.0))
     np.testing.assert_allclose(seen["block"].position, expected(100), atol=3e-4)
     assert seen["block"].tags == (3,) and seen["block"].time == 5.0
@@ -44,7 +44,7 @@ def test_a_drawn_tag_is_seen_where_it_is_drawn():
     assert (spread < 2e-3).all() and spread[0] == spread.max()
 
 
-def test_what_is_not_there_is_not_seen():
+def test_absent_objects_are_not_detected():
     assert ObjectDetector(calibration()).detect(CameraFrame(drawn([(4, 100, 80)]), None, 5.0)) == {}
 
 
@@ -73,7 +73,7 @@ def test_each_frame_with_the_object_gives_one_measurement():
 
 
 @pytest.mark.slow
-def test_a_process_tells_where_the_object_is_and_how_fast():
+def test_a_process_measures_position_and_velocity():
     with Perception(SlidingTag, calibration()) as seeing:
         seen, frames = TrackedObjects(seeing, ("block",)), 0
         until = time.monotonic() + 20.0
@@ -93,7 +93,7 @@ def test_a_process_tells_where_the_object_is_and_how_fast():
 
 
 @pytest.mark.slow
-def test_what_goes_wrong_in_the_process_is_told():
+def test_errors_in_the_process_are_raised():
     seeing = Perception(partial(SlidingTag, 3), calibration())
     until = time.monotonic() + 20.0
     with pytest.raises(RuntimeError, match="the cable is out"):
@@ -105,7 +105,7 @@ def test_what_goes_wrong_in_the_process_is_told():
 
 
 @pytest.mark.slow
-def test_a_process_that_is_gone_is_told():
+def test_the_death_of_the_process_is_raised():
     with Perception(SlidingTag, calibration()) as seeing:
         os.kill(seeing._process.pid, signal.SIGKILL)
         seeing._process.join()
@@ -118,7 +118,7 @@ def no_camera():
 
 
 @pytest.mark.slow
-def test_the_users_mistakes_are_told_as_such():
+def test_mistakes_of_the_user_are_invalid_input():
     with pytest.raises(InvalidInputError, match=r"^no camera is attached$"):
         Perception(no_camera, calibration()).start()
     told = calibration()

@@ -112,14 +112,14 @@ def test_grey_and_depth_come_through_the_library(device):
     camera.close()
 
 
-def test_times_of_the_system_are_told_on_the_readers_clock(device):
+def test_system_times_are_mapped_to_the_readers_clock(device):
     camera = RealSenseCamera(width=WIDTH, height=HEIGHT, device=device.device)
     frame = newest(camera, device, rs.timestamp_domain.system_time, late=0.5)
     assert 0.5 < time.monotonic() - frame.time < 0.6
     camera.close()
 
 
-def test_a_lens_whose_way_back_is_told_is_turned_round():
+def test_an_inverse_distortion_is_inverted():
     coeffs = (0.08, -0.05, 0.001, -0.002, 0.01)
     device = Device(rs.distortion.inverse_brown_conrady, coeffs)
     camera = RealSenseCamera(width=WIDTH, height=HEIGHT, device=device.device)
@@ -132,7 +132,7 @@ def test_a_lens_whose_way_back_is_told_is_turned_round():
     camera.close()
 
 
-def test_what_a_camera_does_not_give_is_named(device):
+def test_the_error_of_a_missing_stream_lists_the_others(device):
     with pytest.raises(InvalidInputError) as error:
         RealSenseCamera(width=640, height=480, device=device.device)
     said = "the camera gives no color of 640 x 480 at 30 Hz, but 320 x 240 at 30"

@@ -31,7 +31,7 @@ def test_a_tag_that_is_not_known(tag):
         black_cells(tag)
 
 
-def test_an_object_is_looked_for_where_it_was_and_found_again_elsewhere():
+def test_an_object_is_searched_around_its_last_position_and_then_elsewhere():
     detector = TagDetector([(3,), (5,)])
     for place in ((30, 40), (38, 44), (220, 150)):
         found = detector.detect(drawn([(3, *place), (5, 130, 20)]))
@@ -40,13 +40,13 @@ def test_an_object_is_looked_for_where_it_was_and_found_again_elsewhere():
         assert np.abs(tag.corners - drawn_corners(*place)).max() < 0.3
 
 
-def test_only_tags_of_the_objects_are_told():
+def test_only_tags_of_the_objects_are_returned():
     assert [each.id for each in TagDetector([(5,)]).detect(drawn([(3, 30, 40), (5, 130, 20)]))] == [
         5
     ]
 
 
-def test_nothing_is_found_in_noise():
+def test_noise_gives_no_detections():
     noise = np.random.default_rng(0).integers(0, 255, (240, 320), dtype=np.uint8)
     detector = TagDetector([range(587)])
     assert detector.detect(noise) == [] and detector.detect(noise) == []
@@ -64,7 +64,7 @@ def test_a_picture_must_be_grey(image, said):
         TagDetector([(0,)]).detect(image)
 
 
-def test_edges_are_found_to_hundredths_of_a_pixel():
+def test_edges_are_accurate_to_hundredths_of_a_pixel():
     exact = drawn_corners(100, 70)
     rough = exact + np.random.default_rng(1).uniform(-1.5, 1.5, (4, 2))
     edges = find_edges(drawn([(3, 100, 70)]), rough[None])
@@ -75,7 +75,7 @@ def test_edges_are_found_to_hundredths_of_a_pixel():
     assert np.abs(off).max() < 0.02
 
 
-def test_edges_that_are_not_there_are_not_found():
+def test_absent_edges_are_not_found():
     corners = drawn_corners(100, 70)
     assert not find_edges(drawn([]), corners[None]).found.any()
     for hidden_to in (128, 140):  # half of the upper and the lower edge, or most
@@ -85,7 +85,7 @@ def test_edges_that_are_not_there_are_not_found():
     assert not find_edges(drawn([(3, 100, 70)]), corners[None] - 99.0).found.any()
 
 
-def test_without_the_library_one_line_says_what_to_install(monkeypatch):
+def test_without_the_library_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyapriltags", None)
     monkeypatch.delitem(sys.modules, "contactgraph_franka.perception.tags")
     with pytest.raises(InvalidInputError, match=r"pip install 'contactgraph\[robot\]'$"):

@@ -99,7 +99,7 @@ def test_an_outlier_does_not_count():
     np.testing.assert_allclose(tracker.estimate(0.8).position, straight(0.8), atol=1e-4)
 
 
-def test_an_object_that_was_carried_elsewhere_is_believed_after_three_frames():
+def test_an_object_moved_elsewhere_is_accepted_after_three_frames():
     tracker = ObjectTracker()
     watched(tracker, straight, range(20))
 
@@ -113,7 +113,7 @@ def test_an_object_that_was_carried_elsewhere_is_believed_after_three_frames():
     assert tracker.state.begun == 20 / RATE
 
 
-def test_outliers_all_over_the_place_are_never_believed():
+def test_inconsistent_outliers_are_never_accepted():
     tracker, rng = ObjectTracker(), np.random.default_rng(0)
     watched(tracker, straight, range(20))
     for number in range(20, 40):
@@ -143,7 +143,7 @@ def test_frames_that_are_old_or_doubled_change_nothing(time):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_what_is_not_finite_changes_nothing(bad):
+def test_measurements_that_are_not_finite_are_ignored(bad):
     tracker = ObjectTracker()
     assert not tracker.measure(np.full(3, bad), COVARIANCE, 0.0)
     assert not tracker.measure(np.zeros(3), np.full((3, 3), bad), 0.0)
@@ -175,7 +175,7 @@ def test_a_block_that_was_just_struck_is_not_lost():
         assert tracker.estimate(frame / 30.0 + 0.08).tracked or frame < 2
 
 
-def test_what_is_held_is_not_struck_and_a_wrong_leaning_counts_for_nothing():
+def test_a_grasped_object_has_no_impacts_and_ignores_a_wrong_tilt():
     free, held = ObjectTracker(), ObjectTracker()
     for frame in range(40):
         seen = np.zeros(3)

@@ -11,7 +11,7 @@ from contactgraph_franka.perception.camera import FrameClock
 MODULE = "contactgraph_franka.perception.realsense"
 
 
-def test_without_the_library_one_line_says_what_to_install(monkeypatch):
+def test_without_the_library_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     monkeypatch.delitem(sys.modules, MODULE, raising=False)
     with pytest.raises(InvalidInputError, match=r"pip install 'contactgraph\[realsense\]'$"):
@@ -27,13 +27,13 @@ def broken(tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, MODULE, raising=False)
 
 
-def test_a_library_that_cannot_be_loaded_is_told_with_its_reason(broken):
+def test_a_library_that_cannot_be_loaded_is_reported_with_the_reason(broken):
     pytest.importorskip("libusb_package", reason="the extra realsense is not installed")
     with pytest.raises(InvalidInputError, match=r"cannot be loaded: libodd\.so\.7: no such file$"):
         import contactgraph_franka.perception.realsense  # noqa: F401
 
 
-def test_where_nothing_can_be_loaded_in_its_place_the_extra_is_named(broken, monkeypatch):
+def test_the_error_names_the_extra_if_nothing_can_be_loaded(broken, monkeypatch):
     monkeypatch.setitem(sys.modules, "libusb_package", None)
     with pytest.raises(InvalidInputError, match="need libusb_package: pip install"):
         import contactgraph_franka.perception.realsense  # noqa: F401

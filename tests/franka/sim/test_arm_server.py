@@ -43,7 +43,7 @@ def go(scene: ArmScene, start: np.ndarray, end: np.ndarray, seconds: float) -> N
 
 
 @pytest.mark.slow
-def test_an_arm_without_torques_floats_where_it_is(scene: ArmScene) -> None:
+def test_an_arm_without_torques_floats(scene: ArmScene) -> None:
     before = seen(scene)["position"].copy()
     for _ in range(2000):
         scene.robot.torque_control(np.zeros(7))
@@ -102,7 +102,7 @@ def test_a_grasped_block_stays_in_hand_under_3_m_s2(scene: ArmScene) -> None:
     assert np.linalg.norm(lifted["position"][1] - lifted["position"][0] - offset) < 5e-4
 
 
-def test_a_placed_block_is_at_rest_where_it_was_put(scene: ArmScene) -> None:
+def test_a_placed_block_is_at_rest(scene: ArmScene) -> None:
     scene.data.qvel[9:15] = 1.0
     scene.place_block(0, np.array([0.6, 0.2, 0.05]), 0.5)
     for _ in range(300):

@@ -18,6 +18,8 @@ pytest.importorskip("pyapriltags", reason="needs pip install 'contactgraph[robot
 from contactgraph_franka.perception.detector import estimate_pose
 from contactgraph_franka.perception.tags import TagDetector
 from contactgraph_franka.sim.blocks import tagged_block
+from contactgraph_franka.sim.camera import CameraSettings
+from contactgraph_franka.sim.rendered_camera import window_around
 
 LENS = Intrinsics(900.0, 910.0, 330.0, 250.0, 640, 480)
 """Off the middle, and not square: so that a mistake of either shows."""
@@ -136,7 +138,7 @@ def errors(images, depths=None):
 
 @pytest.mark.parametrize("kind", ["exact", "noisy", "windows"])
 @pytest.mark.slow
-def test_blocks_are_seen_to_a_millimetre(frames, kind):
+def test_block_poses_are_accurate_to_a_millimetre(frames, kind):
     off = errors(frames[kind])
     assert np.isfinite(off).all()
     assert np.median(off[:, 0]) < 5e-4 and off[:, 0].max() < 3e-3
@@ -150,7 +152,7 @@ def test_depth_does_not_harm(frames):
 
 
 @pytest.mark.slow
-def test_a_held_block_is_seen_where_a_tag_is(frames):
+def test_a_block_between_fingers_is_detected_by_its_free_tags(frames):
     off = errors(frames["held"])
     seen = np.isfinite(off[:, 0])
     assert seen.mean() > 0.7
@@ -158,7 +160,7 @@ def test_a_held_block_is_seen_where_a_tag_is(frames):
 
 
 @pytest.mark.slow
-def test_edges_are_where_the_intrinsics_say(frames):
+def test_edges_agree_with_the_intrinsics(frames):
     """The half pixel, the axes, the principal point: a tag's edges, none of them by a detector."""
     across = []
     for image, place in zip(frames["exact"], POSES, strict=True):
@@ -203,7 +205,7 @@ def test_the_block_is_as_heavy_as_the_papers(frames):
 
 
 @pytest.mark.slow
-def test_without_opengl_one_line_says_what_to_set(tmp_path):
+def test_without_opengl_the_error_names_the_variable(tmp_path):
     np.savez(tmp_path / "told.npz", lens=[9.0] * 4 + [64, 48], camera=CAMERA, places=[[0.0] * 7])
     done = in_process(RENDERED, "disabled", tmp_path / "told.npz", tmp_path / "none.npz")
     assert done.returncode == 1
@@ -228,3 +230,34 @@ def test_a_block_of_other_sides_has_its_tags_within_its_faces():
         assert (np.abs(tag.corners) < sides / 2.0 + 2e-4).all()
         out = tag.pose[:3, 2]
         assert tag.corners @ out == pytest.approx(np.abs(out) @ sides / 2.0, abs=2e-4)
+
+
+SETTINGS = CameraSettings()
+CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+
+
+def test_all_of_a_block_is_in_its_window() -> None:
+    lens, pose = SETTINGS.intrinsics, SETTINGS.pose
+    rng = np.random.default_rng(0)
+    for point in rng.uniform((0.3, -0.35, 0.05), (0.7, 0.35, 0.35), (200, 3)):
+        turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        corners = (point + CORNERS * [0.02, 0.02, 0.05] @ turn - pose[:3, 3]) @ pose[:3, :3]
+        column = lens.fx * corners[:, 0] / corners[:, 2] + lens.cx
+        row = lens.fy * corners[:, 1] / corners[:, 2] + lens.cy
+        part = window_around(point, pose, lens)
+        assert part is not None and part.width == part.height and part.width <= 512
+        inside = (column >= 0) & (column < lens.width) & (row >= 0) & (row < lens.height)
+        assert inside.all()
+        assert part.left <= column.min() and column.max() < part.left + part.width
+        assert part.top <= row.min() and row.max() < part.top + part.height
+
+
+def test_a_window_stays_within_the_frame_and_there_is_none_out_of_view() -> None:
+    lens, pose = SETTINGS.intrinsics, SETTINGS.pose
+    for across in np.linspace(-0.9, 0.9, 37):
+        part = window_around(np.array([0.5, across, 0.05]), pose, lens)
+        if part is not None:
+            assert part.left >= 0 and part.left + part.width <= lens.width
+    assert window_around(np.array([0.5, 3.0, 0.05]), pose, lens) is None
+    # Behind the camera.
+    assert window_around(np.array([2.0, 0.0, 0.8]), pose, lens) is None

@@ -46,7 +46,7 @@ def test_the_client_reads_the_state_of_the_simulation(running: SimulatedRobot) -
             if attempt == 2:
                 raise
     truth = running.ground_truth.newest()
-    np.testing.assert_allclose(state.q, truth["places"][:7], atol=1e-5)
+    np.testing.assert_allclose(state.q, truth["qpos"][:7], atol=1e-5)
     # Its own point of the hand is 22 mm above the grasp point.
     np.testing.assert_allclose(
         state.O_T_EE.translation - [0.0, 0.0, 0.022], truth["position"][0], atol=1e-4
@@ -70,7 +70,7 @@ def test_any_process_can_place_a_block(running: SimulatedRobot) -> None:
         (0, [0.5, 0.0], r"position must be \[3\] m"),
     ],
 )
-def test_impossible_places_are_refused(
+def test_impossible_positions_are_refused(
     running: SimulatedRobot, index: int, position: list[float], words: str
 ) -> None:
     with pytest.raises(InvalidInputError, match=words):

@@ -24,13 +24,13 @@ def clean() -> Iterator[None]:
     session(0).remove()
 
 
-def test_who_knows_the_address_finds_all_of_it() -> None:
+def test_an_address_identifies_its_session() -> None:
     made = session(os.getpid(), CameraSettings(delay=0.05, depth_noise=0.002))
     made.create()
     assert find_session(ADDRESS) == made
 
 
-def test_a_running_one_is_not_replaced_and_a_dead_one_is() -> None:
+def test_only_the_session_of_a_dead_owner_is_replaced() -> None:
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     session(gone.pid).create()
@@ -41,7 +41,7 @@ def test_a_running_one_is_not_replaced_and_a_dead_one_is() -> None:
         session(os.getpid()).create()
 
 
-def test_where_nothing_runs_the_error_says_how_to_start() -> None:
+def test_the_error_of_a_missing_session_names_the_command() -> None:
     with pytest.raises(InvalidInputError, match="contactgraph robot rehearse"):
         find_session(ADDRESS)
 

@@ -21,7 +21,7 @@ LENS = Intrinsics(20.0, 20.0, 7.5, 7.5, 16, 16)
 
 
 def written(folder: Path, steps: int) -> tuple[RingWriter, GroundTruth]:
-    writer = create_ground_truth(folder, blocks=1, places=3, start=-1.0)
+    writer = create_ground_truth(folder, blocks=1, nq=3, start=-1.0)
     assert not is_ready(folder)
     for number in range(steps):
         row = writer.begin()

@@ -73,7 +73,7 @@ def _alive(process: int) -> bool:
 
 
 @pytest.mark.slow
-def test_frames_come_late_and_show_the_block_where_it_was(server_turn: None) -> None:
+def test_frames_are_delayed_and_show_the_block_at_their_time(server_turn: None) -> None:
     settings = CameraSettings(delay=0.03)
     try:
         with RobotSimulator(pace=5.0, camera=settings) as running:

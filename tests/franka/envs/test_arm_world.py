@@ -65,7 +65,7 @@ def test_a_block_falls_as_the_fingers_open():
     assert world.position[1, 2] < 0.06 < hand < world.position[0, 2]
 
 
-def test_a_weld_keeps_the_pose_that_the_grasp_found():
+def test_a_weld_keeps_the_pose_of_the_grasp():
     world = closed_on_block(Grasp.WELD)
     place, turned = in_hand(world)
     weld = world.model.equality("weld0").id
@@ -99,7 +99,7 @@ def test_the_hand_with_its_load_is_a_mass_of_both():
 @pytest.mark.parametrize(
     "grasp", [Grasp.FRICTION, pytest.param(Grasp.WELD, marks=pytest.mark.slow)]
 )
-def test_contact_is_measured_where_a_pad_touches(grasp):
+def test_contact_is_that_of_the_pads(grasp):
     task = WatchedTask(1, grasp)
     run = run_episode(task, FrankaExpert(), 4)
     ticks = [bool(pads_touching(task.world, pairs)) for pairs in task.watched.contacts]
@@ -150,7 +150,7 @@ def test_the_fingers_ignore_a_block_that_passes_by_or_moves_away():
         assert way == OPEN
 
 
-def test_the_fingers_press_on_what_they_hold_and_open_when_it_is_lost():
+def test_the_fingers_press_on_a_grasped_block_and_open_when_it_is_lost():
     reflex = GraspReflex()
     still = np.zeros((1, 3))
     assert reflex.step(np.array([[0.0, 0.0, 0.0]]), still, True, 0.001) == 0.0

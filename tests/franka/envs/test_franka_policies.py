@@ -1,4 +1,8 @@
-"""Paths of a hand that is a mass of 4 kg, with and without a grasp."""
+"""Paths and policies of the arm on a hand that is a mass of 4 kg; no simulator is needed."""
+
+import subprocess
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +16,7 @@ from contactgraph_franka.envs.expert import (
     free_space_excitation,
     grasps,
 )
-from contactgraph_franka.envs.pickup import pickup_scene
+from contactgraph_franka.envs.pickup import is_success, pickup_scene
 
 START, BLOCK = np.array([0.4, -0.2, 0.3]), np.array([0.5, 0.0, 0.05])
 GOAL, NEXT, LAST = np.array([0.6, 0.2, 0.3]), np.array([0.4, 0.1, 0.2]), np.array([0.5, -0.2, 0.3])
@@ -97,9 +101,53 @@ def test_free_space_excitation_avoids_the_block_and_a_grasp_reaches_it(wanted: b
         assert (nearest < 0.03) if wanted else (nearest > 0.08)
 
 
-def test_some_grasps_are_made_at_rest_and_none_where_none_are_wanted() -> None:
+def test_the_share_of_grasps_at_rest_is_as_configured() -> None:
     seeds = [seed for seed in range(12) if grasps(seed)]
     assert all(passes(RecordingPolicy(0.0), seed)[1] > 0.2 for seed in seeds)
     assert all(passes(RecordingPolicy(1.0), seed)[1] < 0.1 for seed in seeds)
     rest = [passes(RecordingPolicy(), seed)[1] < 0.1 for seed in seeds]
     assert 0.2 < np.mean(rest) < 0.8
+
+
+HELD_AT = np.array([0.5, 0.2, 0.3])
+
+
+def test_expert_and_layout_need_no_simulator() -> None:
+    script = (
+        "import sys; sys.modules['mujoco'] = None\n"
+        "from contactgraph_franka.envs.expert import FrankaExpert\n"
+        "from contactgraph_franka.envs.pickup import sample_layout"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_the_expert_pushes_as_the_hand_is_heavy() -> None:
+    observation = {
+        "position": np.array([[0.4, -0.2, 0.2], [0.5, 0.0, 0.05]]),
+        "velocity": np.zeros((2, 3)),
+        "goal": HELD_AT,
+    }
+    scene, forces = pickup_scene(0.01, HELD_AT, block_mass=0.4), []
+    assert scene.mass is not None
+    for mass in (None, np.array([4.0, 0.4]), np.array([8.0, 0.4])):
+        expert = FrankaExpert(noise=0.0)
+        expert.reset(replace(scene, mass=mass), 0)
+        forces.append(np.stack([expert(observation) for _ in range(3)])[2])
+    np.testing.assert_array_equal(forces[0], forces[1])
+    assert np.linalg.norm(forces[2] - forces[1]) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("hand", "block", "yes"),
+    [
+        (HELD_AT, HELD_AT, True),
+        (HELD_AT + np.array([0.0, 0.0, 0.029]), HELD_AT, True),
+        (HELD_AT + np.array([0.0, 0.0, 0.031]), HELD_AT, False),
+        (HELD_AT + np.array([0.0, 0.049, 0.0]), HELD_AT + np.array([0.0, 0.049, 0.0]), True),
+        (HELD_AT + np.array([0.0, 0.051, 0.0]), HELD_AT + np.array([0.0, 0.051, 0.0]), False),
+    ],
+)
+def test_success_needs_the_grasped_block(hand: np.ndarray, block: np.ndarray, yes: bool) -> None:
+    assert is_success(np.stack([hand, block]), HELD_AT) == yes
+    with pytest.raises(InvalidInputError, match="a hand and a block"):
+        is_success(hand[None], HELD_AT)

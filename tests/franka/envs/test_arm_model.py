@@ -46,7 +46,7 @@ def frames_by_table(joints):
     return np.stack([*frames, frame @ flange])
 
 
-def test_links_are_where_the_makers_table_has_them(arm):
+def test_forward_kinematics_agree_with_the_makers_table(arm):
     data = mujoco.MjData(arm)
     rng = np.random.default_rng(0)
     for _ in range(20):
@@ -71,7 +71,7 @@ def test_limits_are_the_makers(arm):
     np.testing.assert_array_equal(arm.jnt_actfrcrange[:7, 1], TORQUE)
 
 
-def test_joints_are_found_for_every_start_and_put_the_hand_there(arm):
+def test_inverse_kinematics_reach_every_start(arm):
     data = mujoco.MjData(arm)
     for seed in range(40):
         layout = sample_layout(np.random.default_rng(seed), 0)
@@ -87,7 +87,7 @@ def test_joints_are_found_for_every_start_and_put_the_hand_there(arm):
 
 
 @pytest.mark.parametrize("point", [(1.1, 0.0, 0.2), (0.05, 0.0, 0.1), (0.6, 0.0, 0.9)])
-def test_where_the_hand_cannot_be_is_refused_with_where_it_can(arm, point):
+def test_points_out_of_reach_are_refused(arm, point):
     with pytest.raises(InvalidInputError) as refused:
         inverse_kinematics(arm, np.array(point), 0.0)
     assert str(refused.value) == (

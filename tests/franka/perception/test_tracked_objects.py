@@ -68,7 +68,7 @@ def lived(
     return seen, found
 
 
-def test_what_is_held_is_where_the_hand_is_however_late_frames_come() -> None:
+def test_a_grasped_object_follows_the_hand_despite_late_frames() -> None:
     _, known = lived(hold=True)
     _, unknown = lived(hold=False)
     after = slice(1150, 2000)
@@ -78,7 +78,7 @@ def test_what_is_held_is_where_the_hand_is_however_late_frames_come() -> None:
     assert without[:, 0].max() > 0.02 and np.sqrt(np.mean(without[:, 1] ** 2)) > 0.3
 
 
-def test_what_the_hand_hides_is_tracked_while_it_is_held() -> None:
+def test_a_hidden_object_is_tracked_while_grasped() -> None:
     _, found = lived(hold=True, hidden=(1.1, 1.7))
     errors = np.array([each[0] for each in found])
     assert errors[1150:].max() < 0.01
@@ -87,12 +87,12 @@ def test_what_the_hand_hides_is_tracked_while_it_is_held() -> None:
     assert not all(each[2] for each in lost[1300:1700])
 
 
-def test_what_is_held_and_hidden_for_longer_is_lost() -> None:
+def test_an_object_hidden_for_long_is_lost_although_grasped() -> None:
     _, found = lived(hold=True, hidden=(0.5, 9.0))
     assert found[1400][2] and not found[1700][2]
 
 
-def test_a_run_is_smoothed_as_what_carried_it_went() -> None:
+def test_smoothing_follows_the_carrier() -> None:
     seen, _ = lived(hold=True)
     at = np.arange(0.2, 1.9, 0.001)
     position, velocity = smooth_track(seen.tracks[1], at)
@@ -105,7 +105,7 @@ def test_a_run_is_smoothed_as_what_carried_it_went() -> None:
     assert np.sqrt(np.mean(late[~grasp] ** 2)) < 0.02
 
 
-def test_what_fingers_seem_to_hold_but_do_not_is_seen_where_it_is() -> None:
+def test_a_false_report_of_a_grasp_does_not_move_the_object() -> None:
     source = Frames()
     seen = TrackedObjects(source, ("block",))
     place = np.array([0.5, 0.0, 0.05])
@@ -120,7 +120,7 @@ def test_what_fingers_seem_to_hold_but_do_not_is_seen_where_it_is() -> None:
             np.testing.assert_allclose(estimate.position, place, atol=0.012)
 
 
-def test_objects_are_told_in_the_order_of_nodes_and_kept() -> None:
+def test_estimates_are_in_the_order_of_nodes_and_are_kept() -> None:
     source = Frames()
     seen = TrackedObjects(source, ("block", "other"))
     assert [one.tracked for one in seen.estimates(0.0)] == [False, False]
@@ -135,7 +135,7 @@ def test_objects_are_told_in_the_order_of_nodes_and_kept() -> None:
     assert not seen.tracks[1].states
 
 
-def test_a_path_begins_when_it_was_held_and_not_when_that_was_told() -> None:
+def test_a_grasp_is_dated_back_by_the_delay_of_the_fingers() -> None:
     path = GraspOffsetHistory(2)
     for tick in range(200):
         hand_at = np.array([0.001 * tick, 0.0, 0.0])
