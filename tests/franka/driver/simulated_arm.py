@@ -1,4 +1,4 @@
-"""MuJoCo's Panda, stepped directly and told as an arm's client would tell it."""
+"""MuJoCo's Panda with the state that an arm's client reports."""
 
 import numpy as np
 
@@ -14,12 +14,12 @@ LOAD = '<body pos="0 0 .1254"><inertial pos="0 0 0" mass="{}" diaginertia="1e-4 
 
 
 class SimulatedArm:
-    """The arm with drives of its own; torques act late, as over a network."""
+    """The arm with motor inertia and friction; torques act late, as over a network."""
 
     def __init__(self, drives: JointDrives, load: float = 0.0, delay: int = 1) -> None:
-        """``load`` kg hangs at the grasp point, and is not in what the arm tells of itself.
+        """``load`` kg at the grasp point is not included in the reported state.
 
-        Torques act ``delay`` ticks late.
+        Torques act ``delay`` cycles late.
         """
         bare = ArmWorld(POSTURE, np.zeros((0, 3)), np.zeros(0), 0.001)
         text = bare.description
@@ -27,7 +27,7 @@ class SimulatedArm:
         if load:
             text = text.replace(POINT, LOAD.format(load) + POINT)
         self._bare = bare.model
-        self._told, self._still = mujoco.MjData(self._bare), mujoco.MjData(self._bare)
+        self._reported, self._still = mujoco.MjData(self._bare), mujoco.MjData(self._bare)
         self._model = mujoco.MjModel.from_xml_string(text)
         self._model.dof_armature[:JOINTS] = drives.inertia
         self._model.dof_frictionloss[:JOINTS] = drives.friction
@@ -39,7 +39,7 @@ class SimulatedArm:
         self.refresh()
 
     def state(self) -> ArmState:
-        model, data = self._bare, self._told
+        model, data = self._bare, self._reported
         mass, jacobian = np.zeros((model.nv, model.nv)), np.zeros((6, model.nv))
         for column, unit in zip(mass, np.eye(model.nv), strict=True):
             mujoco.mj_mulM(model, data, column, unit)
@@ -60,31 +60,31 @@ class SimulatedArm:
     @property
     def position(self) -> np.ndarray:
         """[3] m, of the grasp point."""
-        return self._told.site_xpos[self._site].copy()
+        return self._reported.site_xpos[self._site].copy()
 
     def step(self, torque: np.ndarray) -> None:
-        """One tick; ``torque`` [7] N m acts in a later one. The arm bears its own weight."""
+        """One cycle; ``torque`` [7] N m acts in a later one. The arm compensates gravity."""
         self._sent = [*self._sent[1:], torque]
         self.data.ctrl[:JOINTS] = self._sent[0] + self._still.qfrc_bias[:JOINTS]
         mujoco.mj_step(self._model, self.data)
         self.refresh()
 
     def refresh(self) -> None:
-        """After joints were moved by hand."""
-        self._told.qpos[:] = self._still.qpos[:] = self.data.qpos
-        self._told.qvel[:] = self.data.qvel
-        mujoco.mj_forward(self._bare, self._told)
+        """Updates the reported state after a change of the joints."""
+        self._reported.qpos[:] = self._still.qpos[:] = self.data.qpos
+        self._reported.qvel[:] = self.data.qvel
+        mujoco.mj_forward(self._bare, self._reported)
         mujoco.mj_forward(self._bare, self._still)
 
 
-def pushed(
-    arm: SimulatedArm, law: HandImpedance, force: np.ndarray, ticks: int
+def push(
+    arm: SimulatedArm, impedance: HandImpedance, force: np.ndarray, cycles: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions [T+1, 3] m and turns [T+1, 3] rad of the hand under a force [3] N."""
-    law.hold(arm.state())
+    impedance.hold(arm.state())
     positions, turns = [arm.position], [np.zeros(3)]
-    for _ in range(ticks):
-        arm.step(law(force, arm.state()).torque)
+    for _ in range(cycles):
+        arm.step(impedance(force, arm.state()).torque)
         positions.append(arm.position)
-        turns.append(law.turn(arm.state()))
+        turns.append(impedance.turn(arm.state()))
     return np.array(positions), np.array(turns)

@@ -1,4 +1,4 @@
-"""When fingers close, and what their width tells."""
+"""Closing of the fingers, and contact from their width."""
 
 import math
 
@@ -7,110 +7,110 @@ import pytest
 
 from contactgraph_franka.driver.fingers import DELAY, OPEN_WIDTH, FingerContact, GraspTrigger
 
-LOOK = 0.01
+READ = 0.01
 SPEED = 0.11
-"""m/s, of fingers that are told 0.1."""
-SEEN = np.ones(1, bool)
+"""m/s, for a command of 0.1."""
+TRACKED = np.ones(1, bool)
 
 
 def closed(until: float, start: float = 0.06, seconds: float = 1.0) -> list[tuple[float, float]]:
     """(s, value) while fingers close from ``start`` m until something stops them at ``until`` m."""
-    sensor, told = FingerContact(), []
-    for look in range(round(seconds / LOOK)):
-        now = look * LOOK
+    sensor, values = FingerContact(), []
+    for read in range(round(seconds / READ)):
+        now = read * READ
         sensor.step(max(start - SPEED * now, until), now, closing=True)
-        told.append((now, sensor.value))
-    return told
+        values.append((now, sensor.value))
+    return values
 
 
 @pytest.mark.parametrize("block", [0.02, 0.04, 0.05])
-def test_fingers_that_stop_hold_something(block: float) -> None:
+def test_contact_where_fingers_stop(block: float) -> None:
     touch = (0.06 - block) / SPEED
-    told = closed(until=block)
-    assert all(value != 1.0 for now, value in told if now < touch)
-    assert all(value == 1.0 for now, value in told if now > touch + DELAY)
+    values = closed(until=block)
+    assert all(value != 1.0 for now, value in values if now < touch)
+    assert all(value == 1.0 for now, value in values if now > touch + DELAY)
 
 
-def test_fingers_that_meet_hold_nothing() -> None:
+def test_no_contact_where_fingers_meet() -> None:
     values = [value for _, value in closed(until=0.0)]
     assert 1.0 not in values and values[-1] == 0.0 and values.count(0.0) > 50
 
 
-def test_fingers_that_have_not_moved_yet_tell_nothing() -> None:
+def test_unknown_before_the_fingers_move() -> None:
     sensor = FingerContact()
-    for look in range(50):
-        sensor.step(0.06, look * LOOK, closing=True)
+    for read in range(50):
+        sensor.step(0.06, read * READ, closing=True)
         assert math.isnan(sensor.value)
 
 
-def test_fingers_that_open_or_rest_tell_nothing() -> None:
+def test_unknown_unless_the_fingers_close() -> None:
     sensor = FingerContact()
-    for look in range(100):
-        sensor.step(max(0.06 - SPEED * look * LOOK, 0.04), look * LOOK, closing=True)
+    for read in range(100):
+        sensor.step(max(0.06 - SPEED * read * READ, 0.04), read * READ, closing=True)
     assert sensor.value == 1.0
     sensor.step(0.04, 1.0, closing=False)
     assert math.isnan(sensor.value)
 
 
-def swept(
+def sweep(
     miss: float, speed: float = 0.4, block: float = 0.04
 ) -> tuple[float | None, GraspTrigger]:
-    """Passes a block at ``speed`` m/s, ``miss`` m beside it: how far, m, the hand was past the
-    block's centre as fingers of the maker's speed met on it; None where they never did."""
-    reflex, width, way = GraspTrigger(lag=0.03), OPEN_WIDTH, -0.3
+    """Passes a block at ``speed`` m/s, ``miss`` m beside it; the hand's distance past its centre,
+    m, when the fingers meet on it, None where they do not."""
+    trigger, width, x = GraspTrigger(lag=0.03), OPEN_WIDTH, -0.3
     since_decided, velocity = 0.0, np.array([[speed, 0.0, 0.0]])
     met = None
-    while way < 0.1:
-        if reflex.step(np.array([[-way, miss, 0.0]]), velocity, SEEN, width):
+    while x < 0.1:
+        if trigger.step(np.array([[-x, miss, 0.0]]), velocity, TRACKED, width):
             since_decided += 0.001
             if since_decided > 0.03:
                 width -= SPEED * 0.001
         if met is None and width <= block:
-            met = way
-        way += speed * 0.001
-    return met, reflex
+            met = x
+        x += speed * 0.001
+    return met, trigger
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.4, 0.8])
 @pytest.mark.parametrize("miss", [0.0, 0.006])
-def test_fingers_meet_on_a_block_that_passes(speed: float, miss: float) -> None:
-    met, reflex = swept(miss, speed)
-    # Behind the centre, so that they are still wide where they come to the block.
+def test_fingers_meet_on_a_passing_block(speed: float, miss: float) -> None:
+    met, trigger = sweep(miss, speed)
+    # Behind the centre, so that they are still wide on arrival at the block.
     assert met is not None and met == pytest.approx(0.012, abs=0.002)
-    assert reflex.block == 0
+    assert trigger.block == 0
 
 
-def test_a_block_that_passes_too_far_off_is_let_pass() -> None:
-    met, reflex = swept(0.03)
-    assert met is None and not reflex.closed
+def test_distant_block_is_not_grasped() -> None:
+    met, trigger = sweep(0.03)
+    assert met is None and not trigger.closed
 
 
-def test_a_hand_that_moves_away_or_sees_nothing_keeps_its_fingers_open() -> None:
-    reflex = GraspTrigger()
+def test_fingers_stay_open_for_receding_or_untracked_blocks() -> None:
+    trigger = GraspTrigger()
     near = np.array([[0.05, 0.0, 0.0]])
-    assert not reflex.step(near, np.array([[-0.4, 0.0, 0.0]]), SEEN, OPEN_WIDTH)
-    assert not reflex.step(near, np.array([[0.4, 0.0, 0.0]]), ~SEEN, OPEN_WIDTH)
-    assert reflex.step(near, np.array([[0.4, 0.0, 0.0]]), SEEN, OPEN_WIDTH)
+    assert not trigger.step(near, np.array([[-0.4, 0.0, 0.0]]), TRACKED, OPEN_WIDTH)
+    assert not trigger.step(near, np.array([[0.4, 0.0, 0.0]]), ~TRACKED, OPEN_WIDTH)
+    assert trigger.step(near, np.array([[0.4, 0.0, 0.0]]), TRACKED, OPEN_WIDTH)
 
 
-def test_what_is_held_is_held_until_it_is_seen_elsewhere() -> None:
-    reflex, still = GraspTrigger(), np.zeros((1, 3))
+def test_grasp_ends_where_the_block_is_measured_elsewhere() -> None:
+    trigger, still = GraspTrigger(), np.zeros((1, 3))
     here, there = np.zeros((1, 3)), np.array([[0.0, 0.2, 0.0]])
-    assert reflex.step(here, still, SEEN, 0.04)
-    # Hidden by the hand, the block is where it was.
-    assert reflex.step(there, still, ~SEEN, 0.04)
-    assert not reflex.step(there, still, SEEN, 0.04)
+    assert trigger.step(here, still, TRACKED, 0.04)
+    # An untracked block is hidden by the hand.
+    assert trigger.step(there, still, ~TRACKED, 0.04)
+    assert not trigger.step(there, still, TRACKED, 0.04)
 
 
 def test_fingers_that_met_nothing_open_again() -> None:
-    reflex = GraspTrigger()
-    assert reflex.step(np.zeros((1, 3)), np.zeros((1, 3)), SEEN, OPEN_WIDTH)
-    assert reflex.step(np.zeros((1, 3)), np.zeros((1, 3)), SEEN, 0.02)
-    assert not reflex.step(np.zeros((1, 3)), np.zeros((1, 3)), SEEN, 0.001)
+    trigger = GraspTrigger()
+    assert trigger.step(np.zeros((1, 3)), np.zeros((1, 3)), TRACKED, OPEN_WIDTH)
+    assert trigger.step(np.zeros((1, 3)), np.zeros((1, 3)), TRACKED, 0.02)
+    assert not trigger.step(np.zeros((1, 3)), np.zeros((1, 3)), TRACKED, 0.001)
 
 
-def test_the_nearest_of_several_is_the_one_that_is_told() -> None:
-    reflex = GraspTrigger()
+def test_the_block_at_the_hand_is_reported() -> None:
+    trigger = GraspTrigger()
     offset = np.array([[0.3, 0.0, 0.0], [0.0, 0.005, 0.0]])
-    assert reflex.step(offset, np.zeros((2, 3)), np.ones(2, bool), OPEN_WIDTH)
-    assert reflex.block == 1
+    assert trigger.step(offset, np.zeros((2, 3)), np.ones(2, bool), OPEN_WIDTH)
+    assert trigger.block == 1

@@ -1,8 +1,9 @@
-"""Planners that do as they are told, and time that does, too."""
+"""Planners with scripted answers, and a clock that advances the fake robot."""
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from contactgraph_franka.loop import (
     Clock,
     ControlPolicy,
     EpisodeStart,
+    PlanFeedback,
     Planner,
     PlanResult,
     TimedObservation,
@@ -19,8 +21,8 @@ from contactgraph_franka.safety import FakeRobot, RobotReading
 
 
 @dataclass(frozen=True)
-class Push:
-    """The same force for a while."""
+class ConstantForce:
+    """The same force for ``duration`` s."""
 
     force: tuple[float, float, float] = (1.0, 0.0, 0.0)
     duration: float = 0.5
@@ -30,89 +32,93 @@ class Push:
 
 
 @dataclass(frozen=True)
-class ByTime:
-    """As many newtons as seconds since the run began, whenever it was planned."""
+class TimeAsForce:
+    """As many newtons as the loop's clock shows seconds, whenever it was planned."""
 
-    moment: float
+    observed_at: float
     duration: float = 0.5
 
     def __call__(self, elapsed: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        return np.array([self.moment + elapsed, 0.0, 0.0])
+        return np.array([self.observed_at + elapsed, 0.0, 0.0])
 
 
 class Scripted:
-    """A planner that answers with whatever it is given to answer with."""
+    """A planner that answers by a given function of the last observation."""
 
     interval = 0.01
 
     def __init__(self, answer: Callable[[TimedObservation], ControlPolicy | None]) -> None:
         self.answer = answer
-        self.told: list[TimedObservation] = []
+        self.observations: list[TimedObservation] = []
         self.start: EpisodeStart | None = None
 
     def reset(self, start: EpisodeStart) -> None:
         self.start = start
-        self.told = []
+        self.observations = []
 
-    def plan(self, moments: Sequence[TimedObservation]) -> ControlPolicy | None:
-        self.told += moments
-        return self.answer(moments[-1])
+    def plan(self, observations: Sequence[TimedObservation]) -> ControlPolicy | None:
+        self.observations += observations
+        return self.answer(observations[-1])
 
 
-def sleeper() -> Scripted:
-    """Takes 120 ms for a plan."""
+def pushing() -> Scripted:
+    return Scripted(lambda _: ConstantForce())
 
-    def answer(moment: TimedObservation) -> ControlPolicy:
+
+def slow() -> Scripted:
+    """A planner that sleeps for 120 ms a plan."""
+
+    def answer(observation: TimedObservation) -> ControlPolicy:
         time.sleep(0.12)
-        return Push()
+        return ConstantForce()
 
     return Scripted(answer)
 
 
 def busy() -> Scripted:
-    """Computes in Python for 20 ms a plan."""
+    """A planner that computes in Python for 20 ms a plan."""
 
-    def answer(moment: TimedObservation) -> ControlPolicy:
+    def answer(observation: TimedObservation) -> ControlPolicy:
         until = time.perf_counter() + 0.02
         while time.perf_counter() < until:
             pass
-        return Push()
+        return ConstantForce()
 
     return Scripted(answer)
 
 
 def stuck() -> Scripted:
-    """Does not come back from its fifth plan."""
+    """A planner whose fifth plan takes a minute."""
     count = [0]
 
-    def answer(moment: TimedObservation) -> ControlPolicy:
+    def answer(observation: TimedObservation) -> ControlPolicy:
         count[0] += 1
         if count[0] == 5:
             time.sleep(60.0)
-        return Push()
+        return ConstantForce()
 
     return Scripted(answer)
 
 
 def broken() -> Scripted:
-    def answer(moment: TimedObservation) -> ControlPolicy:
+    def answer(observation: TimedObservation) -> ControlPolicy:
         raise ZeroDivisionError("the planner's own fault")
 
     return Scripted(answer)
 
 
 def dying() -> Scripted:
-    def answer(moment: TimedObservation) -> ControlPolicy:
+    def answer(observation: TimedObservation) -> ControlPolicy:
         raise SystemExit(3)
 
     return Scripted(answer)
 
 
 class Refusing(Scripted):
-    """Cannot plan for what it is told."""
+    """A planner that cannot plan for any episode."""
 
     def __init__(self) -> None:
-        super().__init__(lambda moment: Push())
+        super().__init__(lambda observation: ConstantForce())
 
     def reset(self, start: EpisodeStart) -> None:
         raise InvalidInputError(f"no plan leads to {start.goal.tolist()}")
@@ -122,8 +128,15 @@ def unmakeable() -> Scripted:
     raise InvalidInputError("there is no such model")
 
 
+def feedback_planner(path: Path, max_force: float, horizon: int, infer: bool) -> Scripted:
+    """In place of the commands' MPC: a `PlanFeedback` without gains that pushes along y."""
+    states = np.zeros((21, 2, 2, 3))
+    plan = PlanFeedback(states, np.tile([0.0, 3.0, 0.0], (20, 1)), np.zeros((20, 3, 2, 2, 3)), 0.02)
+    return Scripted(lambda _: plan)
+
+
 class StepTime:
-    """Time that passes only while somebody waits, and moves the fake robot."""
+    """A clock that advances, and simulates the fake robot, only while something waits for it."""
 
     def __init__(self, robot: FakeRobot) -> None:
         self.robot = robot
@@ -131,35 +144,35 @@ class StepTime:
     def __call__(self) -> float:
         return self.robot.clock()
 
-    def wait_until(self, moment: float) -> None:
-        while self.robot.clock() < moment - 1e-9:
+    def wait_until(self, until: float) -> None:
+        while self.robot.clock() < until - 1e-9:
             self.robot.advance()
 
 
 class Delayed:
-    """AsyncPlanner that takes so many seconds of simulated time, without a process."""
+    """An `AsyncPlanner` in this process, whose plans come ``delay`` s of ``clock`` late."""
 
     def __init__(self, planner: Planner, clock: Clock, delay: float = 0.0) -> None:
         self.interval = planner.interval
         self._planner, self._clock, self._delay = planner, clock, delay
-        self._coming: list[tuple[float, PlanResult]] = []
+        self._pending: list[tuple[float, PlanResult]] = []
 
     def reset(self, start: EpisodeStart) -> None:
         self._planner.reset(start)
-        self._coming = []
+        self._pending = []
 
-    def submit(self, moment: TimedObservation) -> None:
-        planned = PlanResult(self._planner.plan([moment]), moment.time, self._delay)
-        self._coming.append((self._clock() + self._delay, planned))
+    def submit(self, observation: TimedObservation) -> None:
+        result = PlanResult(self._planner.plan([observation]), observation.time, self._delay)
+        self._pending.append((self._clock() + self._delay, result))
 
     def poll(self) -> PlanResult | None:
-        if self._coming and self._coming[0][0] <= self._clock() + 1e-9:
-            return self._coming.pop(0)[1]
+        if self._pending and self._pending[0][0] <= self._clock() + 1e-9:
+            return self._pending.pop(0)[1]
         return None
 
 
-class Diary:
-    """What each tick saw and sent."""
+class CycleLog:
+    """Times and sent forces of all cycles."""
 
     def __init__(self) -> None:
         self.time: list[float] = []
@@ -170,6 +183,6 @@ class Diary:
         self.sent.append(sent)
 
     @property
-    def push(self) -> np.ndarray:
+    def force(self) -> np.ndarray:
         """[T] N along x; 0 where nothing was sent."""
         return np.array([0.0 if sent is None else sent[0] for sent in self.sent])

@@ -1,4 +1,4 @@
-"""The two rates: the loop goes on whatever the planner does, and stops by its limits."""
+"""The control loop goes on whatever the planner does, and stops by its limits."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scripted import (
-    ByTime,
+    ConstantForce,
+    CycleLog,
     Delayed,
-    Diary,
-    Push,
     Refusing,
     Scripted,
     StepTime,
+    TimeAsForce,
     broken,
     busy,
     dying,
-    sleeper,
+    slow,
     stuck,
     unmakeable,
 )
@@ -29,7 +29,7 @@ from contactgraph_franka.safety.fake_robot import RealtimeFakeRobot
 from contactgraph_franka.safety.faults import Fault, nan_fault
 
 LIMITS = SafetyLimits()
-# For tests in real time, on machines that are busy with other things.
+# For tests in real time on busy machines.
 PATIENT = replace(LIMITS, longest_gap=0.1, longest_age=0.1, longest_track_age=0.1, stop_within=0.2)
 GOAL = np.array([0.5, 0.0, 0.3])
 
@@ -39,14 +39,14 @@ def stepped(
     seconds: float,
     delay: float = 0.0,
     faults: Sequence[Fault] = (),
-    **told: float,
-) -> tuple[LoopReport, Diary, FakeRobot]:
-    """A run in simulated time, to the last bit the same each time."""
-    robot, diary = FakeRobot(0, faults), Diary()
+    **options: float,
+) -> tuple[LoopReport, CycleLog, FakeRobot]:
+    """An episode in simulated time, reproducible to the last bit."""
+    robot, log = FakeRobot(0, faults), CycleLog()
     clock = StepTime(robot)
     safe = SafeRobot(robot, LIMITS, clock)
-    loop = ControlLoop(safe, Delayed(planner, clock, delay), clock, **told)
-    return loop.run(seconds, GOAL, on_cycle=diary), diary, robot
+    loop = ControlLoop(safe, Delayed(planner, clock, delay), clock, **options)
+    return loop.run(seconds, GOAL, on_cycle=log), log, robot
 
 
 def live(
@@ -55,7 +55,7 @@ def live(
     longest_plan_age: float = 0.4,
     asked: Callable[[], bool] = lambda: False,
 ) -> tuple[LoopReport, FakeRobot]:
-    """A run in real time, with the planner in its process."""
+    """An episode in real time, with the planner in its process."""
     clock, robot = WallClock(), FakeRobot()
     with PlannerProcess(make) as planning:
         safe = SafeRobot(RealtimeFakeRobot(robot, clock), PATIENT, clock)
@@ -63,88 +63,89 @@ def live(
         return loop.run(seconds, GOAL, stop_requested=asked), robot
 
 
-def test_a_run_ends_gently_when_its_time_is_over() -> None:
-    report, diary, robot = stepped(Scripted(lambda _: Push()), 0.2)
+def test_episode_ends_gently_after_its_duration() -> None:
+    report, log, robot = stepped(Scripted(lambda _: ConstantForce()), 0.2)
     assert report.stop.reason is StopReason.FINISHED and report.completed
     assert report.stop.time == pytest.approx(0.2)
     assert robot.stopped is report.stop and robot.braking
-    assert diary.push[150] == pytest.approx(1.0)
-    assert np.abs(np.diff(diary.push)).max() <= LIMITS.max_force_rate * 0.001 + 1e-9
-    assert diary.sent[-1] is None and not np.any(diary.push[205:])
+    assert log.force[150] == pytest.approx(1.0)
+    assert np.abs(np.diff(log.force)).max() <= LIMITS.max_force_rate * 0.001 + 1e-9
+    assert log.sent[-1] is None and not np.any(log.force[205:])
     assert report.rate_hz == pytest.approx(1000.0) and report.overruns == 0
 
 
-def test_the_planner_is_told_what_was_read_and_sent() -> None:
-    planner = Scripted(lambda _: Push())
+def test_planner_gets_readings_and_sent_forces() -> None:
+    planner = Scripted(lambda _: ConstantForce())
     stepped(planner, 0.2)
     assert planner.start is not None
     np.testing.assert_array_equal(planner.start.goal, GOAL)
-    np.testing.assert_allclose([each.time for each in planner.told], np.arange(20) * 0.01)
-    # The first came in the first tick, before the plan, and so did nine tenths of the second's.
-    assert not planner.told[0].applied.any()
-    np.testing.assert_allclose(planner.told[1].applied, [1.0, 0.0, 0.0])
+    np.testing.assert_allclose([each.time for each in planner.observations], np.arange(20) * 0.01)
+    # The first observation came in the first cycle, before any force was sent.
+    assert not planner.observations[0].applied.any()
+    np.testing.assert_allclose(planner.observations[1].applied, [1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.004, 0.037, 0.08])
-def test_a_late_plan_acts_by_the_time_it_is(delay: float) -> None:
-    _, diary, _ = stepped(Scripted(lambda moment: ByTime(moment.time)), 0.3, delay)
-    times = np.array(diary.time)
+def test_late_plan_is_evaluated_at_the_present_time(delay: float) -> None:
+    _, log, _ = stepped(Scripted(lambda observation: TimeAsForce(observation.time)), 0.3, delay)
+    times = np.array(log.time)
     moving = (times > delay + 0.01) & (times < 0.3)
-    np.testing.assert_allclose(diary.push[moving], times[moving], atol=1e-6)
+    np.testing.assert_allclose(log.force[moving], times[moving], atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("law", "told", "over"),
-    [(Push(duration=0.05), {}, 0.05), (Push(), {"longest_plan_age": 0.03}, 0.03)],
+    ("policy", "options", "over"),
+    [(ConstantForce(duration=0.05), {}, 0.05), (ConstantForce(), {"longest_plan_age": 0.03}, 0.03)],
 )
-def test_a_plan_that_is_over_stops_within_20_ms(
-    law: Push, told: dict[str, float], over: float
+def test_end_of_a_plan_stops_within_20_ms(
+    policy: ConstantForce, options: dict[str, float], over: float
 ) -> None:
-    planner = Scripted(lambda moment: law if moment.time < 0.0999 else None)
-    report, diary, robot = stepped(planner, 1.0, **told)
+    planner = Scripted(lambda observation: policy if observation.time < 0.0999 else None)
+    report, log, robot = stepped(planner, 1.0, **options)
     assert report.stop.reason is StopReason.COMMAND_LATE and not report.completed
     last = 0.09 + over
-    times = np.array(diary.time)
-    assert np.all(diary.push[(times > 0.02) & (times <= last)] > 0.99)
-    assert not np.any(diary.push[times > last + 0.020])
+    times = np.array(log.time)
+    assert np.all(log.force[(times > 0.02) & (times <= last)] > 0.99)
+    assert not np.any(log.force[times > last + 0.020])
     assert robot.braking and report.plans_failed > 0
 
 
-def test_a_robot_waits_for_its_first_plan() -> None:
-    report, diary, _ = stepped(
-        Scripted(lambda _: Push(duration=1.0)), 0.5, delay=0.3, longest_plan_age=1.0
+def test_robot_waits_for_its_first_plan() -> None:
+    report, log, _ = stepped(
+        Scripted(lambda _: ConstantForce(duration=1.0)), 0.5, delay=0.3, longest_plan_age=1.0
     )
-    times = np.array(diary.time)
-    assert not np.any(diary.push[times < 0.3])
-    assert diary.push[310] == pytest.approx(1.0)
+    times = np.array(log.time)
+    assert not np.any(log.force[times < 0.3])
+    assert log.force[310] == pytest.approx(1.0)
     assert report.plans_late == report.plans > 0
 
 
-def test_a_bad_reading_is_neither_acted_on_nor_planned_from() -> None:
-    planner = Scripted(lambda _: Push())
-    report, diary, _ = stepped(planner, 0.2, faults=[nan_fault(50, 52)])
+def test_invalid_reading_is_neither_used_nor_planned_from() -> None:
+    planner = Scripted(lambda _: ConstantForce())
+    report, log, _ = stepped(planner, 0.2, faults=[nan_fault(50, 52)])
     assert report.stop.reason is StopReason.FINISHED
-    assert all(np.isfinite(each.reading.position).all() for each in planner.told)
-    assert any(each.time == pytest.approx(0.052) for each in planner.told)
-    assert diary.push[50] < diary.push[49]
+    assert all(np.isfinite(each.reading.position).all() for each in planner.observations)
+    assert any(each.time == pytest.approx(0.052) for each in planner.observations)
+    assert log.force[50] < log.force[49]
     lasting, _, _ = stepped(planner, 0.2, faults=[nan_fault(50, 90)])
     assert lasting.stop.reason is StopReason.READING_NOT_FINITE
 
 
-def test_a_loop_that_begins_with_nothing_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_first_reading(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("contactgraph_franka.loop.control_loop._FIRST_READING_S", 0.05)
     with pytest.raises(InvalidInputError, match="the robot sends no reading to begin with"):
-        stepped(Scripted(lambda _: Push()), 0.2, faults=[nan_fault(0, 10**9)])
+        stepped(Scripted(lambda _: ConstantForce()), 0.2, faults=[nan_fault(0, 10**9)])
 
 
 @pytest.mark.parametrize("name", ["period", "longest_plan_age", "plan_deadline"])
-def test_times_that_are_none(name: str) -> None:
+def test_invalid_times(name: str) -> None:
     with pytest.raises(InvalidInputError, match=f"{name} must be positive seconds, found 0"):
-        stepped(Scripted(lambda _: Push()), 0.2, **{name: 0.0})
+        stepped(Scripted(lambda _: ConstantForce()), 0.2, **{name: 0.0})
 
 
-def test_a_slow_planner_never_holds_up_the_loop() -> None:
-    report, _ = live(sleeper, 0.6)
+@pytest.mark.slow
+def test_slow_planner_does_not_delay_the_loop() -> None:
+    report, _ = live(slow, 0.6)
     assert report.stop.reason is StopReason.FINISHED
     assert report.rate_hz > 500.0
     assert 2 <= report.plans <= 5 and report.plans_late == report.plans
@@ -152,13 +153,15 @@ def test_a_slow_planner_never_holds_up_the_loop() -> None:
     assert 120.0 < report.oldest_plan_ms < 400.0
 
 
-def test_a_busy_planner_does_not_hold_up_the_loop() -> None:
+@pytest.mark.slow
+def test_busy_planner_does_not_delay_the_loop() -> None:
     report, _ = live(busy, 0.6)
     assert report.stop.reason is StopReason.FINISHED
     assert report.rate_hz > 500.0 and report.plans > 5
 
 
-def test_a_planner_that_does_not_answer_stops_the_robot() -> None:
+@pytest.mark.slow
+def test_planner_without_answer_stops_the_robot() -> None:
     report, robot = live(stuck, 3.0, longest_plan_age=0.2)
     assert report.stop.reason is StopReason.COMMAND_LATE
     assert report.seconds < 2.0 and robot.braking
@@ -168,7 +171,7 @@ def test_a_planner_that_does_not_answer_stops_the_robot() -> None:
     ("make", "said"),
     [(broken, "ZeroDivisionError: the planner's own fault"), (dying, "ended with exit code 3")],
 )
-def test_a_planner_that_breaks_down_is_heard_of_when_the_robot_rests(
+def test_planner_error_is_raised_once_the_robot_is_at_rest(
     make: Callable[[], Planner], said: str
 ) -> None:
     clock, robot = WallClock(), FakeRobot()
@@ -179,14 +182,14 @@ def test_a_planner_that_breaks_down_is_heard_of_when_the_robot_rests(
     assert robot.braking
 
 
-def test_a_planner_that_cannot_plan_for_this() -> None:
+def test_invalid_input_of_a_planner() -> None:
     with pytest.raises(InvalidInputError, match=r"no plan leads to \[0.5, 0.0, 0.3\]"):
         live(Refusing, 1.0)
     with pytest.raises(InvalidInputError, match="there is no such model"):
         live(unmakeable, 1.0)
 
 
-def test_one_process_plans_for_one_run_after_another() -> None:
+def test_one_process_plans_several_episodes() -> None:
     clock = WallClock()
     with PlannerProcess(busy) as planning:
         for seed in (0, 1):
@@ -195,15 +198,16 @@ def test_one_process_plans_for_one_run_after_another() -> None:
             assert report.stop.reason is StopReason.FINISHED and report.plans > 0
 
 
-def test_who_asks_it_to_stop_is_heard() -> None:
+@pytest.mark.slow
+def test_requested_stop() -> None:
     ticks = itertools.count()
     report, robot = live(busy, 30.0, asked=lambda: next(ticks) > 100)
     assert report.stop.reason is StopReason.ASKED and report.completed
     assert report.seconds < 20.0 and robot.braking
 
 
-def test_a_report_in_words_and_numbers() -> None:
-    report, _, _ = stepped(Scripted(lambda _: Push()), 0.1)
+def test_report_as_text_and_json() -> None:
+    report, _, _ = stepped(Scripted(lambda _: ConstantForce()), 0.1)
     numbers = report.to_json()
     assert numbers["rate_hz"] == report.rate_hz and numbers["stop"] == "finished"
     text = "\n".join(report.lines())

@@ -1,3 +1,5 @@
+"""Real-time priority of the loop's threads, and normal priority of child processes."""
+
 import os
 import subprocess
 import sys
@@ -6,6 +8,10 @@ import threading
 import pytest
 
 from contactgraph_franka.loop.realtime import realtime_priority
+
+needs_priorities = pytest.mark.skipif(
+    not hasattr(os, "sched_setscheduler"), reason="no real-time priorities on this system"
+)
 
 _CHILD = """
 import os
@@ -20,17 +26,22 @@ else:
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="no real-time priorities here")
-def test_a_process_begun_with_real_time_priority_gives_way():
+@pytest.mark.skipif(
+    not hasattr(os, "sched_setscheduler"), reason="no real-time priorities on this system"
+)
+@pytest.mark.slow
+def test_set_nice_ends_inherited_real_time_priority() -> None:
     done = subprocess.run([sys.executable, "-c", _CHILD], capture_output=True, text=True)
     if done.stdout == "no priorities\n":
-        pytest.skip("this system lets no process have real-time priority")
+        pytest.skip("this system permits no real-time priority")
     assert done.stdout.split() == ["True", str(os.nice(0) + 3)], done.stderr
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="no real-time priorities here")
-def test_all_threads_go_first_together_and_only_within():
-    """One that waits for a core, holding Python's lock, would hold up those that go first."""
+@pytest.mark.skipif(
+    not hasattr(os, "sched_setscheduler"), reason="no real-time priorities on this system"
+)
+def test_all_threads_have_real_time_priority_within() -> None:
+    """A thread of normal priority that holds Python's lock would delay the others."""
     ends, begun, other = threading.Event(), threading.Event(), []
 
     def work() -> None:
@@ -45,7 +56,7 @@ def test_all_threads_go_first_together_and_only_within():
         before = os.sched_getscheduler(other[0])
         with realtime_priority():
             if os.sched_getscheduler(0) != os.SCHED_FIFO:
-                pytest.skip("this system lets no process have real-time priority")
+                pytest.skip("this system permits no real-time priority")
             assert os.sched_getscheduler(other[0]) == os.SCHED_FIFO
         assert os.sched_getscheduler(other[0]) == before
         assert os.sched_getscheduler(0) == before

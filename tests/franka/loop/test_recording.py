@@ -1,11 +1,11 @@
-"""What a robot did becomes a run; tracks are smooth_track by what was seen afterwards."""
+"""Recorded episodes become trajectories; tracks are smoothed with later frames."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scripted import Delayed, Push, Scripted, StepTime
+from scripted import ConstantForce, Delayed, Scripted, StepTime
 
 from contactgraph.data import InvalidInputError, Scene, read_trajectories, write_trajectories
 from contactgraph_franka.loop import ControlLoop
@@ -23,45 +23,45 @@ def recorded(seconds: float, *faults: Fault) -> TrajectoryRecorder:
     robot = FakeRobot(0, faults)
     clock = StepTime(robot)
     recorder = TrajectoryRecorder(seconds, 2)
-    planning = Delayed(Scripted(lambda moment: Push((3.0, 1.0, 0.0))), clock)
+    planning = Delayed(Scripted(lambda _: ConstantForce((3.0, 1.0, 0.0))), clock)
     loop = ControlLoop(SafeRobot(robot, SafetyLimits(), clock), planning, clock)
     loop.run(seconds, GOAL, on_cycle=recorder)
     return recorder
 
 
-def test_a_run_moves_as_its_controls_say(tmp_path: Path) -> None:
-    run = recorded(0.4).trajectory(SCENE)
-    assert run is not None
-    assert run.scene.dt == 0.001 and 395 <= run.steps <= 405
+def test_trajectory_moves_by_its_controls(tmp_path: Path) -> None:
+    trajectory = recorded(0.4).trajectory(SCENE)
+    assert trajectory is not None
+    assert trajectory.scene.dt == 0.001 and 395 <= trajectory.steps <= 405
     # The fake hand weighs 4 kg: steps of 1 ms under the recorded forces lead where it went.
-    gained = np.diff(run.velocity[:, 0], axis=0)
-    np.testing.assert_allclose(gained, run.control / 4.0 * 0.001, atol=1e-9)
-    assert run.contact is not None and not run.contact.any()
-    assert run.tracked is not None and run.tracked.all()
-    assert run.measured_at is not None
-    np.testing.assert_allclose(run.measured_at[:, 0], np.arange(run.steps + 1) * 0.001, atol=1e-9)
-    write_trajectories(tmp_path / "run.h5", [run])
-    (again,) = read_trajectories(tmp_path / "run.h5")
-    np.testing.assert_array_equal(again.position, run.position)
-    np.testing.assert_array_equal(again.tracked, run.tracked)
-
-
-def test_what_was_recorded_before_a_stop_is_a_run() -> None:
-    run = recorded(0.4, lost_packet_fault(100, 10**6)).trajectory(SCENE)
-    assert run is not None and 95 <= run.steps <= 105
-
-
-def test_readings_that_did_not_come_are_bridged() -> None:
-    whole, lost = (
-        recorded(0.2).trajectory(SCENE),
-        recorded(0.2, lost_packet_fault(50, 52)).trajectory(SCENE),
+    gained = np.diff(trajectory.velocity[:, 0], axis=0)
+    np.testing.assert_allclose(gained, trajectory.control / 4.0 * 0.001, atol=1e-9)
+    assert trajectory.contact is not None and not trajectory.contact.any()
+    assert trajectory.tracked is not None and trajectory.tracked.all()
+    assert trajectory.measured_at is not None
+    np.testing.assert_allclose(
+        trajectory.measured_at[:, 0], np.arange(trajectory.steps + 1) * 0.001, atol=1e-9
     )
+    write_trajectories(tmp_path / "trajectory.h5", [trajectory])
+    (again,) = read_trajectories(tmp_path / "trajectory.h5")
+    np.testing.assert_array_equal(again.position, trajectory.position)
+    np.testing.assert_array_equal(again.tracked, trajectory.tracked)
+
+
+def test_recording_before_a_stop_is_a_trajectory() -> None:
+    trajectory = recorded(0.4, lost_packet_fault(100, 10**6)).trajectory(SCENE)
+    assert trajectory is not None and 95 <= trajectory.steps <= 105
+
+
+def test_lost_readings_are_interpolated() -> None:
+    whole = recorded(0.2).trajectory(SCENE)
+    lost = recorded(0.2, lost_packet_fault(50, 52)).trajectory(SCENE)
     assert whole is not None and lost is not None
     near = slice(0, 60)
     np.testing.assert_allclose(lost.position[near], whole.position[near], atol=2e-4)
 
 
-def test_nothing_sent_is_no_run() -> None:
+def test_no_trajectory_without_sent_forces() -> None:
     recorder = TrajectoryRecorder(0.1, 2)
     reading = FakeRobot().read()
     assert reading is not None
@@ -74,42 +74,44 @@ def test_nothing_sent_is_no_run() -> None:
     assert recorder.trajectory(SCENE) is None
 
 
-def test_contact_that_was_not_measured_is_not_recorded() -> None:
+def test_unmeasured_contact_is_not_recorded() -> None:
     contact = np.full((2, 2), np.nan)
     for known in (False, True):
         recorder = TrajectoryRecorder(0.1, 2)
-        for tick in range(5):
+        for cycle in range(5):
             touch = contact.copy()
-            touch[0, 1] = touch[1, 0] = 0.9 if known or tick else np.nan
-            now = 0.001 * tick
+            touch[0, 1] = touch[1, 0] = 0.9 if known or cycle else np.nan
+            now = 0.001 * cycle
             reading = RobotReading(
                 np.zeros((2, 3)), np.zeros((2, 3)), np.full(2, now), now, np.ones(2), contact=touch
             )
             recorder(now, reading, np.zeros(3))
-        run = recorder.trajectory(SCENE)
-        assert run is not None and (run.contact is not None) == known
-        assert not known or (run.contact[:, 0, 1].all() and not run.contact[:, 0, 0].any())
+        trajectory = recorder.trajectory(SCENE)
+        assert trajectory is not None and (trajectory.contact is not None) == known
+        assert not known or (
+            trajectory.contact[:, 0, 1].all() and not trajectory.contact[:, 0, 0].any()
+        )
 
 
-def test_more_ticks_than_there_is_room_for_are_left_out() -> None:
+def test_cycles_beyond_the_capacity_are_left_out() -> None:
     recorder = TrajectoryRecorder(0.1, 2)
     reading = FakeRobot().read()
     assert reading is not None
-    for tick in range(1000):
-        now = 0.001 * tick
+    for cycle in range(1000):
+        now = 0.001 * cycle
         recorder(now, replace(reading, time=np.full(2, now)), np.zeros(3))
-    run = recorder.trajectory(SCENE)
-    assert run is not None and run.steps == 199
+    trajectory = recorder.trajectory(SCENE)
+    assert trajectory is not None and trajectory.steps == 199
 
 
 @pytest.mark.parametrize("times", [(0.0, 0.001), (0.1, 0.0), (float("inf"), 0.001)])
-def test_times_that_are_none(times: tuple[float, float]) -> None:
+def test_invalid_times(times: tuple[float, float]) -> None:
     with pytest.raises(InvalidInputError, match="seconds and period must be positive"):
         TrajectoryRecorder(times[0], 2, period=times[1])
 
 
 def swept(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rests for a second, then is taken along: 0.4 m/s is reached within 0.3 s."""
+    """Rests for a second, then is accelerated to 0.4 m/s within 0.3 s."""
     s = np.clip((time - 1.0) / 0.3, 0.0, None)
     speed = 0.4 * np.where(
         s < 1.0, 3.0 * np.minimum(s, 1.0) ** 2 - 2.0 * np.minimum(s, 1.0) ** 3, 1.0
@@ -131,11 +133,11 @@ def tracked(noise: float, seed: int) -> list[FilterState]:
 
 
 def track_of(states: list[FilterState]) -> Track:
-    """Of an object that nothing carries."""
+    """The track of an object that is never grasped."""
     return Track(GraspOffsetHistory(1), 0, states)
 
 
-def test_what_was_seen_later_takes_the_lag_away() -> None:
+def test_smoothing_removes_the_lag() -> None:
     at = np.arange(0.5, 2.5, 0.001)
     truth, speed = swept(at)
     errors = []
@@ -156,7 +158,7 @@ def test_what_was_seen_later_takes_the_lag_away() -> None:
     assert velocity_error < 0.03 and velocity_error < 0.5 * live_error
 
 
-def test_straight_motion_is_found_exactly() -> None:
+def test_straight_motion_is_exact() -> None:
     tracker, states = ObjectTracker(), []
     for time in np.arange(20) / 30.0:
         tracker.measure(np.array([0.1 * time, 0.0, 0.0]), 1e-6 * np.eye(3), float(time))
@@ -168,7 +170,7 @@ def test_straight_motion_is_found_exactly() -> None:
     np.testing.assert_allclose(position[:, 0], 0.1 * at, atol=3e-4)
 
 
-def test_a_block_that_somebody_moved_is_not_smoothed_over() -> None:
+def test_no_smoothing_across_a_restart_of_the_filter() -> None:
     tracker, states = ObjectTracker(), []
     for frame in range(40):
         x = 0.0 if frame < 20 else 0.4
@@ -180,6 +182,6 @@ def test_a_block_that_somebody_moved_is_not_smoothed_over() -> None:
     np.testing.assert_allclose(position[2:, 0], 0.4, atol=1e-3)
 
 
-def test_an_object_in_no_frame() -> None:
+def test_object_in_no_frame() -> None:
     with pytest.raises(InvalidInputError, match="the object was in no frame"):
         smooth_track(track_of([]), np.zeros(3))

@@ -1,4 +1,4 @@
-"""The fake robot moves as masses do, and its readings are what policies observe."""
+"""Dynamics, readings and faults of the fake robot, and stops of `SafeRobot`."""
 
 from collections.abc import Callable
 
@@ -15,18 +15,19 @@ from contactgraph_franka.safety import (
     RobotReading,
     SafeRobot,
     SafetyLimits,
+    Stop,
     StopReason,
 )
 from contactgraph_franka.safety.faults import lost_packet_fault, nan_fault
 
 
-def driven(robot: FakeRobot, force: np.ndarray, ticks: int) -> None:
-    for _ in range(ticks):
+def driven(robot: FakeRobot, force: np.ndarray, cycles: int) -> None:
+    for _ in range(cycles):
         robot.send(force, robot.clock())
         robot.advance()
 
 
-def test_a_hand_moves_as_its_mass() -> None:
+def test_hand_accelerates_as_its_mass() -> None:
     robot = FakeRobot()
     start = robot.position[0].copy()
     driven(robot, np.array([2.0, 0.0, 0.0]), 100)
@@ -34,7 +35,7 @@ def test_a_hand_moves_as_its_mass() -> None:
     np.testing.assert_allclose(robot.position[0] - start, [0.0025, 0.0, 0.0], atol=1e-12)
 
 
-def test_a_touch_shares_momentum_and_lasts() -> None:
+def test_contact_is_inelastic_and_lasts() -> None:
     robot = FakeRobot()
     robot.velocity[0] = (robot.position[1] - robot.position[0]) / 0.2
     before = 4.0 * robot.velocity.copy()[0]
@@ -46,7 +47,7 @@ def test_a_touch_shares_momentum_and_lasts() -> None:
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_the_same_seed_reads_the_same(kind: Callable[[int, int], Fault]) -> None:
+def test_readings_are_reproducible(kind: Callable[[int, int], Fault]) -> None:
     first, second, other = FakeRobot(3, [kind(2, 6)]), FakeRobot(3, [kind(2, 6)]), FakeRobot(4)
     for _ in range(8):
         a, b, c = first.read(), second.read(), other.read()
@@ -59,22 +60,22 @@ def test_the_same_seed_reads_the_same(kind: Callable[[int, int], Fault]) -> None
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_a_fault_is_there_in_its_ticks_only(kind: Callable[[int, int], Fault]) -> None:
+def test_fault_is_present_in_its_cycles_only(kind: Callable[[int, int], Fault]) -> None:
     faulty, sound = FakeRobot(0, [kind(2, 4)]), FakeRobot(0)
-    for tick in range(6):
+    for cycle in range(6):
         read, true = faulty.read(), sound.read()
         same = read is not None and all(
             np.array_equal(getattr(read, name), getattr(true, name))
             for name in ("position", "time", "robot_time", "tracked")
         )
-        # A frozen reading is the true one in its first tick.
-        if tick != 2:
-            assert (same and not faulty.late) == (tick != 3)
+        # A frozen reading is the true one in its first cycle.
+        if cycle != 2:
+            assert (same and not faulty.late) == (cycle != 3)
         faulty.advance()
         sound.advance()
 
 
-def test_a_robot_that_hears_nothing_brakes_by_itself() -> None:
+def test_robot_without_commands_brakes() -> None:
     robot = FakeRobot()
     driven(robot, np.array([10.0, 0.0, 0.0]), 50)
     speed = robot.velocity[0, 0]
@@ -83,14 +84,14 @@ def test_a_robot_that_hears_nothing_brakes_by_itself() -> None:
     assert robot.braking and robot.velocity[0, 0] < 0.05 * speed
 
 
-def test_a_stop_is_told_when_the_robot_hears_again() -> None:
+def test_stop_is_repeated_until_it_arrives() -> None:
     robot = FakeRobot(0, [lost_packet_fault(20, 60)])
     safe = SafeRobot(robot, SafetyLimits(), robot.clock)
-    for tick in range(70):
+    for cycle in range(70):
         safe.read()
         sent = safe.send(Command(np.array([0.0, 5.0, 0.0]), robot.clock()))
-        assert (sent is None) == (tick >= 20)
-        assert (robot.stopped is None) == (tick < 60)
+        assert (sent is None) == (cycle >= 20)
+        assert (robot.stopped is None) == (cycle < 60)
         robot.advance()
     assert robot.stopped is safe.stop and safe.stop.reason is StopReason.CONNECTION_LOST
 
@@ -98,18 +99,18 @@ def test_a_stop_is_told_when_the_robot_hears_again() -> None:
 def test_only_reset_moves_a_stopped_robot() -> None:
     robot = FakeRobot(0, [nan_fault(20, 30)])
     safe = SafeRobot(robot, SafetyLimits(), robot.clock)
-    for tick in range(120):
-        if tick == 100:
+    for cycle in range(120):
+        if cycle == 100:
             assert robot.braking
             safe.reset()
         safe.read()
         sent = safe.send(Command(np.array([0.0, 5.0, 0.0]), robot.clock()))
-        assert (sent is None) == (24 <= tick < 100)
+        assert (sent is None) == (24 <= cycle < 100)
         robot.advance()
     assert safe.stop is None and robot.velocity[0, 1] > 0.0
 
 
-def test_a_reading_is_what_policies_observe() -> None:
+def test_observation_of_a_reading() -> None:
     reading = FakeRobot().read()
     observation = reading.observation(np.zeros(3))
     assert set(observation) == set(PickupTask().observation_space.spaces)
@@ -120,8 +121,27 @@ def test_a_reading_is_what_policies_observe() -> None:
     assert blind["contact"].shape == (2, 2) and np.isnan(blind["contact"]).all()
 
 
-def test_readings_of_other_shapes_are_refused() -> None:
+def test_shapes_of_a_reading() -> None:
     with pytest.raises(InvalidInputError, match=r"time must be \[2\], found \(3,\)"):
         RobotReading(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(3), 0.0, np.ones(2))
     with pytest.raises(InvalidInputError, match=r"position must be \[N, D\], found \(3,\)"):
         RobotReading(np.zeros(3), np.zeros(3), np.zeros(1), 0.0, np.ones(1))
+
+
+def test_stop_by_the_robot_itself_keeps_its_reason() -> None:
+    robot = FakeRobot()
+    safe = SafeRobot(robot, SafetyLimits(), robot.clock)
+    for cycle in range(60):
+        if cycle == 30:
+            robot.ended = Stop(StopReason.ARM_STOPPED, robot.clock())
+        safe.read()
+        sent = safe.send(Command(np.array([0.0, 5.0, 0.0]), robot.clock()))
+        assert (sent is None) == (cycle >= 30)
+        robot.advance()
+    assert safe.stop is not None
+    assert safe.stop.reason is StopReason.ARM_STOPPED
+    assert safe.stop.time == 30 * 0.001
+    assert "a reflex" in str(safe.stop)
+    safe.reset()
+    safe.read()
+    assert safe.send(Command(np.array([0.0, 5.0, 0.0]), robot.clock())) is not None
