@@ -1,1 +1,0 @@
-"""Learning a quadratic cost from demonstrations through a differentiable LQR."""
