@@ -19,7 +19,7 @@ from lqr_sample import sample, with_crocoddyl
 from measuring import arguments, report
 
 from contactgraph.control import LQRProblem, solve_lqr
-from contactgraph.control.riccati_form import Form, block_form, dense_form
+from contactgraph.control.riccati import Form, block_form, dense_form
 
 STATES = (8, 48, 400)
 MOST_FOR_PEERS = 100

@@ -19,7 +19,7 @@ from contactgraph.control import (
     read_cost,
     write_cost,
 )
-from contactgraph.control.cost_learning.learned_cost import relative_basis
+from contactgraph.control.learned_cost import relative_basis
 from contactgraph.data import InvalidInputError
 
 MADE = {"model": "pickup", "seed": 3, "recipe": {"steps": 20, "discount": 0.8}, "goal": [0.1, 2]}
@@ -194,7 +194,11 @@ def test_what_is_missing_is_named(path: Path, name: str) -> None:
         ("name", "", "field 'name' must be a text, found ''"),
         ("actuated", 1, "field 'actuated' must be true or false, found 1"),
         ("runs", -1, "field 'runs' must be a whole number of at least 0, found -1"),
-        ("joins_s", None, "field 'joins_s' must be a finite number, found None"),
+        (
+            "first_contact_time",
+            None,
+            "field 'first_contact_time' must be a finite number, found None",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_participant(path: Path, place: str, value: Any, said: str) -> None:

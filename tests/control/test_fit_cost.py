@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from contactgraph.control import CostLearningConfig, lqr_trajectory, tracking_problem
-from contactgraph.control.cost_learning.demonstrations import Demonstrations
-from contactgraph.control.cost_learning.learned_cost import isotropic_axes
-from contactgraph.control.cost_learning.learner import fit_cost
+from contactgraph.control.cost_learner import fit_cost
+from contactgraph.control.demonstrations import Demonstrations
+from contactgraph.control.learned_cost import isotropic_axes
 from contactgraph.data import InvalidInputError
 
 RUNS, HORIZON, N, U = 24, 12, 4, 2

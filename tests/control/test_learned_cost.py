@@ -16,12 +16,12 @@ from contactgraph.control import (
     LearnedCost,
     learn_cost,
 )
-from contactgraph.control.cost_learning.demonstrations import (
+from contactgraph.control.demonstrations import (
     demonstrations_of,
-    follow_all,
+    filter_demonstrations,
     participants,
 )
-from contactgraph.control.cost_learning.learned_cost import relative_terms
+from contactgraph.control.learned_cost import relative_terms
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
 from contactgraph.evaluate import collect, control_task
@@ -54,7 +54,10 @@ def test_who_takes_part_is_kept_and_why(cost):
     gripper, target, *others = cost.participants
     assert gripper.actuated and gripper.kept and "actuated" in gripper.reason
     assert target.active_runs == target.runs == 5 and "in contact in 5 of 5" in target.reason
-    assert target.joins_s == gripper.joins_s and 0.5 < target.joins_s < 2.0
+    assert (
+        target.first_contact_time == gripper.first_contact_time
+        and 0.5 < target.first_contact_time < 2.0
+    )
     assert [each.name for each in others] == ["distractor-0", "distractor-1"]
     assert not any(each.kept for each in others)
     assert all(each.reason == "no active edge in any of 5 runs" for each in others)
@@ -150,7 +153,7 @@ def test_a_control_at_its_limit_is_held_in_the_plan(model, runs):
     bound = float(np.abs(run.control).max())
     limits = ControlLimits(jnp.full(2, -bound), jnp.full(2, bound))
     dataset = Dataset((run,))
-    followed = follow_all(model, dataset)
+    followed = filter_demonstrations(model, dataset)
     free = demonstrations_of(dataset, followed, ("gripper", "target"))
     held = demonstrations_of(dataset, followed, ("gripper", "target"), limits=limits)
     at = np.argwhere(np.abs(run.control) >= bound * (1 - 1e-9))
@@ -198,7 +201,9 @@ def test_no_control_and_another_kind_of_scene_are_named(model, runs):
 
 def test_nodes_join_in_the_order_of_their_contacts(model, runs):
     turned = [reordered(run, (2, 1, 0, 3)) for run in runs]
-    found = participants(Dataset(tuple(turned)), follow_all(model, Dataset(tuple(turned))))
+    found = participants(
+        Dataset(tuple(turned)), filter_demonstrations(model, Dataset(tuple(turned)))
+    )
     assert [each.name for each in found[:2]] == ["gripper", "target"]
 
 

@@ -12,7 +12,7 @@ from control_models import blocks
 from contactgraph.control import ControlLimits, LQRProblem, solve_lqr
 from contactgraph.control.box_qp import solve_box_qp, solve_small
 from contactgraph.control.lqr import block_dynamics, improve_policy
-from contactgraph.control.riccati_form import block_form, dense_form
+from contactgraph.control.riccati import block_form, dense_form
 
 
 @pytest.fixture(autouse=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from contactgraph.control import chain_cost
-from contactgraph.control.cost_learning.learned_cost import (
+from contactgraph.control.learned_cost import (
     independent_part,
     isotropic_axes,
     relative_basis,

@@ -1,23 +1,24 @@
 """Plans and controls through contact, with any model that offers a linear step."""
 
 from contactgraph.control.active_set import ActiveSetMPC as ActiveSetMPC
+from contactgraph.control.box_qp import AffinePolicy as AffinePolicy
 from contactgraph.control.box_qp import ControlLimits as ControlLimits
 from contactgraph.control.cost import Cost as Cost
 from contactgraph.control.cost import QuadraticCost as QuadraticCost
 from contactgraph.control.cost import chain_cost as chain_cost
-from contactgraph.control.cost_learning.cost_io import CostSummary as CostSummary
-from contactgraph.control.cost_learning.cost_io import describe_cost as describe_cost
-from contactgraph.control.cost_learning.cost_io import read_cost as read_cost
-from contactgraph.control.cost_learning.cost_io import write_cost as write_cost
-from contactgraph.control.cost_learning.learned_cost import CostTerm as CostTerm
-from contactgraph.control.cost_learning.learned_cost import LearnedCost as LearnedCost
-from contactgraph.control.cost_learning.learned_cost import LearningHistory as LearningHistory
-from contactgraph.control.cost_learning.learned_cost import TaskNode as TaskNode
-from contactgraph.control.cost_learning.learned_cost import cost_terms as cost_terms
-from contactgraph.control.cost_learning.learner import CostLearningConfig as CostLearningConfig
-from contactgraph.control.cost_learning.learner import learn_cost as learn_cost
+from contactgraph.control.cost_io import CostSummary as CostSummary
+from contactgraph.control.cost_io import describe_cost as describe_cost
+from contactgraph.control.cost_io import read_cost as read_cost
+from contactgraph.control.cost_io import write_cost as write_cost
+from contactgraph.control.cost_learner import CostLearningConfig as CostLearningConfig
+from contactgraph.control.cost_learner import learn_cost as learn_cost
 from contactgraph.control.host import pin_to_core as pin_to_core
 from contactgraph.control.ilqr import ILQR as ILQR
+from contactgraph.control.learned_cost import CostTerm as CostTerm
+from contactgraph.control.learned_cost import LearnedCost as LearnedCost
+from contactgraph.control.learned_cost import LearningHistory as LearningHistory
+from contactgraph.control.learned_cost import TaskNode as TaskNode
+from contactgraph.control.learned_cost import cost_terms as cost_terms
 from contactgraph.control.lqr import LQRProblem as LQRProblem
 from contactgraph.control.lqr import QuadraticValue as QuadraticValue
 from contactgraph.control.lqr import solve_lqr as solve_lqr
@@ -30,5 +31,4 @@ from contactgraph.control.plan import Plan as Plan
 from contactgraph.control.plan import Planner as Planner
 from contactgraph.control.plan import PlanStatus as PlanStatus
 from contactgraph.control.plan import shift_plan as shift_plan
-from contactgraph.control.policy import AffinePolicy as AffinePolicy
 from contactgraph.control.subproblem import ActiveSetState as ActiveSetState

@@ -15,13 +15,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.host import Motion, Observation
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.mpc import MPC
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.policy import AffinePolicy
 from contactgraph.control.subproblem import (
     ActiveSetState,
     active_part,

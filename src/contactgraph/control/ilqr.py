@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.lqr import (
     Improvement,
@@ -17,8 +17,7 @@ from contactgraph.control.lqr import (
     node_gains,
 )
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.policy import AffinePolicy
-from contactgraph.control.riccati_form import block_form
+from contactgraph.control.riccati import block_form
 from contactgraph.control.rollout import Rollout, roll_out
 from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity

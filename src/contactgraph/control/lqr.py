@@ -30,14 +30,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import (
+    AffinePolicy,
     ControlLimits,
     free_part,
     solve_box_qp,
     solve_small,
 )
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.policy import AffinePolicy
-from contactgraph.control.riccati_form import (
+from contactgraph.control.riccati import (
     Ahead,
     Form,
     RiccatiForm,

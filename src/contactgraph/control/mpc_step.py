@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.control.box_qp import AffinePolicy
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.plan import Plan, Planner, PlanStatus, shift_plan
-from contactgraph.control.policy import AffinePolicy
 from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.model import (
     ContactBelief,

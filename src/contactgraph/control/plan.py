@@ -9,9 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.policy import AffinePolicy
 from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.model import ContactBelief, ModelState, Nodes, StepModel
 

@@ -5,9 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.lqr import block_state
-from contactgraph.control.policy import AffinePolicy
 from contactgraph.model import (
     ContactBelief,
     LinearDynamics,

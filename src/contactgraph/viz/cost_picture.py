@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
 from contactgraph.control import Cost, LearnedCost
-from contactgraph.control.cost_learning.learned_cost import relative_names, relative_terms
+from contactgraph.control.learned_cost import relative_names, relative_terms
 from contactgraph.data import InvalidInputError, atomic_write
 from contactgraph.viz.scene_picture import BODY_COLOURS, INK, RULE, SOFT
 

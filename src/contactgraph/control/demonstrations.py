@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from contactgraph.control.box_qp import ControlLimits
-from contactgraph.control.cost_learning.learned_cost import TaskNode
+from contactgraph.control.learned_cost import TaskNode
 from contactgraph.data import (
     Dataset,
     InvalidInputError,
@@ -146,7 +146,7 @@ def _stacked(dynamics: LinearDynamics) -> tuple[Array, Array, Array]:
 _EXACT = ContactSensor()
 
 
-def follow_all(model: StepModel, demonstrations: Dataset) -> FilteredTrajectory:
+def filter_demonstrations(model: StepModel, demonstrations: Dataset) -> FilteredTrajectory:
     """[runs, T, …] What the model infers along every run, padded to the longest and the largest.
 
     Contacts correct the beliefs where they were recorded. Raises `InvalidInputError`, naming the
@@ -195,7 +195,7 @@ def participants(demonstrations: Dataset, followed: FilteredTrajectory) -> tuple
             actuated=name in actuated,
             runs=seen[name],
             active_runs=len(times),
-            joins_s=float(np.median(times)) if times else None,
+            first_contact_time=float(np.median(times)) if times else None,
         )
         for name, times in joins.items()
     ]
@@ -205,7 +205,7 @@ def participants(demonstrations: Dataset, followed: FilteredTrajectory) -> tuple
 
 
 def _in_order(each: TaskNode) -> tuple[bool, bool, float]:
-    joins = np.inf if each.joins_s is None else each.joins_s
+    joins = np.inf if each.first_contact_time is None else each.first_contact_time
     return not each.kept, not each.actuated, joins
 
 

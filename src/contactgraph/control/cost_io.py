@@ -13,7 +13,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control.cost_learning.learned_cost import (
+from contactgraph.control.learned_cost import (
     ROUNDING,
     LearnedCost,
     LearningHistory,
@@ -70,7 +70,7 @@ def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | No
                 "actuated": each.actuated,
                 "runs": each.runs,
                 "active_runs": each.active_runs,
-                "joins_s": each.joins_s,
+                "first_contact_time": each.first_contact_time,
             }
             for each in cost.participants
         ],
@@ -159,7 +159,7 @@ def _participant(fields: JsonFields) -> TaskNode:
         actuated=fields.truth("actuated"),
         runs=runs,
         active_runs=active,
-        joins_s=float(fields.numbers("joins_s", ())) if active else None,
+        first_contact_time=float(fields.numbers("first_contact_time", ())) if active else None,
     )
 
 

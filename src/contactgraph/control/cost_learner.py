@@ -35,14 +35,14 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import ControlLimits
-from contactgraph.control.cost_learning.demonstrations import (
+from contactgraph.control.demonstrations import (
     Demonstrations,
     demonstrations_of,
-    follow_all,
+    filter_demonstrations,
     participants,
     window_starts,
 )
-from contactgraph.control.cost_learning.learned_cost import (
+from contactgraph.control.learned_cost import (
     ROUNDING,
     LearnedCost,
     LearningHistory,
@@ -293,7 +293,7 @@ def learn_cost(
     if place is not None and (place.shape != (scene.dimension,) or not np.isfinite(place).all()):
         raise InvalidInputError(f"goal must be {scene.dimension} finite numbers [m], found {goal}")
     starts = window_starts(demonstrations, recipe.horizon)
-    followed = follow_all(model, demonstrations)
+    followed = filter_demonstrations(model, demonstrations)
     found = participants(demonstrations, followed)
     kept = tuple(each.name for each in found if each.kept)
     data = demonstrations_of(demonstrations, followed, kept, place, limits)

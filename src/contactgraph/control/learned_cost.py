@@ -25,7 +25,7 @@ class TaskNode:
     """Of the demonstrations, those in which the node is there."""
     active_runs: int
     """Those in which it has an active edge at some step, by the model's inference."""
-    joins_s: float | None
+    first_contact_time: float | None
     """When its first edge becomes active, s; the median over those runs. None: never."""
 
     @property
@@ -37,7 +37,7 @@ class TaskNode:
     def reason(self) -> str:
         """Why it is kept or dropped, in words."""
         if self.active_runs:
-            when = f"in contact in {self.active_runs} of {self.runs} runs, from {self.joins_s:g} s"
+            when = f"in contact in {self.active_runs} of {self.runs} runs, from {self.first_contact_time:g} s"
             return f"actuated; {when}" if self.actuated else when
         return "actuated" if self.actuated else f"no active edge in any of {self.runs} runs"
 
@@ -46,7 +46,7 @@ class LearningHistory(eqx.Module):
     """How learning went, step by step."""
 
     imitation: Float[Array, " S"]
-    """Loss on states and controls, in the units of `contactgraph.control.cost_learning.learner`."""
+    """Loss on states and controls, in the units of `contactgraph.control.cost_learner`."""
     prior: Float[Array, " S"]
     """Share of Q that ties terms or axes together which the prior takes for independent."""
     smallest_q: Float[Array, " S"]
