@@ -24,7 +24,7 @@ demonstrations = Dataset(tuple(collect([factory], [PickupExpert(noise=0.0)], 5, 
 
 # Few steps: 400, the recipe's own number, bring the loss a little lower.
 cost = learn_cost(model, demonstrations, CostLearningConfig(steps=100))
-for each in cost.participants:
+for each in cost.task_nodes:
     print(f"{each.name:13s} {'kept' if each.kept else 'dropped':8s} {each.reason}")
 loss = cost.history.imitation
 print(f"imitation loss {loss[0]:.3f} at the beginning, {loss[-50:].mean():.3f} in the end")

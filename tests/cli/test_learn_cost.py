@@ -289,7 +289,9 @@ def test_runs_in_which_nothing_touches(mistake, runs: list[Trajectory], tmp_path
     rest = [cut(run) for run in collect([PickupTask], [RestPolicy()], 1, 0)]
     write_trajectories(tmp_path / "demos.h5", [*runs, *rest], METADATA)
     said = mistake(*learned(Path("demos.h5"), "--out", "a.json"))
-    assert said.startswith("demos.h5: run 3: contact is never made, as the model infers it; a demo")
+    assert said.startswith(
+        "demos.h5: run 3: the model infers no contact in this demonstration; at least one"
+    )
 
 
 def test_files_that_are_no_good(mistake, demos: Path, tmp_path: Path) -> None:

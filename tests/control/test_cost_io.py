@@ -38,7 +38,7 @@ def a_cost() -> LearnedCost:
         nodes=jnp.asarray([2, 0], jnp.int32),
         kept_nodes=("gripper", "Öl-Kanne"),
         history=LearningHistory(*history),
-        participants=(
+        task_nodes=(
             TaskNode("gripper", True, 3, 2, 0.8),
             TaskNode("Öl-Kanne", False, 3, 3, 0.85),
             TaskNode("lamp", False, 2, 0, None),
@@ -62,7 +62,7 @@ def test_what_is_read_is_what_was_written(path: Path) -> None:
     for name in ("imitation", "prior", "smallest_q", "smallest_r"):
         assert np.array_equal(getattr(wanted.history, name), getattr(found.history, name)), name
     assert found.kept_nodes == wanted.kept_nodes
-    assert found.participants == wanted.participants
+    assert found.task_nodes == wanted.task_nodes
     assert describe_cost(path).made == MADE
 
 
@@ -195,9 +195,9 @@ def test_what_is_missing_is_named(path: Path, name: str) -> None:
         ("actuated", 1, "field 'actuated' must be true or false, found 1"),
         ("runs", -1, "field 'runs' must be a whole number of at least 0, found -1"),
         (
-            "first_contact_time",
+            "joins_s",
             None,
-            "field 'first_contact_time' must be a finite number, found None",
+            "field 'joins_s' must be a finite number, found None",
         ),
     ],
 )

@@ -19,7 +19,7 @@ from contactgraph.control import (
 from contactgraph.control.demonstrations import (
     demonstrations_of,
     filter_demonstrations,
-    participants,
+    task_nodes,
 )
 from contactgraph.control.learned_cost import relative_terms
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
@@ -51,7 +51,7 @@ def cost(model, runs) -> LearnedCost:
 
 def test_who_takes_part_is_kept_and_why(cost):
     assert cost.kept_nodes == ("gripper", "target") and cost.order == (0, 1)
-    gripper, target, *others = cost.participants
+    gripper, target, *others = cost.task_nodes
     assert gripper.actuated and gripper.kept and "actuated" in gripper.reason
     assert target.active_runs == target.runs == 5 and "in contact in 5 of 5" in target.reason
     assert (
@@ -180,7 +180,7 @@ def test_a_control_at_its_limit_is_held_in_the_plan(model, runs):
             lambda run: replace(run, scene=replace(run.scene, goal=None)),
             "run 1: goal is missing",
         ),
-        (lambda run: cut(run, 30, 60), "run 1: contact is never made"),
+        (lambda run: cut(run, 30, 60), "run 1: the model infers no contact"),
         (lambda run: renamed(run, "target", "cup"), "run 1: node_name must have 'target'"),
     ],
 )
@@ -201,9 +201,7 @@ def test_no_control_and_another_kind_of_scene_are_named(model, runs):
 
 def test_nodes_join_in_the_order_of_their_contacts(model, runs):
     turned = [reordered(run, (2, 1, 0, 3)) for run in runs]
-    found = participants(
-        Dataset(tuple(turned)), filter_demonstrations(model, Dataset(tuple(turned)))
-    )
+    found = task_nodes(Dataset(tuple(turned)), filter_demonstrations(model, Dataset(tuple(turned))))
     assert [each.name for each in found[:2]] == ["gripper", "target"]
 
 

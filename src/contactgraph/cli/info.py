@@ -115,9 +115,9 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
     """The cost's nodes, weights and imitation loss, as lines of text."""
     from contactgraph.control import cost_terms
 
-    lines = [f"kept     {each.name}: {each.reason}" for each in cost.participants if each.kept]
+    lines = [f"kept     {each.name}: {each.reason}" for each in cost.task_nodes if each.kept]
     dropped: dict[str, list[str]] = {}
-    for each in cost.participants:
+    for each in cost.task_nodes:
         if not each.kept:
             dropped.setdefault(each.reason, []).append(each.name)
     lines += [f"dropped  {', '.join(names)}: {why}" for why, names in dropped.items()]

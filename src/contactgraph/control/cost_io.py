@@ -70,9 +70,9 @@ def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | No
                 "actuated": each.actuated,
                 "runs": each.runs,
                 "active_runs": each.active_runs,
-                "first_contact_time": each.first_contact_time,
+                "joins_s": each.first_contact_time,
             }
-            for each in cost.participants
+            for each in cost.task_nodes
         ],
         "made": dict(made or {}),
         "history": {
@@ -145,13 +145,13 @@ def _summary(fields: JsonFields) -> CostSummary:
                 smallest_q=jnp.asarray(history.numbers("smallest_q", steps)),
                 smallest_r=jnp.asarray(history.numbers("smallest_r", steps)),
             ),
-            participants=tuple(_participant(each) for each in fields.each("participants")),
+            task_nodes=tuple(_task_node(each) for each in fields.each("participants")),
         ),
         made=fields.inner("made").content,
     )
 
 
-def _participant(fields: JsonFields) -> TaskNode:
+def _task_node(fields: JsonFields) -> TaskNode:
     runs = fields.count("runs", 0)
     active = fields.count("active_runs", 0)
     return TaskNode(
@@ -159,7 +159,7 @@ def _participant(fields: JsonFields) -> TaskNode:
         actuated=fields.truth("actuated"),
         runs=runs,
         active_runs=active,
-        first_contact_time=float(fields.numbers("first_contact_time", ())) if active else None,
+        first_contact_time=float(fields.numbers("joins_s", ())) if active else None,
     )
 
 

@@ -1,24 +1,23 @@
-"""Learning the cost that demonstrations were made by, through a differentiable LQR.
+"""Learning the cost of demonstrations through a differentiable LQR.
 
 **The policy.** From each state of a demonstration, `lqr_trajectory` solves the linear-quadratic
-problem of the next ``H`` steps, with the learned model's dynamics along what was done. That is what
-model predictive control with this cost would plan there, if it met the same contacts.
+problem of the next ``H`` steps, with the learned model's dynamics along the demonstration. Model
+predictive control with this cost would plan the same there, if it met the same contacts.
 
-**The loss.** What was planned against what was done, states and controls, each in units of how much
-they vary in the demonstrations; step ``t`` of a window counts ``discount**t``, since a controller
-that plans anew acts on the first steps. A control that was at its limit tells that the limit held
-it, no more: there it is held in the plan, too.
+**The loss.** Planned against demonstrated states and controls, each in units of its variation in
+the demonstrations. Step ``t`` of a window has the weight ``discount**t``, since a controller that
+replans acts on the first steps. A control at its limit is held there in the plan too.
 
 **What is learned.** With ``z`` the relative coordinates of `relative_basis`,
 ``Q = T^T W T``, ``W = S L L^T S`` and ``R = Lu Lu^T``, ``L`` and ``Lu`` lower triangular and free:
 every symmetric positive semi-definite Q and R, and no other. ``S`` (fixed) carries the units. A
 cost is known up to a factor, which the mean of R's diagonal settles: it is 1/N^2.
 
-**The prior.** Demonstrations with one goal, and objects in one place, leave much of Q open: a pull
-towards the object and a pull towards some point relative to the goal are the same. What transfers
-to other goals are terms that stand for themselves: gripper to object, object to goal, alike along
-all axes on which nothing falls. The share of ``W`` that is not of this form costs
-``prior_weight`` times its square: it stays where the demonstrations call for it.
+**The prior.** Demonstrations with one goal and one object position leave much of Q open: a pull
+towards the object and a pull towards some point relative to the goal are the same. Independent
+terms transfer to other goals: gripper to object, object to goal, isotropic along all axes without
+gravity. The share of ``W`` that is not of this form costs ``prior_weight`` times its square, and
+stays where the demonstrations require it.
 
 Source: the paper's cost learning (its section of that name), which follows Amos et al. 2018,
 "Differentiable MPC for End-to-end Planning and Control"; prior and basis are ours.
@@ -39,7 +38,7 @@ from contactgraph.control.demonstrations import (
     Demonstrations,
     demonstrations_of,
     filter_demonstrations,
-    participants,
+    task_nodes,
     window_starts,
 )
 from contactgraph.control.learned_cost import (
@@ -57,10 +56,10 @@ from contactgraph.model import StepModel
 
 @dataclass(frozen=True)
 class CostLearningConfig:
-    """How a cost is learned."""
+    """The settings of cost learning."""
 
     horizon: int = 20
-    """H, steps that the policy looks ahead."""
+    """H, steps of the policy's plan."""
     steps: int = 400
     """Of Adam."""
     batch: int = 256
@@ -69,7 +68,7 @@ class CostLearningConfig:
     discount: float = 0.95
     """Weight of each step of a window against the one before."""
     prior_weight: float = 3.0
-    """0: only what the demonstrations say."""
+    """0: the demonstrations alone."""
 
     def __post_init__(self) -> None:
         for name in ("horizon", "steps", "batch"):
@@ -104,10 +103,10 @@ class CostLearner(eqx.Module):
     """T"""
     units: Float[Array, " m"]
     """S: such that L = 1 answers a usual error with a usual control."""
-    alike: Float[Array, "D D"]
+    isotropy: Float[Array, "D D"]
     state_weight: Float[Array, "H+1 m"]
     control_weight: Float[Array, "H U"]
-    recipe: CostLearningConfig = eqx.field(static=True)
+    config: CostLearningConfig = eqx.field(static=True)
 
     def begin(self) -> LearnerState:
         """Before the first step: a usual error is answered with a usual control."""
@@ -118,8 +117,8 @@ class CostLearner(eqx.Module):
 
     def optimiser(self) -> optax.GradientTransformation:
         """Adam, with a rate that falls to zero."""
-        recipe = self.recipe
-        return optax.adam(optax.cosine_decay_schedule(recipe.learning_rate, recipe.steps))
+        config = self.config
+        return optax.adam(optax.cosine_decay_schedule(config.learning_rate, config.steps))
 
     def cost(self, free: FreeCost) -> tuple[Array, Array, Array]:
         """Q, R, and the relative terms without units."""
@@ -134,7 +133,7 @@ class CostLearner(eqx.Module):
         Q, R, W = self.cost(free)
 
         def one(window: Int[Array, " 2"]) -> Array:
-            done = data.window(window[0], window[1], self.recipe.horizon)
+            done = data.window(window[0], window[1], self.config.horizon)
             problem = tracking_problem(done.A, done.B, done.offset, Q, R, done.goal)
             planned = lqr_trajectory(problem, done.states[0])
             states = jnp.sum(self.state_weight * (planned.states - done.states) ** 2)
@@ -142,20 +141,21 @@ class CostLearner(eqx.Module):
             return states + controls
 
         imitation = jnp.mean(jax.vmap(one)(windows))
-        tied = jnp.sum((W - independent_part(W, self.alike)) ** 2) / jnp.sum(W**2)
+        tied = jnp.sum((W - independent_part(W, self.isotropy)) ** 2) / jnp.sum(W**2)
         even = jnp.sum((R - jnp.eye(R.shape[0])) ** 2) / R.shape[0]
         prior = tied + even
-        return imitation + self.recipe.prior_weight * prior, (imitation, prior)
+        return imitation + self.config.prior_weight * prior, (imitation, prior)
 
 
 def cost_learner(
-    data: Demonstrations, starts: np.ndarray, recipe: CostLearningConfig, alike: np.ndarray
+    data: Demonstrations, starts: np.ndarray, config: CostLearningConfig, isotropy: np.ndarray
 ) -> CostLearner:
-    """A learner whose units are those of the data; ``starts`` [W, 2], ``alike`` as in `fit_cost`.
+    """A learner whose units are those of the data; ``starts`` [W, 2], ``isotropy`` as in
+    `fit_cost`.
 
     Raises `InvalidInputError` where no window moves or no control acts.
     """
-    D, H = alike.shape[0], recipe.horizon
+    D, H = isotropy.shape[0], config.horizon
     m = data.states.shape[-1]
     states = np.asarray(data.states, dtype=np.float64)
     run, begin = starts[:, 0], starts[:, 1]
@@ -164,17 +164,17 @@ def cost_learner(
     distance = _size(moved[:, :, 0], "position")
     speed = _size(states.reshape(*states.shape[:2], -1, 2, D)[:, :, :, 1], "velocity")
     scale = np.tile(np.repeat([distance, speed], D), m // (2 * D))
-    weight = recipe.discount ** np.arange(H)
+    weight = config.discount ** np.arange(H)
     weight = weight / weight.sum()
     dtype = data.states.dtype
     U = data.controls.shape[-1]
     return CostLearner(
         basis=jnp.asarray(relative_basis(m // (2 * D), D), dtype),
         units=jnp.asarray(force / scale, dtype),
-        alike=jnp.asarray(alike, dtype),
+        isotropy=jnp.asarray(isotropy, dtype),
         state_weight=jnp.asarray(np.append(0.0, weight)[:, None] / (m * scale**2), dtype),
         control_weight=jnp.asarray(np.tile(weight[:, None] / (U * force**2), (1, U)), dtype),
-        recipe=recipe,
+        config=config,
     )
 
 
@@ -224,29 +224,29 @@ class FittedCost:
 def fit_cost(
     data: Demonstrations,
     starts: np.ndarray,
-    alike: np.ndarray,
-    recipe: CostLearningConfig,
+    isotropy: np.ndarray,
+    config: CostLearningConfig,
     seed: int = 0,
     on_step: Callable[[int, float], None] = lambda step, loss: None,
 ) -> FittedCost:
     """Q and R whose optimal plans from the states ``starts`` [W, 2] (run, step) are the data.
 
-    ``alike`` [D, D]: `isotropic_axes`. ``seed``: of the order of windows. ``on_step`` receives,
+    ``isotropy`` [D, D]: `isotropic_axes`. ``seed``: of the order of windows. ``on_step`` receives,
     every 50 steps, the steps done and the imitation loss. Raises `InvalidInputError` where Q or R
     loses its definiteness, with the step and the smallest eigenvalue.
     """
-    learner = cost_learner(data, starts, recipe, alike)
-    order = np.random.default_rng(seed).integers(len(starts), size=(recipe.steps, recipe.batch))
+    learner = cost_learner(data, starts, config, isotropy)
+    order = np.random.default_rng(seed).integers(len(starts), size=(config.steps, config.batch))
     state = learner.begin()
-    told: list[LearningHistory] = []
-    for begin in range(0, recipe.steps, _CHUNK):
+    parts: list[LearningHistory] = []
+    for begin in range(0, config.steps, _CHUNK):
         windows = jnp.asarray(starts[order[begin : begin + _CHUNK]])
         state, history = advance_learner(learner, data, state, windows)
         _check_definite(history, begin)
-        told.append(history)
+        parts.append(history)
         on_step(begin + len(windows), float(np.mean(history.imitation)))
     Q, R, _ = learner.cost(state.free)
-    history = jax.tree.map(lambda *parts: jnp.concatenate(parts), *told)
+    history = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
     return FittedCost(0.5 * (Q + Q.T), 0.5 * (R + R.T), history)
 
 
@@ -271,7 +271,7 @@ _DEFAULT = CostLearningConfig()
 def learn_cost(
     model: StepModel,
     demonstrations: Dataset,
-    recipe: CostLearningConfig = _DEFAULT,
+    config: CostLearningConfig = _DEFAULT,
     *,
     goal: Sequence[float] | np.ndarray | None = None,
     limits: ControlLimits | None = None,
@@ -280,9 +280,9 @@ def learn_cost(
 ) -> LearnedCost:
     """Q and R with which the model's optimal plans are what the demonstrations do.
 
-    Nodes that take part in none of them are left out (`participants`). ``goal`` [D] m: in place of
-    the runs' own. ``limits``: those that the controls were subject to; where one was at a limit, it
-    tells no more than that. None: there were none. ``seed`` and ``on_step`` are `fit_cost`'s.
+    Nodes that take part in none of them are left out (`task_nodes`). ``goal`` [D] m: in place of
+    the trajectories' own. ``limits``: those of the demonstrated controls; None: there were none.
+    ``seed`` and ``on_step`` are `fit_cost`'s.
 
     Raises `InvalidInputError` where a run has no control or no goal, is shorter than the horizon,
     does not fit the model, touches nothing or lacks a node; and where Q or R loses its
@@ -292,13 +292,13 @@ def learn_cost(
     place = None if goal is None else np.asarray(goal, dtype=np.float64)
     if place is not None and (place.shape != (scene.dimension,) or not np.isfinite(place).all()):
         raise InvalidInputError(f"goal must be {scene.dimension} finite numbers [m], found {goal}")
-    starts = window_starts(demonstrations, recipe.horizon)
-    followed = filter_demonstrations(model, demonstrations)
-    found = participants(demonstrations, followed)
-    kept = tuple(each.name for each in found if each.kept)
-    data = demonstrations_of(demonstrations, followed, kept, place, limits)
-    alike = isotropic_axes(scene.gravity, scene.dimension)
-    fitted = fit_cost(data, starts, alike, recipe, seed, on_step)
+    starts = window_starts(demonstrations, config.horizon)
+    filtered = filter_demonstrations(model, demonstrations)
+    nodes = task_nodes(demonstrations, filtered)
+    kept = tuple(each.name for each in nodes if each.kept)
+    data = demonstrations_of(demonstrations, filtered, kept, place, limits)
+    isotropy = isotropic_axes(scene.gravity, scene.dimension)
+    fitted = fit_cost(data, starts, isotropy, config, seed, on_step)
     return LearnedCost(
         Q=fitted.Q,
         R=fitted.R,
@@ -306,5 +306,5 @@ def learn_cost(
         nodes=jnp.asarray([scene.node_name.index(name) for name in kept], jnp.int32),
         kept_nodes=kept,
         history=fitted.history,
-        participants=found,
+        task_nodes=nodes,
     )

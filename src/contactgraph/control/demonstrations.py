@@ -1,4 +1,4 @@
-"""Demonstrations as the learner of a cost sees them: states, controls, and linear dynamics."""
+"""Demonstrations for cost learning: states, controls, linear dynamics, and their task nodes."""
 
 from collections.abc import Sequence
 
@@ -26,6 +26,7 @@ from contactgraph.model.filter import (
     on_device,
 )
 
+_EXACT = ContactSensor()
 _AT_LIMIT = 1e-4
 """Part of the range of a control within which it counts as at a limit."""
 
@@ -42,14 +43,14 @@ class DemonstrationWindow(eqx.Module):
 
 
 class Demonstrations(eqx.Module):
-    """Runs of the ``M`` kept nodes, padded to the longest; ``m = 2MD`` in `stack_state`'s order."""
+    """Trajectories of the ``M`` kept nodes, padded to the longest; ``m = 2MD`` as `stack_state`."""
 
     A: Float[Array, "runs T m m"]
     B: Float[Array, "runs T m U"]
     offset: Float[Array, "runs T m"]
     states: Float[Array, "runs T+1 m"]
     controls: Float[Array, "runs T U"]
-    """What was free to choose; 0 where a control was at a limit, whose effect is in ``offset``."""
+    """The free controls; 0 where a control was at a limit, whose effect is in ``offset``."""
     goal: Float[Array, "runs m"]
     """Of every node, at rest."""
 
@@ -71,15 +72,15 @@ class Demonstrations(eqx.Module):
 
 def demonstrations_of(
     dataset: Dataset,
-    followed: FilteredTrajectory,
+    filtered: FilteredTrajectory,
     names: Sequence[str],
     goal: np.ndarray | None = None,
     limits: ControlLimits | None = None,
 ) -> Demonstrations:
-    """The named nodes' part of every run; ``goal`` [D] m in place of the runs' own.
+    """The named nodes' part of every trajectory; ``goal`` [D] m in place of their own.
 
-    Where a control was at one of ``limits``, its optimum lies beyond: all it tells is that the
-    limit held there. So it is held in the plan, too, and not compared.
+    Where a control was at one of ``limits``, its optimum lies beyond. So it is held at the limit in
+    the plan too, and not compared.
 
     Raises `InvalidInputError`, naming the run, where one has no goal.
     """
@@ -90,18 +91,18 @@ def demonstrations_of(
     controls = np.zeros((runs, longest, U))
     goals = np.zeros((runs, M, 2, dimension))
     for number, run in enumerate(dataset):
-        place = run.scene.goal if goal is None else goal
-        if place is None:
+        target = run.scene.goal if goal is None else goal
+        if target is None:
             raise InvalidInputError(f"run {number}: goal is missing; a cost is about a goal")
         both = np.stack([run.position, run.velocity], axis=2)[:, nodes[number]]
         states[number, : run.steps + 1] = both.reshape(run.steps + 1, -1)
         controls[number, : run.steps] = run.control
-        goals[number, :, 0] = place
+        goals[number, :, 0] = target
     free = np.ones_like(controls) if limits is None else _within(controls, limits)
-    dtype = followed.dynamics.A.dtype
+    dtype = filtered.dynamics.A.dtype
     kept = jax.tree.map(
         lambda block: jax.vmap(lambda of_run, chosen: of_run[:-1, chosen])(block, nodes),
-        followed.dynamics,
+        filtered.dynamics,
     )
     A, B, offset = _stacked(kept)
     held = jnp.asarray(controls * (1.0 - free), dtype)
@@ -143,11 +144,8 @@ def _stacked(dynamics: LinearDynamics) -> tuple[Array, Array, Array]:
     return dynamics.stacked()
 
 
-_EXACT = ContactSensor()
-
-
 def filter_demonstrations(model: StepModel, demonstrations: Dataset) -> FilteredTrajectory:
-    """[runs, T, …] What the model infers along every run, padded to the longest and the largest.
+    """[runs, T, …] The model's beliefs along every trajectory, padded to the longest and largest.
 
     Contacts correct the beliefs where they were recorded. Raises `InvalidInputError`, naming the
     run, where one has no control or does not fit the model.
@@ -158,19 +156,19 @@ def filter_demonstrations(model: StepModel, demonstrations: Dataset) -> Filtered
                 f"run {number}: control must have at least one axis, found none"
             )
         check_fit(model, run.scene, run.control_size, f"run {number}")
-    return _followed(model, on_device(pad_trajectories(demonstrations), dtype_of(model)))
+    return _filtered(model, on_device(pad_trajectories(demonstrations), dtype_of(model)))
 
 
-def participants(demonstrations: Dataset, followed: FilteredTrajectory) -> tuple[TaskNode, ...]:
-    """What the runs tell of every node, by name; kept ones first, in the order of their contacts.
+def task_nodes(demonstrations: Dataset, filtered: FilteredTrajectory) -> tuple[TaskNode, ...]:
+    """Every node by name; kept ones first, in the order of their contacts.
 
     An edge is active where its probability is above 1/2. The paper drops a node that is not
     actuated and has no active edge in any demonstration at any step. Raises `InvalidInputError`,
     naming the run, where nothing touches or a node that takes part is missing.
     """
-    probability = np.asarray(followed.posterior.probability)
-    joins: dict[str, list[float]] = {}
-    seen: dict[str, int] = {}
+    probability = np.asarray(filtered.posterior.probability)
+    contact_times: dict[str, list[float]] = {}
+    counts: dict[str, int] = {}
     actuated: set[str] = set()
     for number, run in enumerate(demonstrations):
         count = run.scene.node_count
@@ -178,35 +176,35 @@ def participants(demonstrations: Dataset, followed: FilteredTrajectory) -> tuple
         active = probability[number, : run.steps + 1, : len(pairs)] > 0.5
         if not active.any():
             raise InvalidInputError(
-                f"run {number}: contact is never made, as the model infers it; a demonstration "
-                "must touch what it is about"
+                f"run {number}: the model infers no contact in this demonstration; at least one is "
+                "required"
             )
         for node, name in enumerate(run.scene.node_name):
-            seen[name] = seen.get(name, 0) + 1
-            joins.setdefault(name, [])
+            counts[name] = counts.get(name, 0) + 1
+            contact_times.setdefault(name, [])
             touching = active[:, (pairs == node).any(axis=1)].any(axis=1)
             if touching.any():
-                joins[name].append(float(np.argmax(touching)) * run.scene.dt)
+                contact_times[name].append(float(np.argmax(touching)) * run.scene.dt)
             if run.scene.actuated[node]:
                 actuated.add(name)
-    found = [
+    nodes = [
         TaskNode(
             name=name,
             actuated=name in actuated,
-            runs=seen[name],
+            runs=counts[name],
             active_runs=len(times),
             first_contact_time=float(np.median(times)) if times else None,
         )
-        for name, times in joins.items()
+        for name, times in contact_times.items()
     ]
-    for each in found:
+    for each in nodes:
         _check_everywhere(each, demonstrations)
-    return tuple(sorted(found, key=_in_order))
+    return tuple(sorted(nodes, key=_in_order))
 
 
 def _in_order(each: TaskNode) -> tuple[bool, bool, float]:
-    joins = np.inf if each.first_contact_time is None else each.first_contact_time
-    return not each.kept, not each.actuated, joins
+    time = np.inf if each.first_contact_time is None else each.first_contact_time
+    return not each.kept, not each.actuated, time
 
 
 def _check_everywhere(each: TaskNode, demonstrations: Dataset) -> None:
@@ -221,5 +219,5 @@ def _check_everywhere(each: TaskNode, demonstrations: Dataset) -> None:
 
 
 @eqx.filter_jit
-def _followed(model: StepModel, runs: TrajectoryBatch[Array]) -> FilteredTrajectory:
+def _filtered(model: StepModel, runs: TrajectoryBatch[Array]) -> FilteredTrajectory:
     return jax.lax.map(lambda run: filter_trajectory(model, run, _EXACT), runs)

@@ -1,4 +1,4 @@
-"""A cost that was learned from demonstrations, and where it belongs in a scene."""
+"""Learned costs: their nodes in a scene, and their terms in relative coordinates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,21 +12,21 @@ from contactgraph.control.cost import QuadraticCost
 from contactgraph.data import InvalidInputError, Scene
 
 ROUNDING = 1e-5
-"""Part of the largest eigenvalue, or entry, by which rounding may spoil a symmetric matrix."""
+"""Part of the largest eigenvalue, or entry, by which rounding may change a symmetric matrix."""
 
 
 @dataclass(frozen=True)
 class TaskNode:
-    """What demonstrations tell of one node: whether it takes part in the task, and why."""
+    """One node of the demonstrations: whether it takes part in the task, and why."""
 
     name: str
     actuated: bool
     runs: int
-    """Of the demonstrations, those in which the node is there."""
+    """Demonstrations in which the node exists."""
     active_runs: int
-    """Those in which it has an active edge at some step, by the model's inference."""
+    """Those in which the model infers an active edge of it at some step."""
     first_contact_time: float | None
-    """When its first edge becomes active, s; the median over those runs. None: never."""
+    """s, when its first edge becomes active; the median over those. None: never."""
 
     @property
     def kept(self) -> bool:
@@ -37,13 +37,16 @@ class TaskNode:
     def reason(self) -> str:
         """Why it is kept or dropped, in words."""
         if self.active_runs:
-            when = f"in contact in {self.active_runs} of {self.runs} runs, from {self.first_contact_time:g} s"
+            when = (
+                f"in contact in {self.active_runs} of {self.runs} runs, "
+                f"from {self.first_contact_time:g} s"
+            )
             return f"actuated; {when}" if self.actuated else when
         return "actuated" if self.actuated else f"no active edge in any of {self.runs} runs"
 
 
 class LearningHistory(eqx.Module):
-    """How learning went, step by step."""
+    """The loss and the smallest eigenvalues at each step of learning."""
 
     imitation: Float[Array, " S"]
     """Loss on states and controls, in the units of `contactgraph.control.cost_learner`."""
@@ -58,7 +61,7 @@ class LearningHistory(eqx.Module):
 class LearnedCost(eqx.Module):
     """``sum (x - goal)^T Q (x - goal) + sum u^T R u`` over the nodes that take part in a task.
 
-    ``x`` is `stack_state`'s vector of the kept nodes, in their order; the goal is the same place
+    ``x`` is `stack_state`'s vector of the kept nodes, in their order; the goal is the same point
     for all of them, at rest (the paper's ``x_f``). A cost is known up to a factor: here the mean of
     R's diagonal is 1/N^2.
 
@@ -77,20 +80,20 @@ class LearnedCost(eqx.Module):
     kept_nodes: tuple[str, ...] = eqx.field(static=True)
     """[M] names, in the order in which they come into contact: gripper, first object, …"""
     history: LearningHistory
-    participants: tuple[TaskNode, ...] = eqx.field(static=True, default=())
+    task_nodes: tuple[TaskNode, ...] = eqx.field(static=True, default=())
     """All nodes of the demonstrations, kept and dropped."""
 
     def with_goal(self, goal: Sequence[float] | np.ndarray) -> "LearnedCost":
-        """The same wishes, with another goal [D] m."""
-        place = np.asarray(goal, dtype=np.float64)
-        if place.shape != self.goal.shape or not np.all(np.isfinite(place)):
+        """The same cost, with another goal [D] m."""
+        point = np.asarray(goal, dtype=np.float64)
+        if point.shape != self.goal.shape or not np.all(np.isfinite(point)):
             raise InvalidInputError(
                 f"goal must be {self.goal.shape[0]} finite numbers [m], found {goal}"
             )
-        return replace(self, goal=jnp.asarray(place, self.goal.dtype))
+        return replace(self, goal=jnp.asarray(point, self.goal.dtype))
 
     def in_scene(self, scene: Scene) -> "LearnedCost":
-        """The same wishes in another scene: its goal, and its nodes of the same names.
+        """The same cost in another scene: its goal, and its nodes of the same names.
 
         Raises `InvalidInputError` where the scene has no goal or lacks a node.
         """
@@ -107,8 +110,8 @@ class LearnedCost(eqx.Module):
                 f"the cost is about the nodes {', '.join(self.kept_nodes)}, but the scene has no "
                 f"{', '.join(missing)}; its nodes are {', '.join(scene.node_name)}"
             )
-        found = [scene.node_name.index(name) for name in self.kept_nodes]
-        return replace(self.with_goal(scene.goal), nodes=jnp.asarray(found, jnp.int32))
+        nodes = [scene.node_name.index(name) for name in self.kept_nodes]
+        return replace(self.with_goal(scene.goal), nodes=jnp.asarray(nodes, jnp.int32))
 
     @property
     def order(self) -> tuple[int, ...]:
@@ -116,7 +119,7 @@ class LearnedCost(eqx.Module):
         return tuple(int(node) for node in self.nodes)
 
     def among(self, nodes: Sequence[int]) -> "LearnedCost":
-        """The same wishes about other nodes [M] in the places of the kept ones, in this order."""
+        """The same cost about other nodes [M] in place of the kept ones, in this order."""
         return replace(self, nodes=jnp.asarray(nodes, jnp.int32))
 
     def quadratic(self, node_count: int) -> QuadraticCost:
@@ -135,7 +138,13 @@ class LearnedCost(eqx.Module):
 
 
 def relative_basis(nodes: int, dimension: int) -> np.ndarray:
-    """``T`` [m, m] of ``M`` nodes with D degrees of freedom, in `stack_state`'s order."""
+    """``T`` [m, m] of ``M`` nodes with D degrees of freedom, in `stack_state`'s order.
+
+    ``z = T (x - goal)`` are each node's state relative to the next one's, in the order of their
+    contacts, and the last one's relative to the goal. The basis is invertible: every symmetric
+    positive semi-definite Q is ``T^T W T``. The blocks on W's diagonal, the *relative terms* and
+    the *goal term*, tie a gripper to an object and an object to its goal, as the paper's costs do.
+    """
     return np.kron(np.eye(nodes) - np.eye(nodes, k=1), np.eye(2 * dimension))
 
 
@@ -150,21 +159,21 @@ def relative_names(nodes: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{a} - {b}" for a, b in zip(nodes, (*nodes[1:], "goal"), strict=True))
 
 
-def independent_part(W: Float[Array, "m m"], alike: Float[Array, "D D"]) -> Float[Array, "m m"]:
-    """The part of W in which terms do not touch each other, nor axes, and alike axes are alike.
+def independent_part(W: Float[Array, "m m"], isotropy: Float[Array, "D D"]) -> Float[Array, "m m"]:
+    """The part of W without products of different terms or axes, equal along isotropic axes.
 
-    ``alike``: row i averages over the axes that are like axis i (`isotropic_axes`). It is the
-    orthogonal projection onto all W of this form; within a term position and velocity may be tied.
+    It is the orthogonal projection onto all W of this form; within a term position and velocity may
+    be tied. ``isotropy``: `isotropic_axes`.
     """
-    D = alike.shape[0]
+    D = isotropy.shape[0]
     M = W.shape[0] // (2 * D)
     blocks = W.reshape(M, 2, D, M, 2, D)
-    own = jnp.einsum("apdaqd->apqd", blocks) @ alike.T
+    own = jnp.einsum("apdaqd->apqd", blocks) @ isotropy.T
     return jnp.einsum("apqd,ab,de->apdbqe", own, jnp.eye(M), jnp.eye(D)).reshape(W.shape)
 
 
 def isotropic_axes(gravity: np.ndarray | None, dimension: int) -> np.ndarray:
-    """[D, D] Row i averages over the axes like axis i: those on which nothing falls are alike."""
+    """[D, D] Row i averages over the axes that axis i is equal to: those without gravity."""
     falls = np.zeros(dimension, bool) if gravity is None else np.asarray(gravity) != 0.0
     same = (falls[:, None] == falls[None, :]) & ~(falls[:, None] & falls[None, :])
     same = same | np.eye(dimension, dtype=bool)

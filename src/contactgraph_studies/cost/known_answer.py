@@ -47,7 +47,7 @@ def own_cost(task: CostTask) -> LearnedCost:
         nodes=jnp.asarray(terms.chain, jnp.int32),
         kept_nodes=tuple(scene.node_name[node] for node in terms.chain),
         history=LearningHistory(nothing, nothing, nothing, nothing),
-        participants=(),
+        task_nodes=(),
     )
 
 
