@@ -32,7 +32,7 @@ class MPPI(eqx.Module):
             after = rollout(model, state, controls, nodes)
             moved = jnp.stack([after.position, after.velocity], axis=2)
             states = jnp.concatenate([start[None], moved])
-            return states, after.belief, cost(states.reshape(len(states), -1), controls)
+            return states, after.belief, cost(states, controls)
 
         shape = (self.samples, self.horizon, U)
         tried = self.limits(mean + self.noise * jax.random.normal(jax.random.key(0), shape))

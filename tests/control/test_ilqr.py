@@ -52,10 +52,6 @@ def replay(model, state, nodes, controls):
     return jnp.stack([everything.position, everything.velocity], axis=2)
 
 
-def cost_of(cost, states, controls):
-    return cost(states.reshape(len(states), -1), controls)
-
-
 def random_tasks(count):
     """Random nonlinear models that also switch, with random costs; 3 nodes in the plane."""
     rng = np.random.default_rng(0)
@@ -94,11 +90,8 @@ def solve_twice(tasks, limits):
         _, plans = jax.lax.scan(again, guess, None, 2)
         first = jax.tree.map(lambda leaf: leaf[0], plans)
         replayed = replay(model, state, nodes, first.controls)
-        costs = (
-            cost_of(cost, replay(model, state, nodes, guessed), guessed),
-            cost_of(cost, replayed, first.controls),
-        )
-        return costs, plans
+        guessed_cost = cost(replay(model, state, nodes, guessed), guessed)
+        return (guessed_cost, cost(replayed, first.controls)), plans
 
     # One after the other, as in use: side by side all would wait for the slowest.
     return jax.lax.map(each, tasks)

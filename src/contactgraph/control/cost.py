@@ -49,16 +49,16 @@ class QuadraticCost(eqx.Module):
         """U, the size of the control."""
         return self.R.shape[-1]
 
-    def __call__(self, states: Float[Array, "H+1 n"], controls: Float[Array, "H U"]) -> Array:
-        """The cost of a plan."""
+    def __call__(self, states: Float[Array, "H+1 ..."], controls: Float[Array, "H U"]) -> Array:
+        """The cost of states [H+1, N, 2, D] or [H+1, n] and controls."""
         return jnp.sum(self.by_step(states, controls))
 
     def by_step(
-        self, states: Float[Array, "H+1 n"], controls: Float[Array, "H U"]
+        self, states: Float[Array, "H+1 ..."], controls: Float[Array, "H U"]
     ) -> Float[Array, " H+1"]:
-        """What each step adds to it, the last its state alone; none is negative."""
+        """The cost of each step, of the last its state alone; none is negative."""
         Q, R, goal = self.over(controls.shape[0])
-        error = states - goal
+        error = states.reshape(goal.shape) - goal
         of_state = jnp.sum(error * jnp.einsum("tij,tj->ti", Q, error), axis=-1)
         of_control = jnp.sum(controls * jnp.einsum("tij,tj->ti", R, controls), axis=-1)
         return of_state.at[:-1].add(of_control)
