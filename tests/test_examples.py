@@ -17,6 +17,7 @@ SAYS = {
     "05_own_task.py": "Fetch keeps the contract\nsuccess: 100%",
     "06_compose_a_model.py": "with the true masses, contact frozen",
     "07_learn_cost.py": "goals that no demonstration had: 100 %",
+    "extend_metric.py": "touches not predicted on time",
     "extend_planner_mppi.py": "nearer",
     "extend_task.py": "Line meets the task contract; the expert's success: True",
 }

@@ -81,7 +81,7 @@ def test_edges_without_truth_are_not_scored(
     told(["evaluate", "pickup", pickups], tmp_path / "full.json")
     assert "not scored" not in capsys.readouterr().out
     assert cli.run(["evaluate", "pickup", str(bare), "--misses", "0.1"]) == 2
-    assert "1 of 2 runs have no contact field" in capsys.readouterr().err
+    assert "1 of 2 trajectories have no contact field" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from evaluation_worlds import DT, random_run, scene_of
 from contactgraph.data import Scene, Trajectory
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect
-from contactgraph.evaluate.baselines import constant_velocity, frozen_contact, joined
+from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle, joined
 
 
 def rmse(predicted, run, windows):
@@ -60,7 +60,7 @@ def test_frozen_contact_against_substeps_of_a_loop(substeps):
             velocity[:3] += DT / substeps * 2 * control / mass[:3].sum()
             position += DT / substeps * velocity
         expected.append(position.copy())
-    assert np.allclose(frozen_contact(run, 4)[1], expected, atol=1e-12)
+    assert np.allclose(fixed_contact_oracle(run, 4)[1], expected, atol=1e-12)
 
 
 def test_weight_pulls_at_what_is_carried_and_nothing_else():
@@ -82,12 +82,12 @@ def test_weight_pulls_at_what_is_carried_and_nothing_else():
     velocity, force = rng.normal(size=(4, 5, 3)), rng.normal(size=(3, 3))
     velocity[:, 3] = 0.0
     run = Trajectory(scene, rng.normal(size=(4, 5, 3)), velocity, force, contact)
-    moved = frozen_contact(run, 1) - constant_velocity(run, 1)
+    moved = fixed_contact_oracle(run, 1) - constant_velocity(run, 1)
     carried = (force + 3.0 * gravity) / 7.0 * DT**2 / 2
     np.testing.assert_allclose(moved[:, 0, :3], np.repeat(carried[:, None], 3, axis=1), atol=1e-14)
     assert not moved[:, 0, 3:].any()
     planar = replace(run, scene=replace(scene, gravity=None))
-    light = frozen_contact(planar, 1) - constant_velocity(planar, 1)
+    light = fixed_contact_oracle(planar, 1) - constant_velocity(planar, 1)
     np.testing.assert_allclose(light[:, 0, 1], force / 7.0 * DT**2 / 2, atol=1e-14)
 
 
@@ -96,29 +96,31 @@ def test_without_substeps_the_motion_is_the_exact_one():
         replace(scene_of(1), mass=np.ones(1)),
         np.zeros((3, 1, 2)), np.zeros((3, 1, 2)), np.ones((2, 2)), np.zeros((3, 1, 1)),
     )  # fmt: skip
-    assert np.allclose(frozen_contact(run, 2)[0, :, 0, 0], [DT**2 / 2, (2 * DT) ** 2 / 2])
+    assert np.allclose(fixed_contact_oracle(run, 2)[0, :, 0, 0], [DT**2 / 2, (2 * DT) ** 2 / 2])
 
 
 def test_a_control_of_another_size_than_the_dimension():
     run = random_run(2, 4, 0)
     none = replace(run, control=np.zeros((4, 0)), contact=np.zeros((5, 2, 2)))
-    assert np.allclose(frozen_contact(none, 2), constant_velocity(none, 2))
+    assert np.allclose(fixed_contact_oracle(none, 2), constant_velocity(none, 2))
     more = replace(run, control=np.column_stack([run.control, np.ones(4)]))
-    assert np.array_equal(frozen_contact(more, 2), frozen_contact(run, 2))
+    assert np.array_equal(fixed_contact_oracle(more, 2), fixed_contact_oracle(run, 2))
 
 
 def test_unknown_masses_contacts_or_hinges_in_space_give_none():
     run = random_run(2, 4, 0)
-    assert frozen_contact(run, 2) is not None
-    assert frozen_contact(replace(run, contact=None), 2) is None
-    assert frozen_contact(replace(run, scene=replace(run.scene, mass=None)), 2) is None
+    assert fixed_contact_oracle(run, 2) is not None
+    assert fixed_contact_oracle(replace(run, contact=None), 2) is None
+    assert fixed_contact_oracle(replace(run, scene=replace(run.scene, mass=None)), 2) is None
     deep = replace(run.scene, dimension=3, anchor=np.zeros((2, 3)), metadata={})
     in_space = Trajectory(
         deep, np.zeros((5, 2, 3)), np.zeros((5, 2, 3)), np.zeros((4, 2)), run.contact
     )
-    assert frozen_contact(in_space, 2) is None
+    assert fixed_contact_oracle(in_space, 2) is None
     nowhere = replace(run.scene, anchor=np.full((2, 2), np.nan))
-    assert np.array_equal(frozen_contact(replace(run, scene=nowhere), 2), frozen_contact(run, 2))
+    assert np.array_equal(
+        fixed_contact_oracle(replace(run, scene=nowhere), 2), fixed_contact_oracle(run, 2)
+    )
 
 
 def test_on_real_pickups_only_changes_of_contact_are_hard():
@@ -128,7 +130,7 @@ def test_on_real_pickups_only_changes_of_contact_are_hard():
             [(run.contact[t : t + 11] != run.contact[t]).any() for t in range(starts)]
         )
         assert change.any() and not change.all()
-        predicted = frozen_contact(run, 10)
+        predicted = fixed_contact_oracle(run, 10)
         assert rmse(predicted, run, ~change) < 1e-4
         assert rmse(predicted, run, change) > 0.03
         assert rmse(constant_velocity(run, 10), run, ~change) > 0.01

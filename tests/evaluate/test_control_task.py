@@ -179,7 +179,7 @@ def test_inspection_sees_what_the_controller_believes():
     assert not np.allclose(blind.belief, insight.belief, atol=1e-2)
     # The first step of every open-loop window is the same prediction.
     detail = evaluate_open_loop(model, Dataset((run,)), horizon_s=DT).detail
-    assert np.array_equal(detail.edge_active[:, 0], insight.belief > 0.5)
+    assert np.array_equal(detail.measured.edge_active[:, 0], insight.belief > 0.5)
 
 
 def test_scene_nodes_pads_and_knows_candidates():

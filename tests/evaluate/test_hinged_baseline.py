@@ -9,7 +9,7 @@ from evaluation_worlds import DT, scene_of
 from contactgraph.data import Trajectory
 from contactgraph.envs import DoorExpert, DoorTask
 from contactgraph.evaluate import collect
-from contactgraph.evaluate.baselines import constant_velocity, frozen_contact
+from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 
 HINGE = np.array([0.3, -0.2])
 NOWHERE = [np.nan, np.nan]
@@ -44,12 +44,12 @@ def test_an_untouched_door_turns_evenly_and_the_gripper_flies_on():
         np.ones((6, 2)),
         [],
     )
-    found = frozen_contact(run, 6)[0]
+    found = fixed_contact_oracle(run, 6)[0]
     expected = [around(0.5, 0.4 + rate * DT * step) for step in range(1, 7)]
     assert np.allclose(found[:, 1], expected, atol=1e-12)
     assert np.linalg.norm(constant_velocity(run, 6)[0, -1, 1] - expected[-1]) > 0.05
     free = replace(run, scene=replace(run.scene, anchor=None))
-    assert np.array_equal(found[:, 0], frozen_contact(free, 6)[0, :, 0])
+    assert np.array_equal(found[:, 0], fixed_contact_oracle(free, 6)[0, :, 0])
 
 
 @pytest.mark.parametrize(("substeps", "tolerance"), [(None, 1e-4), (4, 1e-12)])
@@ -75,26 +75,28 @@ def test_held_together_they_turn_as_one(substeps, tolerance):
             angle += DT / fine * rate
         expected.append([around(0.8, 0.9 + angle), around(0.5, 1.0 + angle)])
     assert abs(angle) > 0.1
-    assert np.allclose(frozen_contact(run, 8)[0], expected, atol=tolerance)
+    assert np.allclose(fixed_contact_oracle(run, 8)[0], expected, atol=tolerance)
 
 
 def test_two_hinges_lock_and_one_shared_hinge_does_not():
     places = [around(0.8, 0.9), around(0.5, 1.0), around(0.5, 0.8)]
     push = 5.0 * np.ones((4, 2)) * [1, -1]
     both = [(0, 1), (0, 2)]
-    shared = frozen_contact(doors(places, np.zeros((3, 2)), push, both), 4)[0]
+    shared = fixed_contact_oracle(doors(places, np.zeros((3, 2)), push, both), 4)[0]
     assert np.linalg.norm(shared[-1, 0] - places[0]) > 0.01
     anchor = [NOWHERE, HINGE, HINGE + 1.0]
-    locked = frozen_contact(doors(places, np.zeros((3, 2)), push, both, anchor), 4)[0]
+    locked = fixed_contact_oracle(doors(places, np.zeros((3, 2)), push, both, anchor), 4)[0]
     assert np.allclose(locked, np.array(places), atol=1e-12)
     # Another door that nobody touches is no hindrance.
-    apart = frozen_contact(doors(places, np.zeros((3, 2)), push, [(0, 1)], anchor), 4)[0]
+    apart = fixed_contact_oracle(doors(places, np.zeros((3, 2)), push, [(0, 1)], anchor), 4)[0]
     assert np.linalg.norm(apart[-1, 0] - places[0]) > 0.01
     assert np.allclose(apart[:, 2], places[2])
 
 
 def test_a_body_in_its_own_hinge_stays():
-    found = frozen_contact(doors([HINGE, HINGE], np.ones((2, 2)), np.ones((3, 2)), [(0, 1)]), 3)
+    found = fixed_contact_oracle(
+        doors([HINGE, HINGE], np.ones((2, 2)), np.ones((3, 2)), [(0, 1)]), 3
+    )
     assert np.allclose(found, HINGE)
 
 
@@ -108,7 +110,7 @@ def test_on_real_doors_only_changes_of_contact_are_hard():
     def rmse(predicted, windows):
         return np.sqrt(np.mean(np.sum((predicted - truth)[windows] ** 2, axis=-1)))
 
-    frozen = frozen_contact(run, 10)
+    frozen = fixed_contact_oracle(run, 10)
     assert rmse(frozen, ~change) < 1e-3
     assert rmse(constant_velocity(run, 10), ~change) > 0.01
     assert rmse(frozen, change) > 0.01

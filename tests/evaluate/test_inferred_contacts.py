@@ -47,8 +47,8 @@ def test_motion_finds_in_closed_loop_what_distance_denies(model) -> None:
     inferred, _ = control_task(
         model, WIDER, 1, 7100, measured=False, replan_every=10, motion_noise=noise
     )
-    assert without.found.edges.recall < 0.5 and inferred.found.edges.f1 > 0.95
-    assert inferred.found.onset_delays == (0.0,)
+    assert without.estimated.edges.recall < 0.5 and inferred.estimated.edges.f1 > 0.95
+    assert inferred.estimated.onset_delays == (0.0,)
 
 
 def test_policies_are_told_what_was_applied() -> None:

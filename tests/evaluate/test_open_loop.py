@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from operator import attrgetter
 
 import equinox as eqx
 import jax
@@ -9,7 +10,7 @@ from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run, scen
 
 from contactgraph.data import Dataset, InvalidInputError, Trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import collect, evaluate_open_loop
+from contactgraph.evaluate import OpenLoopDetail, collect, evaluate_open_loop
 from contactgraph.model import gim_temp
 
 JSON_KEYS = {
@@ -44,7 +45,7 @@ def untrained():
 
 def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):
     assert glued.n_step_rmse_m == pytest.approx(glued.frozen_contact_rmse_m, rel=1e-3)
-    assert np.allclose(glued.detail.squared_error, glued.detail.frozen_contact, atol=1e-5)
+    assert np.allclose(glued.detail.measured.squared_error, glued.detail.fixed_contact, atol=1e-5)
     assert glued.frozen_contact_rmse_free_m < 1e-4 < 0.01 < glued.constant_velocity_rmse_free_m
     assert glued.frozen_contact_rmse_contact_m == pytest.approx(glued.n_step_rmse_contact_m, 1e-3)
     assert glued.constant_velocity_rmse_contact_m > 0.03
@@ -121,8 +122,9 @@ def test_metrics_against_a_loop():
     assert found.edge_recall == pytest.approx(cells[1, 1] / cells[:, 1].sum())
     assert found.edge_accuracy == pytest.approx(np.trace(cells) / cells.sum())
     detail = found.detail
-    assert np.allclose(detail.rmse_by_window(detail.squared_error) ** 2, np.mean(errors, (1, 2)))
-    assert np.allclose(detail.rmse_by_step(detail.squared_error) ** 2, np.mean(errors, (0, 2)))
+    squared = detail.measured.squared_error
+    assert np.allclose(detail.rmse_by_window(squared) ** 2, np.mean(errors, (1, 2)))
+    assert np.allclose(detail.rmse_by_step(squared) ** 2, np.mean(errors, (0, 2)))
     assert np.allclose(detail.horizon, [0.05, 0.1, 0.15])
 
 
@@ -130,7 +132,7 @@ def test_the_belief_is_carried_once_for_every_step():
     detail = evaluate_open_loop(Fades(), Dataset((random_run(2, 8, 2),)), horizon_s=3 * DT).detail
     # Step h of a window that starts from state t is the (t + h + 1)-th; 0.8^3 > 1/2 > 0.8^4.
     made = detail.start[:, None] + np.arange(3) + 1
-    assert np.array_equal(detail.edge_active_unmeasured[:, :, 0], made <= 3)
+    assert np.array_equal(detail.unmeasured.edge_active[:, :, 0], made <= 3)
 
 
 def test_bodies_at_rest_dilute_only_the_mean_over_all():
@@ -164,29 +166,52 @@ def test_what_is_not_recorded_is_none_and_the_rest_is_the_same(untrained):
     assert found.frozen_contact_rmse_m is None and found.edge_f1 == full.edge_f1
 
 
+def test_metrics_of_ones_own(untrained):
+    dataset = Dataset((random_run(2, 6, 0),))
+
+    def last_error(detail: OpenLoopDetail) -> float:
+        return float(np.sqrt(detail.measured.squared_error[:, -1].max()))
+
+    metrics = {"last_error_m": last_error, "unknown": lambda detail: None, "far": lambda _: np.inf}
+    found = evaluate_open_loop(untrained, dataset, horizon_s=3 * DT, metrics=metrics)
+    assert found.extra["last_error_m"] == last_error(found.detail) > 0.0
+    numbers = found.to_json()
+    assert (numbers["unknown"], numbers["far"]) == (None, None)
+    plain = evaluate_open_loop(untrained, dataset, horizon_s=3 * DT)
+    assert numbers == plain.to_json() | dict.fromkeys(metrics) | {
+        "last_error_m": found.extra["last_error_m"]
+    }
+    with pytest.raises(InvalidInputError, match="metrics must have new names, found 'windows'"):
+        evaluate_open_loop(untrained, dataset, horizon_s=3 * DT, metrics={"windows": last_error})
+
+
 def test_ragged_runs_are_as_each_alone(untrained):
     runs = (random_run(2, 6, 0), random_run(4, 11, 1), random_run(3, 2, 2))
     together = evaluate_open_loop(untrained, Dataset(runs), horizon_s=3 * DT).detail
-    assert together.run.tolist() == [0] * 4 + [1] * 9  # run 2 is too short
-    real = [together.squared_error[together.run == n][..., : 2 + 2 * n] for n in (0, 1)]
-    assert together.rmse(together.squared_error) == pytest.approx(
+    assert together.trajectory.tolist() == [0] * 4 + [1] * 9  # the third is too short
+    squared = together.measured.squared_error
+    real = [squared[together.trajectory == n][..., : 2 + 2 * n] for n in (0, 1)]
+    assert together.rmse(squared) == pytest.approx(
         np.sqrt(np.mean(np.concatenate([errors.ravel() for errors in real])))
     )
-    first = together.run == 0
-    assert together.rmse(together.squared_error, first) == pytest.approx(np.sqrt(np.mean(real[0])))
+    first = together.trajectory == 0
+    assert together.rmse(squared, first) == pytest.approx(np.sqrt(np.mean(real[0])))
     for number in (0, 1):
         alone = evaluate_open_loop(untrained, Dataset((runs[number],)), horizon_s=3 * DT).detail
-        mine, count = together.run == number, runs[number].scene.node_count
+        mine, count = together.trajectory == number, runs[number].scene.node_count
         edges = count * (count - 1) // 2
         assert np.array_equal(together.start[mine], alone.start)
-        for name in ("squared_error", "squared_error_unmeasured", "frozen_contact"):
-            found = getattr(together, name)[mine]
-            assert np.allclose(found[..., :count], getattr(alone, name), rtol=1e-4, atol=1e-8)
+        for name in ("measured.squared_error", "unmeasured.squared_error", "fixed_contact"):
+            found, expected = (attrgetter(name)(each) for each in (together, alone))
+            found = found[mine]
+            assert np.allclose(found[..., :count], expected, rtol=1e-4, atol=1e-8)
             assert not found[..., count:].any()
         assert np.array_equal(together.exists[mine][:, :count], alone.exists)
         assert not together.exists[mine][:, count:].any()
         assert np.array_equal(together.contact[mine][..., :edges], alone.contact)
-        assert np.array_equal(together.edge_active[mine][..., :edges], alone.edge_active)
+        assert np.array_equal(
+            together.measured.edge_active[mine][..., :edges], alone.measured.edge_active
+        )
         assert np.array_equal(together.contact_changes[mine], alone.contact_changes)
         assert not together.edge_exists[mine][:, edges:].any()
 

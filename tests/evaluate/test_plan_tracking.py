@@ -16,7 +16,7 @@ from contactgraph.evaluate import (
     control_task,
     plan_tracking_error,
 )
-from contactgraph.evaluate.baselines import constant_velocity, frozen_contact
+from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 
 HORIZON, STEPS = 12, 10  # 0.5 s are 10 steps
 RUN = random_run(3, 45, 4)
@@ -45,11 +45,11 @@ def test_against_a_loop_over_windows():
     assert found.windows == 3  # begun at 0, 12, 24; the one of 36 ends after the run
     starts = [0, 12, 24]
     assert found.planned.rmse == pytest.approx(0.03 / np.sqrt(3))
-    for floor, value in (
+    for baseline, value in (
         (constant_velocity, found.constant_velocity),
-        (frozen_contact, found.frozen_contact),
+        (fixed_contact_oracle, found.fixed_contact),
     ):
-        predicted = floor(RUN, STEPS)
+        predicted = baseline(RUN, STEPS)
         errors = [predicted[t] - RUN.position[t + 1 : t + STEPS + 1] for t in starts]
         assert value.rmse == pytest.approx(np.sqrt(np.mean(np.sum(np.square(errors), axis=-1))))
     assert found.edges.total == 3 * STEPS * 3

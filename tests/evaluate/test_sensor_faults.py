@@ -109,5 +109,5 @@ def test_what_cannot_be():
     with pytest.raises(InvalidInputError, match="delay_steps must be at least 0, found -1"):
         SensorFaults(delay_steps=-1)
     bare = strip_contacts(Dataset((random_run(2, 5, 0),)))
-    with pytest.raises(InvalidInputError, match="1 of 1 runs have no contact field"):
+    with pytest.raises(InvalidInputError, match="1 of 1 trajectories have no contact field"):
         evaluate_open_loop(GluedBodies(), bare, horizon_s=2 * DT, faults=SensorFaults(0.1))

@@ -170,7 +170,7 @@ class Control:
 
 def _print_summary(metrics: "ClosedLoopMetrics", predicted: "OpenLoopMetrics") -> None:
     low, high = metrics.success_interval
-    speed, f1 = metrics.contact_speed_m_s, metrics.found.edges.f1
+    speed, f1 = metrics.contact_speed_m_s, metrics.estimated.edges.f1
     planned = metrics.planned.planned.rmse
     print(
         f"success                    {100 * metrics.success_rate:.0f} % of "

@@ -1,4 +1,4 @@
-"""Running episodes, and the metrics over what was recorded."""
+"""Evaluation of models and controllers on recorded data and in tasks."""
 
 from contactgraph.envs.episodes import collect as collect
 from contactgraph.envs.episodes import episode_seeds as episode_seeds
@@ -15,6 +15,7 @@ from contactgraph.evaluate.model_diagnostics import rollout_growth as rollout_gr
 from contactgraph.evaluate.mpc_policy import MPCPolicy as MPCPolicy
 from contactgraph.evaluate.mpc_policy import SceneCost as SceneCost
 from contactgraph.evaluate.mpc_policy import TaskCost as TaskCost
+from contactgraph.evaluate.open_loop import Metric as Metric
 from contactgraph.evaluate.open_loop import OpenLoopMetrics as OpenLoopMetrics
 from contactgraph.evaluate.open_loop import evaluate_open_loop as evaluate_open_loop
 from contactgraph.evaluate.plan_tracking import EpisodeRecord as EpisodeRecord

@@ -1,4 +1,4 @@
-"""How well a controller does a task: success, speed at contact, what else it touched, time."""
+"""A model in closed loop with a task, and the metrics of the executed episodes."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,23 +25,23 @@ from contactgraph.evaluate.statistics import wilson_interval
 from contactgraph.model import ContactSensor, MotionNoise, StepModel
 from contactgraph.model.filter import check_fit
 
-_NOTHING_PLANNED = PlanTrackingError()
-_NOTHING_FOUND = EstimatedContacts()
+_NO_TRACKING = PlanTrackingError()
+_NO_ESTIMATES = EstimatedContacts()
 _START_UP_S = 0.25
-"""In which a gripper that starts at rest gains speed."""
+"""Time in which a gripper that starts at rest gains speed."""
 
 
 @dataclass(frozen=True)
 class ClosedLoopMetrics:
-    """What `closed_loop_metrics` measures; the names are the keys of `to_json`.
+    """The results of `closed_loop_metrics`; the names are the keys of `to_json`.
 
     Speeds are those of the gripper, the first node of the task's chain, over the episodes in
-    which it touches the chain's next node. None: no episode tells.
+    which it touches the chain's next node. None: no episode determines a number.
     """
 
     episodes: int
     seed: int
-    """From which the episodes' seeds were spawned."""
+    """Seed of the sequence of the episodes' seeds."""
     success_rate: float
     success_interval: tuple[float, float]
     """95 %, Wilson."""
@@ -54,30 +54,30 @@ class ClosedLoopMetrics:
     touched_bystanders: int | None
     """Episodes in which a node of the chain touched a node outside it."""
     plan_ms_p50: float | None
-    """Median time of a control tick (correct, plan, hand over), ms."""
+    """Median time of a control step (correct, plan, return), ms."""
     plan_ms_p99: float | None
     planned: PlanTrackingError = field(default_factory=PlanTrackingError)
-    """Plans against what came of them; its keys stand beside the others in `to_json`."""
-    found: EstimatedContacts = field(default_factory=EstimatedContacts)
-    """Beliefs against contacts, as they were; as above."""
+    """Planned against executed motion; its keys are beside the others in `to_json`."""
+    estimated: EstimatedContacts = field(default_factory=EstimatedContacts)
+    """Beliefs against true contacts; as above."""
 
     def to_json(self) -> dict[str, float | int | list[float] | None]:
         """All numbers by name."""
         numbers = {each.name: getattr(self, each.name) for each in fields(self)}
-        del numbers["planned"], numbers["found"]
+        del numbers["planned"], numbers["estimated"]
         interval = list(self.success_interval)
-        told = {**self.planned.to_json(), **self.found.to_json()}
-        return {**numbers, "success_interval": interval, **told}
+        parts = {**self.planned.to_json(), **self.estimated.to_json()}
+        return {**numbers, "success_interval": interval, **parts}
 
 
 @dataclass(frozen=True)
 class Approach:
-    """How the gripper came to its first contact in one episode."""
+    """The gripper's approach to its first contact in one episode."""
 
     contact_speed: float
     """In the last state before contact, m/s."""
     slowest: float | None
-    """Lowest speed after start-up and before contact, m/s. None: contact came in start-up."""
+    """Lowest speed after start-up and before contact, m/s. None: contact during start-up."""
 
 
 def closed_loop_metrics(
@@ -86,16 +86,16 @@ def closed_loop_metrics(
     chain: Sequence[int],
     seed: int,
     plan_ms: Sequence[float] | np.ndarray = (),
-    planned: PlanTrackingError = _NOTHING_PLANNED,
-    found: EstimatedContacts = _NOTHING_FOUND,
+    planned: PlanTrackingError = _NO_TRACKING,
+    estimated: EstimatedContacts = _NO_ESTIMATES,
 ) -> ClosedLoopMetrics:
     """Metrics of executed episodes.
 
-    ``succeeded``: the task's own verdict on each. ``chain``: the task's nodes in order, gripper
-    first. ``plan_ms``: the times of all control ticks of all episodes, ms; none: not measured.
-    ``planned`` and ``found``: the sums of the episodes' `plan_tracking_error` and
+    ``succeeded``: the task's own result for each. ``chain``: the task's nodes in order, gripper
+    first. ``plan_ms``: the times of all control steps of all episodes, ms; none: not measured.
+    ``planned`` and ``estimated``: the sums of the episodes' `plan_tracking_error` and
     `estimated_contacts`; none: not measured.
-    Raises `InvalidInputError` where there is no episode, verdicts do not match the episodes, or
+    Raises `InvalidInputError` where there is no episode, ``succeeded`` has another length, or
     an episode lacks a node of the chain.
     """
     if not trajectories or len(succeeded) != len(trajectories):
@@ -103,13 +103,13 @@ def closed_loop_metrics(
             f"succeeded must have one entry an episode, at least one, found {len(succeeded)} for "
             f"{len(trajectories)} episodes"
         )
-    fewest = min(run.scene.node_count for run in trajectories)
+    fewest = min(each.scene.node_count for each in trajectories)
     if not chain or not 0 <= min(chain) <= max(chain) < fewest:
         raise InvalidInputError(f"chain must name nodes 0 to {fewest - 1}, found {tuple(chain)}")
     successes = sum(bool(each) for each in succeeded)
-    approaches = [each for run in trajectories if (each := approach(run, chain)) is not None]
+    approaches = [found for each in trajectories if (found := approach(each, chain)) is not None]
     slowest = [each.slowest for each in approaches if each.slowest is not None]
-    touched = [_touched_bystander(run, chain) for run in trajectories]
+    touched = [_touched_distractor(each, chain) for each in trajectories]
     times = np.asarray(plan_ms, dtype=np.float64)
     return ClosedLoopMetrics(
         episodes=len(trajectories),
@@ -123,33 +123,33 @@ def closed_loop_metrics(
         plan_ms_p50=float(np.percentile(times, 50)) if times.size else None,
         plan_ms_p99=float(np.percentile(times, 99)) if times.size else None,
         planned=planned,
-        found=found,
+        estimated=estimated,
     )
 
 
-def approach(run: Trajectory, chain: Sequence[int]) -> Approach | None:
-    """How the chain's first node came to touch its second.
+def approach(trajectory: Trajectory, chain: Sequence[int]) -> Approach | None:
+    """The chain's first node's approach to its second.
 
     None where it never does, touches it from the start, contacts were not recorded, or the chain
     has one node.
     """
-    if run.contact is None or len(chain) < 2:
+    if trajectory.contact is None or len(chain) < 2:
         return None
-    touching = run.contact[:, chain[0], chain[1]]
+    touching = trajectory.contact[:, chain[0], chain[1]]
     first = int(np.argmax(touching))
     if first == 0:
         return None
-    speed = np.linalg.norm(run.velocity[:first, chain[0]], axis=-1)
-    start_up = round(_START_UP_S / run.scene.dt)
+    speed = np.linalg.norm(trajectory.velocity[:first, chain[0]], axis=-1)
+    start_up = round(_START_UP_S / trajectory.scene.dt)
     slowest = float(speed[start_up:].min(initial=math.inf))
     return Approach(float(speed[-1]), slowest if first > start_up else None)
 
 
-def _touched_bystander(run: Trajectory, chain: Sequence[int]) -> bool | None:
-    if run.contact is None:
+def _touched_distractor(trajectory: Trajectory, chain: Sequence[int]) -> bool | None:
+    if trajectory.contact is None:
         return None
-    member = np.isin(np.arange(run.scene.node_count), chain)
-    return bool(run.contact[:, member][:, :, ~member].any())
+    member = np.isin(np.arange(trajectory.scene.node_count), chain)
+    return bool(trajectory.contact[:, member][:, :, ~member].any())
 
 
 def _median(values: Sequence[float]) -> float | None:
@@ -157,7 +157,7 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 _EXACT = SensorFaults()
-_CLEAR = ObservationNoise()
+_NOISELESS = ObservationNoise()
 
 
 def control_task(
@@ -174,7 +174,7 @@ def control_task(
     sensor: ContactSensor | None = None,
     faults: SensorFaults = _EXACT,
     measured: bool = True,
-    noise: ObservationNoise = _CLEAR,
+    noise: ObservationNoise = _NOISELESS,
     motion_noise: MotionNoise | None = None,
     node_capacity: int = 0,
     on_episode: Callable[[Trajectory, EpisodeRecord], None] | None = None,
@@ -184,19 +184,19 @@ def control_task(
     ``cost`` None is the task's own; the force limits are its action space's. Episode ``i`` has the
     seed `collect` would give it. ``horizon``, ``iterations`` and ``replan_every`` are `ILQR`'s
     and `MPC`'s, ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s. ``on_episode`` is
-    called after each episode with what was done and what the controller thought.
+    called after each episode with the trajectory and the controller's record.
 
-    ``faults`` spoils the contacts that the controller observes, and ``measured=False`` keeps all
-    of them from it; the recorded episodes keep the truth. ``sensor`` is what the correction is
-    told of error rates, by default those of ``faults``. ``motion_noise`` is `MPC`'s: with it,
-    beliefs are corrected by the motion observed, too, on which there is ``noise``.
+    ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
+    them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
+    assumes, by default those of ``faults``. ``motion_noise`` is `MPC`'s: with it, beliefs are also
+    corrected by the observed motion, to which ``noise`` is added.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal, or a number
     is out of range.
     """
     seeds = episode_seeds(episodes, seed)
     task = task_factory()
-    # The scene, and with it the cost's chain, is known once an episode has begun.
+    # The scene, and with it the cost's chain, is known after a reset.
     task.reset(seed=seeds[0])
     box = cast(gymnasium.spaces.Box, task.action_space)
     control_size = int(np.prod(box.shape))
@@ -212,34 +212,34 @@ def control_task(
         deadline,
         motion_noise=motion_noise,
     )
-    wanted = TaskCost.of(terms, control_size) if cost is None else cost
-    _check_cost(wanted, task, control_size)
-    policy = MPCPolicy(mpc, wanted, node_capacity, faults, measured, noise)
+    scene_cost = TaskCost.of(terms, control_size) if cost is None else cost
+    _check_cost(scene_cost, task, control_size)
+    policy = MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise)
 
-    runs: list[Trajectory] = []
+    trajectories: list[Trajectory] = []
     succeeded: list[bool] = []
     plan_ms: list[np.ndarray] = []
-    planned, found = PlanTrackingError(), EstimatedContacts()
+    planned, estimated = PlanTrackingError(), EstimatedContacts()
     for episode_seed in seeds:
-        runs.append(run_episode(task, policy, episode_seed))
+        trajectories.append(run_episode(task, policy, episode_seed))
         succeeded.append(task.success())
         record = policy.record()
         plan_ms.append(record.plan_ms)
-        planned += plan_tracking_error(runs[-1], record)
-        found += estimated_contacts(runs[-1], record.found)
+        planned += plan_tracking_error(trajectories[-1], record)
+        estimated += estimated_contacts(trajectories[-1], record.estimated)
         if on_episode is not None:
-            on_episode(runs[-1], record)
+            on_episode(trajectories[-1], record)
     metrics = closed_loop_metrics(
-        runs, succeeded, terms.chain, seed, np.concatenate(plan_ms), planned, found
+        trajectories, succeeded, terms.chain, seed, np.concatenate(plan_ms), planned, estimated
     )
-    return metrics, runs
+    return metrics, trajectories
 
 
 def _check_cost(cost: SceneCost, task: Task, control_size: int) -> None:
-    """Before anything is compiled: whether the cost is about this task at all."""
-    found = cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
-    if found != control_size:
+    """Raises `InvalidInputError`, before compilation, where cost and task do not fit."""
+    size = cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
+    if size != control_size:
         raise InvalidInputError(
-            f"the cost is for control size U {found}, but the task has {control_size}; they must "
+            f"the cost is for control size U {size}, but the task has {control_size}; they must "
             "agree"
         )

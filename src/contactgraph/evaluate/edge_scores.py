@@ -1,4 +1,4 @@
-"""How well predicted contacts match the true ones."""
+"""Predicted contacts against true ones: scores, and delays of a controller's estimates."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from contactgraph.data import Trajectory, pair_indices
 
 @dataclass(frozen=True)
 class EdgeCounts:
-    """How often prediction and truth agree; counts of several runs add up.
+    """Counts of agreement between prediction and truth; those of several trajectories add up.
 
     A score is None where there is nothing to divide by.
     """
@@ -115,13 +115,13 @@ def switch_time_errors(
 
     One entry for every window and edge that is not in contact in the window's first state and is
     later: the steps between the first true contact and the first predicted one in that window.
-    Where none is predicted, the error is all that remains of the window from the true onset on.
+    Where none is predicted, the error is the rest of the window from the true onset on.
     """
     true = contact[:, 1:]
     onset = exists & ~contact[:, 0] & true.any(axis=1)
     actual = true.argmax(axis=1)
-    foreseen = np.where(predicted.any(axis=1), predicted.argmax(axis=1), predicted.shape[1])
-    return np.abs(foreseen - actual)[onset]
+    predicted_onset = np.where(predicted.any(axis=1), predicted.argmax(axis=1), predicted.shape[1])
+    return np.abs(predicted_onset - actual)[onset]
 
 
 def _count(found: np.ndarray, exists: np.ndarray) -> int:
@@ -134,11 +134,11 @@ def _share(part: int, whole: int) -> float | None:
 
 @dataclass(frozen=True)
 class EstimatedContacts:
-    """Beliefs about the step just made, corrected by all that was observed; episodes add up.
+    """Beliefs about the step just made, corrected by all observations; episodes add up.
 
-    A delay is counted from the first observation at which a contact holds, or no longer does, to
-    the first from then on that is believed; 0 where it was believed at once, or before. Infinite
-    where it never was while it lasted.
+    A delay lasts from the first observation at which a contact exists, or no longer exists, to the
+    first one from then on at which the belief agrees; 0 where the belief agreed at once or before,
+    infinite where it never agreed while the contact, or its absence, lasted.
     """
 
     edges: EdgeCounts = field(default_factory=EdgeCounts)
@@ -156,8 +156,8 @@ class EstimatedContacts:
         )
 
     def to_json(self) -> dict[str, float | int | None]:
-        """All numbers by name; None for those that are not known, or not finite: then the contact
-        that is meant was not found at all."""
+        """All numbers by name; None for those that are not known, or infinite because the contact
+        in question was never estimated."""
         return {
             "edge_precision_found": self.edges.precision,
             "edge_recall_found": self.edges.recall,
@@ -171,16 +171,18 @@ class EstimatedContacts:
         }
 
 
-def estimated_contacts(run: Trajectory, belief: np.ndarray) -> EstimatedContacts:
-    """``belief``: [S, E] probabilities at the run's first S observations, in `pair_indices`'
-    order. Nothing where contacts were not recorded."""
-    if run.contact is None:
+def estimated_contacts(trajectory: Trajectory, belief: np.ndarray) -> EstimatedContacts:
+    """The estimates of one episode; empty where contacts were not recorded.
+
+    ``belief``: [S, E] probabilities at the first S observations, in `pair_indices`' order.
+    """
+    if trajectory.contact is None:
         return EstimatedContacts()
-    first, second = pair_indices(run.scene.node_count).T
-    true = run.contact[: len(belief), first, second].astype(bool)
+    first, second = pair_indices(trajectory.scene.node_count).T
+    true = trajectory.contact[: len(belief), first, second].astype(bool)
     believed = belief > 0.5
     exists = np.ones((1, len(first)), dtype=bool)
-    dt = run.scene.dt
+    dt = trajectory.scene.dt
     return EstimatedContacts(
         edges=edge_counts(believed[None], true[None], exists),
         onset_delays=_delays(believed, true, dt),
@@ -189,20 +191,20 @@ def estimated_contacts(run: Trajectory, belief: np.ndarray) -> EstimatedContacts
 
 
 def _delays(believed: np.ndarray, true: np.ndarray, dt: float) -> tuple[float, ...]:
-    """s; of every stretch of ``true`` [S, E] that begins behind the first observation."""
+    """s; of every interval of ``true`` [S, E] that begins after the first observation."""
     delays = []
     for last_without, edge in np.argwhere(true[1:] & ~true[:-1]):
         begin = last_without + 1
         after = true[begin:, edge]
         lasts = len(after) if after.all() else int(np.argmin(after))
-        seen = believed[begin : begin + lasts, edge]
-        delays.append(dt * int(np.argmax(seen)) if seen.any() else math.inf)
+        estimated = believed[begin : begin + lasts, edge]
+        delays.append(dt * int(np.argmax(estimated)) if estimated.any() else math.inf)
     return tuple(delays)
 
 
 def _percentile_ms(delays: tuple[float, ...], share: float) -> float | None:
     if not delays:
         return None
-    # Of those measured, none in between: between a delay and infinity there is nothing.
+    # A measured value, not an interpolated one, because a delay can be infinite.
     value = 1e3 * float(np.percentile(delays, share, method="higher"))
     return value if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""What a model believes and which parameters it infers along a recorded run."""
+"""Diagnostics of a model: beliefs, parameters and growth along recorded trajectories."""
 
 import math
 from dataclasses import dataclass, fields
@@ -21,10 +21,8 @@ from contactgraph.model import (
     ContactDynamics,
     ContactSensor,
     ModelState,
-    Nodes,
     StepModel,
     control_sensitivity,
-    scene_nodes,
     stack_state,
     take_step,
 )
@@ -37,7 +35,7 @@ _EXACT = ContactSensor()
 
 @dataclass(frozen=True, eq=False)
 class ModelDiagnostics:
-    """One run of ``T`` steps, as a model sees it; entry t is about the step from t to t + 1."""
+    """A model's view of a trajectory of ``T`` steps; entry t is for the step from t to t + 1."""
 
     edges: np.ndarray
     """[E, 2] the nodes of each edge."""
@@ -49,25 +47,22 @@ class ModelDiagnostics:
 
 def model_diagnostics(
     model: ContactDynamics,
-    run: Trajectory,
+    trajectory: Trajectory,
     *,
     sensor: ContactSensor = _EXACT,
     measured: bool = True,
     node_capacity: int | None = None,
 ) -> ModelDiagnostics:
-    """Goes along a run, predicting every step from the recorded state before it.
+    """Beliefs and parameters along a trajectory, each step predicted from its recorded state.
 
     ``measured``: whether recorded contacts correct the belief, as they do in closed loop.
-    Raises `InvalidInputError` where model and run do not fit, or the run has more nodes than
-    ``node_capacity`` (default: no padding).
+    Raises `InvalidInputError` where model and trajectory do not fit, or the trajectory has more
+    nodes than ``node_capacity`` (default: no padding).
     """
-    check_fit(model, run.scene, run.control_size, "the run")
-    count = run.scene.node_count
-    capacity = count if node_capacity is None else node_capacity
-    batch = pad_trajectories((run,), capacity, contacts=measured)
-    padded = on_device(batch.at(0), dtype_of(model))
-    edges = pair_indices(count)
-    belief, parameters = _along(model, padded, sensor)
+    check_fit(model, trajectory.scene, trajectory.control_size, "the run")
+    batch = pad_trajectories((trajectory,), node_capacity, contacts=measured)
+    count, edges = trajectory.scene.node_count, pair_indices(trajectory.scene.node_count)
+    belief, parameters = _along(model, on_device(batch.at(0), dtype_of(model)), sensor)
     if parameters is not None:
         parameters = jax.tree.map(lambda leaf: np.asarray(leaf[:-1, :count]), parameters)
     return ModelDiagnostics(edges, np.asarray(belief)[:-1, : len(edges)], parameters)
@@ -75,21 +70,21 @@ def model_diagnostics(
 
 @eqx.filter_jit
 def _along(
-    model: ContactDynamics, run: TrajectoryBatch[Array], sensor: ContactSensor
+    model: ContactDynamics, trajectory: TrajectoryBatch[Array], sensor: ContactSensor
 ) -> tuple[jax.Array, SpringMassDamper | None]:
-    carried = filter_trajectory(model, run, sensor)
+    filtered = filter_trajectory(model, trajectory, sensor)
     parameters = None
     if isinstance(model.local_dynamics, SpringMassDamperDynamics):
-        states = ModelState(run.position, run.velocity, carried.posterior)
-        parameters = jax.vmap(lambda state: model.parameters(state, run.nodes))(states)
-    return carried.prior.probability, parameters
+        states = ModelState(trajectory.position, trajectory.velocity, filtered.posterior)
+        parameters = jax.vmap(lambda state: model.parameters(state, trajectory.nodes))(states)
+    return filtered.prior.probability, parameters
 
 
 @dataclass(frozen=True)
 class RolloutGrowth:
-    """What `rollout_growth` measures, medians over runs; the names are the keys of `to_json`.
+    """The results of `rollout_growth`, medians over trajectories; names are keys of `to_json`.
 
-    Growth is the largest norm of the state (all positions [m] and velocities [m/s]) on the way,
+    Growth is the largest norm of the state (all positions [m] and velocities [m/s]) in a rollout,
     over that of the first state; infinite where a prediction is not finite.
     """
 
@@ -97,15 +92,15 @@ class RolloutGrowth:
     growth_free: float
     """Without any control."""
     growth_driven: float
-    """Under the recorded controls; none after the run's end."""
+    """Under the recorded controls, then without control."""
     growth_recorded: float
-    """Of the recorded run itself, to compare with."""
+    """Of the recorded trajectory itself, for comparison."""
     finite_rollouts: float
-    """Share of rollouts, both kinds, of which every number is finite."""
+    """Share of rollouts, of both kinds, of which every number is finite."""
     spectral_radius: float
-    """Largest absolute eigenvalue of A in the first step; above 1 it grows if it is kept up."""
+    """Largest absolute eigenvalue of A in the first step; a lasting value above 1 is unstable."""
     spectral_radius_max: float
-    """The same over all finite steps under the recorded controls: the largest of any run."""
+    """The same over all finite steps under the recorded controls, the largest of all."""
 
     def to_json(self) -> dict[str, float | int | None]:
         """All numbers by name; None for those that are not finite."""
@@ -114,80 +109,67 @@ class RolloutGrowth:
 
 
 def rollout_growth(model: StepModel, dataset: Dataset, steps: int) -> RolloutGrowth:
-    """Rolls the model out for ``steps`` from the first state of every run.
+    """Rolls the model out for ``steps`` from the first state of every trajectory.
 
     Raises `InvalidInputError` where ``steps`` is not positive, or model and data do not fit.
     """
-    for run in dataset:
-        check_fit(model, run.scene, run.control_size, "the data")
+    for each in dataset:
+        check_fit(model, each.scene, each.control_size, "the data")
     if steps < 1:
         raise InvalidInputError(f"steps must be at least 1, found {steps}")
-    capacity = max(run.scene.node_count for run in dataset)
-    dtype = dtype_of(model)
-    growth: dict[str, list[float]] = {"free": [], "driven": [], "recorded": []}
-    finite: list[bool] = []
-    first_radius: list[float] = []
-    all_radius: list[float] = []
-    for run in dataset:
-        nodes = scene_nodes(run.scene, capacity)
-        position = np.zeros((capacity, run.scene.dimension), dtype)
-        velocity = np.zeros_like(position)
-        count = run.scene.node_count
-        position[:count], velocity[:count] = run.position[0], run.velocity[0]
-        controls = np.zeros((steps, run.control_size), dtype)
-        known = min(steps, run.steps)
-        controls[:known] = run.control[:known]
-        begun = float(np.linalg.norm([position, velocity]))
-        for name, pushes in (("free", np.zeros_like(controls)), ("driven", controls)):
-            norm, radius = _rollout(model, nodes, position, velocity, pushes)
-            norms = np.asarray(norm, np.float64)
-            finite.append(bool(np.isfinite(norms).all()))
-            growth[name].append(float(norms.max()) / begun if finite[-1] else math.inf)
-            if name == "driven":
-                radii = np.asarray(radius, np.float64)
-                first_radius.append(float(radii[0]))
-                all_radius += radii[np.isfinite(radii)].tolist()
-        moved = np.concatenate([run.position, run.velocity], axis=-1)[: known + 1]
-        growth["recorded"].append(float(np.linalg.norm(moved, axis=(1, 2)).max()) / begun)
+    batch = pad_trajectories(dataset, steps=max(steps, *(each.steps for each in dataset)))
+    device = on_device(batch, dtype_of(model))
+    moved = np.concatenate([batch.position, batch.velocity], axis=-1)
+    norms = np.linalg.norm(moved, axis=(2, 3))
+    recorded = norms[:, : steps + 1].max(axis=1) / norms[:, 0]
+    free, driven, first_radius, radii = [], [], [], []
+    for index in range(len(dataset)):
+        one = device.at(index)
+        controls = one.control[:steps]
+        norm, _ = _rollout(model, one, jnp.zeros_like(controls))
+        free.append(_growth(norm, norms[index, 0]))
+        norm, radius = _rollout(model, one, controls)
+        driven.append(_growth(norm, norms[index, 0]))
+        first_radius.append(float(radius[0]))
+        radii.append(np.asarray(radius, np.float64))
+    every = np.concatenate(radii)
     return RolloutGrowth(
         growth_steps=steps,
-        growth_free=float(np.median(growth["free"])),
-        growth_driven=float(np.median(growth["driven"])),
-        growth_recorded=float(np.median(growth["recorded"])),
-        finite_rollouts=float(np.mean(finite)),
+        growth_free=float(np.median(free)),
+        growth_driven=float(np.median(driven)),
+        growth_recorded=float(np.median(recorded)),
+        finite_rollouts=float(np.mean(np.isfinite(free + driven))),
         spectral_radius=float(np.median(first_radius)),
-        spectral_radius_max=max(all_radius, default=math.inf),
+        spectral_radius_max=float(max(every[np.isfinite(every)], default=math.inf)),
     )
+
+
+def _growth(norm: Array, first: float) -> float:
+    norms = np.asarray(norm, np.float64)
+    return float(norms.max() / first) if np.isfinite(norms).all() else math.inf
 
 
 @eqx.filter_jit
 def _rollout(
-    model: StepModel,
-    nodes: Nodes,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    controls: np.ndarray,
+    model: StepModel, trajectory: TrajectoryBatch[Array], controls: Float[Array, "T U"]
 ) -> tuple[Float[Array, " T"], Float[Array, " T"]]:
-    """Norm of every state that follows, and the spectral radius of every step's A.
-
-    ``position`` and ``velocity`` [N, D], ``controls`` [T, U].
-    """
+    """Norm of every state from the first one on, and the spectral radius of every step's A."""
+    nodes = trajectory.nodes
 
     Carry = tuple[ModelState, Float[Array, "N D U"]]
 
     def step(carry: Carry, control: Array) -> tuple[Carry, tuple[Array, Array]]:
         after, response, linear = take_step(model, *carry, control, nodes)
-        seen = nodes.mask[:, None]
-        moved = stack_state(
-            jnp.where(seen, after.position, 0.0), jnp.where(seen, after.velocity, 0.0)
+        exists = nodes.mask[:, None]
+        motion = stack_state(
+            jnp.where(exists, after.position, 0.0), jnp.where(exists, after.velocity, 0.0)
         )
-        radius = jnp.where(seen, _spectral_radius(linear.A), 0.0)
-        return (after, response), (jnp.linalg.norm(moved), jnp.max(radius))
+        radius = jnp.where(exists, _spectral_radius(linear.A), 0.0)
+        return (after, response), (jnp.linalg.norm(motion), jnp.max(radius))
 
-    start, speed = jnp.asarray(position), jnp.asarray(velocity)
-    first = ModelState(start, speed, model.initial_belief(start, speed, nodes))
-    begin = first, control_sensitivity(model, first, nodes)
-    return jax.lax.scan(step, begin, jnp.asarray(controls))[1]
+    position, velocity = trajectory.position[0], trajectory.velocity[0]
+    first = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
+    return jax.lax.scan(step, (first, control_sensitivity(model, first, nodes)), controls)[1]
 
 
 def _spectral_radius(A: Float[Array, "*N 2 2"]) -> Float[Array, "*N"]:

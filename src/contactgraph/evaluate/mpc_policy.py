@@ -1,4 +1,4 @@
-"""A cost as an episode needs it: about some nodes, in an order that may change on the way."""
+"""The model predictive controller as a policy in a task, with a cost for the task's scene."""
 
 import time
 from collections.abc import Sequence
@@ -22,14 +22,14 @@ from contactgraph.model import ContactBelief, scene_nodes
 
 
 class SceneCost(Cost, Protocol):
-    """A cost that finds its place in a scene. `contactgraph.control.LearnedCost` is one."""
+    """A cost that can be applied to a scene, such as `contactgraph.control.LearnedCost`."""
 
     @property
     def order(self) -> tuple[int, ...]:
-        """The nodes it is about, from the actuated one to the one that is taken to the goal."""
+        """The nodes of the cost, from the actuated one to the one that is moved to the goal."""
 
     def in_scene(self, scene: Scene) -> "SceneCost":
-        """About this scene and its goal; raises `InvalidInputError` where it does not fit."""
+        """The cost for this scene and its goal; raises `InvalidInputError` if it does not fit."""
 
     def among(self, nodes: Sequence[int]) -> "SceneCost":
         """The same with its nodes in another order."""
@@ -48,23 +48,23 @@ class TaskCost:
 
     @classmethod
     def of(cls, terms: ChainCost, control_size: int) -> "TaskCost":
-        """Before the scene is known."""
+        """The cost before its scene is known."""
         return cls(terms, control_size, terms.chain)
 
     def in_scene(self, scene: Scene) -> "TaskCost":
-        """With the scene's goal."""
+        """The cost with the scene's goal."""
         if scene.goal is None:
             raise InvalidInputError("the scene has no goal; a plan needs one")
         return replace(self, order=self.terms.chain, goal=scene.goal)
 
     def among(self, nodes: Sequence[int]) -> "TaskCost":
-        """Along the chain in another order."""
+        """The cost along the chain in another order."""
         return replace(self, order=tuple(nodes))
 
     def quadratic(self, node_count: int) -> QuadraticCost:
         """The chain's cost; the goal must be known."""
         if self.goal is None:
-            raise InvalidInputError("the task's cost has no goal yet; place it in a scene")
+            raise InvalidInputError("the task's cost has no goal yet; use in_scene first")
         return chain_cost(
             self.order,
             self.terms.pick_weights,
@@ -77,17 +77,20 @@ class TaskCost:
 
 
 _EXACT = SensorFaults()
-_CLEAR = ObservationNoise()
+_NOISELESS = ObservationNoise()
 
 
 @dataclass(frozen=True, eq=False)
-class _Tick:
+class _Step:
+    """Record of one control step."""
+
     plan_ms: float
     plan: Plan
     position: np.ndarray
     velocity: np.ndarray
-    found: ContactBelief
-    found_among: np.ndarray
+    estimated: ContactBelief
+    node_ids: np.ndarray
+    """Nodes of ``estimated``."""
 
 
 class MPCPolicy:
@@ -95,8 +98,8 @@ class MPCPolicy:
 
     Scenes are padded to a capacity of nodes, so that another number of objects recompiles
     nothing; a scene above it raises the capacity, and compiles once more, unless only part of it is
-    active (`ActiveSetMPC`). Compiling is done before an episode's first tick and is not part of its
-    time.
+    active (`ActiveSetMPC`). Compilation precedes an episode's first control step and is not part
+    of its time.
     """
 
     def __init__(
@@ -106,17 +109,17 @@ class MPCPolicy:
         node_capacity: int = 0,
         faults: SensorFaults = _EXACT,
         measured: bool = True,
-        noise: ObservationNoise = _CLEAR,
+        noise: ObservationNoise = _NOISELESS,
     ) -> None:
         """``node_capacity``: 0 for the first scene's.
 
-        ``faults``: how the observed contacts are spoiled before the controller sees them. Without
-        ``measured`` it sees none. ``noise`` is on the motion that it plans from; feedback within a
-        step is about motion as it is.
+        ``faults`` corrupts the contacts that the controller observes; without ``measured`` it
+        observes none. ``noise`` is added to the motion that it plans from, not to the motion that
+        feedback within a step uses.
         """
         self._mpc = mpc
         self._cost = cost
-        self._placed = cost
+        self._scene_cost = cost
         self._chain = self._order = cost.order
         self._capacity = node_capacity
         self._faults = faults
@@ -126,18 +129,18 @@ class MPCPolicy:
         self._sensor: FaultySensor | None = None
         self._scene: Scene | None = None
         self._state: Any = None
-        self._ticks: list[_Tick] = []
+        self._steps: list[_Step] = []
         self._applied: np.ndarray | None = None
 
     def reset(self, scene: Scene, seed: int) -> None:
-        """Prepares for an episode in ``scene``; only the sensors' faults are random.
+        """Prepares for an episode in ``scene``; ``seed`` is that of sensor faults and noise.
 
-        Raises `InvalidInputError` where cost and scene do not fit, for want of a goal, say.
+        Raises `InvalidInputError` where cost and scene do not fit, because a goal is missing, say.
         """
-        self._placed = self._cost.in_scene(scene)
-        self._chain = self._order = self._placed.order
+        self._scene_cost = self._cost.in_scene(scene)
+        self._chain = self._order = self._scene_cost.order
         self._capacity = max(self._capacity, scene.node_count)
-        self._scene, self._state, self._ticks = scene, None, []
+        self._scene, self._state, self._steps = scene, None, []
         self._applied = None
         self._sensor = self._faults.begin(scene, seed)
         self._noise_rng = self._noise.begin(seed)
@@ -146,7 +149,10 @@ class MPCPolicy:
         """The control ``[U]`` N for the coming step."""
         observation = self._noise.observed(observation, self._noise_rng)
         if self._state is None:
-            self._state = self._begin(observation)
+            if self._scene is None:
+                raise InvalidInputError("call reset(scene, seed) first")
+            nodes = scene_nodes(self._scene, self._capacity)
+            self._state = self._mpc.reset(observation, nodes, self._scene_cost)
         contacts = self._contacts(observation)
         begin = time.perf_counter()
         plan, self._state = self._mpc.step(
@@ -158,45 +164,45 @@ class MPCPolicy:
         )
         control = np.asarray(plan.controls[0], dtype=np.float64)  # waits for the plan
         took = time.perf_counter() - begin
-        seen = np.array(observation["position"]), np.array(observation["velocity"])
-        found = self._state.last.belief, self._state.node_ids
-        self._ticks.append(_Tick(1e3 * took, plan, *seen, *found))
+        motion = np.array(observation["position"]), np.array(observation["velocity"])
+        estimated = self._state.last.belief, self._state.node_ids
+        self._steps.append(_Step(1e3 * took, plan, *motion, *estimated))
         self._applied = None
         return control
 
     def applied(self, control: np.ndarray) -> None:
-        """Told what the task applied ``[U]`` N, on its mean, in the step after the last call."""
+        """Receives the mean control ``[U]`` N that the task applied since the last call."""
         self._applied = np.asarray(control)
 
     def feedback(self) -> Feedback:
-        """The plan's feedback about where its first step leads; raises before the first tick."""
-        if self._scene is None or not self._ticks:
+        """The feedback of the plan's first step; raises before the first control step."""
+        if self._scene is None or not self._steps:
             raise InvalidInputError("no feedback: the policy has made no step since reset")
-        law = plan_feedback(self._ticks[-1].plan, self._scene.dt, self._capacity)
-        return partial(law.within, 0)
+        feedback = plan_feedback(self._steps[-1].plan, self._scene.dt, self._capacity)
+        return partial(feedback.within, 0)
 
     def record(self) -> EpisodeRecord:
-        """What was thought since `reset`. Raises `InvalidInputError` before the first tick."""
-        if self._scene is None or not self._ticks:
+        """Plans and beliefs since `reset`. Raises `InvalidInputError` before the first step."""
+        if self._scene is None or not self._steps:
             raise InvalidInputError("nothing to record: the policy has made no step since reset")
         count, dt = self._scene.node_count, self._scene.dt
         return EpisodeRecord(
-            plan_ms=np.array([tick.plan_ms for tick in self._ticks]),
-            status=np.array([int(tick.plan.status) for tick in self._ticks]),
+            plan_ms=np.array([each.plan_ms for each in self._steps]),
+            status=np.array([int(each.plan.status) for each in self._steps]),
             plan=np.stack(
                 [
                     planned_positions(each.plan, each.position, each.velocity, dt)
-                    for each in self._ticks
+                    for each in self._steps
                 ]
             ),
             plan_belief=np.stack(
                 [
                     edge_probabilities(each.plan.beliefs, np.asarray(each.plan.node_ids), count)
-                    for each in self._ticks
+                    for each in self._steps
                 ]
             ),
-            found=np.stack(
-                [edge_probabilities(each.found, each.found_among, count) for each in self._ticks]
+            estimated=np.stack(
+                [edge_probabilities(each.estimated, each.node_ids, count) for each in self._steps]
             ),
         )
 
@@ -204,12 +210,6 @@ class MPCPolicy:
         if not self._measured or self._sensor is None:
             return None
         return self._sensor(observation["contact"])
-
-    def _begin(self, observation: Observation) -> MPCState:
-        if self._scene is None:
-            raise InvalidInputError("call reset(scene, seed) first")
-        nodes = scene_nodes(self._scene, self._capacity)
-        return self._mpc.reset(observation, nodes, self._placed)
 
     def _reordered(self, state: MPCState) -> SceneCost | None:
         """The cost with the grasped nodes before those still to be picked up; None: no change.
@@ -225,10 +225,10 @@ class MPCPolicy:
         contact = np.zeros((len(node_ids), len(node_ids)), dtype=bool)
         contact[active[:, 0], active[:, 1]] = contact[active[:, 1], active[:, 0]] = True
         grasped = joined(contact[None])[0, node_ids.index(order[0])] > 0
-        onward = tuple(
+        order_now = tuple(
             sorted(order, key=lambda node: (not grasped[node_ids.index(node)], order.index(node)))
         )
-        if onward == self._order:
+        if order_now == self._order:
             return None
-        self._order = onward
-        return self._placed.among(onward)
+        self._order = order_now
+        return self._scene_cost.among(order_now)

@@ -1,4 +1,4 @@
-"""Planned against executed: where plans put the nodes, and where following them led."""
+"""Plan tracking: planned against executed positions, and plans in a scene's own layout."""
 
 import math
 from dataclasses import dataclass, field
@@ -9,38 +9,41 @@ import numpy as np
 from contactgraph.control import Plan, PlanStatus
 from contactgraph.data import Trajectory, edge_index, pair_indices
 from contactgraph.envs.feedback import PlanFeedback
-from contactgraph.evaluate.baselines import constant_velocity, frozen_contact
+from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
+from contactgraph.evaluate.prediction_windows import MOVES_M
 from contactgraph.model import ContactBelief
 
-_MOVES_M = 1e-3
 _HORIZON_S = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class EpisodeRecord:
-    """What the controller thought in one episode of ``T`` steps; edges in `pair_indices`' order."""
+    """The controller's plans and beliefs in one episode of ``T`` steps.
+
+    Edges are in `pair_indices`' order.
+    """
 
     plan_ms: np.ndarray
-    """[T] ms: time of each control tick (correct, plan, hand over)."""
+    """[T] ms: time of each control step (correct, plan, return)."""
     status: np.ndarray
     """[T] int: `PlanStatus` of each plan."""
     plan: np.ndarray
-    """[T, H+1, N, D] m: where the plan made at each step puts every node."""
+    """[T, H+1, N, D] m: every node's positions in the plan made at each step."""
     plan_belief: np.ndarray
     """[T, H, E] probability that each edge is active in each step of that plan."""
-    found: np.ndarray
-    """[T, E] the same of the step that led to each observation, corrected by what was observed."""
+    estimated: np.ndarray
+    """[T, E] the same for the step that led to each observation, corrected by the observation."""
 
     @property
     def belief(self) -> np.ndarray:
-        """[T, E] the same of the step that was about to be made."""
+        """[T, E] the same for the coming step."""
         return self.plan_belief[:, 0]
 
 
 @dataclass(frozen=True)
 class SquaredError:
-    """A sum of squared distances, m^2, and over how many; sums of several runs add up."""
+    """A sum of squared distances, m^2, and their number; those of several episodes add up."""
 
     total: float = 0.0
     count: int = 0
@@ -50,7 +53,7 @@ class SquaredError:
 
     @property
     def rmse(self) -> float | None:
-        """m. None where there is nothing to average; infinite where one is not finite."""
+        """m. None without any distance; infinite where one is not finite."""
         return math.sqrt(self.total / self.count) if self.count else None
 
 
@@ -59,9 +62,9 @@ _Counts = TypeVar("_Counts", SquaredError, EdgeCounts)
 
 @dataclass(frozen=True)
 class PlanTrackingError:
-    """The paper's N-step error, on the plans that were executed; those of episodes add up.
+    """The paper's N-step error of executed plans; those of several episodes add up.
 
-    A window begins with every plan that was made for what was observed and then followed by its
+    A window begins with every plan that was made from an observation and then followed by its
     feedback, without another plan, for ``n_steps`` steps, 0.5 s. None: unknown in an episode.
     """
 
@@ -69,11 +72,11 @@ class PlanTrackingError:
     planned: SquaredError = field(default_factory=SquaredError)
     """Planned against executed positions, over windows, steps and nodes."""
     planned_moving: SquaredError = field(default_factory=SquaredError)
-    """The same, of nodes that get more than 1 mm away from where they were."""
+    """The same for nodes that get more than 1 mm away from their first position."""
     constant_velocity: SquaredError = field(default_factory=SquaredError)
-    """Of no forces, from the windows' first states: see `constant_velocity`."""
-    frozen_contact: SquaredError | None = field(default_factory=SquaredError)
-    """Of true masses and the windows' first contacts, with the controls that were executed."""
+    """Baseline without forces, from the windows' first states: see `constant_velocity`."""
+    fixed_contact: SquaredError | None = field(default_factory=SquaredError)
+    """Oracle with true masses and the windows' first contacts, under the executed controls."""
     edges: EdgeCounts | None = field(default_factory=EdgeCounts)
     """Planned beliefs, above 1/2 or not, against executed contacts."""
 
@@ -83,18 +86,18 @@ class PlanTrackingError:
             planned=self.planned + other.planned,
             planned_moving=self.planned_moving + other.planned_moving,
             constant_velocity=self.constant_velocity + other.constant_velocity,
-            frozen_contact=_sum(self.frozen_contact, other.frozen_contact),
+            fixed_contact=_sum(self.fixed_contact, other.fixed_contact),
             edges=_sum(self.edges, other.edges),
         )
 
     def to_json(self) -> dict[str, float | int | None]:
         """All numbers by name; None for those that are not known or not finite."""
-        frozen, edges = self.frozen_contact, self.edges
+        fixed, edges = self.fixed_contact, self.edges
         numbers = {
             "n_step_rmse_planned_m": self.planned.rmse,
             "n_step_rmse_planned_moving_m": self.planned_moving.rmse,
             "constant_velocity_planned_rmse_m": self.constant_velocity.rmse,
-            "frozen_contact_planned_rmse_m": None if frozen is None else frozen.rmse,
+            "frozen_contact_planned_rmse_m": None if fixed is None else fixed.rmse,
             "edge_precision_planned": None if edges is None else edges.precision,
             "edge_recall_planned": None if edges is None else edges.recall,
             "edge_f1_planned": None if edges is None else edges.f1,
@@ -109,23 +112,23 @@ class PlanTrackingError:
         }
 
 
-def plan_tracking_error(run: Trajectory, record: EpisodeRecord) -> PlanTrackingError:
-    """Compares the plans of one episode with what came of them.
+def plan_tracking_error(trajectory: Trajectory, record: EpisodeRecord) -> PlanTrackingError:
+    """Compares the plans of one episode with the executed motion.
 
     Plans shorter than 0.5 s, and those replaced before that, are not compared: with a new plan
     every ``P`` steps there is a window only where ``P dt`` is 0.5 s or more.
     """
-    steps = max(1, round(_HORIZON_S / run.scene.dt))
+    steps = max(1, round(_HORIZON_S / trajectory.scene.dt))
     horizon = record.plan.shape[1] - 1
     starts = _followed(record.status, steps) if steps <= horizon else np.zeros(0, dtype=int)
     if not len(starts):
-        known = run.contact is not None
+        known = trajectory.contact is not None
         return PlanTrackingError(
-            frozen_contact=SquaredError() if known else None, edges=EdgeCounts() if known else None
+            fixed_contact=SquaredError() if known else None, edges=EdgeCounts() if known else None
         )
     ahead = starts[:, None] + np.arange(1, steps + 1)
-    executed = run.position[ahead]
-    travel = np.linalg.norm(executed - run.position[starts, None], axis=-1).max(axis=1)
+    executed = trajectory.position[ahead]
+    travel = np.linalg.norm(executed - trajectory.position[starts, None], axis=-1).max(axis=1)
 
     def error(predicted: np.ndarray, chosen: np.ndarray) -> SquaredError:
         """``predicted``: [W, H, N, D] m. ``chosen``: [W, N] bool."""
@@ -136,14 +139,14 @@ def plan_tracking_error(run: Trajectory, record: EpisodeRecord) -> PlanTrackingE
 
     planned = record.plan[starts, 1 : steps + 1]
     every = np.ones(travel.shape, dtype=bool)
-    frozen = frozen_contact(run, steps)
+    oracle = fixed_contact_oracle(trajectory, steps)
     return PlanTrackingError(
         windows=len(starts),
         planned=error(planned, every),
-        planned_moving=error(planned, travel > _MOVES_M),
-        constant_velocity=error(constant_velocity(run, steps)[starts], every),
-        frozen_contact=None if frozen is None else error(frozen[starts], every),
-        edges=_edges(run, record.plan_belief[starts, :steps], ahead),
+        planned_moving=error(planned, travel > MOVES_M),
+        constant_velocity=error(constant_velocity(trajectory, steps)[starts], every),
+        fixed_contact=None if oracle is None else error(oracle[starts], every),
+        edges=_edges(trajectory, record.plan_belief[starts, :steps], ahead),
     )
 
 
@@ -153,26 +156,26 @@ def _sum(one: _Counts | None, other: _Counts | None) -> _Counts | None:
 
 
 def _followed(status: np.ndarray, steps: int) -> np.ndarray:
-    """[W] the ticks whose plan was made then and followed for ``steps`` steps, its own included."""
+    """[W] control steps whose new plan was followed for ``steps`` steps, its own included."""
     made = np.isin(status, [each for each in PlanStatus if each.solved])
     followed = status == PlanStatus.PLAN_REUSED
-    ticks = np.flatnonzero(made[: max(0, len(status) - steps + 1)])
-    return np.array([t for t in ticks if followed[t + 1 : t + steps].all()], dtype=int)
+    planned = np.flatnonzero(made[: max(0, len(status) - steps + 1)])
+    return np.array([t for t in planned if followed[t + 1 : t + steps].all()], dtype=int)
 
 
-def _edges(run: Trajectory, belief: np.ndarray, ahead: np.ndarray) -> EdgeCounts | None:
+def _edges(trajectory: Trajectory, belief: np.ndarray, ahead: np.ndarray) -> EdgeCounts | None:
     """``belief``: [W, H, E], about the steps that lead to the states ``ahead`` [W, H]."""
-    if run.contact is None:
+    if trajectory.contact is None:
         return None
-    first, second = pair_indices(run.scene.node_count).T
+    first, second = pair_indices(trajectory.scene.node_count).T
     exists = np.ones((len(belief), len(first)), dtype=bool)
-    return edge_counts(belief > 0.5, run.contact[ahead][:, :, first, second], exists)
+    return edge_counts(belief > 0.5, trajectory.contact[ahead][:, :, first, second], exists)
 
 
 def planned_positions(
     plan: Plan, position: np.ndarray, velocity: np.ndarray, dt: float
 ) -> np.ndarray:
-    """[H+1, N, D] m: where the plan puts every node at steps of ``dt`` s.
+    """[H+1, N, D] m: every node's positions in the plan, at steps of ``dt`` s.
 
     Nodes that are not active keep the observed ``position`` m and ``velocity`` m/s, [N, D].
     """

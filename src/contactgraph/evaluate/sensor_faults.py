@@ -1,4 +1,4 @@
-"""Contact sensors that lie or answer late."""
+"""Imperfect observation: contact sensors with errors and delay, and noise on the motion."""
 
 import math
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ from contactgraph.model import ContactSensor
 
 @dataclass(frozen=True)
 class SensorFaults:
-    """How a contact sensor fails: every edge of every step on its own, and the same each time.
+    """Errors of a contact sensor, independent for every edge and step, and reproducible.
 
-    First it lies, then it is late: at step t it reports what it read at step t - ``delay_steps``,
-    and no contact at all before it has read anything. Raises `InvalidInputError` for a rate
-    outside [0, 1) or a delay below 0.
+    Errors come before the delay: at step t the sensor reports its reading of step
+    t - ``delay_steps``, and no contact before the first reading. Raises `InvalidInputError` for a
+    rate outside [0, 1) or a delay below 0.
     """
 
     false_alarm_rate: float = 0.0
@@ -36,11 +36,10 @@ class SensorFaults:
 
     @property
     def sensor(self) -> ContactSensor:
-        """What a correction that knows the two rates is told.
+        """The sensor model of a correction that knows the two rates.
 
-        Never a better sensor than the default one, for which even an exact sensor is taken. A
-        delay is no part of it: a late answer is taken for one about now, as it would be by
-        whoever does not know of the delay.
+        It is never better than the default one, which is also assumed of an exact sensor. It does
+        not include the delay: a delayed report is taken for a current one.
         """
         usual = ContactSensor()
         return ContactSensor(
@@ -54,17 +53,17 @@ class SensorFaults:
         return not (self.false_alarm_rate or self.miss_rate or self.delay_steps)
 
     def begin(self, scene: Scene, number: int) -> "FaultySensor":
-        """The sensor at the start of a run. ``number`` is what tells runs' errors apart."""
+        """The sensor at the start of a trajectory, whose ``number`` selects its random errors."""
         return FaultySensor(self, scene, np.random.default_rng([self.seed, number]))
 
     def reported(self, contact: np.ndarray, scene: Scene, number: int) -> np.ndarray:
-        """[T+1, N, N] bool: what the sensor would have said of the true ``contact`` of a run."""
+        """[T+1, N, N] bool: the sensor's reports of the true ``contact`` of a trajectory."""
         sensor = self.begin(scene, number)
         return np.stack([sensor(each) for each in contact])
 
 
 class FaultySensor:
-    """Reads true contacts step after step, and reports them with faults."""
+    """A sensor that reads true contacts step by step and reports them with faults."""
 
     def __init__(self, faults: SensorFaults, scene: Scene, rng: np.random.Generator) -> None:
         self._faults = faults
@@ -78,8 +77,8 @@ class FaultySensor:
         """[N, N] bool, symmetric: the report at a step in which ``contact`` [N, N] holds."""
         first, second = self._pairs.T
         true = contact[first, second].astype(bool)
-        # One number an edge whatever the rates are, so that a higher rate adds errors to those
-        # of a lower one.
+        # One random number an edge at any rate, so that a higher rate adds errors to those of a
+        # lower one.
         drawn = self._rng.random(len(true))
         alarm = self._candidate & (drawn < self._faults.false_alarm_rate)
         read = np.where(true, drawn >= self._faults.miss_rate, alarm)
@@ -91,7 +90,7 @@ class FaultySensor:
 
 @dataclass(frozen=True)
 class ObservationNoise:
-    """White noise on every observation, the same each time.
+    """Reproducible white noise on every observation.
 
     Raises `InvalidInputError` for a number that is no standard deviation.
     """
@@ -109,11 +108,11 @@ class ObservationNoise:
                 raise InvalidInputError(f"{name} must be at least 0 and finite, found {value}")
 
     def begin(self, number: int) -> np.random.Generator:
-        """The noise of a run. ``number`` is what tells runs' noise apart."""
+        """The noise of a trajectory, selected by its ``number``."""
         return np.random.default_rng([self.seed, number])
 
     def observed(self, true: Observation, rng: np.random.Generator) -> Observation:
-        """What is seen of a step."""
+        """The observation with noise."""
         if not (self.position or self.velocity):
             return true
         shape = true["position"].shape
