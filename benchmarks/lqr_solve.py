@@ -19,7 +19,7 @@ from lqr_sample import sample, with_crocoddyl
 from measuring import arguments, report
 
 from contactgraph.control import LQRProblem, solve_lqr
-from contactgraph.control.riccati import Form, block_form, dense_form
+from contactgraph.control.riccati import Operator, block_operator, dense_operator
 
 STATES = (8, 48, 400)
 MOST_FOR_PEERS = 100
@@ -33,7 +33,7 @@ def dense(problem: LQRProblem, start: np.ndarray) -> Way:
     def moved(A: jax.Array, x: jax.Array) -> jax.Array:
         return jnp.sum(A * x, axis=-1) if few else A @ x
 
-    return _ours("our dense form", problem, start, dense_form, moved)
+    return _ours("our dense form", problem, start, dense_operator, moved)
 
 
 def in_blocks(problem: LQRProblem, start: np.ndarray, blocks: np.ndarray) -> Way:
@@ -52,15 +52,17 @@ def in_blocks(problem: LQRProblem, start: np.ndarray, blocks: np.ndarray) -> Way
     def moved(A: jax.Array, x: jax.Array) -> jax.Array:
         return jnp.sum(A * x.reshape(2, -1), axis=1).reshape(-1)
 
-    return _ours("our block form", given, start[order], block_form, moved)
+    return _ours("our block form", given, start[order], block_operator, moved)
 
 
-def _ours(name: str, problem: LQRProblem, start: np.ndarray, form: Form, moved: Callable) -> Way:
+def _ours(
+    name: str, problem: LQRProblem, start: np.ndarray, operator: Operator, moved: Callable
+) -> Way:
     placed = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (problem, start))
 
     @jax.jit
     def solve(problem: LQRProblem, start: jax.Array) -> tuple[jax.Array, jax.Array]:
-        policy, _ = solve_lqr(problem, form)
+        policy, _ = solve_lqr(problem, operator)
 
         def step(x: jax.Array, stage: tuple) -> tuple[jax.Array, tuple]:
             A, B, offset, policy = stage

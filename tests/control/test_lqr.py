@@ -12,7 +12,7 @@ from control_models import blocks
 from contactgraph.control import ControlLimits, LQRProblem, solve_lqr
 from contactgraph.control.box_qp import solve_box_qp, solve_small
 from contactgraph.control.lqr import block_dynamics, improve_policy
-from contactgraph.control.riccati import block_form, dense_form
+from contactgraph.control.riccati import block_operator, dense_operator
 
 
 @pytest.fixture(autouse=True)
@@ -187,7 +187,7 @@ def test_block_diagonal_form_equals_the_dense_one(N, U):
         dense.r,
     )
     expected, value = solve_lqr(dense)
-    found, block_value = solve_lqr(block, block_form)
+    found, block_value = solve_lqr(block, block_operator)
     np.testing.assert_allclose(found.K, expected.K[:, :, index], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.k, expected.k, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(block_value.constant, value.constant, rtol=1e-9, atol=1e-9)
@@ -195,8 +195,8 @@ def test_block_diagonal_form_equals_the_dense_one(N, U):
     np.testing.assert_allclose(block_value.P, matrix, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("form", [dense_form, block_form])
-def test_rounding_does_not_grow_where_the_dynamics_are_unstable(form):
+@pytest.mark.parametrize("operator", [dense_operator, block_operator])
+def test_rounding_does_not_grow_where_the_dynamics_are_unstable(operator):
     """Without feedback a state doubles in every step; what is antisymmetric in P would, too."""
     rng = np.random.default_rng(9)
     horizon, half = 60, 10
@@ -205,11 +205,11 @@ def test_rounding_does_not_grow_where_the_dynamics_are_unstable(form):
     dense = np.block([[blocks[:, i, j][:, :, None] * np.eye(half) for j in (0, 1)] for i in (0, 1)])
     given = random_problem(9, horizon, n, n // 2)
     exact = solve_lqr(eqx.tree_at(lambda p: p.A, given, jnp.asarray(dense)))[0]
-    A = jnp.asarray(blocks if form is block_form else dense)
+    A = jnp.asarray(blocks if operator is block_operator else dense)
     single = jax.tree.map(
         lambda leaf: leaf.astype(jnp.float32), eqx.tree_at(lambda p: p.A, given, A)
     )
-    found = solve_lqr(single, form)[0]
+    found = solve_lqr(single, operator)[0]
     scale = np.max(np.abs(exact.K))
     np.testing.assert_allclose(found.K, exact.K, atol=1e-3 * scale)
 

@@ -22,9 +22,9 @@ from contactgraph.control.learned_cost import cost_terms as cost_terms
 from contactgraph.control.lqr import LQRProblem as LQRProblem
 from contactgraph.control.lqr import QuadraticValue as QuadraticValue
 from contactgraph.control.lqr import solve_lqr as solve_lqr
+from contactgraph.control.lqr import tracking_problem as tracking_problem
 from contactgraph.control.lqr_adjoint import LQRTrajectory as LQRTrajectory
 from contactgraph.control.lqr_adjoint import lqr_trajectory as lqr_trajectory
-from contactgraph.control.lqr_adjoint import tracking_problem as tracking_problem
 from contactgraph.control.mpc import MPC as MPC
 from contactgraph.control.mpc import MPCState as MPCState
 from contactgraph.control.plan import Plan as Plan

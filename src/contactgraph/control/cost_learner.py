@@ -49,7 +49,8 @@ from contactgraph.control.learned_cost import (
     isotropic_axes,
     relative_basis,
 )
-from contactgraph.control.lqr_adjoint import lqr_trajectory, tracking_problem
+from contactgraph.control.lqr import tracking_problem
+from contactgraph.control.lqr_adjoint import lqr_trajectory
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.model import StepModel
 

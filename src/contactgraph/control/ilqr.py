@@ -17,7 +17,7 @@ from contactgraph.control.lqr import (
     node_gains,
 )
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.riccati import block_form
+from contactgraph.control.riccati import block_operator
 from contactgraph.control.rollout import Rollout, roll_out
 from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity
@@ -192,7 +192,7 @@ class ILQR(eqx.Module):
             r=jnp.zeros(R.shape[:-1], R.dtype),
         )
         return improve_policy(
-            problem, reference.x[:-1], reference.controls, damping, self.limits, block_form
+            problem, reference.x[:-1], reference.controls, damping, self.limits, block_operator
         )
 
     def _plan(self, search: "_Search", node_ids: Int[Array, " M"]) -> Plan:

@@ -17,7 +17,7 @@ Notation, at one step (t is left out; a dash marks the step after)::
 With controls held at a limit, their rows of K are zero and the same two last lines hold, since
 ``K^T (S K + G) = 0`` and ``K^T (S k + g) = 0`` still do.
 
-How P is multiplied is a `RiccatiForm`: one function argument makes the pass dense or block
+A `DynamicsOperator` multiplies by A: one function argument makes the recursion dense or block
 diagonal.
 """
 
@@ -38,10 +38,10 @@ from contactgraph.control.box_qp import (
 )
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.riccati import (
-    Ahead,
-    Form,
-    RiccatiForm,
-    dense_form,
+    DynamicsOperator,
+    Operator,
+    Products,
+    dense_operator,
     dense_product,
 )
 from contactgraph.model import LinearDynamics
@@ -65,7 +65,7 @@ class LQRProblem(eqx.Module):
     """Dynamics and cost of all steps, in the notation at the head of this file."""
 
     A: Float[Array, "H ..."]
-    """[H, n, n], or whatever the `RiccatiForm` in use understands."""
+    """[H, n, n], or as the `DynamicsOperator` stores it."""
     B: Float[Array, "H n U"]
     offset: Float[Array, "H n"]
     Q: Float[Array, "H+1 n n"]
@@ -74,14 +74,40 @@ class LQRProblem(eqx.Module):
     r: Float[Array, "H U"]
 
 
+def tracking_problem(
+    A: Float[Array, "H n n"],
+    B: Float[Array, "H n U"],
+    offset: Float[Array, "H n"],
+    Q: Float[Array, "n n"] | Float[Array, "H+1 n n"],
+    R: Float[Array, "U U"] | Float[Array, "H U U"],
+    goal: Float[Array, " n"] | Float[Array, "H+1 n"],
+) -> LQRProblem:
+    """The problem that minimises ``sum (x - goal)^T Q (x - goal) + sum u^T R u``.
+
+    ``q = -Q goal`` and ``r = 0``; the cost's constant is left out. What is the same at all steps
+    may be given once: ``Q`` [n, n] (1/m^2, s^2/m^2), ``R`` [U, U] (1/N^2), ``goal`` [n] (m, m/s).
+    """
+    horizon, n, U = B.shape
+    q = -jnp.sum(Q * goal[..., None, :], axis=-1)
+    return LQRProblem(
+        A=A,
+        B=B,
+        offset=offset,
+        Q=jnp.broadcast_to(Q, (horizon + 1, n, n)),
+        R=jnp.broadcast_to(R, (horizon, U, U)),
+        q=jnp.broadcast_to(q, (horizon + 1, n)),
+        r=jnp.zeros((horizon, U), q.dtype),
+    )
+
+
 class Improvement(eqx.Module):
-    """A policy around a reference, and what it promises."""
+    """A policy around a reference, and the decrease of the cost that it promises."""
 
     policy: AffinePolicy
     step: Float[Array, "H U"]
-    """What the policy would add to the reference's control at the reference's state, N."""
+    """N, the policy's change of the reference's control at the reference's state."""
     expected_decrease: Float[Array, ""]
-    """By how much the cost falls if the dynamics stay as they are; never negative."""
+    """Decrease of the cost if the dynamics stay as they are; never negative."""
 
 
 class _ControlProblem(eqx.Module):
@@ -89,11 +115,11 @@ class _ControlProblem(eqx.Module):
 
     S: Float[Array, "U U"]
     g: Float[Array, " U"]
-    ahead: Ahead
+    products: Products
 
 
 def solve_lqr(
-    problem: LQRProblem, form: Form = dense_form, which: tuple[Int[Array, ""], ...] = ()
+    problem: LQRProblem, operator: Operator = dense_operator, which: tuple[Int[Array, ""], ...] = ()
 ) -> tuple[AffinePolicy, QuadraticValue]:
     """The optimal policy, and the value of every state at every step ``0 … H``.
 
@@ -101,14 +127,14 @@ def solve_lqr(
     an index each problem is read where it is, while a map over problems would copy it first.
     """
     horizon, size = problem.B.shape[len(which) : len(which) + 2]
-    riccati = form(size)
+    riccati = operator(size)
 
     def back(carry: tuple, stage: LQRProblem, step: Array) -> tuple[tuple, tuple]:
         P, p, constant = carry
         now = _control_problem(P, p, stage, riccati)
-        both = -solve_small(now.S, jnp.concatenate([now.ahead.G, now.g[:, None]], axis=1))
+        both = -solve_small(now.S, jnp.concatenate([now.products.G, now.g[:, None]], axis=1))
         policy = AffinePolicy(both[:, :-1], both[:, -1])
-        constant = constant + stage.offset @ (now.ahead.w + p) + now.g @ policy.k
+        constant = constant + stage.offset @ (now.products.w + p) + now.g @ policy.k
         P, p = _before(now, stage, policy, step, riccati)
         return (P, p, constant), (policy, QuadraticValue(P, p, constant))
 
@@ -126,7 +152,7 @@ def improve_policy(
     controls: Float[Array, "H U"],
     damping: Float[Array, ""],
     limits: ControlLimits | None,
-    form: Form = dense_form,
+    operator: Operator = dense_operator,
 ) -> Improvement:
     """The optimal policy near a reference: limits are judged at its states.
 
@@ -134,13 +160,13 @@ def improve_policy(
     ``damping * trace(S)/U * |u - reference|^2`` to each step's cost, so that a larger one answers
     with a smaller step and the reference itself costs what it did.
     """
-    riccati = form(problem.B.shape[1])
+    riccati = operator(problem.B.shape[1])
 
     def back(carry: tuple, stage: LQRProblem, index: Array) -> tuple[tuple, tuple]:
         P, p = carry
         x, u = _at((states, controls), (index,))
         now = _control_problem(P, p, stage, riccati)
-        G = now.ahead.G
+        G = now.products.G
         weight = damping * jnp.trace(now.S) / u.shape[0]
         S = now.S + weight * jnp.eye(u.shape[0], dtype=u.dtype)
         slope = G @ x + now.g - weight * u
@@ -166,28 +192,28 @@ def _backwards(
     back: Callable[[tuple, LQRProblem, Array], tuple[tuple, tuple]],
     carry: tuple,
     problem: LQRProblem,
-    form: RiccatiForm,
+    operator: DynamicsOperator,
     horizon: int,
     which: tuple[Array, ...] = (),
 ) -> tuple:
-    """``back`` from the last step to the first; what it gave beside the carry, [H, …].
+    """``back`` from the last step to the first; its other results, [H, …].
 
     The carry begins with P, which is made symmetric after every few steps: in a loop of its own,
     since a conditional around P would copy it in every step. Steps are read out of the problem's
     own arrays, of which a slice without the last state's cost would be a copy.
     """
-    few = max(size for size in range(1, form.symmetric_every + 1) if horizon % size == 0)
+    few = max(size for size in range(1, operator.symmetric_every + 1) if horizon % size == 0)
 
     def step(carry: tuple, index: Array) -> tuple[tuple, tuple]:
         return back(carry, _at(problem, (*which, index)), index)
 
     def steps(carry: tuple, indices: Array) -> tuple[tuple, tuple]:
-        (P, *rest), told = jax.lax.scan(step, carry, indices, reverse=True)
-        return (form.symmetric(P), *rest), told
+        (P, *rest), made = jax.lax.scan(step, carry, indices, reverse=True)
+        return (0.5 * (P + P.T), *rest), made
 
     indices = jnp.arange(horizon).reshape(-1, few)
-    told = jax.lax.scan(steps, carry, indices, reverse=True)[1]
-    return jax.tree.map(lambda leaf: leaf.reshape(horizon, *leaf.shape[2:]), told)
+    made = jax.lax.scan(steps, carry, indices, reverse=True)[1]
+    return jax.tree.map(lambda leaf: leaf.reshape(horizon, *leaf.shape[2:]), made)
 
 
 def _at(arrays: _Arrays, index: tuple[Array | int, ...]) -> _Arrays:
@@ -201,10 +227,12 @@ def _at(arrays: _Arrays, index: tuple[Array | int, ...]) -> _Arrays:
     return jax.tree.map(part, arrays)
 
 
-def _control_problem(P: Array, p: Array, stage: LQRProblem, form: RiccatiForm) -> _ControlProblem:
-    ahead = form.ahead(P, p, stage.A, stage.B, stage.offset)
-    slopes = dense_product(stage.B, jnp.concatenate([ahead.PB, ahead.w[:, None]], axis=1))
-    return _ControlProblem(stage.R + slopes[:, :-1], stage.r + slopes[:, -1], ahead)
+def _control_problem(
+    P: Array, p: Array, stage: LQRProblem, operator: DynamicsOperator
+) -> _ControlProblem:
+    products = operator.products(P, p, stage.A, stage.B, stage.offset)
+    slopes = dense_product(stage.B, jnp.concatenate([products.PB, products.w[:, None]], axis=1))
+    return _ControlProblem(stage.R + slopes[:, :-1], stage.r + slopes[:, -1], products)
 
 
 def _before(
@@ -212,24 +240,24 @@ def _before(
     stage: LQRProblem,
     policy: AffinePolicy,
     step: Int[Array, ""],
-    form: RiccatiForm,
+    operator: DynamicsOperator,
 ) -> tuple[Array, Array]:
     """P and p of this step."""
-    P = form.before(now.ahead, stage.A, stage.Q, policy.K, step)
-    return P, stage.q + now.ahead.slope + jnp.sum(now.ahead.G * policy.k[:, None], axis=0)
+    P = operator.update(now.products, stage.A, stage.Q, policy.K, step)
+    return P, stage.q + now.products.slope + jnp.sum(now.products.G * policy.k[:, None], axis=0)
 
 
 def block_state(
     position: Float[Array, "N D"], velocity: Float[Array, "N D"], node_ids: Int[Array, " M"]
 ) -> Float[Array, " m"]:
-    """All positions of the M nodes, then all their velocities: `block_form`'s order of states."""
+    """All positions of the M nodes, then all their velocities: the order of `block_operator`."""
     return jnp.stack([position[node_ids], velocity[node_ids]]).reshape(-1)
 
 
 def block_dynamics(
     dynamics: LinearDynamics,
 ) -> tuple[Float[Array, "H 2 2 k"], Float[Array, "H m U"], Float[Array, "H m"]]:
-    """``A, B, offset`` of [H, M, D, …] dynamics, as `block_form` takes them; ``k = MD``."""
+    """``A, B, offset`` of [H, M, D, …] dynamics, as `block_operator` takes them; ``k = MD``."""
     horizon, U = dynamics.B.shape[0], dynamics.B.shape[-1]
     A = jnp.moveaxis(dynamics.A.reshape(horizon, -1, 2, 2), 1, -1)
     B = jnp.moveaxis(dynamics.B.reshape(horizon, -1, 2, U), 2, 1)

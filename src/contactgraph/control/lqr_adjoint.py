@@ -1,10 +1,27 @@
 """The optimal trajectory of an affine LQR problem, and its derivatives by one adjoint solve.
 
-The optimality conditions of `contactgraph.control.lqr_adjoint` are linear with a symmetric matrix.
-The derivatives of a loss ``L(x, u)`` therefore come from solving the same system once more, with
-``dL/dx, dL/du`` in the place of ``q, r`` and with zero ``offset`` and ``start`` (Amos et al. 2018,
-"Differentiable MPC for End-to-end Planning and Control", the backward pass of LQR). With
-``dx, du, dl`` its solution, and a dash for the step after::
+The notation is that of `contactgraph.control.lqr`. The optimal ``x, u`` and the costates ``l``
+satisfy the KKT conditions (a dash marks the step after)::
+
+    Q x + q + A^T l'    =  l        at the end  Q x + q = l
+    R u + r + B^T l'    =  0
+    A x + B u + offset  =  x'       x_0 = start
+
+`factor_kkt` computes the part that depends on ``A, B, Q, R`` alone::
+
+    S  = R + B^T P' B        K = -S^-1 B^T P' A        M = A + B K
+    P  = Q + K^T R K + M^T P' M
+
+(the last one, Joseph's form, damps rounding errors, an asymmetry of P among them), so that
+`solve_kkt` for any ``q, r, offset, start`` is two scans of one vector::
+
+    backwards   p  = q + K^T r + M^T (P' offset + p')        k = -S^-1 (r + B^T (P' offset + p'))
+    forwards    x' = M x + B k + offset                      u = K x + k,  l' = P' x' + p'
+
+The KKT matrix is symmetric. The derivatives of a loss ``L(x, u)`` therefore come from solving once
+more, with ``dL/dx, dL/du`` in the place of ``q, r`` and with zero ``offset`` and ``start`` (Amos et
+al. 2018, "Differentiable MPC for End-to-end Planning and Control"). With the solution
+``dx, du, dl``::
 
     dL/dq, dL/dr       dx, du
     dL/dQ, dL/dR       (dx x^T + x dx^T) / 2, (du u^T + u du^T) / 2
@@ -12,7 +29,15 @@ The derivatives of a loss ``L(x, u)`` therefore come from solving the same syste
     dL/doffset         dl'
     dL/dstart          dl_0
 
-No loop is unrolled, and the matrices of the Riccati pass are used again.
+The recursion is another one than `solve_lqr`'s, for speed on a CPU with batches of small problems:
+
+- A batch is the *last* axis of every array, and a product is a sum over its inner index of
+  elementwise products, which XLA makes one vectorised kernel along the batch. The batched small
+  products of `jnp.matmul` are five times slower.
+- A loop carries its *next* inputs (`_values`). XLA would otherwise fuse the read of a step's
+  inputs into each kernel that uses them, and such a kernel is not vectorised.
+- A product whose result enters another product on the left, entry by entry (`_inner`), is used too
+  often for XLA to compute it again at each use.
 """
 
 import functools
@@ -31,14 +56,14 @@ from contactgraph.control.lqr import LQRProblem
 
 
 class KKTFactors(eqx.Module):
-    """What all solutions of one problem share; P is that of the step after."""
+    """The part of all solutions of one problem; P is that of the step after."""
 
     B: Float[Array, "H n U *batch"]
     P: Float[Array, "H n n *batch"]
     S: Float[Array, "H U U *batch"]
     K: Float[Array, "H U n *batch"]
     M: Float[Array, "H n n *batch"]
-    """``A + B K``: how the controlled state moves."""
+    """``A + B K``, the closed-loop dynamics."""
 
 
 class KKTSolution(eqx.Module):
@@ -52,7 +77,7 @@ class KKTSolution(eqx.Module):
     """p of the first step; its costate is ``P x + p``."""
 
 
-def factorised(A: Array, B: Array, Q: Array, R: Array) -> KKTFactors:
+def factor_kkt(A: Array, B: Array, Q: Array, R: Array) -> KKTFactors:
     """The Riccati pass. ``A`` [H, n, n], ``B`` [H, n, U], ``Q`` [H+1, n, n], ``R`` [H, U, U].
 
     Each may have a last axis more, the batch; one of length 1 is shared.
@@ -71,7 +96,7 @@ def factorised(A: Array, B: Array, Q: Array, R: Array) -> KKTFactors:
     return KKTFactors(B, P, S, K, M)
 
 
-def solved(
+def solve_kkt(
     factors: KKTFactors, q: Array, r: Array, offset: Array | None, start: Array
 ) -> KKTSolution:
     """The solution for these linear terms. Shapes as in `LQRProblem`, then the batch.
@@ -82,9 +107,9 @@ def solved(
     added = q[:-1] + _transpose_times(K, r)
     slope = r
     if offset is not None:
-        pushed = _times(P, offset)
-        added = added + _transpose_times(M, pushed)
-        slope = slope + _transpose_times(B, pushed)
+        shifted = _times(P, offset)
+        added = added + _transpose_times(M, shifted)
+        slope = slope + _transpose_times(B, shifted)
     p, first_slope = _recursion(_step_transpose_times, M, added, q[-1], reverse=True)
     slope = slope + _transpose_times(B, p)
     k = -jax.vmap(solve_small)(factors.S, slope[:, :, None])[:, :, 0]
@@ -168,7 +193,7 @@ _transpose_times = jax.vmap(_step_transpose_times)
 
 
 class LQRTrajectory(eqx.Module):
-    """Where an optimally controlled system goes, and what moves it."""
+    """An optimally controlled system."""
 
     states: Float[Array, "H+1 n *batch"]
     """m and m/s; the first is the start."""
@@ -196,32 +221,6 @@ def lqr_trajectory(problem: LQRProblem, start: Float[Array, " n"]) -> LQRTraject
     return _trajectory(problem, start)
 
 
-def tracking_problem(
-    A: Float[Array, "H n n"],
-    B: Float[Array, "H n U"],
-    offset: Float[Array, "H n"],
-    Q: Float[Array, "n n"] | Float[Array, "H+1 n n"],
-    R: Float[Array, "U U"] | Float[Array, "H U U"],
-    goal: Float[Array, " n"] | Float[Array, "H+1 n"],
-) -> LQRProblem:
-    """The problem that minimises ``sum (x - goal)^T Q (x - goal) + sum u^T R u``.
-
-    ``q = -Q goal`` and ``r = 0``; the cost's constant is left out. What is the same at all steps
-    may be given once: ``Q`` [n, n] (1/m^2, s^2/m^2), ``R`` [U, U] (1/N^2), ``goal`` [n] (m, m/s).
-    """
-    horizon, n, U = B.shape
-    q = -jnp.sum(Q * goal[..., None, :], axis=-1)
-    return LQRProblem(
-        A=A,
-        B=B,
-        offset=offset,
-        Q=jnp.broadcast_to(Q, (horizon + 1, n, n)),
-        R=jnp.broadcast_to(R, (horizon, U, U)),
-        q=jnp.broadcast_to(q, (horizon + 1, n)),
-        r=jnp.zeros((horizon, U), q.dtype),
-    )
-
-
 def _batch_last(function: Callable) -> Callable:
     """Under `jax.vmap`, call the function once with the batch as the last axis of every array.
 
@@ -247,8 +246,8 @@ def _batch_last(function: Callable) -> Callable:
 def _forward(
     problem: LQRProblem, start: Array
 ) -> tuple[LQRTrajectory, tuple[KKTFactors, KKTSolution]]:
-    factors = factorised(problem.A, problem.B, problem.Q, problem.R)
-    solution = solved(factors, problem.q, problem.r, problem.offset, start)
+    factors = factor_kkt(problem.A, problem.B, problem.Q, problem.R)
+    solution = solve_kkt(factors, problem.q, problem.r, problem.offset, start)
     return LQRTrajectory(solution.states, solution.controls), (factors, solution)
 
 
@@ -258,7 +257,7 @@ def _backward(
 ) -> tuple[LQRProblem, Array]:
     factors, solution = kept
     rest = jnp.zeros_like(solution.states[0])
-    adjoint = solved(factors, slope.states, slope.controls, None, rest)
+    adjoint = solve_kkt(factors, slope.states, slope.controls, None, rest)
     x, u, after = solution.states[:-1], solution.controls, solution.costates
     dx, du, dafter = adjoint.states[:-1], adjoint.controls, adjoint.costates
     problem = LQRProblem(
