@@ -15,7 +15,7 @@ from contactgraph.control import (
     tracking_problem,
 )
 from contactgraph.control.box_qp import solve_small
-from contactgraph.control.lqr_adjoint import factorised, solved
+from contactgraph.control.lqr_adjoint import factor_kkt, solve_kkt
 
 
 @pytest.fixture(autouse=True)
@@ -155,7 +155,7 @@ def test_the_optimality_conditions_hold():
 
     @jax.jit
     def solve(p, start):
-        return solved(factorised(p.A, p.B, p.Q, p.R), p.q, p.r, p.offset, start)
+        return solve_kkt(factor_kkt(p.A, p.B, p.Q, p.R), p.q, p.r, p.offset, start)
 
     solution = solve(p, start)
     x, u, after = solution.states, solution.controls, solution.costates
