@@ -16,7 +16,7 @@ from contactgraph_franka.envs.expert import (
     free_space_excitation,
     grasps,
 )
-from contactgraph_franka.envs.pickup import is_success, pickup_scene
+from contactgraph_franka.envs.pickup import is_success, pickup_scene, sweep_fits
 
 START, BLOCK = np.array([0.4, -0.2, 0.3]), np.array([0.5, 0.0, 0.05])
 GOAL, NEXT, LAST = np.array([0.6, 0.2, 0.3]), np.array([0.4, 0.1, 0.2]), np.array([0.5, -0.2, 0.3])
@@ -71,6 +71,8 @@ def test_free_space_excitation_visits_its_points_and_avoids_the_block() -> None:
     for point in (NEXT, LAST):
         assert np.linalg.norm(seen - point, axis=1).min() < 0.01
     assert np.linalg.norm(seen - BLOCK, axis=1).min() > 0.1
+    # The path is continuous, so that the hand never hurries.
+    assert np.linalg.norm(np.diff(seen, axis=0), axis=1).max() / 0.01 < 0.45
     assert not np.array_equal(seen, positions(free_space_excitation([NEXT, LAST], noise=0.5), 6.0))
 
 
@@ -151,3 +153,15 @@ def test_success_needs_the_grasped_block(hand: np.ndarray, block: np.ndarray, ye
     assert is_success(np.stack([hand, block]), HELD_AT) == yes
     with pytest.raises(InvalidInputError, match="a hand and a block"):
         is_success(hand[None], HELD_AT)
+
+
+def test_a_sweep_must_end_within_reach_and_the_box() -> None:
+    hand, low, high = (
+        np.array([0.4, 0.0, 0.2]),
+        np.array([0.0, -1.0, 0.0]),
+        np.array([2.0, 1.0, 1.0]),
+    )
+    near, far = np.array([0.55, 0.0, 0.05]), np.array([0.65, 0.0, 0.05])
+    assert sweep_fits(hand, near, low, high) and not sweep_fits(hand, far, low, high)
+    assert not sweep_fits(hand, near, low, np.array([0.7, 1.0, 1.0]))
+    assert not sweep_fits(hand, near, np.array([0.38, -1.0, 0.0]), high)

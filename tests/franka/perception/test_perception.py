@@ -11,7 +11,7 @@ import pytest
 from drawn_tags import CAMERA, LENS, SIZE, SlidingTag, calibration, drawn
 
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.perception import CameraCalibration, CameraFrame
+from contactgraph_franka.perception import CameraCalibration, CameraFrame, single_tag
 from contactgraph_franka.perception.perception import (
     PositionMeasurement,
     SharedMeasurements,
@@ -70,6 +70,15 @@ def test_each_frame_with_the_object_gives_one_measurement():
     assert [each.time for each in seen] == [0.0, 0.02]
     for each in seen:
         np.testing.assert_allclose(each.position, expected(100), atol=3e-4)
+
+
+def test_measurements_are_stored_by_object():
+    objects = {"other": single_tag(5, SIZE), **calibration().objects}
+    both = CameraCalibration(LENS, CAMERA, objects, calibration().made)
+    shared = SharedMeasurements(2, multiprocessing.get_context("spawn"))
+    frame = CameraFrame(drawn([(3, 100, 80)]), None, 0.0)
+    assert DetectionLoop(Frames([frame]), both, shared).step()
+    assert shared.since(0) == [] and len(shared.since(1)) == 1
 
 
 @pytest.mark.slow

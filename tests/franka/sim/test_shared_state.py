@@ -1,5 +1,7 @@
 """Ground truth and frames in shared memory: readers get the newest complete record."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from contactgraph_franka.sim import shared_state as module
 from contactgraph_franka.sim.camera import SimulatedCamera, frame_ring, publish_frame
 from contactgraph_franka.sim.shared_state import (
     GroundTruth,
+    RingReader,
     RingWriter,
     SceneResetService,
     create_ground_truth,
@@ -49,6 +52,21 @@ def test_a_step_that_is_being_written_is_left_out(tmp_path: Path) -> None:
     writer, truth = written(tmp_path, 10)
     writer._slots["again"][8] = 3
     assert truth.since(5)["number"].tolist() == [6, 7, 9]
+
+
+def test_the_newest_record_is_returned_only_when_complete(tmp_path: Path) -> None:
+    fields: list[tuple] = [("value", "f8")]
+    writer = RingWriter(tmp_path / "ring", fields, slots=1)
+    reader = RingReader(tmp_path / "ring", fields)
+    writer.begin()["value"] = 1.0
+    writer.publish()
+    writer.begin()["value"] = 2.0
+    with ThreadPoolExecutor(1) as threads:
+        record = threads.submit(reader.newest)
+        time.sleep(0.02)
+        assert not record.done()
+        writer.publish()
+        assert record.result()["value"] == 2.0 and reader.count == 2
 
 
 def test_a_camera_gives_each_frame_once_and_the_newest(tmp_path: Path) -> None:
