@@ -10,10 +10,10 @@ from contactgraph.control.cost_io import CostSummary as CostSummary
 from contactgraph.control.cost_io import describe_cost as describe_cost
 from contactgraph.control.cost_io import read_cost as read_cost
 from contactgraph.control.cost_io import write_cost as write_cost
-from contactgraph.control.cost_learner import CostLearningConfig as CostLearningConfig
 from contactgraph.control.cost_learner import learn_cost as learn_cost
 from contactgraph.control.host import pin_to_core as pin_to_core
 from contactgraph.control.ilqr import ILQR as ILQR
+from contactgraph.control.learned_cost import CostLearningConfig as CostLearningConfig
 from contactgraph.control.learned_cost import CostTerm as CostTerm
 from contactgraph.control.learned_cost import LearnedCost as LearnedCost
 from contactgraph.control.learned_cost import LearningHistory as LearningHistory

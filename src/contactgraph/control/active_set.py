@@ -170,7 +170,7 @@ class ActiveSetMPC:
         """A control step about all nodes that matter: the states before and after it, and the nodes
         that the limit keeps out."""
         known = bool(np.isfinite(motion[0]).all() and np.isfinite(motion[1]).all())
-        if not known:  # The active nodes cannot be told; the step meets a bad observation.
+        if not known:  # The active nodes are unknown; the step gets a bad observation.
             motion = np.full_like(motion[0], np.nan), np.full_like(motion[1], np.nan)
         while True:
             after = self._mpc.advance(state, motion, contacts, applied, replan)

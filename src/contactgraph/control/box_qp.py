@@ -1,4 +1,4 @@
-"""The smallest problem of control: the best control of one step, within its limits."""
+"""Control limits, the box-constrained QP of one control step, and affine policies."""
 
 import itertools
 from typing import Any
@@ -63,7 +63,7 @@ def _solve_by_cholesky(matrix: Array, right: Array) -> Array:
 
 
 def free_part(matrix: Float[Array, "U U"], free: Bool[Array, " U"]) -> Float[Array, "U U"]:
-    """The matrix on the free controls, the identity on those held: solving leaves these alone."""
+    """The matrix on the free controls, the identity on those at a limit, which solving keeps."""
     both = free[:, None] & free[None, :]
     return jnp.where(both, matrix, jnp.eye(matrix.shape[0], dtype=matrix.dtype))
 
@@ -71,17 +71,17 @@ def free_part(matrix: Float[Array, "U U"], free: Bool[Array, " U"]) -> Float[Arr
 def solve_box_qp(
     S: Float[Array, "U U"], slope: Float[Array, " U"], limits: ControlLimits
 ) -> tuple[Float[Array, " U"], Bool[Array, " U"]]:
-    """``argmin u^T S u + 2 slope^T u`` within limits, and which controls no limit holds.
+    """``argmin u^T S u + 2 slope^T u`` within limits, and which controls are free of a limit.
 
-    Up to four controls it is exact: all ``3^U`` ways to hold controls at a limit are solved side
-    by side and the best allowed one is taken; that is one small kernel without a loop whose
-    rounds depend on the data. Above, sweeps over the controls one at a time, which converge.
+    Up to four controls it is exact: all ``3^U`` sets of controls at a limit are solved side by side
+    and the best feasible solution is taken, in one small kernel without a data-dependent loop.
+    Above, coordinate descent over the controls, which converges.
     """
     if slope.shape[0] <= _ENUMERATED_SIZE:
         u = _best_of_all(S, slope, limits)
     else:
         start = limits(-solve_small(S, slope[:, None])[:, 0])
-        u = jax.lax.fori_loop(0, _SWEEPS, lambda _, u: _swept(S, slope, limits, u), start)
+        u = jax.lax.fori_loop(0, _SWEEPS, lambda _, u: _sweep(S, slope, limits, u), start)
     return u, (u > limits.lower) & (u < limits.upper)
 
 
@@ -98,8 +98,8 @@ def _best_of_all(S: Array, slope: Array, limits: ControlLimits) -> Float[Array, 
     return u[jnp.argmin(jnp.where(allowed, value, jnp.inf))]
 
 
-def _swept(S: Array, slope: Array, limits: ControlLimits, u: Array) -> Float[Array, " U"]:
-    """Each control in turn at its own best, the others as they are."""
+def _sweep(S: Array, slope: Array, limits: ControlLimits, u: Array) -> Float[Array, " U"]:
+    """One sweep of coordinate descent."""
     for i in range(u.shape[0]):
         best = u[i] - (jnp.sum(S[i] * u) + slope[i]) / S[i, i]
         u = u.at[i].set(jnp.clip(best, limits.lower[i], limits.upper[i]))

@@ -1,4 +1,4 @@
-"""What a plan should cost: quadratic in state and control."""
+"""Costs of a plan, quadratic in state and control."""
 
 import itertools
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from contactgraph.data.errors import InvalidInputError
 
 
 class Cost(Protocol):
-    """What `MPC` and `ILQR` take for a cost: whatever becomes quadratic in a scene."""
+    """A cost for `MPC` and `ILQR`: any object that becomes quadratic in a scene."""
 
     def quadratic(self, node_count: int) -> "QuadraticCost":
         """The cost of a scene padded to ``node_count`` nodes."""
@@ -25,7 +25,7 @@ class QuadraticCost(eqx.Module):
 
     The paper's convention: no factor 1/2. ``x`` is `stack_state`'s vector, ``n = 2ND``. ``Q``
     must be symmetric and positive semi-definite, ``R`` symmetric and positive definite. Every
-    leaf is an array, so another goal or weight does not recompile what was compiled with this one.
+    leaf is an array, so another goal or weight does not recompile a function of it.
     """
 
     Q: Float[Array, "n n"] | Float[Array, "H+1 n n"]
@@ -33,7 +33,7 @@ class QuadraticCost(eqx.Module):
     R: Float[Array, "U U"] | Float[Array, "H U U"]
     """Control weight, 1/N^2."""
     goal: Float[Array, " n"] | Float[Array, "H+1 n"]
-    """Where the state should be, m and m/s."""
+    """Target state, m and m/s."""
     terminal_weight: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.ones(()))
     """Factor on the last step's ``Q``."""
     cost_node_ids: Int[Array, " M"] | None = None
@@ -85,7 +85,7 @@ def chain_cost(
     node_count: int,
     control_size: int | None = None,
 ) -> QuadraticCost:
-    """Each node of the chain to the next, and the last one to the goal (the paper's task costs).
+    """A cost that ties each node of the chain to the next, and the last to the goal, as the paper.
 
     ``sum over neighbours (x_a - x_b)^T diag(pick_weights) (x_a - x_b)
     + (x_last - x_goal)^T diag(goal_weights) (x_last - x_goal) + control_weight |u|^2``,
@@ -97,9 +97,9 @@ def chain_cost(
 
     Raises `InvalidInputError` where a weight is negative or a shape or node does not fit.
     """
-    place = np.asarray(goal, dtype=np.float64)
-    dimension = place.shape[0] if place.ndim == 1 else 0
-    if dimension == 0 or not np.all(np.isfinite(place)):
+    point = np.asarray(goal, dtype=np.float64)
+    dimension = point.shape[0] if point.ndim == 1 else 0
+    if dimension == 0 or not np.all(np.isfinite(point)):
         raise InvalidInputError(f"goal must be D finite numbers [m], found {goal}")
     if len(chain) == 0 or len(set(chain)) != len(chain):
         raise InvalidInputError(f"chain must name different nodes, at least one, found {chain}")
@@ -119,7 +119,7 @@ def chain_cost(
         Q[second, :, first] -= np.diag(pick)
     Q[chain[-1], :, chain[-1]] += np.diag(last)
     target = np.zeros((node_count, size))
-    target[list(chain), :dimension] = place
+    target[list(chain), :dimension] = point
     return QuadraticCost(
         Q=jnp.asarray(Q.reshape(node_count * size, node_count * size)),
         R=jnp.asarray(control_weight * np.eye(control_size or dimension)),

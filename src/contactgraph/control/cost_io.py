@@ -1,7 +1,7 @@
-"""Cost files: one JSON object that says what was learned, from what, and who takes part.
+"""Cost files: one JSON object with a learned cost, its task nodes, and how it was learned.
 
-A file is made to be read by people, too: it says in words what it minimises and in which units, a
-matrix has a row a line, and numbers have as many digits as give the same number back.
+A file is also made for people: it states in words what it minimises and in which units, a matrix
+has a row a line, and numbers have as many digits as give the same number back.
 """
 
 import json
@@ -37,7 +37,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class CostSummary:
-    """A cost and what its file says about how it was made."""
+    """A cost and how it was made, from its file."""
 
     cost: LearnedCost
     made: dict[str, Any] = field(default_factory=dict)
@@ -45,7 +45,7 @@ class CostSummary:
 
 
 def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | None = None) -> None:
-    """Write a cost to ``path``; whoever looks sees the old file or the whole new one, never half.
+    """Write a cost to ``path``, atomically: a reader gets the old file or the whole new one.
 
     ``made`` is anything JSON can hold. The same cost gives the same bytes. Raises
     `InvalidInputError` where `read_cost` would refuse it, ``made`` is not JSON, or the folder
@@ -96,8 +96,8 @@ def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | No
 def read_cost(path: str | Path) -> LearnedCost:
     """Read a cost that `write_cost` has written, in JAX's default precision.
 
-    Nothing in the file is executed. Raises `InvalidInputError` naming file and field for whatever
-    is wrong with it.
+    Nothing in the file is executed. Raises `InvalidInputError` naming file and field for any
+    fault in it.
     """
     return describe_cost(path).cost
 
@@ -172,7 +172,7 @@ def _numbers(values: Any) -> Any:
 
 
 def _text(value: Any, indent: str = "\n") -> str:
-    """JSON in which what holds lists or objects has a line for each, and the rest is one line."""
+    """JSON with a line for each element of an object or a list of lists; the rest is one line."""
     inner = indent + "  "
     if isinstance(value, dict) and value:
         parts = [f"{_line(str(key))}: {_text(each, inner)}" for key, each in value.items()]

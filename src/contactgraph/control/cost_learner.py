@@ -43,6 +43,7 @@ from contactgraph.control.demonstrations import (
 )
 from contactgraph.control.learned_cost import (
     ROUNDING,
+    CostLearningConfig,
     LearnedCost,
     LearningHistory,
     independent_part,
@@ -54,63 +55,41 @@ from contactgraph.control.lqr_adjoint import lqr_trajectory
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.model import StepModel
 
-
-@dataclass(frozen=True)
-class CostLearningConfig:
-    """The settings of cost learning."""
-
-    horizon: int = 20
-    """H, steps of the policy's plan."""
-    steps: int = 400
-    """Of Adam."""
-    batch: int = 256
-    """Windows a step."""
-    learning_rate: float = 0.1
-    discount: float = 0.95
-    """Weight of each step of a window against the one before."""
-    prior_weight: float = 3.0
-    """0: the demonstrations alone."""
-
-    def __post_init__(self) -> None:
-        for name in ("horizon", "steps", "batch"):
-            if getattr(self, name) < 1:
-                raise InvalidInputError(f"{name} must be at least 1, found {getattr(self, name)}")
-        if not self.learning_rate > 0.0:
-            raise InvalidInputError(f"learning_rate must be positive, found {self.learning_rate}")
-        if not 0.0 < self.discount <= 1.0:
-            raise InvalidInputError(f"discount must be above 0, at most 1, found {self.discount}")
-        if not self.prior_weight >= 0.0:
-            raise InvalidInputError(f"prior_weight must be 0 or more, found {self.prior_weight}")
+_CHUNK = 50
+"""Steps in one compiled call."""
+_LEAST = 1e-5
+"""R's smallest eigenvalue; their mean is 1."""
+_DEFAULT = CostLearningConfig()
 
 
 class FreeCost(eqx.Module):
-    """The numbers that are learned."""
+    """The learned parameters."""
 
     L: Float[Array, "m m"]
     Lu: Float[Array, "U U"]
 
 
 class LearnerState(eqx.Module):
-    """What is carried from step to step."""
+    """Parameters and optimiser state."""
 
     free: FreeCost
     optimiser: optax.OptState
 
 
 class CostLearner(eqx.Module):
-    """What stays the same while a cost is learned."""
+    """The constants of cost learning."""
 
     basis: Float[Array, "m m"]
     """T"""
     units: Float[Array, " m"]
-    """S: such that L = 1 answers a usual error with a usual control."""
+    """S: with L = 1 a typical error gives a typical control."""
     isotropy: Float[Array, "D D"]
     state_weight: Float[Array, "H+1 m"]
     control_weight: Float[Array, "H U"]
     config: CostLearningConfig = eqx.field(static=True)
 
     def begin(self) -> LearnerState:
-        """Before the first step: a usual error is answered with a usual control."""
+        """The first state, in which a typical error gives a typical control."""
         m, U = self.basis.shape[0], self.control_weight.shape[1]
         dtype = self.basis.dtype
         free = FreeCost(jnp.eye(m, dtype=dtype), jnp.eye(U, dtype=dtype))
@@ -130,7 +109,7 @@ class CostLearner(eqx.Module):
         return self.basis.T @ scaled @ self.basis, R * R.shape[0] / jnp.trace(R), W
 
     def loss(self, free: FreeCost, data: Demonstrations, windows: Int[Array, "b 2"]) -> tuple:
-        """What is minimised, and the imitation loss and the prior in it."""
+        """The objective, and its parts: imitation loss and prior."""
         Q, R, W = self.cost(free)
 
         def one(window: Int[Array, " 2"]) -> Array:
@@ -180,7 +159,7 @@ def cost_learner(
 
 
 def _size(values: np.ndarray, name: str) -> float:
-    """Root mean square; raises where there is nothing."""
+    """Root mean square; raises where it is zero."""
     size = float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
     if not size > 0.0:
         raise InvalidInputError(f"runs: {name} never changes from 0; nothing was demonstrated")
@@ -207,15 +186,9 @@ def advance_learner(
     return jax.lax.scan(step, state, windows)
 
 
-_CHUNK = 50
-"""Steps in one compiled call."""
-_LEAST = 1e-5
-"""R's smallest eigenvalue; their mean is 1."""
-
-
 @dataclass(frozen=True, eq=False)
 class FittedCost:
-    """What `fit_cost` finds."""
+    """The result of `fit_cost`."""
 
     Q: Float[Array, "m m"]
     R: Float[Array, "U U"]
@@ -266,9 +239,6 @@ def _check_definite(history: LearningHistory, begin: int) -> None:
             )
 
 
-_DEFAULT = CostLearningConfig()
-
-
 def learn_cost(
     model: StepModel,
     demonstrations: Dataset,
@@ -279,7 +249,7 @@ def learn_cost(
     seed: int = 0,
     on_step: Callable[[int, float], None] = lambda step, loss: None,
 ) -> LearnedCost:
-    """Q and R with which the model's optimal plans are what the demonstrations do.
+    """Q and R under which the model's optimal plans are the demonstrations.
 
     Nodes that take part in none of them are left out (`task_nodes`). ``goal`` [D] m: in place of
     the trajectories' own. ``limits``: those of the demonstrated controls; None: there were none.
@@ -290,14 +260,14 @@ def learn_cost(
     definiteness, with the step and the smallest eigenvalue.
     """
     scene = demonstrations.trajectories[0].scene
-    place = None if goal is None else np.asarray(goal, dtype=np.float64)
-    if place is not None and (place.shape != (scene.dimension,) or not np.isfinite(place).all()):
+    target = None if goal is None else np.asarray(goal, dtype=np.float64)
+    if target is not None and (target.shape != (scene.dimension,) or not np.isfinite(target).all()):
         raise InvalidInputError(f"goal must be {scene.dimension} finite numbers [m], found {goal}")
     starts = window_starts(demonstrations, config.horizon)
     filtered = filter_demonstrations(model, demonstrations)
     nodes = task_nodes(demonstrations, filtered)
     kept = tuple(each.name for each in nodes if each.kept)
-    data = demonstrations_of(demonstrations, filtered, kept, place, limits)
+    data = demonstrations_of(demonstrations, filtered, kept, target, limits)
     isotropy = isotropic_axes(scene.gravity, scene.dimension)
     fitted = fit_cost(data, starts, isotropy, config, seed, on_step)
     return LearnedCost(

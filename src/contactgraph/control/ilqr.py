@@ -1,4 +1,4 @@
-"""Iterative LQR on a model that hands over its own linearisation."""
+"""Iterative LQR with a model that gives its own linearisation."""
 
 import equinox as eqx
 import jax
@@ -28,7 +28,7 @@ _FIRST_DAMPING = 0.1
 _DAMPING_FACTOR = 10.0
 _LAST_DAMPING = 1e6
 _SURELY = 1.001
-"""Costs that differ by less may compare otherwise when summed in another order."""
+"""Costs that differ by less may compare differently when summed in another order."""
 
 
 class ILQR(eqx.Module):
@@ -82,10 +82,7 @@ class ILQR(eqx.Module):
         guess: AffinePolicy | None = None,
         dt: float = 0.0,
     ) -> tuple[Plan, SweptBounds]:
-        """As `solve`, and where all that was tried on the way to the plan led.
-
-        ``dt`` [s] is the model's step, in which bodies are told to meet.
-        """
+        """As `solve`, with the swept bounds of all trials; ``dt`` [s] is the model's step."""
         count, dimension = state.position.shape
         quadratic = cost.quadratic(count)
         ids = quadratic.cost_node_ids
@@ -136,7 +133,7 @@ class ILQR(eqx.Module):
     def _judge(
         self, search: "_Search", rollout: Rollout, total: Float[Array, ""], part: QuadraticCost
     ) -> "_Search":
-        """Accept or reject what the trial led to, at this cost, and choose the next trial."""
+        """Accept or reject the trial's rollout of this cost, and choose the next trial."""
         total = jnp.where(rollout.finite(), total, jnp.inf)
         sizes = jnp.asarray(self.step_sizes, total.dtype)
         promised = _ARMIJO * sizes[search.attempt] * search.improvement.expected_decrease
@@ -222,7 +219,7 @@ class ILQR(eqx.Module):
 
 
 class _Search(eqx.Module):
-    """Where the search stands: the best rollout so far and what to try next."""
+    """State of the search: the best rollout so far and the next trial."""
 
     reference: Rollout
     cost: Float[Array, ""]
@@ -240,7 +237,7 @@ class _Search(eqx.Module):
 def _adapted(
     damping: Float[Array, ""], accepted: Bool[Array, ""], exhausted: Bool[Array, ""]
 ) -> Float[Array, ""]:
-    """Less damping after a success, down to none; more when no step size has helped."""
+    """Damping falls after an accepted trial, down to 0; it grows when no step size helped."""
     lower = jnp.where(damping > _FIRST_DAMPING, damping / _DAMPING_FACTOR, 0.0)
     higher = jnp.maximum(damping * _DAMPING_FACTOR, _FIRST_DAMPING)
     return jnp.where(accepted, lower, jnp.where(exhausted, higher, damping))
@@ -249,6 +246,6 @@ def _adapted(
 def _trial_policy(
     reference: Rollout, improvement: Improvement, step_size: Float[Array, ""]
 ) -> AffinePolicy:
-    """Part of the step, with full feedback on how the states come out different."""
+    """A part of the step, with full feedback on deviations of the states."""
     control = reference.controls + step_size * improvement.step
     return AffinePolicy.around(improvement.policy.K, reference.x[:-1], control)

@@ -16,6 +16,34 @@ ROUNDING = 1e-5
 
 
 @dataclass(frozen=True)
+class CostLearningConfig:
+    """The settings of cost learning."""
+
+    horizon: int = 20
+    """H, steps of the policy's plan."""
+    steps: int = 400
+    """Of Adam."""
+    batch: int = 256
+    """Windows a step."""
+    learning_rate: float = 0.1
+    discount: float = 0.95
+    """Weight of each step of a window against the one before."""
+    prior_weight: float = 3.0
+    """0: the demonstrations alone."""
+
+    def __post_init__(self) -> None:
+        for name in ("horizon", "steps", "batch"):
+            if getattr(self, name) < 1:
+                raise InvalidInputError(f"{name} must be at least 1, found {getattr(self, name)}")
+        if not self.learning_rate > 0.0:
+            raise InvalidInputError(f"learning_rate must be positive, found {self.learning_rate}")
+        if not 0.0 < self.discount <= 1.0:
+            raise InvalidInputError(f"discount must be above 0, at most 1, found {self.discount}")
+        if not self.prior_weight >= 0.0:
+            raise InvalidInputError(f"prior_weight must be 0 or more, found {self.prior_weight}")
+
+
+@dataclass(frozen=True)
 class TaskNode:
     """One node of the demonstrations: whether it takes part in the task, and why."""
 
@@ -35,7 +63,7 @@ class TaskNode:
 
     @property
     def reason(self) -> str:
-        """Why it is kept or dropped, in words."""
+        """The reason to keep or drop it, for a user."""
         if self.active_runs:
             when = (
                 f"in contact in {self.active_runs} of {self.runs} runs, "
@@ -51,7 +79,7 @@ class LearningHistory(eqx.Module):
     imitation: Float[Array, " S"]
     """Loss on states and controls, in the units of `contactgraph.control.cost_learner`."""
     prior: Float[Array, " S"]
-    """Share of Q that ties terms or axes together which the prior takes for independent."""
+    """Share of Q with products of terms or axes that are independent in the prior."""
     smallest_q: Float[Array, " S"]
     """Smallest eigenvalue of Q."""
     smallest_r: Float[Array, " S"]
@@ -76,7 +104,7 @@ class LearnedCost(eqx.Module):
     goal: Float[Array, " D"]
     """m"""
     nodes: Int[Array, " M"]
-    """Where the kept nodes are in the scene."""
+    """Indices of the kept nodes in the scene."""
     kept_nodes: tuple[str, ...] = eqx.field(static=True)
     """[M] names, in the order in which they come into contact: gripper, first object, …"""
     history: LearningHistory
@@ -115,7 +143,7 @@ class LearnedCost(eqx.Module):
 
     @property
     def order(self) -> tuple[int, ...]:
-        """[M] Where the kept nodes are in the scene."""
+        """[M] Indices of the kept nodes in the scene."""
         return tuple(int(node) for node in self.nodes)
 
     def among(self, nodes: Sequence[int]) -> "LearnedCost":
@@ -155,7 +183,7 @@ def relative_terms(Q: np.ndarray, dimension: int) -> np.ndarray:
 
 
 def relative_names(nodes: Sequence[str]) -> tuple[str, ...]:
-    """What W's blocks are about, e.g. ``("gripper - target", "target - goal")``."""
+    """Names of W's blocks, e.g. ``("gripper - target", "target - goal")``."""
     return tuple(f"{a} - {b}" for a, b in zip(nodes, (*nodes[1:], "goal"), strict=True))
 
 
@@ -182,7 +210,7 @@ def isotropic_axes(gravity: np.ndarray | None, dimension: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class CostTerm:
-    """One of the relative terms of a cost, or its goal term, against what force costs.
+    """One of the relative terms of a cost, or its goal term, in units of force.
 
     With ``W`` the term's block of `relative_terms`, ``position = sqrt(mean diag W_pp / mean diag
     R)``, means over axes; ``velocity`` the same of ``W_vv``. A factor on Q and R changes neither.
@@ -191,9 +219,9 @@ class CostTerm:
     name: str
     """E.g. ``"gripper - target"``."""
     position: float
-    """N/m: a metre off for one step costs as much as this force in it."""
+    """N/m: a deviation of 1 m costs as much as this force, for one step each."""
     velocity: float
-    """N s/m: 1 m/s off for one step costs as much as this force in it."""
+    """N s/m: a deviation of 1 m/s costs as much as this force, for one step each."""
 
 
 def cost_terms(cost: LearnedCost) -> tuple[CostTerm, ...]:

@@ -126,7 +126,7 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
         node_ids=new.plan.node_ids,
         swept=SweptBounds(nodes(plan.swept.lower, position), nodes(plan.swept.upper, position)),
     )
-    seen = LastObservation(
+    observed = LastObservation(
         position=nodes(last.position, np.where(carry.is_first, np.nan, position)),
         velocity=nodes(last.velocity, velocity),
         belief=belief(last.belief, fresh),
@@ -134,7 +134,7 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
         control=last.control,
     )
     return replace(
-        new, carry=replace(carry, belief=belief(carry.belief, fresh), plan=moved, last=seen)
+        new, carry=replace(carry, belief=belief(carry.belief, fresh), plan=moved, last=observed)
     )
 
 
