@@ -137,7 +137,7 @@ def _summary(fields: JsonFields) -> CostSummary:
             Q=jnp.asarray(semidefinite(fields, "Q", 2 * dimension * len(names))),
             R=jnp.asarray(definite(fields, "R")),
             goal=jnp.asarray(goal),
-            nodes=jnp.asarray(fields.places("nodes", len(names)), jnp.int32),
+            nodes=jnp.asarray(fields.indices("nodes", len(names)), jnp.int32),
             kept_nodes=names,
             history=LearningHistory(
                 imitation=jnp.asarray(imitation),

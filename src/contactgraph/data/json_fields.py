@@ -1,4 +1,4 @@
-"""What the fields of a JSON file must be like, checked one by one."""
+"""Checked reading of JSON files that may be damaged or hostile."""
 
 import json
 import reprlib
@@ -11,9 +11,9 @@ import numpy as np
 from contactgraph.data.errors import InvalidInputError
 
 _LARGEST_COUNT = 2**31 - 1
-"""What 32 bits hold."""
+"""Largest integer of 32 bits."""
 _LARGEST = 1e30
-"""Above it single precision is near its end, and products are infinite."""
+"""Limit of numbers, above which products overflow in single precision."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class JsonFields:
     """A JSON object from a file; ``where`` names it in errors.
 
     Every method gives one field's value, and raises `InvalidInputError` where it is missing or is
-    not of the kind that the method's name says.
+    not of the type that the method's name says.
     """
 
     where: str
@@ -40,7 +40,7 @@ class JsonFields:
         if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
             raise self._wrong(name, "a list of objects", value)
         return [
-            JsonFields(f"{self.where}: {name}[{place}]", each) for place, each in enumerate(value)
+            JsonFields(f"{self.where}: {name}[{index}]", each) for index, each in enumerate(value)
         ]
 
     def text(self, name: str) -> str:
@@ -72,7 +72,7 @@ class JsonFields:
             raise self._wrong(name, "different names, at least one", value)
         return tuple(value)
 
-    def places(self, name: str, count: int) -> np.ndarray:
+    def indices(self, name: str, count: int) -> np.ndarray:
         """[count] different whole numbers from 0 on."""
         value = self._value(name)
         whole = isinstance(value, list) and all(_whole(each, 0) for each in value)
@@ -81,7 +81,7 @@ class JsonFields:
         return np.asarray(value)
 
     def rows(self, name: str) -> int:
-        """How many rows a square table of any size has, at least one."""
+        """Number of rows of a square table of any size, at least one."""
         value = self._value(name)
         if not isinstance(value, list) or not value:
             raise self._wrong(name, "rows of numbers, as many as columns", value)
@@ -101,9 +101,9 @@ class JsonFields:
         ):
             shown = reprlib.repr(value) if held.ndim == 0 else _times(held.shape)
             raise InvalidInputError(f"{self.where}: field {name!r} must be {wanted}, found {shown}")
-        for place, each in np.ndenumerate(held):
+        for position, each in np.ndenumerate(held):
             if not _finite(each):
-                where = name + "".join(f"[{index}]" for index in place)
+                where = name + "".join(f"[{index}]" for index in position)
                 raise self._wrong(where, "a finite number", each)
         return held.astype(np.float64)
 
@@ -141,7 +141,7 @@ def parse_json(text: str) -> Any:
 def check_version(field: str, content: Mapping[str, Any], version: int) -> None:
     """Raises `InvalidInputError` where ``format_version`` is another one.
 
-    ``field`` is what the message calls a field, with the file's name, e.g. ``"a.json: field"``.
+    ``field`` names the field in the message, with the file's name, e.g. ``"a.json: field"``.
     """
     found = content.get("format_version")
     if found != version or isinstance(found, bool):

@@ -3,8 +3,9 @@
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -18,11 +19,16 @@ from contactgraph.data.untrusted_hdf5 import (
     FORMAT,
     METADATA,
     NAMES,
-    RUNS,
+    OPTIONAL,
+    TRAJECTORIES,
     VERSION,
     UntrustedGroup,
     reading,
 )
+
+_ONE_CHUNK = 2**24
+"""Arrays up to this many bytes are one chunk, whose address the header's checksum covers."""
+_OF_SCENE = {each.name for each in fields(Scene)}
 
 
 def write_trajectories(
@@ -31,46 +37,47 @@ def write_trajectories(
     metadata: Metadata | None = None,
     compress: bool = False,
 ) -> None:
-    """Write runs to ``path``; whoever looks sees the old file or the whole new one, never half.
+    """Write trajectories to ``path`` atomically: a reader sees the old file or the whole new one.
 
-    Raises `InvalidInputError` where runs disagree (see `Dataset`), a name or a metadata value
-    cannot be stored, or the folder cannot be written to.
+    Raises `InvalidInputError` where trajectories disagree (see `Dataset`), a name or a metadata
+    value cannot be stored, or the folder cannot be written to.
     """
     path = Path(path)
     dataset = Dataset(tuple(trajectories), metadata or {})
     with (
         atomic_write(path) as temporary,
-        # From v110 on all structure carries checksums, so damage is found and not followed.
+        # From v110 on all structure has checksums, so that damage is detected.
         h5py.File(temporary, "x", libver=("v110", "v110")) as file,
     ):
-        file.attrs["format"] = fixed_text(str(path), FORMAT)
+        file.attrs["format"] = _fixed_text(str(path), FORMAT)
         file.attrs["format_version"] = VERSION
-        write_metadata(str(path), file, dataset.metadata)
-        runs = file.create_group(RUNS)
-        for number, run in enumerate(dataset):
-            name = f"{number:06d}"
-            write_trajectory(f"{path}: {RUNS}/{name}", runs.create_group(name), run, compress)
+        _write_metadata(str(path), file, dataset.metadata)
+        groups = file.create_group(TRAJECTORIES)
+        for index, each in enumerate(dataset):
+            name = f"{index:06d}"
+            where = f"{path}: {TRAJECTORIES}/{name}"
+            _write_trajectory(where, groups.create_group(name), each, compress)
 
 
 def read_trajectories(path: str | Path) -> Dataset:
-    """Read a file that `write_trajectories`, or anyone who keeps to the layout, has written.
+    """Read a file in the layout of `write_trajectories`, whatever program wrote it.
 
-    Nothing in the file is executed and nothing outside it is followed. Raises
-    `InvalidInputError` naming file, trajectory and field for whatever is wrong with it.
+    Nothing in the file is executed and no link to another file is followed. Raises
+    `InvalidInputError` naming file, trajectory and field where anything is wrong.
     """
     with _opened(Path(path)) as root:
-        runs = tuple(read_trajectory(run) for run in _runs(root))
-        metadata = read_metadata(root)
-        with naming(root.where):
-            return Dataset(runs, metadata)
+        trajectories = tuple(_read_trajectory(each) for each in _groups(root))
+        metadata = _read_metadata(root)
+        with _naming(root.where):
+            return Dataset(trajectories, metadata)
 
 
 @dataclass(frozen=True)
 class FileSummary:
-    """What is in a dataset file of ``R`` runs."""
+    """The contents of a dataset file of ``R`` trajectories."""
 
     format_version: int
-    run_name: tuple[str, ...]
+    trajectory_name: tuple[str, ...]
     """[R]"""
     steps: tuple[int, ...]
     """[R] T"""
@@ -90,31 +97,31 @@ class FileSummary:
 
 
 def describe_file(path: str | Path) -> FileSummary:
-    """What is in a file, from shapes, names and attributes alone.
+    """The contents of a file, from shapes, names and attributes alone.
 
-    Raises `InvalidInputError` as `read_trajectories` does; numbers inside arrays are not looked at.
+    Raises `InvalidInputError` as `read_trajectories` does; numbers in arrays are not checked.
     """
     path = Path(path)
     with _opened(path) as root:
-        runs = _runs(root)
-        positions = [run.shape("position", ARRAYS["position"]) for run in runs]
+        groups = _groups(root)
+        positions = [each.shape("position", ARRAYS["position"]) for each in groups]
         return FileSummary(
             format_version=VERSION,
-            run_name=tuple(root.child(RUNS).names_by_number()),
+            trajectory_name=tuple(root.child(TRAJECTORIES).names_by_number()),
             steps=tuple(shape[0] - 1 for shape in positions),
-            node_name=tuple(run.texts("node_name") for run in runs),
-            dt=tuple(read_dt(run) for run in runs),
+            node_name=tuple(each.texts("node_name") for each in groups),
+            dt=tuple(_read_dt(each) for each in groups),
             dimension=tuple(shape[2] for shape in positions),
-            control_size=tuple(run.shape("control", ARRAYS["control"])[1] for run in runs),
-            has_contact=tuple("contact" in run.names() for run in runs),
-            metadata=read_metadata(root),
+            control_size=tuple(each.shape("control", ARRAYS["control"])[1] for each in groups),
+            has_contact=tuple("contact" in each.names() for each in groups),
+            metadata=_read_metadata(root),
             size=path.stat().st_size,
         )
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[UntrustedGroup]:
-    """The root of a file of our format and of a version that we know."""
+    """The root of a file of this format and version."""
     if not path.exists():
         raise InvalidInputError(f"{path}: does not exist")
     if not path.is_file():
@@ -142,45 +149,27 @@ def _opened(path: Path) -> Iterator[UntrustedGroup]:
             yield root
 
 
-def _runs(root: UntrustedGroup) -> list[UntrustedGroup]:
-    runs = root.child(RUNS)
-    return [runs.child(name) for name in runs.names_by_number()]
+def _groups(root: UntrustedGroup) -> list[UntrustedGroup]:
+    parent = root.child(TRAJECTORIES)
+    return [parent.child(name) for name in parent.names_by_number()]
 
 
-def read_trajectory(group: UntrustedGroup) -> Trajectory:
-    """The run in ``group``; raises `InvalidInputError` naming it and the field."""
-    position = _array(group, "position")
-    velocity, control = _array(group, "velocity"), _array(group, "control")
-    contact, skeleton = _optional_array(group, "contact"), _optional_array(group, "skeleton")
-    tracked, measured_at = _optional_array(group, "tracked"), _optional_array(group, "measured_at")
-    names, types = group.texts("node_name"), group.texts("node_type")
-    actuated, dt, metadata = _array(group, "actuated"), read_dt(group), read_metadata(group)
-    anchor, goal = _optional_array(group, "anchor"), _optional_array(group, "goal")
-    gravity = _optional_array(group, "gravity")
-    mass, radius = _optional_array(group, "mass"), _optional_array(group, "radius")
-    size, edges = _optional_array(group, "size"), _optional_array(group, "candidate_edges")
-    with naming(group.where):
-        scene = Scene(
-            node_name=names,
-            node_type=types,
-            actuated=actuated,
-            dt=dt,
-            dimension=position.shape[2],
-            anchor=anchor,
-            goal=goal,
-            gravity=gravity,
-            mass=mass,
-            radius=radius,
-            size=size,
-            candidate_edges=edges,
-            metadata=metadata,
-        )
-        return Trajectory(
-            scene, position, velocity, control, contact, skeleton, tracked, measured_at
-        )
+def _read_trajectory(group: UntrustedGroup) -> Trajectory:
+    """The trajectory in ``group``; raises `InvalidInputError` naming it and the field."""
+    there = group.names()
+    arrays: dict[str, Any] = {
+        name: _read_array(group, name) for name in ARRAYS if name not in OPTIONAL or name in there
+    }
+    names: dict[str, Any] = {name: group.texts(name) for name in NAMES}
+    dt, metadata = _read_dt(group), _read_metadata(group)
+    of_scene = {name: arrays.pop(name) for name in list(arrays) if name in _OF_SCENE}
+    with _naming(group.where):
+        dimension = arrays["position"].shape[2]
+        scene = Scene(**names, **of_scene, dt=dt, dimension=dimension, metadata=metadata)
+        return Trajectory(scene, **arrays)
 
 
-def read_dt(group: UntrustedGroup) -> float:
+def _read_dt(group: UntrustedGroup) -> float:
     """Time between two steps, s."""
     dt = group.attribute("dt")
     if isinstance(dt, (str, bool)):
@@ -188,25 +177,12 @@ def read_dt(group: UntrustedGroup) -> float:
     return float(dt)
 
 
-def read_metadata(group: UntrustedGroup) -> Metadata:
+def _read_metadata(group: UntrustedGroup) -> Metadata:
     """Free-form metadata; none where the group for it is absent."""
     return group.child(METADATA).attributes() if METADATA in group.names() else {}
 
 
-@contextmanager
-def naming(where: str) -> Iterator[None]:
-    """Say where the values came from that `Scene`, `Trajectory` or `Dataset` refused."""
-    try:
-        yield
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{where}: {error}") from error
-
-
-def _optional_array(group: UntrustedGroup, name: str) -> np.ndarray | None:
-    return _array(group, name) if name in group.names() else None
-
-
-def _array(group: UntrustedGroup, name: str) -> np.ndarray:
+def _read_array(group: UntrustedGroup, name: str) -> np.ndarray:
     field = ARRAYS[name]
     value = group.array(name, field)
     if "b" not in field.kinds:
@@ -216,28 +192,35 @@ def _array(group: UntrustedGroup, name: str) -> np.ndarray:
     return value.astype(bool)
 
 
-_ONE_CHUNK = 2**24
-"""Arrays up to this many bytes are one chunk, whose address the header's checksum covers."""
+@contextmanager
+def _naming(where: str) -> Iterator[None]:
+    """Name the origin of values that `Scene`, `Trajectory` or `Dataset` refuse."""
+    try:
+        yield
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{where}: {error}") from error
 
 
-def write_trajectory(where: str, group: h5py.Group, run: Trajectory, compress: bool) -> None:
+def _write_trajectory(
+    where: str, group: h5py.Group, trajectory: Trajectory, compress: bool
+) -> None:
     """Fill ``group``; ``where`` names it in errors."""
-    group.attrs["dt"] = float(run.scene.dt)
-    write_metadata(where, group, run.scene.metadata)
+    group.attrs["dt"] = float(trajectory.scene.dt)
+    _write_metadata(where, group, trajectory.scene.metadata)
     for name in NAMES:
-        texts = fixed_texts(f"{where}/{name}", getattr(run.scene, name))
+        texts = _fixed_texts(f"{where}/{name}", getattr(trajectory.scene, name))
         _write_array(group, name, texts, compress)
     for name, field in ARRAYS.items():
-        value = getattr(run if hasattr(run, name) else run.scene, name)
+        value = getattr(trajectory.scene if name in _OF_SCENE else trajectory, name)
         if value is None:
             continue
         written = _write_array(group, name, value, compress)
         if field.unit is not None:
-            written.attrs["unit"] = fixed_text(where, field.unit)
+            written.attrs["unit"] = _fixed_text(where, field.unit)
 
 
 def _write_array(group: h5py.Group, name: str, value: np.ndarray, compress: bool) -> h5py.Dataset:
-    # uint8, since an HDF5 bool is an enum that readers in other languages may not know.
+    # uint8, because an HDF5 bool is an enum that readers in other languages may not know.
     stored = value.astype(np.uint8) if value.dtype == bool else value
     if stored.size == 0:
         return group.create_dataset(name, data=stored)
@@ -251,28 +234,28 @@ def _write_array(group: h5py.Group, name: str, value: np.ndarray, compress: bool
     )
 
 
-def write_metadata(where: str, group: h5py.Group, metadata: Metadata) -> None:
-    """Store each value as a scalar attribute of a group of its own inside ``group``."""
+def _write_metadata(where: str, group: h5py.Group, metadata: Metadata) -> None:
+    """Store each value as a scalar attribute of a subgroup of ``group``."""
     attributes = group.create_group(METADATA).attrs
     for name, value in metadata.items():
-        place = f"{where}: metadata {name!r}"
+        entry = f"{where}: metadata {name!r}"
         if not (isinstance(name, str) and name):
-            raise InvalidInputError(f"{place}: the name must be a string that is not empty")
-        fixed_text(place, name)
+            raise InvalidInputError(f"{entry}: the name must be a string that is not empty")
+        _fixed_text(entry, name)
         if isinstance(value, str):
-            attributes[name] = fixed_text(place, value)
+            attributes[name] = _fixed_text(entry, value)
         elif isinstance(value, (bool, float, np.bool_, np.floating)):
             attributes[name] = value
         elif isinstance(value, (int, np.integer)) and -(2**63) <= value < 2**63:
             attributes[name] = np.int64(value)
         else:
             raise InvalidInputError(
-                f"{place}: must be a string, int of 64 bits, float or bool, found {value!r}"
+                f"{entry}: must be a string, int of 64 bits, float or bool, found {value!r}"
             )
 
 
-def fixed_texts(where: str, texts: tuple[str, ...]) -> np.ndarray:
-    """[N] UTF-8 of fixed length: texts of variable length live in a heap without checksum."""
+def _fixed_texts(where: str, texts: tuple[str, ...]) -> np.ndarray:
+    """[N] UTF-8 of fixed length, because texts of variable length are stored without checksum."""
     for text in texts:
         if not isinstance(text, str) or "\0" in text or not _is_unicode(text):
             raise InvalidInputError(f"{where}: must be Unicode without NUL, found {text!r}")
@@ -281,9 +264,8 @@ def fixed_texts(where: str, texts: tuple[str, ...]) -> np.ndarray:
     return np.array(encoded, dtype=h5py.string_dtype("utf-8", length))
 
 
-def fixed_text(where: str, text: str) -> np.ndarray:
-    """One text as `fixed_texts` stores it."""
-    return fixed_texts(where, (text,)).reshape(())
+def _fixed_text(where: str, text: str) -> np.ndarray:
+    return _fixed_texts(where, (text,)).reshape(())
 
 
 def _is_unicode(text: str) -> bool:

@@ -1,4 +1,4 @@
-"""What never changes in a run: who takes part, who is actuated, and where the goal is."""
+"""A recorded trajectory and its scene."""
 
 from dataclasses import dataclass, field
 
@@ -9,7 +9,7 @@ from contactgraph.data.errors import InvalidInputError
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What never changes in a recorded run.
+    """The properties of a scene that stay constant along a trajectory.
 
     Raises `InvalidInputError` where a field has the wrong shape, a value that is not finite,
     or names that are not unique.
@@ -18,7 +18,7 @@ class Scene:
     node_name: tuple[str, ...]
     """[N] unique names, e.g. ``("gripper", "object-0")``."""
     node_type: tuple[str, ...]
-    """[N] kinds of node, e.g. ``("gripper", "object")``."""
+    """[N] types of node, e.g. ``("gripper", "object")``."""
     actuated: np.ndarray
     """[N] bool: whether the control acts on the node itself."""
     dt: float
@@ -26,19 +26,19 @@ class Scene:
     dimension: int = 2
     """D, degrees of freedom a node."""
     anchor: np.ndarray | None = None
-    """[N, D] hinge position, m; NaN where a node has none. None: nobody has one."""
+    """[N, D] hinge position, m; NaN where a node has none. None: no node has one."""
     goal: np.ndarray | None = None
-    """[D] goal position, m. None: the run has no goal."""
+    """[D] goal position, m. None: there is no goal."""
     gravity: np.ndarray | None = None
-    """[D] m/s^2: how bodies fall that nothing bears and nothing actuates. They rest on something
-    until they are carried. None: bodies have no weight, or lie in a plane that bears them."""
+    """[D] m/s^2: acceleration of bodies without support or actuation. They rest on a support until
+    they are lifted. None: bodies have no weight, or lie on a plane that supports it."""
     mass: np.ndarray | None = None
     """[N] true mass, kg, where it is known. Serves evaluation only; training never reads it."""
     radius: np.ndarray | None = None
     """[N] radius, m, where it is known. Serves drawing only; training never reads it."""
     size: np.ndarray | None = None
     """[N, D] side lengths of a box around each node's position, along the axes, m; NaN throughout
-    for a node that is no box. None: nobody is. Serves drawing only; training never reads it."""
+    for a node that is no box. None: no node is. Serves drawing only; training never reads it."""
     candidate_edges: np.ndarray | None = None
     """[E, 2] int: pairs of nodes that could touch. None: every pair."""
     metadata: dict[str, str | int | float | bool] = field(default_factory=dict)
@@ -124,7 +124,7 @@ def _set(instance: object, name: str, value: object) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One recorded run of ``T`` steps with ``N`` nodes of ``D`` degrees of freedom.
+    """One recorded trajectory of ``T`` steps with ``N`` nodes of ``D`` degrees of freedom.
 
     Step ``t`` leads from state ``t`` to state ``t + 1`` under ``control[t]``.
     Raises `InvalidInputError` where a shape is wrong or a number is not finite.
@@ -143,8 +143,8 @@ class Trajectory:
     """[T+1, P, D] m: points, joined by lines in their order, of a body that is drawn but is no
     node, such as an arm from base to hand. None: there is none. Training never reads it."""
     tracked: np.ndarray | None = None
-    """[T+1, N] bool: whether whoever measured a node still knew where it was. None: simulated, or
-    not told. Training never reads it."""
+    """[T+1, N] bool: whether the position of a node was being tracked. None: simulated, or not
+    known. Training never reads it."""
     measured_at: np.ndarray | None = None
     """[T+1, N] s from the first state on: when each node was last measured, as known at that step.
     None: at that very time. Training never reads it."""

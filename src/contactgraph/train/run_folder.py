@@ -1,4 +1,4 @@
-"""Checkpoints: all that training carries, in one file that is there whole or not at all."""
+"""The folder of a training run: its settings, checkpoints, measurements and best model."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ VERSION = 1
 
 
 def save_checkpoint(path: Path, state: FitState) -> None:
-    """Write the state atomically: whoever looks sees the old file or the whole new one."""
+    """Write the state to one file, atomically."""
     header = {"format": FORMAT, "format_version": str(VERSION)}
     content = safetensors.numpy.save(
         module_arrays(state), metadata={"contactgraph": json.dumps(header)}
@@ -28,9 +28,9 @@ def save_checkpoint(path: Path, state: FitState) -> None:
 
 
 def load_checkpoint(path: Path, like: FitState) -> FitState:
-    """The saved state; `like` is a state of the same model and recipe.
+    """The saved state; `like` is a state of the same model and settings.
 
-    Raises `InvalidInputError` where the file is damaged, or of another model.
+    Raises `InvalidInputError` where the file is damaged, or belongs to another model.
     """
     if not path.is_file():
         raise InvalidInputError(f"{path}: no such checkpoint")
@@ -57,8 +57,8 @@ _CHECKPOINTS_KEPT = 2
 class RunFolder:
     """``config.json``, ``metrics.jsonl``, ``checkpoint-*.safetensors`` and ``model.safetensors``.
 
-    Every file is replaced as a whole, so a run killed at any moment can go on from its last
-    checkpoint. Raises `InvalidInputError` where the folder cannot be used as asked.
+    Every file is written atomically, so that a training killed at any moment can resume from its
+    last checkpoint. Raises `InvalidInputError` where the folder cannot be used as requested.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,13 +66,13 @@ class RunFolder:
 
     @property
     def model_path(self) -> Path:
-        """The best model so far; there from the first checkpoint on."""
+        """The best model so far; it exists from the first checkpoint on."""
         return self.path / "model.safetensors"
 
     def create(self, config: dict[str, Any], state: FitState) -> None:
-        """Begin a run: what it was told, and its first state, so that it can go on from there.
+        """Start a training run with its settings and its first state.
 
-        Refuses a folder that holds a run already, or anything else.
+        Raises for a folder that holds a run already, or anything else.
         """
         if (self.path / "config.json").exists():
             raise InvalidInputError(
@@ -88,7 +88,7 @@ class RunFolder:
         save_checkpoint(self._checkpoint(int(state.step)), state)
 
     def config(self) -> dict[str, Any]:
-        """What the run was told."""
+        """The settings of the run."""
         path = self.path / "config.json"
         if not path.is_file():
             raise InvalidInputError(f"{self.path}: not a run folder (it has no config.json)")
@@ -101,7 +101,7 @@ class RunFolder:
         return config
 
     def save(self, progress: FitProgress) -> None:
-        """Save a checkpoint and the measurements up to it; older checkpoints are dropped."""
+        """Save a checkpoint and the measurements up to it; older checkpoints are deleted."""
         rows = [row for row in self.metrics() if row["step"] < progress.step]
         rows.append(
             {
@@ -111,8 +111,8 @@ class RunFolder:
                 "seconds": round(progress.seconds, 3),
             }
         )
-        # Measurements first: killed in between, the run measures this step once more. The other
-        # way round it would go on after a step that was never written down.
+        # Measurements first: a run killed in between measures this step once more. In the other
+        # order it would continue after a step without measurements.
         self._write("metrics.jsonl", "".join(json.dumps(row) + "\n" for row in rows))
         save_checkpoint(self._checkpoint(progress.step), progress.state)
         for old in self.checkpoints()[:-_CHECKPOINTS_KEPT]:
@@ -145,7 +145,7 @@ class RunFolder:
         return load_checkpoint(found[-1], like)
 
     def _checkpoint(self, step: int) -> Path:
-        # Ten digits hold the most steps a recipe may have, so names sort as steps do.
+        # Ten digits hold the largest number of steps, so that names sort as steps do.
         return self.path / f"checkpoint-{step:010d}.safetensors"
 
     def _write(self, name: str, text: str) -> None:
