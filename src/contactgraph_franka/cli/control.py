@@ -145,7 +145,7 @@ def _move_to_start(arm: Arm, goal: np.ndarray, limits: SafetyLimits) -> None:
 
 
 @dataclass(frozen=True)
-class RehearseControl:
+class ControlSimulated:
     """Let a simulated arm with a camera pick up blocks, by MPC with a learned model.
 
     Each episode has its own start, block and goal. It succeeds if at its end, by the ground truth,

@@ -155,7 +155,7 @@ def expert_planner(noise: float) -> Planner:
 
 
 @dataclass(frozen=True)
-class RehearseRecord:
+class RecordSimulated:
     """Record trajectories of a simulated arm with a camera; resumes after a stop.
 
     In some the block is grasped, at rest or in passing, and carried from place to place, in others

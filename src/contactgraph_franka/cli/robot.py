@@ -13,9 +13,9 @@ from contactgraph.cli.options import check_range
 from contactgraph.cli.output import check_suffix, check_writable, write_json
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.cli.arms import open_arm
-from contactgraph_franka.cli.control import RehearseControl, Run
+from contactgraph_franka.cli.control import ControlSimulated, Run
 from contactgraph_franka.cli.options import FAKE, ArmOptions, RobotFault, check_seconds, point
-from contactgraph_franka.cli.record import Record, RehearseRecord
+from contactgraph_franka.cli.record import Record, RecordSimulated
 from contactgraph_franka.loop.control_loop import measure_loop
 
 if TYPE_CHECKING:
@@ -63,14 +63,7 @@ class Check:
         report = timing.report
         write_json(
             self.json,
-            {
-                "address": self.address,
-                **report.to_json(),
-                "states_hz": timing.states_hz,
-                "state_gap_ms_p50": timing.state_gap_ms_p50,
-                "state_gap_ms_p99": timing.state_gap_ms_p99,
-                "state_gap_ms_worst": timing.state_gap_ms_worst,
-            },
+            {"address": self.address, **timing.to_json()},
         )
         if not report.completed:
             raise RobotFault(f"the arm stopped: {report.stop.reason.value}. {error}".strip())
@@ -172,7 +165,7 @@ def _marker_pose(camera: "Camera", marker: "TaggedObject") -> "ObjectPose | None
 
 
 @dataclass(frozen=True)
-class Rehearse:
+class Simulate:
     """Simulate an arm behind the real one's protocol, with table and tagged block, until Ctrl-C.
 
     Its address takes the same commands as a real arm's.
@@ -222,9 +215,9 @@ class Robot:
         | Annotated[Run, subcommand("run")]
         | Annotated[Record, subcommand("record")]
         | Annotated[Calibrate, subcommand("calibrate")]
-        | Annotated[Rehearse, subcommand("rehearse")]
-        | Annotated[RehearseRecord, subcommand("rehearse-record")]
-        | Annotated[RehearseControl, subcommand("rehearse-control")]
+        | Annotated[Simulate, subcommand("rehearse")]
+        | Annotated[RecordSimulated, subcommand("rehearse-record")]
+        | Annotated[ControlSimulated, subcommand("rehearse-control")]
     )
 
     def run(self) -> None:

@@ -136,6 +136,11 @@ class LoopTiming:
     state_gap_ms_p99: float
     state_gap_ms_worst: float
 
+    def to_json(self) -> dict[str, Any]:
+        """The report's numbers and these, by name."""
+        own = {name: value for name, value in vars(self).items() if name != "report"}
+        return {**self.report.to_json(), **own}
+
     def lines(self) -> list[str]:
         """The measurements as text."""
         return [

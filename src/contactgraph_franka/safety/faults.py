@@ -20,35 +20,6 @@ def _intact(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
     return past[-1]
 
 
-def _not_finite(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
-    return replace(past[-1], position=np.full_like(past[-1].position, np.nan))
-
-
-def _frozen(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
-    # The robot repeats its reading; the host stamps it as usual.
-    return replace(onset, time=past[-1].time)
-
-
-def _jumped(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
-    position = past[-1].position.copy()
-    position[-1] += _JUMP
-    return replace(past[-1], position=position)
-
-
-def _delayed(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
-    return past[max(len(past) - 1 - _DELAY, 0)]
-
-
-def _untracked(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
-    tracked = past[-1].tracked.copy()
-    tracked[-1] = False
-    return replace(past[-1], tracked=tracked)
-
-
-def _missing(past: Sequence[RobotReading], onset: RobotReading) -> None:
-    return None
-
-
 @dataclass(frozen=True)
 class Fault:
     """One fault, in the control cycles from ``start`` up to but not including ``end``."""
@@ -68,32 +39,48 @@ class Fault:
 
 def nan_fault(start: int, end: int) -> Fault:
     """Positions are NaN."""
-    return Fault(start, end, _not_finite)
+    return Fault(
+        start,
+        end,
+        lambda past, _: replace(past[-1], position=np.full_like(past[-1].position, np.nan)),
+    )
 
 
 def frozen_fault(start: int, end: int) -> Fault:
-    """The robot repeats one reading, its clock included."""
-    return Fault(start, end, _frozen)
+    """The robot repeats one reading, its clock included; the host stamps it as usual."""
+    return Fault(start, end, lambda past, onset: replace(onset, time=past[-1].time))
 
 
 def jump_fault(start: int, end: int) -> Fault:
     """The object's position is 0.1 m off on each axis."""
-    return Fault(start, end, _jumped)
+
+    def jumped(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
+        position = past[-1].position.copy()
+        position[-1] += _JUMP
+        return replace(past[-1], position=position)
+
+    return Fault(start, end, jumped)
 
 
 def delay_fault(start: int, end: int) -> Fault:
     """Readings come 5 control cycles late."""
-    return Fault(start, end, _delayed)
+    return Fault(start, end, lambda past, _: past[max(len(past) - 1 - _DELAY, 0)])
 
 
 def lost_object_fault(start: int, end: int) -> Fault:
     """The object is no longer tracked."""
-    return Fault(start, end, _untracked)
+
+    def untracked(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
+        tracked = past[-1].tracked.copy()
+        tracked[-1] = False
+        return replace(past[-1], tracked=tracked)
+
+    return Fault(start, end, untracked)
 
 
 def lost_packet_fault(start: int, end: int) -> Fault:
     """No reading comes from the robot, and no command reaches it."""
-    return Fault(start, end, _missing, drops_commands=True)
+    return Fault(start, end, lambda past, onset: None, drops_commands=True)
 
 
 def late_plan_fault(start: int, end: int) -> Fault:

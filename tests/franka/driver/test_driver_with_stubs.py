@@ -1,0 +1,241 @@
+"""Driver and gripper over stubs of the maker's client: readings, forces, stops and faults."""
+
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("franky", reason="needs pip install 'contactgraph[robot]'")
+
+from contactgraph.data import InvalidInputError
+from contactgraph_franka.driver.client import franky
+from contactgraph_franka.driver.franka_robot import FrankaRobot
+from contactgraph_franka.driver.gripper import FrankaGripper
+from contactgraph_franka.driver.readings import AssumedBlock
+from contactgraph_franka.safety import SafetyLimits, Stop, StopReason
+
+HAND = np.array([0.5, 0.0, 0.3])
+BLOCK = np.array([0.5, 0.1, 0.05])
+VELOCITY = np.linspace(0.1, 0.7, 7)
+JACOBIAN = np.vstack([np.eye(6), np.zeros(6)]).T + 0.1
+FORCE = np.array([0.0, 0.001, 0.0])
+ASKED = Stop(StopReason.ASKED, 0.0)
+
+
+class StubMotion:
+    def __init__(self, **options: Any) -> None:
+        self.options = options
+        self.torque: np.ndarray | None = None
+
+    def set_torque(self, torque: np.ndarray) -> None:
+        self.torque = torque
+
+
+class StubArm:
+    """An arm whose state is new in each ``cycle``; ``error`` ends its motion, ``lost`` all."""
+
+    def __init__(self) -> None:
+        self.cycle, self.is_in_control = 0, False
+        self.error: Exception | None = None
+        self.lost: Exception | None = None
+        self.motions: list[Any] = []
+        self.model = SimpleNamespace(
+            pose=lambda *_: SimpleNamespace(translation=HAND),
+            mass=lambda _: np.eye(7),
+            coriolis=lambda _: np.zeros(7),
+            zero_jacobian=lambda *_: JACOBIAN,
+        )
+
+    @property
+    def state(self) -> SimpleNamespace:
+        if self.lost is not None:
+            raise self.lost
+        return SimpleNamespace(
+            time=SimpleNamespace(to_msec=lambda: self.cycle),
+            q=np.zeros(7),
+            dq=VELOCITY,
+            tau_J_d=np.zeros(7),
+            O_T_EE=SimpleNamespace(quaternion=np.array([1.0, 0.0, 0.0, 0.0]), matrix=np.eye(4)),
+            F_T_EE=franky.Affine(),
+            EE_T_K=franky.Affine(),
+        )
+
+    def set_collision_behavior(self, *thresholds: float) -> None:
+        self.thresholds = thresholds
+
+    def move(self, motion: Any, **options: Any) -> None:
+        self.motions.append(motion)
+        self.is_in_control = True
+
+    def join_motion(self, timeout: float) -> None:
+        if self.error is not None:
+            error, self.error = self.error, None
+            raise error
+
+    def recover_from_errors(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def arm(monkeypatch: pytest.MonkeyPatch) -> StubArm:
+    stub = StubArm()
+    module = "contactgraph_franka.driver.franka_robot"
+    monkeypatch.setattr(f"{module}.connect", lambda address: stub)
+    monkeypatch.setattr(f"{module}.franky.SimpleTorqueMotion", StubMotion)
+    return stub
+
+
+def test_each_state_is_read_once(arm: StubArm) -> None:
+    robot = FrankaRobot("arm", clock=lambda: 7.0)
+    assert arm.thresholds == (20.0, 30.0)
+    reading = robot.read()
+    assert reading is not None and reading.contact is None and reading.time[0] == 7.0
+    np.testing.assert_array_equal(reading.position, [HAND])
+    np.testing.assert_allclose(reading.velocity[0], JACOBIAN[:3] @ VELOCITY)
+    assert robot.read() is None
+    arm.cycle = 1
+    reading = robot.read()
+    assert reading is not None and reading.robot_time == 0.001
+
+
+def test_forces_become_torques_until_a_stop(arm: StubArm) -> None:
+    robot = FrankaRobot("arm")
+    assert robot.send(FORCE, 0.0) is None and not robot.moving
+    robot.resume()
+    robot.read()
+    assert robot.moving
+    sent = robot.send(FORCE, 0.0)
+    # The limit of the torques' rate shortens the first forces in their direction.
+    assert sent is not None and 0.0 < sent[1] <= FORCE[1] and not sent[[0, 2]].any()
+    (motion,) = arm.motions
+    assert motion.torque.shape == (7,) and motion.options["signal_timeout"] == 0.02
+    motion.torque = None
+    assert robot.send(np.full(3, np.nan), 0.0) is None and motion.torque is None
+    with pytest.raises(InvalidInputError, match="stop it before move_to"):
+        robot.move_to(HAND)
+    robot.stop(ASKED)
+    assert isinstance(arm.motions[1], franky.TorqueStopMotion)
+    assert robot.send(FORCE, 0.0) is None and robot.ended is None
+    robot.stop(ASKED)
+    assert len(arm.motions) == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (franky.ControlException("reflex"), StopReason.ARM_STOPPED),
+        (franky.CommandException("guided"), StopReason.ARM_STOPPED),
+        (franky.TorqueSignalTimeoutException("silence"), StopReason.COMMAND_LATE),
+        (RuntimeError("libfranka: UDP receive"), StopReason.CONNECTION_LOST),
+    ],
+)
+def test_end_of_a_motion_is_reported(arm: StubArm, error: Exception, reason: StopReason) -> None:
+    robot = FrankaRobot("arm", clock=lambda: 3.0)
+    robot.resume()
+    robot.read()
+    arm.error, arm.is_in_control = error, False
+    assert robot.send(FORCE, 0.0) is None
+    assert robot.ended == Stop(reason, 3.0) and robot.last_error == str(error)
+    assert robot.recover() and robot.ended is None
+    robot.resume()
+    assert robot.moving
+
+
+def test_lost_connection_is_no_exception(arm: StubArm) -> None:
+    robot = FrankaRobot("arm")
+    np.testing.assert_array_equal(robot.hand_pose(), np.eye(4))
+    arm.lost = RuntimeError("no route")
+    assert robot.read() is None
+    assert robot.ended is not None and robot.ended.reason is StopReason.CONNECTION_LOST
+    lines = dict(robot.describe(SafetyLimits()))
+    assert lines["connection"] == "lost: no route" and lines["force"].startswith("at most 20 N")
+    with pytest.raises(InvalidInputError, match="the arm at arm is lost: no route"):
+        robot.hand_pose()
+
+
+class StubFingers:
+    block = 0
+
+    def __init__(self) -> None:
+        self.offsets: list[np.ndarray] = []
+
+    def follow(self, offset: np.ndarray, velocity: np.ndarray, tracked: np.ndarray) -> None:
+        self.offsets.append(offset)
+
+    def contact(self) -> float:
+        return 1.0
+
+
+def test_fingers_move_while_forces_act_and_carry_the_block(arm: StubArm) -> None:
+    fingers = StubFingers()
+    robot = FrankaRobot("arm", AssumedBlock(BLOCK), fingers=fingers)
+    reading = robot.read()
+    assert reading is not None and reading.contact is not None and not fingers.offsets
+    np.testing.assert_array_equal(reading.contact, [[0.0, 1.0], [1.0, 0.0]])
+    # The fingers report contact, so that the block is at the hand.
+    np.testing.assert_array_equal(reading.position[1], HAND)
+    robot.resume()
+    arm.cycle = 1
+    robot.read()
+    np.testing.assert_array_equal(fingers.offsets, [np.zeros((1, 3))])
+
+
+class StubGripper:
+    """Fingers that move by 4 mm a read, to the commanded width or the block between them."""
+
+    server_version = 3
+
+    def __init__(self, block: float) -> None:
+        self.block, self.commands = block, list[str]()
+        self.width = self.target = 0.06
+
+    @property
+    def state(self) -> SimpleNamespace:
+        self.width += float(np.clip(self.target - self.width, -0.004, 0.004))
+        return SimpleNamespace(width=self.width, max_width=0.08)
+
+    def move_async(self, width: float, speed: float) -> Any:
+        return self._command("move", width)
+
+    def grasp_async(self, width: float, speed: float, force: float, **options: float) -> Any:
+        return self._command("grasp", max(width, self.block))
+
+    def _command(self, name: str, width: float) -> Any:
+        self.commands.append(name)
+        self.target = width
+        return SimpleNamespace(wait=lambda timeout: self.width == width)
+
+
+@pytest.mark.parametrize(("block", "contact"), [(0.04, 1.0), (0.0, 0.0)])
+def test_gripper_closes_on_a_block_and_opens(
+    block: float, contact: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stub = StubGripper(block)
+    monkeypatch.setattr("contactgraph_franka.driver.gripper.connect_gripper", lambda address: stub)
+    at_hand, still, tracked = np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1, bool)
+    with FrankaGripper("arm") as gripper:
+        assert (gripper.largest_width, gripper.version) == (0.08, 3)
+        gripper.follow(at_hand, still, tracked)
+        until = time.monotonic() + 2.0
+        while gripper.contact() != contact and time.monotonic() < until:
+            time.sleep(0.005)
+        assert gripper.contact() == contact
+        gripper.open()
+        assert np.isnan(gripper.contact()) and gripper.width > 0.05
+    assert stub.commands == ["move", "grasp", "move"] and gripper.last_error == ""
+
+
+def test_lost_gripper_reports_no_contact(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Lost(StubGripper):
+        def grasp_async(self, *arguments: float, **options: float) -> Any:
+            raise RuntimeError("gripper gone")
+
+    stub = Lost(0.04)
+    monkeypatch.setattr("contactgraph_franka.driver.gripper.connect_gripper", lambda address: stub)
+    with FrankaGripper("arm") as gripper:
+        gripper.follow(np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1, bool))
+        gripper._thread.join(2.0)
+        assert gripper.last_error == "gripper gone" and np.isnan(gripper.contact())
+        gripper.open()
