@@ -118,7 +118,7 @@ class ArmWorld:
             mujoco.mj_step1(model, data)
         return total / self._substeps
 
-    def skeleton(self) -> np.ndarray:
+    def link_positions(self) -> np.ndarray:
         """[P, 3] m: the arm's joints from the base to the grasp point."""
         return np.concatenate([self.data.xpos[self._links], self._hand_position[None]])
 

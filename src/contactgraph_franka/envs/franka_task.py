@@ -152,7 +152,7 @@ class FrankaTask(GripperTask):
 
     def skeleton(self) -> np.ndarray:
         """[P, 3] m: the arm's joints from the base to the grasp point."""
-        return self._arm_world().skeleton()
+        return self._arm_world().link_positions()
 
     def render(self) -> np.ndarray | None:
         """[480, 640, 3] uint8: a picture of the present state; None without a ``render_mode``.

@@ -124,11 +124,10 @@ class Perception:
         self._names = tuple(calibration.objects)
         context = multiprocessing.get_context("spawn")
         self._shared = SharedMeasurements(len(self._names), context)
-        self._connection, remote = context.Pipe()
-        self._remote: Connection | None = remote
+        self._connection, self._remote = context.Pipe()
         self._process = context.Process(
             target=_run,
-            args=(remote, self._shared, open_camera, calibration),
+            args=(self._remote, self._shared, open_camera, calibration),
             daemon=True,
             name="perception",
         )
@@ -143,9 +142,7 @@ class Perception:
     def start(self) -> None:
         """Returns once the camera is open."""
         self._process.start()
-        if self._remote is not None:
-            self._remote.close()
-            self._remote = None
+        self._remote.close()
         try:
             if not self._connection.poll(_START_S):
                 raise RuntimeError(f"the camera did not open within {_START_S:.0f} s")
