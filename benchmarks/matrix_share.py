@@ -23,7 +23,7 @@ import numpy as np
 from eager_comparison import Sample, sample, training
 from measuring import arguments, report
 
-from contactgraph.model import ContactDynamics, gim_temp
+from contactgraph.model import ModelConfig, ContactDynamics, gim_temp
 from contactgraph.model.neighbor_list import edge_count
 
 PASSES = 4
@@ -36,7 +36,7 @@ def widened(given: Sample, width: int) -> Sample:
     model, runs, nodes = given
     if width == SHIPPED:
         return given
-    fresh = gim_temp(2, 2, model.dt, width=width, key=jax.random.key(0))
+    fresh = gim_temp(ModelConfig(2, 2, model.dt, width=width), key=jax.random.key(0))
     return dataclasses.replace(fresh, neighbor_list=model.neighbor_list), runs, nodes
 
 

@@ -12,7 +12,7 @@ import safetensors
 
 from contactgraph.cli import main as cli
 from contactgraph.data import describe_file, read_trajectories
-from contactgraph.model import gim_temp
+from contactgraph.model import ModelConfig, gim_temp
 from contactgraph.model.io import describe_model, save_model
 
 OPEN_LOOP = {
@@ -262,7 +262,7 @@ def test_control(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
 def test_control_in_space(tmp_path: Path) -> None:
     """Three degrees of freedom and another time step: the same command, files and numbers."""
     model, result, episodes = (tmp_path / name for name in ("m.safetensors", "out.json", "out.h5"))
-    save_model(model, gim_temp(3, 3, 0.01, 0.03, weight=True, key=jax.random.key(0)))
+    save_model(model, gim_temp(ModelConfig(3, 3, 0.01, 0.03, weight=True), key=jax.random.key(0)))
     plans = ["--horizon", 20, "--replan-every", 20]
     files = ["--json", result, "--save", episodes]
     done("control", model, "franka", "--episodes", 1, "--grasp", "weld", *plans, *files)

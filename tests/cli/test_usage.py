@@ -207,10 +207,10 @@ def test_a_model_and_data_that_do_not_fit(
 def test_a_model_and_a_task_that_do_not_fit(mistake, tmp_path: Path) -> None:
     import jax
 
-    from contactgraph.model import gim_temp
+    from contactgraph.model import ModelConfig, gim_temp
     from contactgraph.model.io import save_model
 
-    save_model(tmp_path / "m.safetensors", gim_temp(3, 2, 0.05, key=jax.random.key(0)))
+    save_model(tmp_path / "m.safetensors", gim_temp(ModelConfig(3, 2, 0.05), key=jax.random.key(0)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("contactgraph.cli.output.Progress.advance", lambda *arguments: None)
         said = mistake("control", "m.safetensors", "pickup", "--episodes", 1, "--save", "a.h5")

@@ -10,7 +10,7 @@ import pytest
 from control_models import nodes_of
 
 from contactgraph.control import ILQR, MPC, ActiveSetMPC, ControlLimits, PlanStatus, chain_cost
-from contactgraph.data import InvalidInputError, edge_index, pair_indices
+from contactgraph.data import InvalidInputError, edge_id, pair_indices
 from contactgraph.model import MotionNoise, load_model, shipped_model
 
 CAPACITY, HORIZON = 30, 12
@@ -89,7 +89,7 @@ def both(local: ActiveSetMPC, whole: MPC, seen: dict, steps: int) -> list[np.nda
         predicted, ours = np.asarray(wanted.states), np.asarray(found.states)[:, : len(inside)]
         np.testing.assert_allclose(ours, predicted[:, inside], atol=1e-7)
         first, second = pair_indices(len(inside)).T
-        edge = edge_index(inside[first], inside[second])
+        edge = edge_id(inside[first], inside[second])
         belief = np.asarray(found.beliefs.probability)[:, : len(edge)]
         np.testing.assert_allclose(
             belief, np.asarray(wanted.beliefs.probability)[:, edge], atol=1e-6

@@ -19,7 +19,7 @@ from contactgraph.evaluate import (
     evaluate_open_loop,
     model_diagnostics,
 )
-from contactgraph.model import ContactBelief, gim_temp, scene_nodes, two_type_belief
+from contactgraph.model import ContactBelief, ModelConfig, gim_temp, scene_nodes, two_type_belief
 
 SEER = GluedBodies(reach=0.081)
 
@@ -161,7 +161,7 @@ def test_padding_changes_no_control():
 
 
 def test_inspection_sees_what_the_controller_believes():
-    model = gim_temp(2, 2, DT, width=8, key=jax.random.key(0))
+    model = gim_temp(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
     run = random_run(3, 12, 2, goal=np.ones(2))
     # Without force: a plan also knows what its own force does to a touch, a recording does not.
     policy = policy_of(model, 4, ControlLimits(jnp.zeros(2), jnp.zeros(2)))
@@ -209,7 +209,7 @@ def test_what_does_not_fit():
         def scene(self):
             return replace(super().scene, goal=None)
 
-    model = gim_temp(2, 2, DT, width=4, key=jax.random.key(0))
+    model = gim_temp(ModelConfig(2, 2, DT, width=4), key=jax.random.key(0))
     with pytest.raises(InvalidInputError, match=r"for dt 0.05 s, but the task has 0.1 s"):
         control_task(model, Slow, 1, 0)
     with pytest.raises(InvalidInputError, match="the scene has no goal"):

@@ -11,7 +11,14 @@ from evaluation_worlds import DT, GluedBodies, random_run
 
 from contactgraph.data import Dataset
 from contactgraph.evaluate import evaluate_open_loop
-from contactgraph.model import NeighborList, ReallocatingModel, gim_temp, locality, no_gim
+from contactgraph.model import (
+    ModelConfig,
+    NeighborList,
+    ReallocatingModel,
+    gim_temp,
+    locality,
+    no_gim,
+)
 from contactgraph.train import FitStatus, TrainConfig, fit, initial_state
 
 COUNT = 6
@@ -27,7 +34,7 @@ def apart() -> Dataset:
 
 @pytest.fixture(scope="module")
 def model():
-    return gim_temp(2, 2, DT, width=4, key=jax.random.key(0))
+    return gim_temp(ModelConfig(2, 2, DT, width=4), key=jax.random.key(0))
 
 
 @pytest.fixture
@@ -73,7 +80,11 @@ def test_who_has_lists_in_large_scenes(model, apart) -> None:
     assert lists.model.neighbor_list is not None
     assert COUNT - 1 < lists.model.neighbor_list.max_edges < 1.5 * COUNT * (COUNT - 1) / 2
     given = dataclasses.replace(model, neighbor_list=NeighborList(3, 4))
-    for other in (given, no_gim(2, 2, DT, width=4, key=jax.random.key(0)), GluedBodies()):
+    for other in (
+        given,
+        no_gim(ModelConfig(2, 2, DT, width=4), key=jax.random.key(0)),
+        GluedBodies(),
+    ):
         assert ReallocatingModel(other, apart).model is other
 
 

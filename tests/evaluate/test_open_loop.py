@@ -11,7 +11,7 @@ from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run, scen
 from contactgraph.data import Dataset, InvalidInputError, Trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import OpenLoopDetail, collect, evaluate_open_loop
-from contactgraph.model import gim_temp
+from contactgraph.model import ModelConfig, gim_temp
 
 JSON_KEYS = {
     *("n_step_rmse_m", "n_step_rmse_moving_m", "n_step_rmse_free_m", "n_step_rmse_contact_m"),
@@ -40,7 +40,7 @@ def glued(pickups):
 
 @pytest.fixture(scope="module")
 def untrained():
-    return gim_temp(2, 2, DT, width=8, key=jax.random.key(0))
+    return gim_temp(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
 
 
 def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):

@@ -15,7 +15,7 @@ import pytest
 import safetensors.numpy
 
 from contactgraph.cli import main as cli
-from contactgraph.model import gim_temp
+from contactgraph.model import ModelConfig, gim_temp
 from contactgraph.train import RunFolder, TrainConfig, initial_state, save_checkpoint
 
 SHORT = ("--steps", "12", "--batch-size", "4", "--window-length", "3", "--rollout-from", "0.6")
@@ -71,7 +71,9 @@ def test_a_loss_that_is_not_finite_is_reported_and_breaks_nothing(
     shutil.copytree(trained, run)
     for path in RunFolder(run).checkpoints():
         path.unlink()
-    state = initial_state(gim_temp(2, 2, 0.05, key=jax.random.key(0)), TrainConfig(steps=12), 0)
+    state = initial_state(
+        gim_temp(ModelConfig(2, 2, 0.05), key=jax.random.key(0)), TrainConfig(steps=12), 0
+    )
     broken = jax.tree.map(
         lambda leaf: leaf * jnp.nan if eqx.is_inexact_array(leaf) else leaf, state.model
     )

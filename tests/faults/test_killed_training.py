@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from contactgraph.model import gim_temp
+from contactgraph.model import ModelConfig, gim_temp
 from contactgraph.train import RunFolder, TrainConfig, initial_state, load_checkpoint
 
 SPAWNER = """
@@ -21,7 +21,7 @@ from contactgraph.model import gim_temp
 from contactgraph.train import FitProgress, TrainConfig, RunFolder, initial_state
 
 folder = RunFolder(Path(sys.argv[1]))
-state = initial_state(gim_temp(2, 2, 0.05, key=jax.random.key(0)), TrainConfig(), 0)
+state = initial_state(gim_temp(ModelConfig(2, 2, 0.05), key=jax.random.key(0)), TrainConfig(), 0)
 folder.create({}, state)
 # A forked child must not touch JAX, only its numbers.
 state = jax.tree.map(lambda leaf: np.asarray(leaf) if hasattr(leaf, "shape") else leaf, state)
@@ -48,7 +48,7 @@ for pause in sys.stdin:
 @pytest.mark.slow
 def test_killed_at_any_moment_a_run_has_a_whole_checkpoint(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    like = initial_state(gim_temp(2, 2, 0.05, key=jax.random.key(0)), TrainConfig(), 0)
+    like = initial_state(gim_temp(ModelConfig(2, 2, 0.05), key=jax.random.key(0)), TrainConfig(), 0)
     reached, litter = 0, 0
     with subprocess.Popen(
         [sys.executable, "-c", SPAWNER, str(run)],

@@ -11,6 +11,7 @@ import numpy as np
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
     ContactDynamics,
+    ModelConfig,
     ModelState,
     Nodes,
     full_ab,
@@ -45,7 +46,7 @@ def _preset(
 ) -> ContactDynamics:
     def construct() -> ContactDynamics:
         key = jax.random.PRNGKey(0)
-        return PRESETS[name](dimension, 2, DT, width=width, hinges=hinges, key=key)
+        return PRESETS[name](ModelConfig(dimension, 2, DT, width=width, hinges=hinges), key=key)
 
     return with_random_weights(construct, seed)
 

@@ -148,10 +148,10 @@ def test_a_chain_that_is_coupled(integrator: str) -> None:
         damping = damping - DT * stiffness
     network = ContactSolver(
         mass=jnp.array([1e12, *mass]),  # The wall is a body that nothing moves.
-        ground=jnp.zeros(N + 1),
-        hold=DT * jnp.asarray(damping),
+        ground_damper=jnp.zeros(N + 1),
+        damper=DT * jnp.asarray(damping),
         spring=DT**2 * jnp.asarray(stiffness),
-        rest=jnp.asarray(rest),
+        rest_length=jnp.asarray(rest),
         displacing_fraction=jnp.zeros(N),
     )
     pairs = jnp.stack([jnp.arange(N), jnp.arange(N) + 1], axis=1)
@@ -161,11 +161,11 @@ def test_a_chain_that_is_coupled(integrator: str) -> None:
     @jax.jit
     def moved(state: jax.Array, control: jax.Array) -> jax.Array:
         places, speeds = (jnp.array([0.0, *half])[:, None] for half in (state[:N], state[N:]))
-        seen = geometry(places, speeds, pairs, DT, contact_distance=0.01)
-        motion = network.step(speeds, gain, seen, DT, control_size=1, weight=weight)
+        seen = geometry(places, speeds, pairs.T, DT, contact_distance=0.01)
+        motion = network.solve(speeds, gain, seen, DT, control_size=1, weight=weight)
         assert motion.acceleration is not None
         pulled = motion.acceleration + motion.response @ control
-        speeds = speeds + motion.change + DT * pulled
+        speeds = speeds + motion.velocity_change + DT * pulled
         places = places + DT * speeds
         return jnp.concatenate([places[1:, 0], speeds[1:, 0]])
 

@@ -1,4 +1,4 @@
-"""The inertia by groups: the numbers and the derivatives of the whole."""
+"""The matrix by groups: the numbers and the derivatives of the whole."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model.block_inverse import (
-    Inertia,
+    MassMatrix,
     find_groups,
     solve_block_diagonal,
     solve_dense,
@@ -22,7 +22,7 @@ from contactgraph.model.collision import geometry
 COUNT = 7
 
 
-def scene(hinges: bool) -> tuple[Inertia, jnp.ndarray]:
+def scene(hinges: bool) -> tuple[MassMatrix, jnp.ndarray]:
     """Two groups, of three and of two, and two nodes alone, every pair an edge."""
     rng = np.random.default_rng(3)
     pairs = pair_indices(COUNT)
@@ -32,41 +32,43 @@ def scene(hinges: bool) -> tuple[Inertia, jnp.ndarray]:
         hung = np.full((COUNT, 2), np.nan)
         hung[[1, 4]] = rng.normal(size=(2, 2))
         anchor = jnp.asarray(hung)
-    states = map(jnp.asarray, (position, velocity, pairs))
+    states = map(jnp.asarray, (position, velocity, pairs.T))
     seen = geometry(*states, 0.05, 0.08, None, anchor)
     holding = {(0, 4), (2, 4), (1, 6)}
     holds = np.array([tuple(pair) in holding for pair in pairs.tolist()])
     stiff = jnp.asarray(np.where(holds, rng.uniform(1, 9, len(pairs)), 0.0))
-    inertia = Inertia(jnp.asarray(rng.uniform(0.5, 2.0, COUNT)), stiff, seen)
+    matrix = MassMatrix(jnp.asarray(rng.uniform(0.5, 2.0, COUNT)), stiff, seen)
     columns = 3 if hinges else 4
-    return inertia, jnp.asarray(rng.normal(size=(COUNT, inertia.size, columns)))
+    return matrix, jnp.asarray(rng.normal(size=(COUNT, matrix.size, columns)))
 
 
 @pytest.mark.usefixtures("double_precision")
 @pytest.mark.parametrize("hinges", [False, True])
 def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
-    inertia, vectors = scene(hinges)
+    matrix, vectors = scene(hinges)
 
     def by(solve):
         def total(node, stiff, lever, vectors):
-            seen = dataclasses.replace(inertia.geometry, contact_jacobian=lever)
-            solved = solve(Inertia(node, stiff, seen), vectors)
+            seen = dataclasses.replace(matrix.geometry, contact_jacobian=lever)
+            solved = solve(MassMatrix(node, stiff, seen), vectors)
             weights = jnp.arange(1.0, 1.0 + solved.solution.size).reshape(solved.solution.shape)
             share = jnp.arange(1.0, COUNT + 1.0)
-            return jnp.sum(jnp.sin(weights) * solved.solution) + jnp.sum(share * solved.own), solved
+            return jnp.sum(jnp.sin(weights) * solved.solution) + jnp.sum(
+                share * solved.diagonal
+            ), solved
 
-        arguments = (inertia.node, inertia.stiff, inertia.geometry.contact_jacobian, vectors)
+        arguments = (matrix.node, matrix.edge, matrix.geometry.contact_jacobian, vectors)
         return jax.jit(jax.grad(total, argnums=(0, 1, 2, 3), has_aux=True))(*arguments)
 
     derivatives, solved = by(solve_dense)
     grouped_derivatives, grouped = by(
-        lambda *arguments: solve_block_diagonal(*arguments, group_capacity=4)
+        lambda *arguments: solve_block_diagonal(*arguments, capacity=4)
     )
     close = {"rtol": 1e-9, "atol": 1e-10}
     np.testing.assert_allclose(grouped.solution, solved.solution, **close)
-    np.testing.assert_allclose(grouped.own, solved.own, **close)
+    np.testing.assert_allclose(grouped.diagonal, solved.diagonal, **close)
     # Edges that hold nothing would join groups if they held: these have derivatives, too.
-    idle = np.asarray(inertia.stiff) == 0
+    idle = np.asarray(matrix.edge) == 0
     assert (np.abs(np.asarray(derivatives[1])[idle]) > 1e-6).all()
     node, stiff, lever, right = zip(grouped_derivatives, derivatives, strict=True)
     for found, expected in (node, stiff, right):
@@ -76,9 +78,9 @@ def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
 
 
 def test_a_group_without_room_has_no_solution() -> None:
-    inertia, vectors = scene(hinges=False)
-    assert np.isfinite(solve_block_diagonal(inertia, vectors, group_capacity=3).solution).all()
-    assert np.isnan(solve_block_diagonal(inertia, vectors, group_capacity=2).solution).all()
+    matrix, vectors = scene(hinges=False)
+    assert np.isfinite(solve_block_diagonal(matrix, vectors, capacity=3).solution).all()
+    assert np.isnan(solve_block_diagonal(matrix, vectors, capacity=2).solution).all()
 
 
 def test_groups_are_connected_components() -> None:

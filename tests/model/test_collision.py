@@ -33,7 +33,7 @@ def between(displacement, velocity, control_displacement=None) -> Geometry:
     )
     pairs = jnp.asarray(pair_indices(2))
     moved = [jnp.stack([jnp.zeros(len(value)), jnp.asarray(value)]) for value in given]
-    return geometry(*moved[:2], pairs, DT, TOUCH, *moved[2:])
+    return geometry(*moved[:2], pairs.T, DT, TOUCH, *moved[2:])
 
 
 def test_an_edge_by_hand() -> None:
@@ -115,7 +115,7 @@ def test_under_a_push_the_share_is_nearly_that_of_a_numeric_root() -> None:
 
 def scene_quantities(position, velocity, contact_distance, control_displacement=None):
     pairs = jnp.asarray(pair_indices(len(position)))
-    seen = geometry(position, velocity, pairs, DT, contact_distance, control_displacement)
+    seen = geometry(position, velocity, pairs.T, DT, contact_distance, control_displacement)
     features = InvariantFeatures(length=TOUCH)
     return (
         seen.distance,

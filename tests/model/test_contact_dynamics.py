@@ -1,24 +1,21 @@
-"""The whole model's symmetries, its locality, its derivatives and its variants."""
+"""The model's step: symmetries, locality, derivatives, stages, and its rollout.
+
+Everything runs in float64 on scenes of four nodes, and all variants of a scene in one compiled,
+vmapped step per model.
+"""
 
 import dataclasses
+from collections.abc import Iterator
+from functools import cache
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.test_util import check_grads
-from model_scenes import (
-    DT,
-    PRESETS,
-    crowd,
-    hinged,
-    nodes_of,
-    preset,
-    state_at,
-    with_random_weights,
-)
+from model_scenes import DT, PRESETS, preset, with_random_weights
 
+from contactgraph.data import InvalidInputError
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
     ArgmaxSample,
@@ -29,6 +26,7 @@ from contactgraph.model import (
     DistancePrior,
     InvariantFeatures,
     MessagePassing,
+    ModelConfig,
     ModelState,
     Nodes,
     RecurrentEdges,
@@ -38,258 +36,207 @@ from contactgraph.model import (
     TypedMessagePassing,
     control_sensitivity,
     correct,
-    response_of,
     with_control_displacement,
 )
 
-CONTROL = jnp.array([0.7, -0.4])
+COUNT = 4
+PAIRS = pair_indices(COUNT)
 HINGE = (0.35, 0.2)
-STEPS = jnp.tile(CONTROL, (3, 1))
-roll_out = eqx.filter_jit(ContactDynamics.rollout)
-linear_step = eqx.filter_jit(ContactDynamics.linear_step)
-parameters_of = eqx.filter_jit(ContactDynamics.parameters)
+CASES = [*((name, False) for name in PRESETS), ("gim_temp", True)]
+LOCAL = [("gim_temp", False), ("gim_non_temp", False), ("full_ab", False), ("gim_temp", True)]
+INVARIANT = [("gim_temp", False), ("gim_non_temp", False), ("no_gim", False), ("gim_temp", True)]
+ORDER = np.array([3, 0, 1, 2])
+VARIANTS = ["base", "permuted", "turned", "far", "far_moving", "absent", "absent_elsewhere"]
+Arrays = dict[str, np.ndarray]
 
 
-def step(model, state, control, nodes) -> ModelState:
-    """One step, by the rollout that the other tests have compiled already."""
-    states = roll_out(model, state, jnp.tile(control, (3, 1)), nodes)
-    return jax.tree.map(lambda leaf: leaf[0], states)
+@pytest.fixture(scope="module", autouse=True)
+def double_precision() -> Iterator[None]:
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+@eqx.filter_jit
+def steps(model: ContactDynamics, scenes: tuple) -> tuple:
+    """The next position, velocity and belief of every scene, from its prior, under its control."""
+
+    def step(position, velocity, control, nodes):
+        state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
+        # As if every actuated node had 1 kg.
+        gain = nodes.actuated[:, None, None] * jnp.eye(model.dimension, len(control))
+        informed = with_control_displacement(state, 0.5 * DT**2 * gain, control)
+        linear, belief = model.linear_step(informed, nodes)
+        return *linear(position, velocity, control), belief.type_probability
+
+    return jax.vmap(step)(*scenes)
+
+
+def orthogonal(dimension: int) -> np.ndarray:
+    return np.linalg.qr(np.random.default_rng(5).normal(size=(dimension, dimension)))[0]
+
+
+def dimension_of(name: str, hinges: bool) -> int:
+    """One of the models lives in three dimensions."""
+    return 3 if (name, hinges) == ("gim_temp", False) else 2
+
+
+def scene(name: str, hinges: bool, variant: str) -> tuple[Arrays, np.ndarray]:
+    """Position, velocity, actuated, mask and anchor of four crowded nodes, and the control."""
+    dimension = dimension_of(name, hinges)
+    rng = np.random.default_rng(1)
+    arrays: Arrays = {
+        "position": rng.uniform(-0.1, 0.1, (COUNT, dimension)),
+        "velocity": rng.normal(size=(COUNT, dimension)),
+        "actuated": np.arange(COUNT) == 0,
+        "mask": np.ones(COUNT, bool),
+        "anchor": np.full((COUNT, dimension), np.nan),
+    }
+    control = np.array([3.0, -2.0, 1.0])[:dimension]
+    if hinges:
+        arrays["anchor"][1] = HINGE
+    if variant == "permuted":
+        return {key: value[ORDER] for key, value in arrays.items()}, control
+    if variant == "turned":
+        turn, shift = orthogonal(dimension), np.full(dimension, 0.3)
+        arrays["position"] = arrays["position"] @ turn.T + shift
+        arrays["anchor"] = arrays["anchor"] @ turn.T + shift
+        arrays["velocity"], control = arrays["velocity"] @ turn.T, turn @ control
+    elif variant != "base":
+        arrays["position"][3] = 5.0 if variant == "far" else -9.0
+        arrays["velocity"][3] = 0.0 if variant == "far" else 2.0
+        if variant == "absent_elsewhere":  # among the others
+            arrays["position"][3] = 0.05
+        arrays["mask"][3] = not variant.startswith("absent")
+    return arrays, control
+
+
+@cache
+def results(name: str, hinges: bool) -> dict[str, list[np.ndarray]]:
+    """Position, velocity and belief after a step of every variant."""
+    model = preset(name, dimension_of(name, hinges), width=8, hinges=hinges)
+    if model.control_size != model.dimension:
+        model = dataclasses.replace(model, control_size=model.dimension)
+    all_of = [scene(name, hinges, variant) for variant in VARIANTS]
+    every = {key: jnp.stack([arrays[key] for arrays, _ in all_of]) for key in all_of[0][0]}
+    nodes = Nodes(
+        actuated=every["actuated"],
+        mask=every["mask"],
+        candidate=every["mask"][:, PAIRS].all(axis=-1),
+        anchor=every["anchor"] if hinges else None,
+    )
+    controls = jnp.stack([control for _, control in all_of])
+    found = steps(model, (every["position"], every["velocity"], controls, nodes))
+    return {
+        variant: [np.asarray(part[index]) for part in found]
+        for index, variant in enumerate(VARIANTS)
+    }
 
 
 def assert_same(ours, theirs, atol=1e-9) -> None:
-    """Symmetries are exact but for rounding, so they are tested in double precision."""
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         np.testing.assert_allclose(one, other, atol=atol)
 
 
-def dense(edges: np.ndarray, count: int) -> np.ndarray:
-    """[N, N, …] symmetric, from values on the pairs [E, …]."""
-    pairs = pair_indices(count)
-    full = np.zeros((count, count, *edges.shape[1:]), edges.dtype)
-    full[pairs[:, 0], pairs[:, 1]] = full[pairs[:, 1], pairs[:, 0]] = edges
+def dense(edges: np.ndarray) -> np.ndarray:
+    """[N, N, K] symmetric, from values on the pairs [E, K]."""
+    full = np.zeros((COUNT, COUNT, edges.shape[-1]))
+    full[PAIRS[:, 0], PAIRS[:, 1]] = full[PAIRS[:, 1], PAIRS[:, 0]] = edges
     return full
 
 
-@pytest.mark.usefixtures("double_precision")
-@pytest.mark.parametrize("name", list(PRESETS))
-def test_the_order_of_the_nodes_does_not_matter(name) -> None:
-    model, count = preset(name), 4
-    nodes = nodes_of(count)
-    state = crowd(model, nodes)
-    order = np.array([3, 0, 1, 2])
-    pairs = pair_indices(count)
-    swapped_nodes = eqx.tree_at(lambda nodes: nodes.actuated, nodes, nodes.actuated[order])
-    swapped = state_at(model, state.position[order], state.velocity[order], swapped_nodes)
-    found = step(model, swapped, CONTROL, swapped_nodes)
-    expected = step(model, state, CONTROL, nodes)
-    belief = dense(np.asarray(expected.belief.type_probability), count)
-    belief = belief[order][:, order][pairs[:, 0], pairs[:, 1]]
-    assert_same(
-        [found.position, found.velocity, found.belief.type_probability],
-        [expected.position[order], expected.velocity[order], belief],
-    )
-    moved = np.linalg.norm(expected.velocity - state.velocity, axis=-1)
-    assert moved.max() > 1e-2, "the scene must be one in which something happens"
+@pytest.mark.parametrize(("name", "hinges"), CASES)
+def test_the_order_of_the_nodes_does_not_matter(name: str, hinges: bool) -> None:
+    position, velocity, belief = results(name, hinges)["base"]
+    belief = dense(belief)[ORDER][:, ORDER][PAIRS[:, 0], PAIRS[:, 1]]
+    assert_same(results(name, hinges)["permuted"], [position[ORDER], velocity[ORDER], belief])
+    moved = velocity - scene(name, hinges, "base")[0]["velocity"]
+    assert np.abs(moved).max() > 1e-2, "the scene must be one in which something happens"
 
 
-@pytest.mark.usefixtures("double_precision")
-@pytest.mark.parametrize(
-    ("name", "hinges"),
-    [*((name, False) for name in PRESETS), ("gim_temp", True), ("paper_literal", True)],
-)
-def test_padding_changes_nothing(name, hinges) -> None:
-    model = preset(name, hinges=hinges)
-    small, large = nodes_of(3), nodes_of(3, capacity=4)
-    if hinges:
-        small, large = hinged(small, HINGE), hinged(large, HINGE)
-    state = crowd(model, small)
-
-    def pad(values):
-        # What lies in the padding must not matter either.
-        return jnp.concatenate([values, jnp.full((1, 2), 0.05)])
-
-    padded = state_at(model, pad(state.position), pad(state.velocity), large)
-    controls = STEPS
-    expected, found = (
-        roll_out(model, state, controls, small),
-        roll_out(model, padded, controls, large),
-    )
-    assert_same(
-        [found.position[:, :3], found.velocity[:, :3], found.belief.probability[:, :3]],
-        [expected.position, expected.velocity, expected.belief.probability],
-    )
-
-
-def far_scene(model, far_position, far_velocity, exists=True, hinges=()) -> tuple:
-    """Three nodes in a crowd, and a fourth elsewhere; the last ones may hang on hinges."""
-    nodes = nodes_of(4)
-    state = crowd(model, nodes_of(3), seed=2)
-    if not exists:
-        mask = jnp.array([True, True, True, False])
-        pairs = pair_indices(4)
-        nodes = Nodes(nodes.actuated & mask, mask, jnp.asarray(mask)[pairs].all(axis=1))
-    if hinges:
-        nodes = hinged(nodes, *hinges)
-    position = jnp.concatenate([state.position, jnp.asarray([far_position])])
-    velocity = jnp.concatenate([state.velocity, jnp.asarray([far_velocity])])
-    return state_at(model, position, velocity, nodes), nodes
-
-
-@pytest.mark.parametrize(
-    ("name", "hinges"),
-    [("gim_temp", False), ("gim_non_temp", False), ("full_ab", False), ("gim_temp", True)],
-)
-def test_a_far_object_changes_nobody_elses_prediction_at_all(name, hinges) -> None:
-    """Bit for bit, in single precision, although the whole scene is solved as one."""
-    model = preset(name, hinges=hinges)
-    results = []
-    for far_position, far_velocity, exists in (
-        ([5.0, 5.0], [0.0, 0.0], True),
-        ([-9.0, 4.0], [1.0, -2.0], True),
-        ([40.0, 0.0], [0.0, 3.0], False),
-        ([0.0, 0.0], [0.0, 0.0], False),
+@pytest.mark.parametrize(("name", "hinges"), CASES)
+def test_padding_does_not_matter(name: str, hinges: bool) -> None:
+    for one, other in zip(
+        results(name, hinges)["absent"], results(name, hinges)["absent_elsewhere"], strict=True
     ):
-        far_hinge = tuple(np.add(far_position, [0.3, 0.1]))
-        anchors = (HINGE, (np.nan, np.nan), far_hinge) if hinges else ()
-        state, nodes = far_scene(model, far_position, far_velocity, exists, anchors)
-        found = roll_out(model, state, STEPS, nodes)
-        results.append(
-            [found.position[:, :3], found.velocity[:, :3], found.belief.probability[:, :3]]
-        )
-    for other in results[1:]:
-        for one, two in zip(results[0], other, strict=True):
-            np.testing.assert_array_equal(one, two)
+        np.testing.assert_array_equal(one[:3], other[:3])
 
 
-def test_without_a_reach_a_far_object_does_change_predictions() -> None:
-    """The counterpart: what the test above guards against is real."""
-    # All-pairs messages change the belief before any edge is active.
-    found = []
-    for far in ([5.0, 5.0], [-9.0, 4.0]):
-        model = preset("paper_literal")
-        state, nodes = far_scene(model, far, [0.0, 0.0])
-        found.append(np.asarray(step(model, state, CONTROL, nodes).belief.probability[:3]))
-    assert np.abs(found[0] - found[1]).max() > 1e-4
-    # And what is held at any distance shares its momentum.
-    found = []
-    for velocity in ([0.0, 0.0], [1.0, -2.0]):
-        model = preset("no_gim")
-        state, nodes = far_scene(model, [5.0, 5.0], velocity)
-        found.append(np.asarray(step(model, state, CONTROL, nodes).velocity[:3]))
-    assert np.abs(found[0] - found[1]).max() > 0.1
+@pytest.mark.parametrize("name", ["gim_temp", "paper_literal"])
+def test_padding_gives_what_a_smaller_array_gives(name: str) -> None:
+    arrays, control = scene(name, True, "absent")
+    model = preset(name, width=8, hinges=True)
+    nodes = Nodes(
+        jnp.asarray(arrays["actuated"]),
+        jnp.asarray(arrays["mask"]),
+        jnp.asarray(arrays["mask"][PAIRS].all(axis=1)),
+        jnp.asarray(arrays["anchor"]),
+    )
+    small = Nodes(nodes.actuated[:3], nodes.mask[:3], nodes.candidate[:3], nodes.anchor[:3])
+    state = jnp.asarray(arrays["position"]), jnp.asarray(arrays["velocity"]), jnp.asarray(control)
+    padded = steps(model, jax.tree.map(lambda leaf: leaf[None], (*state, nodes)))
+    bare = (state[0][:3], state[1][:3], state[2], small)
+    found = steps(model, jax.tree.map(lambda leaf: leaf[None], bare))
+    assert_same([part[:, :3] for part in padded], list(found))
 
 
-ANGLE = 0.7
-ROTATION = np.array([[np.cos(ANGLE), -np.sin(ANGLE)], [np.sin(ANGLE), np.cos(ANGLE)]])
-REFLECTION = np.array([[1, 0], [0, -1]])
+@pytest.mark.parametrize(("name", "hinges"), LOCAL)
+def test_a_far_object_changes_no_other_prediction_at_all(name: str, hinges: bool) -> None:
+    """Bit for bit, although the whole scene is solved as one."""
+    for variant in ("far_moving", "absent"):
+        for one, other in zip(
+            results(name, hinges)["far"], results(name, hinges)[variant], strict=True
+        ):
+            np.testing.assert_array_equal(one[:3], other[:3])
 
 
-@pytest.mark.usefixtures("double_precision")
-@pytest.mark.parametrize("turn", [ROTATION, REFLECTION, ROTATION @ REFLECTION])
-@pytest.mark.parametrize("name", ["gim_temp", "gim_non_temp", "no_gim"])
-def test_turned_and_moved_scenes_are_predicted_turned_and_moved(name, turn) -> None:
-    model, nodes = preset(name), nodes_of(4)
-    state = crowd(model, nodes)
-    shift = jnp.array([0.3, -0.2])
-    turned = state_at(model, state.position @ turn.T + shift, state.velocity @ turn.T, nodes)
-    controls = STEPS
-    expected = roll_out(model, state, controls, nodes)
-    found = roll_out(model, turned, controls @ turn.T, nodes)
+def test_without_a_cutoff_a_far_object_does_change_predictions() -> None:
+    """The counterpart: the effect that the test above excludes is real."""
+    for name, part in (("paper_literal", 2), ("no_gim", 1)):
+        far, moving = (results(name, False)[variant][part] for variant in ("far", "far_moving"))
+        assert np.abs(far[:3] - moving[:3]).max() > 1e-4
+
+
+@pytest.mark.parametrize(("name", "hinges"), INVARIANT)
+def test_turned_and_moved_scenes_are_predicted_turned_and_moved(name: str, hinges: bool) -> None:
+    position, velocity, belief = results(name, hinges)["base"]
+    turn = orthogonal(position.shape[1])
     assert_same(
-        [found.position, found.velocity, found.belief.probability],
-        [
-            expected.position @ turn.T + shift,
-            expected.velocity @ turn.T,
-            expected.belief.probability,
-        ],
-        atol=1e-4,
+        results(name, hinges)["turned"], [position @ turn.T + 0.3, velocity @ turn.T, belief]
     )
 
 
-@pytest.mark.usefixtures("double_precision")
-def test_doors_turn_with_their_scene() -> None:
-    model, nodes = preset("gim_temp", hinges=True), nodes_of(4)
-    hung = hinged(nodes, HINGE, (-0.3, 0.1))
-    state = crowd(model, hung)
-    turn, shift = ROTATION @ REFLECTION, jnp.array([0.3, -0.2])
-    turned_nodes = dataclasses.replace(hung, anchor=hung.anchor @ turn.T + shift)
-    turned = state_at(model, state.position @ turn.T + shift, state.velocity @ turn.T, turned_nodes)
-    expected = roll_out(model, state, STEPS, hung)
-    found = roll_out(model, turned, STEPS @ turn.T, turned_nodes)
-    assert_same(
-        [found.position, found.velocity, found.belief.probability],
-        [
-            expected.position @ turn.T + shift,
-            expected.velocity @ turn.T,
-            expected.belief.probability,
-        ],
+def test_absolute_features_depend_on_the_place() -> None:
+    turned, base = (results("paper_literal", False)[variant][2] for variant in ("turned", "base"))
+    assert np.abs(turned - base).max() > 1e-3
+
+
+def nodes_of(count: int, *hinges: tuple[float, float]) -> Nodes:
+    anchor = np.full((count, 2), np.nan)
+    if hinges:
+        anchor[1 : 1 + len(hinges)] = hinges
+    return Nodes(
+        actuated=jnp.arange(count) == 0,
+        mask=jnp.ones(count, bool),
+        candidate=jnp.ones(count * (count - 1) // 2, bool),
+        anchor=jnp.asarray(anchor) if hinges else None,
     )
-    free = roll_out(preset("gim_temp"), state, STEPS, nodes)
-    assert np.abs(free.position - expected.position).max() > 1e-3, "hinges matter"
 
 
-@pytest.mark.usefixtures("double_precision")
-def test_a_scene_in_three_dimensions_turns_as_well() -> None:
-    model, nodes = preset("gim_temp", dimension=3), nodes_of(4)
-    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
-    state = crowd(model, nodes)
-    turned = state_at(model, state.position @ turn.T, state.velocity @ turn.T, nodes)
-    still = jnp.zeros(2)
-    expected, found = step(model, state, still, nodes), step(model, turned, still, nodes)
-    assert_same(found.velocity, expected.velocity @ turn.T)
+def random_state(model: ContactDynamics, nodes: Nodes, seed: int = 4) -> ModelState:
+    rng = np.random.default_rng(seed)
+    position = jnp.asarray(rng.uniform(-0.1, 0.1, (len(nodes.mask), 2)))
+    velocity = jnp.asarray(0.3 * rng.normal(size=position.shape))
+    return ModelState(position, velocity, jitted_belief(model, position, velocity, nodes))
 
 
-@pytest.mark.usefixtures("double_precision")
-def test_absolute_positions_are_not_blind_to_the_place() -> None:
-    model, nodes = preset("paper_literal"), nodes_of(4)
-    state = crowd(model, nodes)
-    moved = state_at(model, state.position + 1.0, state.velocity, nodes)
-    expected, found = step(model, state, CONTROL, nodes), step(model, moved, CONTROL, nodes)
-    assert np.abs(found.velocity - expected.velocity).max() > 1e-3
-
-
-@pytest.mark.usefixtures("double_precision")
-def test_a_common_velocity_does_matter() -> None:
-    """Friction with the ground tells rest from motion, so the model is not Galilean."""
-    model, nodes = preset("gim_temp"), nodes_of(4)
-    state = crowd(model, nodes)
-    drift = jnp.array([0.5, 0.0])
-    moving = state_at(model, state.position, state.velocity + drift, nodes)
-    expected, found = step(model, state, CONTROL, nodes), step(model, moving, CONTROL, nodes)
-    assert np.abs(found.velocity - drift - expected.velocity).max() > 1e-4
-
-
-@pytest.mark.parametrize(
-    ("name", "hinges"), [("gim_temp", False), ("gim_temp", True), ("paper_literal", False)]
-)
-def test_values_and_gradients_are_finite_where_nodes_coincide(name, hinges) -> None:
-    model, nodes = preset(name, hinges=hinges), nodes_of(2, capacity=3)
-    if hinges:  # Not even the hinge is elsewhere.
-        nodes = hinged(nodes, (0.0, 0.0))
-    zero = jnp.zeros((3, 2))
-
-    def total(model, position, velocity):
-        state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
-        found = model.rollout(state, STEPS, nodes)
-        return jnp.sum(found.position) + jnp.sum(found.velocity**2)
-
-    value, slopes = eqx.filter_jit(eqx.filter_value_and_grad(lambda all_of_it: total(*all_of_it)))(
-        (model, zero, zero)
-    )
-    assert np.isfinite(value)
-    for leaf in jax.tree.leaves(slopes):
-        assert np.all(np.isfinite(leaf))
-
-
-def doubled(model: ContactDynamics) -> ContactDynamics:
-    """The same model in float64."""
-    return jax.tree.map(
-        lambda leaf: leaf.astype(jnp.float64) if eqx.is_inexact_array(leaf) else leaf, model
-    )
+jitted_belief = eqx.filter_jit(ContactDynamics.initial_belief)
+stages = eqx.filter_jit(ContactDynamics.stages)
+linear_step = eqx.filter_jit(ContactDynamics.linear_step)
 
 
 class FixedEdges(eqx.Module):
-    """The given edges, whatever is believed: nothing is sampled."""
+    """The given edges are active: nothing is sampled."""
 
     active: jax.Array
 
@@ -297,49 +244,124 @@ class FixedEdges(eqx.Module):
         return jnp.stack([1 - self.active, self.active], axis=-1)
 
 
-@pytest.mark.usefixtures("double_precision")
-@pytest.mark.parametrize(
-    ("name", "hinges"),
-    [("gim_temp", False), ("gim_temp", True), ("full_ab", False), ("paper_literal", False)],
-)
-def test_derivatives_of_a_rollout_against_finite_differences(name, hinges) -> None:
-    nodes = hinged(nodes_of(3), HINGE) if hinges else nodes_of(3)
-    model = doubled(preset(name, width=8, hinges=hinges))
+def test_the_gradient_of_a_step_against_finite_differences() -> None:
+    """And it is finite where all nodes coincide, at rest, on their hinge."""
+    nodes = nodes_of(3, HINGE)
+    model = preset("gim_temp", width=4, hinges=True)
     model = eqx.tree_at(lambda m: m.sample, model, FixedEdges(jnp.array([1.0, 0.3, 0.6])))
-    state = crowd(model, nodes, seed=4)
-    position, velocity = state.position, 0.3 * state.velocity
     learned = jax.tree.map(eqx.is_inexact_array, model)
-    if name == "gim_temp":  # Features and prior only look at it: `test_geometry.py`.
-        learned = eqx.tree_at(lambda model: model.features.contact_distance, learned, False)
+    # No gradient flows to it from features and prior: see test_collision.
+    learned = eqx.tree_at(lambda model: model.features.contact_distance, learned, False)
     arrays, rest = eqx.partition(model, learned)
+    rng = np.random.default_rng(4)
+    weights = [rng.normal(size=shape) for shape in ((3, 2), (3, 2), (3, 2))]
 
     @jax.jit
-    def states(arrays, position, velocity, controls):
+    @jax.value_and_grad
+    def total(inputs):
+        arrays, position, velocity, control = inputs
         model = eqx.combine(arrays, rest)
         state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
-        found = model.rollout(state, controls, nodes)
-        return found.position, found.velocity, found.belief.type_probability
+        informed = with_control_displacement(state, jnp.full((3, 2, 2), 1e-3), control)
+        linear, belief = model.linear_step(informed, nodes)
+        parts = *linear(position, velocity, control), belief.type_probability
+        return sum(jnp.sum(weight * part) for weight, part in zip(weights, parts, strict=True))
 
-    # In float64 as well: a step of 1e-6 is lost in the rounding of a float32.
-    controls = jnp.asarray(np.tile(CONTROL, (2, 1)), jnp.float64)
-    check_grads(
-        states, (arrays, position, velocity, controls), order=1, modes=["rev"], eps=1e-6, rtol=1e-4
+    position = rng.uniform(-0.1, 0.1, (3, 2))
+    inputs = arrays, position, 0.3 * rng.normal(size=(3, 2)), np.array([0.7, -0.4])
+    _, gradient = total(inputs)
+    leaves, tree = jax.tree.flatten(inputs)
+    for leaf, slope in enumerate(jax.tree.leaves(gradient)):
+        direction = rng.normal(size=np.shape(slope))
+        ends = []
+        for sign in (1, -1):
+            moved = [np.asarray(each) for each in leaves]
+            moved[leaf] = moved[leaf] + sign * 1e-6 * direction
+            ends.append(float(total(tree.unflatten(moved))[0]))
+        expected = (ends[0] - ends[1]) / 2e-6
+        assert np.sum(slope * direction) == pytest.approx(expected, rel=1e-4, abs=1e-7)
+    zero = np.zeros((3, 2))
+    _, gradient = total((arrays, zero, zero, inputs[-1]))
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
+
+
+def test_a_linear_step_knows_the_control_displacement() -> None:
+    """Bodies at rest, 2 cm from touch: a push together changes the dynamics of the step."""
+    model, nodes = preset("gim_temp", width=8), nodes_of(3)
+    model = eqx.tree_at(lambda m: m.sample, model, FixedEdges(jnp.ones(3)))
+    touch = float(model.features.contact_distance)
+    position = jnp.array([[0.0, 0.0], [touch + 0.02, 0.0], [2.0, 0.0]])
+    still = jnp.zeros((3, 2))
+    state = ModelState(position, still, ContactBelief(jnp.full((3, 2), 0.5)))
+
+    def pushed(displacement: float):
+        along = still.at[0, 0].set(displacement)
+        known = dataclasses.replace(state, control_displacement=along)
+        return linear_step(model, known, nodes)
+
+    none, together = pushed(0.0), pushed(0.03)
+    assert np.abs(together[1].probability[0] - none[1].probability[0]) > 1e-4
+    assert np.abs(together[0].B - none[0].B).max() > 1e-3
+    seen = stages(model, dataclasses.replace(state, control_displacement=still), nodes)
+    assert_same((seen.dynamics, seen.belief), none)
+
+
+def test_the_stages_of_a_step_in_their_order() -> None:
+    """Each stage by itself gives what the composition holds, and the linear step is its last."""
+    model, nodes = preset("gim_temp", width=8), nodes_of(3)
+    state = random_state(model, nodes)
+
+    @eqx.filter_jit
+    def separately(state):
+        graph = model.encode(state.position, state.velocity, nodes, state.control_displacement)
+        belief = model.predict_belief(state.belief, graph)
+        local = model.cut_edges(graph, belief)
+        parameters = model.local_dynamics.parameters(local, DT, 2)
+        return graph, belief, local, model.linearize(local), parameters
+
+    known = dataclasses.replace(state, control_displacement=jnp.full((3, 2), 0.01))
+    graph, belief, local, dynamics, parameters = separately(known)
+    found = stages(model, known, nodes)
+    assert_same((found.graph, found.belief, found.local), (graph, belief, local))
+    assert_same(found.dynamics, dynamics)
+    assert_same(model.local_dynamics.discretization(parameters, DT), dynamics)
+    for rate in (parameters.inverse_mass, parameters.stiffness_rate, parameters.damping_rate):
+        assert np.all(rate >= 0)
+
+
+def test_a_rollout_is_its_steps_each_with_the_sensitivity_of_the_one_before() -> None:
+    model, nodes = preset("gim_temp", width=8), nodes_of(3)
+    state = random_state(model, nodes)
+    controls = jnp.array([[4.0, -2.0], [-8.0, 3.0], [5.0, 9.0]])
+    found = eqx.filter_jit(ContactDynamics.rollout)(model, state, controls, nodes)
+    sensitivity = control_sensitivity(model, state, nodes)
+    for index, control in enumerate(controls):
+        informed = with_control_displacement(state, sensitivity, control)
+        linear, belief = linear_step(model, informed, nodes)
+        state = ModelState(*linear(state.position, state.velocity, control), belief)
+        sensitivity = linear.control_sensitivity
+        assert_same(jax.tree.map(lambda leaf, at=index: leaf[at], found), state)
+    one = eqx.filter_jit(ContactDynamics.step)(model, state, controls[0], nodes)
+    linear, _ = linear_step(
+        model,
+        with_control_displacement(state, control_sensitivity(model, state, nodes), controls[0]),
+        nodes,
     )
+    assert_same(one.position, linear(state.position, state.velocity, controls[0])[0])
 
 
-def test_a_corrected_belief_changes_what_comes_next() -> None:
-    nodes = nodes_of(2, capacity=4)
-    position = jnp.zeros((4, 2)).at[1, 0].set(0.12)
-    still = jnp.zeros((4, 2))
+def test_a_corrected_belief_changes_the_next_one() -> None:
+    nodes = nodes_of(3)
+    position = jnp.zeros((3, 2)).at[1, 0].set(0.12).at[2, 0].set(2.0)
+    still = jnp.zeros((3, 2))
 
     def probability_after(model, measured: float) -> np.ndarray:
-        belief = state_at(model, position, still, nodes).belief
-        measurement = jnp.full(6, jnp.nan).at[0].set(measured)
-        belief = correct(belief, measurement, ContactSensor())
-        found = step(model, ModelState(position, still, belief), CONTROL, nodes)
-        return np.asarray(found.belief.probability)
+        belief = jitted_belief(model, position, still, nodes)
+        belief = correct(belief, jnp.array([measured, jnp.nan, jnp.nan]), ContactSensor())
+        state = ModelState(position, still, belief, still)
+        return np.asarray(linear_step(model, state, nodes)[1].probability)
 
-    recurrent, memoryless = preset("gim_temp"), preset("gim_non_temp")
+    recurrent, memoryless = preset("gim_temp", width=8), preset("gim_non_temp", width=8)
     change = probability_after(recurrent, 1.0) - probability_after(recurrent, 0.0)
     assert abs(change[0]) > 1e-3 and not np.any(change[1:])
     np.testing.assert_array_equal(
@@ -371,50 +393,36 @@ def three_types() -> ContactDynamics:
 
 def test_three_edge_types_work_end_to_end() -> None:
     model, nodes = with_random_weights(three_types), nodes_of(3)
-    state = crowd(model, nodes)
+    state = random_state(model, nodes)
     belief = state.belief.type_probability
     assert belief.shape == (3, 3)
     np.testing.assert_allclose(belief[:, 1], belief[:, 2])
-    found = roll_out(model, state, STEPS, nodes)
+    known = dataclasses.replace(state, control_displacement=jnp.zeros((3, 2)))
+    found = stages(model, known, nodes)
     np.testing.assert_allclose(found.belief.type_probability.sum(axis=-1), 1, atol=1e-6)
     measured = correct(state.belief, jnp.array([1.0, 0.0, jnp.nan]), ContactSensor())
     assert measured.probability[0] > belief[0, 1:].sum()
 
     @jax.jit
-    def velocity_if(certain):
-        percept = model.encode(state.position, state.velocity, nodes)
-        belief = ContactBelief(certain)
-        local = model.local_input(percept, belief, state.position, state.velocity, nodes)
-        linear = model.local_dynamics(local, DT, 2)
-        return linear(state.position, state.velocity, CONTROL)[1]
+    def offset_if(certain):
+        return model.linearize(model.cut_edges(found.graph, ContactBelief(certain))).offset
 
-    first, second = (velocity_if(jnp.eye(3)[jnp.full(3, active)]) for active in (1, 2))
-    assert np.abs(first - second).max() > 1e-3, "each active type has a network of its own"
-
-
-@pytest.mark.usefixtures("double_precision")
-def test_parameters_are_positive_and_those_of_the_step() -> None:
-    model, nodes = preset("gim_temp"), nodes_of(4)
-    state = crowd(model, nodes)
-    parameters = parameters_of(model, state, nodes)
-    for rate in (parameters.inverse_mass, parameters.stiffness_rate, parameters.damping_rate):
-        assert np.all(rate >= 0)
-    linear, _ = linear_step(model, state, nodes)
-    assert_same(model.local_dynamics.discretization(parameters, DT), linear)
+    first, second = (offset_if(jnp.eye(3)[jnp.full(3, active)]) for active in (1, 2))
+    assert np.abs(first - second).max() > 1e-5, "each active type has a network of its own"
 
 
 def test_free_matrices_have_no_spring() -> None:
     model, nodes = preset("full_ab"), nodes_of(2)
+    state = ModelState(jnp.zeros((2, 2)), jnp.zeros((2, 2)), ContactBelief(jnp.ones((1, 2))))
     with pytest.raises(TypeError, match="FreeLinearDynamics has no spring-mass-damper"):
-        model.parameters(crowd(model, nodes), nodes)
+        model.parameters(state, nodes)
 
 
-@pytest.mark.usefixtures("double_precision")
 def test_the_papers_form_gives_the_papers_matrices() -> None:
-    model, nodes = preset("paper_literal"), nodes_of(4)
-    state = crowd(model, nodes)
-    parameters = parameters_of(model, state, nodes)
-    linear, _ = linear_step(model, state, nodes)
+    model, nodes = preset("paper_literal", width=8), nodes_of(3)
+    known = dataclasses.replace(random_state(model, nodes), control_displacement=jnp.zeros((3, 2)))
+    parameters = eqx.filter_jit(ContactDynamics.parameters)(model, known, nodes)
+    linear, _ = linear_step(model, known, nodes)
     m, k, c = 1 / parameters.inverse_mass, parameters.stiffness, parameters.damping
     one = jnp.ones_like(m)
     A = jnp.stack(
@@ -427,29 +435,45 @@ def test_the_papers_form_gives_the_papers_matrices() -> None:
     assert_same(linear.offset, jnp.stack([0 * m, offset2], -1))
 
 
-@pytest.mark.usefixtures("double_precision")
-@pytest.mark.parametrize("name", ["gim_temp", "full_ab"])
-def test_a_step_is_its_linear_step_under_its_push(name) -> None:
-    model, nodes = preset(name), nodes_of(4)
-    state = crowd(model, nodes)
-    response = control_sensitivity(model, state, nodes)
-    linear, belief = linear_step(model, with_control_displacement(state, response, CONTROL), nodes)
-    position, velocity = linear(state.position, state.velocity, CONTROL)
-    found = step(model, state, CONTROL, nodes)
-    assert_same(found, ModelState(position, velocity, belief))
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_a_single_body_without_edges_is_predicted(name: str) -> None:
+    """As the one body of a scene whose other nodes are padding."""
+    model = preset(name, width=8)
+    position, velocity = np.array([[0.3, -0.2]]), np.array([[0.5, 1.0]])
+    controls = jnp.array([[3.0, -2.0]])
 
-
-@pytest.mark.usefixtures("double_precision")
-def test_a_rollout_knows_each_push_by_the_step_before() -> None:
-    model, nodes = preset("gim_temp"), nodes_of(3)
-    state = crowd(model, nodes)
-    controls = jnp.array([[4.0, -2.0], [-8.0, 3.0], [5.0, 9.0]])
-    found = roll_out(model, state, controls, nodes)
-    response = control_sensitivity(model, state, nodes)
-    for index, control in enumerate(controls):
-        linear, belief = linear_step(
-            model, with_control_displacement(state, response, control), nodes
+    def among(count: int) -> tuple:
+        mask = np.arange(count) == 0
+        nodes = Nodes(
+            jnp.asarray(mask),
+            jnp.asarray(mask),
+            jnp.zeros(count * (count - 1) // 2, bool),
         )
-        state = ModelState(*linear(state.position, state.velocity, control), belief)
-        response = response_of(linear, response)
-        assert_same(jax.tree.map(lambda leaf: leaf[index], found), state)  # noqa: B023
+        arrays = [
+            jnp.asarray(np.pad(each, ((0, count - 1), (0, 0)))) for each in (position, velocity)
+        ]
+        batch = jax.tree.map(lambda leaf: leaf[None], (*arrays, controls[0], nodes))
+        return steps(model, batch)
+
+    alone, padded = among(1), among(2)
+    assert alone[2].shape == (1, 0, 2)
+    assert_same([part[:, :1] for part in alone[:2]], [part[:, :1] for part in padded[:2]])
+    assert np.all(np.isfinite(alone[0])) and np.abs(alone[1][0, 0] - velocity).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", [name for name in PRESETS if name != "full_ab"])
+def test_components_of_the_control_that_act_on_nothing_are_refused(name: str) -> None:
+    with pytest.raises(InvalidInputError, match="U must be at most the dimension D = 2, found 3"):
+        PRESETS[name](ModelConfig(2, 3, DT), key=jax.random.PRNGKey(0))
+    model = dataclasses.replace(preset(name, width=8), control_size=3)
+    nodes, still = nodes_of(2), jnp.zeros((2, 2))
+    state = ModelState(still, still, ContactBelief(jnp.full((1, 2), 0.5)))
+    with pytest.raises(InvalidInputError, match="component d of the control acts on degree of"):
+        eqx.filter_eval_shape(ContactDynamics.linear_step, model, state, nodes)
+
+
+def test_free_matrices_use_every_component_of_the_control() -> None:
+    model = eqx.filter_eval_shape(
+        PRESETS["full_ab"], ModelConfig(2, 3, DT, width=8), key=jax.random.PRNGKey(0)
+    )
+    assert model.control_size == 3 and model.local_dynamics.control_size == 3

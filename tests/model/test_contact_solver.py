@@ -25,10 +25,10 @@ def network(mass, pairs, **values) -> ContactSolver:
     """Masses and what joins them; what is not given is 0."""
     count, edges = len(mass), len(pairs)
     sizes = {
-        "ground": count,
-        "hold": edges,
+        "ground_damper": count,
+        "damper": edges,
         "spring": edges,
-        "rest": edges,
+        "rest_length": edges,
         "displacing_fraction": edges,
     }
     full = {
@@ -40,8 +40,8 @@ def network(mass, pairs, **values) -> ContactSolver:
 
 @eqx.filter_jit
 def _solve(net, position, velocity, pairs, anchor, gain, size) -> tuple[ContactSolution, Geometry]:
-    seen = geometry(position, velocity, pairs, DT, TOUCH, None, anchor)
-    return net.step(velocity, gain, seen, DT, size), seen
+    seen = geometry(position, velocity, pairs.T, DT, TOUCH, None, anchor)
+    return net.solve(velocity, gain, seen, DT, size), seen
 
 
 def solve(
@@ -83,10 +83,10 @@ def test_a_step_is_a_plain_solve(dimension: int, hinges: bool) -> None:
     net = network(
         mass,
         pairs,
-        ground=ground,
-        hold=hold,
+        ground_damper=ground,
+        damper=hold,
         spring=spring,
-        rest=rest,
+        rest_length=rest,
         displacing_fraction=displacing_fraction,
     )
     found, around = solve(net, position, velocity, pairs, anchor, gain, dimension)
@@ -106,7 +106,9 @@ def test_a_step_is_a_plain_solve(dimension: int, hinges: bool) -> None:
     inverse = np.linalg.inv(H).reshape(count, dimension, count, dimension)
     shares = np.einsum("ndmd->nm", inverse) / dimension
     close = {"rtol": 1e-9, "atol": 1e-12}
-    np.testing.assert_allclose(found.change.reshape(-1), -np.linalg.solve(H, force), **close)
+    np.testing.assert_allclose(
+        found.velocity_change.reshape(-1), -np.linalg.solve(H, force), **close
+    )
     np.testing.assert_allclose(found.impact_displacement.reshape(-1), shift, **close)
     np.testing.assert_allclose(found.response.reshape(-1, dimension), control_displacement, **close)
     np.testing.assert_allclose(found.own_share, np.diag(shares) * mass, **close)
@@ -137,10 +139,10 @@ def test_what_is_held_shares_its_momentum_in_any_topology(pairs) -> None:
     momentum = mass @ velocity
     held = np.array([tuple(pair) in {tuple(sorted(p)) for p in pairs} for pair in ALL])
     for hold in (0.1, 10.0, STIFF):  # Momentum is kept however hard the edges hold.
-        found, _ = solve(network(mass, ALL, hold=hold * held), position, velocity, ALL)
-        np.testing.assert_allclose(mass @ (velocity + found.change), momentum, atol=1e-6)
+        found, _ = solve(network(mass, ALL, damper=hold * held), position, velocity, ALL)
+        np.testing.assert_allclose(mass @ (velocity + found.velocity_change), momentum, atol=1e-6)
     group = 1 + max(map(max, pairs))
-    mass, velocity, change = mass[:group], velocity[:group], np.asarray(found.change)
+    mass, velocity, change = mass[:group], velocity[:group], np.asarray(found.velocity_change)
     common = np.tile(mass @ velocity / mass.sum(), (group, 1))
     np.testing.assert_allclose(velocity + change[:group], common, atol=1e-5)
     np.testing.assert_allclose(found.own_share[:group], mass / mass.sum(), atol=1e-5)
@@ -150,9 +152,9 @@ def test_what_is_held_shares_its_momentum_in_any_topology(pairs) -> None:
 def test_what_is_not_held_does_not_move() -> None:
     pairs = [(0, 1), (2, 3)]
     position, velocity = np.random.default_rng(0).normal(size=(2, 4, 2))
-    net = network([1.0, 2.0, 3.0, 4.0], pairs, hold=[STIFF, 0.0])
+    net = network([1.0, 2.0, 3.0, 4.0], pairs, damper=[STIFF, 0.0])
     found, _ = solve(net, position, velocity, pairs, gain=[1, 0, 0, 0])
-    assert np.any(found.change[:2]) and not np.any(found.change[2:])
+    assert np.any(found.velocity_change[:2]) and not np.any(found.velocity_change[2:])
     assert np.any(found.response[:2]) and not np.any(found.response[2:])
     np.testing.assert_array_equal(found.own_share[2:], 1.0)
 
@@ -168,9 +170,9 @@ def test_kinetic_energy_never_grows(hinges: bool) -> None:
         mass, ground = 10.0 ** rng.uniform(-2, 2, 6), 10.0 ** rng.uniform(-6, 3, 6)
         hold = 10.0 ** rng.uniform(-4, 4, len(ALL)) * (rng.random(len(ALL)) < 0.3)
         velocity = rng.normal(size=(6, 2))
-        net = network(mass, ALL, ground=ground, hold=hold)
+        net = network(mass, ALL, ground_damper=ground, damper=hold)
         found, _ = solve(net, position, velocity, ALL, anchor if hinges else None)
-        after = velocity + np.asarray(found.change)
+        after = velocity + np.asarray(found.velocity_change)
         before, left = (np.sum(mass[:, None] * v**2) for v in (velocity, after))
         assert left <= before * (1 + 1e-12)
         lost.append(1 - left / before)
@@ -179,10 +181,10 @@ def test_kinetic_energy_never_grows(hinges: bool) -> None:
 
 def test_rubbing_against_the_ground_by_hand() -> None:
     velocity = np.array([[2.0, 0.0], [0.0, -3.0]])
-    net = network([1.0, 4.0], PAIR, ground=[0.25, 1.0])
+    net = network([1.0, 4.0], PAIR, ground_damper=[0.25, 1.0])
     found, _ = solve(net, np.eye(2), velocity, PAIR)
     # Implicitly: m (v' - v) = -g v'.
-    np.testing.assert_allclose(found.change, -velocity / 5)
+    np.testing.assert_allclose(found.velocity_change, -velocity / 5)
     np.testing.assert_allclose(found.ground_share, [0.2, 0.2])
     assert not np.any(found.impact_displacement)
 
@@ -192,8 +194,8 @@ def test_a_spring_by_hand() -> None:
     mass, spring, stretch = np.array([1.0, 2.0]), 0.6, 0.03
     still = np.zeros((2, 2))
     position = np.array([[0.0, 0.0], [0.1 + stretch, 0.0]])
-    net = network(mass, PAIR, spring=spring, rest=0.1)
-    found = np.asarray(solve(net, position, still, PAIR)[0].change)
+    net = network(mass, PAIR, spring=spring, rest_length=0.1)
+    found = np.asarray(solve(net, position, still, PAIR)[0].velocity_change)
     stiffness = spring / DT**2
     force = stiffness * (stretch + DT * (found[1, 0] - found[0, 0]))
     np.testing.assert_allclose(found[:, 0], DT * force / mass * [1, -1], rtol=1e-9)
@@ -202,22 +204,22 @@ def test_a_spring_by_hand() -> None:
 
 def test_an_impact_in_the_middle_of_a_step_by_hand() -> None:
     velocity = np.array([[1.0, 0.0], [0.0, 0.0]])
-    net = network([1.0, 1.0], PAIR, hold=STIFF, displacing_fraction=0.4)
+    net = network([1.0, 1.0], PAIR, damper=STIFF, displacing_fraction=0.4)
     found, _ = solve(net, [[0.0, 0.0], [0.1, 0.0]], velocity, PAIR)
     # Each changes by half the approach; 0.4 of the step longer than the step itself knows.
-    np.testing.assert_allclose(found.change[:, 0], [-0.5, 0.5], atol=1e-6)
+    np.testing.assert_allclose(found.velocity_change[:, 0], [-0.5, 0.5], atol=1e-6)
     np.testing.assert_allclose(
         found.impact_displacement[:, 0], [-0.4 * DT * 0.5, 0.4 * DT * 0.5], atol=1e-9
     )
 
 
-@pytest.mark.parametrize("size", [1, 2, 3])
+@pytest.mark.parametrize("size", [1, 2])
 def test_a_held_pair_answers_the_control_as_one_body(size: int) -> None:
     masses = (1.5, 2.5)
     still = np.zeros((2, 2))
     states = [[0.0, 0.0], [0.1, 0.0]], still
     held, free = (
-        solve(network(masses, PAIR, hold=hold), *states, PAIR, None, [1, 0], size)[0]
+        solve(network(masses, PAIR, damper=hold), *states, PAIR, None, [1, 0], size)[0]
         for hold in (STIFF, 0.0)
     )
     np.testing.assert_allclose(held.response[0], np.eye(2, size) / sum(masses), atol=1e-6)
@@ -233,8 +235,8 @@ def test_a_door_and_its_gripper_keep_their_angular_momentum(hold: float) -> None
     velocity = np.array([[0.7, -1.1], -0.9 * np.array([-0.4, 0.3])])
     mass = np.array([1.0, 16 / 3])
     anchor = np.array([[np.nan, np.nan], hinge])
-    found, _ = solve(network(mass, PAIR, hold=hold), position, velocity, PAIR, anchor, [1, 0])
-    after = velocity + np.asarray(found.change)
+    found, _ = solve(network(mass, PAIR, damper=hold), position, velocity, PAIR, anchor, [1, 0])
+    after = velocity + np.asarray(found.velocity_change)
     reach = position - hinge
 
     def cross(one, other):

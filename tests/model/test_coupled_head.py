@@ -52,7 +52,7 @@ def inputs(hinges: bool = False) -> tuple[LocalInput, jax.Array]:
         node_features=jnp.asarray(np.hstack([kind, rng.uniform(size=(NODES, 1))])),
         edge_features=jnp.zeros((2, len(PAIRS), 0)),
         weight=jnp.asarray(weight),
-        geometry=geometry(*states, jnp.asarray(PAIRS), DT, 0.08, None, anchor),
+        geometry=geometry(*states, jnp.asarray(PAIRS).T, DT, 0.08, None, anchor),
         anchor=anchor,
     )
     return local, jnp.asarray(rng.normal(size=(TYPES, 2, len(PAIRS), WIDTH)))
@@ -79,14 +79,14 @@ def by_hand(head: CoupledHead, local: LocalInput, message, theta: float):
     hold = 0.999 * jnp.sum(weight * jax.nn.sigmoid(out[..., 0] + 5), axis=0)
     network = ContactSolver(
         mass=jnp.exp(5 * local.node_type @ head.log_mass),
-        ground=softplus(jax.vmap(head.ground)(local.node_features)[:, 0] - 6),
-        hold=hold / (1 - hold),
+        ground_damper=softplus(jax.vmap(head.ground)(local.node_features)[:, 0] - 6),
+        damper=hold / (1 - hold),
         spring=jnp.sum(weight * softplus(out[..., 1] - 6), axis=0),
-        rest=jnp.sum(weight * softplus(out[..., 2]), axis=0) * LENGTH,
+        rest_length=jnp.sum(weight * softplus(out[..., 2]), axis=0) * LENGTH,
         displacing_fraction=local.geometry.fraction_after_impact - theta,
     )
     gain = (5 * local.node_type @ head.gain_root) ** 2
-    return network, network.step(local.velocity, gain, local.geometry, DT, 2)
+    return network, network.solve(local.velocity, gain, local.geometry, DT, 2)
 
 
 @pytest.mark.parametrize("theta", [0.5, 0.6, 1.0])
@@ -94,12 +94,15 @@ def test_the_linear_step_is_that_of_the_network(theta: float) -> None:
     head, (local, message) = random_head(), inputs()
     found = parameters(head, local, message, theta)
     _, motion = by_hand(head, local, message, theta)
-    changed = motion.change + DT * motion.response @ CONTROL
+    changed = motion.velocity_change + DT * motion.response @ CONTROL
     position, velocity = moved(found, local, CONTROL, theta)
     way = DT * (local.velocity + theta * changed) + motion.impact_displacement
     np.testing.assert_allclose(velocity, local.velocity + changed, atol=1e-4)
     np.testing.assert_allclose(position, local.position + way, atol=1e-5)
-    assert np.abs(motion.change).max() > 0.3 and np.abs(motion.impact_displacement).max() > 1e-3
+    assert (
+        np.abs(motion.velocity_change).max() > 0.3
+        and np.abs(motion.impact_displacement).max() > 1e-3
+    )
 
 
 @pytest.mark.parametrize("theta", [0.5, 1.0])
@@ -120,11 +123,11 @@ def test_an_untouched_node_only_rubs_against_the_ground() -> None:
     np.testing.assert_array_equal(found.equilibrium, local.position)
     # Implicitly: m (v' - v) = -g v'; the force is felt a mass and the ground's damper late.
     _, still = moved(found, local, [0.0, 0.0])
-    kept = network.mass / (network.mass + network.ground)
+    kept = network.mass / (network.mass + network.ground_damper)
     np.testing.assert_allclose(still, kept[:, None] * local.velocity, rtol=1e-3)
     gain = (5 * local.node_type @ head.gain_root) ** 2
     response = ThetaMethod(0.6, learned=False)(found, DT).B[..., 1, :] / DT
-    expected = (gain / (network.mass + network.ground))[:, None, None] * np.eye(2)
+    expected = (gain / (network.mass + network.ground_damper))[:, None, None] * np.eye(2)
     np.testing.assert_allclose(response, expected, rtol=1e-9)
 
 

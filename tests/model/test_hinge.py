@@ -104,7 +104,7 @@ def test_geometry_sees_a_bar_where_it_is_touched() -> None:
     spin = 0.8  # rad/s
     velocity = np.stack([-1.0 * side, spin * np.array([-ARM[1], ARM[0]])])
     states = jnp.asarray([body, HINGE + ARM]), jnp.asarray(velocity)
-    seen = geometry(*states, jnp.array([[0, 1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    seen = geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
     np.testing.assert_allclose(seen.distance, [0.1], rtol=1e-6)
     np.testing.assert_allclose(seen.direction, [-side], atol=1e-6)
     # The material at the point turns with the bar, at 0.75 m from the hinge (and 0.1 beside it).
@@ -121,6 +121,6 @@ def test_sliding_along_a_bar_brings_nothing_nearer() -> None:
     body = HINGE + 1.0 * ARM + 0.1 * side
     velocity = np.stack([3.0 * ARM, 0 * ARM])
     states = jnp.asarray([body, HINGE + ARM]), jnp.asarray(velocity)
-    seen = geometry(*states, jnp.array([[0, 1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    seen = geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
     np.testing.assert_allclose(seen.predicted_distance, seen.distance, rtol=1e-9)
     assert seen.fraction_after_impact[0] == 0

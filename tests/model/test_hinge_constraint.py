@@ -39,8 +39,8 @@ def scene(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 
 def circles(hold, slip: float = 0.0) -> HingeConstraint:
     states = [jnp.asarray(values) for values in scene(slip)]
-    seen = geometry(*states, jnp.asarray(PAIRS), 0.05, 0.08, None, jnp.asarray(ANCHOR))
-    ends = jnp.stack([seen.first, seen.second])
+    seen = geometry(*states, jnp.asarray(PAIRS).T, 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    ends = seen.edge_index
     return hinge_constraint(
         jnp.asarray(ANCHOR), *states, jnp.asarray(hold), ends, seen.relative_velocity
     )
@@ -51,53 +51,53 @@ def test_a_bars_spring_pulls_as_hard_as_turning_needs() -> None:
     found = circles([0.0, 0.0, 0.0])
     for door in (1, 3):
         speed = np.linalg.norm(velocity[door])
-        pull = found.rate[door] * np.linalg.norm(position[door] - found.centre[door])
+        pull = found.stiffness_rate[door] * np.linalg.norm(position[door] - found.center[door])
         radius = np.linalg.norm(position[door] - ANCHOR[door])
-        np.testing.assert_allclose(found.centre[door], ANCHOR[door])
+        np.testing.assert_allclose(found.center[door], ANCHOR[door])
         np.testing.assert_allclose(pull, speed**2 / radius)
-    np.testing.assert_allclose(found.rate[jnp.array([1, 3])], SPIN**2)
+    np.testing.assert_allclose(found.stiffness_rate[jnp.array([1, 3])], SPIN**2)
 
 
 def test_a_free_node_that_is_not_held_has_no_spring() -> None:
     position, _ = scene()
     found = circles([0.0, 0.0, 0.0])
-    assert not np.any(found.rate[jnp.array([0, 2])])
-    np.testing.assert_array_equal(found.centre[0], position[0])
-    np.testing.assert_array_equal(found.centre[2], position[2])
+    assert not np.any(found.stiffness_rate[jnp.array([0, 2])])
+    np.testing.assert_array_equal(found.center[0], position[0])
+    np.testing.assert_array_equal(found.center[2], position[2])
     moved = jnp.asarray(position) + 0.1
-    assert not np.any(found.kept(moved)[jnp.array([0, 2])])
+    assert not np.any(found.projection(moved)[jnp.array([0, 2])])
 
 
 def test_what_a_door_holds_turns_with_it() -> None:
     found = circles([1.0, 0.0, 0.0])
-    np.testing.assert_allclose(found.rate[0], SPIN[0] ** 2)
-    np.testing.assert_allclose(found.centre[0], HINGE)
+    np.testing.assert_allclose(found.stiffness_rate[0], SPIN[0] ** 2)
+    np.testing.assert_allclose(found.center[0], HINGE)
     np.testing.assert_allclose(found.radius[0], np.hypot(0.5, 0.5), rtol=1e-6)
-    np.testing.assert_allclose(found.keeps, [1.0, 1.0, 0.0, 1.0])
+    np.testing.assert_allclose(found.strength, [1.0, 1.0, 0.0, 1.0])
 
 
 def test_half_a_hold_is_half_a_spring() -> None:
     found = circles([0.5, 0.0, 0.0])
-    np.testing.assert_allclose(found.rate[0], 0.5 * SPIN[0] ** 2)
-    np.testing.assert_allclose(found.keeps[0], 0.5)
+    np.testing.assert_allclose(found.stiffness_rate[0], 0.5 * SPIN[0] ** 2)
+    np.testing.assert_allclose(found.strength[0], 0.5)
 
 
 def test_two_doors_share_what_they_hold() -> None:
     found = circles([1.0, 1.0, 0.0])
-    np.testing.assert_allclose(found.rate[0], np.mean(SPIN**2))
-    np.testing.assert_allclose(found.centre[0], (HINGE + OTHER) / 2)
+    np.testing.assert_allclose(found.stiffness_rate[0], np.mean(SPIN**2))
+    np.testing.assert_allclose(found.center[0], (HINGE + OTHER) / 2)
 
 
 def test_what_is_just_struck_is_not_yet_on_a_circle() -> None:
-    assert circles([1.0, 0.0, 0.0], slip=2.0).keeps[0] < 0.01
-    assert circles([1.0, 0.0, 0.0], slip=1e-3).keeps[0] > 0.99
+    assert circles([1.0, 0.0, 0.0], slip=2.0).strength[0] < 0.01
+    assert circles([1.0, 0.0, 0.0], slip=1e-3).strength[0] > 0.99
 
 
 def test_kept_puts_positions_back_onto_their_circles() -> None:
     position, velocity = scene()
     found = circles([1.0, 0.0, 0.0])
     drifted = jnp.asarray(position + 0.05 * velocity)  # Straight on, off the circle.
-    kept = np.asarray(drifted + found.kept(drifted))
+    kept = np.asarray(drifted + found.projection(drifted))
     for node, centre in ((0, HINGE), (1, HINGE), (3, OTHER)):
         radius = np.linalg.norm(position[node] - centre)
         assert np.linalg.norm(drifted[node] - centre) > radius + 1e-4

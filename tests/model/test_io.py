@@ -18,6 +18,7 @@ from contactgraph.data import InvalidInputError
 from contactgraph.model import (
     ContactDynamics,
     GumbelSample,
+    ModelConfig,
     SmoothCutoff,
     TypedMessagePassing,
     describe_model,
@@ -60,7 +61,7 @@ def test_a_loaded_model_predicts_bit_for_bit_the_same(
 
 @pytest.mark.parametrize("name", list(PRESETS))
 def test_a_file_of_full_width_stays_under_one_megabyte(name: str, tmp_path: Path) -> None:
-    model = eqx.filter_eval_shape(PRESETS[name], 3, 3, DT, key=jax.random.PRNGKey(0))
+    model = eqx.filter_eval_shape(PRESETS[name], ModelConfig(3, 3, DT), key=jax.random.PRNGKey(0))
     zeros = jax.tree.map(
         lambda leaf: (
             jnp.zeros(leaf.shape, leaf.dtype) if isinstance(leaf, jax.ShapeDtypeStruct) else leaf
@@ -188,8 +189,11 @@ def at(*names: str):
     ("change", "message"),
     [
         (lambda header: header.update(format="x"), "field 'format' must be 'contactgraph-model'"),
-        (lambda header: header.update(format_version=2), "'format_version' must be 1, found 2"),
-        (lambda header: header.update(format_version=True), "must be 1, found True"),
+        (
+            lambda header: header.update(format_version=3),
+            "must be 1 or 2, found 3",
+        ),
+        (lambda header: header.update(format_version=True), "must be 1 or 2, found True"),
         (lambda header: header.pop("training"), "field 'training' is missing"),
         (lambda header: header.update(model=[]), "field 'model' is missing or of another type"),
         (lambda header: header.update(checksum="0"), "checksum does not fit"),

@@ -26,7 +26,7 @@ from contactgraph.model import (
     save_model,
     two_type_belief,
 )
-from contactgraph.model.graph import numbered, place
+from contactgraph.model.graph import edge_nodes, unordered_edge_id
 from contactgraph.model.neighbor_list import travel_bound
 
 FAR = 0.25
@@ -42,9 +42,9 @@ def listed(position, way=None, mask=None, edges=400, cell=30):
     number = np.asarray(found.edge_id)
     real = number < count * (count - 1) // 2
     assert (np.diff(number[real]) > 0).all()  # each once, ascending
-    np.testing.assert_array_equal(found.pairs[real], pair_indices(count)[number[real]])
-    np.testing.assert_array_equal(found.pairs[~real], 0)
-    return {tuple(pair) for pair in np.asarray(found.pairs)[real].tolist()}, bool(found.fits)
+    np.testing.assert_array_equal(found.edge_index.T[real], pair_indices(count)[number[real]])
+    np.testing.assert_array_equal(found.edge_index.T[~real], 0)
+    return {tuple(pair) for pair in np.asarray(found.edge_index.T)[real].tolist()}, bool(found.fits)
 
 
 @pytest.mark.parametrize("cell", [30, None])
@@ -79,10 +79,10 @@ def test_what_does_not_fit_is_told() -> None:
 def test_places_of_pairs_and_back() -> None:
     second = np.array([1, 2, 3, 100, 4095, 4096, 46_338, 46_339], np.int32)
     for first in (np.zeros_like(second), second // 2, second - 1):
-        pairs = numbered(place(jnp.asarray(first), jnp.asarray(second)), 46_340)
+        pairs = edge_nodes(unordered_edge_id(jnp.asarray(first), jnp.asarray(second)), 46_340).T
         np.testing.assert_array_equal(pairs, np.stack([first, second], axis=1))
     np.testing.assert_array_equal(
-        place(*jnp.asarray(pair_indices(9)).T), np.arange(36, dtype=np.int32)
+        unordered_edge_id(*jnp.asarray(pair_indices(9)).T), np.arange(36, dtype=np.int32)
     )
 
 
@@ -220,7 +220,7 @@ def test_motion_is_judged_over_all_pairs_alone() -> None:
     near = dataclasses.replace(
         preset("gim_temp"), neighbor_list=NeighborList(max_edges=9, cell_capacity=9)
     )
-    with pytest.raises(InvalidInputError, match="must have no neighbour lists"):
+    with pytest.raises(InvalidInputError, match="must have no neighbor list"):
         check_motion_model(near)
 
 

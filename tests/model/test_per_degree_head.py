@@ -28,7 +28,7 @@ def inputs() -> tuple[LocalInput, jax.Array, jax.Array]:
         node_features=jnp.zeros((NODES, 0)),
         edge_features=jnp.zeros((2, len(pairs), 0)),
         weight=jnp.ones((len(pairs), 1)),
-        geometry=geometry(position, velocity, pairs, DT, 0.1),
+        geometry=geometry(position, velocity, pairs.T, DT, 0.1),
         anchor=None,
     )
     embedding = jax.random.normal(keys[1], (NODES, WIDTH))

@@ -12,7 +12,6 @@ from contactgraph.model import (
     LinearDynamics,
     ModelState,
     control_sensitivity,
-    response_of,
     two_type_belief,
     with_control_displacement,
 )
@@ -41,7 +40,7 @@ def test_only_the_contacts_of_now_hold() -> None:
     np.testing.assert_array_equal(response, jnp.array([1.0, 2, 1, 0])[:, None, None] * jnp.eye(2))
     # In metres a newton: the row of the positions.
     linear, _ = Counts().linear_step(state, nodes)
-    np.testing.assert_array_equal(response_of(linear, response), linear.B[..., 0, :])
+    np.testing.assert_array_equal(linear.control_sensitivity, linear.B[..., 0, :])
 
 
 def test_a_push_is_the_response_times_the_control() -> None:
@@ -69,7 +68,7 @@ def test_the_contact_that_a_push_would_bring_does_not_push() -> None:
     alone, together = (control_sensitivity(model, each, nodes) for each in (apart, held))
     assert np.any(alone[0] > 0) and np.all(np.abs(together[0]) <= np.abs(alone[0]))
     linear, _ = model.linear_step(apart, nodes)
-    np.testing.assert_allclose(response_of(linear, together), together, rtol=1e-5)
+    np.testing.assert_allclose(linear.control_sensitivity, together, rtol=1e-5)
     assert np.abs(together[0] - alone[0]).max() > 1e-5
 
 

@@ -10,6 +10,7 @@ from contactgraph.data import pair_indices
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
+    ModelConfig,
     ModelState,
     Nodes,
     gim_temp,
@@ -26,7 +27,7 @@ WEIGHT = np.array([0.0, 0.0, -3.9])
 
 def model_with_weight() -> ContactDynamics:
     """Its unactuated nodes weigh 3.9 N and rub on the ground, nothing reaches them otherwise."""
-    model = gim_temp(3, 3, DT, 0.05, weight=True, key=jax.random.PRNGKey(0))
+    model = gim_temp(ModelConfig(3, 3, DT, 0.05, weight=True), key=jax.random.PRNGKey(0))
     head = model.local_dynamics.head
     last = head.edge.layers[-1]
     head = eqx.tree_at(
@@ -66,7 +67,7 @@ def change(active: list[float], velocity: np.ndarray, control: np.ndarray) -> np
     @eqx.filter_jit
     def step(start: ModelState, control: jax.Array) -> jax.Array:
         percept = model.encode(start.position, start.velocity, nodes)
-        local = model.local_input(percept, start.belief, start.position, start.velocity, nodes)
+        local = model.cut_edges(percept, start.belief)
         linear = model.local_dynamics(local, DT, 3)
         return linear(start.position, start.velocity, control)[1]
 
@@ -102,7 +103,7 @@ def test_carried_is_the_best_chain_to_an_actuated_node() -> None:
     position = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
     pairs = jnp.asarray(pair_indices(4))
     hold = jnp.asarray([{(0, 1): 0.9, (1, 2): 0.5}.get((int(i), int(j)), 0.0) for i, j in pairs])
-    seen = geometry(position, 0.0 * position, pairs, DT, 0.05)
+    seen = geometry(position, 0.0 * position, pairs.T, DT, 0.05)
     share = lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen)
     assert np.allclose(share, [1.0, 0.9, 0.45, 0.0])
     # Found along the edges, where no more than so many hold each other.
@@ -122,7 +123,9 @@ def test_a_model_with_weight_is_stored_and_loaded(tmp_path) -> None:
 
 
 def test_a_distance_of_touch_that_is_told_is_no_weight_of_the_model(tmp_path) -> None:
-    model = gim_temp(3, 3, DT, 0.02, learned_contact_distance=False, key=jax.random.PRNGKey(0))
+    model = gim_temp(
+        ModelConfig(3, 3, DT, 0.02, learned_contact_distance=False), key=jax.random.PRNGKey(0)
+    )
     assert model.features.contact_distance == 0.02
     assert not eqx.is_array(model.features.contact_distance)
     save_model(tmp_path / "model.safetensors", model)

@@ -34,7 +34,7 @@ from contactgraph.data import (
     write_trajectories,
 )
 from contactgraph.evaluate import evaluate_open_loop
-from contactgraph.model import gim_temp
+from contactgraph.model import ModelConfig, gim_temp
 from contactgraph.model.io import load_model
 from contactgraph.train import FitStatus, LossTerms, RunFolder, TrainConfig, fit, initial_state
 from contactgraph.train.batch import Window, WindowSource
@@ -233,7 +233,7 @@ def test_a_file_of_ones_own_trains(tmp_path: Path) -> None:
     write_trajectories(path, [run(("cup", "lid"), 6), run(("a", "b", "c"), 9), run(("x", "y"), 9)])
     dataset = read_trajectories(path)
     config = TrainConfig(steps=2, batch_size=2, window_length=2, rollout_from=1.0)
-    state = initial_state(gim_temp(3, 0, 0.01, key=jax.random.key(0)), config, 0)
+    state = initial_state(gim_temp(ModelConfig(3, 0, 0.01), key=jax.random.key(0)), config, 0)
     checks = []
     result = fit(state, dataset, dataset, config, checks.append)
     assert result.status is FitStatus.finished

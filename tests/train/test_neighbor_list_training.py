@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import pair_indices
-from contactgraph.model import ContactDynamics, NeighborList, Nodes, gim_temp
+from contactgraph.model import ContactDynamics, ModelConfig, NeighborList, Nodes, gim_temp
 from contactgraph.train import LossTerms
 from contactgraph.train import chunked_vmap as chunked_vmap
 from contactgraph.train.batch import Window
@@ -39,7 +39,7 @@ def windows() -> Window:
 @pytest.mark.slow
 @pytest.mark.parametrize("lists", [NeighborList(9, 5, 5), NeighborList(9, None, None)])
 def test_loss_and_gradient_are_those_of_all_pairs(lists: NeighborList) -> None:
-    model = gim_temp(2, 2, 0.05, width=8, key=jax.random.key(1))
+    model = gim_temp(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(1))
     near = dataclasses.replace(model, neighbor_list=lists)
     drawn, key = windows(), jax.random.key(0)
 
@@ -61,7 +61,7 @@ def test_loss_and_gradient_are_those_of_all_pairs(lists: NeighborList) -> None:
 
 @pytest.mark.slow
 def test_chunk_after_chunk_is_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = gim_temp(2, 2, 0.05, width=8, key=jax.random.key(1))
+    model = gim_temp(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(1))
     pair = windows()
     drawn = jax.tree.map(lambda leaf: jnp.concatenate([leaf, 0.9 * leaf]).astype(leaf.dtype), pair)
 

@@ -76,6 +76,7 @@ class Train:
             subsample,
             velocity_warning,
         )
+        from contactgraph.model import ModelConfig
         from contactgraph.model.io import save_model
         from contactgraph.train import (
             FitProgress,
@@ -112,7 +113,7 @@ class Train:
         for part in (train, held_out):  # checked before a folder is created
             check_window_length(config.window_length, max(each.steps for each in part))
         devices = jax.local_devices()[: self._devices(len(jax.local_devices()), options.batch_size)]
-        model = build(
+        model_config = ModelConfig(
             dataset.dimension,
             dataset.control_size,
             dataset.dt,
@@ -120,8 +121,8 @@ class Train:
             hinges=defaults.hinges,
             weight=defaults.weight,
             learned_contact_distance=defaults.learned_contact_distance or distance is not None,
-            key=jax.random.key(options.seed),
         )
+        model = build(model_config, key=jax.random.key(options.seed))
         state = initial_state(model, config, options.seed)
         spent = 0.0
         if self.resume:

@@ -14,7 +14,7 @@ from contactgraph.control.host import Motion
 from contactgraph.control.mpc import MPCState
 from contactgraph.control.mpc_step import LastObservation
 from contactgraph.control.swept_bounds import SweptBounds
-from contactgraph.data import edge_index, pair_indices
+from contactgraph.data import edge_id, pair_indices
 from contactgraph.model import ContactBelief, Nodes
 
 _SMALLEST, _TIMES = 2, 3
@@ -104,7 +104,7 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
     node = np.array([slot.get(each, -1) for each in new.node_ids.tolist()])
     # Nodes keep their order, so the smaller slot still comes first.
     first, second = node[pair_indices(len(node))].T
-    edge = np.where((first >= 0) & (second >= 0), edge_index(first, second), -1)
+    edge = np.where((first >= 0) & (second >= 0), edge_id(first, second), -1)
 
     def nodes(known: jax.Array, added: np.ndarray, axis: int = -2) -> Any:
         return _chosen(np.asarray(known), node, added, axis)
@@ -142,7 +142,7 @@ def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:
     real = ids >= 0
     first, second = ids[pair_indices(len(ids))].T
     exists = (first >= 0) & (second >= 0)
-    edge = np.where(exists, edge_index(first, second), 0)
+    edge = np.where(exists, edge_id(first, second), 0)
     anchor: Any = None
     if nodes.anchor is not None:
         anchors = np.asarray(nodes.anchor)

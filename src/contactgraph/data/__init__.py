@@ -10,8 +10,9 @@ from contactgraph.data.dataset import velocity_mismatch as velocity_mismatch
 from contactgraph.data.dataset import velocity_warning as velocity_warning
 from contactgraph.data.errors import InvalidInputError as InvalidInputError
 from contactgraph.data.graph import candidate_pairs as candidate_pairs
-from contactgraph.data.graph import edge_index as edge_index
+from contactgraph.data.graph import edge_id as edge_id
 from contactgraph.data.graph import joined as joined
+from contactgraph.data.graph import pair_count as pair_count
 from contactgraph.data.graph import pair_indices as pair_indices
 from contactgraph.data.storage import FileSummary as FileSummary
 from contactgraph.data.storage import describe_file as describe_file

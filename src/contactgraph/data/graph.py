@@ -1,12 +1,21 @@
-"""The graph's layout: which nodes an edge joins, and which edges there could be."""
+"""Layout of the contact graph: pairs of nodes, ids of edges, candidate edges of a scene."""
+
+from typing import TypeVar
 
 import numpy as np
 
 from contactgraph.data.trajectory import Scene
 
+Index = TypeVar("Index")
+
+
+def pair_count(node_count: Index) -> Index:
+    """Number ``E = N(N-1)/2`` of unordered pairs of ``N`` nodes; an integer or integer array."""
+    return node_count * (node_count - 1) // 2  # type: ignore[operator, no-any-return]
+
 
 def pair_indices(node_count: int) -> np.ndarray:
-    """[E, 2] the unordered pairs ``(i, j)``, ``i < j``, of ``N`` nodes, ``E = N(N-1)/2``.
+    """[E, 2] the unordered pairs ``(i, j)``, ``i < j``, of ``N`` nodes; row e is the edge of id e.
 
     Contact is symmetric, so an edge carries one belief; messages pass along it both ways.
     Ordered by the larger index first, so that a scene's edges are a prefix of those of any
@@ -16,10 +25,12 @@ def pair_indices(node_count: int) -> np.ndarray:
     return np.stack([first, second], axis=1)
 
 
-def edge_index(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Which edge joins the nodes ``first < second``: its place in the order of `pair_indices`,
-    whatever the number of nodes."""
-    return second * (second - 1) // 2 + first
+def edge_id(first: Index, second: Index) -> Index:
+    """The row in `pair_indices` of the nodes ``first < second``, for any number of nodes.
+
+    Both are integers, or integer arrays of NumPy or JAX.
+    """
+    return second * (second - 1) // 2 + first  # type: ignore[operator, no-any-return]
 
 
 def candidate_pairs(scene: Scene, node_capacity: int) -> np.ndarray:
@@ -38,14 +49,14 @@ def candidate_pairs(scene: Scene, node_capacity: int) -> np.ndarray:
 
 
 def joined(contact: np.ndarray) -> np.ndarray:
-    """[S, N, N] float 0 or 1: who is joined to whom, directly or through others, or is the same.
+    """[S, N, N] float, 1 where two nodes are the same or connected by contacts, else 0.
 
     ``contact``: [S, N, N] bool, symmetric.
     """
     count = contact.shape[-1]
-    reach = (contact | np.eye(count, dtype=bool)).astype(np.float64)
+    connected = (contact | np.eye(count, dtype=bool)).astype(np.float64)
     length = 1
     while length < count:
-        reach = np.minimum(reach @ reach, 1.0)
+        connected = np.minimum(connected @ connected, 1.0)
         length *= 2
-    return reach
+    return connected

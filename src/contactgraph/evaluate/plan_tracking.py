@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from contactgraph.control import Plan, PlanStatus
-from contactgraph.data import Trajectory, edge_index, pair_indices
+from contactgraph.data import Trajectory, edge_id, pair_indices
 from contactgraph.envs.feedback import PlanFeedback
 from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
@@ -211,7 +211,7 @@ def edge_probabilities(belief: ContactBelief, node_ids: np.ndarray, count: int) 
     known = (first >= 0) & (second >= 0) & (first < count) & (second < count)
     first, second = first[known], second[known]
     whole = np.zeros((*probability.shape[:-1], count * (count - 1) // 2))
-    whole[..., edge_index(first, second)] = probability[..., known]
+    whole[..., edge_id(first, second)] = probability[..., known]
     return whole
 
 

@@ -1,4 +1,4 @@
-"""The model: which edges are active, and how the nodes move given that."""
+"""The model: inference of active contact edges, and local dynamics given them."""
 
 from contactgraph.model.contact_belief import ArgmaxSample as ArgmaxSample
 from contactgraph.model.contact_belief import ClosestApproachPrior as ClosestApproachPrior
@@ -8,21 +8,18 @@ from contactgraph.model.contact_belief import DistancePrior as DistancePrior
 from contactgraph.model.contact_belief import GumbelSample as GumbelSample
 from contactgraph.model.contact_belief import NoCutoff as NoCutoff
 from contactgraph.model.contact_belief import SmoothCutoff as SmoothCutoff
+from contactgraph.model.contact_belief import cast_like as cast_like
 from contactgraph.model.contact_belief import correct as correct
 from contactgraph.model.contact_belief import two_type_belief as two_type_belief
 from contactgraph.model.contact_dynamics import ContactDynamics as ContactDynamics
-from contactgraph.model.contact_dynamics import cast_like as cast_like
-from contactgraph.model.contact_dynamics import control_sensitivity as control_sensitivity
-from contactgraph.model.contact_dynamics import response_of as response_of
-from contactgraph.model.contact_dynamics import take_step as take_step
-from contactgraph.model.contact_dynamics import (
-    with_control_displacement as with_control_displacement,
-)
+from contactgraph.model.contact_dynamics import EncodedGraph as EncodedGraph
+from contactgraph.model.contact_dynamics import StepStages as StepStages
 from contactgraph.model.edge_inference import AllEdges as AllEdges
 from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
 from contactgraph.model.edge_inference import RecurrentEdges as RecurrentEdges
 from contactgraph.model.features import AbsoluteFeatures as AbsoluteFeatures
 from contactgraph.model.features import InvariantFeatures as InvariantFeatures
+from contactgraph.model.graph import sum_at_nodes as sum_at_nodes
 from contactgraph.model.heads import CoupledHead as CoupledHead
 from contactgraph.model.heads import PerDegreeHead as PerDegreeHead
 from contactgraph.model.io import ModelSummary as ModelSummary
@@ -50,6 +47,7 @@ from contactgraph.model.motion_likelihood import (
 )
 from contactgraph.model.motion_likelihood import correct_by_motion as correct_by_motion
 from contactgraph.model.neighbor_list import NeighborList as NeighborList
+from contactgraph.model.presets import ModelConfig as ModelConfig
 from contactgraph.model.presets import Preset as Preset
 from contactgraph.model.presets import full_ab as full_ab
 from contactgraph.model.presets import gim_non_temp as gim_non_temp
@@ -57,12 +55,18 @@ from contactgraph.model.presets import gim_temp as gim_temp
 from contactgraph.model.presets import no_gim as no_gim
 from contactgraph.model.presets import paper_literal as paper_literal
 from contactgraph.model.presets import paper_literal_no_gim as paper_literal_no_gim
+from contactgraph.model.rollout import control_sensitivity as control_sensitivity
+from contactgraph.model.rollout import rollout as rollout
+from contactgraph.model.rollout import take_step as take_step
+from contactgraph.model.rollout import with_control_displacement as with_control_displacement
 from contactgraph.model.serialization import module_arrays as module_arrays
 from contactgraph.model.serialization import with_arrays as with_arrays
 from contactgraph.model.types import LinearDynamics as LinearDynamics
+from contactgraph.model.types import LocalInput as LocalInput
 from contactgraph.model.types import ModelState as ModelState
 from contactgraph.model.types import Nodes as Nodes
 from contactgraph.model.types import SpringMassDamper as SpringMassDamper
+from contactgraph.model.types import Step as Step
 from contactgraph.model.types import StepModel as StepModel
 from contactgraph.model.types import from_physical as from_physical
 from contactgraph.model.types import scene_nodes as scene_nodes

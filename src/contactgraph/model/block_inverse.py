@@ -1,4 +1,10 @@
-"""Who holds whom: nodes that edges join are one group."""
+r"""Solves with the mass matrix of a scene, $H = M + J^T \Lambda J$, dense or block by block.
+
+Both ways give the same numbers. `solve_dense` inverts one matrix, for scenes of any shape.
+`solve_block_diagonal` inverts one block for each group of coupled nodes; all other blocks are zero.
+Its derivatives are still those of the whole matrix, including edges without stiffness between two
+groups, because a model learns contact from the effect that such edges would have.
+"""
 
 import equinox as eqx
 import jax
@@ -8,25 +14,30 @@ from jaxtyping import Array, Bool, Float, Int
 from contactgraph.model.collision import Geometry
 from contactgraph.model.graph import sum_at_nodes
 
+_UNROLLED_SIZE = 6
+"""Rows up to which matrices are inverted, and multiplied, in unrolled operations that fuse."""
+_ELIMINATED_SIZE = 32
+"""Rows up to which a batch of matrices is inverted faster here than by LAPACK."""
+
 
 class Groups(eqx.Module):
-    """The group of every node, and its place in the group."""
+    """Groups of nodes that edges connect: the group of every node, and its slot in the group."""
 
     group: Int[Array, " N"]
-    """The least of the group's nodes."""
+    """The smallest index of a node of the group."""
     slot: Int[Array, " N"]
     """0, 1, 2, … within a group."""
 
     @property
     def largest(self) -> Int[Array, ""]:
-        """How many nodes the largest group has."""
+        """Number of nodes of the largest group."""
         return jnp.max(self.slot) + 1
 
 
-def find_groups(joins: Bool[Array, " E"], ends: Int[Array, "2 E"], count: int) -> Groups:
-    """The groups of `count` nodes that the edges make which join their ends."""
-    first, second = ends
-    node = jnp.arange(count, dtype=ends.dtype)
+def find_groups(joins: Bool[Array, " E"], edge_index: Int[Array, "2 E"], count: int) -> Groups:
+    """The connected components of `count` nodes under the edges that join their nodes."""
+    first, second = edge_index
+    node = jnp.arange(count, dtype=edge_index.dtype)
 
     def apart(root: Int[Array, " N"]) -> Bool[Array, " E"]:
         return joins & (root[first] != root[second])
@@ -45,161 +56,147 @@ def find_groups(joins: Bool[Array, " E"], ends: Int[Array, "2 E"], count: int) -
     return Groups(root, jnp.zeros_like(node).at[order].set(node - begin))
 
 
-_UNROLLED_SIZE = 6
-"""Rows up to which matrices are inverted, and multiplied, in written out operations that fuse."""
-_ELIMINATED_SIZE = 32
-"""Rows up to which matrices side by side are inverted sooner here than by a library."""
-
-
-class Inertia(eqx.Module):
-    """What makes up the matrix. Its rows are `d` for each node: 1 where no lever turns anything."""
+class MassMatrix(eqx.Module):
+    """H as a linear operator, with `d` rows for each node: 1 where no hinge turns velocities."""
 
     node: Float[Array, " N"]
-    """kg"""
-    stiff: Float[Array, " E"]
-    """kg; of each edge."""
+    """Diagonal part, kg."""
+    edge: Float[Array, " E"]
+    """Stiffness of each edge, kg."""
     geometry: Geometry
 
     @property
     def size(self) -> int:
-        """d, rows a node."""
+        """d, rows per node."""
         return self.geometry.contact_jacobian.shape[-1]
 
     def __call__(self, x: Float[Array, "N d c"]) -> Float[Array, "N d c"]:
         """The product with c vectors."""
-        return self.node[:, None, None] * x + to_nodes(
-            self.stiff[:, None, None] * along_edges(x, self.geometry), self.geometry, x.shape[0]
-        )
+        on_edges = self.edge[:, None, None] * relative_at_edges(x, self.geometry)
+        return self.node[:, None, None] * x + to_nodes(on_edges, self.geometry, x.shape[0])
 
 
-class Solved(eqx.Module):
-    """What a step needs of the inverse."""
+class MassMatrixSolution(eqx.Module):
+    """The parts of the inverse that a step needs."""
 
     solution: Float[Array, "N d c"]
     """Its products with c vectors."""
-    own: Float[Array, " N"]
-    """Its diagonal, the mean over a node's rows; 1/kg."""
+    diagonal: Float[Array, " N"]
+    """Its diagonal, averaged over a node's rows; 1/kg."""
 
 
-def along_edges(x: Float[Array, "N d c"], geometry: Geometry) -> Float[Array, "E d c"]:
-    """J x: of each edge's second end against its first, where they meet."""
-    lever = geometry.contact_jacobian
-    first, second = x[geometry.first], x[geometry.second]
-    if lever.shape[-1] == 1:
+def relative_at_edges(x: Float[Array, "N d c"], geometry: Geometry) -> Float[Array, "E d c"]:
+    """J x: the difference of the edges' second and first nodes, at the points of contact."""
+    jacobian = geometry.contact_jacobian
+    first, second = x[geometry.edge_index[0]], x[geometry.edge_index[1]]
+    if jacobian.shape[-1] == 1:
         return second - first
-    return jnp.einsum("eij,ejc->eic", lever[1], second) - jnp.einsum(
-        "eij,ejc->eic", lever[0], first
+    return jnp.einsum("eij,ejc->eic", jacobian[1], second) - jnp.einsum(
+        "eij,ejc->eic", jacobian[0], first
     )
 
 
 def to_nodes(on_edges: Float[Array, "E d c"], geometry: Geometry, count: int) -> Array:
-    """J^T of what is on the edges, [N, d, c]."""
-    lever, ends = geometry.contact_jacobian, jnp.stack([geometry.first, geometry.second])
+    """J^T of values on the edges, [N, d, c]."""
     arriving = jnp.stack([-on_edges, on_edges])
-    if lever.shape[-1] > 1:
-        arriving = jnp.einsum("seji,sejc->seic", lever, arriving)
-    return sum_at_nodes(arriving, ends, count)
+    if geometry.contact_jacobian.shape[-1] > 1:
+        arriving = jnp.einsum("seji,sejc->seic", geometry.contact_jacobian, arriving)
+    return sum_at_nodes(arriving, geometry.edge_index, count)
 
 
-def solve_dense(inertia: Inertia, vectors: Float[Array, "N d c"]) -> Solved:
-    """By the inverse of the whole matrix."""
-    count, size = inertia.node.shape[0], inertia.size
-    jacobian = _jacobian(inertia.geometry, count)
-    stiff, node = jnp.repeat(inertia.stiff, size), jnp.repeat(inertia.node, size)
-    matrix = product(jacobian.T, stiff[:, None] * jacobian) + jnp.diag(node)
-    inverse = _whole_inverse(matrix)
+def solve_dense(matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatrixSolution:
+    """Solve by the inverse of the whole matrix."""
+    count, size = matrix.node.shape[0], matrix.size
+    jacobian = _dense_jacobian(matrix.geometry, count)
+    edge, node = jnp.repeat(matrix.edge, size), jnp.repeat(matrix.node, size)
+    inverse = _dense_inverse(product(jacobian.T, edge[:, None] * jacobian) + jnp.diag(node))
     solution = product(inverse, vectors.reshape(count * size, -1)).reshape(vectors.shape)
-    own = jnp.mean(jnp.diagonal(inverse).reshape(count, size), axis=1)
-    return Solved(solution, own)
+    diagonal = jnp.mean(jnp.diagonal(inverse).reshape(count, size), axis=1)
+    return MassMatrixSolution(solution, diagonal)
 
 
 def product(one: Float[Array, "n m"], other: Float[Array, "m c"]) -> Float[Array, "n c"]:
-    """The matrix product; of small ones as a sum, which fuses with what is around it."""
+    """The matrix product; of small matrices as a sum, which fuses with neighbouring operations."""
     if max(one.shape) > _UNROLLED_SIZE:
         return one @ other
     return jnp.sum(one[:, :, None] * other[None], axis=1)
 
 
-def _jacobian(geometry: Geometry, count: int) -> Float[Array, "Ed Nd"]:
-    """From all velocities to the relative velocities along all edges."""
-    lever = geometry.contact_jacobian
-    size = lever.shape[-1]
-    first, second = geometry.ends(count)
-    blocks = second[:, None, :, None] * lever[1][:, :, None, :]
-    blocks = blocks - first[:, None, :, None] * lever[0][:, :, None, :]
+def _dense_jacobian(geometry: Geometry, count: int) -> Float[Array, "Ed Nd"]:
+    """J, from all velocities to the relative velocities along all edges."""
+    jacobian = geometry.contact_jacobian
+    size = jacobian.shape[-1]
+    first, second = geometry.incidence(count)
+    blocks = second[:, None, :, None] * jacobian[1][:, :, None, :]
+    blocks = blocks - first[:, None, :, None] * jacobian[0][:, :, None, :]
     return blocks.reshape(-1, count * size)
 
 
 def solve_block_diagonal(
-    inertia: Inertia, vectors: Float[Array, "N d c"], group_capacity: int
-) -> Solved:
-    """By the inverses of the groups. NaN where one has more nodes than `group_capacity`."""
-    fixed = jax.lax.stop_gradient(inertia)
-    count, size = inertia.node.shape[0], inertia.size
-    ends = jnp.stack([inertia.geometry.first, inertia.geometry.second])
-    groups = find_groups(fixed.stiff > 0, ends, count)
-    blocks = jnp.where(
-        groups.largest <= group_capacity, _blocks(fixed, groups, group_capacity), jnp.nan
-    )
-    rows = size * jnp.minimum(groups.largest, group_capacity)
-    inverse = spd_inverse(blocks, rows).reshape(count, group_capacity, size, group_capacity, size)
-    row = groups.group * group_capacity + jnp.minimum(groups.slot, group_capacity - 1)
+    matrix: MassMatrix, vectors: Float[Array, "N d c"], capacity: int
+) -> MassMatrixSolution:
+    """Solve by the inverses of the groups. NaN where one has more nodes than `capacity`."""
+    fixed = jax.lax.stop_gradient(matrix)
+    count, size = matrix.node.shape[0], matrix.size
+    edge_index = matrix.geometry.edge_index
+    groups = find_groups(fixed.edge > 0, edge_index, count)
+    blocks = jnp.where(groups.largest <= capacity, _blocks(fixed, groups, capacity), jnp.nan)
+    rows = size * jnp.minimum(groups.largest, capacity)
+    inverse = spd_inverse(blocks, rows).reshape(count, capacity, size, capacity, size)
+    row = groups.group * capacity + jnp.minimum(groups.slot, capacity - 1)
 
     def solve(_: object, right: Float[Array, "N d c"]) -> Float[Array, "N d c"]:
-        inside = (
-            jnp.zeros((count * group_capacity, *right.shape[1:]), right.dtype).at[row].set(right)
-        )
-        inside = inside.reshape(count, group_capacity * size, -1)
-        flat = inverse.reshape(count, group_capacity * size, group_capacity * size)
-        return (flat @ inside).reshape(count * group_capacity, *right.shape[1:])[row]
+        inside = jnp.zeros((count * capacity, *right.shape[1:]), right.dtype).at[row].set(right)
+        inside = inside.reshape(count, capacity * size, -1)
+        flat = inverse.reshape(count, capacity * size, capacity * size)
+        return (flat @ inside).reshape(count * capacity, *right.shape[1:])[row]
 
-    solution = jax.lax.custom_linear_solve(inertia, vectors, solve, symmetric=True)
-    own = _own(
-        inertia.node, inertia.stiff, inertia.geometry.contact_jacobian, ends, groups, inverse
-    )
-    return Solved(solution, own)
+    solution = jax.lax.custom_linear_solve(matrix, vectors, solve, symmetric=True)
+    jacobian = matrix.geometry.contact_jacobian
+    diagonal = _diagonal(matrix.node, matrix.edge, jacobian, edge_index, groups, inverse)
+    return MassMatrixSolution(solution, diagonal)
 
 
-def _blocks(inertia: Inertia, groups: Groups, group_capacity: int) -> Float[Array, "N s s"]:
-    """Each group's part of the matrix, a row for each `Groups.group`; ones where nobody is."""
-    count, size, geometry = inertia.node.shape[0], inertia.size, inertia.geometry
-    first, second = geometry.first, geometry.second
-    lever, stiff = geometry.contact_jacobian, inertia.stiff[:, None, None]
-    nowhere = count * group_capacity * group_capacity
+def _blocks(matrix: MassMatrix, groups: Groups, capacity: int) -> Float[Array, "N s s"]:
+    """Each group's block of the matrix, a row for each `Groups.group`; identity in empty slots."""
+    count, size, geometry = matrix.node.shape[0], matrix.size, matrix.geometry
+    first, second = geometry.edge_index
+    jacobian, edge = geometry.contact_jacobian, matrix.edge[:, None, None]
+    outside = count * capacity * capacity
 
-    def at(one: Int[Array, " m"], other: Int[Array, " m"]) -> Int[Array, " m"]:
+    def entry(one: Int[Array, " m"], other: Int[Array, " m"]) -> Int[Array, " m"]:
         row, column = groups.slot[one], groups.slot[other]
-        there = (groups.group[one] * group_capacity + row) * group_capacity + column
-        return jnp.where((row < group_capacity) & (column < group_capacity), there, nowhere)
+        index = (groups.group[one] * capacity + row) * capacity + column
+        return jnp.where((row < capacity) & (column < capacity), index, outside)
 
-    each = jnp.eye(size, dtype=inertia.node.dtype)
-    own = stiff * jnp.einsum("seji,sejk->seik", lever, lever)
-    own = sum_at_nodes(own, jnp.stack([first, second]), count)
-    own = own + inertia.node[:, None, None] * each
-    cross = -stiff * jnp.einsum("eji,ejk->eik", lever[0], lever[1])
-    joined = inertia.stiff > 0
+    identity = jnp.eye(size, dtype=matrix.node.dtype)
+    own = edge * jnp.einsum("seji,sejk->seik", jacobian, jacobian)
+    own = sum_at_nodes(own, geometry.edge_index, count)
+    own = own + matrix.node[:, None, None] * identity
+    cross = -edge * jnp.einsum("eji,ejk->eik", jacobian[0], jacobian[1])
+    joins = matrix.edge > 0
     node = jnp.arange(count)
-    empty = jnp.eye(group_capacity, dtype=each.dtype).reshape(-1, 1, 1) * each
-    flat = jnp.tile(empty, (count, 1, 1)).at[at(node, node)].set(own, mode="drop")
-    flat = flat.at[jnp.where(joined, at(first, second), nowhere)].add(cross, mode="drop")
+    empty = jnp.eye(capacity, dtype=identity.dtype).reshape(-1, 1, 1) * identity
+    flat = jnp.tile(empty, (count, 1, 1)).at[entry(node, node)].set(own, mode="drop")
+    flat = flat.at[jnp.where(joins, entry(first, second), outside)].add(cross, mode="drop")
     back = jnp.swapaxes(cross, 1, 2)
-    flat = flat.at[jnp.where(joined, at(second, first), nowhere)].add(back, mode="drop")
-    blocks = jnp.swapaxes(flat.reshape(count, group_capacity, group_capacity, size, size), 2, 3)
-    return blocks.reshape(count, group_capacity * size, group_capacity * size)
+    flat = flat.at[jnp.where(joins, entry(second, first), outside)].add(back, mode="drop")
+    blocks = jnp.swapaxes(flat.reshape(count, capacity, capacity, size, size), 2, 3)
+    return blocks.reshape(count, capacity * size, capacity * size)
 
 
 def spd_inverse(
     matrix: Float[Array, "*B n n"], rows: Int[Array, ""] | int
 ) -> Float[Array, "*B n n"]:
-    """Inverses of many small, symmetric positive definite matrices, side by side.
+    """Inverses of a batch of small, symmetric positive definite matrices.
 
-    Only the first `rows` of a matrix are other than the identity's.
+    Rows and columns from index `rows` on must be those of the identity.
     """
-    return jax.lax.fori_loop(0, rows, _eliminated, matrix)
+    return jax.lax.fori_loop(0, rows, _eliminate, matrix)
 
 
-def _eliminated(pivot: Int[Array, ""] | int, matrix: Float[Array, "*B n n"]) -> Array:
-    """One round of Gauss and Jordan; positive definite matrices need no exchange of rows."""
+def _eliminate(pivot: Int[Array, ""] | int, matrix: Float[Array, "*B n n"]) -> Array:
+    """One round of Gauss-Jordan; positive definite matrices need no pivoting."""
     index = jnp.arange(matrix.shape[-1])
     row = jax.lax.dynamic_slice_in_dim(matrix, pivot, 1, -2)
     column = jax.lax.dynamic_slice_in_dim(matrix, pivot, 1, -1)
@@ -211,58 +208,58 @@ def _eliminated(pivot: Int[Array, ""] | int, matrix: Float[Array, "*B n n"]) -> 
 
 
 @jax.custom_jvp
-def _whole_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def _dense_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     size = matrix.shape[0]
-    # Of scenes side by side, a library inverts one after the other.
+    # LAPACK inverts the matrices of a batch one after the other.
     if size > _ELIMINATED_SIZE:
         return jnp.linalg.inv(matrix)
     if size > _UNROLLED_SIZE:
         return spd_inverse(matrix, size)
     for pivot in range(size):
-        matrix = _eliminated(pivot, matrix)
+        matrix = _eliminate(pivot, matrix)
     return matrix
 
 
-@_whole_inverse.defjvp
-def _whole_inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    inverse = _whole_inverse(*primals)
+@_dense_inverse.defjvp
+def _dense_inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    inverse = _dense_inverse(*primals)
     return inverse, -inverse @ tangents[0] @ inverse
 
 
 @jax.custom_jvp
-def _own(
+def _diagonal(
     node: Float[Array, " N"],
-    stiff: Float[Array, " E"],
-    contact_jacobian: Float[Array, "2 E d d"],
-    ends: Int[Array, "2 E"],
+    edge: Float[Array, " E"],
+    jacobian: Float[Array, "2 E d d"],
+    edge_index: Int[Array, "2 E"],
     groups: Groups,
     inverse: Float[Array, "N s d s d"],
 ) -> Float[Array, " N"]:
-    """The diagonal of the inverse, from the groups' blocks of it."""
+    """The diagonal of the inverse, from its blocks by group."""
     blocks = inverse[groups.group, groups.slot, :, groups.slot, :]
     return jnp.trace(blocks, axis1=1, axis2=2) / blocks.shape[-1]
 
 
-@_own.defjvp
-def _own_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+@_diagonal.defjvp
+def _diagonal_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     # With c a node's column of the inverse, its entry changes by -c^T dH c.
-    _, _, _, ends, groups, inverse = primals
+    _, _, _, edge_index, groups, inverse = primals
 
-    def square(node: Array, stiff: Array, lever: Array) -> Float[Array, " N"]:
+    def square(node: Array, edge: Array, jacobian: Array) -> Float[Array, " N"]:
         """c^T H c of every node's own columns, which are zero outside of its group."""
         size = inverse.shape[2]
         inside = jnp.zeros(inverse.shape[:2], node.dtype).at[groups.group, groups.slot].set(node)
         total = jnp.einsum("gm,gmisk->gs", inside, inverse**2)
-        # [2, E, d, s, d]: what columns of its group each end sees.
-        seen = inverse[groups.group[ends], groups.slot[ends]]
-        seen = jnp.einsum("teij,tejsk->teisk", lever, seen)
-        same = groups.group[ends[0]] == groups.group[ends[1]]
-        both = jnp.sum((seen[1] - seen[0]) ** 2, axis=(1, 3))
-        alone = jnp.sum(seen**2, axis=(2, 4))
+        # [2, E, d, s, d]: columns of its group as they appear at each end of an edge.
+        at_end = inverse[groups.group[edge_index], groups.slot[edge_index]]
+        at_end = jnp.einsum("teij,tejsk->teisk", jacobian, at_end)
+        same = groups.group[edge_index[0]] == groups.group[edge_index[1]]
+        both = jnp.sum((at_end[1] - at_end[0]) ** 2, axis=(1, 3))
+        alone = jnp.sum(at_end**2, axis=(2, 4))
         split = jnp.stack([jnp.where(same[:, None], both, alone[0]), alone[1]])
         split = split.at[1].multiply(~same[:, None])
-        total = total + sum_at_nodes(stiff[:, None] * split, groups.group[ends], inverse.shape[0])
-        return total[groups.group, groups.slot] / size
+        at_groups = sum_at_nodes(edge[:, None] * split, groups.group[edge_index], inverse.shape[0])
+        return (total + at_groups)[groups.group, groups.slot] / size
 
     change = jax.jvp(square, primals[:3], tangents[:3])[1]
-    return _own(*primals), -change
+    return _diagonal(*primals), -change

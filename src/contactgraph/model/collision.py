@@ -1,4 +1,4 @@
-"""Distances and relative motion along the edges."""
+"""Distance, closest approach and time of impact of the two nodes of every edge."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -6,179 +6,162 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.model.hinge import HingedBodies
 
-_SMALLEST = 1e-12
+_MIN_SQUARE = 1e-12
 _RESTING_SPEED = 0.01
 """Relative speed, m/s, well below which nothing counts as an approach."""
 
 _REFINEMENTS = 3
-"""Of the moment of touch under a force."""
+"""Iterations for the time of impact under a force."""
 _CHORDS = 8
-"""Of the way under a force: 10 N bend that of 1 kg in 0.05 s by less than 0.1 mm from them."""
+"""Chords that approximate a path under a force: 10 N bend the path of 1 kg in 0.05 s by less than
+0.1 mm away from them."""
 
 
 class Geometry(eqx.Module):
-    """How the two nodes of every edge lie and move relative to each other, seen from the first."""
+    """Relative position and motion of the two nodes of every edge, seen from the first."""
 
-    first: Int[Array, " E"]
-    second: Int[Array, " E"]
+    edge_index: Int[Array, "2 E"]
+    """First and second node of each edge."""
     displacement: Float[Array, "E D"]
-    """From the first to the second node, m; between the nearest points where one is hinged."""
+    """From the first to the second node, m; between the closest points where one is hinged."""
     relative_velocity: Float[Array, "E D"]
-    """Of the second node against the first, m/s, where they meet."""
+    """Of the second node against the first, m/s, at the point of contact."""
     distance: Float[Array, " E"]
     """m"""
     predicted_distance: Float[Array, " E"]
-    """m; after one step without forces."""
+    """m; after one step without contact forces."""
     closest_approach: Float[Array, " E"]
-    """m; the least distance within the step without forces."""
+    """m; the least distance within the step without contact forces."""
     direction: Float[Array, "E D"]
     """Unit vector along the displacement."""
-
     fraction_after_impact: Float[Array, " E"]
-    """Share of the coming step, in [0, 1], that follows the moment at which the two nodes, if
-    nothing hindered them, would come as near as bodies touch. 0 where they do not meet."""
-
+    """One minus the time of impact, as a share of the step in [0, 1]; the impact is where the two
+    nodes, if nothing hindered them, would be a contact distance apart. 0 where they do not meet."""
     contact_jacobian: Float[Array, "2 E d d"]
-    """What takes the velocities of both nodes to where they meet, d = D, where there
-    are hinges; ones, d = 1, where there are none."""
+    """Maps the velocities of both nodes to their velocities at the point of contact; d = D where
+    there are hinges, else ones with d = 1."""
 
-    def ends(self, count: int) -> tuple[Float[Array, "E N"], Float[Array, "E N"]]:
-        """1 where an edge has one of `count` nodes as its first, and as its second end; else 0."""
-        node, dtype = jnp.arange(count), self.contact_jacobian.dtype
-        first = (self.first[:, None] == node).astype(dtype)
-        return first, (self.second[:, None] == node).astype(dtype)
+    def incidence(self, count: int) -> Float[Array, "2 E N"]:
+        """1 where an edge has one of `count` nodes as its first or second node, else 0."""
+        node = jnp.arange(count)
+        return (self.edge_index[..., None] == node).astype(self.contact_jacobian.dtype)
 
 
 def geometry(
     position: Float[Array, "N D"],
     velocity: Float[Array, "N D"],
-    pairs: Int[Array, "E 2"],
+    edge_index: Int[Array, "2 E"],
     dt: float,
     contact_distance: Float[Array, "*E"] | float,
     control_displacement: Float[Array, "N D"] | None = None,
     anchor: Float[Array, "N D"] | None = None,
 ) -> Geometry:
-    """The geometry of the edges `pairs` at one step of `dt` [s]; finite where nodes coincide.
+    """The geometry of the edges at one step of `dt` [s]; finite where nodes coincide.
 
     Bodies touch `contact_distance` [m] apart, centre to centre: all of them, or each edge's.
     `control_displacement` [m] is how far the step's control alone moves the nodes, where known.
     `anchor` [m] is where nodes are hinged, NaN where they are not.
     """
-    first, second = pairs[:, 0], pairs[:, 1]
-    displacement, lever, slides = _meeting(position, pairs, anchor)
+    displacement, jacobian, sliding = _meeting(position, edge_index, anchor)
 
     def relative(motion: Float[Array, "N D"]) -> Float[Array, "E D"]:
-        if anchor is None:
-            return motion[second] - motion[first]
-        ends = jnp.stack([first, second])
-        at_contact = jnp.einsum("eijk,eik->eij", lever, motion[ends])
-        return at_contact[1] - at_contact[0]
+        at_ends = motion[edge_index]
+        if anchor is not None:
+            at_ends = jnp.einsum("eijk,eik->eij", jacobian, at_ends)
+        return at_ends[1] - at_ends[0]
 
-    def nearing(motion: Float[Array, "E D"]) -> Float[Array, "E D"]:
-        # A point that slides along a bar is no nearer for it.
-        for along in slides:
+    def approach(motion: Float[Array, "E D"]) -> Float[Array, "E D"]:
+        # A point that slides along a bar does not come nearer.
+        for along in sliding:
             motion = motion - along * jnp.sum(along * motion, axis=-1, keepdims=True)
         return motion
 
     relative_velocity = relative(velocity)
-    drifted = dt * nearing(relative_velocity)
-    driven = (
-        jnp.zeros_like(drifted)
-        if control_displacement is None
-        else nearing(relative(control_displacement))
-    )
-    closest, nearest = _closest(
-        displacement, drifted, driven, 1 if control_displacement is None else _CHORDS
-    )
-    until, meets = closest, jnp.zeros_like(closest, bool)
-    for _ in range(1 if control_displacement is None else _REFINEMENTS):
-        until, meets = _touch(displacement, _way(drifted, driven, until), contact_distance)
-    # Bodies that hold together have relative velocities of rounding size, and no impact.
+    drifted = dt * approach(relative_velocity)
+    driven, chords, refinements = jnp.zeros_like(drifted), 1, 1
+    if control_displacement is not None:
+        driven, chords = approach(relative(control_displacement)), _CHORDS
+        refinements = _REFINEMENTS
+    time, closest_approach = _closest_approach(displacement, drifted, driven, chords)
+    meets = jnp.zeros_like(time, bool)
+    for _ in range(refinements):
+        # A constant force has done a square of its work after a part of the step: its mean effect
+        # until then is that part.
+        path = drifted + time[:, None] * driven
+        time, meets = _time_of_impact(displacement, path, contact_distance)
+    # Bodies that stay coupled have relative velocities of rounding size, and no impact.
     square = jnp.sum((drifted + driven) ** 2, axis=-1)
     impact = meets * square / (square + (_RESTING_SPEED * dt) ** 2)
     distance = _norm(displacement)
     return Geometry(
-        first=first,
-        second=second,
+        edge_index=edge_index,
         displacement=displacement,
         relative_velocity=relative_velocity,
         distance=distance,
         predicted_distance=_norm(displacement + drifted + driven),
-        closest_approach=nearest,
+        closest_approach=closest_approach,
         direction=displacement / distance[:, None],
-        fraction_after_impact=(1.0 - until) * impact,
-        contact_jacobian=lever,
+        fraction_after_impact=(1.0 - time) * impact,
+        contact_jacobian=jacobian,
     )
 
 
 def _meeting(
-    position: Float[Array, "N D"], pairs: Int[Array, "E 2"], anchor: Float[Array, "N D"] | None
+    position: Float[Array, "N D"], edge_index: Int[Array, "2 E"], anchor: Float[Array, "N D"] | None
 ) -> tuple[Float[Array, "E D"], Float[Array, "2 E d d"], list[Float[Array, "E D"]]]:
-    """Where pairs meet: displacement [m], levers, and the directions in which the points slide."""
-    first, second = pairs[:, 0], pairs[:, 1]
+    """Displacements [m] at the points of contact, Jacobians, and directions of sliding."""
+    first, second = edge_index
     if anchor is None:
-        one = jnp.ones((2, pairs.shape[0], 1, 1), position.dtype)
+        one = jnp.ones((2, first.shape[0], 1, 1), position.dtype)
         return position[second] - position[first], one, []
-    bars = HingedBodies(position, anchor)
-    begin, begin_slides = bars.closest_point(first, position[second])
-    end, end_slides = bars.closest_point(second, position[first])
-    lever = jnp.stack(
-        [
-            bars.contact_jacobian(first, position[second]),
-            bars.contact_jacobian(second, position[first]),
-        ]
-    )
-    return end - begin, lever, [begin_slides, end_slides]
+    bodies = HingedBodies(position, anchor)
+    begin, begin_sliding = bodies.closest_point(first, position[second])
+    end, end_sliding = bodies.closest_point(second, position[first])
+    of_first = bodies.contact_jacobian(first, position[second])
+    of_second = bodies.contact_jacobian(second, position[first])
+    return end - begin, jnp.stack([of_first, of_second]), [begin_sliding, end_sliding]
 
 
-def _way(
-    drifted: Float[Array, "E D"], driven: Float[Array, "E D"], part: Float[Array, " E"]
-) -> Float[Array, "E D"]:
-    """Mean way [m] a step until `part` of it is over: a constant force has then done that part
-    squared of its work, not that part."""
-    return drifted + part[:, None] * driven
-
-
-def _closest(
+def _closest_approach(
     displacement: Float[Array, "E D"],
     drifted: Float[Array, "E D"],
     driven: Float[Array, "E D"],
     chords: int,
 ) -> tuple[Float[Array, " E"], Float[Array, " E"]]:
-    """The part of the step after which two nodes are closest, and their distance then, m.
+    """The time of closest approach, as a part of the step, and the distance then, m.
 
-    The way under a force is a parabola, taken as so many chords.
+    The path under a force is a parabola, approximated by chords.
     """
-    ends = jnp.linspace(0.0, 1.0, chords + 1, dtype=displacement.dtype)[:, None, None]
-    path = displacement + ends * (drifted + ends * driven)
-    begin, way = path[:-1], path[1:] - path[:-1]
-    square = jnp.maximum(jnp.sum(way**2, axis=-1), _SMALLEST)
-    along = jnp.clip(-jnp.sum(begin * way, axis=-1) / square, 0.0, 1.0)
-    apart = jnp.sum((begin + along[..., None] * way) ** 2, axis=-1)
+    times = jnp.linspace(0.0, 1.0, chords + 1, dtype=displacement.dtype)[:, None, None]
+    path = displacement + times * (drifted + times * driven)
+    begin, chord_path = path[:-1], path[1:] - path[:-1]
+    square = jnp.maximum(jnp.sum(chord_path**2, axis=-1), _MIN_SQUARE)
+    along = jnp.clip(-jnp.sum(begin * chord_path, axis=-1) / square, 0.0, 1.0)
+    apart = jnp.sum((begin + along[..., None] * chord_path) ** 2, axis=-1)
     chord = jnp.argmin(apart, axis=0)
     part = jnp.take_along_axis(along, chord[None], axis=0)[0]
-    return (chord + part) / chords, jnp.sqrt(jnp.min(apart, axis=0) + _SMALLEST)
+    return (chord + part) / chords, jnp.sqrt(jnp.min(apart, axis=0) + _MIN_SQUARE)
 
 
-def _touch(
+def _time_of_impact(
     displacement: Float[Array, "E D"],
-    way: Float[Array, "E D"],
+    path: Float[Array, "E D"],
     contact_distance: Float[Array, "*E"] | float,
 ) -> tuple[Float[Array, " E"], Bool[Array, " E"]]:
-    """The part of the step until two nodes touch, and whether they do.
+    """The time of impact, as a part of the step, and whether there is an impact.
 
-    The earlier root of |r + w s| = touch distance, where the two approach each other; where they
-    do not come as near, the part until they are closest.
+    The earlier root of |r + w s| = contact distance, where two nodes approach each other; the time
+    of closest approach where they stay farther apart.
     """
-    square = jnp.maximum(jnp.sum(way**2, axis=-1), _SMALLEST)
-    closing = -jnp.sum(displacement * way, axis=-1)
+    square = jnp.maximum(jnp.sum(path**2, axis=-1), _MIN_SQUARE)
+    closing = -jnp.sum(displacement * path, axis=-1)
     gap = jnp.sum(displacement**2, axis=-1) - contact_distance**2
     discriminant = closing**2 - square * gap
     meets = (discriminant > 0) & (closing > 0)
     root = jnp.sqrt(jnp.where(meets, discriminant, 1.0))
-    until = jnp.clip(jnp.where(meets, closing - root, closing) / square, 0.0, 1.0)
-    return until, meets & (until < 1.0)
+    time = jnp.clip(jnp.where(meets, closing - root, closing) / square, 0.0, 1.0)
+    return time, meets & (time < 1.0)
 
 
 def _norm(vector: Float[Array, "*C E D"]) -> Float[Array, "*C E"]:
-    return jnp.sqrt(jnp.sum(vector**2, axis=-1) + _SMALLEST)
+    return jnp.sqrt(jnp.sum(vector**2, axis=-1) + _MIN_SQUARE)

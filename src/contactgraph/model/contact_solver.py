@@ -1,41 +1,38 @@
-"""Masses joined by springs and dampers, solved implicitly for one step."""
+"""Masses coupled by springs and dampers, solved implicitly for one step."""
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from contactgraph.model.block_inverse import (
-    Inertia,
-    solve_block_diagonal,
-    solve_dense,
-    to_nodes,
-)
+from contactgraph.model.block_inverse import MassMatrix, solve_block_diagonal, solve_dense, to_nodes
 from contactgraph.model.collision import Geometry
+from contactgraph.model.types import check_control_size
 
 
 class ContactSolution(eqx.Module):
-    """What one step does to every node, as the whole network has it."""
+    """Effect of one step on every node, of the whole scene solved together."""
 
-    change: Float[Array, "N D"]
-    """Change of velocity when nothing pushes, m/s."""
+    velocity_change: Float[Array, "N D"]
+    """Without any control, m/s."""
     impact_displacement: Float[Array, "N D"]
     """m; by how much impacts displace more than the change of velocity alone would."""
     response: Float[Array, "N D U"]
     """Acceleration by each component of the control, 1/kg."""
     own_share: Float[Array, " N"]
-    """What part of its own momentum a node keeps, in (0, 1]."""
+    """Share of its own momentum that a node keeps, in (0, 1]."""
     ground_share: Float[Array, " N"]
-    """What part of its velocity a node loses to the ground when all move alike, in [0, 1)."""
+    """Share of its velocity that a node loses to the ground when all move alike, in [0, 1)."""
     acceleration: Float[Array, "N D"] | None
-    """By forces that always act, m/s^2; None where there are none."""
+    """By constant forces, m/s^2; None where there are none."""
 
 
 class ContactSolver(eqx.Module):
     r"""Masses, dampers and springs of a whole scene.
 
-    With J the matrix that takes the nodes' velocities to the edges' relative velocities where the
-    bodies meet (`Geometry.contact_jacobian`), the change of velocity in a step without forces is
+    With J the matrix that maps the nodes' velocities to the edges' relative velocities at the
+    points of contact (`Geometry.contact_jacobian`), the change of velocity in a step without
+    control is
 
     $$ \Delta = -H^{-1} \big( J^T (\Lambda J v + dt\,\kappa s) + dt\,g v \big), \qquad
        H = M + dt\,g + J^T \Lambda J, \quad \Lambda = dt\,\lambda + dt^2 \kappa, $$
@@ -48,19 +45,19 @@ class ContactSolver(eqx.Module):
 
     mass: Float[Array, " N"]
     """kg"""
-    ground: Float[Array, " N"]
+    ground_damper: Float[Array, " N"]
     """Dampers to the ground, times dt; kg."""
-    hold: Float[Array, " E"]
+    damper: Float[Array, " E"]
     """Dampers of the edges, times dt; kg."""
     spring: Float[Array, " E"]
     """Springs of the edges, times dt^2; kg."""
-    rest: Float[Array, " E"]
+    rest_length: Float[Array, " E"]
     """Rest lengths of the springs, m."""
     displacing_fraction: Float[Array, " E"]
-    """Part of the step for which an edge's impact displaces, beyond what the discretization takes
-    any change of velocity to do."""
+    """Fraction of the step for which an edge's impact displaces, beyond what the discretization
+    assumes of any change of velocity."""
 
-    def step(
+    def solve(
         self,
         velocity: Float[Array, "N D"],
         gain: Float[Array, " N"],
@@ -70,47 +67,51 @@ class ContactSolver(eqx.Module):
         weight: Float[Array, "N D"] | None = None,
         group_capacity: int | None = None,
     ) -> ContactSolution:
-        """One step of `dt` [s]; `gain` is the force on a node for each newton of control, `weight`
-        [N] a force that always acts. `room`: for so many nodes that hold each other; None: all."""
+        """One step of `dt` [s].
+
+        `gain` is the force on a node for each newton of control, `weight` [N] a constant force.
+        `group_capacity`: most nodes that are coupled; None: all are solved as one group. Raises
+        `InvalidInputError` where the control has more components than D.
+        """
         count, dimension = velocity.shape
-        inertia = Inertia(self.mass + self.ground, self.hold + self.spring, geometry)
-        size = inertia.size
+        check_control_size(control_size, dimension)
+        stiffness = self.damper + self.spring
+        matrix = MassMatrix(self.mass + self.ground_damper, stiffness, geometry)
+        size = matrix.size
 
-        def columns(momentum: Float[Array, "N D"]) -> Float[Array, "N d c"]:
-            return momentum.reshape(count, size, -1)
+        def columns(vectors: Float[Array, "n D"]) -> Float[Array, "n d c"]:
+            return vectors.reshape(vectors.shape[0], size, dimension // size)
 
-        def sum_at_nodes(on_edges: Float[Array, "E D"]) -> Float[Array, "N d c"]:
-            on_edges = on_edges.reshape(on_edges.shape[0], size, -1)
-            return to_nodes(on_edges, geometry, count)
+        def at_nodes(on_edges: Float[Array, "E D"]) -> Float[Array, "N d c"]:
+            return to_nodes(columns(on_edges), geometry, count)
 
         relative = geometry.relative_velocity
-        stretch = geometry.displacement - self.rest[:, None] * geometry.direction
-        impulse = (self.hold + self.spring)[:, None] * relative
-        impulse = impulse + self.spring[:, None] * stretch / dt
-        displacing = (self.displacing_fraction * self.hold)[:, None] * relative
-        each = jnp.eye(size, dtype=velocity.dtype)
+        stretch = geometry.displacement - self.rest_length[:, None] * geometry.direction
+        impulse = stiffness[:, None] * relative + self.spring[:, None] * stretch / dt
+        displacing = (self.displacing_fraction * self.damper)[:, None] * relative
+        identity = jnp.eye(size, dtype=velocity.dtype)
         right = [
-            sum_at_nodes(impulse) + columns(self.ground[:, None] * velocity),
-            sum_at_nodes(displacing),
-            gain[:, None, None] * each,
-            self.ground[:, None, None] * each,
+            at_nodes(impulse) + columns(self.ground_damper[:, None] * velocity),
+            at_nodes(displacing),
+            gain[:, None, None] * identity,
+            self.ground_damper[:, None, None] * identity,
         ]
         if weight is not None:
             right.append(columns(weight))
         vectors = jnp.concatenate(right, axis=-1)
         if group_capacity is None:
-            solved = solve_dense(inertia, vectors)
+            solved = solve_dense(matrix, vectors)
         else:
-            solved = solve_block_diagonal(inertia, vectors, group_capacity)
-        ends = np.cumsum([part.shape[-1] for part in right])[:-1].tolist()
-        change, shift, response, ground, *weighed = jnp.split(solved.solution, ends, axis=-1)
+            solved = solve_block_diagonal(matrix, vectors, group_capacity)
+        splits = np.cumsum([part.shape[-1] for part in right])[:-1].tolist()
+        change, moved, response, ground, *weighed = jnp.split(solved.solution, splits, axis=-1)
         if size == 1:
             response = response * jnp.eye(dimension)
         return ContactSolution(
-            change=-change.reshape(count, dimension),
-            impact_displacement=-dt * shift.reshape(count, dimension),
+            velocity_change=-change.reshape(count, dimension),
+            impact_displacement=-dt * moved.reshape(count, dimension),
             response=response @ jnp.eye(dimension, control_size),
-            own_share=solved.own * self.mass,
+            own_share=solved.diagonal * self.mass,
             ground_share=jnp.trace(ground, axis1=1, axis2=2) / size,
             acceleration=weighed[0].reshape(count, dimension) if weighed else None,
         )

@@ -1,8 +1,9 @@
-"""Which edges are active: three answers that can stand in for each other.
+"""Inference of active edges, in three interchangeable forms.
 
 Each has ``embed`` (one step's graph to edge embeddings, independent of time) and ``predict``
-(belief about the last step and an embedding to the belief about the coming one). Splitting the two
-keeps the expensive part out of the loop over time.
+(belief about the last step and an embedding to the belief about the next one). The split keeps the
+expensive part out of the loop over time. Another recurrent cell is another class with these two
+methods and a field ``edge_types``: see ``examples/extend_recurrent_cell.py``.
 """
 
 import equinox as eqx
@@ -17,7 +18,7 @@ from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 class RecurrentEdges(eqx.Module):
     """Messages in space, then one gated recurrent cell per edge in time (the paper's GIM-Temp).
 
-    The belief itself is the recurrent state, so a corrected belief changes what comes next.
+    The belief itself is the recurrent state, so a corrected belief changes later predictions.
     """
 
     message_passing: MessagePassing | EdgeNetwork
@@ -34,7 +35,7 @@ class RecurrentEdges(eqx.Module):
         temperature: float = 0.15,
         key: PRNGKeyArray,
     ):
-        """`temperature` divides the cell's state before the softmax: without it no edge is sure."""
+        """`temperature` divides the cell's state before the softmax; at 1 no edge is certain."""
         keys = jax.random.split(key)
         self.message_passing = message_passing
         self.input = eqx.nn.Linear(message_passing.width, 3 * edge_types, key=keys[0])
@@ -47,13 +48,13 @@ class RecurrentEdges(eqx.Module):
         node: Float[Array, "N F"],
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
-        ends: Int[Array, "2 E"],
+        edge_index: Int[Array, "2 E"],
     ) -> Float[Array, "E M"]:
         """Input of the recurrent cell, for every edge of one step's graph."""
-        return _edge_embedding(self.message_passing, self.input, node, edge, weight, ends)
+        return _edge_embedding(self.message_passing, self.input, node, edge, weight, edge_index)
 
     def predict(self, belief: ContactBelief, embedding: Float[Array, "E M"]) -> ContactBelief:
-        """The belief about the coming step."""
+        """The belief about the next step."""
         state = belief.type_probability
         reset_in, update_in, new_in = jnp.split(embedding, 3, axis=-1)
         mixed = jax.vmap(self.hidden)(state)
@@ -66,7 +67,7 @@ class RecurrentEdges(eqx.Module):
 
 
 class MemorylessEdges(eqx.Module):
-    """Messages in space only: each step's belief stands alone (the paper's GIM-Non-Temp)."""
+    """Messages in space only, without memory (the paper's GIM-Non-Temp)."""
 
     message_passing: MessagePassing | EdgeNetwork
     output: eqx.nn.Linear
@@ -88,13 +89,13 @@ class MemorylessEdges(eqx.Module):
         node: Float[Array, "N F"],
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
-        ends: Int[Array, "2 E"],
+        edge_index: Int[Array, "2 E"],
     ) -> Float[Array, "E K"]:
         """Scores of the edge types, for every edge of one step's graph."""
-        return _edge_embedding(self.message_passing, self.output, node, edge, weight, ends)
+        return _edge_embedding(self.message_passing, self.output, node, edge, weight, edge_index)
 
     def predict(self, belief: ContactBelief, embedding: Float[Array, "E K"]) -> ContactBelief:
-        """The belief about the coming step; the old belief has no say."""
+        """The belief about the next step, independent of the old one."""
         return ContactBelief(jax.nn.softmax(embedding, axis=-1))
 
 
@@ -108,7 +109,7 @@ class AllEdges(eqx.Module):
         node: Float[Array, "N F"],
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
-        ends: Int[Array, "2 E"],
+        edge_index: Int[Array, "2 E"],
     ) -> Float[Array, "E 0"]:
         """Nothing to embed."""
         return jnp.zeros((weight.shape[0], 0), node.dtype)
@@ -125,8 +126,8 @@ def _edge_embedding(
     node: Float[Array, "N F"],
     edge: Float[Array, "2 E G"],
     weight: Float[Array, " E"],
-    ends: Int[Array, "2 E"],
+    edge_index: Int[Array, "2 E"],
 ) -> Float[Array, "E out"]:
-    _, message = message_passing(node, edge, weight, ends)
+    _, message = message_passing(node, edge, weight, edge_index)
     # Contact is symmetric: the two directions are summed before anything is decided.
     return jax.vmap(output)(message[0] + message[1])

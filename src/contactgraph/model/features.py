@@ -1,4 +1,4 @@
-"""What the networks see of nodes and edges."""
+"""Features of nodes and edges, the inputs of the networks."""
 
 import equinox as eqx
 import jax
@@ -10,18 +10,18 @@ from contactgraph.model.collision import Geometry
 from contactgraph.model.types import Nodes
 
 _NEAR = 0.03
-"""Gap, in distances of touch, that tells bodies which touch from those which are merely near."""
+"""Gap, in contact distances, that separates bodies that touch from those that are merely near."""
 
 
 class InvariantFeatures(eqx.Module):
     """Features that no rotation, reflection or translation of the scene changes.
 
-    Node: its kind (actuated or not, hinged or not where there are hinges), speed. Edge: the gaps
-    between the two bodies, now and where they come nearest in the coming step, bounded; the
-    distance; the share of the step that follows the touch. Speeds of edges are none of it: what is
-    coming tells of them what matters, so a speed never seen in training is nothing new. The
-    distance at which bodies touch is `length` [m], in which distances are measured, or learned from
-    there on; speeds are measured in `speed` [m/s].
+    Node: its type (actuated or not, hinged or not where there are hinges) and its speed. Edge: the
+    bounded gaps between the two bodies, now and at closest approach in the step; the distance; the
+    fraction of the step after an impact. Relative speeds are left out, because predicted distances
+    carry what matters of them, so that a speed absent from training is nothing new. The contact
+    distance is `length` [m], or is learned starting from it; `length` and `speed` [m/s] are the
+    units of distances and speeds.
     """
 
     contact_distance: Float[Array, ""] | float
@@ -38,11 +38,11 @@ class InvariantFeatures(eqx.Module):
         hinges: bool = False,
         learned: bool = True,
     ):
-        """`hinges`: whether nodes may hang on hinges; `learned`: whether the distance of touch is.
+        """`hinges`: whether nodes may be hinged; `learned`: whether the contact distance is.
 
-        Impacts within one step tell it; a grasp that takes several steps does not.
+        It is identified by impacts within one step, not by a grasp that takes several steps.
         """
-        # A product, so that its type is not weak: else the first update of training recompiles.
+        # A product has no weak type, with which the first training update would recompile.
         self.contact_distance = length * jnp.ones(()) if learned else length
         self.length = length
         self.speed = speed
@@ -56,7 +56,7 @@ class InvariantFeatures(eqx.Module):
 
     def node_type(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N node_types"]:
         """One-hot: actuated or not; times hinged or not, where there are hinges."""
-        return _kind(nodes, self.hinges, dtype)
+        return _node_type(nodes, self.hinges, dtype)
 
     def node_size(self, dimension: int) -> int:
         """Number of features a node."""
@@ -77,29 +77,29 @@ class InvariantFeatures(eqx.Module):
     def edge(
         self, geometry: Geometry, contact_distance: Float[Array, " E"] | None = None
     ) -> Float[Array, "2 E F"]:
-        """Features of every edge, for the message to its first and to its second node.
+        """Features of every edge, for the messages to its first and to its second node.
 
-        `contact_distance` [m] is each edge's own; None: that of all.
+        `contact_distance` [m] is each edge's own; None: the features' `contact_distance`.
         """
-        # The distance of touch is learned from the impacts' timing alone.
+        # The contact distance is learned from the time of impacts alone.
         touch = jax.lax.stop_gradient(self.contact_distance)
         touch = touch if contact_distance is None else contact_distance[:, None]
         gaps = jnp.stack([geometry.distance, geometry.closest_approach], axis=-1) / touch - 1.0
-        # Touching or merely near: a few hundredths of the distance decide.
+        # A few hundredths of the distance separate touching from near.
         close = gaps / (_NEAR + jnp.abs(gaps))
         distance = geometry.distance[:, None] / self.length - 1.0
-        share = geometry.fraction_after_impact[:, None]
-        features = jnp.concatenate([close, distance, share], axis=-1)
+        after_impact = geometry.fraction_after_impact[:, None]
+        features = jnp.concatenate([close, distance, after_impact], axis=-1)
         return jnp.stack([features, features])
 
 
 class AbsoluteFeatures(eqx.Module):
-    """The paper's own: position, velocity and actuated flag of a node; distance of an edge."""
+    """The paper's features: position, velocity and type of a node; distance of an edge."""
 
     contact_distance: float = eqx.field(static=True, default=0.1)
     """m, centre to centre; these features do not use it."""
     hinges: bool = eqx.field(static=True, default=False)
-    """Whether nodes may hang on hinges; the way from the hinge is a feature then."""
+    """Whether nodes may be hinged; the radius vector from the hinge is a feature then."""
 
     @property
     def node_types(self) -> int:
@@ -108,7 +108,7 @@ class AbsoluteFeatures(eqx.Module):
 
     def node_type(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N node_types"]:
         """One-hot: actuated or not; times hinged or not, where there are hinges."""
-        return _kind(nodes, self.hinges, dtype)
+        return _node_type(nodes, self.hinges, dtype)
 
     def node_size(self, dimension: int) -> int:
         """Number of features a node."""
@@ -133,13 +133,13 @@ class AbsoluteFeatures(eqx.Module):
     def edge(
         self, geometry: Geometry, contact_distance: Float[Array, " E"] | None = None
     ) -> Float[Array, "2 E F"]:
-        """Features of every edge, for the message to its first and to its second node."""
+        """Features of every edge, for the messages to its first and to its second node."""
         features = geometry.distance[:, None]
         return jnp.stack([features, features])
 
 
-def _kind(nodes: Nodes, hinges: bool, dtype: DTypeLike) -> Float[Array, "N node_types"]:
-    kind = nodes.actuated.astype(int)
+def _node_type(nodes: Nodes, hinges: bool, dtype: DTypeLike) -> Float[Array, "N node_types"]:
+    node_type = nodes.actuated.astype(int)
     if hinges:
-        kind = kind + 2 * nodes.hinged.astype(int)
-    return jax.nn.one_hot(kind, 4 if hinges else 2, dtype=dtype)
+        node_type = node_type + 2 * nodes.hinged.astype(int)
+    return jax.nn.one_hot(node_type, 4 if hinges else 2, dtype=dtype)

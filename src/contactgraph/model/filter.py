@@ -1,4 +1,4 @@
-"""Whether a model can say anything about a task or about data at all."""
+"""Filtering of recorded trajectories: predict and correct the belief step by step."""
 
 import dataclasses
 import math
@@ -10,30 +10,25 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from contactgraph.data import InvalidInputError, Scene, TrajectoryBatch
-from contactgraph.model.contact_belief import ContactBelief, ContactSensor, correct
-from contactgraph.model.contact_dynamics import (
-    ContactDynamics,
-    cast_like,
-    control_sensitivity,
-    response_of,
-    with_control_displacement,
-)
+from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast_like, correct
+from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
+from contactgraph.model.rollout import control_sensitivity, with_control_displacement
 from contactgraph.model.types import LinearDynamics, ModelState, StepModel
 
 
 def check_fit(model: object, scene: Scene, control_size: int, other: str) -> None:
-    """Raises `InvalidInputError` where a scene or its control are not of the kind the model is for.
+    """Raises `InvalidInputError` where a scene or its control do not suit the model.
 
-    ``other`` names what does not fit, e.g. ``"the data"``. Models other than `ContactDynamics` do
-    not say what they are for.
+    ``other`` names what does not, e.g. ``"the data"``. Only a `ContactDynamics` declares what it is
+    for.
     """
     if not isinstance(model, ContactDynamics):
         return
     if model.neighbor_list is not None:
         raise InvalidInputError(
             f"beliefs about {other} are asked for over all pairs, so the model must have no "
-            "neighbour lists (neighbor_list=None)"
+            "neighbor list (neighbor_list=None)"
         )
     for what, found, wanted in (
         ("dimension D", scene.dimension, model.dimension),
@@ -59,7 +54,7 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
 
 
 def on_device(batch: TrajectoryBatch[np.ndarray], dtype: np.dtype) -> TrajectoryBatch[Array]:
-    """The same trajectories as JAX arrays; numbers have the type ``dtype``."""
+    """The same trajectories as JAX arrays; floating-point numbers have the type ``dtype``."""
 
     def moved(leaf: np.ndarray) -> Array:
         return jnp.asarray(leaf, dtype if np.issubdtype(leaf.dtype, np.floating) else None)
@@ -75,29 +70,29 @@ def dtype_of(model: object) -> np.dtype:
 
 
 class FilteredTrajectory(eqx.Module):
-    """What is believed along a run, from its past alone, and the dynamics that rest on it."""
+    """Beliefs along a trajectory, each from its past alone, and the dynamics that assume them."""
 
     posterior: ContactBelief
-    """[T+1, E, K] about the step that led to each state, corrected by the contacts measured,
-    and by the motion seen in that step where it is to."""
+    """[T+1, E, K] about the step that led to each state, corrected by the measured contacts and,
+    if asked for, by the motion in that step."""
     prior: ContactBelief
-    """[T+1, E, K] predicted from each state about the step that follows it."""
+    """[T+1, E, K] about the step that follows each state, predicted from it."""
     dynamics: LinearDynamics
     """[T+1, N, D, ...] of the step that follows each state; under no control after the last."""
 
 
 class _Carry(eqx.Module):
-    """What is carried from state to state."""
+    """The part of the filter that is carried from state to state."""
 
     before: ModelState
-    """The last state, its belief corrected."""
+    """The last state, with its corrected belief."""
     control: Float[Array, " U"]
     """N, of the step since."""
     motion_log_odds: Float[Array, " E"]
-    """By motion: see `MotionEvidence`."""
+    """See `MotionEvidence`."""
     predicted: ContactBelief
     """About that step."""
-    response: Float[Array, "N D U"]
+    sensitivity: Float[Array, "N D U"]
 
 
 def filter_trajectory(
@@ -106,53 +101,50 @@ def filter_trajectory(
     sensor: ContactSensor,
     motion_noise: MotionNoise | None = None,
 ) -> FilteredTrajectory:
-    """Goes along a run: every step is predicted, then the belief corrected by its contacts.
+    """Predicts every step of a trajectory, then corrects the belief by the measured contacts.
 
-    ``run`` has no batch axis; contacts that are NaN, or left out, correct nothing.
-    With a ``motion_noise`` the motion corrects it, too: see `check_motion_model` for what raises.
+    ``run`` has no batch axis; contacts that are NaN, or left out, correct nothing. With a
+    ``motion_noise`` the motion corrects it, too: see `check_motion_model` for what that raises.
     """
 
     def follow(
         carry: _Carry, step: tuple[Array, Array, Array, Array]
     ) -> tuple[_Carry, FilteredTrajectory]:
         position, velocity, contact, control = step
-        predicted, told = carry.predicted, carry.motion_log_odds
+        predicted, log_odds = carry.predicted, carry.motion_log_odds
         if motion_noise is not None:
-            predicted, told = correct_by_motion(
+            predicted, log_odds = correct_by_motion(
                 check_motion_model(model),
                 predicted,
                 carry.before,
-                told,
+                log_odds,
                 carry.control,
                 (position, velocity),
                 run.nodes,
                 motion_noise,
             )
-        now = correct(predicted, contact, sensor)
-        here = ModelState(position, velocity, now)
-        linear, coming = model.linear_step(
-            with_control_displacement(here, carry.response, control), run.nodes
-        )
-        coming = cast_like(coming, predicted)
-        response = response_of(linear, carry.response)
-        after = _Carry(here, control, told, coming, response)
-        return after, FilteredTrajectory(now, coming, linear)
+        state = ModelState(position, velocity, correct(predicted, contact, sensor))
+        informed = with_control_displacement(state, carry.sensitivity, control)
+        linear, prior = model.linear_step(informed, run.nodes)
+        prior = cast_like(prior, predicted)
+        sensitivity = linear.control_sensitivity.astype(carry.sensitivity.dtype)
+        after = _Carry(state, control, log_odds, prior, sensitivity)
+        return after, FilteredTrajectory(state.belief, prior, linear)
 
-    first = model.initial_belief(run.position[0], run.velocity[0], run.nodes)
-    begin = ModelState(run.position[0], run.velocity[0], first)
+    initial = model.initial_belief(run.position[0], run.velocity[0], run.nodes)
+    first = ModelState(run.position[0], run.velocity[0], initial)
     # No control follows the last state.
     control = jnp.concatenate([run.control, jnp.zeros_like(run.control[:1])])
     contact = run.contact
     if contact is None:
         shape = len(run.position), *run.nodes.candidate.shape
         contact = jnp.full(shape, jnp.nan, run.position.dtype)
-    steps = run.position, run.velocity, contact, control
     carry = _Carry(
-        # Nothing was seen before the first state.
-        before=dataclasses.replace(begin, velocity=jnp.full_like(begin.velocity, jnp.nan)),
+        # No state was observed before the first.
+        before=dataclasses.replace(first, velocity=jnp.full_like(first.velocity, jnp.nan)),
         control=control[0],
-        motion_log_odds=jnp.zeros(run.nodes.candidate.shape, begin.velocity.dtype),
-        predicted=first,
-        response=control_sensitivity(model, begin, run.nodes),
+        motion_log_odds=jnp.zeros(run.nodes.candidate.shape, first.velocity.dtype),
+        predicted=initial,
+        sensitivity=control_sensitivity(model, first, run.nodes),
     )
-    return jax.lax.scan(follow, carry, steps)[1]
+    return jax.lax.scan(follow, carry, (run.position, run.velocity, contact, control))[1]

@@ -16,7 +16,7 @@ import safetensors.numpy
 
 from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.json_fields import check_version, parse_json
+from contactgraph.data.json_fields import parse_json
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.serialization import (
     Description,
@@ -24,38 +24,22 @@ from contactgraph.model.serialization import (
     describe,
     module_arrays,
     with_arrays,
+    with_current_names,
 )
 from contactgraph.model.types import ModelState, Nodes
 
 FORMAT = "contactgraph-model"
-VERSION = 1
-# One entry, not several: safetensors writes its metadata in an order that changes from run to run.
+VERSION = 2
+"""Version 1 had other names of parts: see `contactgraph.model.serialization.OLD_NAMES`."""
+# A single entry, because safetensors writes several in an order that changes between processes.
 _ENTRY = "contactgraph"
 _HEADER_LIMIT = 2_000_000
 _DTYPES = ("float32", "float64")
 
-_CLASSES_OF_VERSION_1 = {
-    "Reach": "SmoothCutoff",
-    "Everywhere": "NoCutoff",
-    "TouchPrior": "ClosestApproachPrior",
-    "Support": "GroundSupport",
-}
-"""Names that classes have in files of version 1, and their names now."""
-_FIELDS_OF_VERSION_1 = {
-    "discretisation": "discretization",
-    "touch_distance": "contact_distance",
-    "reach": "cutoff",
-    "near": "inner",
-    "far": "outer",
-    "kinds": "node_types",
-    "doubt": "min_probability",
-}
-"""Names that constructor arguments and weights have in files of version 1, and their names now."""
-
 
 @dataclass(frozen=True)
 class StoredModel:
-    """A model and what its file says about how it was made."""
+    """A model and its training record."""
 
     model: ContactDynamics
     training: dict[str, Any] = field(default_factory=dict)
@@ -64,7 +48,7 @@ class StoredModel:
 
 @dataclass(frozen=True)
 class ModelSummary:
-    """What is in a model file."""
+    """Content of a model file."""
 
     format_version: int
     model: Description
@@ -72,7 +56,7 @@ class ModelSummary:
     training: dict[str, Any]
     """Free-form JSON: command, seed, data, errors, versions, …"""
     dimension: int
-    """D, degrees of freedom a node."""
+    """D, degrees of freedom per node."""
     control_size: int
     """U"""
     dt: float
@@ -85,11 +69,11 @@ class ModelSummary:
 def save_model(
     path: str | Path, model: ContactDynamics, training: Mapping[str, Any] | None = None
 ) -> None:
-    """Write a model to ``path``; whoever looks sees the old file or the whole new one, never half.
+    """Write a model to ``path``, atomically: the file is the old or the whole new one at any time.
 
-    `training` is anything JSON can hold. The same model gives the same bytes. Raises
+    `training` is anything that JSON can represent. The same model gives the same bytes. Raises
     `InvalidInputError` where a part of the model is not of this package, a weight is not finite,
-    `training` is not JSON, or the folder cannot be written to.
+    `training` is not JSON, or the folder is not writable.
     """
     path = Path(path)
     arrays = module_arrays(model)
@@ -119,35 +103,34 @@ def save_model(
 def load_model(path: str | Path) -> StoredModel:
     """Read a model that `save_model` has written; it predicts bit for bit as the saved one did.
 
-    Nothing in the file is executed. Raises `InvalidInputError` naming file and field for whatever
-    is wrong with it.
+    Nothing in the file is executed. Raises `InvalidInputError`, naming file and field, for any
+    fault in it.
     """
     path = Path(path)
     with _opened(path) as (file, header):
-        shapes = build(renamed_parts(header["model"]), f"{path}: model")
+        shapes = build(header["model"], f"{path}: model")
         arrays = {name: _weights(file, name, path) for name in file.keys()}  # noqa: SIM118
     _check_weights(arrays, str(path))
     if header.pop("checksum") != _checksum(header, arrays):
         raise InvalidInputError(f"{path}: checksum does not fit the content: the file is damaged")
     dtype = next(iter(arrays.values())).dtype if arrays else np.dtype("float32")
-    arrays = renamed_arrays(arrays)
     model: ContactDynamics = with_arrays(_of_dtype(shapes, dtype), arrays, str(path))
     _check_fit(model, str(path))
     return StoredModel(model, header["training"])
 
 
 def describe_model(path: str | Path) -> ModelSummary:
-    """What is in a model file, from its header alone.
+    """Content of a model file, from its header alone.
 
-    Raises `InvalidInputError` as `load_model` does; the weights are not looked at.
+    Raises `InvalidInputError` as `load_model` does, but does not check the weights.
     """
     path = Path(path)
     with _opened(path) as (file, header):
-        shapes = build(renamed_parts(header["model"]), f"{path}: model")
+        shapes = build(header["model"], f"{path}: model")
         sizes = [int(np.prod(file.get_slice(name).get_shape())) for name in file.keys()]  # noqa: SIM118
     return ModelSummary(
-        format_version=VERSION,
-        model=renamed_parts(header["model"]),
+        format_version=header["format_version"],
+        model=with_current_names(header["model"]),
         training=header["training"],
         dimension=shapes.dimension,
         control_size=shapes.control_size,
@@ -155,32 +138,6 @@ def describe_model(path: str | Path) -> ModelSummary:
         parameter_count=sum(sizes),
         size=path.stat().st_size,
     )
-
-
-def renamed_parts(description: Any) -> Any:
-    """A model's description of version 1, its classes and arguments named as now."""
-    if isinstance(description, list):
-        return [renamed_parts(part) for part in description]
-    if not isinstance(description, dict) or set(description) != {"type", "arguments"}:
-        return description
-    name, arguments = description["type"], description["arguments"]
-    if isinstance(name, str):
-        name = _CLASSES_OF_VERSION_1.get(name, name)
-    if isinstance(arguments, dict):
-        arguments = {
-            _FIELDS_OF_VERSION_1.get(argument, argument): renamed_parts(value)
-            for argument, value in arguments.items()
-        }
-    return {"type": name, "arguments": arguments}
-
-
-def renamed_arrays(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Arrays of a file of version 1, their paths as now."""
-
-    def renamed(path: str) -> str:
-        return ".".join(_FIELDS_OF_VERSION_1.get(part, part) for part in path.split("."))
-
-    return {renamed(path): array for path, array in arrays.items()}
 
 
 @contextmanager
@@ -215,7 +172,11 @@ def _header(path: Path, metadata: dict[str, str]) -> dict[str, Any]:
         raise InvalidInputError(f"{path}: header must be JSON ({error})") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise InvalidInputError(f"{path}: header field 'format' must be {FORMAT!r}")
-    check_version(f"{path}: header field", header, VERSION)
+    version = header.get("format_version")
+    if version not in (1, VERSION) or isinstance(version, bool):
+        raise InvalidInputError(
+            f"{path}: header field 'format_version' must be 1 or {VERSION}, found {version!r}"
+        )
     for name, kind in {"model": dict, "training": dict, "checksum": str}.items():
         if not isinstance(header.get(name), kind):
             raise InvalidInputError(f"{path}: header field {name!r} is missing or of another type")
@@ -257,7 +218,7 @@ def _check_weights(arrays: Mapping[str, np.ndarray], where: str) -> None:
 
 
 def _of_dtype(shapes: ContactDynamics, dtype: np.dtype) -> ContactDynamics:
-    """The same shapes in the file's precision, whatever this session's default is."""
+    """The same shapes in the file's precision, independent of this session's default."""
 
     def change(leaf: Any) -> Any:
         if isinstance(leaf, jax.ShapeDtypeStruct):
@@ -268,7 +229,7 @@ def _of_dtype(shapes: ContactDynamics, dtype: np.dtype) -> ContactDynamics:
 
 
 def _check_fit(model: ContactDynamics, where: str) -> None:
-    """Whether the parts fit together: one step of two nodes, without computing it."""
+    """Trace one step of two nodes, to check that the parts fit together."""
     still = jnp.zeros((2, model.dimension))
     nodes = Nodes(jnp.array([True, False]), jnp.ones(2, bool), jnp.ones(1, bool))
 

@@ -1,4 +1,4 @@
-"""From spring, mass and damper to one linear step: stable by construction for theta >= 1/2."""
+"""Local dynamics: from the cut graph to one linear step of every node, by the theta method."""
 
 import equinox as eqx
 import jax
@@ -72,9 +72,8 @@ class SpringMassDamperDynamics(eqx.Module):
 
     def parameters(self, local: LocalInput, dt: float, control_size: int) -> SpringMassDamper:
         """The parameters of every node at one step of `dt` [s], each [N, D]."""
-        ends = jnp.stack([local.geometry.first, local.geometry.second])
         embedding, message = self.message_passing(
-            local.node_features, local.edge_features, local.weight, ends
+            local.node_features, local.edge_features, local.weight, local.geometry.edge_index
         )
         step = Step(self.discretization.theta, dt, control_size)
         return self.head(local, embedding, message, step)
@@ -87,7 +86,7 @@ class SpringMassDamperDynamics(eqx.Module):
 class FreeLinearDynamics(eqx.Module):
     """Messages over the active edges, then free matrices for every node (the paper's Full-AB).
 
-    Nothing keeps these stable; they exist to be compared with.
+    Nothing keeps these stable; they serve as a comparison.
     """
 
     message_passing: TypedMessagePassing
@@ -110,10 +109,9 @@ class FreeLinearDynamics(eqx.Module):
         self.control_size = control_size
 
     def __call__(self, local: LocalInput, dt: float, control_size: int) -> LinearDynamics:
-        """The linear step of every node: the identity plus what the network adds to it."""
-        ends = jnp.stack([local.geometry.first, local.geometry.second])
+        """The linear step of every node: the identity plus the network's output times dt."""
         embedding, _ = self.message_passing(
-            local.node_features, local.edge_features, local.weight, ends
+            local.node_features, local.edge_features, local.weight, local.geometry.edge_index
         )
         out = jax.vmap(self.head)(embedding)
         out = out.reshape(-1, self.dimension, 2, 3 + self.control_size)

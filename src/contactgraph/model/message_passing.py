@@ -9,10 +9,10 @@ from contactgraph.model.graph import sum_at_nodes
 
 
 class _Round(eqx.Module):
-    """One round: a message each way along every edge, then an update of every node.
+    """One round: a message in both directions of every edge, then an update of every node.
 
-    The message network's first layer is kept in factors (receiver, sender, edge), so that the
-    nodes' part is computed once a node and not once an edge.
+    The message network's first layer is factored (receiver, sender, edge), so that the nodes' part
+    is computed once per node and not once per edge.
     """
 
     receiver: eqx.nn.Linear
@@ -34,12 +34,14 @@ class _Round(eqx.Module):
         node: Float[Array, "N F"],
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
-        ends: Int[Array, "2 E"],
+        edge_index: Int[Array, "2 E"],
     ) -> tuple[Float[Array, "N W"], Float[Array, "2 E W"]]:
         received, sent = jax.vmap(self.receiver)(node), jax.vmap(self.sender)(node)
-        hidden = jax.nn.relu(received[ends] + sent[ends[::-1]] + _along_edges(self.edge, edge))
+        hidden = jax.nn.relu(
+            received[edge_index] + sent[edge_index[::-1]] + _along_edges(self.edge, edge)
+        )
         message = jax.nn.relu(_along_edges(self.message, hidden)) * weight[:, None]
-        total = sum_at_nodes(message, ends, node.shape[0])
+        total = sum_at_nodes(message, edge_index, node.shape[0])
         return jax.vmap(self.update)(jnp.concatenate([node, total], axis=-1)), message
 
 
@@ -48,10 +50,11 @@ def _along_edges(layer: eqx.nn.Linear, values: Float[Array, "2 E F"]) -> Float[A
 
 
 class MessagePassing(eqx.Module):
-    """`rounds` rounds of messages; messages are weighted, so an edge of weight 0 does not exist.
+    """`rounds` rounds of weighted messages, so that an edge of weight 0 has no effect.
 
     Returns node embeddings ``[N, width]`` and the last round's messages ``[2, E, width]``, to the
-    first and to the second node of every edge."""
+    first and to the second node of every edge.
+    """
 
     steps: list[_Round]
     node_size: int = eqx.field(static=True)
@@ -77,21 +80,21 @@ class MessagePassing(eqx.Module):
         node: Float[Array, "N F"],
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
-        ends: Int[Array, "2 E"],
+        edge_index: Int[Array, "2 E"],
     ) -> tuple[Float[Array, "N W"], Float[Array, "2 E W"]]:
-        """Pass messages; edge e joins the nodes ``ends[0, e]`` and ``ends[1, e]``."""
-        embedding, message = self.steps[0](node, edge, weight, ends)
+        """Pass messages; edge e joins the nodes ``edge_index[0, e]`` and ``edge_index[1, e]``."""
+        embedding, message = self.steps[0](node, edge, weight, edge_index)
         for step in self.steps[1:]:
-            update, message = step(embedding, edge, weight, ends)
+            update, message = step(embedding, edge, weight, edge_index)
             embedding = embedding + update
         return embedding, message
 
 
 class EdgeNetwork(eqx.Module):
-    """Messages that each edge makes of its own features alone, the same both ways.
+    """Messages from each edge's own features alone, the same in both directions.
 
-    Whether two bodies touch is between the two: what kind they are and what else is near has no
-    say, so what was learned from one pair holds for any other, however many there are. Returns as
+    Contact depends on the pair's own features only, not on node types or other nodes near, so what
+    was learned from one pair holds for any other, however many there are. Returns as
     `MessagePassing` does, with empty node embeddings.
     """
 
@@ -109,15 +112,15 @@ class EdgeNetwork(eqx.Module):
         node: Float[Array, "N F"],
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
-        ends: Int[Array, "2 E"],
+        edge_index: Int[Array, "2 E"],
     ) -> tuple[Float[Array, "N 0"], Float[Array, "2 E W"]]:
-        """One message an edge, weighted."""
+        """One weighted message per edge."""
         message = jax.vmap(self.network)(0.5 * (edge[0] + edge[1])) * weight[:, None]
         return jnp.zeros((node.shape[0], 0), node.dtype), jnp.stack([message, message])
 
 
 class TypedMessagePassing(eqx.Module):
-    """Message passing with networks of its own for every active edge type.
+    """Message passing with separate networks for every active edge type.
 
     Returns node embeddings summed over the types, ``[N, width]``, and every type's last messages,
     ``[K-1, 2, E, width]``.
@@ -138,11 +141,12 @@ class TypedMessagePassing(eqx.Module):
         node: Float[Array, "N F"],
         edge: Float[Array, "2 E G"],
         weight: Float[Array, "E active"],
-        ends: Int[Array, "2 E"],
+        edge_index: Int[Array, "2 E"],
     ) -> tuple[Float[Array, "N W"], Float[Array, "active 2 E W"]]:
-        """Pass messages along the edges, weighted by how active each type is."""
+        """Pass messages along the edges, weighted for each active type."""
         results = [
-            passing(node, edge, weight[:, index], ends) for index, passing in enumerate(self.types)
+            passing(node, edge, weight[:, index], edge_index)
+            for index, passing in enumerate(self.types)
         ]
         embedding = jnp.sum(jnp.stack([node for node, _ in results]), axis=0)
         return embedding, jnp.stack([message for _, message in results])

@@ -1,4 +1,20 @@
-"""How far seen motion may be off a prediction, and what that says for one prediction or another."""
+r"""Contact without a sensor: likelihood of the observed motion with and without each edge.
+
+For an edge e, the model predicts the last step twice, with the edge active and without it, all
+others as is most probable; the evidence is how much better one fits the observation,
+
+.. math:: \ell_e = \log p(x_{t+1} | x_t, u_t, e\ \text{active})
+    - \log p(x_{t+1} | x_t, u_t, e\ \text{inactive}),
+
+and the belief's log-odds become the predicted ones plus :math:`\ell_e`. Where both predictions are
+the same motion, :math:`\ell_e = 0`, and the belief stays as predicted.
+
+The prediction is the model's, from the belief before, with a memory: a contact that motion has
+supported persists, as in a hidden Markov model, with the probability :math:`e^{-dt/\tau}` a step,
+however improbable its distance makes it. Otherwise a model whose contact distance is a few
+millimetres off would forget a contact as soon as nothing accelerates. Contacts without support by
+motion are remembered by the model alone.
+"""
 
 import equinox as eqx
 import jax
@@ -6,41 +22,42 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.contact_belief import ContactBelief
-from contactgraph.model.contact_dynamics import (
-    ContactDynamics,
-    EncodedGraph,
-    cast_like,
-    control_sensitivity,
-    with_control_displacement,
-)
+from contactgraph.model.contact_belief import ContactBelief, cast_like
+from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
+from contactgraph.model.rollout import control_sensitivity, with_control_displacement
 from contactgraph.model.types import ModelState, Nodes
 
 Motion = tuple[Float[Array, "N D"], Float[Array, "N D"]]
 """Position [m] and velocity [m/s] of every node."""
 
+_CONSIDERED = 8
+"""Edges considered in a step, nearest first: rarely do more bodies make contact at once, and the
+cost of a control step must not grow with the square of the number of bodies."""
+_TOUCHING = 1.02
+"""Contact distance of an edge assumed active, in units of its distance: clearly touching."""
+_MIN_PROBABILITY = 1e-6
+
 
 class MotionNoise(eqx.Module):
-    r"""Standard deviations of what is observed and of what is predicted.
+    r"""Standard deviations of observations and of predictions.
 
-    Of two predictions of one node, which differ by :math:`\delta_x` in position and
-    :math:`\delta_v` in velocity, the errors :math:`e_x, e_v` are taken to have the variances
+    For two predictions of one node, which differ by :math:`\delta_x` in position and
+    :math:`\delta_v` in velocity, the errors :math:`e_x, e_v` have the variances
 
     .. math::
         s_v^2 = 2 \sigma_v^2 + m_v^2 + r^2 \|\delta_v\|^2, \qquad
         s_x^2 = 2 \sigma_x^2 + dt^2 \sigma_v^2 + m_x^2
             + r^2 (\|\delta_x\|^2 + dt^2 \|\delta_v\|^2).
 
-    Both observations of a step are noisy, hence the 2. What a contact changes is predicted to a
-    share only: when in the step an impact comes, and how much of it there is, depends on
-    distances that are known to a few per cent.
+    Both observations of a step are noisy, hence the 2. The effect of a contact is predicted up to a
+    factor only: the time and size of an impact depend on distances known to a few per cent.
 
-    Of a node whose two predictions differ by no more than the noise, :math:`\|\delta\|^2 / s^2`
-    without r at most D, nothing is said: the state from which is predicted is noisy itself, and a
-    contact, which averages over two bodies, would always fit noise a little better.
+    A node whose two predictions differ by no more than the noise, :math:`\|\delta\|^2 / s^2`
+    without r at most D, contributes nothing: the state from which the step is predicted is noisy
+    itself, and a contact, which averages over two bodies, would always fit noise a little better.
 
-    Raises `InvalidInputError` where a number is negative, or where neither observation nor model
-    is ever wrong.
+    Raises `InvalidInputError` where a number is negative, or where both observation and model are
+    exact.
     """
 
     position: float = 0.0
@@ -52,90 +69,75 @@ class MotionNoise(eqx.Module):
     model_velocity: float = 1e-2
     """Of a predicted velocity after one step, m/s."""
     model_share: float = 0.4
-    """r; of what a contact changes, the share that a prediction of it is off by."""
+    """r; relative error of the predicted effect of a contact."""
     tail: float = eqx.field(static=True, default=4.0)
-    """Degrees of freedom of Student's t: the fewer, the less one frame that fits nothing says."""
+    """Degrees of freedom of Student's t: the fewer, the less weight has one outlier."""
     max_log_ratio: float = eqx.field(static=True, default=6.0)
     """Bound on the log-likelihood ratio of one step: odds of 400."""
     error_floor: float = eqx.field(static=True, default=0.01)
-    """How probable a mistake of the model is taken to be where motion contradicts its belief."""
+    """Least probability of a wrong belief of the model where motion contradicts it."""
     time_constant: float = eqx.field(static=True, default=5.0)
-    """s; how long a contact is taken to last that nothing more is seen of."""
+    """s; time for which a contact persists without further evidence."""
 
     def __check_init__(self) -> None:
-        numbers = {
-            name: getattr(self, name)
-            for name in ("position", "velocity", "model_position", "model_velocity", "model_share")
-        }
-        for name, value in numbers.items():
+        for name in ("position", "velocity", "model_position", "model_velocity", "model_share"):
+            value = getattr(self, name)
             if not isinstance(value, Array) and not 0.0 <= value < float("inf"):
                 raise InvalidInputError(f"{name} must be at least 0 and finite, found {value}")
-        for name, both in (
-            ("position", (self.position, self.model_position)),
-            ("velocity", (self.velocity, self.model_velocity)),
-        ):
+        for name in ("position", "velocity"):
+            both = getattr(self, name), getattr(self, f"model_{name}")
             if not any(isinstance(one, Array) for one in both) and not any(both):
                 raise InvalidInputError(
                     f"{name} and model_{name} must not both be 0: nothing would ever fit"
                 )
 
     def log_ratio(
-        self, one: Motion, other: Motion, seen: Motion, exists: Bool[Array, " N"], dt: float
+        self, one: Motion, other: Motion, observed: Motion, exists: Bool[Array, " N"], dt: float
     ) -> Float[Array, ""]:
-        """Log-likelihood of ``seen`` under the prediction ``one`` less that under ``other``.
+        """Log-likelihood of ``observed`` under the prediction ``one`` less that under ``other``.
 
-        Exactly 0 where the two agree; heavy tails, so that what fits neither says little.
+        Exactly 0 where the two agree; heavy tails bound the effect of an outlier.
         """
         difference_x, difference_v = _square(one[0], other[0]), _square(one[1], other[1])
         base_v = 2.0 * self.velocity**2 + self.model_velocity**2
         base_x = 2.0 * self.position**2 + (dt * self.velocity) ** 2 + self.model_position**2
         share = self.model_share**2
-        varies_v = base_v + share * difference_v
-        varies_x = base_x + share * (difference_x + dt**2 * difference_v)
+        variance_v = base_v + share * difference_v
+        variance_x = base_x + share * (difference_x + dt**2 * difference_v)
+        dimension = observed[0].shape[-1]
 
         def log_likelihood(predicted: Motion) -> Float[Array, " N"]:
-            off = _square(seen[0], predicted[0]) / varies_x
-            off = off + _square(seen[1], predicted[1]) / varies_v
-            power = 0.5 * (self.tail + 2 * seen[0].shape[-1])
-            return -power * jnp.log1p(off / self.tail)
+            error = _square(observed[0], predicted[0]) / variance_x
+            error = error + _square(observed[1], predicted[1]) / variance_v
+            return -0.5 * (self.tail + 2 * dimension) * jnp.log1p(error / self.tail)
 
         contrast = difference_x / base_x + difference_v / base_v
-        counts = 1.0 - seen[0].shape[-1] / jnp.maximum(contrast, seen[0].shape[-1])
-        said = counts * (log_likelihood(one) - log_likelihood(other))
-        said = jnp.where(exists, said, 0.0)
-        ratio = jnp.sum(said)
-        return jnp.clip(
-            jnp.where(jnp.isfinite(ratio), ratio, 0.0), -self.max_log_ratio, self.max_log_ratio
-        )
+        relevance = 1.0 - dimension / jnp.maximum(contrast, dimension)
+        ratio = relevance * (log_likelihood(one) - log_likelihood(other))
+        ratio = jnp.sum(jnp.where(exists, ratio, 0.0))
+        ratio = jnp.where(jnp.isfinite(ratio), ratio, 0.0)
+        return jnp.clip(ratio, -self.max_log_ratio, self.max_log_ratio)
 
 
 def _square(one: Float[Array, "N D"], other: Float[Array, "N D"]) -> Float[Array, " N"]:
     return jnp.sum((one - other) ** 2, axis=-1)
 
 
-_CONSIDERED = 8
-"""Edges that are judged in a step, nearest first: more bodies than these do not touch at once
-anew, and the cost of a tick must not grow with the square of the number of bodies."""
-_TOUCHING = 1.02
-"""Of their distance, what bodies that touch are taken to touch at: clearly, not to the micron."""
-_SMALLEST = 1e-6
-
-
 class MotionEvidence(eqx.Module):
-    """What one observed step says, on top of what those before it have said."""
+    """Evidence of one observed step about every edge."""
 
     predicted: ContactBelief
-    """[E, K] about the step, from what was believed before it and the control applied in it."""
+    """[E, K] about the step, from the belief before it and the control applied in it."""
     log_ratio: Float[Array, " E"]
-    """Log-likelihood of the motion with the edge active less that without; 0: says nothing."""
+    """Log-likelihood of the motion with the edge active less that without; 0: no evidence."""
     motion_log_odds: Float[Array, " E"]
-    """Log-odds, at least 0, by which motion has spoken for contact lately: what is remembered."""
+    """Log-odds, at least 0, of contact by the motion of recent steps: the filter's memory."""
     corrected: ContactBelief
-    """[E, K] by `log_ratio`; to the bit as predicted where that is 0."""
+    """[E, K] by `log_ratio`; bit for bit as predicted where that is 0."""
 
 
 def check_motion_model(model: object) -> ContactDynamics:
-    """The model, if it is one that can judge motion; else raises `InvalidInputError`."""
+    """The model, if motion can be judged by it; else raises `InvalidInputError`."""
     if not isinstance(model, ContactDynamics):
         raise InvalidInputError(
             "motion_noise: only a ContactDynamics says how things would move with an edge active "
@@ -143,8 +145,8 @@ def check_motion_model(model: object) -> ContactDynamics:
         )
     if model.neighbor_list is not None:
         raise InvalidInputError(
-            "motion_noise: what motion has told of each pair is kept for all of them, so the model "
-            "must have no neighbour lists (neighbor_list=None)"
+            "motion_noise: the log-odds by motion are kept for all pairs, so the model must have "
+            "no neighbor list (neighbor_list=None)"
         )
     return model
 
@@ -155,24 +157,24 @@ def correct_by_motion(
     before: ModelState,
     motion_log_odds: Float[Array, " E"],
     control: Float[Array, " U"],
-    seen: Motion,
+    observed: Motion,
     nodes: Nodes,
     noise: MotionNoise,
 ) -> tuple[ContactBelief, Float[Array, " E"]]:
-    """The belief about the step just made, and `MotionEvidence.motion_log_odds`.
+    """The corrected belief about the last step, and `MotionEvidence.motion_log_odds`.
 
-    As ``carried`` and ``told`` where one of the step's two observations is not finite: the first
-    one of a run has none before it, and a bad one judges neither of its steps.
+    Both stay as ``carried`` and ``motion_log_odds`` where one of the step's two observations is not
+    finite: the first of a trajectory has none before it, and a bad one is no evidence for either of
+    its steps.
     """
     evidence = contact_log_likelihood_ratio(
-        model, before, motion_log_odds, control, seen, nodes, noise
+        model, before, motion_log_odds, control, observed, nodes, noise
     )
-    observed = (before.position, before.velocity, *seen)
-    whole = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in observed]))
-    found = cast_like(evidence.corrected, carried), evidence.motion_log_odds
-    return jax.tree.map(
-        lambda new, old: jnp.where(whole, new, old), found, (carried, motion_log_odds)
-    )
+    arrays = (before.position, before.velocity, *observed)
+    usable = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in arrays]))
+    after = cast_like(evidence.corrected, carried), evidence.motion_log_odds
+    unchanged = carried, motion_log_odds
+    return jax.tree.map(lambda new, old: jnp.where(usable, new, old), after, unchanged)
 
 
 def contact_log_likelihood_ratio(
@@ -180,28 +182,26 @@ def contact_log_likelihood_ratio(
     before: ModelState,
     motion_log_odds: Float[Array, " E"],
     control: Float[Array, " U"],
-    seen: Motion,
+    observed: Motion,
     nodes: Nodes,
     noise: MotionNoise,
 ) -> MotionEvidence:
-    """Judges the step from ``before`` under ``control`` [N], as applied, to what was ``seen``.
+    """Evidence of the step from ``before`` under the applied ``control`` [N] to ``observed``.
 
     ``before.belief`` is about the step that led to ``before``, corrected by all that was known
-    then, and ``told`` is of that step, too (zeros: motion has told nothing yet).
+    then; ``motion_log_odds`` are of that step, too (zeros: no evidence by motion yet).
     """
-    state = with_control_displacement(before, control_sensitivity(model, before, nodes), control)
-    percept = model.encode(state.position, state.velocity, nodes, state.control_displacement)
+    sensitivity = control_sensitivity(model, before, nodes)
+    state = with_control_displacement(before, sensitivity, control)
+    graph = model.encode(state.position, state.velocity, nodes, state.control_displacement)
     stay = jnp.exp(-model.dt / noise.time_constant)
     remembered = jnp.minimum(1.0 - jnp.exp(-motion_log_odds), before.belief.probability)
-    predicted = model.predict_belief(state.belief, percept)
-    predicted = _at_least(predicted, before.belief, stay * percept.weight * remembered)
-    holding = _as_if_touching(model, state, percept, nodes)
+    predicted = model.predict_belief(state.belief, graph)
+    predicted = _at_least(predicted, before.belief, stay * graph.weight * remembered)
+    touching = _as_if_touching(model, state, graph)
 
     def moved(types: Float[Array, "E K"]) -> Motion:
-        local = model.local_input(
-            holding, ContactBelief(types), state.position, state.velocity, nodes
-        )
-        linear = model.local_dynamics(local, model.dt, model.control_size)
+        linear = model.linearize(model.cut_edges(touching, ContactBelief(types)))
         return linear(state.position, state.velocity, control)
 
     Carry = tuple[Float[Array, "E K"], Motion]
@@ -209,30 +209,26 @@ def contact_log_likelihood_ratio(
     def judge(carry: Carry, edge: Int[Array, ""]) -> tuple[Carry, Float[Array, ""]]:
         types, motion = carry
         is_active = types[edge, 0] == 0
-        otherwise = types.at[edge].set(_other(predicted, is_active, edge))
-        other_motion = moved(otherwise)
-        ratio = noise.log_ratio(motion, other_motion, seen, nodes.mask, model.dt)
-        # An edge out of reach is inactive, surely, whatever moves.
-        ratio = jnp.where(percept.weight[edge] > 0, jnp.where(is_active, ratio, -ratio), 0.0)
-        after = _after(predicted.type_probability[edge], ratio, noise.error_floor)[0] < 0.5
-        turned = after != is_active
+        other_types = types.at[edge].set(_alternative(predicted, is_active, edge))
+        other_motion = moved(other_types)
+        ratio = noise.log_ratio(motion, other_motion, observed, nodes.mask, model.dt)
+        # An edge beyond the cutoff is inactive with certainty, whatever moves.
+        ratio = jnp.where(graph.weight[edge] > 0, jnp.where(is_active, ratio, -ratio), 0.0)
+        after = _posterior(predicted.type_probability[edge], ratio, noise.error_floor)[0] < 0.5
+        changes = after != is_active
         chosen = jax.tree.map(
-            lambda new, old: jnp.where(turned, new, old), (otherwise, other_motion), carry
+            lambda new, old: jnp.where(changes, new, old), (other_types, other_motion), carry
         )
         return chosen, ratio
 
-    # The nearest first, each given what was found of those before it: what one contact explains
-    # is no evidence for another.
-    edges = _nearest(percept)
+    # The nearest first, each given the result for those before it: a motion that one contact
+    # explains is no evidence for another.
+    edges = _nearest(graph)
     probable = _most_probable(predicted)
-    said = jax.lax.scan(judge, (probable, moved(probable)), edges)[1]
-    ratio = (
-        jnp.zeros(motion_log_odds.shape, motion_log_odds.dtype)
-        .at[edges]
-        .set(said.astype(motion_log_odds.dtype))
-    )
+    ratios = jax.lax.scan(judge, (probable, moved(probable)), edges)[1]
+    ratio = jnp.zeros_like(motion_log_odds).at[edges].set(ratios.astype(motion_log_odds.dtype))
     types = predicted.type_probability
-    after = jax.vmap(_after, in_axes=(0, 0, None))(types, ratio, noise.error_floor)
+    after = jax.vmap(_posterior, in_axes=(0, 0, None))(types, ratio, noise.error_floor)
     return MotionEvidence(
         predicted=predicted,
         log_ratio=ratio,
@@ -241,47 +237,47 @@ def contact_log_likelihood_ratio(
     )
 
 
-def _after(
+def _posterior(
     types: Float[Array, " K"], log_ratio: Float[Array, ""], error_floor: float
 ) -> Float[Array, " K"]:
-    """Bayes' rule on an edge. A belief that motion contradicts is taken as no surer than
-    ``error_floor`` allows: a network is sure of what it has not seen the like of."""
-    active = jnp.maximum(types[1:], _SMALLEST)
-    odds = jnp.log(jnp.sum(active)) - jnp.log(jnp.maximum(types[0], _SMALLEST))
-    surest = jnp.log((1.0 - error_floor) / error_floor)
-    contradicted = log_ratio * odds < 0
-    odds = jnp.where(contradicted, jnp.clip(odds, -surest, surest), odds)
-    # Motion tells active from inactive, not the active types from each other.
+    """Bayes' rule on an edge. A belief that motion contradicts counts as no more certain than
+    ``error_floor`` allows, because networks are overconfident outside of their training data."""
+    active = jnp.maximum(types[1:], _MIN_PROBABILITY)
+    log_odds = jnp.log(jnp.sum(active)) - jnp.log(jnp.maximum(types[0], _MIN_PROBABILITY))
+    bound = jnp.log((1.0 - error_floor) / error_floor)
+    contradicted = log_ratio * log_odds < 0
+    log_odds = jnp.where(contradicted, jnp.clip(log_odds, -bound, bound), log_odds)
+    # Motion separates active from inactive, not the active types from each other.
     share = active / jnp.sum(active)
-    found = jax.nn.sigmoid(odds + log_ratio)
-    return jnp.concatenate([1.0 - found[None], found * share])
+    probability = jax.nn.sigmoid(log_odds + log_ratio)
+    return jnp.concatenate([1.0 - probability[None], probability * share])
 
 
 def _at_least(
     predicted: ContactBelief, before: ContactBelief, least: Float[Array, " E"]
 ) -> ContactBelief:
-    """As predicted, but every edge with the probability ``least`` active, of the types it was."""
-    was = jnp.maximum(before.type_probability[:, 1:], _SMALLEST)
-    kept = least[:, None] * was / jnp.sum(was, axis=-1, keepdims=True)
+    """The prediction, with every edge active at least with the probability ``least``, of the types
+    it had before."""
+    types = jnp.maximum(before.type_probability[:, 1:], _MIN_PROBABILITY)
+    kept = least[:, None] * types / jnp.sum(types, axis=-1, keepdims=True)
     active = predicted.type_probability[:, 1:]
     active = jnp.where(jnp.sum(active, axis=-1, keepdims=True) < least[:, None], kept, active)
     inactive = 1.0 - jnp.sum(active, axis=-1, keepdims=True)
     return ContactBelief(jnp.concatenate([inactive, active], axis=-1))
 
 
-def _as_if_touching(
-    model: ContactDynamics, state: ModelState, percept: EncodedGraph, nodes: Nodes
-) -> EncodedGraph:
-    """The same step, if bodies touch wherever they come nearest in it.
+def _as_if_touching(model: ContactDynamics, state: ModelState, graph: EncodedGraph) -> EncodedGraph:
+    """The same step as if bodies touched at their closest approach.
 
-    A network that knows the distance of touch does not let an active edge hold beyond it, however
-    sure it is told to be: then active and inactive would be the same motion. What is asked is what
-    follows if this edge does hold; how probable that is at its distance is the belief's affair.
+    A network that knows the contact distance does not let an edge act beyond it, even one that is
+    active with certainty; both predictions would then be the same motion. The likelihood is that of
+    the motion if the edge does act; how probable that is at its distance is part of the belief.
     """
-    touch = jnp.maximum(
-        model.features.contact_distance, _TOUCHING * percept.geometry.closest_approach
+    nearest = _TOUCHING * graph.geometry.closest_approach
+    touch = jnp.maximum(model.features.contact_distance, nearest)
+    return model.encode(
+        state.position, state.velocity, graph.nodes, state.control_displacement, touch
     )
-    return model.encode(state.position, state.velocity, nodes, state.control_displacement, touch)
 
 
 def _most_probable(belief: ContactBelief) -> Float[Array, "E K"]:
@@ -289,17 +285,16 @@ def _most_probable(belief: ContactBelief) -> Float[Array, "E K"]:
     return jax.nn.one_hot(jnp.argmax(types, axis=-1), types.shape[-1], dtype=types.dtype)
 
 
-def _other(
+def _alternative(
     belief: ContactBelief, is_active: Bool[Array, ""], edge: Int[Array, ""]
 ) -> Float[Array, " K"]:
-    """The type against which an edge's most probable one is held: inactive, or the likeliest
-    active one."""
+    """The type compared with an edge's most probable one: inactive, or the likeliest active one."""
     types = belief.type_probability[edge]
     active = 1 + jnp.argmax(types[1:])
     return jax.nn.one_hot(jnp.where(is_active, 0, active), len(types), dtype=types.dtype)
 
 
-def _nearest(percept: EncodedGraph) -> Int[Array, " considered"]:
-    """Of the edges in reach, those whose ends come nearest within the step."""
-    near = jnp.where(percept.weight > 0, -percept.geometry.closest_approach, -jnp.inf)
+def _nearest(graph: EncodedGraph) -> Int[Array, " considered"]:
+    """The edges within the cutoff whose nodes come nearest to each other in the step."""
+    near = jnp.where(graph.weight > 0, -graph.geometry.closest_approach, -jnp.inf)
     return jax.lax.top_k(near, min(_CONSIDERED, near.shape[0]))[1]

@@ -1,4 +1,4 @@
-"""Lists of near pairs, made anew in every step: the cost is linear in the number of nodes."""
+"""Lists of near pairs, rebuilt in every step, so that the cost is linear in the number of nodes."""
 
 import itertools
 
@@ -9,30 +9,30 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.graph import pair_indices
-from contactgraph.model.graph import Edges, numbered, pair_count, place
+from contactgraph.data.graph import pair_count, pair_indices
+from contactgraph.model.graph import Edges, edge_nodes, unordered_edge_id
 
-_MOST_NODES = 46_340
-"""The pairs of more have places that 32 bits do not hold."""
+_MAX_NODES = 46_340
+"""The pairs of more nodes have ids beyond 32 bits."""
 
 
 class NeighborList(eqx.Module):
-    """Only pairs that may come into reach within a step are edges of it.
+    """Restricts the edges of a step to the pairs that may come within the cutoff during it.
 
-    Found by cells: space is cut into cubes as long as the reach and twice the longest way of a
-    node, so that who is near is in the same one or next to it. Of few nodes the distances of all
-    pairs are found sooner. What such a list leaves out is out of reach, and inactive for sure, so
-    predictions are those of all pairs. Sizes are fixed when a model is made; a step that needs more
-    has no prediction but NaN. See `allocate_neighbor_list`.
+    Pairs are searched in cells: space is divided into cubes as long as the cutoff plus twice the
+    largest travel bound, so that near nodes are in the same cell or in adjacent ones. For few nodes
+    it is faster to compute the distances of all pairs. Pairs that are not listed are beyond the
+    cutoff and inactive with certainty, so predictions are those of all pairs. Capacities are fixed
+    when a model is made; a step that exceeds one predicts NaN. See `allocate_neighbor_list`.
     """
 
     max_edges: int = eqx.field(static=True)
-    """Room for so many near pairs."""
+    """Most near pairs."""
     cell_capacity: int | None = eqx.field(static=True)
-    """Room for so many nodes in a cell. None: no cells, all pairs are gone through."""
+    """Most nodes in a cell. None: no cells; all pairs are searched."""
     group_capacity: int | None = eqx.field(static=True, default=16)
-    """Room for so many nodes that hold each other, directly or through others. None: for all, who
-    are then solved as one group: time grows with the cube of their number."""
+    """Most nodes that are coupled, directly or through others. None: no limit; all nodes are solved
+    as one group, in time cubic in their number."""
 
     def __check_init__(self) -> None:
         for name in ("max_edges", "cell_capacity", "group_capacity"):
@@ -43,43 +43,41 @@ class NeighborList(eqx.Module):
     def __call__(
         self,
         position: Float[Array, "N D"],
-        way: Float[Array, " N"],
+        bound: Float[Array, " N"],
         mask: Bool[Array, " N"],
-        far: float,
+        cutoff: float,
     ) -> Edges:
-        """The pairs of a step in which no node goes farther than its `way` [m].
+        """The pairs of a step in which each node moves at most its travel `bound` [m].
 
-        `far` [m]: nodes that come no nearer have no edge; `mask`: False for nodes that take part
-        in nothing. Raises `InvalidInputError` where there are more nodes than can be numbered.
+        Nodes that stay farther apart than `cutoff` [m] have no edge, nor have nodes outside the
+        `mask`. Raises `InvalidInputError` where there are more nodes than 32-bit ids allow.
         """
-        position, way = jax.lax.stop_gradient((position, way))
+        position, bound = jax.lax.stop_gradient((position, bound))
         count = position.shape[0]
-        if count > _MOST_NODES:
-            raise InvalidInputError(f"lists are for at most {_MOST_NODES} nodes, found {count}")
+        if count > _MAX_NODES:
+            raise InvalidInputError(f"lists are for at most {_MAX_NODES} nodes, found {count}")
         if self.cell_capacity is None:
-            near = near_pairs(position, way, mask, far)
-            # The places of the first, second, ... near pair; of none, that behind the last pair.
-            until = jnp.cumsum(near)
-            passed = until[None, :] <= jnp.arange(self.max_edges)[:, None]
+            near = near_pairs(position, bound, mask, cutoff)
+            # The ids of the first, second, ... near pair; beyond the last one, that of no pair.
+            total = jnp.cumsum(near)
+            passed = total[None, :] <= jnp.arange(self.max_edges)[:, None]
             listed = jnp.sum(passed, axis=1, dtype=jnp.int32)
-            return Edges(numbered(listed, count), listed, until[-1] <= self.max_edges)
-        all_found = candidates(position, way, mask, far, self.cell_capacity)
-        number, near = all_found.edge_id, all_found.near
-        rank = jnp.cumsum(near, axis=1)
-        before = jnp.cumsum(rank[:, -1])
-        found = before[-1]
-        # A candidate's place in the list; what is not near goes nowhere.
-        slot = rank - 1 + (before - rank[:, -1])[:, None]
-        slot = jnp.where(near, slot, self.max_edges)
-        listed = jnp.full(self.max_edges, pair_count(count), number.dtype)
-        listed = jnp.sort(listed.at[slot.reshape(-1)].set(number.reshape(-1), mode="drop"))
-        fits = (all_found.fullest <= self.cell_capacity) & (found <= self.max_edges)
-        return Edges(numbered(listed, count), listed, fits)
+            return Edges(edge_nodes(listed, count), listed, total[-1] <= self.max_edges)
+        found = cell_candidates(position, bound, mask, cutoff, self.cell_capacity)
+        rank = jnp.cumsum(found.near, axis=1)
+        total = jnp.cumsum(rank[:, -1])
+        # The slot of a candidate in the list; candidates that are not near have none.
+        slot = rank - 1 + (total - rank[:, -1])[:, None]
+        slot = jnp.where(found.near, slot, self.max_edges).reshape(-1)
+        listed = jnp.full(self.max_edges, pair_count(count), found.edge_id.dtype)
+        listed = jnp.sort(listed.at[slot].set(found.edge_id.reshape(-1), mode="drop"))
+        fits = (found.largest_cell <= self.cell_capacity) & (total[-1] <= self.max_edges)
+        return Edges(edge_nodes(listed, count), listed, fits)
 
 
-def edge_count(lists: NeighborList | None, node_count: int) -> int:
-    """Edges of a step of so many nodes: as many as there is room for, or all pairs."""
-    return pair_count(node_count) if lists is None else lists.max_edges
+def edge_count(neighbor_list: NeighborList | None, node_count: int) -> int:
+    """Number of edges of a step: the list's capacity, or all pairs."""
+    return pair_count(node_count) if neighbor_list is None else neighbor_list.max_edges
 
 
 def travel_bound(
@@ -89,87 +87,86 @@ def travel_bound(
     anchor: Float[Array, "N D"] | None,
     dt: float,
 ) -> Float[Array, " N"]:
-    """How far from a node's position [m] any point of its body may be in a step of `dt` [s] where
-    it is met: arguments as of `geometry`."""
-    way = dt * jnp.linalg.norm(velocity, axis=-1)
+    """Largest distance [m] from a node's position at which its body may be met in a step of `dt`
+    [s]; arguments as of `geometry`."""
+    bound = dt * jnp.linalg.norm(velocity, axis=-1)
     if control_displacement is not None:
-        way = way + jnp.linalg.norm(control_displacement, axis=-1)
+        bound = bound + jnp.linalg.norm(control_displacement, axis=-1)
     if anchor is None:
-        return way
-    # A bar's far end is an arm's length from its middle, and twice as fast.
-    arm = jnp.linalg.norm(position - anchor, axis=-1)
-    return jnp.where(jnp.isfinite(arm), arm + 2.0 * way, way)
+        return bound
+    # A bar's far end is a radius from its middle, and twice as fast.
+    radius = jnp.linalg.norm(position - anchor, axis=-1)
+    return jnp.where(jnp.isfinite(radius), radius + 2.0 * bound, bound)
 
 
 def near_pairs(
-    position: Float[Array, "N D"], way: Float[Array, " N"], mask: Bool[Array, " N"], far: float
+    position: Float[Array, "N D"],
+    bound: Float[Array, " N"],
+    mask: Bool[Array, " N"],
+    cutoff: float,
 ) -> Bool[Array, " all"]:
-    """Which of all pairs may come into reach within the step; arguments as of `NeighborList`."""
+    """Which of all pairs may come within the cutoff; arguments as of `NeighborList`."""
     first, second = pair_indices(position.shape[0]).T
     apart = position[second] - position[first]
-    near = jnp.sum(apart**2, axis=-1) < (far + way[first] + way[second]) ** 2
+    near = jnp.sum(apart**2, axis=-1) < (cutoff + bound[first] + bound[second]) ** 2
     return near & mask[first] & mask[second]
 
 
-class Candidates(eqx.Module):
+class CellCandidates(eqx.Module):
     """Pairs of nodes in the same cell or in adjacent ones, each once."""
 
     edge_id: Int[Array, "N C"]
-    """The pairs' places in `pair_indices`' order."""
     near: Bool[Array, "N C"]
-    """Whether there is such a pair, and its nodes may come into reach within the step."""
-    fullest: Int[Array, ""]
-    """How many nodes are in the fullest cell."""
+    """Whether the pair exists, and its nodes may come within the cutoff."""
+    largest_cell: Int[Array, ""]
+    """Nodes in the fullest cell."""
 
 
-def candidates(
+def cell_candidates(
     position: Float[Array, "N D"],
-    way: Float[Array, " N"],
+    bound: Float[Array, " N"],
     mask: Bool[Array, " N"],
-    far: float,
-    cell_capacity: int,
-) -> Candidates:
-    """Pairs to choose from; of more than `cell_capacity` nodes in a cell, the others' are missing.
+    cutoff: float,
+    capacity: int,
+) -> CellCandidates:
+    """Candidates for near pairs; a cell of more than `capacity` nodes lacks the others.
 
     Arguments as of `NeighborList`.
     """
     count, dimension = position.shape
-    # Cells repeat after `side` of them: two that share a number are told apart by distance.
+    # Cells repeat with period `side`: two that share an index differ in distance.
     side = max(4, int(np.ceil((2.0 * count) ** (1.0 / dimension))))
     cells = side**dimension
-    length = far + 2.0 * jnp.max(jnp.where(mask, way, 0.0))
+    length = cutoff + 2.0 * jnp.max(jnp.where(mask, bound, 0.0))
     corner = jnp.floor(position / length).astype(jnp.int32)
     stride = side ** np.arange(dimension, dtype=np.int32)
     cell = jnp.where(mask, jnp.mod(corner, side) @ stride, cells)
 
     order = jnp.argsort(cell).astype(jnp.int32)
-    held = jnp.zeros(cells + 1, jnp.int32).at[cell].add(1)
-    begin = jnp.cumsum(held) - held
+    occupancy = jnp.zeros(cells + 1, jnp.int32).at[cell].add(1)
+    begin = jnp.cumsum(occupancy) - occupancy
     rank = jnp.arange(count, dtype=jnp.int32) - begin[cell[order]]
-    slot = jnp.where(
-        rank < cell_capacity, cell[order] * cell_capacity + rank, (cells + 1) * cell_capacity
-    )
-    # Nobody is node `count`.
-    table = jnp.full((cells + 1) * cell_capacity, count, jnp.int32).at[slot].set(order, mode="drop")
-    table = table.reshape(cells + 1, cell_capacity).at[cells].set(count)
+    slot = jnp.where(rank < capacity, cell[order] * capacity + rank, (cells + 1) * capacity)
+    # Empty slots hold the index `count`, which is no node.
+    table = jnp.full((cells + 1) * capacity, count, jnp.int32).at[slot].set(order, mode="drop")
+    table = table.reshape(cells + 1, capacity).at[cells].set(count)
 
-    other_cell = jnp.mod(corner[:, None] + _half_around(dimension), side) @ stride
+    other_cell = jnp.mod(corner[:, None] + _half_neighborhood(dimension), side) @ stride
     other = table[other_cell].reshape(count, -1)
     node = jnp.arange(count, dtype=jnp.int32)[:, None]
-    where = jnp.concatenate([position, way[:, None]], axis=1)
-    there = where.at[other].get(mode="clip")
-    apart = there[..., :dimension] - position[:, None]
-    reach = far + way[:, None] + there[..., dimension]
-    near = jnp.sum(apart**2, axis=-1) < reach**2
+    gathered = jnp.concatenate([position, bound[:, None]], axis=1).at[other].get(mode="clip")
+    apart = gathered[..., :dimension] - position[:, None]
+    limit = cutoff + bound[:, None] + gathered[..., dimension]
+    near = jnp.sum(apart**2, axis=-1) < limit**2
     near = near & (other < count) & mask[:, None]
-    # The first of the cells is the node's own, in which each pair is met from both its ends.
-    own = jnp.arange(other.shape[1]) < cell_capacity
+    # The first of the cells is the node's own, in which each pair occurs from both of its nodes.
+    own = jnp.arange(other.shape[1]) < capacity
     near = near & (~own | (other > node))
-    return Candidates(place(node, other), near, jnp.max(held[:cells]))
+    return CellCandidates(unordered_edge_id(node, other), near, jnp.max(occupancy[:cells]))
 
 
-def _half_around(dimension: int) -> np.ndarray:
-    """[C, D] steps to the own cell, first, and to one of each two opposite adjacent cells."""
+def _half_neighborhood(dimension: int) -> np.ndarray:
+    """[C, D] offsets of the own cell, first, and of one of each two opposite adjacent cells."""
     around = np.array(list(itertools.product((0, 1, -1), repeat=dimension)), np.int32)
-    opposite = [tuple(step) > tuple(-step) for step in around]
-    return np.concatenate([around[:1], around[opposite]])
+    positive = [tuple(offset) > tuple(-offset) for offset in around]
+    return np.concatenate([around[:1], around[positive]])

@@ -1,13 +1,11 @@
-"""The paper's models, each a composition of the same parts.
+"""The paper's models as compositions of the same parts.
 
-Every function takes the number of degrees of freedom a node `dimension`, the size of the control,
-the step `dt` [s], the distance `contact_distance` [m] at about which bodies touch, centre to centre
-(the paper's d_th), the networks' width, whether bodies may hang on hinges, whether they have weight
-and rest on something until lifted (`GroundSupport`), whether the contact distance is learned
-(these two in `gim_temp` and what is made of it alone), and a random key.
+A preset is a function of a `ModelConfig` and a random key that returns a `ContactDynamics` with
+fresh weights; any such function can be trained in the place of these.
 """
 
 import dataclasses
+from dataclasses import dataclass
 from typing import Protocol
 
 import jax
@@ -30,136 +28,92 @@ from contactgraph.model.local_dynamics import (
     ThetaMethod,
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
+from contactgraph.model.types import check_control_size
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Properties of the data that a model is made for, and its size."""
+
+    dimension: int
+    """D, degrees of freedom per node."""
+    control_size: int
+    """U, components of the control; at most D but for `full_ab`."""
+    dt: float
+    """Length of a step, s."""
+    contact_distance: float = 0.085
+    """About the distance, centre to centre, at which bodies touch (the paper's d_th), m."""
+    width: int | None = None
+    """Of the networks. None: the preset's own, 64 for the paper's literal models, else 32."""
+    hinges: bool = False
+    """Whether bodies may be hinged."""
+    weight: bool = False
+    """Whether bodies have weight and rest on the ground until lifted; see `GroundSupport`."""
+    learned_contact_distance: bool = True
+    """Whether `contact_distance` is only the start of a learned one. This and `weight` apply to
+    `gim_temp`, `gim_non_temp` and `no_gim`."""
 
 
 class Preset(Protocol):
-    """What makes one of the paper's models."""
+    """A function that makes a model with fresh weights."""
 
-    def __call__(
-        self,
-        dimension: int,
-        control_size: int,
-        dt: float,
-        contact_distance: float = 0.085,
-        width: int = 32,
-        hinges: bool = False,
-        weight: bool = False,
-        learned_contact_distance: bool = True,
-        *,
-        key: PRNGKeyArray,
-    ) -> ContactDynamics:
-        """The model with fresh weights."""
+    def __call__(self, config: ModelConfig, /, *, key: PRNGKeyArray) -> ContactDynamics:
+        """The model for this configuration."""
+        ...
 
 
-def gim_temp(
-    dimension: int,
-    control_size: int,
-    dt: float,
-    contact_distance: float = 0.085,
-    width: int = 32,
-    hinges: bool = False,
-    weight: bool = False,
-    learned_contact_distance: bool = True,
-    *,
-    key: PRNGKeyArray,
-) -> ContactDynamics:
-    """Recurrent edges; bodies that hold are solved as groups; local, and blind to the axes."""
-    features = InvariantFeatures(contact_distance, hinges=hinges, learned=learned_contact_distance)
-    messages_key, cell_key, dynamics_key = jax.random.split(key, 3)
-    messages = EdgeNetwork(features.edge_size(dimension), width, key=messages_key)
+def gim_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
+    """Recurrent edges with a cutoff, coupled bodies solved as groups, invariant features."""
+    check_control_size(config.control_size, config.dimension)
+    distance, width = config.contact_distance, config.width or 32
+    features = InvariantFeatures(
+        distance, hinges=config.hinges, learned=config.learned_contact_distance
+    )
+    edge_size = features.edge_size(config.dimension)
+    inference_key, cell_key, dynamics_key = jax.random.split(key, 3)
+    message_key, head_key = jax.random.split(dynamics_key)
+    # Messages depend on their own edge alone; the head solves for the effect of all together.
+    messages = EdgeNetwork(edge_size, width, key=message_key)
+    support = GroundSupport(features.node_types, config.dimension) if config.weight else None
     return ContactDynamics(
-        inference=RecurrentEdges(messages, key=cell_key),
-        local_dynamics=_coupled(features, dimension, contact_distance, width, weight, dynamics_key),
+        inference=RecurrentEdges(EdgeNetwork(edge_size, width, key=inference_key), key=cell_key),
+        local_dynamics=SpringMassDamperDynamics(
+            message_passing=TypedMessagePassing([messages]),
+            head=CoupledHead(
+                width, features.node_types, length=distance, support=support, key=head_key
+            ),
+            discretization=ThetaMethod(),
+        ),
         features=features,
         prior=ClosestApproachPrior(),
-        cutoff=_cutoff(contact_distance),
+        cutoff=_cutoff(config),
         sample=ArgmaxSample(),
-        dt=dt,
-        dimension=dimension,
-        control_size=control_size,
+        dt=config.dt,
+        dimension=config.dimension,
+        control_size=config.control_size,
     )
 
 
-def gim_non_temp(
-    dimension: int,
-    control_size: int,
-    dt: float,
-    contact_distance: float = 0.085,
-    width: int = 32,
-    hinges: bool = False,
-    weight: bool = False,
-    learned_contact_distance: bool = True,
-    *,
-    key: PRNGKeyArray,
-) -> ContactDynamics:
-    """As `gim_temp`, but its edges have no memory."""
+def gim_non_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
+    """As `gim_temp`, but with edges without memory."""
     model_key, messages_key, output_key = jax.random.split(key, 3)
-    model = gim_temp(
-        dimension,
-        control_size,
-        dt,
-        contact_distance,
-        width,
-        hinges,
-        weight,
-        learned_contact_distance,
-        key=model_key,
-    )
-    messages = EdgeNetwork(model.features.edge_size(dimension), width, key=messages_key)
+    model = gim_temp(config, key=model_key)
+    edge_size = model.features.edge_size(config.dimension)
+    messages = EdgeNetwork(edge_size, config.width or 32, key=messages_key)
     return dataclasses.replace(model, inference=MemorylessEdges(messages, key=output_key))
 
 
-def no_gim(
-    dimension: int,
-    control_size: int,
-    dt: float,
-    contact_distance: float = 0.085,
-    width: int = 32,
-    hinges: bool = False,
-    weight: bool = False,
-    learned_contact_distance: bool = True,
-    *,
-    key: PRNGKeyArray,
-) -> ContactDynamics:
-    """No inference: every edge is active at every step, at any distance."""
-    model = gim_temp(
-        dimension,
-        control_size,
-        dt,
-        contact_distance,
-        width,
-        hinges,
-        weight,
-        learned_contact_distance,
-        key=key,
-    )
+def no_gim(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
+    """As `gim_temp`, but every edge is active at every step, at any distance."""
+    model = gim_temp(config, key=key)
     return dataclasses.replace(model, inference=AllEdges(), cutoff=NoCutoff())
 
 
-def full_ab(
-    dimension: int,
-    control_size: int,
-    dt: float,
-    contact_distance: float = 0.085,
-    width: int = 32,
-    hinges: bool = False,
-    weight: bool = False,
-    learned_contact_distance: bool = True,
-    *,
-    key: PRNGKeyArray,
-) -> ContactDynamics:
-    """Recurrent, local edges as in `gim_temp`, but free matrices, of absolute positions."""
-    model = paper_literal(
-        dimension,
-        control_size,
-        dt,
-        contact_distance,
-        width,
-        hinges,
-        weight,
-        learned_contact_distance,
-        key=key,
-    )
+def full_ab(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
+    """Recurrent edges with a cutoff, as in `gim_temp`, but free matrices of absolute positions."""
+    config = dataclasses.replace(config, width=config.width or 32)
+    dimension, control_size = config.dimension, config.control_size
+    model = paper_literal(dataclasses.replace(config, control_size=dimension), key=key)
     return dataclasses.replace(
         model,
         local_dynamics=FreeLinearDynamics(
@@ -169,104 +123,40 @@ def full_ab(
             key=jax.random.fold_in(key, 1),
         ),
         prior=ClosestApproachPrior(),
-        cutoff=_cutoff(contact_distance),
-    )
-
-
-def paper_literal(
-    dimension: int,
-    control_size: int,
-    dt: float,
-    contact_distance: float = 0.085,
-    width: int = 64,
-    hinges: bool = False,
-    weight: bool = False,
-    learned_contact_distance: bool = True,
-    *,
-    key: PRNGKeyArray,
-) -> ContactDynamics:
-    """The paper's own form: all pairs, absolute positions, distance only, explicit Euler."""
-    messages_key, cell_key, dynamics_key, head_key = jax.random.split(key, 4)
-    features = AbsoluteFeatures(hinges=hinges)
-    messages = _messages(features, dimension, width, messages_key)
-    passing = TypedMessagePassing([_messages(features, dimension, width, dynamics_key)])
-    return ContactDynamics(
-        inference=RecurrentEdges(messages, key=cell_key),
-        local_dynamics=SpringMassDamperDynamics(
-            message_passing=passing,
-            head=PerDegreeHead(width, dimension, key=head_key),
-            discretization=ThetaMethod(0.0, learned=False),
-        ),
-        features=features,
-        prior=DistancePrior(threshold=contact_distance),
-        cutoff=NoCutoff(),
-        sample=ArgmaxSample(),
-        dt=dt,
-        dimension=dimension,
+        cutoff=_cutoff(config),
         control_size=control_size,
     )
 
 
-def paper_literal_no_gim(
-    dimension: int,
-    control_size: int,
-    dt: float,
-    contact_distance: float = 0.085,
-    width: int = 64,
-    hinges: bool = False,
-    weight: bool = False,
-    learned_contact_distance: bool = True,
-    *,
-    key: PRNGKeyArray,
-) -> ContactDynamics:
-    """The paper's own form without inference: every edge is active at every step."""
-    model = paper_literal(
-        dimension,
-        control_size,
-        dt,
-        contact_distance,
-        width,
-        hinges,
-        weight,
-        learned_contact_distance,
-        key=key,
-    )
-    return dataclasses.replace(model, inference=AllEdges())
-
-
-def _messages(
-    features: InvariantFeatures | AbsoluteFeatures,
-    dimension: int,
-    width: int,
-    key: PRNGKeyArray,
-) -> MessagePassing:
-    node_size, edge_size = features.node_size(dimension), features.edge_size(dimension)
-    return MessagePassing(node_size, edge_size, width, key=key)
-
-
-def _coupled(
-    features: InvariantFeatures,
-    dimension: int,
-    contact_distance: float,
-    width: int,
-    weight: bool,
-    key: PRNGKeyArray,
-) -> SpringMassDamperDynamics:
-    messages_key, head_key = jax.random.split(key)
-    # What an edge does is its own affair; the head solves for what follows from all of them.
-    messages = EdgeNetwork(features.edge_size(dimension), width, key=messages_key)
-    return SpringMassDamperDynamics(
-        message_passing=TypedMessagePassing([messages]),
-        head=CoupledHead(
-            width,
-            features.node_types,
-            length=contact_distance,
-            support=GroundSupport(features.node_types, dimension) if weight else None,
-            key=head_key,
+def paper_literal(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
+    """The paper's own form: all pairs, absolute positions, distance only, explicit Euler."""
+    check_control_size(config.control_size, config.dimension)
+    dimension, width = config.dimension, config.width or 64
+    inference_key, cell_key, dynamics_key, head_key = jax.random.split(key, 4)
+    features = AbsoluteFeatures(hinges=config.hinges)
+    sizes = features.node_size(dimension), features.edge_size(dimension), width
+    return ContactDynamics(
+        inference=RecurrentEdges(MessagePassing(*sizes, key=inference_key), key=cell_key),
+        local_dynamics=SpringMassDamperDynamics(
+            message_passing=TypedMessagePassing([MessagePassing(*sizes, key=dynamics_key)]),
+            head=PerDegreeHead(width, dimension, key=head_key),
+            discretization=ThetaMethod(0.0, learned=False),
         ),
-        discretization=ThetaMethod(),
+        features=features,
+        prior=DistancePrior(threshold=config.contact_distance),
+        cutoff=NoCutoff(),
+        sample=ArgmaxSample(),
+        dt=config.dt,
+        dimension=dimension,
+        control_size=config.control_size,
     )
 
 
-def _cutoff(contact_distance: float) -> SmoothCutoff:
-    return SmoothCutoff(inner=1.5 * contact_distance, outer=2.5 * contact_distance)
+def paper_literal_no_gim(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
+    """The paper's own form without inference: every edge is active at every step."""
+    return dataclasses.replace(paper_literal(config, key=key), inference=AllEdges())
+
+
+def _cutoff(config: ModelConfig) -> SmoothCutoff:
+    distance = config.contact_distance
+    return SmoothCutoff(inner=1.5 * distance, outer=2.5 * distance)

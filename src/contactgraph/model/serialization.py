@@ -1,4 +1,9 @@
-"""The arrays of a pytree by the names of their paths: what model files and checkpoints store."""
+"""Models as plain data: weights by path, and constructor arguments by name.
+
+``{"type": "SmoothCutoff", "arguments": {"inner": 0.15, "outer": 0.25}}`` stands for
+``SmoothCutoff(inner=0.15, outer=0.25)``. Names from a file are only looked up in the tables below,
+and values are checked against the constructors' annotations before anything is called.
+"""
 
 import dataclasses
 import inspect
@@ -34,6 +39,24 @@ from contactgraph.model.local_dynamics import (
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 
 Tree = TypeVar("Tree")
+Description = dict[str, Any]
+
+OLD_NAMES = {
+    # Classes
+    "Everywhere": "NoCutoff",
+    "Reach": "SmoothCutoff",
+    "Support": "GroundSupport",
+    "TouchPrior": "ClosestApproachPrior",
+    # Constructor arguments and weights
+    "discretisation": "discretization",
+    "doubt": "min_probability",
+    "far": "outer",
+    "kinds": "node_types",
+    "near": "inner",
+    "reach": "cutoff",
+    "touch_distance": "contact_distance",
+}
+"""Names in files of version 1 and in checkpoints of that time, and their present names."""
 
 
 def module_arrays(tree: Any) -> dict[str, np.ndarray]:
@@ -59,13 +82,13 @@ def module_arrays(tree: Any) -> dict[str, np.ndarray]:
 
 
 def with_arrays(tree: Tree, arrays: Mapping[str, np.ndarray], where: str) -> Tree:
-    """The tree with its arrays replaced by those that `module_arrays` once named.
+    """The tree with its arrays replaced by those of `module_arrays`, also under old names.
 
-    The tree's own arrays say what is expected, so they may be shapes alone
+    The tree's own arrays determine shapes and dtypes, and may be shapes alone
     (`jax.ShapeDtypeStruct`). Raises `InvalidInputError`, starting with `where`, for an array that
     is missing, unknown, or of another shape or dtype.
     """
-    left = dict(arrays)
+    left = {_current_path(name): array for name, array in arrays.items()}
 
     def replace(path: tuple[Any, ...], leaf: Any) -> Any:
         if not (_is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)):
@@ -87,6 +110,23 @@ def with_arrays(tree: Tree, arrays: Mapping[str, np.ndarray], where: str) -> Tre
     return filled
 
 
+def with_current_names(description: Any) -> Any:
+    """A description, possibly of version 1, with the present names of classes and arguments."""
+    if isinstance(description, list):
+        return [with_current_names(part) for part in description]
+    if not isinstance(description, dict):
+        return description
+    name = description.get("type")
+    renamed = {
+        OLD_NAMES.get(key, key): with_current_names(value) for key, value in description.items()
+    }
+    return {**renamed, "type": OLD_NAMES.get(name, name)} if isinstance(name, str) else renamed
+
+
+def _current_path(path: str) -> str:
+    return ".".join(OLD_NAMES.get(part, part) for part in path.split("."))
+
+
 def _is_array(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array | np.ndarray | np.generic)
 
@@ -101,36 +141,34 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         AbsoluteFeatures,
         AllEdges,
         ArgmaxSample,
+        ClosestApproachPrior,
         ContactDynamics,
         CoupledHead,
         DistancePrior,
         EdgeNetwork,
-        NoCutoff,
         FreeLinearDynamics,
+        GroundSupport,
         GumbelSample,
         InvariantFeatures,
         MemorylessEdges,
         MessagePassing,
+        NoCutoff,
         PerDegreeHead,
-        SmoothCutoff,
         RecurrentEdges,
+        SmoothCutoff,
         SpringMassDamperDynamics,
-        GroundSupport,
         ThetaMethod,
-        ClosestApproachPrior,
         TypedMessagePassing,
     )
 }
-_LARGEST_SIZE = 1024
-"""Of any width, count or dimension: what a damaged file cannot ask memory beyond."""
-
-Description = dict[str, Any]
+_MAX_SIZE = 1024
+"""Of any width, count or dimension; bounds the memory that a damaged file can ask for."""
 
 
 def describe(model: ContactDynamics) -> Description:
-    """The model's construction as data that JSON can hold, weights left out.
+    """The model's construction, without weights, as data that JSON can represent.
 
-    Neighbour lists are left out too: they are made for a scene, and change no prediction. Raises
+    Its neighbor list is left out, because it is made for a scene and changes no prediction. Raises
     `InvalidInputError` for parts that are not of this package.
     """
     if isinstance(model, ContactDynamics):
@@ -143,6 +181,10 @@ def build(description: object, where: str) -> ContactDynamics:
 
     Raises `InvalidInputError`, starting with `where`, for anything that no model has.
     """
+    try:
+        description = with_current_names(description)
+    except RecursionError as error:
+        raise InvalidInputError(f"{where}: must not be nested this deeply") from error
 
     def construct() -> ContactDynamics:
         return _build(description, (ContactDynamics,), where)
@@ -209,9 +251,9 @@ def _build_value(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
         return value
     if kind is int:
         whole = isinstance(value, int) and not isinstance(value, bool)
-        if not whole or not 0 <= value <= _LARGEST_SIZE:
+        if not whole or not 0 <= value <= _MAX_SIZE:
             raise InvalidInputError(
-                f"{where}: must be an integer from 0 to {_LARGEST_SIZE}, found {_short(value)}"
+                f"{where}: must be an integer from 0 to {_MAX_SIZE}, found {_short(value)}"
             )
         return value
     if kind is float:
@@ -220,15 +262,15 @@ def _build_value(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
             raise InvalidInputError(f"{where}: must be a finite number, found {_short(value)}")
         return float(value)
     if typing.get_origin(kind) is list:
-        if not isinstance(value, list) or not 1 <= len(value) <= _LARGEST_SIZE:
-            raise InvalidInputError(f"{where}: must be a list of 1 to {_LARGEST_SIZE} parts")
+        if not isinstance(value, list) or not 1 <= len(value) <= _MAX_SIZE:
+            raise InvalidInputError(f"{where}: must be a list of 1 to {_MAX_SIZE} parts")
         parts = _part_types(kind)
         return [_build(part, parts, f"{where}.{index}") for index, part in enumerate(value)]
     return _build(value, kinds, where)
 
 
 def _arguments(known: Any) -> dict[str, tuple[Any, ...]]:
-    """The constructor's arguments, and the types that each may have."""
+    """The constructor's arguments, and the types allowed for each."""
     return {
         name: (
             typing.get_args(parameter.annotation)
@@ -241,7 +283,7 @@ def _arguments(known: Any) -> dict[str, tuple[Any, ...]]:
 
 
 def _needed(known: Any) -> set[str]:
-    """The arguments without a default: files of before the others came have only these."""
+    """The arguments without a default, which also the oldest files have."""
     parameters = inspect.signature(known.__init__).parameters
     return {
         name for name in _arguments(known) if parameters[name].default is inspect.Parameter.empty
@@ -249,7 +291,7 @@ def _needed(known: Any) -> set[str]:
 
 
 def _part_types(kind: Any) -> tuple[Any, ...]:
-    """What the parts of a list may be."""
+    """The types allowed for the parts of a list."""
     (part,) = typing.get_args(kind)
     return typing.get_args(part) if isinstance(part, types.UnionType) else (part,)
 

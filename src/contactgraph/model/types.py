@@ -1,4 +1,4 @@
-"""What the model knows at one step, and who the nodes are."""
+"""Types that the parts of a model exchange: state, nodes, linear dynamics, node parameters."""
 
 from typing import Protocol
 
@@ -7,25 +7,27 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from contactgraph.data import Scene
+from contactgraph.data import InvalidInputError, Scene
 from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_belief import ContactBelief
 
+_MIN_INVERSE_MASS = 1e-6
+
 
 class ModelState(eqx.Module):
-    """State of the scene and what is believed about its contacts."""
+    """State of the scene, and the belief about its contacts."""
 
     position: Float[Array, "N D"]
     """m"""
     velocity: Float[Array, "N D"]
     """m/s"""
     belief: ContactBelief
-    """About the step that led here; the next step's belief is predicted from it."""
+    """About the step that led to this state; the next belief is predicted from it."""
     control_displacement: Float[Array, "N D"] | None = None
-    """m; how far the coming step's control alone moves each node. Whether bodies touch within the
-    step depends on it. None: not known."""
+    """m; how far the next step's control alone moves each node, on which it depends whether bodies
+    touch within the step. None: not known."""
 
 
 def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
@@ -38,14 +40,19 @@ def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
 
 
 class LinearDynamics(eqx.Module):
-    """``x' = A x + B u + offset`` for every node and degree of freedom on its own.
+    """``x' = A x + B u + offset`` of one step, separately for every node and degree of freedom.
 
-    ``x = [position, velocity]`` of one degree of freedom [m, m/s]; ``u`` [N] reaches every node.
+    ``x = [position, velocity]`` of one degree of freedom [m, m/s]; ``u`` [N] acts on every node.
     """
 
     A: Float[Array, "*T N D 2 2"]
     B: Float[Array, "*T N D 2 U"]
     offset: Float[Array, "*T N D 2"]
+
+    @property
+    def control_sensitivity(self) -> Float[Array, "*T N D U"]:
+        """Displacement of each node by the control, m/N."""
+        return self.B[..., 0, :]
 
     def __call__(
         self,
@@ -92,24 +99,21 @@ def unstack_state(
     return both[..., 0, :], both[..., 1, :]
 
 
-_SMALLEST = 1e-6
-
-
 class SpringMassDamper(eqx.Module):
-    r"""A mass on a spring and a damper, for every node and degree of freedom on its own.
+    r"""A mass on a spring and a damper, separately for every node and degree of freedom.
 
     $$ \ddot x = w u - \kappa (x - \hat x) - \gamma (v - \hat v) + a, \qquad
        w = 1/m,\ \kappa = k/m,\ \gamma = c/m $$
 
-    Stiffness and damping are kept as rates, so that a body which no control moves ($w = 0$) can
-    still be struck. The spring's other end is at $\hat x$, the damper's moves with $\hat v$: with
-    $\hat v = 0$ this is the paper's model. `shift` moves the position within the step besides:
-    an impact in the middle of a step displacing_fraction what it stops.
+    Stiffness and damping are rates, so that a body that no control moves ($w = 0$) still responds
+    to impacts. The spring's other end is at $\hat x$, the damper's moves with $\hat v$; with
+    $\hat v = 0$ this is the paper's model. `impact_displacement` is added to the position, because
+    an impact in the middle of a step displaces the body that it stops.
     """
 
     response: Float[Array, "*T N D U"]
     """w, 1/kg: acceleration by each component of the control. Off its diagonal only where a
-    hinge turns a push."""
+    hinge turns the force."""
     stiffness_rate: Float[Array, "*T N D"]
     """k/m, 1/s^2."""
     damping_rate: Float[Array, "*T N D"]
@@ -119,9 +123,9 @@ class SpringMassDamper(eqx.Module):
     equilibrium_velocity: Float[Array, "*T N D"]
     """m/s; where the damper is at rest."""
     impact_displacement: Float[Array, "*T N D"]
-    """m; displacement by an impact within the step."""
+    """m; by an impact within the step."""
     acceleration: Float[Array, "*T N D"] | None = None
-    """a, m/s^2, by forces that depend on nothing here, such as weight. None: there are none."""
+    """a, m/s^2, by constant forces such as weight. None: there are none."""
 
     @property
     def inverse_mass(self) -> Float[Array, "*T N D"]:
@@ -132,13 +136,13 @@ class SpringMassDamper(eqx.Module):
 
     @property
     def stiffness(self) -> Float[Array, "*T N D"]:
-        """k, N/m: the rate times the mass; large where nothing moves the node."""
-        return self.stiffness_rate / jnp.maximum(self.inverse_mass, _SMALLEST)
+        """k, N/m: the rate times the mass; large where no control moves the node."""
+        return self.stiffness_rate / jnp.maximum(self.inverse_mass, _MIN_INVERSE_MASS)
 
     @property
     def damping(self) -> Float[Array, "*T N D"]:
-        """c, N s/m: the rate times the mass; large where nothing moves the node."""
-        return self.damping_rate / jnp.maximum(self.inverse_mass, _SMALLEST)
+        """c, N s/m: the rate times the mass; large where no control moves the node."""
+        return self.damping_rate / jnp.maximum(self.inverse_mass, _MIN_INVERSE_MASS)
 
 
 def from_physical(
@@ -165,56 +169,70 @@ def from_physical(
 def own_component(
     inverse_mass: Float[Array, "*T N D"], control_size: int
 ) -> Float[Array, "*T N D U"]:
-    """The response of degrees of freedom that component d of the control moves along d alone."""
+    """The response of degrees of freedom of which component d of the control moves the d-th only.
+
+    Raises `InvalidInputError` where the control has more components than there are degrees of
+    freedom.
+    """
     dimension = inverse_mass.shape[-1]
+    check_control_size(control_size, dimension)
     return inverse_mass[..., None] * jnp.eye(dimension, control_size, dtype=inverse_mass.dtype)
 
 
+def check_control_size(control_size: int, dimension: int) -> None:
+    """Raises `InvalidInputError` where components of the control would act on nothing."""
+    if control_size > dimension:
+        raise InvalidInputError(
+            f"control size U must be at most the dimension D = {dimension}, found {control_size}: "
+            "component d of the control acts on degree of freedom d"
+        )
+
+
 class LocalInput(eqx.Module):
-    """One step's state and the graph that is left when inactive edges are cut."""
+    """One step's state, and the graph after its inactive edges are cut."""
 
     position: Float[Array, "N D"]
     """m"""
     velocity: Float[Array, "N D"]
     """m/s"""
     node_type: Float[Array, "N node_types"]
-    """What of a node does not change."""
+    """One-hot."""
     actuated: Float[Array, " N"]
     """1 where the control acts on the node itself, else 0."""
     node_features: Float[Array, "N F"]
     edge_features: Float[Array, "2 E G"]
     weight: Float[Array, "E active"]
-    """How active each edge is of each active type; 0 where it does not exist."""
+    """Weight of each edge for each active type, in [0, 1]; 0 where it does not exist."""
     geometry: Geometry
     anchor: Float[Array, "N D"] | None
-    """m; where a node is hinged, NaN where it is not. None: nobody is."""
+    """m; where a node is hinged, NaN where it is not. None: no node is."""
     group_capacity: int | None = eqx.field(static=True, default=None)
-    """For so many nodes that hold each other, directly or through others; None: for all."""
+    """Most nodes that are coupled, directly or through others. None: no limit."""
 
 
 class Step(eqx.Module):
-    """The step that local dynamics are made for."""
+    """The step that a head makes parameters for."""
 
     theta: Float[Array, ""]
-    """Of the `ThetaMethod` that will make it discrete."""
+    """Implicitness of the `ThetaMethod` that will discretize the parameters."""
     dt: float = eqx.field(static=True)
     """s"""
     control_size: int = eqx.field(static=True)
 
 
 class StepModel(Protocol):
-    """A locally linear model, whose linearisation knows the control through `ModelState.push` only.
+    """A locally linear model of one step, which any planner or evaluation can use.
 
-    It must be a pytree (an `equinox.Module` is), so that its weights can be passed to compiled
-    functions.
+    Its linearisation depends on the control only through `ModelState.control_displacement`. It must
+    be a pytree (an `equinox.Module` is), so that its weights can be passed to compiled functions.
     """
 
     def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
-        """The linear dynamics of the coming step, and the belief they rest on."""
+        """The linear dynamics of the next step, and the belief that they assume."""
         ...
 
     def initial_belief(
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
     ) -> ContactBelief:
-        """The belief before anything was seen."""
+        """The belief before the first observation."""
         ...

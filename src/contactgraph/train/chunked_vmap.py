@@ -1,4 +1,4 @@
-"""A function of many things, as many at a time as a core's cache holds the temporaries of."""
+"""`jax.vmap` in chunks whose temporaries fit into a core's cache."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -10,7 +10,7 @@ from jaxtyping import Array, PyTree
 _Result = TypeVar("_Result")
 
 _EDGES = 200
-"""Edges at a time: with the networks 32 wide, 64 to 200 took the least time."""
+"""Edges per chunk: with networks of width 32, 64 to 200 took the least time."""
 
 
 def chunked_vmap(
@@ -18,9 +18,9 @@ def chunked_vmap(
 ) -> _Result:
     """The function of every item, stacked; every leaf of `given` has the items as leading axis.
 
-    Where all of them, with so many `edges` each, are too much for a cache, chunk after chunk, and
-    anew for the gradient, so that nothing large is kept for it. Each of several `devices` has a
-    like part of the items, in their order.
+    Where all items, with so many `edges` each, exceed the cache, the chunks run one after another,
+    and gradients recompute each chunk instead of storing its temporaries. Each of several `devices`
+    computes an equal part of the items, in their order.
     """
     count = jax.tree.leaves(given)[0].shape[0] // devices
     rounds = -(-count * edges // _EDGES)
@@ -28,7 +28,7 @@ def chunked_vmap(
         return jax.vmap(function)(*given)
     chunk = -(-count // min(rounds, count))
     rounds = -(-count // chunk)
-    # The last chunk is filled up with what it has last.
+    # The last chunk is filled up with its last item.
     filled = np.minimum(np.arange(rounds * chunk), count - 1)
 
     def split(leaf: Array) -> Array:

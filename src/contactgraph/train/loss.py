@@ -1,4 +1,4 @@
-"""What training minimises: the terms by name."""
+"""The training loss and its terms."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,27 +13,27 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.neighbor_list import edge_count
-from contactgraph.model.types import LinearDynamics, ModelState, Nodes
+from contactgraph.model.types import ModelState
 from contactgraph.train.batch import Window
 from contactgraph.train.chunked_vmap import chunked_vmap
 
 _Result = TypeVar("_Result")
 _SMALLEST = 1e-6
 _ROLLOUT_POSITION = 0.5
-"""Weight of a rollout's position errors: they add up over its steps, velocity errors do not."""
+"""Weight of a rollout's position errors, which add up over its steps, unlike velocity errors."""
 
 
 class LossTerms(eqx.Module):
-    """The parts of the loss, or their weights."""
+    """The terms of the loss, or their weights."""
 
     prediction: Float[Array, ""] | float = 1.0
     """Mean norm of the one-step error of a node's state, in units of velocity, m/s."""
     squared: Float[Array, ""] | float = 1.0
-    """Mean square of the same, (m/s)^2: what rules is the rare large error, a missed impact."""
+    """Mean square of the same, (m/s)^2; dominated by the rare large error, a missed impact."""
     rollout: Float[Array, ""] | float = 0.3
     """Mean norm of the error when a whole window is predicted from its first state, m/s."""
     prior: Float[Array, ""] | float = 0.05
-    """Mean KL divergence of the belief from the distance prior, nat an edge."""
+    """Mean KL divergence of the belief from the distance prior, nat per edge."""
 
     def total(self, weights: "LossTerms") -> Float[Array, ""]:
         """The weighted sum."""
@@ -56,7 +56,7 @@ def window_loss(
 
     One-step prediction from every recorded state and KL to the prior: paper, eq. (3). Position
     errors are divided by dt, so that both halves of a state weigh alike. The rollout term costs a
-    pass through time; without it the term is 0. ``devices`` is over how many the windows are split.
+    pass through time; without it the term is 0. The windows are split over ``devices``.
     """
     error, divergence, weight = _teacher_forced(_Steps(model, windows, devices), key)
     nodes = jnp.broadcast_to(windows.nodes.mask[:, None], error.shape)
@@ -69,10 +69,10 @@ def window_loss(
 
 
 def rollout_loss(model: ContactDynamics, windows: Window, devices: int = 1) -> Float[Array, ""]:
-    """`LossTerms.rollout` over a batch of windows, of which it is all that goes through time."""
+    """`LossTerms.rollout` over a batch of windows, the only term that depends on whole rollouts."""
     edges = edge_count(model.neighbor_list, windows.position.shape[-2])
-    missed = chunked_vmap(partial(_rolled_out, model), (windows,), edges, devices)
-    return _mean(missed, jnp.broadcast_to(windows.nodes.mask[:, None], missed.shape))
+    error = chunked_vmap(partial(_rollout_error, model), (windows,), edges, devices)
+    return _mean(error, jnp.broadcast_to(windows.nodes.mask[:, None], error.shape))
 
 
 def _mean(values: Array, mask: Array) -> Array:
@@ -81,118 +81,93 @@ def _mean(values: Array, mask: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Steps:
-    """All steps of all windows, each by itself."""
+    """All steps of all windows, for computations on each step by itself."""
 
     model: ContactDynamics
     windows: Window
     devices: int
 
-    @property
-    def length(self) -> int:
-        """L"""
-        return self.windows.control.shape[1]
-
-    @property
-    def edges(self) -> int:
-        """Of a step."""
-        return edge_count(self.model.neighbor_list, self.windows.position.shape[-2])
-
     def each(self, function: Callable[..., _Result], *given: PyTree) -> _Result:
-        """The function of every step's nodes, position, velocity and what is ``given`` of it
-        [B, L, ...], stacked alike."""
-        windows, count = self.windows, self.windows.control.shape[0]
-        given = windows.position[:, :-1], windows.velocity[:, :-1], *given
+        """The function of every step's arguments ``given`` [B, L, ...], stacked in the same way."""
+        batch, length = self.windows.control.shape[:2]
+        flat = jax.tree.map(lambda leaf: leaf.reshape(batch * length, *leaf.shape[2:]), given)
+        edges = edge_count(self.model.neighbor_list, self.windows.position.shape[-2])
+        results = chunked_vmap(function, flat, edges, self.devices)
+        return jax.tree.map(lambda leaf: leaf.reshape(batch, length, *leaf.shape[1:]), results)
 
-        def of_step(window: Array, given: PyTree) -> _Result:
-            return function(jax.tree.map(lambda leaf: leaf[window], windows.nodes), *given)
+    def encode(self, control_displacement: Float[Array, "B L N D"] | None) -> EncodedGraph:
+        """Stage 1 of every step, from the recorded states."""
+        windows, (batch, length) = self.windows, self.windows.control.shape[:2]
+        window = jnp.repeat(jnp.arange(batch)[:, None], length, axis=1)
 
-        flat = jax.tree.map(lambda leaf: leaf.reshape(count * self.length, *leaf.shape[2:]), given)
-        window = jnp.repeat(jnp.arange(count), self.length)
-        found = chunked_vmap(of_step, (window, flat), self.edges, self.devices)
-        return jax.tree.map(lambda leaf: leaf.reshape(count, self.length, *leaf.shape[1:]), found)
+        def encode(window: Array, x: Array, v: Array, displacement: Array | None) -> EncodedGraph:
+            nodes = jax.tree.map(lambda leaf: leaf[window], windows.nodes)
+            return self.model.encode(x, v, nodes, displacement)
+
+        states = windows.position[:, :-1], windows.velocity[:, :-1]
+        return self.each(encode, window, *states, control_displacement)
+
+    def predict_beliefs(self, graph: EncodedGraph) -> tuple[ContactBelief, ContactBelief]:
+        """Prior and, by stage 2 in a scan over time, predicted belief of every step."""
+        prior = jax.vmap(jax.vmap(self.model.prior_belief))(graph)
+
+        def predict(
+            belief: ContactBelief, graph: EncodedGraph
+        ) -> tuple[ContactBelief, ContactBelief]:
+            belief = self.model.predict_belief(belief, graph)
+            return belief, belief
+
+        def along(prior: ContactBelief, graph: EncodedGraph) -> ContactBelief:
+            first = jax.tree.map(lambda leaf: leaf[0], prior)
+            return jax.lax.scan(predict, first, graph)[1]
+
+        return prior, jax.vmap(along)(prior, graph)
 
 
 def _teacher_forced(
     steps: _Steps, key: PRNGKeyArray
 ) -> tuple[Float[Array, "B L N"], Float[Array, "B L E"], Float[Array, "B L E"]]:
-    """Squared error, KL divergence and weight of edges, of every step from its recorded state."""
-    windows, dt = steps.windows, steps.model.dt
-    percept, prior, belief = _believed(steps, _pushes(steps))
+    """Squared error, KL divergence and edge weights of every step from its recorded state."""
+    model, windows = steps.model, steps.windows
+    graph = steps.encode(_control_displacements(steps))
+    prior, belief = steps.predict_beliefs(graph)
 
-    def missed(
-        nodes: Nodes,
-        x: Array,
-        v: Array,
-        percept: EncodedGraph,
+    def squared_error(
+        graph: EncodedGraph,
         belief: ContactBelief,
-        u: Array,
-        then: tuple[Array, Array],
+        control: Array,
+        after: tuple[Array, Array],
         key: PRNGKeyArray,
     ) -> Array:
-        position, velocity = _linear(steps.model, nodes, x, v, percept, belief, key)(x, v, u)
-        missed = jnp.sum(((position - then[0]) / dt) ** 2, axis=-1)
-        return missed + jnp.sum((velocity - then[1]) ** 2, axis=-1)
+        linear = model.linearize(model.cut_edges(graph, belief, key))
+        position, velocity = linear(graph.position, graph.velocity, control)
+        error = jnp.sum(((position - after[0]) / model.dt) ** 2, axis=-1)
+        return error + jnp.sum((velocity - after[1]) ** 2, axis=-1)
 
-    then = windows.position[:, 1:], windows.velocity[:, 1:]
+    after = windows.position[:, 1:], windows.velocity[:, 1:]
     keys = jax.random.split(key, windows.control.shape[:2])
-    error = steps.each(missed, percept, belief, windows.control, then, keys)
+    error = steps.each(squared_error, graph, belief, windows.control, after, keys)
     p = jnp.clip(belief.type_probability, _SMALLEST, 1.0)
     q = jnp.clip(prior.type_probability, _SMALLEST, 1.0)
-    return error, jnp.sum(p * (jnp.log(p) - jnp.log(q)), axis=-1), percept.weight
+    return error, jnp.sum(p * (jnp.log(p) - jnp.log(q)), axis=-1), graph.weight
 
 
-def _pushes(steps: _Steps) -> Float[Array, "B L N D"]:
-    """How far each control alone moves each node in its step, m.
+def _control_displacements(steps: _Steps) -> Float[Array, "B L N D"]:
+    """Displacement of each node by each step's control alone, m, without gradient.
 
-    From a first pass that knows of no push. Nothing learns through it.
+    From a first pass without control displacements, as `contactgraph.model.rollout` does it: the
+    control times the sensitivity of the step before.
     """
-    percept, _, belief = _believed(steps, None)
+    model, control = steps.model, steps.windows.control
+    graph = steps.encode(None)
+    _, belief = steps.predict_beliefs(graph)
 
-    def response(
-        nodes: Nodes, x: Array, v: Array, percept: EncodedGraph, belief: ContactBelief
-    ) -> Array:
-        return _linear(steps.model, nodes, x, v, percept, belief).B[..., 0, :]
+    def sensitivity(graph: EncodedGraph, belief: ContactBelief) -> Array:
+        return model.linearize(model.cut_edges(graph, belief)).control_sensitivity
 
-    found = jax.lax.stop_gradient(steps.each(response, percept, belief))
+    found = jax.lax.stop_gradient(steps.each(sensitivity, graph, belief))
     before = jnp.concatenate([found[:, :1], found[:, :-1]], axis=1)
-    return jnp.sum(before * steps.windows.control[:, :, None, None, :], axis=-1)
-
-
-def _believed(
-    steps: _Steps, control_displacement: Float[Array, "B L N D"] | None
-) -> tuple[EncodedGraph, ContactBelief, ContactBelief]:
-    """EncodedGraph, prior and belief about every step, from the recorded states."""
-    model = steps.model
-    percept = steps.each(
-        lambda nodes, x, v, displacement: model.encode(x, v, nodes, displacement),
-        control_displacement,
-    )
-    prior = jax.vmap(jax.vmap(model.prior_belief))(percept)
-
-    def take_step(
-        belief: ContactBelief, percept: EncodedGraph
-    ) -> tuple[ContactBelief, ContactBelief]:
-        belief = model.predict_belief(belief, percept)
-        return belief, belief
-
-    def along(prior: ContactBelief, percept: EncodedGraph) -> ContactBelief:
-        first = jax.tree.map(lambda leaf: leaf[0], prior)
-        return jax.lax.scan(take_step, first, percept)[1]
-
-    return percept, prior, jax.vmap(along)(prior, percept)
-
-
-def _linear(
-    model: ContactDynamics,
-    nodes: Nodes,
-    position: Float[Array, "N D"],
-    velocity: Float[Array, "N D"],
-    percept: EncodedGraph,
-    belief: ContactBelief,
-    key: PRNGKeyArray | None = None,
-) -> LinearDynamics:
-    local = model.local_input(percept, belief, position, velocity, nodes, key)
-    return model.local_dynamics(local, model.dt, model.control_size)
+    return jnp.sum(before * control[:, :, None, None, :], axis=-1)
 
 
 def predict_window(model: ContactDynamics, window: Window) -> ModelState:
@@ -202,7 +177,7 @@ def predict_window(model: ContactDynamics, window: Window) -> ModelState:
     return model.rollout(ModelState(position, velocity, belief), window.control, window.nodes)
 
 
-def _rolled_out(model: ContactDynamics, window: Window) -> Float[Array, "L N"]:
+def _rollout_error(model: ContactDynamics, window: Window) -> Float[Array, "L N"]:
     states = predict_window(model, window)
     position_error = _ROLLOUT_POSITION * (states.position - window.position[1:]) / model.dt
     velocity_error = states.velocity - window.velocity[1:]
@@ -212,15 +187,14 @@ def _rolled_out(model: ContactDynamics, window: Window) -> Float[Array, "L N"]:
 def rollout_rmse(model: ContactDynamics, windows: Window) -> Float[Array, ""]:
     """Mean over windows, each predicted from its first state, of its RMS position error [m].
 
-    A mean of roots, not a root of means: one graze that is called the wrong way must not decide
-    which model is the best.
+    The mean is over roots, so that one grazing contact predicted wrongly does not determine which
+    model is best.
     """
 
     def rmse(window: Window) -> Float[Array, ""]:
         states = predict_window(model, window)
         squared = jnp.sum((states.position - window.position[1:]) ** 2, axis=-1)
-        counts = jnp.broadcast_to(window.nodes.mask, squared.shape)
-        return jnp.sqrt(_mean(squared, counts))
+        return jnp.sqrt(_mean(squared, jnp.broadcast_to(window.nodes.mask, squared.shape)))
 
     edges = edge_count(model.neighbor_list, windows.position.shape[-2])
     return jnp.mean(chunked_vmap(rmse, (windows,), edges))

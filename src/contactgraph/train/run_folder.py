@@ -9,7 +9,6 @@ import safetensors.numpy
 
 from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.io import renamed_arrays
 from contactgraph.model.serialization import module_arrays, with_arrays
 from contactgraph.train.fit import FitProgress, FitState
 
@@ -48,7 +47,7 @@ def load_checkpoint(path: Path, like: FitState) -> FitState:
         raise InvalidInputError(
             f"{path}: format_version must be {VERSION}, found {header.get('format_version')!r}"
         )
-    return with_arrays(like, renamed_arrays(arrays), str(path))
+    return with_arrays(like, arrays, str(path))
 
 
 _CHECKPOINTS_KEPT = 2
