@@ -1,17 +1,15 @@
 """Layout of the contact graph: pairs of nodes, ids of edges, candidate edges of a scene."""
 
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
 from contactgraph.data.trajectory import Scene
 
-Index = TypeVar("Index")
 
-
-def pair_count(node_count: Index) -> Index:
+def pair_count(node_count: Any) -> Any:
     """Number ``E = N(N-1)/2`` of unordered pairs of ``N`` nodes; an integer or integer array."""
-    return node_count * (node_count - 1) // 2  # type: ignore[operator, no-any-return]
+    return node_count * (node_count - 1) // 2
 
 
 def pair_indices(node_count: int) -> np.ndarray:
@@ -25,12 +23,12 @@ def pair_indices(node_count: int) -> np.ndarray:
     return np.stack([first, second], axis=1)
 
 
-def edge_id(first: Index, second: Index) -> Index:
+def edge_id(first: Any, second: Any) -> Any:
     """The row in `pair_indices` of the nodes ``first < second``, for any number of nodes.
 
     Both are integers, or integer arrays of NumPy or JAX.
     """
-    return second * (second - 1) // 2 + first  # type: ignore[operator, no-any-return]
+    return second * (second - 1) // 2 + first
 
 
 def candidate_pairs(scene: Scene, node_capacity: int) -> np.ndarray:

@@ -154,12 +154,12 @@ class ReallocatingModel(Generic[_Model]):
         assert isinstance(self.model, ContactDynamics) and self.model.neighbor_list is not None
         self._may_grow = False
         before = self.model.neighbor_list
-        sizes = {
-            each.name: None if size is None else _GROWTH * size
-            for each in dataclasses.fields(before)
-            for size in [getattr(before, each.name)]
-        }
-        after = dataclasses.replace(before, **sizes)
+        cells, groups = before.cell_capacity, before.group_capacity
+        after = NeighborList(
+            max_edges=_GROWTH * before.max_edges,
+            cell_capacity=None if cells is None else _GROWTH * cells,
+            group_capacity=None if groups is None else _GROWTH * groups,
+        )
         _log.warning(
             "a prediction is not finite: the neighbor list grows from %s to %s and is compiled "
             "again",
