@@ -12,9 +12,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from crowds import crowd
-from measuring import arguments, report
-from model_at_scale import medians
+from measuring import arguments, medians, report
+from model_at_scale import crowd
 
 from contactgraph.model import ContactDynamics, ModelState, load_model, shipped_model
 
@@ -66,15 +65,15 @@ def measured(
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("Rollouts of many scenes.")
+    """Measure and print."""
+    options = arguments("Rollouts of many scenes.")
     model = load_model(shipped_model("pickup")).model
-    scenes, rounds = (100, 3) if told.quick else (1000, 7)
+    scenes, rounds = (100, 3) if options.quick else (1000, 7)
     rows = [
         measured(model, count, scenes, 200, chunk, rounds)
         for count, chunk in ((2, 64), (2, 250), (4, 64), (12, 16))
     ]
-    report("batched_rollouts", rows, told)
+    report("batched_rollouts", rows, options)
 
 
 if __name__ == "__main__":

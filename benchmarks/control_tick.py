@@ -1,4 +1,4 @@
-"""How long a control tick takes: correct the belief, plan ahead, hand over the force.
+"""Time of a control step: correct the belief, plan, return the force.
 
 Usage: python benchmarks/control_tick.py [--quick] [--json FILE]
 
@@ -197,9 +197,9 @@ def with_bystanders(
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("Time of a control tick.")
-    episodes = 1 if told.quick else 10
+    """Measure and print."""
+    options = arguments("Time of a control tick.")
+    episodes = 1 if options.quick else 10
     heard = Compilations()
     model = load_model(shipped_model("pickup")).model
     rows = with_bystanders(model, [2, 11, 100, 1000], episodes, heard)
@@ -209,7 +209,7 @@ def main() -> None:
 
         model = load_model(shipped_model("franka")).model
         rows += of_task(model, [FrankaTask(n - 2) for n in (2, 7)], 50, episodes, heard)
-    report("control_tick", rows, told)
+    report("control_tick", rows, options)
 
 
 if __name__ == "__main__":

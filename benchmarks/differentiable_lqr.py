@@ -1,11 +1,11 @@
-"""How long an optimal trajectory and its gradients take, beside other ways to get them.
+"""Time of an optimal trajectory and its gradients, compared with other methods.
 
 Usage: python benchmarks/differentiable_lqr.py [--quick] [--json FILE]
 
 One forward pass and one backward pass, for given slopes of the loss, through 200 steps of 40
 problems with 8 states and 2 controls, on one core: by the adjoint rule of `lqr_trajectory` (the
 batch in the last axis, and in the first), by autodiff through the same Riccati scan, and by
-mpc.pytorch (package ``mpc``) with its own implicit rule, told that one LQR step is enough.
+mpc.pytorch (package ``mpc``) with its own implicit rule and one LQR step.
 Gradients are with respect to dynamics, cost and start; trajectories and gradients are compared.
 """
 
@@ -17,10 +17,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from comparing import Missing, Way, compared
 from lqr_sample import MPCTorch, through_the_scan
-from measuring import arguments, report
 
+from measuring import Missing, Method, arguments, compare, report
 from contactgraph.control import LQRProblem, LQRTrajectory, lqr_trajectory
 
 HORIZON, STATES, CONTROLS, BATCH = 200, 8, 2, 40
@@ -54,7 +53,7 @@ def sample() -> tuple[LQRProblem, np.ndarray, LQRTrajectory]:
 
 def with_jax(
     name: str, solver: Callable, axis: int, data: tuple, answer: Callable[[Answer], Answer]
-) -> Way:
+) -> Method:
     """A solver of ours, the batch kept in this axis of every array."""
     placed = jax.tree.map(lambda leaf: jnp.asarray(np.moveaxis(leaf, 0, axis)), data)
 
@@ -64,10 +63,10 @@ def with_jax(
         trajectory, pull = jax.vjp(batched, problem, start)
         return trajectory, pull(slopes)
 
-    return Way(name, lambda: jax.block_until_ready(both(*placed)), answer)
+    return Method(name, lambda: jax.block_until_ready(both(*placed)), answer)
 
 
-def with_mpc(data: tuple) -> Way | Missing:
+def with_mpc(data: tuple) -> Method | Missing:
     """mpc.pytorch."""
     problem, start, slopes = data
     try:
@@ -104,7 +103,7 @@ def with_mpc(data: tuple) -> Way | Missing:
         )
         return LQRTrajectory(states, controls[:, :-1]), (gradients, returned[2][4].numpy())
 
-    return Way(peer.name, run, answer)
+    return Method(peer.name, run, answer)
 
 
 def symmetric(answer: Answer) -> Answer:
@@ -122,8 +121,8 @@ def batch_first(answer: Answer) -> Answer:
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("Time of a differentiable LQR, forwards and backwards.")
+    """Measure and print."""
+    options = arguments("Time of a differentiable LQR, forwards and backwards.")
     data = sample()
     ours = with_jax("adjoint rule", lqr_trajectory, -1, data, batch_first)
     others = [
@@ -132,7 +131,7 @@ def main() -> None:
         with_mpc(data),
     ]
     what = f"LQR and gradient, T = {HORIZON}, U = {CONTROLS}, n = {STATES}, batch {BATCH}"
-    report("differentiable_lqr", compared(what, ours, others, told.quick), told)
+    report("differentiable_lqr", compare(what, ours, others, options.quick), options)
 
 
 if __name__ == "__main__":

@@ -15,9 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from comparing import Missing, Row, Way, compared
-from measuring import arguments, report
 
+from measuring import Missing, Row, Method, arguments, compare, report
 from contactgraph.control import ILQR, QuadraticCost, chain_cost
 from contactgraph.data import Dataset, Trajectory
 from contactgraph.evaluate import collect
@@ -58,7 +57,7 @@ def arrays(runs: list[Trajectory]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
 
 
-def rollout(given: Sample) -> tuple[Way, Way | Missing]:
+def rollout(given: Sample) -> tuple[Method, Method | Missing]:
     """Ours, and eager; positions [200, N, 2]."""
     model, runs, nodes = given
     position, velocity, control = (array[0] for array in arrays(runs[:1]))
@@ -72,7 +71,7 @@ def rollout(given: Sample) -> tuple[Way, Way | Missing]:
         return model.rollout(start, u, nodes).position
 
     placed = tuple(map(jnp.asarray, (position[0], velocity[0], control)))
-    ours = Way("ours", lambda: jax.block_until_ready(predict(weights, *placed)))
+    ours = Method("ours", lambda: jax.block_until_ready(predict(weights, *placed)))
     try:
         import torch
         from eager.model import EagerModel
@@ -80,10 +79,10 @@ def rollout(given: Sample) -> tuple[Way, Way | Missing]:
         return ours, Missing(NAME, str(missing))
     eager = EagerModel(model, np.asarray(nodes.actuated))
     start = tuple(map(torch.tensor, (position[0], velocity[0], control)))
-    return ours, Way(NAME, lambda: eager.rollout(*start), lambda found: found.numpy())
+    return ours, Method(NAME, lambda: eager.rollout(*start), lambda found: found.numpy())
 
 
-def training(given: Sample) -> tuple[Way, Way | Missing]:
+def training(given: Sample) -> tuple[Method, Method | Missing]:
     """Ours, and eager; the loss and its gradients.
 
     Away from the trained weights, where gradients are sums that all but cancel, and float32 has
@@ -109,7 +108,7 @@ def training(given: Sample) -> tuple[Way, Way | Missing]:
         return value, slope, optax.apply_updates(params, updates), state
 
     state = optimiser.init(params)
-    ours = Way(
+    ours = Method(
         "ours",
         lambda: jax.block_until_ready(step(params, state, window)),
         lambda found: (np.asarray(found[0]), module_arrays(found[1])),
@@ -124,7 +123,7 @@ def training(given: Sample) -> tuple[Way, Way | Missing]:
         EagerModel(model, np.asarray(nodes.actuated)),
         *map(torch.tensor, (position, velocity, control)),
     )
-    return ours, Way(
+    return ours, Method(
         NAME,
         eager.step,
         lambda found: (found[0].numpy(), {name: g.numpy() for name, g in found[1].items()}),
@@ -142,7 +141,7 @@ def _disturbed(model: ContactDynamics) -> ContactDynamics:
     return eqx.combine(jax.tree.map(moved, weights), static)
 
 
-def plan(given: Sample) -> tuple[Way, Way | Missing]:
+def plan(given: Sample) -> tuple[Method, Method | Missing]:
     """Ours, and eager; controls [H, 2] and their cost."""
     model, runs, nodes = given
     position, velocity, _ = (array[0] for array in arrays(runs[:1]))
@@ -166,7 +165,7 @@ def plan(given: Sample) -> tuple[Way, Way | Missing]:
         return found.controls, found.cost, found.iterations
 
     placed = jnp.asarray(position[0]), jnp.asarray(velocity[0]), quadratic
-    ours = Way(
+    ours = Method(
         "ours",
         lambda: jax.block_until_ready(solve(weights, *placed)),
         lambda found: tuple(np.asarray(part) for part in found),
@@ -189,25 +188,25 @@ def plan(given: Sample) -> tuple[Way, Way | Missing]:
             belief = eager.prior_belief(eager.encode(x, v))
         return eager_plan(eager, (x, v, belief), cost, HORIZON, ITERATIONS)
 
-    return ours, Way(NAME, run, lambda found: tuple(np.asarray(part, float) for part in found))
+    return ours, Method(NAME, run, lambda found: tuple(np.asarray(part, float) for part in found))
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("The learned model, beside eager PyTorch.")
+    """Measure and print."""
+    options = arguments("The learned model, beside eager PyTorch.")
     rows: list[Row] = []
 
-    def measure(what: str, pair: tuple[Way, Way | Missing]) -> None:
-        rows.extend(compared(what, pair[0], [pair[1]], told.quick))
+    def measure(what: str, pair: tuple[Method, Method | Missing]) -> None:
+        rows.extend(compare(what, pair[0], [pair[1]], options.quick))
 
-    two, twelve = (2, 4 if told.quick else 64), (12, 2 if told.quick else 8)
+    two, twelve = (2, 4 if options.quick else 64), (12, 2 if options.quick else 8)
     for bodies, runs in (two, twelve):
         given = sample(bodies, runs)
         measure(f"rollout, T = 200, {bodies} bodies", rollout(given))
         measure(f"training step, {bodies} bodies, {runs} x 200", training(given))
         if bodies == 2:
             measure(f"iLQR plan with the model, horizon {HORIZON}, 2 bodies", plan(given))
-    report("eager_comparison", rows, told)
+    report("eager_comparison", rows, options)
 
 
 if __name__ == "__main__":

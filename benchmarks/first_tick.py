@@ -1,4 +1,4 @@
-"""How long a new process takes to its first control tick, with programs compiled before.
+"""Time from the start of a process to its first control step, with compiled programs.
 
 Usage: python benchmarks/first_tick.py [--quick] [--json FILE]
 
@@ -15,8 +15,7 @@ import tempfile
 import time
 
 import numpy as np
-from comparing import difference
-from measuring import arguments, report
+from measuring import arguments, comparison, difference, report
 
 TICK = """
 import sys, jax
@@ -50,25 +49,19 @@ def first_tick(folder: str) -> tuple[float, np.ndarray]:
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("Time to the first control tick of a new process.")
+    """Measure and print."""
+    options = arguments("Time to the first control tick of a new process.")
     cold, warm = [], []
-    for _ in range(1 if told.quick else 3):
+    for _ in range(1 if options.quick else 3):
         with tempfile.TemporaryDirectory() as folder:
             seconds, force = first_tick(folder)
             cold.append(seconds)
             seconds, again = first_tick(folder)
             warm.append(seconds)
-    row = {
-        "what": "first control tick of a new process, programs compiled before",
-        "ours ms": 1e3 * float(np.median(warm)),
-        "peer": "nothing compiled before",
-        "peer ms": 1e3 * float(np.median(cold)),
-        "ratio": float(np.median(np.divide(cold, warm))),
-        "agreement": f"{difference(again, force):.0e}",
-        "rounds": len(warm),
-    }
-    report("first_tick", [row], told)
+    what = "first control tick of a new process, programs compiled before"
+    apart = difference(again, force)
+    row = comparison(what, warm, "nothing compiled before", cold, apart)
+    report("first_tick", [row], options)
 
 
 if __name__ == "__main__":

@@ -17,18 +17,17 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import jax.numpy as jnp
 import matplotlib
 import numpy as np
 from batched_rollouts import measured as rollouts_of
-from crowds import listing
+from control_tick import controller, cost_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from measuring import machine
+from model_at_scale import listing
 from model_at_scale import measured as step_of
 from training_memory import measured as memory_of
 
-from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits, chain_cost
 from contactgraph.envs import PickupTask
 from contactgraph.model import ContactDynamics, load_model, scene_nodes, shipped_model
 
@@ -66,14 +65,10 @@ def batch(model: ContactDynamics, quick: bool) -> Iterator[Row]:
 def horizon(model: ContactDynamics, quick: bool) -> Iterator[Row]:
     """Milliseconds of a tick, the median over an episode's first ones."""
     task = PickupTask()
-    limits = ControlLimits(jnp.asarray(task.action_space.low), jnp.asarray(task.action_space.high))
     for ahead in (5, 10) if quick else (5, 10, 20, 50, 100, 200, _MOST_PLANNED):
-        mpc = ActiveSetMPC(model, ILQR(horizon=ahead, iterations=5, limits=limits))
+        mpc = controller(model, task, ahead)
         observation, _ = task.reset(seed=0)
-        terms, size = task.cost_terms(), len(task.action_space.low)
-        weights = terms.pick_weights, terms.goal_weights, terms.control_weight
-        count = task.scene.node_count
-        cost = chain_cost(terms.chain, *weights, observation["goal"], count, size)
+        cost = cost_of(task, observation["goal"], task.scene.node_count)
         state = mpc.reset(observation, scene_nodes(task.scene), cost)
         taken = []
         for _ in range(10 if quick else 40):
@@ -141,22 +136,22 @@ def main() -> None:
     parser.add_argument("curves", nargs="*", choices=[*CURVES, []], help="all where none is named")
     parser.add_argument("--quick", action="store_true", help="few points: to see that it runs")
     parser.add_argument("--out", type=Path, default=_DOCS, help="folder of CSV files and figure")
-    told = parser.parse_args()
-    told.out.mkdir(parents=True, exist_ok=True)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     model = load_model(shipped_model("pickup")).model
     about = machine()
     print(f"{about['processor']}, {about['cores']} cores, load {about['load_1min']}")
-    for name in told.curves or CURVES:
-        with (told.out / f"{name}.csv").open("w", newline="") as file:
-            for number, row in enumerate(CURVES[name](model, told.quick)):
+    for name in options.curves or CURVES:
+        with (options.out / f"{name}.csv").open("w", newline="") as file:
+            for number, row in enumerate(CURVES[name](model, options.quick)):
                 writer = csv.DictWriter(file, list(row), lineterminator="\n")
                 if number == 0:
                     writer.writeheader()
                 writer.writerow({key: _rounded(row[key]) for key in row})
                 # What is measured is kept, whatever becomes of the rest.
                 file.flush()
-        print(told.out / f"{name}.csv")
-    draw(told.out)
+        print(options.out / f"{name}.csv")
+    draw(options.out)
 
 
 if __name__ == "__main__":

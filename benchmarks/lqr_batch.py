@@ -1,4 +1,4 @@
-"""How long a batch of 64 LQR problems takes to solve, beside mpc.pytorch.
+"""Time to solve a batch of 64 LQR problems, compared with mpc.pytorch.
 
 Usage: python benchmarks/lqr_batch.py [--quick] [--json FILE]
 
@@ -13,10 +13,9 @@ import one_core  # noqa: F401, I001  before JAX
 import jax
 import jax.numpy as jnp
 import numpy as np
-from comparing import Missing, Way, compared
 from lqr_sample import HORIZON, MPCTorch, sample
-from measuring import arguments, report
 
+from measuring import Missing, Method, arguments, compare, report
 from contactgraph.control import LQRProblem, LQRTrajectory, lqr_trajectory, solve_lqr
 
 BATCH, FEW = 64, 8
@@ -30,20 +29,20 @@ def problems(states: int) -> Problems:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *samples)
 
 
-def side_by_side(given: Problems) -> Way:
+def side_by_side(given: Problems) -> Method:
     """All at once, the batch last."""
     problem, start = jax.tree.map(
         lambda leaf: jnp.asarray(np.moveaxis(leaf, 0, -1), jnp.float32), given
     )
     solve = jax.jit(jax.vmap(lqr_trajectory, in_axes=-1, out_axes=-1))
-    return Way(
+    return Method(
         "ours",
         lambda: jax.block_until_ready(solve(problem, start)),
         lambda trajectory: np.moveaxis(trajectory.controls, -1, 0),
     )
 
 
-def few_at_a_time(given: Problems) -> Way:
+def few_at_a_time(given: Problems) -> Method:
     """Some side by side, and then the next, in one compiled call, each read where it is."""
 
     def in_turns(leaf: np.ndarray) -> jax.Array:
@@ -71,31 +70,31 @@ def few_at_a_time(given: Problems) -> Way:
     def solve(problem: LQRProblem, start: jax.Array) -> LQRTrajectory:
         return jax.lax.map(lambda turn: few(problem, start, turn), jnp.arange(BATCH // FEW))
 
-    return Way(
+    return Method(
         "ours",
         lambda: jax.block_until_ready(solve(problem, start)),
         lambda found: np.swapaxes(found.controls, 0, 1).reshape(BATCH, HORIZON, -1),
     )
 
 
-def with_mpc(given: Problems) -> Way | Missing:
+def with_mpc(given: Problems) -> Method | Missing:
     """mpc.pytorch; gives the controls."""
     try:
         peer = MPCTorch(*given)
     except ImportError as missing:
         return Missing("mpc", str(missing))
-    return Way(peer.name, peer.solve, lambda both: both[1].numpy().swapaxes(0, 1)[:, :-1])
+    return Method(peer.name, peer.solve, lambda both: both[1].numpy().swapaxes(0, 1)[:, :-1])
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("Time of a batch of LQR solves, beside mpc.pytorch.")
+    """Measure and print."""
+    options = arguments("Time of a batch of LQR solves, beside mpc.pytorch.")
     rows = []
     for states, way in ((8, side_by_side), (48, few_at_a_time)):
         given = problems(states)
         what = f"{BATCH} LQR problems, T = 200, U = 2, n = {states}"
-        rows += compared(what, way(given), [with_mpc(given)], told.quick)
-    report("lqr_batch", rows, told)
+        rows += compare(what, way(given), [with_mpc(given)], options.quick)
+    report("lqr_batch", rows, options)
 
 
 if __name__ == "__main__":

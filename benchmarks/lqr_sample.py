@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from comparing import Missing, Way
+from measuring import Method, Missing
 
 from contactgraph.control import LQRProblem, LQRTrajectory, solve_lqr
 
@@ -54,7 +54,7 @@ def through_the_scan(problem: LQRProblem, start: jax.Array) -> LQRTrajectory:
     return LQRTrajectory(jnp.concatenate([states, last[None]]), controls)
 
 
-def with_crocoddyl(problem: LQRProblem, start: np.ndarray) -> Way | Missing:
+def with_crocoddyl(problem: LQRProblem, start: np.ndarray) -> Method | Missing:
     """Its DDP in C++; one iteration is enough where dynamics are affine. Gives the controls."""
     try:
         import crocoddyl
@@ -83,13 +83,13 @@ def with_crocoddyl(problem: LQRProblem, start: np.ndarray) -> Way | Missing:
         solver.solve(states, controls, 1, False, 0.0)
         return solver.us
 
-    return Way(f"crocoddyl {version('crocoddyl')} DDP", run, lambda us: np.array(list(us)))
+    return Method(f"crocoddyl {version('crocoddyl')} DDP", run, lambda us: np.array(list(us)))
 
 
 class MPCTorch:
     """A batch of problems as mpc.pytorch has them: tensors ``C, c, F, f, start``, time first.
 
-    It has a control after the last step, too: ours is zero. Told that one LQR step is enough.
+    It has a control after the last step, too: ours is zero. It makes one LQR step.
     Raises `ImportError` where ``mpc`` or torch is not installed.
     """
 

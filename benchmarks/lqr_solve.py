@@ -1,4 +1,4 @@
-"""How long one LQR problem takes to solve, beside crocoddyl's differential dynamic programming.
+"""Time to solve one LQR problem, compared with crocoddyl's differential dynamic programming.
 
 Usage: python benchmarks/lqr_solve.py [--quick] [--json FILE]
 
@@ -14,10 +14,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from comparing import Way, compared
 from lqr_sample import sample, with_crocoddyl
-from measuring import arguments, report
 
+from measuring import Method, arguments, compare, report
 from contactgraph.control import LQRProblem, solve_lqr
 from contactgraph.control.riccati import Operator, block_operator, dense_operator
 
@@ -26,7 +25,7 @@ MOST_FOR_PEERS = 100
 """400 states take crocoddyl seconds; there only our two forms are compared."""
 
 
-def dense(problem: LQRProblem, start: np.ndarray) -> Way:
+def dense(problem: LQRProblem, start: np.ndarray) -> Method:
     """Controls [H, U]; A is a matrix."""
     few = len(start) <= 16
 
@@ -36,7 +35,7 @@ def dense(problem: LQRProblem, start: np.ndarray) -> Way:
     return _ours("our dense form", problem, start, dense_operator, moved)
 
 
-def in_blocks(problem: LQRProblem, start: np.ndarray, blocks: np.ndarray) -> Way:
+def in_blocks(problem: LQRProblem, start: np.ndarray, blocks: np.ndarray) -> Method:
     """The same; all positions before all velocities, A its blocks."""
     order = np.arange(len(start)).reshape(-1, 2).T.reshape(-1)
     given = LQRProblem(
@@ -57,7 +56,7 @@ def in_blocks(problem: LQRProblem, start: np.ndarray, blocks: np.ndarray) -> Way
 
 def _ours(
     name: str, problem: LQRProblem, start: np.ndarray, operator: Operator, moved: Callable
-) -> Way:
+) -> Method:
     placed = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (problem, start))
 
     @jax.jit
@@ -71,24 +70,24 @@ def _ours(
 
         return jax.lax.scan(step, start, (problem.A, problem.B, problem.offset, policy))[1]
 
-    return Way(name, lambda: jax.block_until_ready(solve(*placed))[1])
+    return Method(name, lambda: jax.block_until_ready(solve(*placed))[1])
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("Time of one LQR solve, beside crocoddyl.")
+    """Measure and print."""
+    options = arguments("Time of one LQR solve, beside crocoddyl.")
     rows = []
-    for states in STATES[:2] if told.quick else STATES:
+    for states in STATES[:2] if options.quick else STATES:
         problem, blocks, start = sample(states)
         without = dense(problem, start)
         what = f"LQR, T = 200, U = 2, n = {states}"
         if states < MOST_FOR_PEERS:
             peers = [with_crocoddyl(problem, start)]
-            rows += compared(f"{what}, dense", without, peers, told.quick)
-        rows += compared(
-            f"{what}, blocks", in_blocks(problem, start, blocks), [without], told.quick
+            rows += compare(f"{what}, dense", without, peers, options.quick)
+        rows += compare(
+            f"{what}, blocks", in_blocks(problem, start, blocks), [without], options.quick
         )
-    report("lqr_solve", rows, told)
+    report("lqr_solve", rows, options)
 
 
 if __name__ == "__main__":

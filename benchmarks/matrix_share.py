@@ -1,4 +1,4 @@
-"""How much of the core's own matrix-product rate a training step reaches.
+"""Share of the core's matrix-product rate that a training step reaches.
 
 Usage: python benchmarks/matrix_share.py [--quick] [--json FILE]
 
@@ -13,16 +13,14 @@ square matrices.
 import one_core  # noqa: F401, I001  before JAX
 import dataclasses
 import itertools
-import time
 from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from eager_comparison import Sample, sample, training
-from measuring import arguments, report
 
+from measuring import arguments, medians, report
 from contactgraph.model import ModelConfig, ContactDynamics, gim_temp
 from contactgraph.model.neighbor_list import edge_count
 
@@ -57,37 +55,30 @@ def operations(model: ContactDynamics, edges: int, nodes: int) -> int:
     )
 
 
-def median_seconds(run: Callable[[], object], rounds: int) -> float:
-    """Of so many runs, after one that compiles."""
-    run()
-    spent = []
-    for _ in range(rounds):
-        began = time.perf_counter()
-        run()
-        spent.append(time.perf_counter() - began)
-    return float(np.median(spent))
-
-
 def core_rate(rounds: int) -> float:
     """Operations a second."""
     square = jnp.ones((SIZE, SIZE), jnp.float32)
     product = jax.jit(jnp.matmul)
-    seconds = median_seconds(lambda: jax.block_until_ready(product(square, square)), rounds)
-    return 2 * SIZE**3 / seconds
+    return 2 * SIZE**3 / median_seconds(lambda: product(square, square), rounds)
+
+
+def median_seconds(run: Callable[[], object], rounds: int) -> float:
+    """Median of the calls after one that compiles."""
+    return 1e-3 * medians({"call": run}, rounds)["call"]
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("Share of the core's matrix-product rate in a training step.")
-    rounds = 1 if told.quick else 10
+    """Measure and print."""
+    options = arguments("Share of the core's matrix-product rate in a training step.")
+    rounds = 1 if options.quick else 10
     rows = []
-    sizes = (2, 4 if told.quick else 64), (12, 2 if told.quick else 8)
+    sizes = (2, 4 if options.quick else 64), (12, 2 if options.quick else 8)
     recorded = [(size, sample(*size)) for size in sizes]
     for ((bodies, runs), shipped), width in itertools.product(recorded, (SHIPPED, 128, 256)):
         given = widened(shipped, width)
         ours, _ = training(given)
         steps = sum(run.steps for run in given[1])
-        edges = edge_count(given[0].neighbours, bodies)
+        edges = edge_count(given[0].neighbor_list, bodies)
         count = operations(given[0], steps * edges, steps * bodies)
         rate, seconds = core_rate(rounds), median_seconds(ours.run, rounds)
         rows.append(
@@ -101,7 +92,7 @@ def main() -> None:
                 "share, %": 100 * count / seconds / rate,
             }
         )
-    report("matrix_share", rows, told)
+    report("matrix_share", rows, options)
 
 
 if __name__ == "__main__":

@@ -2,14 +2,13 @@
 
 Usage: python benchmarks/model_at_scale.py [--quick] [--json FILE]
 
-A step as a rollout makes it, from crowds of one density. Lists are made anew in each step; the
+A step as a rollout makes it, from crowds of one density. Lists are made again in each step; the
 time of that alone stands beside it. "By groups": every pair an edge, but solved by groups, as
 lists are: what the lists alone are worth. Medians of calls in turns, milliseconds, those with lists
 apart from the others, which leave nothing of them in the caches; a single
 call of the largest scene with every pair an edge. The difference is that of predicted positions.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -18,14 +17,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from crowds import crowd, listing
-from measuring import arguments, report
+from measuring import arguments, medians, report
 
 from contactgraph.data import pair_indices
 from contactgraph.model import (
     ContactDynamics,
     ModelState,
     NeighborList,
+    Nodes,
     load_model,
     shipped_model,
     take_step,
@@ -35,20 +34,32 @@ from contactgraph.model.neighbor_list import travel_bound
 _ALL_PAIRS = 1000
 """Objects up to which every pair is an edge, too; a single call from here on."""
 
+_SPACING = 0.15
+"""m, of a grid of objects, each displaced by up to a third of it: a tenth of them touch."""
+_SPEED = 0.2
+"""m/s"""
+
 Call = Callable[[], ModelState]
 
 
-def medians(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Milliseconds of each call, by name; the calls take turns."""
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    for call in calls.values():
-        jax.block_until_ready(call())
-    for _ in range(rounds):
-        for name, call in calls.items():
-            began = time.perf_counter()
-            jax.block_until_ready(call())
-            times[name].append(1e3 * (time.perf_counter() - began))
-    return {name: float(np.median(taken)) for name, taken in times.items()}
+def crowd(count: int, seed: int = 0) -> tuple[jax.Array, jax.Array, Nodes]:
+    """Positions [m] and velocities [m/s] of objects; the first is actuated."""
+    rng = np.random.default_rng(seed)
+    side = int(np.ceil(np.sqrt(count)))
+    grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2)[:count]
+    position = _SPACING * (grid + rng.uniform(-1 / 3, 1 / 3, grid.shape))
+    velocity = _SPEED * rng.normal(size=grid.shape)
+    nodes = Nodes(
+        actuated=jnp.arange(count) == 0,
+        mask=jnp.ones(count, bool),
+        candidate=jnp.ones(len(pair_indices(count)), bool),
+    )
+    return jnp.asarray(position, jnp.float32), jnp.asarray(velocity, jnp.float32), nodes
+
+
+def listing(model: ContactDynamics, count: int) -> ContactDynamics:
+    """The same model with lists of about 1.5 times what is near in such a scene."""
+    return replace(model, neighbor_list=NeighborList(max_edges=5 * count, cell_capacity=12))
 
 
 def step_call(model: ContactDynamics, count: int) -> Call:
@@ -122,12 +133,12 @@ def measured(model: ContactDynamics, count: int, rounds: int) -> dict[str, float
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("One step of the model in scenes of growing size.")
+    """Measure and print."""
+    options = arguments("One step of the model in scenes of growing size.")
     model = load_model(shipped_model("pickup")).model
-    counts = (12, 50) if told.quick else (12, 25, 50, 100, 300, 1000, 3000)
-    rows = [measured(model, count, 3 if told.quick else 15) for count in counts]
-    report("model_at_scale", rows, told)
+    counts = (12, 50) if options.quick else (12, 25, 50, 100, 300, 1000, 3000)
+    rows = [measured(model, count, 3 if options.quick else 15) for count in counts]
+    report("model_at_scale", rows, options)
 
 
 if __name__ == "__main__":

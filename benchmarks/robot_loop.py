@@ -1,4 +1,4 @@
-"""How fast the loop to an arm runs: read, limits, impedance, send, behind the real protocol.
+"""Rate of the loop to an arm: read, limits, impedance, send, behind the real protocol.
 
 Usage: python benchmarks/robot_loop.py [--quick] [--json FILE]
 
@@ -81,13 +81,13 @@ def measured(seconds: float) -> dict[str, float | int | str]:
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("The feedback loop to an arm.")
+    """Measure and print."""
+    options = arguments("The feedback loop to an arm.")
     if find_spec("franky_sim") is None:
         print("robot_loop is left out: it needs pip install 'contactgraph[rehearsal]'")
         return
-    rows = [measured(3.0 if told.quick else 30.0) for _ in range(1 if told.quick else 2)]
-    report("robot_loop", rows, told)
+    rows = [measured(3.0 if options.quick else 30.0) for _ in range(1 if options.quick else 2)]
+    report("robot_loop", rows, options)
 
 
 if __name__ == "__main__":

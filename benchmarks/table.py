@@ -1,4 +1,4 @@
-"""Everything that has a peer, measured, in one table: ours, peer, ratio, agreement, machine.
+"""All comparisons with peers in one table: ours, peer, ratio, agreement, machine.
 
 Usage: python benchmarks/table.py [--quick] [--python PYTHON] [--out FOLDER]
 
@@ -29,7 +29,7 @@ HEADS = ("what", "ours ms", "peer", "peer ms", "ratio", "agreement")
 
 
 def measured(name: str, python: str, quick: bool) -> dict[str, Any] | None:
-    """What one comparison wrote; None where it failed, which it has said itself."""
+    """The output of one comparison; None if it failed."""
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / "rows.json"
         command = [python, str(HERE / f"{name}.py"), "--json", str(written)]
@@ -64,20 +64,20 @@ def _text(value: Any) -> str:
 
 
 def main() -> int:
-    """Measure all and say."""
+    """Measure and print all."""
     parser = argparse.ArgumentParser(description="Ours beside its peers.")
     parser.add_argument("--quick", action="store_true", help="to see that it runs")
     parser.add_argument("--python", default=sys.executable, help="of the peers' environment")
     parser.add_argument("--out", type=Path, help="write table.json and table.md to this folder")
-    told = parser.parse_args()
-    found = {name: measured(name, told.python, told.quick) for name in COMPARISONS}
+    options = parser.parse_args()
+    found = {name: measured(name, options.python, options.quick) for name in COMPARISONS}
     parts = [part for part in found.values() if part is not None]
     page = markdown(parts) if parts else ""
     print(page)
-    if told.out is not None:
-        told.out.mkdir(parents=True, exist_ok=True)
-        (told.out / "table.json").write_text(json.dumps(parts, indent=2) + "\n")
-        (told.out / "table.md").write_text(page)
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        (options.out / "table.json").write_text(json.dumps(parts, indent=2) + "\n")
+        (options.out / "table.md").write_text(page)
     failed = [name for name, part in found.items() if part is None]
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)

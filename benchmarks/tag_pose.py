@@ -1,4 +1,4 @@
-"""How exactly a tagged block is seen by a rendered camera, at rest and in motion.
+"""Accuracy of a tagged block's pose from a rendered camera, at rest and in motion.
 
 Usage: python benchmarks/tag_pose.py [--quick] [--json FILE]
 
@@ -151,11 +151,11 @@ def at_rest(bench: Bench, count: int, hand_eye: HandEye) -> Iterator[dict[str, A
                 continue
             if kind == "with depth":  # its windows are those of the frame before: as in a stream
                 took.append(seconds)
-            told = camera @ found.pose
+            measured = camera @ found.pose
             errors.setdefault(kind, []).append(
-                1e3 * float(np.linalg.norm(told[:3, 3] - place[:3, 3]))
+                1e3 * float(np.linalg.norm(measured[:3, 3] - place[:3, 3]))
             )
-            apart = told[:3, :3] @ place[:3, :3].T
+            apart = measured[:3, :3] @ place[:3, :3].T
             angle = np.arccos(np.clip((np.trace(apart) - 1.0) / 2.0, -1.0, 1.0))
             spreads.setdefault(kind, []).append(float(np.degrees(angle)))
     for kind, values in errors.items():
@@ -192,8 +192,8 @@ def in_motion(bench: Bench, hand_eye: HandEye | None) -> dict[str, Any]:
         frames += len(coming)
         for now in np.arange(0.3, 1.2, 0.002):
             while coming and coming[0][0] + DELAY <= now:
-                moment, told, spread = coming.pop(0)
-                tracker.measure(told, spread, moment)
+                moment, measured, spread = coming.pop(0)
+                tracker.measure(measured, spread, moment)
             gone, fast = _way(now - begin)
             estimate = tracker.estimate(now)
             position.append(1e3 * np.linalg.norm(estimate.position - start - way * gone))
@@ -287,9 +287,9 @@ def _lateness(what: str, late: np.ndarray) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("Exactness of tags seen by a rendered camera.")
-    bench = Bench(int(time.time()) if not told.quick else 0)
+    """Measure and print."""
+    options = arguments("Exactness of tags seen by a rendered camera.")
+    bench = Bench(int(time.time()) if not options.quick else 0)
     hand_eye = calibration(bench)
     found = hand_eye.residuals
     off = hand_eye.camera_pose[:3, 3] - bench.camera.pose[:3, 3]
@@ -299,8 +299,8 @@ def main() -> None:
         f"{1e3 * np.linalg.norm(off):.2f} mm"
     )
     print(table([in_motion(bench, None), in_motion(bench, hand_eye)]))
-    print(table(list(beside(bench, 2000 if told.quick else 10000))))
-    report("tag_pose", list(at_rest(bench, 20 if told.quick else 250, hand_eye)), told)
+    print(table(list(beside(bench, 2000 if options.quick else 10000))))
+    report("tag_pose", list(at_rest(bench, 20 if options.quick else 250, hand_eye)), options)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What memory a step of training takes in large scenes, as XLA plans it for the compiled step.
+"""Memory of a training step in large scenes, as XLA plans it for the compiled step.
 
 Usage: python benchmarks/training_memory.py [--quick] [--json FILE]
 
@@ -11,8 +11,8 @@ import time
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from crowds import crowd, listing
 from measuring import arguments, report
+from model_at_scale import crowd, listing
 
 from contactgraph.model import ContactDynamics, load_model, shipped_model
 from contactgraph.train import LossTerms
@@ -55,17 +55,17 @@ def measured(
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("Memory of a step of training.")
+    """Measure and print."""
+    options = arguments("Memory of a step of training.")
     model = load_model(shipped_model("pickup")).model
-    counts = (100,) if told.quick else (100, 300, 1000)
+    counts = (100,) if options.quick else (100, 300, 1000)
     rows = [measured(model, count, False) for count in counts]
     rows += [
         measured(listing(model, count), count, rollout)
         for count in counts
         for rollout in (False, True)
     ]
-    report("training_memory", rows, told)
+    report("training_memory", rows, options)
 
 
 if __name__ == "__main__":

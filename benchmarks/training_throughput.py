@@ -1,4 +1,4 @@
-"""How fast training goes: windows and transitions a second through the real training step.
+"""Training throughput: windows and transitions a second through the real training step.
 
 Usage: python benchmarks/training_throughput.py [--quick] [--json FILE]
 """
@@ -64,19 +64,19 @@ def _at_start(state: FitState) -> FitState:
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("Throughput of training.")
+    """Measure and print."""
+    options = arguments("Throughput of training.")
     dataset = Dataset(tuple(collect([PickupTask], [PickupExpert()], 40, seed=0)))
-    base = TrainConfig(check_every=10 if told.quick else 100)
-    batches = (32,) if told.quick else (32, 128)
+    base = TrainConfig(check_every=10 if options.quick else 100)
+    batches = (32,) if options.quick else (32, 128)
     rows = [
         measured(
-            replace(base, batch_size=batch, rollout_from=share), dataset, 2 if told.quick else 4
+            replace(base, batch_size=batch, rollout_from=share), dataset, 2 if options.quick else 4
         )
         for batch in batches
         for share in (1.0, 0.0)
     ]
-    report("training_throughput", rows, told)
+    report("training_throughput", rows, options)
 
 
 if __name__ == "__main__":

@@ -24,8 +24,8 @@ def measured(seed: int, episodes: int, options: list[str]) -> dict[str, float | 
     with tempfile.TemporaryDirectory(prefix="contactgraph-") as name:
         folder = Path(name)
         os.environ["XDG_CACHE_HOME"] = str(folder / "cache")
-        told = ["collect", "pickup", "--episodes", "40", "--seed", f"{seed}", "--out", "data.h5"]
-        run(folder, *told)
+        record = ["collect", "pickup", "--episodes", "40", "--seed", f"{seed}", "--out", "data.h5"]
+        run(folder, *record)
         train = ["train", "data.h5", "--seed", f"{seed}", *options]
         cold = run(folder, *train, "--out", "cold")
         warm = run(folder, *train, "--out", "warm")
@@ -51,13 +51,13 @@ def run(folder: Path, *command: str) -> float:
 
 
 def main() -> None:
-    """Measure and say."""
-    told = arguments("From recorded runs to an accurate model.")
-    if told.quick:
+    """Measure and print."""
+    options = arguments("From recorded runs to an accurate model.")
+    if options.quick:
         rows = [measured(7001, 2, ["--steps", "20"])]
     else:
         rows = [measured(seed, 20, []) for seed in (7001, 7011, 7021)]
-    report("training_time", rows, told)
+    report("training_time", rows, options)
 
 
 if __name__ == "__main__":

@@ -48,7 +48,7 @@ class Linear:
 
 
 class EagerModel(nn.Module):
-    """A `gim_temp` model's equations with its weights. ``actuated`` [N] says who is driven."""
+    """A `gim_temp` model's equations with its weights. ``actuated`` [N] marks the driven nodes."""
 
     def __init__(self, model: ContactDynamics, actuated: np.ndarray) -> None:
         super().__init__()

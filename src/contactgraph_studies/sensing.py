@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from contactgraph.cli.tasks import Target
 from contactgraph.viz import Number
@@ -12,17 +13,7 @@ from contactgraph_studies.job import Job, Measurement, Variant
 from contactgraph_studies.paper.config import DOOR, FRANKA, MULTI_PICKUP, PICKUP
 from contactgraph_studies.results import PLANNED_F1, Quantity, Results, SeedStatistic, Values
 from contactgraph_studies.study import Study, StudyResult, judged
-from contactgraph_studies.tables import (
-    Column,
-    Row,
-    StudyTable,
-    command,
-    counts,
-    known_text,
-    label,
-    statistic,
-    success,
-)
+from contactgraph_studies.tables import StudyTable, counts, known_text
 
 
 @dataclass(frozen=True)
@@ -163,10 +154,28 @@ def _control_job(
 def sensing_table(results: Results, conditions: Sequence[SensorCondition]) -> StudyTable:
     """Every sensor under every condition."""
 
-    def number(name: str, quantity: Quantity) -> Column:
-        return statistic(name, name, "it", quantity, known_text)
+    numbers = {
+        "edge F1": _F1,
+        "onset delay, ms: median": _delay_ms("onset_delay_ms_p50"),
+        "95 %": ONSET_DELAY_P95,
+        "planned error, cm": _ERROR,
+        "edge F1, planned": PLANNED_F1,
+        "control tick, ms": _PLAN_MS,
+    }
+    labels = ("Task", "Condition", "Contacts known by")
+    csv_only = {"successes": "", "episodes": ""}
 
-    return StudyTable.of(
+    def row(condition: SensorCondition) -> dict[str, Any]:
+        success = results.success(condition)
+        return {
+            **dict(zip(labels, astuple(condition), strict=True)),
+            "_success": success or "not known",
+            **counts(success),
+            **{name: results.statistic(condition, one) for name, one in numbers.items()},
+            "command": results.statistic(condition, _F1).command,
+        }
+
+    return StudyTable(
         slug="table",
         title="Every sensor",
         caption="Median over seeds of scenes, with their range; success of all episodes together. "
@@ -174,30 +183,15 @@ def sensing_table(results: Results, conditions: Sequence[SensorCondition]) -> St
         "contacts. Delay: from the first observation at which a contact holds to the first at "
         "which it is believed. Planned: over 0.5 s, planned against executed positions. An "
         "infinite delay is a contact that was never detected.",
-        columns=[
-            *(label(name, name) for name in ("Task", "Condition", "Contacts known by")),
-            success("success (95 %)", "it", lambda one: str(one or "not known")),
-            *counts("it"),
-            number("edge F1", _F1),
-            number("onset delay, ms: median", _delay_ms("onset_delay_ms_p50")),
-            number("95 %", ONSET_DELAY_P95),
-            number("planned error, cm", _ERROR),
-            number("edge F1, planned", PLANNED_F1),
-            number("control tick, ms", _PLAN_MS),
-            command("command", "it", _F1),
-        ],
-        rows=[
-            Row(
-                {
-                    "Task": condition.task,
-                    "Condition": condition.condition,
-                    "Contacts known by": condition.contacts_known_by,
-                },
-                results,
-                {"it": condition},
-            )
-            for condition in conditions
-        ],
+        headings={
+            **{name: name for name in labels},
+            "_success": "success (95 %)",
+            **csv_only,
+            **{name: name for name in numbers},
+            "command": "",
+        },
+        texts=dict.fromkeys(numbers, known_text),
+        rows=[row(condition) for condition in conditions],
         separator=" ",
     )
 

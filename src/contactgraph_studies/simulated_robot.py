@@ -11,7 +11,7 @@ from contactgraph.viz.number_table import short
 from contactgraph_studies.job import Job, Measurement, Options, Variant
 from contactgraph_studies.results import SUCCESS_PERCENT, Quantity, Results
 from contactgraph_studies.study import Study, StudyResult, judged
-from contactgraph_studies.tables import Column, Row, StudyTable, label
+from contactgraph_studies.tables import StudyTable
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def _evaluation(model: Job, validation: Job, data: str, name: str) -> Job:
 
 def sim_table(results: Results) -> StudyTable:
     """Every number that is known."""
-    return StudyTable.of(
+    return StudyTable(
         slug="table",
         title="All numbers",
         caption="Recorded runs are those of a scripted expert, some with a grasp and some without, "
@@ -195,24 +195,24 @@ def sim_table(results: Results) -> StudyTable:
         "(no arm has that), by the model alone (unmeasured), and corrected by the observed motion "
         "(inferred). Frozen contact is the error of true masses and the contact of each window's "
         "first step.",
-        columns=[
-            label("What", "What"),
-            label("number"),
-            Column("", "number", lambda row: _heading(row.labels["number"]), is_label=True),
-            label("unit", "unit"),
-            Column("value", "value", lambda row: row.labels["value"], short),
-            label("command"),
-        ],
+        headings={
+            "What": "What",
+            "number": "",
+            "_number": "number",
+            "unit": "unit",
+            "value": "value",
+            "command": "",
+        },
+        texts={"value": short},
         rows=[
-            Row(
-                {
-                    "What": condition.source,
-                    "number": key,
-                    "unit": unit,
-                    "value": scale * reading.values[key],
-                    "command": reading.command,
-                }
-            )
+            {
+                "What": condition.source,
+                "number": key,
+                "_number": _heading(key),
+                "unit": unit,
+                "value": scale * reading.values[key],
+                "command": reading.command,
+            }
             for condition, quantities in _SHOWN.items()
             for reading in results.readings(condition)
             for key, (unit, scale) in quantities.items()

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from contactgraph.cli.tasks import Target
 from contactgraph.viz import Number
@@ -26,8 +26,7 @@ class Picture:
     """``svg+xml`` or ``png``."""
 
 
-@dataclass(frozen=True)
-class ClaimNumber:
+class ClaimNumber(NamedTuple):
     """A measured number that a claim is judged by."""
 
     name: str
@@ -35,61 +34,26 @@ class ClaimNumber:
     unit: str
     statistic: SeedStatistic
 
-    def to_json(self) -> dict[str, Any]:
-        """Median and range over training seeds; infinity is the word ``infinite``."""
-        statistic = self.statistic
-        return {
-            "name": self.name,
-            "task": self.task,
-            "unit": self.unit,
-            "median": _json(statistic.median),
-            "range_over_seeds": [_json(statistic.low), _json(statistic.high)],
-            "values": [_json(value) for value in statistic.values],
-            "command": statistic.command,
-        }
 
-
-@dataclass(frozen=True)
+@dataclass
 class Claim:
-    """A claim of the paper, and whether it holds for these models."""
+    """A claim of the paper, and the evidence for or against it, collected task by task."""
 
     number: int
     title: str
     quote: str
     """The paper's words."""
     criterion: str
-    """The condition under which it holds."""
-    tasks: Sequence[str]
-    numbers: Sequence[ClaimNumber]
-    holds: bool | None
-    """None: not enough was measured."""
-    sentence: str
-    """The measured result."""
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of ``claims.json``."""
-        return {
-            "number": self.number,
-            "title": self.title,
-            "paper": self.quote,
-            "holds_if": self.criterion,
-            "tasks": list(self.tasks),
-            "holds": self.holds,
-            "sentence": self.sentence,
-            "numbers": [number.to_json() for number in self.numbers],
-        }
-
-
-@dataclass
-class Evidence:
-    """The numbers and partial verdicts of one claim, collected task by task."""
-
+    """The condition under which it holds for these models."""
     results: Results
     tasks: Sequence[str]
     numbers: list[ClaimNumber] = field(default_factory=list)
     verdicts: list[bool | None] = field(default_factory=list)
     """None: not known."""
-    sentences: list[str] = field(default_factory=list)
+    findings: list[str] = field(default_factory=list)
+    """The result on each task."""
+    sentence: str = "Not measured."
+    """The measured result."""
 
     def add(self, name: str, task: str, unit: str, statistic: SeedStatistic) -> SeedStatistic:
         """Record a number; returns it."""
@@ -102,11 +66,13 @@ class Evidence:
         """Record a measured number; returns it."""
         return self.add(name, task, unit, self.results.statistic(condition, quantity))
 
-    def judge(self, holds: bool, *needed: SeedStatistic) -> bool:
-        """Add a verdict; returns whether all ``needed`` numbers are known."""
+    def judge(self, holds: bool, needed: Sequence[SeedStatistic], finding: str = "") -> None:
+        """Add a verdict and its reason, or None if a ``needed`` number is not known."""
         known = all(one.known for one in needed)
         self.verdicts.append(holds if known else None)
-        return known
+        if known and finding:
+            self.findings.append(finding)
+            self.sentence = f"{'; '.join(self.findings)}."
 
     @property
     def holds(self) -> bool | None:
@@ -115,14 +81,29 @@ class Evidence:
             return False
         return None if not self.verdicts or None in self.verdicts else True
 
-    def claim(
-        self, number: int, title: str, quote: str, criterion: str, sentence: str = ""
-    ) -> Claim:
-        """The claim with this evidence; the sentence is by default that of all tasks."""
-        joint = f"{'; '.join(self.sentences)}." if self.sentences else "Not measured."
-        sentence = sentence or joint
-        holds = self.holds
-        return Claim(number, title, quote, criterion, self.tasks, self.numbers, holds, sentence)
+    def to_json(self) -> dict[str, Any]:
+        """An entry of ``claims.json``; infinity is the word ``infinite``."""
+        return {
+            "number": self.number,
+            "title": self.title,
+            "paper": self.quote,
+            "holds_if": self.criterion,
+            "tasks": list(self.tasks),
+            "holds": self.holds,
+            "sentence": self.sentence,
+            "numbers": [
+                {
+                    "name": name,
+                    "task": task,
+                    "unit": unit,
+                    "median": _json(one.median),
+                    "range_over_seeds": [_json(one.low), _json(one.high)],
+                    "values": [_json(value) for value in one.values],
+                    "command": one.command,
+                }
+                for name, task, unit, one in self.numbers
+            ],
+        }
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from contactgraph_studies.cost.config import CostAmounts, CostCondition, CostTas
 from contactgraph_studies.cost.jobs import learning
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.results import SeedStatistic
-from contactgraph_studies.tables import Row, StudyTable, label
+from contactgraph_studies.tables import StudyTable
 
 _AT_LIMIT = 0.999
 
@@ -104,18 +104,20 @@ def known_answer_table(
     amounts: CostAmounts,
 ) -> StudyTable:
     """Hidden and learned costs, term by term."""
-    labels = ("Task", "Demonstrated by", "Term", "Off by")
-    numbers = ("hidden, N", "learned, N", "learned over hidden", "steps with a saturated force, %")
-    return StudyTable.of(
+    names = (
+        *("Task", "Demonstrated by", "Term", "Off by", "hidden, N", "learned, N"),
+        *("learned over hidden", "steps with a saturated force, %"),
+    )
+    return StudyTable(
         slug="known-answer",
         title="A known answer",
         caption="Costs learned from runs of MPC with a known cost, beside that cost. Each term "
         "is given as the force that costs as much as being off by one unit for one step; a factor "
         "on the whole cost, which no run can show, cancels. Median of the seeds, with their range. "
         "LQR knows no limit of the force, so steps with a saturated force mislead it.",
-        columns=[label(name, name, name in labels) for name in (*labels, *numbers)],
+        headings={name: name for name in names},
         rows=[
-            Row({"Task": task.name, "Demonstrated by": learned.name, **terms})
+            {"Task": task.name, "Demonstrated by": learned.name, **terms}
             for task in tasks
             for learned in known_answers(amounts)
             for terms in known_answer_terms(read_answers(folder, measurements, task, learned))

@@ -9,7 +9,6 @@ from typing import Any
 from contactgraph.cli.tasks import Target
 from contactgraph.viz import Number
 from contactgraph.viz.number_table import short
-from contactgraph_studies import tables
 from contactgraph_studies.cost.config import (
     PICKUP_COST,
     SCENE_SEED,
@@ -38,8 +37,8 @@ from contactgraph_studies.results import (
     Success,
     joined,
 )
-from contactgraph_studies.study import Claim, Evidence, Study, StudyResult, judged
-from contactgraph_studies.tables import Row, StudyTable, label, statistic
+from contactgraph_studies.study import Claim, Study, StudyResult, judged
+from contactgraph_studies.tables import StudyTable, counts, known_text
 
 _PAPER = 0.98
 _UNSEEN = Target(98.0, 100.0)
@@ -100,63 +99,93 @@ class CostStudy(Study):
 
 def transfers(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts) -> Claim:
     """Claim 8: a learned cost does the task for goals and objects that were not demonstrated."""
-    found = Evidence(results, [task.name for task in tasks])
-    rates = {}
-    for task in tasks:
-        for test in by_demonstrations(amounts):
-            rate = results.statistic(control(task, test), SUCCESS_PERCENT)
-            found.add(
-                f"success, {test.learned.demonstrations} demonstrations", task.name, "%", rate
-            )
-        success = results.success(control(task, by_demonstrations(amounts)[-1]))
-        if success is not None:
-            rates[task.name] = success.rate
-            found.sentences.append(f"{success_text(success)} on {task.name}")
-    own = rates.get(PICKUP_COST.name)
-    found.verdicts.append(None if own is None else own >= _PAPER)
-    return found.claim(
-        number=8,
-        title="A cost learned from demonstrations of one goal does the task for unseen goals",
-        quote="demonstrations collected by sampling the initial position of the gripper but "
+    claim = Claim(
+        8,
+        "A cost learned from demonstrations of one goal does the task for unseen goals",
+        "demonstrations collected by sampling the initial position of the gripper but "
         "keeping the goal and object locations fixed […] evaluate […] if it generalizes to unseen "
         "goal and object locations […] the learned controller can perform the task with 98% "
         "success rate",
-        criterion=f"learned from {amounts.most} demonstrations, control succeeds in at least "
+        f"learned from {amounts.most} demonstrations, control succeeds in at least "
         f"{100 * _PAPER:.0f} % of the episodes of all seeds of {PICKUP_COST.name}, with unseen "
         "goals and objects (the paper has this task alone)",
-        sentence=f"Learned from {amounts.most} demonstrations: {joined(found.sentences)}."
-        if found.sentences
-        else "",
+        results,
+        [task.name for task in tasks],
     )
+    rates = {}
+    for task in tasks:
+        for test in by_demonstrations(amounts):
+            name = f"success, {test.learned.demonstrations} demonstrations"
+            claim.measure(name, task.name, "%", control(task, test), SUCCESS_PERCENT)
+        success = results.success(control(task, by_demonstrations(amounts)[-1]))
+        if success is not None:
+            rates[task.name] = success.rate
+            claim.findings.append(f"{success_text(success)} on {task.name}")
+    own = rates.get(PICKUP_COST.name)
+    claim.verdicts.append(None if own is None else own >= _PAPER)
+    if claim.findings:
+        found = joined(claim.findings)
+        claim.sentence = f"Learned from {amounts.most} demonstrations: {found}."
+    return claim
 
 
-def _row(results: Results, task: CostTask, test: CostTest | None) -> Row:
-    """A cost in one kind of scene; without a test: the task's own cost."""
-    if test is None:
-        own = "not learned: the task's own cost"
-        labels: dict[str, Any] = {"learned_from": own, "demonstrations": None, "distractors": 0}
-        conditions: dict[str, Any] = {"control": demonstrated(task)}
-    else:
-        learned = test.learned
-        labels = {
-            "learned_from": learned.name,
-            "demonstrations": learned.demonstrations,
-            "distractors": test.distractors,
-        }
-        conditions = {"control": control(task, test), "learning": learning(task, learned)}
-        if test.distractors:
-            conditions["among distractors"] = conditions["control"]
-    success = results.success(conditions["control"])
-    low, high = (None, None) if success is None else success.interval
-    seeds = len(results.statistic(conditions["control"], SUCCESS_PERCENT).values)
-    labels |= {"task": task.name, "seeds": seeds, "interval_low": low, "interval_high": high}
-    return Row(labels, results, conditions)
+_HEADINGS = {
+    "task": "Task",
+    "learned_from": "Cost learned from",
+    "demonstrations": "demonstrations",
+    "distractors": "distractors in view",
+    "seeds": "",
+    "_success": "success (95 %)",
+    "_each_seed": "each seed, %",
+    "successes": "",
+    "episodes": "",
+    "interval_low": "",
+    "interval_high": "",
+    "success_percent": "",
+    "contact_speed_m_s": "speed at contact, m/s",
+    "touched_bystanders": "",
+    "_touched": "episodes in which a distractor was touched",
+    "learning_s": "learning, s",
+    "command_learning": "",
+    "command_control": "",
+}
 
 
 def cost_table(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts) -> StudyTable:
     """Every cost in every kind of scene; the task's own cost comes last."""
-    touched = "episodes in which a distractor was touched"
-    return StudyTable.of(
+
+    def row(task: CostTask, test: CostTest | None) -> dict[str, Any]:
+        if test is None:
+            learned_from, demonstrations, distractors = "not learned: the task's own cost", None, 0
+            labels, seconds = demonstrated(task), SeedStatistic()
+        else:
+            learned_from, demonstrations = test.learned.name, test.learned.demonstrations
+            labels, distractors = control(task, test), test.distractors
+            seconds = results.statistic(learning(task, test.learned), _SECONDS)
+        percent, success = results.statistic(labels, SUCCESS_PERCENT), results.success(labels)
+        touched = results.statistic(labels, _TOUCHED)
+        interval = (None, None) if success is None else success.interval
+        return {
+            "task": task.name,
+            "learned_from": learned_from,
+            "demonstrations": demonstrations,
+            "distractors": distractors,
+            "seeds": len(percent.values),
+            "_success": success,
+            "_each_seed": percent,
+            **counts(success),
+            "interval_low": interval[0],
+            "interval_high": interval[1],
+            "success_percent": percent,
+            "contact_speed_m_s": results.statistic(labels, CONTACT_SPEED),
+            "touched_bystanders": touched,
+            "_touched": touched if distractors else SeedStatistic(),
+            "learning_s": seconds,
+            "command_learning": seconds.command,
+            "command_control": percent.command,
+        }
+
+    return StudyTable(
         slug="table",
         title="Every cost",
         caption="Success in scenes whose goal and objects were in no demonstration: the episodes "
@@ -165,28 +194,14 @@ def cost_table(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts
         "same ones for every cost. Speeds are medians, with the range over seeds; seconds are on "
         "one core while another job runs on the other. The task's own cost is tested in the "
         "scenes of its demonstrations.",
-        columns=[
-            label("task", "Task"),
-            label("learned_from", "Cost learned from"),
-            label("demonstrations", "demonstrations"),
-            label("distractors", "distractors in view"),
-            label("seeds"),
-            tables.success("success (95 %)", "control", success_text),
-            statistic("", "each seed, %", "control", SUCCESS_PERCENT, _each_seed),
-            *tables.counts("control"),
-            label("interval_low"),
-            label("interval_high"),
-            statistic("success_percent", "", "control", SUCCESS_PERCENT),
-            statistic("contact_speed_m_s", "speed at contact, m/s", "control", CONTACT_SPEED),
-            statistic("touched_bystanders", "", "control", _TOUCHED),
-            statistic("", touched, "among distractors", _TOUCHED, _each_seed),
-            statistic("learning_s", "learning, s", "learning", _SECONDS, tables.known_text),
-            tables.command("command_learning", "learning", _SECONDS),
-            tables.command("command_control", "control", SUCCESS_PERCENT),
-        ],
-        rows=[
-            _row(results, task, test) for task in tasks for test in (*tests_of(task, amounts), None)
-        ],
+        headings=_HEADINGS,
+        texts={
+            "_success": success_text,
+            "_each_seed": _each_seed,
+            "_touched": _each_seed,
+            "learning_s": known_text,
+        },
+        rows=[row(task, test) for task in tasks for test in (*tests_of(task, amounts), None)],
     )
 
 

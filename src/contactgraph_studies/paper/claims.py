@@ -7,7 +7,12 @@ import numpy as np
 
 from contactgraph.cli.tasks import TestCondition
 from contactgraph.viz.number_table import short, with_unit
-from contactgraph_studies.paper import claims_graph
+from contactgraph_studies.paper.claims_graph import (
+    corrected_edges,
+    edges_mean_contact,
+    free_matrices,
+    prior_needed,
+)
 from contactgraph_studies.paper.config import (
     GIM_NON_TEMP,
     GIM_TEMP,
@@ -28,7 +33,7 @@ from contactgraph_studies.paper.jobs import (
     recorded,
 )
 from contactgraph_studies.results import Quantity, Results, SeedStatistic, joined
-from contactgraph_studies.study import Claim, Evidence
+from contactgraph_studies.study import Claim
 
 _SMALL_CM = 1.0
 """The paper's "less than a centimeter"."""
@@ -47,42 +52,56 @@ def claims(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> li
         _small_in_distribution(results, tasks),
         _generalisation(results, tasks),
         *([_more_data(results, sampled, amounts)] if sampled else []),
-        *claims_graph.claims(results, tasks),
+        corrected_edges(results, tasks),
+        free_matrices(results, tasks),
+        prior_needed(results, tasks),
+        edges_mean_contact(results, tasks),
     ]
 
 
 def _small_in_distribution(results: Results, tasks: Sequence[StudyTask]) -> Claim:
     """Claim 1."""
-    found = Evidence(results, [task.name for task in tasks])
+    claim = Claim(
+        1,
+        "In distribution, every model's N-step error is under 1 cm",
+        "when tested with the same number of object interactions as seen during training, "
+        "the N-step prediction error for all the models trained using simulation data is less "
+        "than a centimeter",
+        f"the median over seeds is below {_SMALL_CM:g} cm for "
+        f"{joined([model.name for model in _COMPARED])} on every task",
+        results,
+        [task.name for task in tasks],
+    )
     large = []
     for task in tasks:
         for model in (model for model in _COMPARED if model in task.models):
             condition = planned(task, model, task.as_trained)
-            error = found.measure(model.name, task.name, "cm", condition, PLANNED_ERROR)
-            found.judge(error.median < _SMALL_CM, error)
+            error = claim.measure(model.name, task.name, "cm", condition, PLANNED_ERROR)
+            claim.judge(error.median < _SMALL_CM, [error])
             if error.median >= _SMALL_CM:
                 large.append(f"{model.name} on {task.name} ({with_unit(error.median, 'cm')})")
-    known = [one.statistic.median for one in found.numbers if one.statistic.known]
+    known = [one.statistic.median for one in claim.numbers if one.statistic.known]
     worst = with_unit(max(known, default=math.nan), "cm")
-    return found.claim(
-        number=1,
-        title="In distribution, every model's N-step error is under 1 cm",
-        quote="when tested with the same number of object interactions as seen during training, "
-        "the N-step prediction error for all the models trained using simulation data is less "
-        "than a centimeter",
-        criterion=f"the median over seeds is below {_SMALL_CM:g} cm for "
-        f"{joined([model.name for model in _COMPARED])} on every task",
-        sentence={
-            True: f"The largest median error of any of these models is {worst}.",
-            False: f"1 cm or more: {joined(large)}.",
-            None: "Not every model was measured.",
-        }[found.holds],
-    )
+    claim.sentence = {
+        True: f"The largest median error of any of these models is {worst}.",
+        False: f"1 cm or more: {joined(large)}.",
+        None: "Not every model was measured.",
+    }[claim.holds]
+    return claim
 
 
 def _generalisation(results: Results, tasks: Sequence[StudyTask]) -> Claim:
     """Claim 2."""
-    found = Evidence(results, [task.name for task in tasks])
+    claim = Claim(
+        2,
+        "With more objects or interactions No-GIM's error grows sharply, GIM-Temp's does not",
+        "when tested for generalization, the performance of No-GIM deteriorates "
+        "significantly across all the tasks",
+        f"on every task No-GIM's error (all nodes) is at least {_SHARP:g} times that in "
+        f"distribution, and GIM-Temp's at most {_SLIGHT:g} times",
+        results,
+        [task.name for task in tasks],
+    )
     literal = []
     for task in tasks:
         growth = {}
@@ -91,29 +110,23 @@ def _generalisation(results: Results, tasks: Sequence[StudyTask]) -> Claim:
             ratio = f"{name} over {task.as_trained.name}"
             growth[model] = _growth(results, task, model, planned, PLANNED_ERROR)
             open_loop = _growth(results, task, model, recorded, RECORDED_ERROR)
-            found.add(ratio, task.name, "times", growth[model])
-            found.add(f"{ratio}, open loop", task.name, "times", open_loop)
+            claim.add(ratio, task.name, "times", growth[model])
+            claim.add(f"{ratio}, open loop", task.name, "times", open_loop)
             condition = planned(task, model, task.hardest)
-            found.measure(name, task.name, "cm", condition, PLANNED_ERROR)
+            claim.measure(name, task.name, "cm", condition, PLANNED_ERROR)
             if model in (LITERAL_NO_GIM, LITERAL) and open_loop.known:
                 literal.append(f"{task.name}, {model.name} {_times(open_loop.median)}")
         sharp, slight = growth[NO_GIM].median, growth[GIM_TEMP].median
-        holds = sharp >= _SHARP and slight <= _SLIGHT
-        if found.judge(holds, growth[NO_GIM], growth[GIM_TEMP]):
-            found.sentences.append(
-                f"{task.name}: No-GIM's error is {_times(sharp)} that in distribution, "
-                f"GIM-Temp's {_times(slight)}"
-            )
+        claim.judge(
+            sharp >= _SHARP and slight <= _SLIGHT,
+            (growth[NO_GIM], growth[GIM_TEMP]),
+            f"{task.name}: No-GIM's error is {_times(sharp)} that in distribution, "
+            f"GIM-Temp's {_times(slight)}",
+        )
     if literal:
-        found.sentences.append(f"in the paper's own form, open loop: {', '.join(literal)}")
-    return found.claim(
-        number=2,
-        title="With more objects or interactions No-GIM's error grows sharply, GIM-Temp's does not",
-        quote="when tested for generalization, the performance of No-GIM deteriorates "
-        "significantly across all the tasks",
-        criterion=f"on every task No-GIM's error (all nodes) is at least {_SHARP:g} times that in "
-        f"distribution, and GIM-Temp's at most {_SLIGHT:g} times",
-    )
+        claim.findings.append(f"in the paper's own form, open loop: {', '.join(literal)}")
+        claim.sentence = f"{'; '.join(claim.findings)}."
+    return claim
 
 
 def _growth(
@@ -143,14 +156,24 @@ def sample_errors(
 
 def _more_data(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> Claim:
     """Claim 3."""
-    found = Evidence(results, [task.name for task in tasks])
     sizes, most = amounts.sample_sizes, max(amounts.sample_sizes)
+    claim = Claim(
+        3,
+        "No-GIM-Aug generalises, but needs three to four times the data",
+        "No-GIM-Aug generalizes well […] however, this comes at the cost of three to four "
+        "times more data and longer training time",
+        "out of distribution No-GIM-Aug reaches the open-loop error that GIM-Temp has "
+        f"with its training runs, with at least {_MORE_DATA:g} times as many but no more than "
+        f"{most} runs, on each of these tasks (median over seeds)",
+        results,
+        [task.name for task in tasks],
+    )
     for task in tasks:
         few = task.training_runs
         own = sample_errors(results, task, GIM_TEMP, task.hardest, few)
         curve = [sample_errors(results, task, NO_GIM_AUG, task.hardest, size) for size in sizes]
-        found.add(f"GIM-Temp, {few} runs", task.name, "cm", own)
-        found.add(f"No-GIM-Aug, {most} runs", task.name, "cm", curve[-1])
+        claim.add(f"GIM-Temp, {few} runs", task.name, "cm", own)
+        claim.add(f"No-GIM-Aug, {most} runs", task.name, "cm", curve[-1])
         ratios = [
             data_ratio(sizes, [one.values[seed] for one in curve], few, own.values[seed])
             for seed in range(min(len(one.values) for one in (own, *curve)))
@@ -158,26 +181,19 @@ def _more_data(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -
         known = tuple(ratio for ratio in ratios if ratio is not None)
         needed = SeedStatistic(known, curve[-1].command)
         reached = math.isfinite(needed.median)
-        if not found.judge(reached and needed.median >= _MORE_DATA, needed):
-            continue
-        found.add("data needed for equal error", task.name, "times", needed)
-        found.sentences.append(
+        if needed.known:
+            claim.add("data needed for equal error", task.name, "times", needed)
+        claim.judge(
+            reached and needed.median >= _MORE_DATA,
+            [needed],
             f"{task.name}: No-GIM-Aug needs {short(needed.median)} times the data"
             if reached
             else f"{task.name}: not reached with {most}: No-GIM-Aug is at "
             f"{with_unit(curve[-1].median, 'cm')} there, GIM-Temp at "
             f"{with_unit(own.median, 'cm')} with {few}, so it needs more than "
-            f"{most / few:g} times the data"
+            f"{most / few:g} times the data",
         )
-    return found.claim(
-        number=3,
-        title="No-GIM-Aug generalises, but needs three to four times the data",
-        quote="No-GIM-Aug generalizes well […] however, this comes at the cost of three to four "
-        "times more data and longer training time",
-        criterion="out of distribution No-GIM-Aug reaches the open-loop error that GIM-Temp has "
-        f"with its training runs, with at least {_MORE_DATA:g} times as many but no more than "
-        f"{most} runs, on each of these tasks (median over seeds)",
-    )
+    return claim
 
 
 def data_ratio(

@@ -5,11 +5,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 from contactgraph.cli.tasks import TestCondition
 from contactgraph.viz import Number
 from contactgraph.viz.number_table import short
-from contactgraph_studies import tables
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper.claims import claims
 from contactgraph_studies.paper.config import FRANKA, GIM_TEMP, Amounts, StudyModel, StudyTask
@@ -31,11 +31,10 @@ from contactgraph_studies.results import (
     SUCCESS_PERCENT,
     Quantity,
     Results,
-    SeedStatistic,
     Values,
 )
 from contactgraph_studies.study import Study, StudyResult, judged
-from contactgraph_studies.tables import label, statistic
+from contactgraph_studies.tables import StudyTable, counts
 
 _PLAN_MS = Quantity("plan_ms_p99")
 
@@ -91,30 +90,74 @@ def _moving(key: str, of_all: Quantity) -> Quantity:
     return Quantity(key, derived=partial(_moving_cm, key=key, of_all=of_all))
 
 
-def _row(results: Results, task: StudyTask, scenes: TestCondition, model: StudyModel) -> tables.Row:
-    sources = ("planned", "recorded", "every_step")
-    names = (task.name, model.name, scenes.name)
-    conditions = {name: ModelCondition(Source(name), *names) for name in sources}
-    seeds = len(results.statistic(conditions["planned"], PLANNED_ERROR).values)
-    labels = {
-        "task": task.name,
-        "scenes": scenes.name,
-        "in_distribution": scenes.in_distribution,
-        "model": model.name,
-        "seeds": seeds,
-    }
-    return tables.Row(labels, results, conditions)
+def _condition(
+    source: Source, task: StudyTask, scenes: TestCondition, model: StudyModel
+) -> ModelCondition:
+    return ModelCondition(source, task.name, model.name, scenes.name)
 
 
-def model_table(
-    results: Results, tasks: Sequence[StudyTask], amounts: Amounts
-) -> tables.StudyTable:
+_HEADINGS = {
+    "task": "task",
+    "scenes": "scenes",
+    "in_distribution": "",
+    "model": "model",
+    "seeds": "",
+    "planned_cm": "N-step error, planned against executed, cm",
+    "planned_moving_cm": "of moving bodies, cm",
+    "recorded_cm": "open loop, cm",
+    "recorded_moving_cm": "",
+    "frozen_contact_cm": "baseline: fixed contact, cm",
+    "constant_velocity_cm": "baseline: constant velocity, cm",
+    "edge_f1_planned": "edge F1 planned",
+    "edge_f1_recorded": "edge F1 recorded",
+    "plan_ms_p99_every_step": "",
+    "_success": "success, replanned every 0.5 s",
+    "_success_every_step": "every step",
+    "successes": "",
+    "episodes": "",
+    "successes_every_step": "",
+    "episodes_every_step": "",
+    "command_closed_loop": "",
+    "command_open_loop": "",
+}
+
+
+def model_table(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> StudyTable:
     """Every model on every task under every test condition."""
-    error = "N-step error, planned against executed, cm"
-    fixed, constant = "baseline: fixed contact, cm", "baseline: constant velocity, cm"
     moving = _moving("n_step_rmse_planned_moving_m", PLANNED_ERROR)
     moving_recorded = _moving("n_step_rmse_moving_m", RECORDED_ERROR)
-    return tables.StudyTable.of(
+    get = results.statistic
+
+    def row(task: StudyTask, scenes: TestCondition, model: StudyModel) -> dict[str, Any]:
+        sources = (Source.planned, Source.recorded, Source.every_step)
+        closed, opened, every_step = (_condition(one, task, scenes, model) for one in sources)
+        error, open_loop = get(closed, PLANNED_ERROR), get(opened, RECORDED_ERROR)
+        success, success_every_step = results.success(closed), results.success(every_step)
+        return {
+            "task": task.name,
+            "scenes": scenes.name,
+            "in_distribution": scenes.in_distribution,
+            "model": model.name,
+            "seeds": len(error.values),
+            "planned_cm": error,
+            "planned_moving_cm": get(closed, moving),
+            "recorded_cm": open_loop,
+            "recorded_moving_cm": get(opened, moving_recorded),
+            "frozen_contact_cm": get(closed, FIXED_CONTACT),
+            "constant_velocity_cm": get(closed, CONSTANT_VELOCITY),
+            "edge_f1_planned": get(closed, PLANNED_F1),
+            "edge_f1_recorded": get(opened, EDGE_F1),
+            "plan_ms_p99_every_step": get(every_step, _PLAN_MS),
+            "_success": success,
+            "_success_every_step": success_every_step,
+            **counts(success),
+            **counts(success_every_step, "_every_step"),
+            "command_closed_loop": error.command,
+            "command_open_loop": open_loop.command,
+        }
+
+    baselines = ("frozen_contact_cm", "constant_velocity_cm")
+    return StudyTable(
         slug="table",
         title="Every model",
         caption="N-step error: planned against executed positions, half a second ahead, over all "
@@ -122,39 +165,15 @@ def model_table(
         "expert runs. Medians, with the range over training seeds in brackets; success with its "
         "95 % Wilson interval, the episodes of all seeds together. A row's commands show when the "
         "pointer rests on it.",
-        columns=[
-            label("task", "task"),
-            label("scenes", "scenes"),
-            label("in_distribution"),
-            label("model", "model"),
-            label("seeds"),
-            statistic("planned_cm", error, "planned", PLANNED_ERROR),
-            statistic("planned_moving_cm", "of moving bodies, cm", "planned", moving),
-            statistic("recorded_cm", "open loop, cm", "recorded", RECORDED_ERROR),
-            statistic("recorded_moving_cm", "", "recorded", moving_recorded),
-            statistic("frozen_contact_cm", fixed, "planned", FIXED_CONTACT, _median),
-            statistic("constant_velocity_cm", constant, "planned", CONSTANT_VELOCITY, _median),
-            statistic("edge_f1_planned", "edge F1 planned", "planned", PLANNED_F1),
-            statistic("edge_f1_recorded", "edge F1 recorded", "recorded", EDGE_F1),
-            statistic("plan_ms_p99_every_step", "", "every_step", _PLAN_MS),
-            tables.success("success, replanned every 0.5 s", "planned"),
-            tables.success("every step", "every_step"),
-            *tables.counts("planned"),
-            *tables.counts("every_step", "_every_step"),
-            tables.command("command_closed_loop", "planned", PLANNED_ERROR),
-            tables.command("command_open_loop", "recorded", RECORDED_ERROR),
-        ],
+        headings=_HEADINGS,
+        texts=dict.fromkeys(baselines, lambda one: short(one.median)),
         rows=[
-            _row(results, task, scenes, model)
+            row(task, scenes, model)
             for task in tasks
             for scenes in conditions_of(task, amounts)
             for model in task.models
         ],
     )
-
-
-def _median(one: SeedStatistic) -> str:
-    return short(one.median)
 
 
 def model_targets(
@@ -167,14 +186,13 @@ def model_targets(
 def _task_targets(results: Results, task: StudyTask, seeds: Sequence[int]) -> Iterator[Number]:
     targets = task.known.targets
     for scenes in (task.as_trained, task.hardest):
-        row, inside = _row(results, task, scenes, GIM_TEMP), scenes.in_distribution
+        sources = (Source.planned, Source.recorded, Source.every_step)
+        closed, opened, every_step = (_condition(one, task, scenes, GIM_TEMP) for one in sources)
+        inside, get = scenes.in_distribution, results.statistic
         error_target, f1_target = task.known.error_target_cm(scenes), targets.edge_f1[inside]
-        error = row.statistic("planned", PLANNED_ERROR)
-        f1 = row.statistic("planned", PLANNED_F1)
-        f1_recorded = row.statistic("recorded", EDGE_F1)
-        success = row.statistic("every_step", SUCCESS_PERCENT)
-        speed = row.statistic("every_step", CONTACT_SPEED)
-        time = row.statistic("every_step", _PLAN_MS)
+        error, f1 = get(closed, PLANNED_ERROR), get(closed, PLANNED_F1)
+        f1_recorded, success = get(opened, EDGE_F1), get(every_step, SUCCESS_PERCENT)
+        speed, time = get(every_step, CONTACT_SPEED), get(every_step, _PLAN_MS)
         label = f"{task.name}, {scenes.name}: "
         name = f"{label}N-step error, planned against executed"
         yield judged(name, "cm", error, error_target, seeds, lower=True)
