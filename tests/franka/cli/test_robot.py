@@ -12,7 +12,7 @@ import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.data import describe_file, read_trajectories
-from contactgraph_franka.cli.options import ArmOptions
+from contactgraph_franka.cli.options import ArmOptions, ctrl_c
 from contactgraph_franka.envs.pickup import sweep_fits, sweep_start, sweep_yaw
 from contactgraph_franka.safety import FakeRobot
 from contactgraph_franka.safety.faults import frozen_fault
@@ -154,6 +154,17 @@ def test_stop_is_reported_and_the_recording_kept(
     assert output.err.startswith("contactgraph: the arm stopped: ")
     assert output.err.count("\n") == 1
     assert save.exists() and describe_file(save).steps[0] > 50
+
+
+def test_second_ctrl_c_interrupts() -> None:
+    previous = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), ctrl_c() as pressed:
+        assert not pressed()
+        signal.raise_signal(signal.SIGINT)
+        assert pressed()
+        signal.raise_signal(signal.SIGINT)
+        pytest.fail("the second Ctrl-C did not interrupt")
+    assert signal.getsignal(signal.SIGINT) is previous
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Driver and gripper over stubs of the maker's client: readings, forces, stops and faults."""
 
 import time
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -208,6 +209,13 @@ class StubGripper:
         return SimpleNamespace(wait=lambda timeout: self.width == width)
 
 
+def wait_for(condition: Callable[[], bool]) -> None:
+    until = time.monotonic() + 5.0
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.005)
+
+
 @pytest.mark.parametrize(("block", "contact"), [(0.04, 1.0), (0.0, 0.0)])
 def test_gripper_closes_on_a_block_and_opens(
     block: float, contact: float, monkeypatch: pytest.MonkeyPatch
@@ -218,10 +226,7 @@ def test_gripper_closes_on_a_block_and_opens(
     with FrankaGripper("arm") as gripper:
         assert (gripper.largest_width, gripper.version) == (0.08, 3)
         gripper.follow(at_hand, still, tracked)
-        until = time.monotonic() + 2.0
-        while gripper.contact() != contact and time.monotonic() < until:
-            time.sleep(0.005)
-        assert gripper.contact() == contact
+        wait_for(lambda: gripper.contact() == contact)
         gripper.open()
         assert np.isnan(gripper.contact()) and gripper.width > 0.05
     assert stub.commands == ["move", "grasp", "move"] and gripper.last_error == ""
@@ -229,13 +234,21 @@ def test_gripper_closes_on_a_block_and_opens(
 
 def test_lost_gripper_reports_no_contact(monkeypatch: pytest.MonkeyPatch) -> None:
     class Lost(StubGripper):
-        def grasp_async(self, *arguments: float, **options: float) -> Any:
-            raise RuntimeError("gripper gone")
+        lost = False
+
+        @property
+        def state(self) -> SimpleNamespace:
+            if self.lost:
+                raise RuntimeError("gripper gone")
+            return super().state
 
     stub = Lost(0.04)
     monkeypatch.setattr("contactgraph_franka.driver.gripper.connect_gripper", lambda address: stub)
     with FrankaGripper("arm") as gripper:
         gripper.follow(np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1, bool))
+        wait_for(lambda: gripper.contact() == 1.0)
+        stub.lost = True
+        wait_for(lambda: gripper.last_error == "gripper gone")
         gripper._thread.join(2.0)
-        assert gripper.last_error == "gripper gone" and np.isnan(gripper.contact())
+        assert np.isnan(gripper.contact())
         gripper.open()
