@@ -3,7 +3,9 @@
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -11,8 +13,11 @@ import pytest
 import safetensors
 
 from contactgraph.cli import main as cli
+from contactgraph.cli.models import model_preset
 from contactgraph.data import describe_file, read_trajectories
-from contactgraph.model import ModelConfig, gim_temp
+from contactgraph.envs import PickupExpert
+from contactgraph.evaluate import closed_loop_metrics, collect
+from contactgraph.model import ModelConfig, gim_temp, shipped_model
 from contactgraph.model.io import describe_model, save_model
 
 OPEN_LOOP = {
@@ -50,10 +55,9 @@ def done(*arguments: object) -> None:
 
 def test_the_real_entry_point() -> None:
     command = [sys.executable, "-m", "contactgraph"]
-    told = subprocess.run([*command, "info", "pickup"], capture_output=True, text=True)
-    assert told.returncode == 0
-    assert told.stderr == ""
-    assert told.stdout.startswith("pickup: model, ")
+    told = subprocess.run([*command, "--version"], capture_output=True, text=True)
+    assert (told.returncode, told.stderr) == (0, "")
+    assert told.stdout == f"contactgraph {version('contactgraph')}\n"
     mistake = subprocess.run([*command, "trian"], capture_output=True, text=True)
     assert mistake.returncode == 2
     assert mistake.stdout == ""
@@ -187,78 +191,99 @@ def test_train_leaves_a_run_folder(trained: Path, recorded: Path) -> None:
     assert header["held_out_rmse_m"] == min(row["held_out_rmse_m"] for row in rows)
 
 
-@pytest.mark.parametrize(
-    ("name", "part"),
-    [
-        ("gim-temp", "RecurrentEdges"),
-        ("gim-non-temp", "MemorylessEdges"),
-        ("no-gim", "AllEdges"),
-        ("full-ab", "FreeLinearDynamics"),
-    ],
-)
-def test_the_models_that_train_can_fit(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, part: str
+def test_training_interrupted_before_its_first_step_is_resumed(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    built = []
+    inference = []
 
-    def interrupted(state: object, *arguments: object) -> None:
-        built.append(state)
+    def interrupted(state, *arguments: object) -> None:
+        inference.append(type(state.model.inference).__name__)
         raise KeyboardInterrupt
 
     monkeypatch.setattr("contactgraph.train.fit", interrupted)
     run = tmp_path / "run"
-    assert cli.run(["train", str(recorded), "--out", str(run), "--model", name]) == 130
-    assert part in {
-        type(each).__name__ for each in (built[0].model.inference, built[0].model.local_dynamics)
-    }
+    assert cli.run(["train", str(recorded), "--out", str(run), "--model", "gim-non-temp"]) == 130
     assert [path.name for path in run.glob("checkpoint-*")] == ["checkpoint-0000000000.safetensors"]
-    # Interrupted before its first step it goes on all the same.
     assert cli.run(["train", str(recorded), "--out", str(run), "--resume"]) == 130
-    assert len(built) == 2
+    assert inference == ["MemorylessEdges"] * 2
 
 
-def test_evaluate(
-    trained: Path, fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_model_may_be_a_function_of_a_module(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    source = "from contactgraph.model import no_gim\n\n\ndef mine(*arguments, **options):\n"
+    (tmp_path / "own_model.py").write_text(f"{source}    return no_gim(*arguments, **options)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert model_preset("gim-temp") is gim_temp
+    built = []
+
+    def interrupted(state, *arguments: object) -> None:
+        built.append(type(state.model.inference).__name__)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactgraph.train.fit", interrupted)
+    run = str(tmp_path / "run")
+    assert cli.run(["train", str(recorded), "--out", run, "--model", "own_model:mine"]) == 130
+    assert built == ["AllEdges"]
+
+
+def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "result.json"
-    done("evaluate", trained, fresh, "--json", path)
+    done("evaluate", "pickup", fresh, "--json", path)
     captured = capsys.readouterr()
     assert captured.err == ""
     values = json.loads(path.read_text())
     assert values.keys() >= OPEN_LOOP | {"run", "data", "episodes", "seed"}
-    assert (values["run"], values["data"]) == (str(trained), str(fresh))
-    assert (values["n_steps"], values["episodes"], values["seed"]) == (10, 6, 1)
+    assert (values["run"], values["data"]) == ("pickup", str(fresh))
+    assert (values["n_steps"], values["episodes"], values["seed"]) == (10, 2, 1)
     assert all(isinstance(values[name], int | float) for name in OPEN_LOOP)
     assert f"error over 10 steps             {100 * values['n_step_rmse_m']:.3f} cm" in captured.out
     assert f"F1 {values['edge_f1']:.4f}" in captured.out
-    # A model file does as well as the run it is in.
     again = tmp_path / "again.json"
-    done("evaluate", trained / "model.safetensors", fresh, "--json", again)
+    done("evaluate", shipped_model("pickup"), fresh, "--json", again)
     assert {**json.loads(again.read_text()), "run": ""} == {**values, "run": ""}
 
 
-def test_control(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("real", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_control(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    real: bool,
+) -> None:
+    if not real:
+        monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
     result, video, episodes = (tmp_path / name for name in ("out.json", "out.gif", "out.h5"))
-    options = ["--episodes", 2, "--seed", 5, "--distractors", 1, "--replan-every", 5]
+    options = ["--episodes", 2, "--seed", 5, "--replan-every", 5]
     files = ["--json", result, "--video", video, "--save", episodes]
-    done("control", trained, "pickup", *options, *files)
+    done("control", "pickup", "pickup", *options, *files)
     captured = capsys.readouterr()
     assert captured.err.splitlines()[-1] == "controlling: 2 of 2"
     values = json.loads(result.read_text())
     assert values.keys() >= OPEN_LOOP | CLOSED_LOOP | {"run", "task", "distractors"}
-    assert (values["episodes"], values["seed"], values["distractors"]) == (2, 5, 1)
+    assert (values["episodes"], values["seed"], values["distractors"]) == (2, 5, 0)
     assert (values["horizon"], values["replan_every"]) == (20, 5)
     low, high = values["success_interval"]
     assert 0 <= low <= values["success_rate"] <= high <= 1
     assert values["plan_ms_p99"] >= values["plan_ms_p50"] > 0
     assert f"of {values['episodes']} episodes" in captured.out
     saved = read_trajectories(episodes)
-    assert [run.scene.node_count for run in saved] == [3, 3]
-    assert saved.metadata == {"task": "pickup", "seed": 5, "distractors": 1}
+    assert [run.scene.node_count for run in saved] == [2, 2]
+    assert saved.metadata == {"task": "pickup", "seed": 5, "distractors": 0}
     assert video.read_bytes().startswith(b"GIF8")
     assert {path.name for path in tmp_path.iterdir()} == {"out.json", "out.gif", "out.h5"}
 
 
+def by_the_expert(model, factory, episodes, seed, *, on_episode, **options):
+    """Stands in for `control_task`: the expert's episodes, with perfect plans."""
+    trajectories = collect([factory], [PickupExpert()], episodes, seed)
+    for each in trajectories:
+        after = np.minimum(np.arange(200)[:, None] + np.arange(options["horizon"] + 1), 200)
+        on_episode(each, SimpleNamespace(plan=each.position[after]))
+    return closed_loop_metrics(trajectories, [True, False], (0, 1), seed, [1.0, 2.0]), trajectories
+
+
+@pytest.mark.slow
 def test_control_in_space(tmp_path: Path) -> None:
     """Three degrees of freedom and another time step: the same command, files and numbers."""
     model, result, episodes = (tmp_path / name for name in ("m.safetensors", "out.json", "out.h5"))

@@ -47,15 +47,38 @@ def learned(demos: Path, *options: object) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def cost(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cost(demos: Path, made_up_cost: Callable, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("cost") / "cost.json"
-    assert cli.run(learned(demos, "--out", path)) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("contactgraph.control.learn_cost", made_up_cost)
+        assert cli.run(learned(demos, "--out", path)) == 0
     return path
 
 
+@pytest.mark.slow
+def test_a_cost_is_learned_and_planned_with(demos: Path, tmp_path: Path) -> None:
+    paths = [tmp_path / "first.json", tmp_path / "again.json"]
+    for path in paths:
+        assert cli.run(learned(demos, "--out", path)) == 0
+    first, again = map(read_cost, paths)
+    assert np.array_equal(first.Q, again.Q) and np.array_equal(first.R, again.R), "one seed"
+    assert first.history.imitation[-1] < first.history.imitation[0]
+    assert [each.name for each in first.participants if each.kept] == ["gripper", "target"]
+    result = tmp_path / "out.json"
+    command = ["control", "pickup", "pickup", "--episodes", "1", "--replan-every", "10"]
+    assert cli.run([*command, "--cost", str(paths[0]), "--json", str(result)]) == 0
+    values = json.loads(result.read_text())
+    assert (values["cost"], values["episodes"]) == (str(paths[0]), 1)
+
+
 def test_what_is_said_and_written(
-    demos: Path, cost: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    demos: Path,
+    made_up_cost: Callable,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("contactgraph.control.learn_cost", made_up_cost)
     out, picture = tmp_path / "cost.json", tmp_path / "cost.png"
     assert cli.run(learned(demos, "--out", out, "--picture", picture)) == 0
     said, progress = capsys.readouterr()
@@ -75,9 +98,6 @@ def test_what_is_said_and_written(
     assert progress.splitlines()[-1].startswith("learning: 20 of 20 imitation loss ")
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert {path.name for path in tmp_path.iterdir()} == {"cost.json", "cost.png"}
-    first, again = read_cost(cost), read_cost(out)
-    assert np.array_equal(first.Q, again.Q) and np.array_equal(first.R, again.R), "one seed"
-    assert first.history.imitation[-1] < first.history.imitation[0]
 
 
 def test_the_file_says_how_it_was_made(demos: Path, cost: Path, runs: list[Trajectory]) -> None:
@@ -88,7 +108,7 @@ def test_the_file_says_how_it_was_made(demos: Path, cost: Path, runs: list[Traje
     assert (made["model"], made["demonstrations"], made["runs"]) == ("pickup", str(demos), 3)
     assert (made["seed"], made["goal"], made["data"]) == (0, "the runs' own", METADATA)
     assert made["recipe"]["steps"] == 20 and made["recipe"]["horizon"] == 20
-    assert made["seconds"] > 0 and "jax" in made["versions"]
+    assert made["seconds"] >= 0 and "jax" in made["versions"]
     assert len(made["model_sha256"]) == len(made["demonstrations_sha256"]) == 64
 
 
@@ -166,13 +186,8 @@ def test_known_tasks_say_their_largest_force(name: str) -> None:
     assert (task.action_space.high == TASKS[name].max_force).all()
 
 
-def test_control_plans_with_it(cost: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    result = tmp_path / "out.json"
-    command = ["control", "pickup", "pickup", "--episodes", "1", "--replan-every", "10"]
-    assert cli.run([*command, "--cost", str(cost), "--json", str(result)]) == 0
-    values = json.loads(result.read_text())
-    assert values["cost"] == str(cost)
-    assert values["episodes"] == 1
+def test_control_plans_with_it(cost: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    command = ["control", "pickup", "pickup"]
     monkeypatch.setattr("contactgraph.evaluate.control_task", asking)
     with pytest.raises(Asked) as asked:
         cli.run([*command, "--cost", str(cost)])
@@ -264,13 +279,15 @@ def in_space(run: Trajectory) -> Trajectory:
             lambda run: with_scene(run, dt=0.02),
             "demos.h5: the model is for dt 0.05 s, but run 0 has 0.02 s; they must agree",
         ),
-        (
+        pytest.param(
             lambda run: with_scene(run, goal=None),
             "demos.h5: run 0: goal is missing; a cost is about a goal",
+            marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             lambda run: cut(run, 19),
             "demos.h5: run 0: control must have at least the horizon's 20 steps, found 19",
+            marks=pytest.mark.slow,
         ),
     ],
 )
@@ -285,6 +302,7 @@ def test_runs_that_no_cost_can_be_learned_from(
     assert mistake(*learned(Path("demos.h5"), "--out", "a.json")) == said
 
 
+@pytest.mark.slow
 def test_runs_in_which_nothing_touches(mistake, runs: list[Trajectory], tmp_path: Path) -> None:
     rest = [cut(run) for run in collect([PickupTask], [RestPolicy()], 1, 0)]
     write_trajectories(tmp_path / "demos.h5", [*runs, *rest], METADATA)

@@ -51,13 +51,14 @@ def test_the_flags_reach_their_work(pickups: Path, monkeypatch: pytest.MonkeyPat
     assert [call.get("measured") for call in calls] == [None, True, False]
 
 
-def test_evaluate_echoes_the_sensor(pickups: Path, tmp_path: Path) -> None:
+def test_evaluate_echoes_the_sensor(fresh: Path, tmp_path: Path) -> None:
     flags = ["--false-alarms", 0.05, "--delay", 2]
-    values = told(["evaluate", "pickup", pickups, *flags], tmp_path / "spoiled.json")
+    values = told(["evaluate", "pickup", fresh, *flags], tmp_path / "spoiled.json")
     assert [values[name] for name in ("false_alarms", "misses", "delay")] == [0.05, 0, 2]
     assert values["edge_f1"] is not None
 
 
+@pytest.mark.slow
 def test_control_says_what_was_planned(tmp_path: Path) -> None:
     command = ["control", "pickup", "pickup", "--episodes", 1, "--replan-every", 10]
     values = told([*command, "--misses", 0.1], tmp_path / "one.json")
