@@ -51,7 +51,7 @@ def made_up_cost() -> Callable:
         import jax.numpy as jnp
 
         from contactgraph.control import LearnedCost
-        from contactgraph.control.cost_learning.learned_cost import LearningHistory, TaskNode
+        from contactgraph.control.learned_cost import LearningHistory, TaskNode
 
         runs = len(dataset)
         for step in range(1, config.steps + 1):
@@ -64,7 +64,7 @@ def made_up_cost() -> Callable:
             nodes=jnp.asarray([0, 1], jnp.int32),
             kept_nodes=("gripper", "target"),
             history=LearningHistory(losses, losses, losses, losses),
-            participants=(
+            task_nodes=(
                 TaskNode("gripper", True, runs, runs, 0.8),
                 TaskNode("target", False, runs, runs, 0.8),
                 TaskNode("distractor-0", False, runs, 0, None),
