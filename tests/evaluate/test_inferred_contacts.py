@@ -41,6 +41,7 @@ def test_motion_finds_on_recorded_runs_what_distance_denies(model, runs) -> None
     assert unasked.edge_f1_unmeasured == found.edge_f1_unmeasured
 
 
+@pytest.mark.slow
 def test_motion_finds_in_closed_loop_what_distance_denies(model) -> None:
     without, _ = control_task(model, WIDER, 1, 7100, measured=False, replan_every=10)
     noise = MotionNoise()

@@ -131,6 +131,7 @@ def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, capl
         assert near.to_json()[name] == expected, name
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("large")
 def test_training_in_large_scenes_uses_lists(model, apart) -> None:
     recipe = TrainConfig(steps=1, batch_size=2, window_length=2, rollout_from=1.0, bystanders=0)
