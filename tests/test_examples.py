@@ -17,8 +17,11 @@ SAYS = {
     "05_own_task.py": "Fetch keeps the contract\nsuccess: 100%",
     "06_compose_a_model.py": "with the true masses, contact frozen",
     "07_learn_cost.py": "goals that no demonstration had: 100 %",
+    "extend_edge_feature.py": "approach at +1 m/s: feature +0.50",
+    "extend_edge_friction.py": "friction slows the sliding",
     "extend_metric.py": "touches not predicted on time",
     "extend_planner_mppi.py": "nearer",
+    "extend_recurrent_cell.py": "gripper - target, with a leaky cell:",
     "extend_task.py": "Line meets the task contract; the expert's success: True",
 }
 FAST = ("extend_task.py",)

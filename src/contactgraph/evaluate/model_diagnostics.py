@@ -20,11 +20,11 @@ from contactgraph.data import (
 from contactgraph.model import (
     ContactDynamics,
     ContactSensor,
+    LinearDynamics,
     ModelState,
     StepModel,
-    control_sensitivity,
+    rollout,
     stack_state,
-    take_step,
 )
 from contactgraph.model.filter import check_fit, dtype_of, filter_trajectory, on_device
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
@@ -156,20 +156,17 @@ def _rollout(
     """Norm of every state from the first one on, and the spectral radius of every step's A."""
     nodes = trajectory.nodes
 
-    Carry = tuple[ModelState, Float[Array, "N D U"]]
-
-    def step(carry: Carry, control: Array) -> tuple[Carry, tuple[Array, Array]]:
-        after, response, linear = take_step(model, *carry, control, nodes)
+    def output(after: ModelState, linear: LinearDynamics) -> tuple[Array, Array]:
         exists = nodes.mask[:, None]
         motion = stack_state(
             jnp.where(exists, after.position, 0.0), jnp.where(exists, after.velocity, 0.0)
         )
         radius = jnp.where(exists, _spectral_radius(linear.A), 0.0)
-        return (after, response), (jnp.linalg.norm(motion), jnp.max(radius))
+        return jnp.linalg.norm(motion), jnp.max(radius)
 
     position, velocity = trajectory.position[0], trajectory.velocity[0]
     first = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
-    return jax.lax.scan(step, (first, control_sensitivity(model, first, nodes)), controls)[1]
+    return rollout(model, first, controls, nodes, output)
 
 
 def _spectral_radius(A: Float[Array, "*N 2 2"]) -> Float[Array, "*N"]:

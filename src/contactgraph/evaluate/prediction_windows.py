@@ -16,12 +16,12 @@ from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
     ContactSensor,
+    LinearDynamics,
     ModelState,
     MotionNoise,
     ReallocatingModel,
     StepModel,
-    control_sensitivity,
-    take_step,
+    rollout,
 )
 from contactgraph.model.filter import dtype_of, filter_trajectory, on_device
 from contactgraph.model.neighbor_list import edge_count
@@ -66,14 +66,10 @@ def predict_trajectory(
         state = ModelState(trajectory.position[start], trajectory.velocity[start], belief)
         controls = jax.lax.dynamic_slice_in_dim(trajectory.control, start, steps)
 
-        Carry = tuple[ModelState, Float[Array, "N D U"]]
+        def output(after: ModelState, _: LinearDynamics) -> tuple[Array, Array]:
+            return after.position, likely(after.belief)
 
-        def step(carry: Carry, control: Array) -> tuple[Carry, tuple[Array, Array]]:
-            after, response, _ = take_step(model, *carry, control, trajectory.nodes)
-            return (after, response), (after.position, likely(after.belief))
-
-        response = control_sensitivity(model, state, trajectory.nodes)
-        return jax.lax.scan(step, (state, response), controls)[1]
+        return rollout(model, state, controls, trajectory.nodes, output)
 
     count = starts.shape[0]
     considered = edges
