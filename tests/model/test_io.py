@@ -99,7 +99,7 @@ def test_every_shipped_file_loads_and_saves_under_present_names(name: str, tmp_p
     for ours, theirs in zip(
         jax.tree.leaves(again.model), jax.tree.leaves(stored.model), strict=True
     ):
-        assert np.array_equal(ours, theirs) if eqx.is_array(ours) else ours is theirs
+        assert np.array_equal(ours, theirs) if eqx.is_array(ours) else ours == theirs
 
 
 def test_a_header_of_version_1_builds_the_same_model(good: Path, tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_a_header_of_version_1_builds_the_same_model(good: Path, tmp_path: Path)
     for ours, theirs in zip(
         jax.tree.leaves(stored.model), jax.tree.leaves(expected.model), strict=True
     ):
-        assert np.array_equal(ours, theirs) if eqx.is_array(ours) else ours is theirs
+        assert np.array_equal(ours, theirs) if eqx.is_array(ours) else ours == theirs
     assert describe_model(path).model == describe_model(good).model
     assert (describe_model(path).format_version, describe_model(good).format_version) == (1, 2)
 
