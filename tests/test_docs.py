@@ -54,7 +54,8 @@ def anchors(page: Path) -> set[str]:
     return {head.strip().replace(" ", "-") for head in plain}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [each for each in PAGES if blocks(each, {"python"})], ids=name)
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The blocks of a page run in order in one namespace, so a block may use an earlier one."""
     monkeypatch.chdir(tmp_path)

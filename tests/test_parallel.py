@@ -130,6 +130,7 @@ print(list(map_in_order(LocalExecutor(1), work, range(2))))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ballast", ["1", "1000000"])
 def test_a_script_that_is_not_guarded_ends_and_says_why(tmp_path, ballast):
     script = tmp_path / "script.py"

@@ -140,7 +140,7 @@ class Renderable(PickupTask):
 
     stick = np.zeros((2, 2))
 
-    def skeleton(self):
+    def link_positions(self):
         return self.stick
 
 

@@ -70,7 +70,7 @@ class Watched(PickupTask):
         self.stick[1] = observation["position"][0]
         return observation, info
 
-    def skeleton(self):
+    def link_positions(self):
         return self.stick
 
 

@@ -50,6 +50,7 @@ def test_every_unit_has_a_new_process_all_cores_and_children():
     assert multiprocessing.active_children() == []
 
 
+@pytest.mark.slow
 def test_nobody_outlives_the_owner():
     script = (
         "import os, sys, time\n"

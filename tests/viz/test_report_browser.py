@@ -12,7 +12,10 @@ from contactgraph.viz.report import page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 GRIPPER = np.array([0x1B, 0x66, 0xA8])
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs the chromium browser")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="needs the chromium browser"),
+]
 
 
 def screenshot(folder, data, acting=""):

@@ -149,16 +149,16 @@ def _check_skeleton(task: Task, points: int | None, when: str) -> int | None:
     """How many points a task that is `Renderable` has; ``points``, where that is known already."""
     if not isinstance(task, Renderable):
         return None
-    skeleton, dimension = task.skeleton(), task.scene.dimension
+    skeleton, dimension = task.link_positions(), task.scene.dimension
     if skeleton.ndim != 2 or len(skeleton) < 2 or skeleton.shape[1] != dimension:
         _fail(
-            f"skeleton() must have shape (P, {dimension}) with P >= 2, found {skeleton.shape} "
+            f"link_positions() must have shape (P, {dimension}) with P >= 2, found {skeleton.shape} "
             f"at {when}"
         )
     if points not in (None, len(skeleton)):
-        _fail(f"skeleton() must keep its {points} points, found {len(skeleton)} at {when}")
+        _fail(f"link_positions() must keep its {points} points, found {len(skeleton)} at {when}")
     if not np.all(np.isfinite(skeleton)):
-        _fail(f"skeleton() must be finite, found {skeleton.tolist()} at {when}")
+        _fail(f"link_positions() must be finite, found {skeleton.tolist()} at {when}")
     return len(skeleton)
 
 

@@ -60,7 +60,7 @@ class Task(Protocol):
 class Renderable(Protocol):
     """What a task may offer beside `Task`: a body to draw that is no node, such as an arm."""
 
-    def skeleton(self) -> np.ndarray:
+    def link_positions(self) -> np.ndarray:
         """[P, D] m: where the body's points are now, to be joined by lines in their order.
 
         ``P``, at least 2, never changes.

@@ -44,7 +44,7 @@ def run_episode(
     observations = [observation]
     drawn = task if isinstance(task, Renderable) else None
     # Copies: a simulator may well answer with a view of what it moves.
-    skeletons = [] if drawn is None else [np.array(drawn.skeleton())]
+    skeletons = [] if drawn is None else [np.array(drawn.link_positions())]
     controls: list[np.ndarray] = []
     done = False
     while not done:
@@ -61,7 +61,7 @@ def run_episode(
         observation, done = following, terminated or truncated
         observations.append(observation)
         if drawn is not None:
-            skeletons.append(np.array(drawn.skeleton()))
+            skeletons.append(np.array(drawn.link_positions()))
         controls.append(control)
     metadata = {
         **task.scene.metadata,

@@ -153,13 +153,13 @@ class PickupExpert:
         return force + self._noise()
 
 
-STIFFNESS_door_expert = 5.0
+DOOR_STIFFNESS = 5.0
 """Kp, N/m on the way to the door; on its turn N m/rad for every kg m^2."""
-FREE_DAMPING_door_expert = 1.0 * np.sqrt(STIFFNESS_door_expert)
+DOOR_FREE_DAMPING = 1.0 * np.sqrt(DOOR_STIFFNESS)
 """Along the way to the door, N s/m."""
-ACROSS_DAMPING = 4.0 * np.sqrt(STIFFNESS_door_expert)
+ACROSS_DAMPING = 4.0 * np.sqrt(DOOR_STIFFNESS)
 """Across the way to the door, N s/m."""
-TURN_DAMPING = 2.0 * np.sqrt(STIFFNESS_door_expert)
+TURN_DAMPING = 2.0 * np.sqrt(DOOR_STIFFNESS)
 """N m s/rad for every kg m^2: critical. The paper's 4 sqrt(Kp) would not be there in time."""
 _LEAST_LEVER = 0.1
 """m, assumed where the gripper is pinned closer to the hinge, lest the force be without bound."""
@@ -202,11 +202,7 @@ class DoorExpert:
             way = position[DOOR] - position[GRIPPER]
             along = way * (way @ velocity[GRIPPER]) / (way @ way)
             across = velocity[GRIPPER] - along
-            force = (
-                STIFFNESS_door_expert * way
-                - FREE_DAMPING_door_expert * along
-                - ACROSS_DAMPING * across
-            )
+            force = DOOR_STIFFNESS * way - DOOR_FREE_DAMPING * along - ACROSS_DAMPING * across
         return force + self._noise()
 
     def _turn(self, position: np.ndarray, velocity: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -218,6 +214,6 @@ class DoorExpert:
         left = np.array([-bar[1], bar[0]])
         missing = np.arctan2(left @ aim, bar @ aim)
         rate = (left @ velocity[DOOR]) / (bar @ bar)
-        torque = inertia * (STIFFNESS_door_expert * missing - TURN_DAMPING * rate)
+        torque = inertia * (DOOR_STIFFNESS * missing - TURN_DAMPING * rate)
         arm = float(np.linalg.norm(lever))
         return torque / max(arm, _LEAST_LEVER) * np.array([-lever[1], lever[0]]) / arm

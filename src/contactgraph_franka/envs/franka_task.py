@@ -150,7 +150,7 @@ class FrankaTask(GripperTask):
         """Cost of hand to block and block to goal."""
         return pickup_cost()
 
-    def skeleton(self) -> np.ndarray:
+    def link_positions(self) -> np.ndarray:
         """[P, 3] m: the arm's joints from the base to the grasp point."""
         return self._arm_world().link_positions()
 

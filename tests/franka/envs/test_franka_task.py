@@ -163,7 +163,7 @@ def test_the_scene_describes_its_nodes():
 def test_the_skeleton_ends_at_the_hand_and_begins_at_the_base():
     task = FrankaTask()
     observation, _ = task.reset(seed=2)
-    skeleton = task.skeleton()
+    skeleton = task.link_positions()
     np.testing.assert_array_equal(skeleton[0], [0.0, 0.0, 0.0])
     np.testing.assert_array_equal(skeleton[-1], observation["position"][0])
     lengths = np.linalg.norm(np.diff(skeleton, axis=0), axis=-1)
