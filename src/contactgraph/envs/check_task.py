@@ -149,17 +149,17 @@ def _check_skeleton(task: Task, points: int | None, when: str) -> int | None:
     """How many points a task that is `Renderable` has; ``points``, where that is known already."""
     if not isinstance(task, Renderable):
         return None
-    skeleton, dimension = task.link_positions(), task.scene.dimension
-    if skeleton.ndim != 2 or len(skeleton) < 2 or skeleton.shape[1] != dimension:
+    links, dimension = task.link_positions(), task.scene.dimension
+    if links.ndim != 2 or len(links) < 2 or links.shape[1] != dimension:
         _fail(
-            f"link_positions() must have shape (P, {dimension}) with P >= 2, found {skeleton.shape} "
+            f"link_positions() must have shape (P, {dimension}) with P >= 2, found {links.shape} "
             f"at {when}"
         )
-    if points not in (None, len(skeleton)):
-        _fail(f"link_positions() must keep its {points} points, found {len(skeleton)} at {when}")
-    if not np.all(np.isfinite(skeleton)):
-        _fail(f"link_positions() must be finite, found {skeleton.tolist()} at {when}")
-    return len(skeleton)
+    if points not in (None, len(links)):
+        _fail(f"link_positions() must keep its {points} points, found {len(links)} at {when}")
+    if not np.all(np.isfinite(links)):
+        _fail(f"link_positions() must be finite, found {links.tolist()} at {when}")
+    return len(links)
 
 
 def _check_equal(one: Observation, other: Observation, demand: str) -> None:
