@@ -20,6 +20,8 @@ import pytest
 
 from contactgraph.control import LQRProblem, LQRTrajectory, lqr_trajectory
 
+pytestmark = pytest.mark.slow
+
 SIZE, HORIZON, BATCH = 3, 4, 128
 """T = 5 states are four steps."""
 SEEDS = jnp.arange(3)

@@ -101,7 +101,11 @@ def finite_differences(loss, at):
     return unflatten(jax.jit(jax.vmap(difference))(1e-5 * jnp.eye(flat.size)))
 
 
-SIZES = [(0, 6, 4, 2), (1, 1, 3, 1), (2, 5, 5, 3), (3, 2, 2, 7)]
+SIZES = [
+    (0, 3, 3, 2),
+    (3, 2, 2, 7),
+    *(pytest.param(*each, marks=pytest.mark.slow) for each in ((1, 1, 3, 1), (2, 5, 5, 3))),
+]
 """Seed, H, n, U. Above six controls another way of solving for them is used."""
 
 
@@ -118,7 +122,7 @@ def test_equals_rollout_of_the_riccati_policy_and_autodiff_through_it(seed, hori
     jax.tree.map(close_to(1e-9), ours, (with_symmetric_cost(expected[0]), expected[1]))
 
 
-@pytest.mark.parametrize(("horizon", "U"), [(4, 2), (1, 1)])
+@pytest.mark.parametrize(("horizon", "U"), [(3, 2), pytest.param(1, 1, marks=pytest.mark.slow)])
 def test_gradients_of_every_leaf_against_finite_differences(horizon, U):
     problem, start, weights = random_problem(4, horizon, 3, U)
 
@@ -252,6 +256,6 @@ def test_a_long_horizon_of_an_unstable_system_in_single_precision():
 
 
 def test_forward_mode_is_refused():
-    problem, start, _ = random_problem(9)
+    problem, start, _ = random_problem(9, 2, 2, 1)
     with pytest.raises(TypeError, match="forward-mode"):
         jax.jvp(lambda x: lqr_trajectory(problem, x), (start,), (start,))
