@@ -57,7 +57,7 @@ def test_the_claim_is_about_all_episodes_of_pickup(
     json.dumps(found.to_json(), allow_nan=False)
 
 
-def test_what_the_claim_says() -> None:
+def test_sentence_and_numbers_of_the_claim() -> None:
     found = transfers(
         cost_results({"success_rate": 0.5}, "pickup", by_demonstrations(FULL_COST)[0]),
         COST_TASKS,

@@ -99,7 +99,7 @@ def test_answers_come_in_order_from_the_machines(executor: RayExecutor) -> None:
     assert os.getpid() not in dict(answers).values()
 
 
-def test_what_goes_wrong_on_a_machine_is_told(
+def test_errors_on_a_machine_are_raised_here(
     executor: RayExecutor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for errand, error, said in [
@@ -187,7 +187,7 @@ def test_a_node_that_is_killed_costs_its_cell_alone(
     assert done(tmp_path) == []
 
 
-def test_ctrl_c_leaves_what_is_done(tmp_path: Path, executor: RayExecutor) -> None:
+def test_ctrl_c_keeps_finished_jobs(tmp_path: Path, executor: RayExecutor) -> None:
     jobs = [Job(f"{n}", ("make", f"{n}"), "make") for n in range(4)]
 
     def interrupted(progress: Progress) -> None:

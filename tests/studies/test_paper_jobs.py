@@ -26,7 +26,7 @@ def test_outputs_are_each_made_by_one_cell() -> None:
         assert conflicting_outputs(one.job for one in measurements(EVERY_TASK, amounts)) == {}
 
 
-def test_all_that_was_asked_for() -> None:
+def test_all_measurements() -> None:
     found = measurements(TASKS, FULL)
     of = {source: [one for one in found if one.condition.source is source] for source in Source}
     conditions = sum(len(task.conditions) for task in TASKS)

@@ -80,7 +80,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Job]]:
     return asked
 
 
-def test_what_a_study_leaves(
+def test_files_of_a_study(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -127,7 +127,7 @@ def test_all_tasks_go_into_one_folder(
         assert f"cells/{task}/seed-2/gim-temp-40/run" in full - quick
 
 
-def test_what_the_study_of_costs_leaves(
+def test_files_of_the_study_of_costs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     history = LearningHistory(*[jnp.ones(1)] * 4)

@@ -1,4 +1,4 @@
-"""Cells of a study: made once, in order of need, and again when their command changes."""
+"""Jobs of a study: run once, in dependency order, and again when their command changes."""
 
 import json
 import multiprocessing
@@ -34,7 +34,7 @@ def done(folder: Path) -> list[str]:
     return lines
 
 
-def test_cells_come_behind_what_they_need() -> None:
+def test_jobs_come_after_their_inputs() -> None:
     data = make("data")
     run_ = make("run", needs=(data,))
     assert [
@@ -46,7 +46,7 @@ def test_cells_come_behind_what_they_need() -> None:
     ]
 
 
-def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
+def test_finished_jobs_are_not_run_again(tmp_path: Path) -> None:
     data = make("deep/data", "x")
     jobs = [make("result", needs=(data,))]
     failures, steps = run(tmp_path, jobs)
@@ -63,7 +63,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
     assert done(tmp_path) == []
 
 
-def test_what_is_missing_or_begun_is_done_again(tmp_path: Path) -> None:
+def test_missing_or_unfinished_outputs_are_made_again(tmp_path: Path) -> None:
     jobs = [make("a"), make("b")]
     run(tmp_path, jobs)
     done(tmp_path)
@@ -78,7 +78,7 @@ def test_what_is_missing_or_begun_is_done_again(tmp_path: Path) -> None:
     assert done(tmp_path) == ["make b"]
 
 
-def test_another_command_or_version_is_done_anew_with_all_that_rests_on_it(tmp_path: Path) -> None:
+def test_another_command_or_version_is_run_again_with_all_that_needs_it(tmp_path: Path) -> None:
     def jobs_of(words: str) -> list[Job]:
         data = make("data", words)
         return [make("result", needs=(make("run", needs=(data,)),)), make("other")]
@@ -91,7 +91,15 @@ def test_another_command_or_version_is_done_anew_with_all_that_rests_on_it(tmp_p
     assert len(done(tmp_path)) == 4
 
 
-def test_an_input_made_anew_makes_its_results_anew(tmp_path: Path) -> None:
+def test_a_result_of_another_input_is_made_again_in_a_later_run(tmp_path: Path) -> None:
+    run(tmp_path, [make("result", needs=(make("data", "old"),))])
+    run(tmp_path, [make("data", "new")])
+    done(tmp_path)
+    run(tmp_path, [make("result", needs=(make("data", "new"),))])
+    assert done(tmp_path) == ["make result"]
+
+
+def test_an_input_made_again_makes_its_results_again(tmp_path: Path) -> None:
     data = make("data")
     run(tmp_path, [make("result", needs=(data,))])
     done(tmp_path)
@@ -107,7 +115,7 @@ def test_an_input_made_anew_makes_its_results_anew(tmp_path: Path) -> None:
         ("die", "its process died, exit code 9; it printed n"),
     ],
 )
-def test_a_failure_takes_only_what_needs_it(tmp_path: Path, verb: str, reason: str) -> None:
+def test_a_failure_stops_only_the_jobs_that_need_it(tmp_path: Path, verb: str, reason: str) -> None:
     bad = Job("bad", (verb, "bad"), "bad")
     lost = make("lost", needs=(bad,))
     jobs = [bad, make("further", needs=(lost,)), make("good"), make("better")]
@@ -144,7 +152,7 @@ def test_several_at_a_time(tmp_path: Path) -> None:
     assert [step.done for step in steps] == list(range(1, 13))
 
 
-def test_a_process_goes_on_with_what_it_has_compiled_and_is_not_kept_for_ever(
+def test_a_process_prefers_jobs_whose_programs_it_has_and_is_replaced(
     tmp_path: Path,
 ) -> None:
     jobs = [Job(f"{n}", ("make", f"{n}"), group="ab"[n % 2]) for n in range(60)]
@@ -154,7 +162,7 @@ def test_a_process_goes_on_with_what_it_has_compiled_and_is_not_kept_for_ever(
     assert (tmp_path / "started.txt").read_text().count("started") == 3
 
 
-def test_interrupted_it_ends_its_workers_and_goes_on_later(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_workers_and_the_next_run_continues(tmp_path: Path) -> None:
     jobs = [make("a"), make("b"), make("c")]
 
     def interrupted(progress: Progress) -> None:

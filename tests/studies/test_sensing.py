@@ -44,7 +44,7 @@ def test_shares_by_hand() -> None:
     found = results_of(measured={ERROR: 0.02}, nothing={ERROR: 0.06}, motion={ERROR: 0.03})
     share = share_recovered(found, PICKUP_SENSING, WIDER, ERROR)
     assert share.values == pytest.approx((75.0,)) and share.command == "command motion"
-    # Nobody recovers what was not lost, what is not known, or what was not measured.
+    # No share if nothing was lost, or a number is not known or not measured.
     same = results_of(measured={ERROR: 0.0596}, nothing={ERROR: 0.06}, motion={ERROR: 0.0})
     assert not share_recovered(same, PICKUP_SENSING, WIDER, ERROR).known
     lost = results_of(measured={ERROR: 0.02}, nothing={ERROR: None}, motion={ERROR: 0.03})
@@ -68,7 +68,7 @@ def test_a_contact_that_was_never_found_counts() -> None:
     assert delays == [(50.0, 50.0), (math.inf, math.inf), ()]
 
 
-def test_findings_from_what_is_there(tmp_path: Path) -> None:
+def test_result_from_the_existing_outputs(tmp_path: Path) -> None:
     said = {
         **{"success_rate": 0.9, "episodes": 20, "edge_f1_found": 0.97, "onsets": 20},
         **{"onset_delay_ms_p50": 0.0, "onset_delay_ms_p95": 50.0, ERROR: 0.04},
