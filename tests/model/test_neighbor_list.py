@@ -26,8 +26,7 @@ from contactgraph.model import (
     save_model,
     two_type_belief,
 )
-from contactgraph.model.graph import edge_nodes, unordered_edge_id
-from contactgraph.model.neighbor_list import travel_bound
+from contactgraph.model.neighbor_list import edge_nodes, travel_bound, unordered_edge_id
 
 FAR = 0.25
 

@@ -19,7 +19,6 @@ from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
 from contactgraph.model.edge_inference import RecurrentEdges as RecurrentEdges
 from contactgraph.model.features import AbsoluteFeatures as AbsoluteFeatures
 from contactgraph.model.features import InvariantFeatures as InvariantFeatures
-from contactgraph.model.graph import sum_at_nodes as sum_at_nodes
 from contactgraph.model.heads import CoupledHead as CoupledHead
 from contactgraph.model.heads import PerDegreeHead as PerDegreeHead
 from contactgraph.model.io import ModelSummary as ModelSummary
@@ -47,6 +46,7 @@ from contactgraph.model.motion_likelihood import (
 )
 from contactgraph.model.motion_likelihood import correct_by_motion as correct_by_motion
 from contactgraph.model.neighbor_list import NeighborList as NeighborList
+from contactgraph.model.neighbor_list import sum_at_nodes as sum_at_nodes
 from contactgraph.model.presets import ModelConfig as ModelConfig
 from contactgraph.model.presets import Preset as Preset
 from contactgraph.model.presets import full_ab as full_ab

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.model.collision import Geometry
-from contactgraph.model.graph import sum_at_nodes
+from contactgraph.model.neighbor_list import sum_at_nodes
 
 _UNROLLED_SIZE = 6
 """Rows up to which matrices are inverted, and multiplied, in unrolled operations that fuse."""

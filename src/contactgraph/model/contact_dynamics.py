@@ -27,9 +27,14 @@ from contactgraph.model.contact_belief import (
 )
 from contactgraph.model.edge_inference import AllEdges, MemorylessEdges, RecurrentEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.graph import Edges, all_pairs
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
-from contactgraph.model.neighbor_list import NeighborList, edge_count, travel_bound
+from contactgraph.model.neighbor_list import (
+    Edges,
+    NeighborList,
+    all_pairs,
+    edge_count,
+    travel_bound,
+)
 from contactgraph.model.rollout import control_sensitivity, rollout, take_step
 from contactgraph.model.types import (
     LinearDynamics,

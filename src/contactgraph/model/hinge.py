@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.model.graph import sum_at_nodes
+from contactgraph.model.neighbor_list import sum_at_nodes
 
 _MIN_SQUARE = 1e-12
 _MIN_WEIGHT = 1e-9
