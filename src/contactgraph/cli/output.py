@@ -1,4 +1,4 @@
-"""What commands print and write: lines for people, JSON for programs, progress for the patient."""
+"""Output of commands: files, progress, and the versions that a result was made with."""
 
 import contextlib
 import hashlib

@@ -1,4 +1,10 @@
-"""The one file that imports Box2D, and what all worlds on it share."""
+"""Circles on Box2D that collide inelastically and then stick. Only this file imports Box2D.
+
+Box2D finds the touches, integrates the motion and carries the joints. The perfectly inelastic
+impact is resolved here: within a substep a body moves in a straight line, so the time of impact is
+a root of a quadratic. The bodies are taken back to it and go on together, with momentum over mass
+as their common velocity, so a touching pair stays at exactly the sum of its radii.
+"""
 
 import warnings
 
@@ -96,7 +102,7 @@ class CircleWorld:
 
     @property
     def contact(self) -> np.ndarray:
-        """``[N, N]`` bool, symmetric: pairs that touched, and hold since. Nobody touches itself."""
+        """``[N, N]`` bool, symmetric, zero diagonal: pairs that touched, and stick since."""
         return self._contact.copy()
 
     def step(self, force: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""What every task and every controller offers, whoever wrote it."""
+"""The contracts of tasks and policies, and the cost that a task has."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -105,7 +105,7 @@ class InformedPolicy(Protocol):
     """A policy that makes use of knowing what came of its control."""
 
     def applied(self, control: np.ndarray) -> None:
-        """Told after every step which control ``[U]`` N the task applied, on its mean."""
+        """Receives after every step the mean control ``[U]`` N that the task applied."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Where the gripper and the doors are when an episode with a door begins."""
+"""The door task: a gripper opens a hinged door; its scenes are sampled here, too."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Random forces: noise that makes masses identifiable, and runs that explore or rest."""
+"""Scripted policies: the experts of the pickups and the door, exploration and rest."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class CorrelatedNoise:
         self._value = np.zeros(0)
 
     def reset(self, size: int, seed: int) -> None:
-        """Starts anew with ``size`` axes."""
+        """Restarts the process with ``size`` axes."""
         self._rng = np.random.default_rng(seed)
         self._value = self._deviation * self._rng.standard_normal(size)
 
@@ -115,7 +115,7 @@ class PickupExpert:
 
     ``noise`` N is the standard deviation of the force that is added on each axis, correlated over
     ``correlation_steps`` steps: without it every force would be a function of the state, and a
-    mass could not be told from a drag.
+    mass could not be distinguished from a drag.
     """
 
     def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:

@@ -1,4 +1,4 @@
-"""What the tasks of a gripper share: how an episode goes, whatever is in the scene."""
+"""The base of tasks in which a force moves a gripper: episodes, observations, rewards."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Pickup: a gripper picks up one target in a sweep and takes it to a goal, among bystanders."""
+"""The pickup tasks: a gripper takes one target, or several in turn, to a goal."""
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class PickupTask(GripperTask):
         """Samples the scene of a seed, with everything at rest."""
         rng = np.random.default_rng(seed)
         layout = sample_layout(rng, 1, self._distractors, self._fixed)
-        told: dict[str, str | int | float | bool] = {
+        metadata: dict[str, str | int | float | bool] = {
             "task": "pickup",
             "seed": seed,
             "distractors": self._distractors,
@@ -70,7 +70,7 @@ class PickupTask(GripperTask):
             "substeps": self._substeps,
             **fixed_metadata(self._fixed_seed),
         }
-        scene = circle_scene(layout, ("target",), told, self._radius)
+        scene = circle_scene(layout, ("target",), metadata, self._radius)
         return scene, circle_world(layout, self._substeps, self._radius)
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
@@ -93,11 +93,10 @@ def check_counts(distractors: int, substeps: int) -> None:
 def circle_scene(
     layout: PickupLayout,
     targets: tuple[str, ...],
-    told: dict[str, str | int | float | bool],
+    metadata: dict[str, str | int | float | bool],
     size: float = RADIUS,
 ) -> Scene:
-    """The scene of a layout whose targets have these names; ``told`` is its metadata, and ``size``
-    m the radius of every body."""
+    """The scene of a layout whose targets have these names; ``size`` m is every body's radius."""
     count = len(layout.position)
     distractors = tuple(f"distractor-{index}" for index in range(len(layout.distractors)))
     return Scene(
@@ -108,7 +107,7 @@ def circle_scene(
         goal=layout.goal,
         mass=np.full(count, MASS),
         radius=np.full(count, size),
-        metadata=told,
+        metadata=metadata,
     )
 
 
@@ -180,7 +179,7 @@ class MultiPickupTask(GripperTask):
         rng = np.random.default_rng(seed)
         layout = sample_layout(rng, self._objects, self._distractors, self._fixed)
         names = tuple(f"target-{index}" for index in range(1, self._objects + 1))
-        told: dict[str, str | int | float | bool] = {
+        metadata: dict[str, str | int | float | bool] = {
             "task": "multi-pickup",
             "seed": seed,
             "objects": self._objects,
@@ -189,7 +188,7 @@ class MultiPickupTask(GripperTask):
             "substeps": self._substeps,
             **fixed_metadata(self._fixed_seed),
         }
-        return circle_scene(layout, names, told), circle_world(layout, self._substeps)
+        return circle_scene(layout, names, metadata), circle_world(layout, self._substeps)
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether every target is joined to the gripper and the last within 0.1 m of the goal."""

@@ -1,4 +1,4 @@
-"""Distances in the plane from the ways that something sweeps along."""
+"""Sampled start positions and goals of pickups, with free paths for the gripper."""
 
 import itertools
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 def distance_to_way(point: np.ndarray, start: np.ndarray, end: np.ndarray, beyond: float) -> float:
     """Distance of a point from the way from start to end, all ``[2]`` m; m.
 
-    The way goes on straight for ``beyond`` m behind its end: nobody stops dead.
+    The way goes on straight for ``beyond`` m behind its end, since no body stops at once.
     """
     way = end - start
     length = float(np.hypot(*way))
@@ -33,7 +33,7 @@ CORRIDOR = 0.35
 TARGET_CORRIDOR = 0.2
 """The least distance of a target's centre from the ways on which it is not yet due, m."""
 OVERSHOOT = 0.3
-"""By how much a way is longer than the straight line, m: nobody stops dead."""
+"""By how much a way is longer than the straight line, m: no body stops at once."""
 
 _TRIES_PER_DISTRACTOR = 200
 

@@ -1,4 +1,4 @@
-"""A learned cost as a picture: who is tied to whom, and by how much.
+"""A learned cost as a picture: which nodes it couples, and how strongly.
 
 Left is Q in the nodes' own coordinates, in the middle in relative ones (`relative_terms`), where a
 cost that ties gripper to object and object to goal has nothing off its diagonal blocks; right is R.
@@ -30,7 +30,7 @@ _SIDE, _BLOCK, _CELL = 4.2, 1.3, 0.3
 _MARGIN, _TOP, _SMALL, _END = 0.72, 1.05, 0.95, 0.2
 """Inches: left of a matrix, above one, of R, to the right edge."""
 _LETTER, _SMALLEST = 0.6, 5.0
-"""Width of a letter against its size; points below which nobody reads."""
+"""Width of a letter against its size; smallest readable size, points."""
 
 
 @dataclass(frozen=True, eq=False)

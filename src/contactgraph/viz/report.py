@@ -199,7 +199,7 @@ def _all(run: SceneRun) -> range:
 
 
 def _plan(run: SceneRun) -> dict[str, object] | None:
-    """Plans of the bodies that they move; resting bystanders would be most of the page."""
+    """Plans of the bodies that they move; resting distractors would be most of the page."""
     if run.plan is None or run.plan.shape[1] < 2:
         return None
     moved = np.nan_to_num(np.abs(run.plan - run.plan[:, :1])).max(axis=(0, 1, 3))

@@ -1,4 +1,4 @@
-"""What a report page says: numbers with their origin, runs to watch, errors and losses."""
+"""The data of a report page: numbers with their origin, trajectories, errors and losses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

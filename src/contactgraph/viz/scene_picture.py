@@ -1,4 +1,4 @@
-"""The colours of still and moving pictures; `assets/page.css` has the page's."""
+"""A scene at one moment, drawn with matplotlib. The page has its own colours, in page.css."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,7 +19,7 @@ INK, SOFT, RULE = "#1d2127", "#616872", "#e2ded5"
 
 
 def body_colour(node: int, involved: list[int]) -> str:
-    """A colour for each body the run is about, one quiet colour for bystanders."""
+    """A colour for each body the run is about, one quiet colour for distractors."""
     place = involved.index(node) if node in involved else len(BODY_COLOURS)
     return BODY_COLOURS[place] if place < len(BODY_COLOURS) else OTHER_COLOUR
 
@@ -30,7 +30,7 @@ _BONE = 0.018
 
 
 def draw_bodies(axes: Axes, run: SceneRun, state: int, involved: list[int]) -> None:
-    """Every node where it is; far ones first, bystanders first among those as far away."""
+    """Every node; far ones first, distractors first among those equally far away."""
     place, depth = run.projection(run.position[state]), run.projection.depth(run.position[state])
 
     def order(node: int) -> tuple[bool, float, bool]:

@@ -59,7 +59,7 @@ class SceneRun:
     plan: np.ndarray | None = None
     """[T, H+1, N, D] m: where the plan made at step t puts every node; NaN where there is none."""
     anchor: np.ndarray | None = None
-    """[N, D] m: a node's hinge, NaN where it has none; see `bar`. None: nobody has one."""
+    """[N, D] m: a node's hinge, NaN where it has none; see `bar`. None: no node has one."""
     size: np.ndarray | None = None
     """[N, D] m: sides of a box drawn in place of a ball; NaN where none is. None: nowhere."""
     skeleton: np.ndarray | None = None

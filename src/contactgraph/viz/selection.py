@@ -1,4 +1,4 @@
-"""What a scene in space stands on, so that a picture tells height from distance."""
+"""Choices about pictures of a trajectory: its ground, edges, bodies and moments."""
 
 from dataclasses import dataclass
 
