@@ -35,7 +35,12 @@ def test_step_h_is_compared_with_contact_in_state_h_plus_1():
     found = edge_scores(
         *one_window([OFF, ON, ON], [ON, OFF, ON, ON]), np.array([[True]]), NOTHING, 0.1
     )
-    assert (found.precision, found.recall, found.f1, found.accuracy) == (1.0, 1.0, 1.0, 1.0)
+    assert (
+        found.counts.precision,
+        found.counts.recall,
+        found.counts.f1,
+        found.counts.accuracy,
+    ) == (1.0, 1.0, 1.0, 1.0)
 
 
 def test_scores_against_a_loop_and_without_padding():
@@ -49,10 +54,10 @@ def test_scores_against_a_loop_and_without_padding():
             cells[("t" if guess == truth else "f") + ("p" if guess else "n")] += 1
     found = edge_scores(predicted, contact, exists, np.array([True, False, True, True]), 0.1)
     tp, fp, fn, tn = cells.values()
-    assert found.precision == pytest.approx(tp / (tp + fp))
-    assert found.recall == pytest.approx(tp / (tp + fn))
-    assert found.f1 == pytest.approx(tp / (tp + (fp + fn) / 2))
-    assert found.accuracy == pytest.approx((tp + tn) / (tp + fp + fn + tn))
+    assert found.counts.precision == pytest.approx(tp / (tp + fp))
+    assert found.counts.recall == pytest.approx(tp / (tp + fn))
+    assert found.counts.f1 == pytest.approx(tp / (tp + (fp + fn) / 2))
+    assert found.counts.accuracy == pytest.approx((tp + tn) / (tp + fp + fn + tn))
     assert found.on_time == 0.75
     assert found.switch_time_error_s == pytest.approx(
         0.1 * switch_time_errors(predicted, contact, exists).mean()
@@ -62,7 +67,7 @@ def test_scores_against_a_loop_and_without_padding():
 def test_what_cannot_be_known_is_none():
     never = one_window([OFF, OFF], [OFF, OFF, OFF])
     found = edge_scores(*never, np.array([[True]]), NOTHING, 0.1)
-    assert found.accuracy == 1.0
-    assert found.precision is found.recall is found.f1 is None
+    assert found.counts.accuracy == 1.0
+    assert found.counts.precision is found.counts.recall is found.counts.f1 is None
     assert found.switch_time_error_s is found.on_time is None
-    assert edge_scores(*never, np.array([[False]]), NOTHING, 0.1).accuracy is None
+    assert edge_scores(*never, np.array([[False]]), NOTHING, 0.1).counts.accuracy is None

@@ -1,4 +1,4 @@
-"""Recorded runs: what they hold, how they are stored, and how they are cut into batches."""
+"""Recorded trajectories: their fields, their files, and their batches for training."""
 
 from contactgraph.data.atomic_file import atomic_write as atomic_write
 from contactgraph.data.dataset import Dataset as Dataset

@@ -59,14 +59,7 @@ class EdgeCounts:
 class EdgeScores:
     """Scores over all edges, steps and windows; None where there is nothing to divide by."""
 
-    precision: float | None
-    """Share of predicted contacts that are true."""
-    recall: float | None
-    """Share of true contacts that are predicted."""
-    f1: float | None
-    accuracy: float | None
-    false_alarm_rate: float | None
-    """Share of edges and steps without contact for which contact is predicted."""
+    counts: EdgeCounts
     switch_time_error_s: float | None
     """s; see `switch_time_errors`."""
     on_time: float | None
@@ -88,11 +81,7 @@ def edge_scores(
     counts = edge_counts(predicted, contact[:, 1:], exists)
     late = switch_time_errors(predicted, contact, exists) * dt
     return EdgeScores(
-        precision=counts.precision,
-        recall=counts.recall,
-        f1=counts.f1,
-        accuracy=counts.accuracy,
-        false_alarm_rate=counts.false_alarm_rate,
+        counts=counts,
         switch_time_error_s=float(late.mean()) if len(late) else None,
         on_time=_share(int(touch_on_time.sum()), len(touch_on_time)),
     )

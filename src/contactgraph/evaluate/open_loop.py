@@ -242,11 +242,12 @@ def _scores(
             windows.touch_on_time,
             detail.dt,
         )
-    names = ("precision", "recall", "f1", "accuracy", "on_time", *more)
-    numbers = {f"edge_{name}{suffix}": getattr(scores, name, None) for name in names}
+    counts = None if scores is None else scores.counts
+    names = ("precision", "recall", "f1", "accuracy", *more)
     return {
-        **numbers,
-        f"switch_time_error{suffix}_s": getattr(scores, "switch_time_error_s", None),
+        **{f"edge_{name}{suffix}": getattr(counts, name, None) for name in names},
+        f"edge_on_time{suffix}": None if scores is None else scores.on_time,
+        f"switch_time_error{suffix}_s": None if scores is None else scores.switch_time_error_s,
     }
 
 

@@ -71,7 +71,7 @@ class DataDefaults:
     """m; from the scenes' metadata, or 0.085."""
     learned_contact_distance: bool
     """Whether the contact distance is learned. False where the metadata give it: such a scene may
-    have fingers, which close whenever they are told to."""
+    have fingers, which close on command at any distance."""
     hinges: bool
     weight: bool
     rollout_from: float
