@@ -131,7 +131,8 @@ def test_markdown_and_csv_agree() -> None:
     first = read[3]
     assert (first["successes"], first["episodes"], first["seeds"]) == ("297", "300", "3")
     assert float(first["interval_low"]) == pytest.approx(0.971, abs=5e-4)
-    assert (first["success_percent_low"], first["learning_s_median"]) == ("98.0", "30.0")
+    ends = [first[f"success_percent_{end}"] for end in ("median", "low", "high")]
+    assert (*ends, first["learning_s_median"]) == ("99.0", "98.0", "100.0", "30.0")
     assert first["demonstrations"] == "40" and read[8]["demonstrations"] == ""
     empty = cost_table(Results({}), COST_TASKS, FULL_COST).csv()
     assert next(csv.DictReader(io.StringIO(empty)))["successes"] == ""
