@@ -110,7 +110,10 @@ def rolled(model: ContactDynamics, nodes: Nodes, size: float):
 
 
 @pytest.mark.usefixtures("double_precision")
-@pytest.mark.parametrize(("name", "hinges"), [("gim_temp", False), ("gim_temp", True)])
+@pytest.mark.parametrize(
+    ("name", "hinges"),
+    [pytest.param("gim_temp", False, marks=pytest.mark.slow), ("gim_temp", True)],
+)
 def test_predictions_and_gradients_are_those_of_all_pairs(name: str, hinges: bool) -> None:
     nodes = nodes_of(12, 14)
     if hinges:
