@@ -141,9 +141,9 @@ class LocalExecutor:
     process at a time, a new one for each item, with all cores; it may start processes of its own,
     as a simulated arm does with its camera and its controller.
 
-    Every process imports the main script, whose work must therefore be under ``if __name__ ==
-    "__main__"``. Processes end with their pool, with Ctrl-C and with this process, even while they
-    work. Raises `InvalidInputError` if ``processes`` is less than 1.
+    Every process imports the main script, so its work must be under ``if __name__ == "__main__"``.
+    Processes end with their pool, with Ctrl-C and with this process, even while they work. Raises
+    `InvalidInputError` if ``processes`` is less than 1.
     """
 
     shares_files = True
@@ -286,8 +286,7 @@ def _end_with_owner() -> None:
 def _pinned_start(core: int) -> Iterator[None]:
     """Processes that start in this context stay on the core, and never receive Ctrl-C.
 
-    JAX starts as many threads as it sees cores; this process handles Ctrl-C. Neither exists on
-    every system.
+    JAX starts as many threads as it sees cores; this process handles Ctrl-C.
     """
     with ExitStack() as restored:
         if hasattr(signal, "pthread_sigmask"):

@@ -1,8 +1,7 @@
 """Tasks by name: those of the library, of other packages (entry points), or ``module:Class``.
 
-A package adds a task by an entry point of the group ``contactgraph.tasks`` that names a
-`KnownTask`. The entry point is imported only when the task is asked for by its name. JAX is not
-needed to record trajectories.
+A package adds a `KnownTask` by an entry point of the group ``contactgraph.tasks``, which is
+imported only when the task is asked for. JAX is not needed to record trajectories.
 """
 
 import inspect
@@ -44,13 +43,9 @@ class TaskOptions:
     def metadata(self) -> dict[str, str | int | float]:
         """The given options, for the metadata of written files."""
         goal = None if self.fixed_seed is None else "fixed"
-        options = {
-            "objects": self.objects,
-            "grasp": self.grasp,
-            "goal": goal,
-            "radius": self.radius,
-        }
-        given = {name: value for name, value in options.items() if value is not None}
+        names = ("objects", "grasp", "goal", "radius")
+        options = zip(names, (self.objects, self.grasp, goal, self.radius), strict=True)
+        given = {name: value for name, value in options if value is not None}
         return {"distractors": self.distractors, **given}
 
 
@@ -290,8 +285,7 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
 def mixed_factories(name: str, options: TaskOptions) -> list[TaskFactory]:
     """A task's environments with 0 to ``distractors`` distractors, and 1 to ``objects`` objects.
 
-    With ``objects`` None, all have the task's default. Raises as `task_factory`, and where
-    episodes of one goal were to differ in their objects.
+    Raises as `task_factory`, and if episodes of one goal were to differ in their objects.
     """
     task_factory(name, options)
     if options.fixed_seed is not None and options.objects not in (None, 1):
