@@ -16,7 +16,7 @@ from contactgraph.model import (
     NeighborList,
     ReallocatingModel,
     gim_temp,
-    locality,
+    neighbor_allocation,
     no_gim,
 )
 from contactgraph.train import FitStatus, TrainConfig, fit, initial_state
@@ -40,7 +40,7 @@ def model():
 @pytest.fixture
 def large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few bodies are many."""
-    monkeypatch.setattr(locality, "CELLS_FROM", COUNT)
+    monkeypatch.setattr(neighbor_allocation, "CELLS_FROM", COUNT)
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +60,12 @@ def test_small_scenes_have_lists_where_few_pairs_are_near(model, apart, sparse) 
 
 def test_small_scenes_with_lists_come_out_the_same(model, sparse, monkeypatch, caplog) -> None:
     near = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
-    monkeypatch.setattr(locality, "_LEAST_SPARE", -5)
-    monkeypatch.setattr(locality, "_SPARE", 0.3)
+    monkeypatch.setattr(neighbor_allocation, "_LEAST_SPARE", -5)
+    monkeypatch.setattr(neighbor_allocation, "_SPARE", 0.3)
     with caplog.at_level(logging.WARNING):
         grown = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
     assert caplog.text.count("compiled anew") == 1
-    monkeypatch.setattr(locality, "_WORTH", 0.0)
+    monkeypatch.setattr(neighbor_allocation, "_WORTH", 0.0)
     every = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
     for found in (near, grown):
         for name, value in every.to_json().items():
@@ -120,8 +120,8 @@ def test_the_room_given_is_the_limit(model, apart) -> None:
 
 def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, caplog) -> None:
     every = evaluate_open_loop(model, apart, horizon_s=2 * DT)
-    monkeypatch.setattr(locality, "CELLS_FROM", COUNT)
-    monkeypatch.setattr(locality, "_SPARE", 0.3)
+    monkeypatch.setattr(neighbor_allocation, "CELLS_FROM", COUNT)
+    monkeypatch.setattr(neighbor_allocation, "_SPARE", 0.3)
     with caplog.at_level(logging.WARNING):
         near = evaluate_open_loop(model, apart, horizon_s=2 * DT)
     assert caplog.text.count("compiled anew") == 1

@@ -13,7 +13,9 @@ from contactgraph.model.contact_belief import correct as correct
 from contactgraph.model.contact_belief import two_type_belief as two_type_belief
 from contactgraph.model.contact_dynamics import ContactDynamics as ContactDynamics
 from contactgraph.model.contact_dynamics import EncodedGraph as EncodedGraph
+from contactgraph.model.contact_dynamics import InteractionCutoff as InteractionCutoff
 from contactgraph.model.contact_dynamics import StepStages as StepStages
+from contactgraph.model.contact_dynamics import interaction_cutoff as interaction_cutoff
 from contactgraph.model.edge_inference import AllEdges as AllEdges
 from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
 from contactgraph.model.edge_inference import RecurrentEdges as RecurrentEdges
@@ -31,10 +33,6 @@ from contactgraph.model.io import shipped_models as shipped_models
 from contactgraph.model.local_dynamics import FreeLinearDynamics as FreeLinearDynamics
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics as SpringMassDamperDynamics
 from contactgraph.model.local_dynamics import ThetaMethod as ThetaMethod
-from contactgraph.model.locality import InteractionCutoff as InteractionCutoff
-from contactgraph.model.locality import ReallocatingModel as ReallocatingModel
-from contactgraph.model.locality import allocate_neighbor_list as allocate_neighbor_list
-from contactgraph.model.locality import interaction_cutoff as interaction_cutoff
 from contactgraph.model.message_passing import EdgeNetwork as EdgeNetwork
 from contactgraph.model.message_passing import MessagePassing as MessagePassing
 from contactgraph.model.message_passing import TypedMessagePassing as TypedMessagePassing
@@ -45,6 +43,8 @@ from contactgraph.model.motion_likelihood import (
     contact_log_likelihood_ratio as contact_log_likelihood_ratio,
 )
 from contactgraph.model.motion_likelihood import correct_by_motion as correct_by_motion
+from contactgraph.model.neighbor_allocation import ReallocatingModel as ReallocatingModel
+from contactgraph.model.neighbor_allocation import allocate_neighbor_list as allocate_neighbor_list
 from contactgraph.model.neighbor_list import NeighborList as NeighborList
 from contactgraph.model.neighbor_list import sum_at_nodes as sum_at_nodes
 from contactgraph.model.presets import ModelConfig as ModelConfig

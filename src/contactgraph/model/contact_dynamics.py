@@ -27,7 +27,9 @@ from contactgraph.model.contact_belief import (
 )
 from contactgraph.model.edge_inference import AllEdges, MemorylessEdges, RecurrentEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
+from contactgraph.model.heads import CoupledHead
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
+from contactgraph.model.message_passing import EdgeNetwork
 from contactgraph.model.neighbor_list import (
     Edges,
     NeighborList,
@@ -46,6 +48,8 @@ from contactgraph.model.types import (
 
 _CHECKPOINTED_EDGES = 500
 """Edges above which gradients of a rollout recompute each step instead of storing it."""
+_FREE_RESPONSE = 1e-3
+"""1/kg; a control of 10 N then moves a passive node by 5 mm in a second."""
 
 
 class EncodedGraph(eqx.Module):
@@ -245,3 +249,42 @@ class ContactDynamics(eqx.Module):
             raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
         local = self.stages(state, nodes).local
         return self.local_dynamics.parameters(local, self.dt, self.control_size)
+
+
+@dataclasses.dataclass(frozen=True)
+class InteractionCutoff:
+    """Guarantee of a model: nodes farther apart than ``distance`` do not affect each other.
+
+    A node that touches nothing is decelerated only by the ground, and driven only by a control that
+    acts on it.
+    """
+
+    distance: float
+    """m, from centre to centre, or to a bar's middle line."""
+    dt: float
+    """Length of a step, s."""
+
+
+def interaction_cutoff(model: object) -> InteractionCutoff | None:
+    """The model's cutoff as a guarantee on predictions; None where it gives none.
+
+    There is none without a cutoff of edges, with rounds of messages (an edge then depends on its
+    nodes' other neighbours), where nodes may move by themselves (free matrices, the paper's head
+    with its free equilibria), or where the model has not learned that controls do not act on
+    passive nodes.
+    """
+    if not isinstance(model, ContactDynamics) or not isinstance(model.cutoff, SmoothCutoff):
+        return None
+    dynamics, inference = model.local_dynamics, model.inference
+    if not isinstance(dynamics, SpringMassDamperDynamics):
+        return None
+    networks = list(dynamics.message_passing.types)
+    if not isinstance(inference, AllEdges):
+        networks.append(inference.message_passing)
+    if not all(isinstance(network, EdgeNetwork) for network in networks):
+        return None
+    head = dynamics.head
+    # The first node type is neither actuated nor hinged.
+    if not isinstance(head, CoupledHead) or not head.free_response[0] <= _FREE_RESPONSE:
+        return None
+    return InteractionCutoff(model.cutoff.outer, model.dt)

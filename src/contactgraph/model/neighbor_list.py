@@ -1,4 +1,4 @@
-"""Edges of one step: their nodes, their ids, and sums at their ends."""
+"""Edges of one step: all pairs of nodes, or a neighbor list of the near ones."""
 
 import itertools
 import math
@@ -14,6 +14,8 @@ from contactgraph.data.graph import edge_id, pair_count, pair_indices
 
 _PRODUCT_NODES = 32
 """Up to this number of nodes a one-hot product is faster on CPU than a scatter."""
+_MAX_NODES = 46_340
+"""The pairs of more nodes have ids beyond 32 bits."""
 
 
 class Edges(eqx.Module):
@@ -65,10 +67,6 @@ def sum_at_nodes(
     arrives = (jnp.arange(count)[:, None] == edge_index.reshape(-1)).astype(arriving.dtype)
     columns = flat.reshape(flat.shape[0], math.prod(flat.shape[1:]))
     return (arrives @ columns).reshape(count, *flat.shape[1:])
-
-
-_MAX_NODES = 46_340
-"""The pairs of more nodes have ids beyond 32 bits."""
 
 
 class NeighborList(eqx.Module):

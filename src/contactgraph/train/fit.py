@@ -17,7 +17,7 @@ from contactgraph.data.dataset import Dataset
 from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.locality import ReallocatingModel
+from contactgraph.model.neighbor_allocation import ReallocatingModel
 from contactgraph.model.neighbor_list import NeighborList
 from contactgraph.train.batch import (
     BatchSplit,
