@@ -208,7 +208,6 @@ TASKS = {
         targets=_planar_targets(Target(1.0, 0.3), Target(1.2, 0.3)),
     ),
 }
-"""The library's own tasks."""
 
 
 def task_names() -> tuple[str, ...]:
