@@ -42,12 +42,10 @@ Tree = TypeVar("Tree")
 Description = dict[str, Any]
 
 OLD_NAMES = {
-    # Classes
     "Everywhere": "NoCutoff",
     "Reach": "SmoothCutoff",
     "Support": "GroundSupport",
     "TouchPrior": "ClosestApproachPrior",
-    # Constructor arguments and weights
     "discretisation": "discretization",
     "doubt": "min_probability",
     "far": "outer",
@@ -56,7 +54,7 @@ OLD_NAMES = {
     "reach": "cutoff",
     "touch_distance": "contact_distance",
 }
-"""Names in files of version 1 and in checkpoints of that time, and their present names."""
+"""Names of classes, arguments and weights in files of version 1, and their present names."""
 
 
 def module_arrays(tree: Any) -> dict[str, np.ndarray]:
@@ -88,7 +86,10 @@ def with_arrays(tree: Tree, arrays: Mapping[str, np.ndarray], where: str) -> Tre
     (`jax.ShapeDtypeStruct`). Raises `InvalidInputError`, starting with `where`, for an array that
     is missing, unknown, or of another shape or dtype.
     """
-    left = {_current_path(name): array for name, array in arrays.items()}
+    left = {
+        ".".join(OLD_NAMES.get(part, part) for part in name.split(".")): array
+        for name, array in arrays.items()
+    }
 
     def replace(path: tuple[Any, ...], leaf: Any) -> Any:
         if not (_is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)):
@@ -121,10 +122,6 @@ def with_current_names(description: Any) -> Any:
         OLD_NAMES.get(key, key): with_current_names(value) for key, value in description.items()
     }
     return {**renamed, "type": OLD_NAMES.get(name, name)} if isinstance(name, str) else renamed
-
-
-def _current_path(path: str) -> str:
-    return ".".join(OLD_NAMES.get(part, part) for part in path.split("."))
 
 
 def _is_array(leaf: Any) -> bool:
