@@ -6,13 +6,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src"
-PACKAGES = ("data", "model", "train", "control", "envs", "evaluate", "viz")
+LIBRARY = ("data", "model", "train", "control", "envs", "evaluate", "viz")
+ARM = ("safety", "loop", "perception", "sim")
+PACKAGES = [
+    *(f"contactgraph/{each}" for each in LIBRARY),
+    *(f"contactgraph_franka/{each}" for each in ARM),
+]
 CODE = re.compile(r"`([^`]+)`")
 
 
 def exported(package: str) -> set[str]:
     """Names that a package's `__init__` exports by `from module import Name as Name`."""
-    tree = ast.parse((SOURCE / "contactgraph" / package / "__init__.py").read_text("utf-8"))
+    tree = ast.parse((SOURCE / package / "__init__.py").read_text("utf-8"))
     imports = (node for node in tree.body if isinstance(node, ast.ImportFrom))
     return {each.asname for node in imports for each in node.names if each.asname}
 
