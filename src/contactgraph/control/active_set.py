@@ -11,11 +11,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 
-from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.host import Motion, Observation
 from contactgraph.control.ilqr import ILQR
@@ -33,7 +31,6 @@ from contactgraph.control.swept_bounds import ActiveBounds, SweptBounds
 from contactgraph.data import InvalidInputError
 from contactgraph.model import (
     ContactSensor,
-    ModelState,
     MotionNoise,
     Nodes,
     StepModel,
@@ -45,32 +42,6 @@ _READY = 18
 """Active nodes that `reset` compiles for, where no limit is given."""
 _NONE = np.zeros(0, int)
 _log = logging.getLogger(__name__)
-
-
-class _RecordingILQR(eqx.Module):
-    """iLQR whose plans hold the swept bounds of all trials, for a model with steps of ``dt`` s."""
-
-    ilqr: ILQR
-    dt: float = eqx.field(static=True)
-
-    @property
-    def horizon(self) -> int:
-        return self.ilqr.horizon
-
-    @property
-    def limits(self) -> ControlLimits | None:
-        return self.ilqr.limits
-
-    def solve(
-        self,
-        model: StepModel,
-        state: ModelState,
-        nodes: Nodes,
-        cost: QuadraticCost,
-        guess: AffinePolicy | None = None,
-    ) -> Plan:
-        plan, swept = self.ilqr.search(model, state, nodes, cost, guess, self.dt)
-        return replace(plan, swept=swept)
 
 
 class ActiveSetMPC:
@@ -108,7 +79,8 @@ class ActiveSetMPC:
         # Sensor rates by edge are about the scene as a whole.
         by_edge = np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) > 0
         self._cutoff = None if by_edge else interaction_cutoff(model)
-        planner = ilqr if self._cutoff is None else _RecordingILQR(ilqr, self._cutoff.dt)
+        dt = None if self._cutoff is None else self._cutoff.dt
+        planner = replace(ilqr, swept_dt=dt)
         self._mpc = MPC(model, planner, sensor, replan_every, deadline, clock, motion_noise)
         self._ilqr, self._max = ilqr, max_active_nodes
         self._largest = 0

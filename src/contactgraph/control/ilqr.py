@@ -1,5 +1,7 @@
 """Iterative LQR with a model that gives its own linearisation."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -56,6 +58,8 @@ class ILQR(eqx.Module):
     """… plus this, in the cost's own unit."""
     step_sizes: tuple[float, ...] = eqx.field(static=True, default=(1.0, 0.5, 0.2))
     """Parts of the full step, tried in this order."""
+    swept_dt: float | None = eqx.field(static=True, default=None)
+    """Length of the model's step, s: plans then hold the swept bounds of all trials."""
 
     def solve(
         self,
@@ -71,18 +75,6 @@ class ILQR(eqx.Module):
         ITERATION_LIMIT, NO_DESCENT or NOT_FINITE; with NOT_FINITE neither the guess nor zero
         control could be rolled out, and the controls are zero (or the nearest within limits).
         """
-        return self.search(model, state, nodes, cost, guess)[0]
-
-    def search(
-        self,
-        model: StepModel,
-        state: ModelState,
-        nodes: Nodes,
-        cost: Cost,
-        guess: AffinePolicy | None = None,
-        dt: float = 0.0,
-    ) -> tuple[Plan, SweptBounds]:
-        """As `solve`, with the swept bounds of all trials; ``dt`` [s] is the model's step."""
         count, dimension = state.position.shape
         quadratic = cost.quadratic(count)
         ids = quadratic.cost_node_ids
@@ -112,23 +104,28 @@ class ILQR(eqx.Module):
             iteration=jnp.zeros((), jnp.int32),
             status=jnp.full((), _RUNNING, jnp.int32),
         )
-        Carry = tuple[_Search, SweptBounds]
+        Carry = tuple[_Search, SweptBounds | None]
 
         def advance(carry: Carry) -> Carry:
             search, swept = carry
             rollout = follow(model, begin, nodes, search.trial, self.limits, ids)
             costs = part.by_step(rollout.x, rollout.controls)
-            given_up = jnp.cumsum(costs[:-1]) > _SURELY * search.cost
-            swept = swept.with_rollout(search.iteration, rollout, ~given_up, nodes, dt)
+            if swept is not None and self.swept_dt is not None:
+                given_up = jnp.cumsum(costs[:-1]) > _SURELY * search.cost
+                swept = swept.with_rollout(
+                    search.iteration, rollout, ~given_up, nodes, self.swept_dt
+                )
             return self._judge(search, rollout, jnp.sum(costs), part), swept
 
         def running(carry: Carry) -> Bool[Array, ""]:
             search, _ = carry
             return (search.status == _RUNNING) & (search.iteration < self.iterations)
 
-        nothing = SweptBounds.empty(self.iterations, self.horizon, state.position)
-        search, swept = jax.lax.while_loop(running, advance, (search, nothing))
-        return self._plan(search, ids), swept
+        swept = None
+        if self.swept_dt is not None:
+            swept = SweptBounds.empty(self.iterations, self.horizon, state.position)
+        search, swept = jax.lax.while_loop(running, advance, (search, swept))
+        return dataclasses.replace(self._plan(search, ids), swept=swept)
 
     def _judge(
         self, search: "_Search", rollout: Rollout, total: Float[Array, ""], part: QuadraticCost

@@ -137,21 +137,20 @@ class MPCConfig(eqx.Module):
         belief = correct(belief, contact, self.sensor)
         now = ModelState(position, velocity, belief)
 
-        def keep() -> Plan:
-            return previous.with_status(PlanStatus.BAD_OBSERVATION)
-
-        def make() -> Plan:
-            plan = self.planner.solve(self.model, now, nodes, cost, previous.policy)
-            plan = replace(plan, node_ids=previous.node_ids)
-            failed = plan.status == PlanStatus.NOT_FINITE
-            kept = replace(previous.with_status(PlanStatus.NOT_FINITE), swept=plan.swept)
-            return jax.tree.map(lambda new, old: jnp.where(failed, old, new), plan, kept)
-
         if self.replan_every == 1:
-            plan = jax.lax.cond(usable, make, keep)
+            # A plan is made even from a bad observation, which is rare, and then not used.
+            plan = self.planner.solve(self.model, now, nodes, cost, previous.policy)
         else:
-            branch = jnp.where(usable, jnp.where(due, 2, 1), 0)
-            plan = jax.lax.switch(branch, [keep, lambda: self._reused(previous, now, nodes), make])
+            plan = jax.lax.cond(
+                due & usable,
+                lambda: self.planner.solve(self.model, now, nodes, cost, previous.policy),
+                lambda: self._reused(previous, now, nodes),
+            )
+        failed = plan.status == PlanStatus.NOT_FINITE
+        plan = replace(plan, node_ids=previous.node_ids)
+        kept = replace(previous.with_status(PlanStatus.NOT_FINITE), swept=plan.swept)
+        plan = _where(failed, kept, plan)
+        plan = _where(usable, plan, previous.with_status(PlanStatus.BAD_OBSERVATION))
         solved = plan.status <= PlanStatus.NO_DESCENT
         return MPCCarry(
             belief=jax.tree.map(lambda value: value[0], plan.beliefs),
@@ -188,6 +187,10 @@ class MPCConfig(eqx.Module):
                 belief,
             ),
         )
+
+
+def _where(condition: Bool[Array, ""], plan: Plan, otherwise: Plan) -> Plan:
+    return jax.tree.map(lambda one, other: jnp.where(condition, one, other), plan, otherwise)
 
 
 def jit_step(method: Callable, config: MPCConfig) -> Callable:
