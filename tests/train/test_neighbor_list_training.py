@@ -11,7 +11,7 @@ import pytest
 from contactgraph.data import pair_indices
 from contactgraph.model import ContactDynamics, ModelConfig, NeighborList, Nodes, gim_temp
 from contactgraph.train import LossTerms
-from contactgraph.train import chunked_vmap as chunked_vmap
+from contactgraph.train import loss as chunked_vmap
 from contactgraph.train.batch import Window
 from contactgraph.train.loss import window_loss
 
