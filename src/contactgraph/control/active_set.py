@@ -234,10 +234,11 @@ class ActiveSetMPC:
             return
         self._compiled.add(shapes)
         self._announce(len(part.node_ids))
-        state = self._mpc.planned(self._first(part), part.last_motion)
-        jax.block_until_ready(state.plan)
-        if self._max is not None:
-            self._mpc.answer(0.0, state, state, PlanStatus.CAPACITY_EXCEEDED)
+        state = self._first(part)
+        after = self._mpc.advance(state, part.last_motion)
+        jax.block_until_ready(after.plan)
+        if self._max is not None or self._mpc.deadline is not None:
+            self._mpc.answer(0.0, state, after, PlanStatus.CAPACITY_EXCEEDED)
 
     def _announce(self, count: int) -> None:
         if self._largest and count > self._largest:

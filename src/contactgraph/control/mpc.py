@@ -116,7 +116,7 @@ class MPC:
             check_motion_model(model)
         self.config = MPCConfig(model, planner, sensor, motion_noise, replan_every)
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
-        self._deadline, self.clock = deadline, clock
+        self.deadline, self.clock = deadline, clock
         self._first = jit_step(MPCConfig.first_carry, self.config)
         self._step = jit_step(MPCConfig.step, self.config)
         self._previous = jit_step(MPCConfig.previous_plan, self.config)
@@ -129,7 +129,10 @@ class MPC:
         nodes, quadratic = self.checked(nodes, cost)
         motion = self.first_motion(observation, nodes, quadratic)
         state = self.first(nodes, quadratic, np.arange(len(nodes.mask)), motion)
-        return self.planned(state, motion)
+        after = self.advance(state, motion)
+        if self.deadline is not None:
+            self.answer(0.0, state, after, PlanStatus.DEADLINE_MISSED)
+        return replace(state, carry=replace(state.carry, plan=after.plan))
 
     def step(
         self,
@@ -221,13 +224,6 @@ class MPC:
         carry = self._first(nodes, cost, *moved, node_ids.astype(np.int32), swept)
         return MPCState(nodes, cost, node_ids, carry)
 
-    def planned(self, state: _State, motion: Motion) -> _State:
-        """The state with a plan, before any control step; compiles where need be."""
-        after = self.advance(state, motion)
-        if self._deadline is not None:
-            self.answer(0.0, state, after, PlanStatus.DEADLINE_MISSED)
-        return replace(state, carry=replace(state.carry, plan=after.plan))
-
     def advance(
         self,
         state: _State,
@@ -256,9 +252,9 @@ class MPC:
         self, begin: float, state: MPCState, after: _State, status: PlanStatus | None = None
     ) -> tuple[Plan, _State]:
         """The new plan; or ``state``'s, shifted, where that one is late or there is a status."""
-        if self._deadline is not None:
+        if self.deadline is not None:
             jax.block_until_ready(after.plan.controls)
-            late = self.clock() - begin > self._deadline
+            late = self.clock() - begin > self.deadline
             status = PlanStatus.DEADLINE_MISSED if late else status
         if status is None:
             return after.plan, after

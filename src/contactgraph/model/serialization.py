@@ -281,10 +281,8 @@ def _arguments(known: Any) -> dict[str, tuple[Any, ...]]:
 
 def _needed(known: Any) -> set[str]:
     """The arguments without a default, which also the oldest files have."""
-    parameters = inspect.signature(known.__init__).parameters
-    return {
-        name for name in _arguments(known) if parameters[name].default is inspect.Parameter.empty
-    }
+    given = inspect.signature(known.__init__).parameters
+    return {name for name in _arguments(known) if given[name].default is inspect.Parameter.empty}
 
 
 def _part_types(kind: Any) -> tuple[Any, ...]:

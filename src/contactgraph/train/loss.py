@@ -1,4 +1,4 @@
-"""`jax.vmap` in chunks whose temporaries fit into a core's cache."""
+"""The terms that training minimises, by name, over batches of windows."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -56,7 +56,6 @@ def chunked_vmap(
     return jax.tree.map(joined, jax.lax.map(each, jax.tree.map(split, given)))
 
 
-_Result_loss = TypeVar("_Result_loss")
 _SMALLEST = 1e-6
 _ROLLOUT_POSITION = 0.5
 """Weight of a rollout's position errors, which add up over its steps, unlike velocity errors."""
@@ -126,7 +125,7 @@ class _Steps:
     windows: Window
     devices: int
 
-    def each(self, function: Callable[..., _Result_loss], *given: PyTree) -> _Result_loss:
+    def each(self, function: Callable[..., _Result], *given: PyTree) -> _Result:
         """The function of every step's arguments ``given`` [B, L, ...], stacked in the same way."""
         batch, length = self.windows.control.shape[:2]
         flat = jax.tree.map(lambda leaf: leaf.reshape(batch * length, *leaf.shape[2:]), given)

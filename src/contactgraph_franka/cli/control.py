@@ -18,18 +18,18 @@ from contactgraph_franka.cli.options import (
     RobotFault,
     check_position,
     check_seconds,
-    count_down,
     ctrl_c,
     point,
-    wait_for_block,
 )
 from contactgraph_franka.cli.session import (
     Session,
     SimulatedSetup,
     block_position,
+    count_down,
     episode_layout,
     episode_seed,
     simulated_setup,
+    wait_for_block,
 )
 from contactgraph_franka.envs.pickup import (
     GOAL_RADIUS,

@@ -2,13 +2,12 @@
 
 import math
 import signal
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from tyro.conf import arg
@@ -16,9 +15,6 @@ from tyro.conf import arg
 from contactgraph.cli import CommandError
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.safety import SafetyLimits
-
-if TYPE_CHECKING:
-    from contactgraph_franka.cli.arms import Arm
 
 FAKE = "fake"
 """Address of the fake arm."""
@@ -31,12 +27,6 @@ _LONGEST_TRACK_AGE = 0.2
 _LARGEST_JUMP = 0.05
 """m: a tracker corrects the position of a struck block by centimetres from one frame to the next,
 and that of a grasped block with a single visible tag, whose tilt is ambiguous."""
-_COUNT_DOWN = 3
-"""s, for a person to object."""
-_BLOCK_TIMEOUT = 5.0
-"""s for a camera to detect the block."""
-_STEADY = 0.5
-"""s for which it must be tracked without a break: longer than a tracker keeps a lost object."""
 NO_BLOCK = (
     "is it in the picture, lit, its tags towards the camera, and the calibration this camera's?"
 )
@@ -127,28 +117,3 @@ def ctrl_c() -> Iterator[Callable[[], bool]]:
         yield lambda: bool(pressed)
     finally:
         signal.signal(signal.SIGINT, previous)
-
-
-def count_down(arm: "Arm", motion: str) -> None:
-    """Prints the coming ``motion``; before one of a real arm, leaves time to prevent it."""
-    print(f"{arm.name}: {motion}")
-    if not arm.real:
-        return
-    print("Keep a hand on its stop button, and everybody away from it. Ctrl-C stops it gently.")
-    for left in range(_COUNT_DOWN, 0, -1):
-        print(f"in {left} s ...")
-        time.sleep(1.0)
-
-
-def wait_for_block(arm: "Arm") -> None:
-    """Returns when the block is tracked steadily; raises `RobotFault` where it is not."""
-    since = began = arm.clock()
-    while arm.tracker is not None:
-        now = arm.clock()
-        if not all(each.tracked for each in arm.tracker.estimates(now)):
-            since = now
-        if now - since > _STEADY:
-            return
-        if now - began > _BLOCK_TIMEOUT:
-            raise RobotFault(f"the camera does not see the block: {NO_BLOCK}")
-        time.sleep(0.02)

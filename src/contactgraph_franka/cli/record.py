@@ -23,17 +23,17 @@ from contactgraph_franka.cli.options import (
     ArmOptions,
     RobotFault,
     check_seconds,
-    count_down,
     ctrl_c,
     point,
-    wait_for_block,
 )
 from contactgraph_franka.cli.session import (
     Session,
     SimulatedSetup,
+    count_down,
     episode_layout,
     episode_seed,
     simulated_setup,
+    wait_for_block,
 )
 from contactgraph_franka.envs.pickup import HAND, TARGET, ArmLayout, pickup_scene
 from contactgraph_franka.loop import Planner, PlannerProcess

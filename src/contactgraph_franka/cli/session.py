@@ -1,5 +1,6 @@
 """Episodes with an arm: control loop, recording, outcome, and their reproducible layouts."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ import numpy as np
 
 from contactgraph.data import Metadata, Trajectory
 from contactgraph_franka.cli.arms import Arm, open_arm
-from contactgraph_franka.cli.options import ArmOptions, point, wait_for_block
+from contactgraph_franka.cli.options import NO_BLOCK, ArmOptions, RobotFault, point
 from contactgraph_franka.envs.pickup import (
     TARGET,
     ArmLayout,
@@ -33,6 +34,12 @@ from contactgraph_franka.safety import Robot, RobotReading, SafeRobot, SafetyLim
 if TYPE_CHECKING:
     from contactgraph_franka.sim.simulated_robot import SimulatedRobot
 
+_COUNT_DOWN = 3
+"""s, for a person to object."""
+_STEADY = 0.5
+"""s for which it must be tracked without a break: longer than a tracker keeps a lost object."""
+_BLOCK_TIMEOUT = 5.0
+"""s for a camera to detect the block."""
 _NODES = 2
 _PERIOD = 0.001
 """s"""
@@ -245,3 +252,28 @@ def episode_layout(seed: int, number: int, limits: SafetyLimits) -> ArmLayout:
 def episode_seed(seed: int, number: int) -> int:
     """Seed of an episode's policy."""
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+
+
+def count_down(arm: Arm, motion: str) -> None:
+    """Prints the coming ``motion``; before one of a real arm, leaves time to prevent it."""
+    print(f"{arm.name}: {motion}")
+    if not arm.real:
+        return
+    print("Keep a hand on its stop button, and everybody away from it. Ctrl-C stops it gently.")
+    for left in range(_COUNT_DOWN, 0, -1):
+        print(f"in {left} s ...")
+        time.sleep(1.0)
+
+
+def wait_for_block(arm: Arm) -> None:
+    """Returns when the block is tracked steadily; raises `RobotFault` where it is not."""
+    since = began = arm.clock()
+    while arm.tracker is not None:
+        now = arm.clock()
+        if not all(each.tracked for each in arm.tracker.estimates(now)):
+            since = now
+        if now - since > _STEADY:
+            return
+        if now - began > _BLOCK_TIMEOUT:
+            raise RobotFault(f"the camera does not see the block: {NO_BLOCK}")
+        time.sleep(0.02)
