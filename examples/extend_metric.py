@@ -1,5 +1,7 @@
 """A metric of one's own: the error at the end of the horizon that 95 % of the windows stay below.
 
+Usage: python examples/extend_metric.py
+
 A metric is a function of all predicted windows (`OpenLoopDetail`). It is passed to
 `evaluate_open_loop` by name, and its value stands beside the built-in ones in `to_json`.
 """

@@ -34,6 +34,7 @@ def demonstrated(path: Path, task: str, *options: object) -> Dataset:
     return read_trajectories(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", PARTS)
 def test_demonstrations_of_every_task(tmp_path: Path, task: str) -> None:
     task_class, expert_class, targets = PARTS[task]

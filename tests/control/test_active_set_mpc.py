@@ -98,7 +98,7 @@ def both(local: ActiveSetMPC, whole: MPC, seen: dict, steps: int) -> list[np.nda
     return in_play
 
 
-@pytest.mark.parametrize("count", [11, 30])
+@pytest.mark.parametrize("count", [pytest.param(11, marks=pytest.mark.slow), 30])
 def test_bystanders_far_away_are_left_out_and_change_nothing(local, whole, count):
     for inside in both(local, whole, scene(count, seed=count), 4):
         assert inside.tolist() == [0, 1]
@@ -239,7 +239,7 @@ def test_feedback_acts_on_whoever_is_in_play(local, whole):
     assert np.max(np.abs(controls[0] - plan.controls[0])) > 1e-3
 
 
-@pytest.mark.parametrize("noise", [None, MotionNoise()])
+@pytest.mark.parametrize("noise", [None, pytest.param(MotionNoise(), marks=pytest.mark.slow)])
 def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
     answers = []
     options = {"replan_every": 2, "motion_noise": noise}
@@ -262,6 +262,7 @@ def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
         np.testing.assert_allclose(ours, wanted, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_of_a_rejected_trial_only_the_steps_count_that_could_have_saved_it(model):
     far = np.array([1.5, 1.0])
     mpc = ActiveSetMPC(model, ILQR(HORIZON, 8, LIMITS))

@@ -68,6 +68,7 @@ def test_a_hidden_cost_is_found_again(double_precision, seed):
     assert np.array_equal(found.Q, found.Q.T) and np.linalg.eigvalsh(found.Q)[0] > -1e-12
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_cost_and_progress_is_reported():
     data, _, _ = hidden_expert(0)
     recipe = CostLearningConfig(horizon=HORIZON, steps=100, batch=8)

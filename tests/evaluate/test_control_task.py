@@ -160,6 +160,7 @@ def test_padding_changes_no_control():
     assert np.allclose(*runs, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_inspection_sees_what_the_controller_believes():
     model = gim_temp(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
     run = random_run(3, 12, 2, goal=np.ones(2))

@@ -25,6 +25,7 @@ def runs() -> Dataset:
     return Dataset(tuple(collect([WIDER], [PickupExpert()], 2, 7100)))
 
 
+@pytest.mark.slow
 def test_motion_finds_on_recorded_runs_what_distance_denies(model, runs) -> None:
     found = evaluate_open_loop(model, runs, motion_noise=MotionNoise())
     # Nearly all that measured contacts gain; no more, for the rollouts themselves forget.

@@ -58,14 +58,15 @@ def test_small_scenes_have_lists_where_few_pairs_are_near(model, apart, sparse) 
     assert 13 < lists.max_edges < 45
 
 
+@pytest.mark.slow
 def test_small_scenes_with_lists_come_out_the_same(model, sparse, monkeypatch, caplog) -> None:
     near = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
-    monkeypatch.setattr(neighbor_allocation, "_LEAST_SPARE", -5)
+    monkeypatch.setattr(neighbor_allocation, "_MIN_SPARE", -5)
     monkeypatch.setattr(neighbor_allocation, "_SPARE", 0.3)
     with caplog.at_level(logging.WARNING):
         grown = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
     assert caplog.text.count("compiled anew") == 1
-    monkeypatch.setattr(neighbor_allocation, "_WORTH", 0.0)
+    monkeypatch.setattr(neighbor_allocation, "_MAX_SHARE", 0.0)
     every = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
     for found in (near, grown):
         for name, value in every.to_json().items():
@@ -118,6 +119,7 @@ def test_the_room_given_is_the_limit(model, apart) -> None:
     assert calls == [given]
 
 
+@pytest.mark.slow
 def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, caplog) -> None:
     every = evaluate_open_loop(model, apart, horizon_s=2 * DT)
     monkeypatch.setattr(neighbor_allocation, "CELLS_FROM", COUNT)

@@ -77,6 +77,7 @@ def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
         np.testing.assert_allclose(*lever, **close)
 
 
+@pytest.mark.slow
 def test_a_group_without_room_has_no_solution() -> None:
     matrix, vectors = scene(hinges=False)
     assert np.isfinite(solve_block_diagonal(matrix, vectors, capacity=3).solution).all()

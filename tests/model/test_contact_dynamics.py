@@ -244,6 +244,13 @@ class FixedEdges(eqx.Module):
         return jnp.stack([1 - self.active, self.active], axis=-1)
 
 
+class SoftEdges(eqx.Module):
+    """Edges are as active as they are probable."""
+
+    def __call__(self, type_probability, key):
+        return type_probability
+
+
 def test_the_gradient_of_a_step_against_finite_differences() -> None:
     """And it is finite where all nodes coincide, at rest, on their hinge."""
     nodes = nodes_of(3, HINGE)
@@ -288,7 +295,7 @@ def test_the_gradient_of_a_step_against_finite_differences() -> None:
 def test_a_linear_step_knows_the_control_displacement() -> None:
     """Bodies at rest, 2 cm from touch: a push together changes the dynamics of the step."""
     model, nodes = preset("gim_temp", width=8), nodes_of(3)
-    model = eqx.tree_at(lambda m: m.sample, model, FixedEdges(jnp.ones(3)))
+    model = eqx.tree_at(lambda m: m.sample, model, SoftEdges())
     touch = float(model.features.contact_distance)
     position = jnp.array([[0.0, 0.0], [touch + 0.02, 0.0], [2.0, 0.0]])
     still = jnp.zeros((3, 2))
@@ -300,7 +307,7 @@ def test_a_linear_step_knows_the_control_displacement() -> None:
         return linear_step(model, known, nodes)
 
     none, together = pushed(0.0), pushed(0.03)
-    assert np.abs(together[1].probability[0] - none[1].probability[0]) > 1e-4
+    assert np.abs(together[1].probability[0] - none[1].probability[0]) > 0.1
     assert np.abs(together[0].B - none[0].B).max() > 1e-3
     seen = stages(model, dataclasses.replace(state, control_displacement=still), nodes)
     assert_same((seen.dynamics, seen.belief), none)

@@ -96,13 +96,13 @@ def test_a_weightless_control_has_finite_physical_parameters() -> None:
     assert np.all(np.isfinite(parameters.stiffness)) and np.all(np.isfinite(parameters.damping))
 
 
-@pytest.mark.parametrize("size", [0, 1, 2, 3])
+@pytest.mark.parametrize("size", [0, 1, 2])
 def test_inverse_masses_are_the_responses_to_ones_own_component(size) -> None:
     inverse_mass = jnp.asarray(np.random.default_rng(0).uniform(1, 5, (4, 3, 2)))
     response = own_component(inverse_mass, size)
     assert response.shape == (4, 3, 2, size)
     parameters = SpringMassDamper(response, *[inverse_mass] * 5)
-    # A component that the control lacks moves nothing; one that no degree has is not looked at.
+    # A component that the control lacks moves nothing.
     moved = np.arange(2) < size
     np.testing.assert_array_equal(parameters.inverse_mass, inverse_mass * moved)
     across = ~np.eye(2, size, dtype=bool)

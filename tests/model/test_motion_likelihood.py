@@ -174,6 +174,7 @@ def test_padding_changes_nothing() -> None:
     assert np.all(other.log_ratio[1:] == 0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("double_precision")
 def test_double_precision() -> None:
     state = in_a_row(3, [1.0, 0.0, 0.0], 0.3)

@@ -112,7 +112,10 @@ def rolled(model: ContactDynamics, nodes: Nodes, size: float):
 @pytest.mark.usefixtures("double_precision")
 @pytest.mark.parametrize(
     ("name", "hinges"),
-    [pytest.param("gim_temp", False, marks=pytest.mark.slow), ("gim_temp", True)],
+    [
+        pytest.param("gim_temp", False, marks=pytest.mark.slow),
+        pytest.param("gim_temp", True, marks=pytest.mark.slow),
+    ],
 )
 def test_predictions_and_gradients_are_those_of_all_pairs(name: str, hinges: bool) -> None:
     nodes = nodes_of(12, 14)
