@@ -1,8 +1,8 @@
-"""Record pickups by the scripted expert, learn from them, and predict runs never seen.
+"""Record pickups by the scripted expert, train a model, and predict unseen trajectories.
 
 Usage: python examples/01_collect_and_train.py [FOLDER]
 
-A small network and few steps: seconds, of which most go into compiling.
+A small network and few steps take seconds, most of them for compilation.
 """
 
 import sys
@@ -19,25 +19,27 @@ from contactgraph.train import FitProgress, TrainConfig, fit, initial_state
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 
-# Twelve runs to learn from, and three with bystanders that were not there in training.
+# Twelve episodes for training, and three with distractors, which training does not have.
 recorded = Dataset(tuple(collect([PickupTask], [PickupExpert()], episodes=12, seed=0)))
-crowded = Dataset(
+with_distractors = Dataset(
     tuple(collect([lambda: PickupTask(distractors=3)], [PickupExpert()], episodes=3, seed=1))
 )
-print(f"recorded {len(recorded)} runs of {recorded.trajectories[0].steps} steps of {recorded.dt} s")
+print(
+    f"recorded {len(recorded)} episodes of {recorded.trajectories[0].steps} steps of {recorded.dt} s"
+)
 
 # Training never reads contact labels. Without them it gives the same model, bit for bit.
 train, held_out = split_by_trajectory(strip_contacts(recorded), held_out_fraction=0.2, seed=0)
 model = gim_temp(
     ModelConfig(2, 2, recorded.dt, contact_distance=0.1, width=16), key=jax.random.key(0)
 )
-recipe = TrainConfig(
+config = TrainConfig(
     steps=400,
     check_every=100,
     batch_size=16,
     window_length=4,
     learning_rate=5e-3,
-    rollout_from=1.0,  # never: that term makes the model better, and takes longer to compile
+    rollout_from=1.0,  # no rollout loss: it improves the model, but compiles longer
     bystanders=0,
 )
 
@@ -46,12 +48,12 @@ def on_check(check: FitProgress) -> None:
     print(f"step {check.step:4d}: held-out error {100 * check.held_out_rmse_m:.2f} cm")
 
 
-result = fit(initial_state(model, recipe, seed=0), train, held_out, recipe, on_check)
+result = fit(initial_state(model, config, seed=0), train, held_out, config, on_check)
 
-metrics = evaluate_open_loop(result.model, crowded)
-print(f"half a second ahead, among bystanders: {100 * metrics.n_step_rmse_m:.2f} cm")
-print(f"  without any model (constant velocity): {100 * metrics.constant_velocity_rmse_m:.2f} cm")
-print(f"  contact edges found (F1): {metrics.edge_f1 or 0.0:.2f}")
+metrics = evaluate_open_loop(result.model, with_distractors)
+print(f"half a second ahead, with distractors: {100 * metrics.n_step_rmse_m:.2f} cm")
+print(f"  without a model (constant velocity): {100 * metrics.constant_velocity_rmse_m:.2f} cm")
+print(f"  contact edges (F1): {metrics.edge_f1 or 0.0:.2f}")
 
-save_model(folder / "model.safetensors", result.model, {"seed": 0, "steps": recipe.steps})
+save_model(folder / "model.safetensors", result.model, {"seed": 0, "steps": config.steps})
 print(f"wrote {folder / 'model.safetensors'}")

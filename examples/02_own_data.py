@@ -2,7 +2,7 @@
 
 Usage: python examples/02_own_data.py [FOLDER]
 
-Nothing here knows about our tasks: any simulator, or a camera, could have filled the arrays.
+This example uses none of the tasks: the arrays can come from any simulator or camera.
 """
 
 import sys
@@ -51,18 +51,18 @@ def simulate(rng: np.random.Generator) -> Trajectory:
         if (t + 1) % SUBSTEPS == 0:
             states.append((x, v))
     position, velocity = (np.stack(each) for each in zip(*states, strict=True))
-    return Trajectory(SCENE, position, velocity, u)  # contacts may be given, and need not be
+    return Trajectory(SCENE, position, velocity, u)  # contacts are optional
 
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 write_trajectories(folder / "balls.h5", [simulate(np.random.default_rng(i)) for i in range(16)])
-dataset = read_trajectories(folder / "balls.h5")  # from here on: also `contactgraph train balls.h5`
-print(f"{folder / 'balls.h5'}: {len(dataset)} runs, {dataset.dimension} degrees of freedom a node")
+dataset = read_trajectories(folder / "balls.h5")  # `contactgraph train` reads it, too
+print(f"{folder / 'balls.h5'}: {len(dataset)} trajectories, {dataset.dimension} dimensions")
 
 train, test = split_by_trajectory(dataset, held_out_fraction=0.25, seed=0)
 model = gim_temp(ModelConfig(3, 3, DT, contact_distance=DIAMETER, width=16), key=jax.random.key(0))
-recipe = TrainConfig(steps=400, check_every=400, batch_size=16, window_length=4, rollout_from=1.0)
-result = fit(initial_state(model, recipe, seed=0), train, test, recipe)
+config = TrainConfig(steps=400, check_every=400, batch_size=16, window_length=4, rollout_from=1.0)
+result = fit(initial_state(model, config, seed=0), train, test, config)
 metrics = evaluate_open_loop(result.model, test, horizon_s=0.2)
 print(f"0.2 s ahead: {1000 * metrics.n_step_rmse_m:.1f} mm")
 print(f"  constant velocity: {1000 * metrics.constant_velocity_rmse_m:.1f} mm")

@@ -1,4 +1,4 @@
-"""Control through contact by hand: observe, plan, act, and be disturbed.
+"""A control loop through contact by hand: observe, plan, act, with a disturbance.
 
 Usage: python examples/03_control.py
 """
@@ -16,7 +16,7 @@ model = load_model(shipped_model("pickup")).model
 task = PickupTask(distractors=3)
 observation, _ = task.reset(seed=7)
 
-# What is wanted: gripper to target, target to goal, little force. Every step, by these weights.
+# The cost of a step: gripper to target, target to goal, little force.
 cost = chain_cost(
     chain=[GRIPPER, TARGET],
     pick_weights=[3.0, 3.0, 0.2, 0.2],  # position (1/m^2), then velocity (s^2/m^2)
@@ -27,16 +27,16 @@ cost = chain_cost(
 )
 limits = ControlLimits(jnp.array([-10.0, -10.0]), jnp.array([10.0, 10.0]))  # N
 mpc = MPC(model, ILQR(horizon=20, limits=limits))
-state = mpc.reset(observation, scene_nodes(task.scene), cost)  # compiles; no tick has to
+state = mpc.reset(observation, scene_nodes(task.scene), cost)  # compiles, so that no step has to
 
 held = False
 for t in range(task.max_steps):
     contacts = observation["contact"].astype(float)
     if t % 3:
-        contacts[:] = np.nan  # a slow sensor: in between, the model goes by its own belief
+        contacts[:] = np.nan  # a slow sensor: in between, the model predicts the belief
     plan, state = mpc.step(observation, contacts, state)
     force = np.asarray(plan.controls)[0]
-    gust = np.array([6.0, -6.0]) if 100 <= t < 110 else np.zeros(2)  # nobody told the model
+    gust = np.array([6.0, -6.0]) if 100 <= t < 110 else np.zeros(2)  # unknown to the model
     observation, *_ = task.step(force + gust)
 
     if observation["contact"][GRIPPER, TARGET] and not held:

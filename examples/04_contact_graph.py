@@ -1,4 +1,4 @@
-"""What the model believes about contact along a run, and which masses it infers from it.
+"""Contact beliefs and inferred masses of a model along a trajectory.
 
 Usage: python examples/04_contact_graph.py [FOLDER]
 """
@@ -18,20 +18,20 @@ folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 model = load_model(shipped_model("pickup")).model
 run = run_episode(PickupTask(distractors=3), PickupExpert(), seed=3)
 
-# measured=False: the model sees positions, velocities and forces, and no contact.
+# measured=False: the model receives positions, velocities and forces, but no contacts.
 insight = model_diagnostics(model, run, measured=False)
 
-# Edge e joins the nodes edges[e]. Which one is most sure of itself at some time?
+# Edge e joins the nodes edges[e]. This one has the largest belief at any time.
 edge = int(insight.belief.max(axis=0).argmax())
 first, second = insight.edges[edge]
 names = run.scene.node_name
-print(f"{run.scene.node_count} nodes, {len(insight.edges)} edges; the surest is")
-print(f"{names[first]} - {names[second]}, and about it the model says:")
+print(f"{run.scene.node_count} nodes, {len(insight.edges)} edges; the most probable is")
+print(f"{names[first]} - {names[second]}, with these estimates:")
 print("  time  belief  true contact    1/m of each, 1/kg    k/m, 1/s^2    c/m, 1/s")
 
 touch = int(run.contact[:, first, second].argmax())
 for t in [*range(touch - 3, touch + 3), run.steps - 1]:
-    # Entry t is about the step from t to t + 1: its contact is that of its end.
+    # Entry t describes the step from t to t + 1; its contact is that at its end.
     inverse_mass = insight.parameters.inverse_mass[t].mean(axis=-1)
     stiffness = insight.parameters.stiffness_rate[t, second].mean()
     damping = insight.parameters.damping_rate[t, second].mean()
@@ -45,7 +45,7 @@ for t in [*range(touch - 3, touch + 3), run.steps - 1]:
 # The 0/1 graph of a step is where the belief is above one half.
 graph = insight.belief > 0.5
 wrong = np.sum(graph != run.contact[1:, insight.edges[:, 0], insight.edges[:, 1]])
-print(f"of {graph.size} edges over the run, {wrong} are wrong")
+print(f"of {graph.size} edges over the episode, {wrong} are wrong")
 
 write_summary_figure(folder / "contact_graph.png", scene_run(model, "3 distractors", run))
 print(f"wrote {folder / 'contact_graph.png'}")

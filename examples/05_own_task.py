@@ -15,7 +15,7 @@ DT, STEPS, SUBSTEPS, REACH, MAX_FORCE = 0.05, 120, 10, 0.08, 10.0  # s, -, -, m,
 
 
 class Fetch(gymnasium.Env):
-    """A cart fetches a parcel that sticks to it. Box2D is not needed: this is all the physics."""
+    """A cart fetches a box that sticks to it. Box2D is not needed: this is all the physics."""
 
     max_steps = STEPS
     action_space = gymnasium.spaces.Box(-MAX_FORCE, MAX_FORCE, (2,), np.float64)
@@ -32,7 +32,7 @@ class Fetch(gymnasium.Env):
         self._x = np.array([[0.0, 0.0], self.np_random.uniform([0.3, -0.2], [0.5, 0.2])])
         self._v = np.zeros((2, 2))
         self._goal = self.np_random.uniform([0.6, -0.6], [0.9, 0.6])
-        names, actuated = ("cart", "parcel"), np.array([True, False])
+        names, actuated = ("cart", "box"), np.array([True, False])
         self.scene = Scene(
             node_name=names, node_type=names, actuated=actuated, dt=DT, goal=self._goal
         )
@@ -62,14 +62,14 @@ class Fetch(gymnasium.Env):
         return {**motion, "contact": contact, "goal": self._goal.copy()}
 
 
-check_task(Fetch)  # one line that says what is wrong, where anything is
+check_task(Fetch)  # an error states the first violation, if any
 print("Fetch keeps the contract")
 
-# The shipped model was trained on another simulator, but on the same kind of contact.
+# The shipped model was trained on another simulator, but with the same type of contact.
 metrics, runs = control_task(load_model(shipped_model("pickup")).model, Fetch, episodes=5, seed=0)
 print(f"success: {metrics.success_rate:.0%} of {metrics.episodes} episodes")
 print(
     f"speed at contact: {metrics.contact_speed_m_s:.2f} m/s, never below "
     f"{metrics.slowest_before_contact_min_m_s:.2f} m/s on the way"
 )
-print(f"control tick: {metrics.plan_ms_p50:.1f} ms median; {len(runs)} runs to learn from")
+print(f"control step: {metrics.plan_ms_p50:.1f} ms median; {len(runs)} trajectories recorded")

@@ -1,9 +1,9 @@
-"""A model of your own: other parts, put together. Every part is a constructor argument.
+"""A model composed of other parts; every part is a constructor argument.
 
 Usage: python examples/06_compose_a_model.py
 
-Here: three edge types (inactive, and two kinds of active edge with a message network each), the
-paper's memoryless edges, free local parameters, and a discretization that is not learned.
+This one has three edge types (inactive, and two active ones with a message network each), the
+paper's memoryless edges, free local parameters, and a fixed discretization.
 """
 
 import jax
@@ -55,12 +55,12 @@ policies = [PickupExpert(), PickupExpert(), ExplorationPolicy()]
 train, held_out = split_by_trajectory(
     Dataset(tuple(collect([PickupTask], policies, 12, seed=0))), 0.2, 0
 )
-recipe = TrainConfig(
+config = TrainConfig(
     steps=600, check_every=600, batch_size=16, learning_rate=5e-3, window_length=4, rollout_from=1.0
-)  # never, as in the first example
-result = fit(initial_state(model, recipe, seed=0), train, held_out, recipe)
+)  # no rollout loss, as in the first example
+result = fit(initial_state(model, config, seed=0), train, held_out, config)
 
 metrics = evaluate_open_loop(result.model, held_out)
 print(f"{result.status.value}; half a second ahead: {100 * metrics.n_step_rmse_m:.2f} cm")
-print(f"  without any model: {100 * metrics.constant_velocity_rmse_m:.2f} cm")
+print(f"  without a model: {100 * metrics.constant_velocity_rmse_m:.2f} cm")
 print(f"  with the true masses, contact frozen: {100 * metrics.frozen_contact_rmse_m:.2f} cm")

@@ -1,4 +1,4 @@
-"""Learn from five demonstrations of one goal what they want, and do it for other goals.
+"""Learn a cost from five demonstrations of one goal, and use it for other goals.
 
 Usage: python examples/07_learn_cost.py [FOLDER]
 """
@@ -17,12 +17,12 @@ from contactgraph.model import load_model, shipped_model
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 model = load_model(shipped_model("pickup")).model
 
-# Demonstrations are an expert's runs without noise. All of them have one goal and one place of
-# the target; where the gripper starts, and where bystanders are, differs.
+# Demonstrations are an expert's episodes without noise. They share the goal and the target's
+# position; the positions of gripper and distractors differ.
 factory = partial(PickupTask, distractors=2, fixed_seed=3)
 demonstrations = Dataset(tuple(collect([factory], [PickupExpert(noise=0.0)], 5, seed=0)))
 
-# Few steps: 400, the recipe's own number, bring the loss a little lower.
+# Few steps: the default, 400, lowers the loss slightly further.
 cost = learn_cost(model, demonstrations, CostLearningConfig(steps=100))
 for each in cost.task_nodes:
     print(f"{each.name:13s} {'kept' if each.kept else 'dropped':8s} {each.reason}")
@@ -32,11 +32,11 @@ for term in cost_terms(cost):
     print(f"{term.name:17s} 1 m costs as much as {term.position:.1f} N", end=", ")
     print(f"1 m/s as much as {term.velocity:.1f} N")
 
-# A cost is a file that people and programs can read.
+# A cost is stored as a readable JSON file.
 write_cost(folder / "cost.json", cost, {"demonstrations": len(demonstrations), "seed": 0})
 cost = read_cost(folder / "cost.json")
 
-# It finds its nodes by their names in scenes that no demonstration had: other goals, other places
-# of the target, more bystanders.
+# The cost identifies its nodes by name in new scenes: other goals and target positions, more
+# distractors.
 metrics, _ = control_task(model, partial(PickupTask, distractors=5), 3, seed=1, cost=cost)
-print(f"goals that no demonstration had: {100 * metrics.success_rate:.0f} % of {metrics.episodes}")
+print(f"new goals: {100 * metrics.success_rate:.0f} % of {metrics.episodes}")

@@ -1,4 +1,4 @@
-"""Every example runs as a user runs it, and says what it promises to."""
+"""Every example runs as a user runs it and prints the expected result."""
 
 import os
 import subprocess
@@ -10,13 +10,13 @@ import pytest
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 SAYS = {
-    "01_collect_and_train.py": "half a second ahead, among bystanders",
+    "01_collect_and_train.py": "half a second ahead, with distractors",
     "02_own_data.py": "constant velocity",
     "03_control.py": "success",
     "04_contact_graph.py": "gripper - target",
     "05_own_task.py": "Fetch keeps the contract\nsuccess: 100%",
     "06_compose_a_model.py": "with the true masses, contact frozen",
-    "07_learn_cost.py": "goals that no demonstration had: 100 %",
+    "07_learn_cost.py": "new goals: 100 %",
     "extend_edge_feature.py": "approach at +1 m/s: feature +0.50",
     "extend_edge_friction.py": "friction slows the sliding",
     "extend_metric.py": "touches not predicted on time",

@@ -212,7 +212,7 @@ def test_no_module_docstring_begins_with_a_question_word() -> None:
     assert [module for module, doc in docs.items() if not doc] == []
 
 
-class _EnoughSeen(Exception):
+class _StackRead(Exception):
     """Ends the command once the stack has been read."""
 
 
@@ -235,11 +235,11 @@ def test_the_command_is_near_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
             frame = frame.f_back
         if any(".rollout:" in each for each in frames):
             stack[:] = frames[::-1]
-            raise _EnoughSeen
+            raise _StackRead
         return geometry(*arguments, **named)
 
     monkeypatch.setattr(contact_dynamics, "geometry", watched)
-    with jax.disable_jit(), pytest.raises(_EnoughSeen):
+    with jax.disable_jit(), pytest.raises(_StackRead):
         run(["control", "pickup", "pickup", "--episodes", "1"])
     assert len(stack) <= FRAMES, "\n".join(stack)
 

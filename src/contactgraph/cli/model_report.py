@@ -140,8 +140,8 @@ def model_report(
     return ReportData(
         title=result.task.title,
         summary=(
-            "From recorded runs of a gripper at work, a model learned which bodies touch when and "
-            "how they move then; iLQR-MPC uses it to do the same in scenes that it has never seen."
+            "A model learned from recorded trajectories of a gripper when bodies touch and "
+            "how they move then; iLQR-MPC uses it to do the same in new scenes."
         ),
         numbers=tuple(numbers),
         runs=tuple(scenes),

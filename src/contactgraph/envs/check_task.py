@@ -1,4 +1,4 @@
-"""The test of the task contract, for our own tasks and for anybody's."""
+"""The test of the task contract, for any task."""
 
 from collections.abc import Callable
 from typing import Any, NoReturn
@@ -11,7 +11,7 @@ from contactgraph.envs.contract import Observation, Renderable, Task
 
 _SEEDS = (0, 1, 12345)
 _CONTROL_HOLD = 10
-"""Steps for which a random control is held: long enough to move far and to hit something."""
+"""Steps for which a random control is held: enough to move far and to collide."""
 _KEYS = {"position", "velocity", "contact", "goal"}
 
 
@@ -21,7 +21,7 @@ def check_task(task_factory: Callable[[], Task]) -> None:
     Runs whole episodes under random controls, two tasks side by side. Gymnasium's own
     `gymnasium.utils.env_checker.check_env` is the complement: it checks the environment's API.
 
-    Raises `InvalidInputError` that says what the task does and what the contract demands.
+    Raises `InvalidInputError` that states the task's behaviour and the contract's demand.
     """
     for seed in _SEEDS:
         task, twin = task_factory(), task_factory()
@@ -146,7 +146,7 @@ def _check_observation(task: Task, observation: Observation, when: str) -> None:
 
 
 def _check_skeleton(task: Task, points: int | None, when: str) -> int | None:
-    """How many points a task that is `Renderable` has; ``points``, where that is known already."""
+    """The number of points of a `Renderable` task; ``points`` is that number if already known."""
     if not isinstance(task, Renderable):
         return None
     links, dimension = task.link_positions(), task.scene.dimension

@@ -1,9 +1,9 @@
 """Circles on Box2D that collide inelastically and then stick. Only this file imports Box2D.
 
-Box2D finds the touches, integrates the motion and carries the joints. The perfectly inelastic
+Box2D detects the contacts, integrates the motion and carries the joints. The perfectly inelastic
 impact is resolved here: within a substep a body moves in a straight line, so the time of impact is
-a root of a quadratic. The bodies are taken back to it and go on together, with momentum over mass
-as their common velocity, so a touching pair stays at exactly the sum of its radii.
+a root of a quadratic. The bodies are moved back to it and continue together, with momentum over
+mass as their common velocity, so a touching pair stays at exactly the sum of its radii.
 """
 
 import warnings
@@ -13,7 +13,7 @@ import numpy as np
 from contactgraph.data.errors import InvalidInputError
 
 with warnings.catch_warnings():
-    # Its wrapper warns of a deprecation when imported; where warnings are errors, it crashes.
+    # Its wrapper warns of a deprecation on import and crashes if warnings are errors.
     warnings.simplefilter("ignore", DeprecationWarning)
     import Box2D as Box2D
 
@@ -24,7 +24,7 @@ POSITION_ITERATIONS = 5
 
 
 class TouchListener(Box2D.b2ContactListener):
-    """Notes pairs that begin to touch; the world is locked then, so that is all it may do."""
+    """Records pairs that begin to touch; the world is locked then, so it may do no more."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -37,7 +37,7 @@ class TouchListener(Box2D.b2ContactListener):
 
 
 _ROUNDING = 1e-6
-"""By how much Box2D's single precision may take two bodies as touching too early, m."""
+"""Tolerance for contacts that Box2D's single precision reports too early, m."""
 
 
 class CircleWorld:
@@ -106,7 +106,7 @@ class CircleWorld:
         return self._contact.copy()
 
     def step(self, force: np.ndarray) -> None:
-        """Moves on by ``dt`` under a constant ``force`` ``[N, 2]`` N."""
+        """Advances by ``dt`` under a constant ``force`` ``[N, 2]`` N."""
         for body, (x, y) in zip(self._bodies, force.tolist(), strict=True):
             if x or y:
                 body.ApplyForceToCenter((x, y), True)
@@ -154,7 +154,7 @@ class CircleWorld:
         self._contact[first, second] = self._contact[second, first] = True
 
     def _time_since_touch(self, first: int, second: int) -> float:
-        """How long ago, within this substep, the distance was the sum of the radii; s."""
+        """Time since the distance was the sum of the radii, within this substep; s."""
         offset = self._offset(first, second)
         closing = self._group_velocity(self._group[second]) - self._group_velocity(
             self._group[first]

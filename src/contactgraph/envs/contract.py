@@ -44,10 +44,10 @@ class Task(Protocol):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts an episode; returns the first observation and what else there is to know."""
+        """Starts an episode; returns the first observation and an info dict."""
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Moves on by ``scene.dt``: observation, reward, terminated, truncated, info."""
+        """Advances by ``scene.dt``: observation, reward, terminated, truncated, info."""
 
     def success(self) -> bool:
         """Whether the episode has ended as the task demands."""
@@ -58,10 +58,10 @@ class Task(Protocol):
 
 @runtime_checkable
 class Renderable(Protocol):
-    """What a task may offer beside `Task`: a body to draw that is no node, such as an arm."""
+    """An optional extension of `Task`: a body to draw that is no node, such as an arm."""
 
     def link_positions(self) -> np.ndarray:
-        """[P, D] m: where the body's points are now, to be joined by lines in their order.
+        """[P, D] m: the body's current points, to be joined by lines in their order.
 
         ``P``, at least 2, never changes.
         """
@@ -84,7 +84,7 @@ position and velocity ``[N, D]`` m, m/s at that moment."""
 
 @runtime_checkable
 class FeedbackTask(Protocol):
-    """A task whose control may change within a step, at whatever rate its plant is controlled."""
+    """A task whose control may change within a step, at the rate of its plant's controller."""
 
     def step_under(
         self, feedback: Feedback
@@ -94,15 +94,15 @@ class FeedbackTask(Protocol):
 
 @runtime_checkable
 class FeedbackPolicy(Protocol):
-    """A policy that has an answer to what happens within the step, too."""
+    """A policy that also reacts to the motion within a step."""
 
     def feedback(self) -> Feedback:
-        """For the step that its last control was for."""
+        """The feedback for the step of its last control."""
 
 
 @runtime_checkable
 class InformedPolicy(Protocol):
-    """A policy that makes use of knowing what came of its control."""
+    """A policy that uses the control that the task really applied."""
 
     def applied(self, control: np.ndarray) -> None:
         """Receives after every step the mean control ``[U]`` N that the task applied."""

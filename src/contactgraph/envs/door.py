@@ -1,4 +1,4 @@
-"""The door task: a gripper opens a hinged door; its scenes are sampled here, too."""
+"""The door task, in which a gripper opens a hinged door, and the sampling of its scenes."""
 
 from dataclasses import dataclass
 
@@ -28,9 +28,9 @@ HINGE_HALF_WIDTH = 0.2
 DISTRACTOR_HALF_WIDTH = 3.0
 """Half the side of the square that the distractors' hinges lie in, m."""
 REACH = 0.4
-"""The least distance of the gripper's centre from the door's middle line, m: way to gain speed."""
+"""The least distance of the gripper's centre from the door's middle line, m, to gain speed."""
 STEEPEST = np.deg2rad(60.0)
-"""The way to the door's middle is at most this far from perpendicular to the door, rad."""
+"""The path to the door's middle is at most this far from perpendicular to the door, rad."""
 SMALLEST_SWING = np.deg2rad(20.0)
 """From the initial to the goal angle, rad."""
 LARGEST_SWING = np.deg2rad(80.0)
@@ -38,23 +38,23 @@ LARGEST_SWING = np.deg2rad(80.0)
 OVERSHOOT = np.deg2rad(20.0)
 """By how much a door may swing beyond its initial and its goal angle, rad."""
 CORRIDOR = 0.35
-"""The least distance of a distractor from the swept area, from the way and from others, m."""
+"""The least distance of a distractor from the swept area, from the path and from others, m."""
 
 _SPACING = 0.05
-"""Between the points that stand for a line, m: 1 mm of `CORRIDOR`."""
+"""Distance between the sampled points of a line, m: costs 1 mm of `CORRIDOR`."""
 _TRIES_PER_DISTRACTOR = 200
 
 
 @dataclass(frozen=True, eq=False)
 class DoorLayout:
-    """Start and goal of an episode; door 0 is the target, the others stand by."""
+    """Start and goal of an episode; door 0 is the target, the others are distractors."""
 
     gripper: np.ndarray
     """[2] m."""
     hinge: np.ndarray
     """[1 + M, 2] m."""
     angle: np.ndarray
-    """[1 + M] rad, of the way from the hinge to the door's middle."""
+    """[1 + M] rad, of the direction from the hinge to the door's middle."""
     goal_angle: float
     """Of door 0, rad."""
 
@@ -70,7 +70,7 @@ def sample_layout(
     """Samples a layout, uniformly over those that satisfy the distances above.
 
     With ``fixed``, door 0 and its goal are those of this layout; all else is sampled. A layout
-    without room for every distractor is given up and sampled afresh as a whole.
+    without space for every distractor is rejected as a whole and sampled again.
     """
     while True:
         hinge = rng.uniform(-HINGE_HALF_WIDTH, HINGE_HALF_WIDTH, 2)
@@ -96,7 +96,7 @@ def sample_layout(
 def _place_distractors(
     rng: np.random.Generator, taken: np.ndarray, count: int
 ) -> np.ndarray | None:
-    """[count, 3] hinge m and angle rad, clear of ``taken`` ``[P, 2]`` m; None where no room was."""
+    """[count, 3] hinge m and angle rad, clear of ``taken`` ``[P, 2]`` m; None without space."""
     placed: list[np.ndarray] = []
     bound = np.array([DISTRACTOR_HALF_WIDTH, DISTRACTOR_HALF_WIDTH, np.pi])
     for candidate in rng.uniform(-bound, bound, (_TRIES_PER_DISTRACTOR * count, 3)):
@@ -119,7 +119,7 @@ def _bar(hinge: np.ndarray, angle: float) -> np.ndarray:
 
 
 def _line(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """[P, 2] m: points that stand for the line."""
+    """[P, 2] m: points sampled from the line."""
     count = 2 + int(np.linalg.norm(end - start) / _SPACING)
     return np.linspace(start, end, count)
 
@@ -149,7 +149,7 @@ class DoorTask(GripperTask):
     door's middle from where it is at the goal angle, m. An episode always runs for 120 steps.
 
     ``fixed_seed`` is the seed of a scene whose target door (hinge, angle) and goal every episode
-    shares, so that only the gripper and other doors begin elsewhere; None: each has its own.
+    shares, so that only the start of the gripper and the other doors vary; None: each has its own.
 
     Raises `InvalidInputError` where ``distractors`` is not in 0 to 10.
     """
@@ -216,7 +216,7 @@ class DoorTask(GripperTask):
     def cost_terms(self) -> ChainCost:
         """Gripper to door with the paper's weights, door to goal with those of pickup.
 
-        The paper's own, 1 and 2, leave the door 3 to 25 cm from its goal when the time is over.
+        The paper's own, 1 and 2, leave the door 3 to 25 cm from its goal at the end.
         """
         return ChainCost(
             chain=(GRIPPER, DOOR),

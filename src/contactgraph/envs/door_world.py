@@ -1,9 +1,9 @@
-"""A gripper among hinged doors: it strikes one purely inelastically, and is pinned to it from then.
+"""A gripper among hinged doors: its first impact is purely inelastic and pins it to that door.
 
-Box2D finds the touch and integrates the motion; the impact is resolved here, at the moment of
+Box2D detects the contact and integrates the motion; the impact is resolved here, at the moment of
 touch. Within a substep the gripper moves in a straight line and a door turns at a constant rate,
-so that moment is the root of a distance. The two are taken back to it and go on as one body, whose
-angular velocity about the hinge is what conserves the angular momentum about it.
+so that moment is the root of a distance. The two are moved back to it and continue as one body,
+whose angular velocity about the hinge is what conserves the angular momentum about it.
 
 A door is a body whose centre of mass *is* its hinge, with the door's inertia about the hinge: the
 one degree of freedom that it has, and exact. Were its centre of mass the bar's middle, held by a
@@ -26,7 +26,7 @@ GRIPPER = 0
 _SKIN = 0.01
 """Box2D surrounds every polygon by a skin of this radius, m: it is the door's own surface here."""
 _HALVINGS = 40
-"""Of a substep, to find the moment of touch: beyond double precision."""
+"""Bisection steps for the time of impact in a substep: beyond double precision."""
 
 
 class DoorWorld:
@@ -86,7 +86,7 @@ class DoorWorld:
         self._held = 0
         """The door that the gripper is pinned to; 0: none."""
         self._pin = np.zeros(2)
-        """[2] m: the gripper's place in the frame of that door."""
+        """[2] m: the gripper's position in the frame of that door."""
 
     def _door(self, index: int, hinge: np.ndarray, angle: float, mass: float) -> Box2D.b2Body:
         half_length, half_thickness = (float(half) for half in self._inner)
@@ -125,7 +125,7 @@ class DoorWorld:
         return contact
 
     def step(self, force: np.ndarray) -> None:
-        """Moves on by ``dt`` under a constant ``force`` ``[1 + M, 2]`` N on the nodes."""
+        """Advances by ``dt`` under a constant ``force`` ``[1 + M, 2]`` N on the nodes."""
         for _ in range(self._substeps):
             self._push(force)
             self._world.Step(self._substep_time, VELOCITY_ITERATIONS, POSITION_ITERATIONS)
@@ -136,7 +136,7 @@ class DoorWorld:
                 self._catch()
 
     def _push(self, force: np.ndarray) -> None:
-        """Applies forces for one substep: as torques to what turns."""
+        """Applies forces for one substep: on doors as torques."""
         for index, door in enumerate(self._doors, start=1):
             torque = _cross(self._arm(door), force[index])
             if index == self._held:
@@ -170,7 +170,7 @@ class DoorWorld:
         door.angularVelocity = common
 
     def _time_since_touch(self, index: int) -> float:
-        """How long ago, within this substep, the gripper's surface met that of the door; s."""
+        """Time since the two surfaces met, within this substep; s."""
         earliest, latest = 0.0, self._substep_time
         if self._gap(index, latest) < 0.0:
             return latest
@@ -183,7 +183,7 @@ class DoorWorld:
         return latest
 
     def _gap(self, index: int, ago: float) -> float:
-        """Distance of the two surfaces, so long ago within this substep; m."""
+        """Distance of the two surfaces ``ago`` s before the end of this substep; m."""
         door = self._doors[index - 1]
         arm = self._gripper_position() - ago * self._gripper_velocity() - self._hinge[index - 1]
         inside = _turned(arm, ago * door.angularVelocity - door.angle)

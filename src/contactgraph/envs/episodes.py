@@ -1,4 +1,4 @@
-"""Running a policy in a task, and recording what happened."""
+"""Runs a policy in a task and records the trajectory."""
 
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -31,7 +31,7 @@ def run_episode(
     """Runs one episode and records it: ``T`` controls as applied, ``T + 1`` states and contacts.
 
     ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
-    it. Where task and policy both know of it, feedback acts within the steps, and controls are
+    it. If both task and policy support it, feedback acts within the steps, and controls are
     their means. The scene's metadata gains the policy's class name and whether the run succeeded.
     A task that is `Renderable` has its skeleton recorded at every state.
     """
@@ -39,11 +39,11 @@ def run_episode(
         raise InvalidInputError(f"seed must be at least 0, found {seed}")
     box = cast(gymnasium.spaces.Box, task.action_space)
     observation, _ = task.reset(seed=seed)
-    # A stream of its own: a noise drawn from the scene's numbers would depend on the layout.
+    # A separate stream: noise drawn from the scene's numbers would depend on the layout.
     policy.reset(task.scene, int(np.random.SeedSequence(seed).generate_state(1)[0]))
     observations = [observation]
     drawn = task if isinstance(task, Renderable) else None
-    # Copies: a simulator may well answer with a view of what it moves.
+    # Copies: a simulator may return views of its own state.
     skeletons = [] if drawn is None else [np.array(drawn.link_positions())]
     controls: list[np.ndarray] = []
     done = False
@@ -79,9 +79,9 @@ def run_episode(
 
 
 _ALONE_S = 1.0
-"""For so long one process records, whatever there is to do: it tells how long a run takes."""
+"""Time for which one process records in any case: it measures an episode's duration."""
 _START_S = 1.0
-"""What starting workers takes, by measurement."""
+"""Measured time to start the workers."""
 
 
 def collect(
@@ -137,20 +137,20 @@ def episode_seeds(episodes: int, seed: int) -> list[int]:
 
 
 def fixed_seed(seed: int) -> int:
-    """The seed of what all episodes of a data set share: of a stream apart from theirs."""
+    """The seed of the layout that all episodes of a dataset share; its stream is separate."""
     return int(np.random.SeedSequence(seed).generate_state(1)[0])
 
 
 @dataclass(frozen=True)
 class _Runs:
-    """What is to be recorded."""
+    """The episodes to record."""
 
     task_factories: tuple[Callable[[], Task], ...]
     policies: tuple[Policy, ...]
     seeds: list[int]
 
     def recorder(self) -> Callable[[int], Trajectory]:
-        """Records run ``i``, the same whatever was recorded before it."""
+        """Records episode ``i``, independently of those before it."""
         tasks = [task_factory() for task_factory in self.task_factories]
 
         def record(index: int) -> Trajectory:
@@ -163,7 +163,7 @@ class _Runs:
 def _made(
     wanted: _Runs, numbers: range, executor: Executor | None
 ) -> Generator[Trajectory, None, None]:
-    """The runs of these numbers, in order."""
+    """The episodes of these numbers, in order."""
     record, began = wanted.recorder(), time.perf_counter()
     for done, index in enumerate(numbers):
         spent, left = time.perf_counter() - began, len(numbers) - done

@@ -1,4 +1,4 @@
-"""Scripted policies: the experts of the pickups and the door, exploration and rest."""
+"""Scripted policies: experts for pickups and door, exploration and rest."""
 
 import numpy as np
 
@@ -41,10 +41,10 @@ class CorrelatedNoise:
 
 
 class ExplorationPolicy:
-    """Wanders about with random forces and now and then hits something.
+    """Random forces that keep the gripper in the scene; it sometimes collides.
 
-    A spring (``stiffness`` N/m) to the middle of what is there at the start, nodes and goal, and a
-    damper (``damping`` N s/m) keep it about the scene. The defaults are for 1 kg and steps of
+    A spring (``stiffness`` N/m) to the mean start position of nodes and goal and a damper
+    (``damping`` N s/m) keep it near the scene. The defaults are for 1 kg and steps of
     0.05 s: its position spreads by 0.6 m on each axis, and it hits a lone target in one run of
     three.
     """
@@ -93,7 +93,7 @@ class RestPolicy:
 
 
 STIFFNESS = 5.0
-"""Kp, N/m: on the way to a target for every body that moves, to the goal for every one held."""
+"""Kp, N/m: per moving body on the way to a target, per grasped body on the way to the goal."""
 FREE_DAMPING = 0.5 * np.sqrt(STIFFNESS)
 """On the way to the first target, N s/m."""
 HOLDING_DAMPING = 1.0 * np.sqrt(STIFFNESS)
@@ -154,15 +154,15 @@ class PickupExpert:
 
 
 DOOR_STIFFNESS = 5.0
-"""Kp, N/m on the way to the door; on its turn N m/rad for every kg m^2."""
+"""Kp, N/m on the way to the door; while turning N m/rad per kg m^2."""
 DOOR_FREE_DAMPING = 1.0 * np.sqrt(DOOR_STIFFNESS)
 """Along the way to the door, N s/m."""
 ACROSS_DAMPING = 4.0 * np.sqrt(DOOR_STIFFNESS)
 """Across the way to the door, N s/m."""
 TURN_DAMPING = 2.0 * np.sqrt(DOOR_STIFFNESS)
-"""N m s/rad for every kg m^2: critical. The paper's 4 sqrt(Kp) would not be there in time."""
-_LEAST_LEVER = 0.1
-"""m, assumed where the gripper is pinned closer to the hinge, lest the force be without bound."""
+"""N m s/rad per kg m^2: critical. The paper's 4 sqrt(Kp) would be too slow."""
+_LEAST_RADIUS = 0.1
+"""m; the least assumed distance of the gripper to the hinge, which bounds the force."""
 
 
 class DoorExpert:
@@ -206,14 +206,16 @@ class DoorExpert:
         return force + self._noise()
 
     def _turn(self, position: np.ndarray, velocity: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """[2] N across the gripper's lever."""
+        """[2] N perpendicular to the gripper's radius vector."""
         bar, aim = position[DOOR] - self._hinge, goal - self._hinge
-        lever = position[GRIPPER] - self._hinge
+        radius_vector = position[GRIPPER] - self._hinge
         # A thin rod about its end: four thirds of m r^2, r from the hinge to the middle.
-        inertia = self._mass @ [lever @ lever, 4.0 / 3.0 * (bar @ bar)]
+        inertia = self._mass @ [radius_vector @ radius_vector, 4.0 / 3.0 * (bar @ bar)]
         left = np.array([-bar[1], bar[0]])
         missing = np.arctan2(left @ aim, bar @ aim)
         rate = (left @ velocity[DOOR]) / (bar @ bar)
         torque = inertia * (DOOR_STIFFNESS * missing - TURN_DAMPING * rate)
-        arm = float(np.linalg.norm(lever))
-        return torque / max(arm, _LEAST_LEVER) * np.array([-lever[1], lever[0]]) / arm
+        arm = float(np.linalg.norm(radius_vector))
+        return (
+            torque / max(arm, _LEAST_RADIUS) * np.array([-radius_vector[1], radius_vector[0]]) / arm
+        )

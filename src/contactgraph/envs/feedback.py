@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class PlanFeedback:
-    r"""A plan's controls with its feedback on how far the nodes are from their planned states.
+    r"""A plan's controls with its feedback on deviations from the planned states.
 
     In step :math:`t`, of which the part :math:`s \in [0, 1)` has passed, with the plan's states
     :math:`\bar x` and controls :math:`\bar u`,
@@ -29,13 +29,13 @@ class PlanFeedback:
 
     @property
     def duration(self) -> float:
-        """s, from the observation that the plan was made from to its end."""
+        """s, from the plan's observation to its end."""
         return len(self.controls) * self.dt
 
     def __call__(self, elapsed: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """[U] N, ``elapsed`` s in [0, duration] after the observation.
 
-        ``position`` and ``velocity``, [n, D] m and m/s of now, may be of the first n nodes only:
+        ``position`` and ``velocity``, [n, D] m and m/s of now, may cover the first n nodes only:
         the others are padding.
         """
         step = min(int(elapsed / self.dt), len(self.controls) - 1)
@@ -44,7 +44,7 @@ class PlanFeedback:
     def within(
         self, step: int, part: float, position: np.ndarray, velocity: np.ndarray
     ) -> np.ndarray:
-        """[U] N in a step of the plan, of which ``part`` has passed."""
+        """[U] N in a step of the plan after its fraction ``part``."""
         state = np.zeros(self.states.shape[1:])
         state[: len(position), 0], state[: len(position), 1] = position, velocity
         begin, end = self.states[step], self.states[step + 1]

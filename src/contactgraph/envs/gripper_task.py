@@ -20,7 +20,7 @@ MAX_FORCE = 10.0
 
 
 class World(Protocol):
-    """``N`` bodies that move under forces and hold together once they touch."""
+    """``N`` bodies that move under forces and stick together once they touch."""
 
     @property
     def position(self) -> np.ndarray:
@@ -35,18 +35,18 @@ class World(Protocol):
         """``[N, N]`` bool, symmetric."""
 
     def step(self, force: np.ndarray) -> None:
-        """Moves on by a time step under a constant ``force`` ``[N, D]`` N."""
+        """Advances by a time step under a constant ``force`` ``[N, D]`` N."""
 
 
 class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
-    """A gripper (node 0) pushed about among ``count - 1`` other bodies.
+    """A gripper (node 0) that forces move among ``count - 1`` other bodies.
 
     The control ``[D]`` N is a force on the gripper, at most ``max_force`` N on each axis. The
     reward is the negative distance, m, from the last node of the cost's chain to the goal. An
     episode always runs for ``max_steps`` steps. ``extent`` m bounds the start positions and the
     goal on each axis; ``mass`` kg is the gripper's.
 
-    A task of this kind says how an episode begins, when it has succeeded, and what its cost is.
+    A subclass defines the start of an episode, its success, and its cost.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own declaration)
@@ -65,7 +65,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         self.max_steps = max_steps
         bounds = gymnasium.spaces.Box(-max_force, max_force, (dimension,), np.float64)
         self.action_space = bounds
-        # The farthest and fastest that the largest force can bring a body in one episode.
+        # The largest distance and speed that the largest force gives a body in one episode.
         speed = max_force / mass * max_steps * dt
         distance = extent + speed * max_steps * dt
         self.observation_space = _observation_space(count, dimension, extent, distance, speed)
@@ -105,13 +105,13 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     ) -> tuple[Observation, dict[str, Any]]:
         """Samples a scene; everything starts at rest."""
         super().reset(seed=seed)
-        # Every episode has a seed of its own, also one that follows another without being given.
+        # Every episode has a seed, also if none is given.
         scene_seed = int(self.np_random.integers(2**31)) if seed is None else seed
         self._steps, self._episode = 0, self.begin(scene_seed)
         return _observation(*self._episode), {}
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Moves on by ``scene.dt`` under the force ``action`` ``[D]`` N, clipped to its bounds."""
+        """Advances by ``scene.dt`` under the force ``action`` ``[D]`` N, clipped to its bounds."""
         force = np.zeros(self._shape)
         force[GRIPPER] = self.bounded(action)
         self.running().step(force)
@@ -125,7 +125,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         return force
 
     def running(self) -> World:
-        """The current episode's world, if it may go on."""
+        """The current episode's world, if the episode is not over."""
         if self._episode is None or self._steps >= self.max_steps:
             raise gymnasium.error.ResetNeeded("the episode is over or not begun: call reset()")
         return self._episode[1]
@@ -133,7 +133,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     def stepped(
         self, info: dict[str, Any]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """What a step answers, after the world has moved on by one; ``info`` is what it adds."""
+        """The return value of `step` once the world has advanced; ``info`` is added to it."""
         assert self._episode is not None
         self._steps += 1
         observation = _observation(*self._episode)
@@ -181,8 +181,8 @@ def fixed_layout(
 ) -> Layout | None:
     """The layout whose targets and goal all episodes share; None: each episode has its own.
 
-    ``sample`` should place as many distractors as there can ever be: then the targets and the
-    goal leave room for any number of them, and do not depend on it. Raises `InvalidInputError`
+    ``sample`` should place the largest number of distractors: then targets and goal leave space
+    for any number of them and do not depend on it. Raises `InvalidInputError`
     where the seed is negative.
     """
     if fixed_seed is None:
@@ -193,5 +193,5 @@ def fixed_layout(
 
 
 def fixed_metadata(fixed_seed: int | None) -> dict[str, int]:
-    """What a scene tells of it, beside its own seed, so that it can be had again."""
+    """The scene metadata that, with the scene's seed, reproduces the scene."""
     return {} if fixed_seed is None else {"fixed_seed": fixed_seed}

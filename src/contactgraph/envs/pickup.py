@@ -1,4 +1,4 @@
-"""The pickup tasks: a gripper takes one target, or several in turn, to a goal."""
+"""The pickup tasks: a gripper takes one or several targets to a goal."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ TARGET = 1
 MAX_STEPS = 200
 MAX_DISTRACTORS = 20
 MAX_RADIUS = 0.06
-"""Of a body, m: above it those of a crowd would begin within each other."""
+"""Largest radius of a body, m: larger bodies would overlap in dense scenes."""
 GOAL_RADIUS = 0.1
 """The target must end within this distance of the goal, m."""
 PICK_WEIGHTS = np.array([3.0, 3.0, 0.2, 0.2])
@@ -31,11 +31,11 @@ class PickupTask(GripperTask):
     """The paper's first Box2D task; a `contactgraph.envs.Task`.
 
     Nodes are the gripper (0), the target (1) and ``distractors`` further objects: circles that
-    stick to whatever they touch. The control ``[2]`` N is a force on the gripper. The reward is
+    stick to all that they touch. The control ``[2]`` N is a force on the gripper. The reward is
     the negative distance from target to goal, m. An episode always runs for 200 steps.
 
     ``fixed_seed`` is the seed of a scene whose target and goal every episode shares, so that only
-    gripper and distractors begin elsewhere; None: each episode has its own.
+    the start of gripper and distractors varies; None: each episode has its own.
 
     ``radius`` m is every body's. Raises `InvalidInputError` where ``distractors`` is not in 0 to
     20, or the radius not above 0 and at most 0.06 m.
@@ -144,13 +144,13 @@ class MultiPickupTask(GripperTask):
     """The paper's second Box2D task; a `contactgraph.envs.Task`.
 
     Nodes are the gripper (0), ``objects`` targets (1, 2, ...) in the order in which they are to
-    be picked up, and ``distractors`` further objects: circles that stick to whatever they touch,
-    so that what is held forms a growing group. The control ``[2]`` N is a force on the gripper.
-    The reward is the negative distance from the last target to the goal, m. An episode always
+    be picked up, and ``distractors`` further objects: circles that stick to all that they touch,
+    so that the grasped bodies form a growing group. The control ``[2]`` N is a force on the
+    gripper. The reward is the negative distance from the last target to the goal, m. An episode always
     runs for 200 steps.
 
     ``fixed_seed`` is the seed of a scene whose targets and goal every episode shares, so that only
-    gripper and distractors begin elsewhere; None: each episode has its own.
+    the start of gripper and distractors varies; None: each episode has its own.
 
     Raises `InvalidInputError` where ``objects`` is not in 1 to 5 or ``distractors`` in 0 to 20.
     """

@@ -7,9 +7,9 @@ import numpy as np
 
 
 def distance_to_way(point: np.ndarray, start: np.ndarray, end: np.ndarray, beyond: float) -> float:
-    """Distance of a point from the way from start to end, all ``[2]`` m; m.
+    """Distance of a point from the path from start to end, all ``[2]`` m; m.
 
-    The way goes on straight for ``beyond`` m behind its end, since no body stops at once.
+    The path continues straight for ``beyond`` m past its end, since no body stops at once.
     """
     way = end - start
     length = float(np.hypot(*way))
@@ -21,19 +21,19 @@ def distance_to_way(point: np.ndarray, start: np.ndarray, end: np.ndarray, beyon
 HALF_WIDTH = 1.0
 """Half the side of the square that gripper, targets and goal lie in at the start, m."""
 WIDENING = 0.5
-"""By how much distractors may lie farther out for every target but the first, m: room for them."""
+"""Additional half side for distractors per target but the first, m."""
 RADIUS = 0.04
 """Of every body, m."""
 CLEARANCE = 0.06
 """The least gap between the surfaces of two bodies, m."""
 REACH = 0.3
-"""The least distance from each stop to the next, m: way to gain speed on."""
+"""The least distance from each stop to the next, m: distance to gain speed."""
 CORRIDOR = 0.35
-"""The least distance of a distractor's centre from the ways, m."""
+"""The least distance of a distractor's centre from the paths, m."""
 TARGET_CORRIDOR = 0.2
-"""The least distance of a target's centre from the ways on which it is not yet due, m."""
+"""The least distance of a target's centre from the paths before its turn, m."""
 OVERSHOOT = 0.3
-"""By how much a way is longer than the straight line, m: no body stops at once."""
+"""Length of a path past its end, m: no body stops at once."""
 
 _TRIES_PER_DISTRACTOR = 200
 
@@ -59,7 +59,7 @@ class PickupLayout:
 
 
 def extent(targets: int) -> float:
-    """Half the side of the square that everything lies in at the start, m."""
+    """Half the side of the square that contains everything at the start, m."""
     return HALF_WIDTH + WIDENING * (targets - 1)
 
 
@@ -69,8 +69,8 @@ def sample_layout(
     """Samples start positions and a goal, uniformly over those that satisfy the distances above.
 
     With ``fixed``, the targets and the goal are those of this layout; all else is sampled. A
-    layout without room for every distractor is given up and sampled afresh as a whole, so that
-    crowding does not bias where the gripper, the targets and the goal are within a layout.
+    layout without space for every distractor is rejected as a whole and sampled again, so that
+    density does not bias the positions of gripper, targets and goal within a layout.
     """
     while True:
         stops = _uniform(rng, targets + 2, HALF_WIDTH)
@@ -84,15 +84,15 @@ def sample_layout(
 
 
 def distance_to_ways(point: np.ndarray, stops: np.ndarray) -> float:
-    """Distance of ``point`` ``[2]`` m from the ways from stop to stop ``[S, 2]`` m; m.
+    """Distance of ``point`` ``[2]`` m from the paths between stops ``[S, 2]`` m; m.
 
-    All ways go on straight for `OVERSHOOT` beyond their ends.
+    All paths continue straight for `OVERSHOOT` past their ends.
     """
     return min(distance_to_way(point, start, end, OVERSHOOT) for start, end in _ways(stops))
 
 
 def _passable(stops: np.ndarray) -> bool:
-    """Whether stops are far enough apart, and targets not yet due are clear of earlier ways."""
+    """Whether stops are far enough apart, and later targets are clear of earlier paths."""
     if min(_distance(start, end) for start, end in _ways(stops)) < REACH:
         return False
     return all(
@@ -105,7 +105,7 @@ def _passable(stops: np.ndarray) -> bool:
 def _place_distractors(
     rng: np.random.Generator, stops: np.ndarray, count: int
 ) -> np.ndarray | None:
-    """[count, 2] m, or None where no room was found."""
+    """[count, 2] m, or None if no space was left."""
     placed: list[np.ndarray] = []
     for point in _uniform(rng, _TRIES_PER_DISTRACTOR * count, extent(len(stops) - 2)):
         if len(placed) == count:

@@ -18,7 +18,7 @@ _CHORDS = 8
 
 
 class Geometry(eqx.Module):
-    """Relative position and motion of the two nodes of every edge, seen from the first."""
+    """Relative position and motion of the two nodes of every edge, relative to the first."""
 
     edge_index: Int[Array, "2 E"]
     """First and second node of each edge."""

@@ -135,19 +135,19 @@ class ContactDynamics(eqx.Module):
             # A step that exceeds a capacity predicts NaN for every node.
             moving = jnp.where(edges.fits, velocity, jnp.nan)
         touch = self.features.contact_distance if contact_distance is None else contact_distance
-        seen = geometry(
+        edge_geometry = geometry(
             position, moving, edges.edge_index, self.dt, touch, control_displacement, nodes.anchor
         )
         node_features = self.features.node(position, moving, nodes)
-        edge_features = self.features.edge(seen, contact_distance)
+        edge_features = self.features.edge(edge_geometry, contact_distance)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
-        weight = jnp.where(exists, self.cutoff(seen), 0.0)
+        weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
         embedding = self.inference.embed(node_features, edge_features, weight, edges.edge_index)
         return EncodedGraph(
             position=position,
             velocity=velocity,
             nodes=nodes,
-            geometry=seen,
+            geometry=edge_geometry,
             edge_id=edges.edge_id,
             node_features=node_features,
             edge_features=edge_features,

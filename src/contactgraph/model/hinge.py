@@ -67,10 +67,10 @@ class HingedBodies(eqx.Module):
         $J = (r \cdot b\, I - r b^T) / r^2$; the identity for nodes without a hinge. Its transpose
         maps a force at the point to the node, without the part along $r$, which the hinge bears.
         """
-        radius, lever = self.radius_vector[node], point - self.anchor[node]
+        radius, to_point = self.radius_vector[node], point - self.anchor[node]
         identity = jnp.eye(point.shape[-1], dtype=point.dtype)
-        turning = jnp.sum(radius * lever, axis=-1)[:, None, None] * identity
-        turning = turning - radius[:, :, None] * lever[:, None, :]
+        turning = jnp.sum(radius * to_point, axis=-1)[:, None, None] * identity
+        turning = turning - radius[:, :, None] * to_point[:, None, :]
         turning = turning / self.radius_squared[node][:, None, None]
         return jnp.where(self.hinged[node][:, None, None], turning, identity)
 

@@ -1,4 +1,4 @@
-"""Pictures of what was learned: the report page, an animation of a run, a still for a README."""
+"""The report page, animations and summary figures of trajectories."""
 
 from contactgraph.viz.animation import check_animation as check_animation
 from contactgraph.viz.animation import write_animation as write_animation

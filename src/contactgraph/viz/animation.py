@@ -1,4 +1,4 @@
-"""A run as a moving picture: GIF always, MP4 where ffmpeg is at hand."""
+"""Animations of a trajectory: GIF always, MP4 if ffmpeg is installed."""
 
 import importlib
 import importlib.util
@@ -17,7 +17,7 @@ from contactgraph.viz.scene_picture import INK, SOFT, draw_scene
 from contactgraph.viz.scene_run import SceneRun
 
 _FRAME_SECONDS = 0.04
-"""Frames no closer than this; a GIF cannot be shown much faster, and an eye sees no more."""
+"""Least time between frames; viewers show a GIF not much faster."""
 _SIDE_INCHES, _HEAD_INCHES, _DOTS_PER_INCH = 4.8, 0.4, 100
 
 
@@ -40,7 +40,7 @@ def write_animation(path: str | Path, run: SceneRun) -> None:
 
 
 def check_animation(path: Path) -> None:
-    """Raise `InvalidInputError` for an ending not known, or ``.mp4`` where there is no ffmpeg."""
+    """Raise `InvalidInputError` for an unknown extension, or ``.mp4`` without ffmpeg."""
     ending = path.suffix.lower()
     if ending not in (".gif", ".mp4"):
         raise InvalidInputError(f"video: {path} must end in .gif or .mp4, found {ending!r}")
@@ -49,7 +49,7 @@ def check_animation(path: Path) -> None:
 
 
 def frame_states(run: SceneRun) -> range:
-    """The states that are drawn: all, or every so many where they follow each other faster."""
+    """The states to draw: all, or every n-th if they are closer in time than frames."""
     return range(0, run.steps + 1, max(1, round(_FRAME_SECONDS / run.dt)))
 
 
@@ -59,7 +59,7 @@ def _frames(run: SceneRun, states: range) -> Iterator[np.ndarray]:
     figure = Figure(figsize=(_SIDE_INCHES, height), dpi=_DOTS_PER_INCH, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.02, 0.02, 0.96, 0.96 * _SIDE_INCHES / height))
-    # Names come from outside: a dollar sign in one must not be read as mathematics.
+    # Names are user input: a dollar sign must not be parsed as mathematics.
     figure.text(0.02, 0.955, run.name, color=INK, fontsize=11, weight="bold", parse_math=False)
     time = figure.text(0.98, 0.955, "", color=SOFT, fontsize=11, ha="right")
     for state in states:
@@ -72,7 +72,7 @@ def _frames(run: SceneRun, states: range) -> Iterator[np.ndarray]:
 
 
 def _write_gif(path: Path, frames: Iterator[np.ndarray], seconds: float) -> None:
-    """One palette for all frames, made of the last, which has every colour a run comes to."""
+    """One palette for all frames, made of the last, which contains every colour."""
     pictures = [Image.fromarray(frame) for frame in frames]
     palette = pictures[-1].quantize(128, method=Image.Quantize.MEDIANCUT)
     first, *rest = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures)
@@ -95,7 +95,7 @@ def _write_mp4(path: Path, frames: Iterator[np.ndarray], seconds: float, program
 
 
 def _ffmpeg(path: Path) -> str:
-    """Where ffmpeg is: on the path, or inside the imageio-ffmpeg package."""
+    """The path of ffmpeg: on PATH, or in the imageio-ffmpeg package."""
     program = shutil.which("ffmpeg")
     if program is None and importlib.util.find_spec("imageio_ffmpeg") is not None:
         program = str(importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe())

@@ -1,4 +1,4 @@
-"""A learned cost as a picture: which nodes it couples, and how strongly.
+"""A picture of a learned cost: the nodes that it couples, and how strongly.
 
 Left is Q in the nodes' own coordinates, in the middle in relative ones (`relative_terms`), where a
 cost that ties gripper to object and object to goal has nothing off its diagonal blocks; right is R.
@@ -23,10 +23,10 @@ from contactgraph.data import InvalidInputError, atomic_write
 from contactgraph.viz.scene_picture import BODY_COLOURS, INK, RULE, SOFT
 
 _DECADES = 2.5
-"""From the largest entry down, in which colours tell sizes apart; the rest is next to white."""
+"""Decades below the largest entry that the colours resolve; smaller entries are near white."""
 _COLOURS = LinearSegmentedColormap.from_list("cost", [BODY_COLOURS[0], "#ffffff", BODY_COLOURS[1]])
 _SIDE, _BLOCK, _CELL = 4.2, 1.3, 0.3
-"""Inches: of a matrix and of a block in it, at least; of a cell that has room for a number."""
+"""Inches: of a matrix and of a block in it, at least; of a cell that fits a number."""
 _MARGIN, _TOP, _SMALL, _END = 0.72, 1.05, 0.95, 0.2
 """Inches: left of a matrix, above one, of R, to the right edge."""
 _LETTER, _SMALLEST = 0.6, 5.0
@@ -57,7 +57,7 @@ def write_cost_picture(path: str | Path, cost: LearnedCost, expert: Cost | None 
 def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:
     """The picture as a matplotlib figure, drawn without a display.
 
-    ``expert``: a cost that the demonstrations were really made by, about the same scene, for a
+    ``expert``: the cost that generated the demonstrations, for the same scene, drawn as a
     second row. Raises `InvalidInputError` where its shapes do not fit, or vary over time.
     """
     D, names = cost.goal.shape[0], cost.kept_nodes
@@ -102,7 +102,7 @@ def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:
 
 
 def _of_expert(cost: LearnedCost, expert: Cost) -> _Weights:
-    """The expert's Q and R of the nodes that the learned cost is about."""
+    """The expert's Q and R of the learned cost's nodes."""
     part, last = 2 * cost.goal.shape[0], max(cost.order)
     own = expert.quadratic(last + 1)
     Q, R = np.asarray(own.Q), np.asarray(own.R)
@@ -204,7 +204,7 @@ def _draw(axes: Axes, side: float, matrix: np.ndarray, norm: Normalize) -> None:
 
 
 def _short(value: float) -> str:
-    """Two digits or all before the point, whichever is more; nothing where it is next to none."""
+    """At least two digits and all before the point; empty for values near zero."""
     size = abs(value)
     if size < 0.005:
         return ""
@@ -213,7 +213,7 @@ def _short(value: float) -> str:
 
 
 def _draw_scale(figure: Figure, axes: Axes, norm: Normalize, largest: float) -> None:
-    """What the colours mean."""
+    """The colour scale."""
     last = int(np.floor(np.log10(largest)))
     powers = [10.0**power for power in range(last - int(_DECADES) + 1, last + 1)]
     ticks = [*(-power for power in reversed(powers)), 0.0, *powers]

@@ -1,4 +1,4 @@
-"""The parts of a report page that are plain HTML. Every text from outside is escaped here."""
+"""The parts of a report page that are plain HTML. All external text is escaped here."""
 
 import math
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ def tiles(numbers: tuple[Number, ...]) -> str:
 
 
 def numbers_table(numbers: tuple[Number, ...]) -> str:
-    """Every number with what was asked for, the command and the seed that made it."""
+    """Every number with its target, its command and its seed."""
     if not numbers:
         return ""
     heads = ("What", "Value", "95 % interval or range", "At least", "Aim", "Command", "Seed")
@@ -83,7 +83,7 @@ def _seed(seed: int | tuple[int, ...] | None) -> str:
 
 
 def figure(value: float | None) -> str:
-    """A number in three significant digits, without an exponent where it can be read without."""
+    """A number in three significant digits, without an exponent if it stays readable."""
     if value is None or not math.isfinite(value):
         return _MISSING
     if value == int(value) and abs(value) < 1e6:
@@ -96,7 +96,7 @@ def figure(value: float | None) -> str:
 
 
 def errors_table(errors: tuple[NStepError, ...]) -> str:
-    """The N-step errors in words and figures, for readers who cannot see the chart; cm."""
+    """The N-step errors as a table, an alternative to the chart; cm."""
     if not errors:
         return ""
     head = "".join(
@@ -121,7 +121,7 @@ def _centimetres(value: float | None) -> str:
 
 
 def footer(data: ReportData) -> str:
-    """How to make the page again, and with what it was made."""
+    """The commands that reproduce the page, and the versions used."""
     parts = []
     if data.remake:
         lines = "\n".join(escape(line) for line in data.remake)

@@ -1,4 +1,4 @@
-"""Numbers as a table: Markdown for people, CSV for programs."""
+"""Tables of numbers: Markdown for people, CSV for programs."""
 
 import csv
 import io
@@ -9,7 +9,7 @@ from contactgraph.viz.report_data import Number
 
 
 def markdown_numbers(numbers: Sequence[Number]) -> str:
-    """A row a number: value and interval beside what is asked."""
+    """One row per number: value, interval and target."""
     lines = [
         "| what | measured (interval or range over seeds) | at least | aim | reached |",
         "|---|---|---|---|---|",
@@ -28,7 +28,7 @@ def markdown_numbers(numbers: Sequence[Number]) -> str:
 
 
 def csv_numbers(numbers: Sequence[Number]) -> str:
-    """A row a number: name, unit, value, interval, what is asked, whether reached, command."""
+    """One row per number: name, unit, value, interval, target, whether reached, command."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
@@ -42,7 +42,7 @@ def csv_numbers(numbers: Sequence[Number]) -> str:
 
 
 def short(value: float) -> str:
-    """Three significant digits, without an exponent where it can be read without."""
+    """Three significant digits, without an exponent if it stays readable."""
     if math.isnan(value):
         return "not known"
     if math.isinf(value):
@@ -55,5 +55,5 @@ def short(value: float) -> str:
 
 
 def with_unit(value: float, unit: str) -> str:
-    """As `short`; a unit behind words would read oddly."""
+    """As `short`, with the unit after a number."""
     return f"{short(value)} {unit}".strip() if math.isfinite(value) else short(value)

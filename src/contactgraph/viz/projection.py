@@ -1,19 +1,19 @@
-"""From a scene to the plane of its picture: the plane from above, space from aside."""
+"""Projection of a scene to its picture: 2D from above, 3D from the side."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 _AZIMUTH, _ELEVATION = np.radians(-60.0), np.radians(25.0)
-"""Where the eye is that looks on a scene in space: from the right and front, raised."""
+"""Viewing direction of a scene in space: from the right and front, raised."""
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """An orthographic view: what is 1 m long across the line of sight is so everywhere.
+    """An orthographic view: scale does not depend on depth.
 
     Takes points of ``D`` degrees of freedom, of which the first three are drawn; two lie in the
-    plane, at height 0. A ball is seen as a circle of its own radius.
+    plane, at height 0. A ball is drawn as a circle of its own radius.
     """
 
     axes: np.ndarray
@@ -24,11 +24,11 @@ class Projection:
         return _in_space(points) @ self.axes[:2].T
 
     def depth(self, points: np.ndarray) -> np.ndarray:
-        """[...] m: how near to the eye ``points`` [..., D] m are."""
+        """[...] m: nearness of ``points`` [..., D] m to the viewer."""
         return _in_space(points) @ self.axes[2]
 
     def half_extent(self, size: np.ndarray) -> np.ndarray:
-        """[..., 2] m: half of what a box of sides ``size`` [..., D] m takes in the picture."""
+        """[..., 2] m: half the extent in the picture of a box of sides ``size`` [..., D] m."""
         return 0.5 * _in_space(size) @ np.abs(self.axes[:2]).T
 
     def box_faces(self, middle: np.ndarray, size: np.ndarray) -> list[np.ndarray]:
@@ -49,7 +49,7 @@ class Projection:
 
 
 def _in_space(points: np.ndarray) -> np.ndarray:
-    """[..., 3]: the first three degrees of freedom, with zeros for those that are not there."""
+    """[..., 3]: the first three degrees of freedom, zero where missing."""
     points = np.asarray(points)[..., :3]
     return np.pad(points, [(0, 0)] * (points.ndim - 1) + [(0, 3 - points.shape[-1])])
 
@@ -71,5 +71,5 @@ _FROM_ASIDE = Projection(_from_aside(_AZIMUTH, _ELEVATION))
 
 
 def projection_of(dimension: int) -> Projection:
-    """How a scene of ``dimension`` degrees of freedom a node is looked at."""
+    """The view of a scene with ``dimension`` degrees of freedom per node."""
     return _FROM_ASIDE if dimension >= 3 else _FROM_ABOVE

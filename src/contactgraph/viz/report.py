@@ -43,11 +43,11 @@ _SCRIPTS = (
     "loss_chart.js",
     "page.js",
 )
-"""In the order in which they need each other."""
+"""Ordered by dependency."""
 
 
 def write_report(path: str | Path, data: ReportData) -> None:
-    """Write the page, whole or not at all; folders on the way are made.
+    """Write the page atomically; missing folders are created.
 
     Raises `InvalidInputError` where ``path`` is a folder.
     """
@@ -62,7 +62,7 @@ def write_report(path: str | Path, data: ReportData) -> None:
 def page(data: ReportData) -> str:
     """The whole page as text."""
     script = _script()
-    # The policy forbids every load; only this very script may run, so that even a name which
+    # The policy forbids every load and allows only this script, so that even a name which
     # slipped through unescaped could not.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     return Template(_asset("page.html")).substitute(
@@ -86,7 +86,7 @@ def _section(name: str, wanted: bool, content: str) -> str:
 
 
 def _script() -> str:
-    """All scripts in one scope of their own."""
+    """All scripts in one scope."""
     body = "\n".join(_asset(name) for name in _SCRIPTS)
     return f'"use strict";\n(() => {{\n{body}\n}})();\n'
 
@@ -96,9 +96,9 @@ def _asset(name: str) -> str:
 
 
 _PLAN_MOVES = 0.005
-"""m: a body that no plan moves further than this is left out of the drawn plans."""
+"""m: plans of bodies that move less than this are not drawn."""
 _PLAN_POINTS = 20
-"""Points of a plan that are drawn, at most about twice as many; more would run into a line."""
+"""Approximate number of drawn points per plan, at most twice as many."""
 
 
 def embedded_json(data: ReportData) -> str:
@@ -168,7 +168,7 @@ def _run(run: SceneRun) -> dict[str, object]:
 
 
 def _anchors(run: SceneRun) -> list[list[float] | None] | None:
-    """[N] where each node's hinge is; None for a node without one."""
+    """[N] hinge positions; None for a node without one."""
     if run.anchor is None:
         return None
     nodes = range(run.node_count)
@@ -199,7 +199,7 @@ def _all(run: SceneRun) -> range:
 
 
 def _plan(run: SceneRun) -> dict[str, object] | None:
-    """Plans of the bodies that they move; resting distractors would be most of the page."""
+    """Plans of moving bodies; resting distractors would be most of the page."""
     if run.plan is None or run.plan.shape[1] < 2:
         return None
     moved = np.nan_to_num(np.abs(run.plan - run.plan[:, :1])).max(axis=(0, 1, 3))
@@ -213,7 +213,7 @@ def _plan(run: SceneRun) -> dict[str, object] | None:
 
 
 def _spans(active: np.ndarray) -> list[list[int]]:
-    """Where ``active`` [T+1] holds, as ``[first, one past the last]`` state numbers."""
+    """Intervals of states in which ``active`` [T+1] holds, as ``[first, last + 1]``."""
     padded = np.concatenate([[False], active, [False]]).astype(np.int8)
     change = np.diff(padded)
     starts, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
@@ -227,7 +227,7 @@ def _floats(values: np.ndarray | None) -> str | None:
 
 
 def _number(value: float | None) -> float | None:
-    """Seven digits; None for what is missing or not finite, which JSON cannot say."""
+    """Seven digits; None for missing or non-finite values, which JSON lacks."""
     if value is None or not math.isfinite(value):
         return None
     return float(f"{value:.7g}")

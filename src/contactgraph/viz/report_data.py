@@ -11,30 +11,30 @@ from contactgraph.viz.scene_run import SceneRun
 
 @dataclass(frozen=True)
 class Number:
-    """One measured figure and how it was made. Values are in ``unit``, as a reader sees them."""
+    """One measured value and its origin. Values are in ``unit``, as displayed."""
 
     name: str
     """In plain words, e.g. ``"Success, 10 distractors"``."""
     value: float | None
-    """None or NaN where it could not be measured."""
+    """None or NaN if it could not be measured."""
     unit: str = ""
     """e.g. ``"%"``, ``"cm"``, ``"ms"``; empty for a pure number."""
     interval: tuple[float, float] | None = None
     """95 % interval."""
     at_least: float | None = None
-    """What it must reach."""
+    """The required value."""
     aim: float | None = None
-    """What would be good."""
+    """The desired value."""
     lower_is_better: bool = False
     command: str = ""
     """The command that made it."""
     seed: int | tuple[int, ...] | None = None
     tile: bool = False
-    """Whether it is shown large at the head of the page."""
+    """Whether it is shown large at the top of the page."""
 
     @property
     def reached(self) -> bool | None:
-        """Whether `at_least` is met; None where nothing is asked for or nothing was measured."""
+        """Whether `at_least` is met; None without a target or a measurement."""
         if self.at_least is None or self.value is None or not np.isfinite(self.value):
             return None
         if self.lower_is_better:
@@ -44,12 +44,12 @@ class Number:
 
 @dataclass(frozen=True)
 class NStepError:
-    """N-step RMSE of positions under one test condition, beside what needs no learning."""
+    """N-step RMSE of positions under one test condition, beside baselines without learning."""
 
     condition: str
     """e.g. ``"3 distractors"``."""
     windows: str
-    """Which windows it is over, e.g. ``"no contact changes"``; each has a panel of its own."""
+    """Selection of windows, e.g. ``"no contact changes"``; each has its own panel."""
     model_m: float | None
     """m"""
     frozen_contact_m: float | None = None
@@ -84,7 +84,7 @@ class LossCurve:
 
 @dataclass(frozen=True, eq=False)
 class ReportData:
-    """Everything on the page. Whatever is empty is left out of it."""
+    """The content of the page. Empty parts are omitted."""
 
     title: str
     summary: str
@@ -94,9 +94,9 @@ class ReportData:
     """The first is shown first."""
     errors: tuple[NStepError, ...] = ()
     horizon_s: float | None = None
-    """How far ahead `errors` look, s."""
+    """Prediction horizon of `errors`, s."""
     losses: tuple[LossCurve, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     """Package or machine: version."""
     remake: tuple[str, ...] = ()
-    """Commands that make the page again, in order."""
+    """Commands that reproduce the page, in order."""

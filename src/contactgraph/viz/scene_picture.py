@@ -19,14 +19,14 @@ INK, SOFT, RULE = "#1d2127", "#616872", "#e2ded5"
 
 
 def body_colour(node: int, involved: list[int]) -> str:
-    """A colour for each body the run is about, one quiet colour for distractors."""
+    """One colour for each task body, one muted colour for distractors."""
     place = involved.index(node) if node in involved else len(BODY_COLOURS)
     return BODY_COLOURS[place] if place < len(BODY_COLOURS) else OTHER_COLOUR
 
 
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
 _BONE = 0.018
-"""Thickness of a skeleton's bones, in widths of the picture."""
+"""Line width of a skeleton, in widths of the picture."""
 
 
 def draw_bodies(axes: Axes, run: SceneRun, state: int, involved: list[int]) -> None:
@@ -34,7 +34,7 @@ def draw_bodies(axes: Axes, run: SceneRun, state: int, involved: list[int]) -> N
     place, depth = run.projection(run.position[state]), run.projection.depth(run.position[state])
 
     def order(node: int) -> tuple[bool, float, bool]:
-        # What moves the others is never hidden by what it holds.
+        # An actuated node is never hidden by the objects that it holds.
         return bool(run.actuated[node]), float(np.nan_to_num(depth[node])), node in involved
 
     for node in sorted(range(run.node_count), key=order):
@@ -50,7 +50,7 @@ def draw_bodies(axes: Axes, run: SceneRun, state: int, involved: list[int]) -> N
             _draw_box(axes, faces, colour, width)
         else:
             x, y = place[node]
-            # In the plane nothing is behind: opaque, so that trails and plans end at the rim.
+            # In 2D nodes are opaque, so that trails and plans end at their outline.
             fill = _pale(colour) if run.dimension < 3 else (*to_rgb(colour), 0.3)
             circle = Circle((x, y), run.radius[node], fc=fill, ec=colour, lw=width, zorder=3)
             axes.add_artist(circle)
@@ -79,7 +79,7 @@ def bar_corners(hinge: np.ndarray, tip: np.ndarray, half_thickness: float) -> np
 
 
 def _draw_box(axes: Axes, faces: list[np.ndarray], colour: str, width: float) -> None:
-    """The faces seen, each in a shade of its own, so that a box looks solid."""
+    """The visible faces, each in its own shade, so that a box looks solid."""
     for face, share in zip(faces, (0.3, 0.42, 0.2), strict=False):
         axes.add_artist(
             Polygon(face, fc=_pale(colour, share), ec=colour, lw=width, joinstyle="round", zorder=3)
@@ -87,7 +87,7 @@ def _draw_box(axes: Axes, faces: list[np.ndarray], colour: str, width: float) ->
 
 
 def draw_skeleton(axes: Axes, run: SceneRun, state: int) -> None:
-    """The bones and joints of a body that is no node."""
+    """The links and joints of a body that is no node."""
     if run.skeleton is None:
         return
     points = run.projection(run.skeleton[state])
@@ -105,7 +105,7 @@ def draw_skeleton(axes: Axes, run: SceneRun, state: int) -> None:
 
 
 def draw_shadows(axes: Axes, run: SceneRun, state: int, below: Ground) -> None:
-    """Where every node is above the ground: what it would shade if light fell straight down."""
+    """The shadow of every node on the ground, under vertical light."""
     for node in range(run.node_count):
         middle, half = run.position[state, node, :2], run.half_size[node, :2]
         outline = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * half
@@ -117,7 +117,7 @@ def draw_shadows(axes: Axes, run: SceneRun, state: int, below: Ground) -> None:
 
 
 _FAINTEST = 0.02
-"""An edge believed less than this is not drawn."""
+"""Edges with a lower belief are not drawn."""
 
 
 def scene_limits(run: SceneRun) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +155,7 @@ def draw_scene(axes: Axes, run: SceneRun, state: int) -> None:
     """The scene at state ``state`` (0 to T): goal, trails, plan, bodies and edges by belief.
 
     The belief and the contact drawn are those about the step that led to this state. In space,
-    bodies stand on a grid, and what is in the air casts a shadow straight down.
+    bodies stand on a grid, and raised bodies cast a shadow straight down.
     """
     low, high = scene_limits(run)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
@@ -226,7 +226,7 @@ def _draw_edges(axes: Axes, run: SceneRun, state: int) -> None:
 
 
 def _points(axes: Axes, length: float) -> float:
-    """How many points on paper a length [m] in the scene takes."""
+    """The length [m] of the scene in typographic points."""
     left, right = axes.get_xlim()
     inches = axes.bbox.transformed(axes.figure.dpi_scale_trans.inverted()).width
     return 72.0 * float(inches) * length / (right - left)

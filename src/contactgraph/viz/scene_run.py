@@ -1,4 +1,4 @@
-"""One run of a scene, with what the model believed and learned along the way."""
+"""One trajectory of a scene with the model's beliefs and parameters."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ class SceneRun:
     """
 
     name: str
-    """What a reader picks the run by, e.g. ``"3 distractors"``."""
+    """The label of the run, e.g. ``"3 distractors"``."""
     dt: float
     """Time between two steps, s."""
     node_name: tuple[str, ...]
@@ -31,9 +31,9 @@ class SceneRun:
     node_type: tuple[str, ...]
     """[N]"""
     actuated: np.ndarray
-    """[N] bool: which nodes the control acts on; the force is drawn there."""
+    """[N] bool: nodes on which the control acts; the force is drawn there."""
     radius: np.ndarray
-    """[N] m; where a node has a size, how thick its edges and arrows are."""
+    """[N] m; for nodes with a size, the thickness of edges and arrows."""
     position: np.ndarray
     """[T+1, N, D] m, D >= 2."""
     velocity: np.ndarray
@@ -47,7 +47,7 @@ class SceneRun:
     goal: np.ndarray | None = None
     """[D] m"""
     goal_radius: float = _DEFAULT_GOAL_RADIUS
-    """m: how close to the goal is close enough."""
+    """m: radius of the goal region."""
     contact: np.ndarray | None = None
     """[T+1, E] bool: true contact at each state. None: not known."""
     inverse_mass: np.ndarray | None = None
@@ -57,11 +57,11 @@ class SceneRun:
     damping: np.ndarray | None = None
     """[T, N, D] c/m, 1/s, learned."""
     plan: np.ndarray | None = None
-    """[T, H+1, N, D] m: where the plan made at step t puts every node; NaN where there is none."""
+    """[T, H+1, N, D] m: planned positions by the plan of step t; NaN without a plan."""
     anchor: np.ndarray | None = None
-    """[N, D] m: a node's hinge, NaN where it has none; see `bar`. None: no node has one."""
+    """[N, D] m: hinge of a node, NaN without one; see `bar`. None: no node has one."""
     size: np.ndarray | None = None
-    """[N, D] m: sides of a box drawn in place of a ball; NaN where none is. None: nowhere."""
+    """[N, D] m: sides of a box drawn instead of a ball; NaN for a ball. None: only balls."""
     skeleton: np.ndarray | None = None
     """[T+1, P, D] m: points of a body that is no node, joined by lines. None: there is none."""
 
@@ -143,13 +143,13 @@ class SceneRun:
 
     @property
     def half_size(self) -> np.ndarray:
-        """[N, D] m: how far each node reaches along every degree of freedom, box or ball."""
+        """[N, D] m: half extent of each node along every degree of freedom, box or ball."""
         ball = np.broadcast_to(self.radius[:, None], (self.node_count, self.dimension))
         return ball if self.size is None else np.where(np.isnan(self.size), ball, 0.5 * self.size)
 
     @property
     def half_picture(self) -> np.ndarray:
-        """[N, 2] m: how far each node reaches to the right and up in the picture, box or ball."""
+        """[N, 2] m: half extent of each node to the right and up in the picture, box or ball."""
         ball = np.broadcast_to(self.radius[:, None], (self.node_count, 2))
         if self.size is None:
             return ball
@@ -157,7 +157,7 @@ class SceneRun:
 
     @property
     def projection(self) -> Projection:
-        """How the scene is looked at: from above in the plane, from aside in space."""
+        """The view: from above in 2D, from the side in 3D."""
         return projection_of(self.dimension)
 
     def box(self, node: int) -> np.ndarray | None:
@@ -182,7 +182,7 @@ class SceneRun:
         return np.stack([hinge, 2.0 * self.position[:, node] - hinge], axis=1)
 
     def edge_name(self, edge: int) -> str:
-        """The two nodes an edge joins, in words."""
+        """The names of an edge's two nodes."""
         first, second = self.edges[edge]
         return f"{self.node_name[first]} and {self.node_name[second]}"
 
@@ -199,10 +199,10 @@ class SceneRun:
         damping: np.ndarray | None = None,
         plan: np.ndarray | None = None,
     ) -> "SceneRun":
-        """A recorded run beside what a model made of it; see the fields for shapes and units.
+        """A recorded trajectory with a model's estimates; see the fields for shapes and units.
 
         Where the scene has no radius, balls of 0.04 m are drawn, or less where boxes are thinner.
-        How close to the goal is close enough is ``goal_radius`` m in its metadata, or 0.1 m.
+        The goal radius is ``goal_radius`` m in its metadata, or 0.1 m.
         """
         scene = trajectory.scene
         edges = np.asarray(edges, dtype=np.int64).reshape(-1, 2)

@@ -12,7 +12,7 @@ _MOST_SQUARES = 8
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A level rectangle of whole squares, below everything that ever is in the scene."""
+    """A level rectangle of whole squares, below everything in the trajectory."""
 
     low: np.ndarray
     """[2] m: the corner where the first two coordinates are least."""
@@ -45,9 +45,9 @@ class Ground:
 
 
 def ground_of(run: SceneRun) -> Ground | None:
-    """The ground of a run in space, as high as the lowest body that nothing actuates ever is.
+    """The ground of a trajectory in space, at the lowest height of any passive body.
 
-    None in the plane, and where nothing has a place.
+    None in 2D, and without finite positions.
     """
     if run.dimension < 3:
         return None
@@ -62,7 +62,7 @@ def ground_of(run: SceneRun) -> Ground | None:
     low, high = places.min(axis=0), places.max(axis=0)
     widest = float(np.max(high - low))
     spacing = next((s for s in _SPACINGS if s * _MOST_SQUARES >= widest), _SPACINGS[-1])
-    # A hair inwards: what lies on a line in all but rounding needs no further row of squares.
+    # Slightly inwards: a point on a line up to rounding needs no further row of squares.
     low = spacing * np.floor(low / spacing + 1e-6)
     high = spacing * np.ceil(high / spacing - 1e-6)
     return Ground(low, np.maximum(high, low + spacing), float(heights.min()), spacing)
@@ -86,7 +86,7 @@ def leading_edges(run: SceneRun, limit: int = _SHOWN_EDGES) -> list[int]:
 
 
 def focus_nodes(run: SceneRun) -> list[int]:
-    """The two bodies that the run is about, an actuated one first; one body where none touch."""
+    """The two main bodies, an actuated one first; one body if none touch."""
     leading = leading_edges(run, limit=1)
     if leading:
         first, second = (int(node) for node in run.edges[leading[0]])
@@ -96,7 +96,7 @@ def focus_nodes(run: SceneRun) -> list[int]:
 
 
 def involved_nodes(run: SceneRun) -> list[int]:
-    """The focus, then every other body that is ever truly touched or is believed to be for long."""
+    """The focus, then every other body that is ever truly touched or long believed to be."""
     nodes = focus_nodes(run)
     mean = _mean(run.belief)
     for edge in leading_edges(run):
@@ -117,10 +117,10 @@ def grasp_step(run: SceneRun) -> int | None:
 
 
 def shown_directions(values: np.ndarray) -> list[np.ndarray]:
-    """[T, N] each: what is drawn of parameters ``values`` [T, N, D].
+    """[T, N] each: the drawn components of parameters ``values`` [T, N, D].
 
-    In the plane no direction is special, and their mean is drawn. In space the vertical is (bodies
-    stand on something, and fall), so it is drawn beside the mean over the level directions.
+    In 2D the mean is drawn. In 3D gravity distinguishes the vertical, so it is drawn beside the
+    mean over the level directions.
     """
     if values.shape[-1] < 3:
         return [values.mean(axis=-1)]

@@ -1,4 +1,4 @@
-"""One picture of a whole run: moments of the scene above the belief and the learned masses."""
+"""One picture of a trajectory: moments of the scene, the belief and the learned masses."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ _MOMENTS = 5
 
 
 def write_summary_figure(path: str | Path, run: SceneRun) -> None:
-    """Write a PNG of ``run``, whole or not at all: five moments, the belief and 1/m over time."""
+    """Write a PNG of ``run`` atomically: five moments, the belief and 1/m over time."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary:
@@ -73,7 +73,7 @@ def summary_figure(run: SceneRun) -> Figure:
 
 
 def _thread(scene: Axes, plot: Axes, time: float) -> ConnectionPatch:
-    """The line from a moment's picture down to its place in time."""
+    """The line from a moment's picture down to its time."""
     return ConnectionPatch(
         xyA=(0.5, 0.0),
         xyB=(time, 1.0),
@@ -149,7 +149,7 @@ def _draw_inverse_mass(axes: Axes, run: SceneRun, inverse_mass: np.ndarray) -> N
 
 
 def _style(axes: Axes, run: SceneRun, name: str, limits: tuple[float, float]) -> None:
-    """A quiet frame, and the leading edge's true contact as a band over the steps leading to it."""
+    """A plain frame, and the leading edge's true contact as a band over the steps before it."""
     axes.set(xlim=(0, run.steps * run.dt), ylim=limits)
     axes.set_ylabel(name, color=SOFT, fontsize=9)
     axes.tick_params(colors=SOFT, labelsize=8, length=3)

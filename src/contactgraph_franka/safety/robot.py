@@ -62,7 +62,7 @@ class RobotReading:
     """[N, D] m/s."""
     time: np.ndarray
     """[N] s, on the reader's clock: when each node was at ``position``, not when it was reported.
-    The hand is measured a millisecond ago, an object seen by a camera some thirty."""
+    The hand is measured a millisecond ago, a camera's object some thirty."""
     robot_time: float
     """s, on the robot's own clock, which advances while the robot is alive."""
     tracked: np.ndarray

@@ -30,7 +30,7 @@ except ModuleNotFoundError as error:
         "a simulated robot needs franky-sim: pip install 'contactgraph[rehearsal]'"
     ) from error
 
-TICK = 0.001
+CONTROL_PERIOD = 0.001
 """s, of the arm's controller."""
 START = (0.0, -0.2849, 0.0, -2.3967, 0.0, 2.1118, np.pi / 4)
 """rad: the grasp point at (0.45, 0, 0.3) m, the hand pointing down."""
@@ -170,7 +170,7 @@ class StateRecorder:
             if index is not None:
                 self._touch[index] = True
         position, velocity, turn = row["position"], row["velocity"], row["turn"]
-        row["time"], row["stamp"] = (number + 1) * TICK, stamp
+        row["time"], row["stamp"] = (number + 1) * CONTROL_PERIOD, stamp
         position[0], position[1:] = self._hand_position, self._block_poses[:, :3]
         velocity[0], velocity[1:] = self._twist[3:], self._block_velocities[:, :3]
         turn[0], turn[1:] = self._quaternion, self._block_poses[:, 3:]
@@ -191,7 +191,7 @@ def main() -> None:
 
 def _serve(scene: ArmScene, servers: list[Any], folder: Path, pace: float) -> None:
     """Control steps at absolute times, so that delays do not add up."""
-    period, owner = pace * TICK, os.getppid()
+    period, owner = pace * CONTROL_PERIOD, os.getppid()
     number, due = 0, time.monotonic()
     truth = create_ground_truth(folder, len(scene.blocks), scene.model.nq, due / pace)
     recorder, resets = StateRecorder(scene), SceneResetService(folder)

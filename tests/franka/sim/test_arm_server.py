@@ -9,7 +9,7 @@ from contactgraph.data import InvalidInputError
 
 pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehearsal]'")
 
-from contactgraph_franka.sim.arm_server import START, TICK, ArmScene, StateRecorder
+from contactgraph_franka.sim.arm_server import CONTROL_PERIOD, START, ArmScene, StateRecorder
 from contactgraph_franka.sim.shared_state import ground_truth_fields
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
@@ -38,7 +38,7 @@ def hold(scene: ArmScene, point: np.ndarray) -> None:
 
 
 def go(scene: ArmScene, start: np.ndarray, end: np.ndarray, seconds: float) -> None:
-    for part in np.linspace(0.0, 1.0, round(seconds / TICK)):
+    for part in np.linspace(0.0, 1.0, round(seconds / CONTROL_PERIOD)):
         hold(scene, start + (end - start) * (10 * part**3 - 15 * part**4 + 6 * part**5))
 
 
@@ -67,7 +67,7 @@ def test_torques_meet_the_links_inertia_and_nothing_else(scene: ArmScene) -> Non
     expected = np.linalg.solve(inertia[:9, :9], [*torque, 0.0, 0.0])[:7]
     scene.robot.torque_control(torque)
     scene.step()
-    np.testing.assert_allclose(scene.data.qvel[:7] / TICK, expected, rtol=0.02, atol=0.02)
+    np.testing.assert_allclose(scene.data.qvel[:7] / CONTROL_PERIOD, expected, rtol=0.02, atol=0.02)
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def test_a_grasped_block_stays_in_hand_under_3_m_s2(scene: ArmScene) -> None:
     for direction in ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]):
         begin, velocity = at, scene.data.qvel[9:12].copy()
         for tick in range(500):
-            time = min(tick * TICK, 0.3)
+            time = min(tick * CONTROL_PERIOD, 0.3)
             # Half of the time 3 m/s^2, the other half as much backwards.
             way = 1.5 * time**2 if time < 0.15 else 0.0675 - 1.5 * (0.3 - time) ** 2
             at = begin + way * np.array(direction)
