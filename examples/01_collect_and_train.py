@@ -24,9 +24,8 @@ recorded = Dataset(tuple(collect([PickupTask], [PickupExpert()], episodes=12, se
 with_distractors = Dataset(
     tuple(collect([lambda: PickupTask(distractors=3)], [PickupExpert()], episodes=3, seed=1))
 )
-print(
-    f"recorded {len(recorded)} episodes of {recorded.trajectories[0].steps} steps of {recorded.dt} s"
-)
+steps = recorded.trajectories[0].steps
+print(f"recorded {len(recorded)} episodes of {steps} steps of {recorded.dt} s")
 
 # Training never reads contact labels. Without them it gives the same model, bit for bit.
 train, held_out = split_by_trajectory(strip_contacts(recorded), held_out_fraction=0.2, seed=0)

@@ -146,8 +146,8 @@ class MultiPickupTask(GripperTask):
     Nodes are the gripper (0), ``objects`` targets (1, 2, ...) in the order in which they are to
     be picked up, and ``distractors`` further objects: circles that stick to all that they touch,
     so that the grasped bodies form a growing group. The control ``[2]`` N is a force on the
-    gripper. The reward is the negative distance from the last target to the goal, m. An episode always
-    runs for 200 steps.
+    gripper. The reward is the negative distance from the last target to the goal, m. An episode
+    always runs for 200 steps.
 
     ``fixed_seed`` is the seed of a scene whose targets and goal every episode shares, so that only
     the start of gripper and distractors varies; None: each episode has its own.
