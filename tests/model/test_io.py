@@ -31,6 +31,21 @@ from contactgraph.model import (
 )
 from contactgraph.model.serialization import OLD_NAMES
 
+
+class FirmSample(eqx.Module):
+    """A part that is not of this package."""
+
+    share: jax.Array
+
+    def __call__(self, type_probability, key):
+        return self.share * type_probability
+
+
+def firm(config: ModelConfig, *, key: jax.Array) -> ContactDynamics:
+    model = PRESETS["gim_temp"](config, key=key)
+    return eqx.tree_at(lambda m: m.sample, model, FirmSample(jnp.asarray(0.5)))
+
+
 TRAINING = {"command": "contactgraph train ä.h5", "seed": 3, "rmse_m": [0.001, None, True]}
 
 
@@ -422,3 +437,20 @@ def test_the_number_of_networks_must_be_that_of_the_active_types() -> None:
             dimension=2,
             control_size=2,
         )
+
+
+def test_a_model_with_parts_of_ones_own_is_rebuilt_by_its_preset(tmp_path: Path) -> None:
+    path, config = tmp_path / "model", ModelConfig(2, 2, DT, width=4)
+    model = eqx.tree_at(
+        lambda m: m.sample.share, firm(config, key=jax.random.key(0)), jnp.asarray(0.25)
+    )
+    with pytest.raises(InvalidInputError, match="found FirmSample"):
+        save_model(path, model)
+    save_model(path, model, preset=("mine:firm", config))
+    with pytest.raises(InvalidInputError, match="give their preset, mine:firm"):
+        load_model(path)
+    loaded = load_model(path, firm).model
+    assert float(loaded.sample.share) == 0.25
+    for ours, theirs in zip(jax.tree.leaves(loaded), jax.tree.leaves(model), strict=True):
+        assert np.array_equal(ours, theirs) if eqx.is_array(ours) else ours == theirs
+    assert describe_model(path).dimension == 2

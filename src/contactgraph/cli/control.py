@@ -78,7 +78,7 @@ class Control:
 
     def run(self) -> None:
         """Run the episodes, write the files that are asked for, and print a summary."""
-        from contactgraph.cli.models import model_path
+        from contactgraph.cli.models import stored_model
         from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
         from contactgraph.cli.output import check_writable, progress, write_json
         from contactgraph.cli.tasks import TaskOptions, known_task, task_factory
@@ -97,7 +97,6 @@ class Control:
             evaluate_open_loop,
         )
         from contactgraph.model import MotionNoise
-        from contactgraph.model.io import load_model
         from contactgraph.viz import check_animation, scene_run, write_animation
 
         for path in (self.json, self.video, self.save):
@@ -123,7 +122,7 @@ class Control:
         options = TaskOptions(self.distractors, self.objects, self.grasp, radius=self.radius)
         factory = task_factory(self.task, options)
         cost = None if self.cost is None else read_cost(self.cost)
-        model = load_model(model_path(self.model)).model
+        model = stored_model(self.model)
         first: list[EpisodeRecord] = []
         finished = itertools.count(1)
         with progress("controlling", self.episodes) as bar:

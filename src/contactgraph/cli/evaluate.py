@@ -31,19 +31,18 @@ class Evaluate:
 
     def run(self) -> None:
         """Evaluate, and print a summary."""
-        from contactgraph.cli.models import in_steps_of, model_path
+        from contactgraph.cli.models import in_steps_of, stored_model
         from contactgraph.cli.options import check_range, sensor_faults
         from contactgraph.cli.output import check_writable, write_json
         from contactgraph.data import read_trajectories
         from contactgraph.evaluate import evaluate_open_loop, rollout_growth
         from contactgraph.model import MotionNoise
-        from contactgraph.model.io import load_model
 
         check_writable(self.json)
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, seed=0)
         if self.growth_steps is not None:
             check_range("--growth-steps", self.growth_steps, 1, 100_000)
-        model = load_model(model_path(self.model)).model
+        model = stored_model(self.model)
         dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
         motion_noise = MotionNoise() if self.infer_contacts else None
         metrics = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)

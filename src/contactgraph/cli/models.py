@@ -1,14 +1,17 @@
 """Models by name: presets to train, and model files."""
 
+import re
 from pathlib import Path
 
 from contactgraph.cli.options import choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
+    ContactDynamics,
     Preset,
     full_ab,
     gim_non_temp,
     gim_temp,
+    load_model,
     no_gim,
     paper_literal,
     paper_literal_no_gim,
@@ -25,6 +28,7 @@ MODELS: dict[str, Preset] = {
     "paper-literal-no-gim": paper_literal_no_gim,
 }
 
+_MADE_BY = re.compile(r"(?P<preset>[\w.]+:[\w.]+)@(?P<name>.+)")
 _STEP_TOLERANCE = 1e-6
 """Relative difference of time steps that counts as none."""
 
@@ -55,6 +59,18 @@ def model_path(name: str) -> Path:
         f"{name}: no such run folder or model file; models that ship are "
         f"{', '.join(shipped_models())}"
     )
+
+
+def stored_model(name: str) -> ContactDynamics:
+    """The model of a run folder, a model file, or a shipped model.
+
+    ``module:factory@NAME`` rebuilds one with parts that are not of this package by the preset that
+    made it. Raises `InvalidInputError` as `load_model` does.
+    """
+    made_by = _MADE_BY.fullmatch(name)
+    if made_by is None:
+        return load_model(model_path(name)).model
+    return load_model(model_path(made_by["name"]), model_preset(made_by["preset"])).model
 
 
 def in_steps_of(model: object, dataset: Dataset, name: str) -> Dataset:

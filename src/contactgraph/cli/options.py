@@ -23,7 +23,8 @@ ModelArgument = Positional[
         arg(
             metavar="MODEL",
             help="A run folder of train, a model file, or a shipped model: door, franka, "
-            "multi-pickup or pickup.",
+            "multi-pickup or pickup. evaluate and control also take module:factory@MODEL, for a "
+            "model with parts of your own.",
         ),
     ]
 ]

@@ -123,6 +123,7 @@ class Train:
             learned_contact_distance=defaults.learned_contact_distance or distance is not None,
         )
         model = build(model_config, key=jax.random.key(options.seed))
+        made_by = (options.model, model_config) if ":" in options.model else None
         state = initial_state(model, config, options.seed)
         spent = 0.0
         if self.resume:
@@ -155,7 +156,7 @@ class Train:
                 "held_out_rmse_m": float(state.best_error),
                 "training_s": round(seconds, 1),
             }
-            save_model(folder.model_path, state.best_model, {**summary, **result})
+            save_model(folder.model_path, state.best_model, {**summary, **result}, made_by)
 
         warning = velocity_warning(dataset)
         if warning is not None:

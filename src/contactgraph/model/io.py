@@ -4,10 +4,11 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +19,7 @@ from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.json_fields import parse_json
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.presets import ModelConfig, Preset
 from contactgraph.model.serialization import (
     Description,
     build,
@@ -67,13 +69,17 @@ class ModelSummary:
 
 
 def save_model(
-    path: str | Path, model: ContactDynamics, training: Mapping[str, Any] | None = None
+    path: str | Path,
+    model: ContactDynamics,
+    training: Mapping[str, Any] | None = None,
+    preset: tuple[str, ModelConfig] | None = None,
 ) -> None:
     """Write a model to ``path``, atomically: the file is the old or the whole new one at any time.
 
-    `training` is anything that JSON can represent. The same model gives the same bytes. Raises
-    `InvalidInputError` where a part of the model is not of this package, a weight is not finite,
-    `training` is not JSON, or the folder is not writable.
+    `training` is anything that JSON can represent. The same model gives the same bytes. `preset`,
+    name ``module:factory`` and argument of the function that made the model, is stored where a part
+    is not of this package. Raises `InvalidInputError` for such a part without it, for weights that
+    are not finite, a `training` that is not JSON, or a folder that is not writable.
     """
     path = Path(path)
     arrays = module_arrays(model)
@@ -81,7 +87,7 @@ def save_model(
     header = {
         "format": FORMAT,
         "format_version": VERSION,
-        "model": describe(model),
+        "model": _described(model, preset),
         "training": dict(training or {}),
     }
     try:
@@ -100,15 +106,15 @@ def save_model(
         temporary.write_bytes(content)
 
 
-def load_model(path: str | Path) -> StoredModel:
+def load_model(path: str | Path, preset: Preset | None = None) -> StoredModel:
     """Read a model that `save_model` has written; it predicts bit for bit as the saved one did.
 
-    Nothing in the file is executed. Raises `InvalidInputError`, naming file and field, for any
-    fault in it.
+    Nothing in the file is executed. `preset` rebuilds a model with parts that are not of this
+    package. Raises `InvalidInputError`, naming file and field, for any fault in the file.
     """
     path = Path(path)
     with _opened(path) as (file, header):
-        shapes = build(header["model"], f"{path}: model")
+        shapes = _shapes(header["model"], preset, path)
         arrays = {name: _weights(file, name, path) for name in file.keys()}  # noqa: SIM118
     _check_weights(arrays, str(path))
     if header.pop("checksum") != _checksum(header, arrays):
@@ -126,11 +132,12 @@ def describe_model(path: str | Path) -> ModelSummary:
     """
     path = Path(path)
     with _opened(path) as (file, header):
-        shapes = build(header["model"], f"{path}: model")
+        own = "preset" in (made := header["model"])
+        shapes: Any = _config(made, path) if own else _shapes(made, None, path)
         sizes = [int(np.prod(file.get_slice(name).get_shape())) for name in file.keys()]  # noqa: SIM118
     return ModelSummary(
         format_version=header["format_version"],
-        model=with_current_names(header["model"]),
+        model=made if own else with_current_names(made),
         training=header["training"],
         dimension=shapes.dimension,
         control_size=shapes.control_size,
@@ -138,6 +145,33 @@ def describe_model(path: str | Path) -> ModelSummary:
         parameter_count=sum(sizes),
         size=path.stat().st_size,
     )
+
+
+def _described(model: ContactDynamics, preset: tuple[str, ModelConfig] | None) -> Description:
+    try:
+        return describe(model)
+    except InvalidInputError:
+        if preset is None:
+            raise
+        return {"preset": preset[0], "config": asdict(preset[1])}
+
+
+def _shapes(description: Description, preset: Preset | None, path: Path) -> ContactDynamics:
+    """The model with shapes in place of weights."""
+    if "preset" not in description:
+        return build(description, f"{path}: model")
+    if preset is None:
+        made_by = description["preset"]
+        raise InvalidInputError(f"{path}: has parts of your own; give their preset, {made_by}")
+    config = _config(description, path)
+    return eqx.filter_eval_shape(lambda: preset(config, key=jax.random.PRNGKey(0)))
+
+
+def _config(description: Description, path: Path) -> ModelConfig:
+    try:
+        return ModelConfig(**description["config"])
+    except (KeyError, TypeError) as error:
+        raise InvalidInputError(f"{path}: model.config must be a ModelConfig ({error})") from error
 
 
 @contextmanager
