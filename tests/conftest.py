@@ -23,7 +23,7 @@ SHORT = ("--steps", "12", "--batch-size", "4", "--window-length", "3", "--rollou
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    # A worker that dies while it stores a program leaves half of it. JAX warns and compiles anew.
+    # A worker that dies while it stores a program leaves half of it. JAX warns and compiles again.
     config.addinivalue_line(
         "filterwarnings", "ignore:Error (reading|writing) persistent:UserWarning"
     )
@@ -62,7 +62,7 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run folder of a training of 12 steps with a check every 4. Not to be changed."""
+    """The run folder of a training of 12 steps with a check every 4. Read only."""
     path = tmp_path_factory.mktemp("trained") / "run"
     with pytest.MonkeyPatch.context() as patch:
         _check_every_4(patch)

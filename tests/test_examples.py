@@ -9,7 +9,7 @@ import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
-SAYS = {
+PRINTS = {
     "01_collect_and_train.py": "half a second ahead, with distractors",
     "02_own_data.py": "constant velocity",
     "03_control.py": "success",
@@ -37,14 +37,14 @@ CACHE_VERBS = ("reading", "writing")
 
 def test_every_example_is_listed_here_and_numbered_in_order() -> None:
     names = sorted(path.name for path in EXAMPLES.glob("*.py"))
-    assert names == sorted(SAYS)
+    assert names == sorted(PRINTS)
     numbers = [name[:2] for name in names if not name.startswith("extend_")]
     assert numbers == [f"{n:02d}" for n in range(1, len(numbers) + 1)]
 
 
 def cases() -> list[object]:
     slow = pytest.mark.slow
-    return [pytest.param(name, marks=[] if name in FAST else slow) for name in sorted(SAYS)]
+    return [pytest.param(name, marks=[] if name in FAST else slow) for name in sorted(PRINTS)]
 
 
 @pytest.mark.parametrize("name", cases())
@@ -52,11 +52,11 @@ def test_an_example_runs(name: str, tmp_path: Path) -> None:
     target, elsewhere = tmp_path / "target", tmp_path / "elsewhere"
     target.mkdir()
     elsewhere.mkdir()
-    told = [str(target)] if name in WRITES else []
-    # Half a cached program, left by a killed process, is compiled anew with a warning.
+    arguments = [str(target)] if name in WRITES else []
+    # Half a cached program, left by a killed process, is compiled again with a warning.
     warnings = ["error", *(f"ignore:Error {verb} persistent:UserWarning" for verb in CACHE_VERBS)]
     done = subprocess.run(
-        [sys.executable, *(f"-W{each}" for each in warnings), str(EXAMPLES / name), *told],
+        [sys.executable, *(f"-W{each}" for each in warnings), str(EXAMPLES / name), *arguments],
         cwd=elsewhere,
         env={**os.environ, "TMPDIR": str(elsewhere), "JAX_PLATFORMS": "cpu"},
         capture_output=True,
@@ -65,12 +65,12 @@ def test_an_example_runs(name: str, tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert SAYS[name] in done.stdout
+    assert PRINTS[name] in done.stdout
     assert [path.name for path in target.iterdir()] == ([WRITES[name]] if name in WRITES else [])
-    assert list(elsewhere.iterdir()) == [], "an example writes only where it is told to"
+    assert list(elsewhere.iterdir()) == [], "an example writes only to the given folder"
 
 
-@pytest.mark.parametrize("name", sorted(SAYS))
+@pytest.mark.parametrize("name", sorted(PRINTS))
 def test_an_example_reads_like_a_page(name: str) -> None:
     lines = (EXAMPLES / name).read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 75

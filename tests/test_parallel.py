@@ -1,4 +1,4 @@
-"""Work done by processes: answered in order, with every mistake told, and nobody left behind."""
+"""Parallel jobs: ordered results, reported errors, and no process left."""
 
 import multiprocessing
 import os
@@ -14,8 +14,8 @@ from contactgraph.parallel import LocalExecutor, map_in_order, usable_cores
 
 
 @dataclass(frozen=True)
-class Errand:
-    """Work that a process can be sent."""
+class SentJob:
+    """A job that can be sent to a process."""
 
     refused: int = -1
     broken: int = -1
@@ -29,7 +29,7 @@ class Errand:
             # Late ones are quick, so that answers come in another order than they are wanted in.
             time.sleep(600.0 if index == self.endless else 0.02 * (8 - index))
             if index == self.refused:
-                raise InvalidInputError(f"errand {index}: nobody is in")
+                raise InvalidInputError(f"job {index}: rejected")
             if index == self.broken:
                 raise KeyError("spoon")
             if index == self.deadly:
@@ -40,7 +40,7 @@ class Errand:
 
 
 def test_answers_come_in_order_from_processes_that_begin_once():
-    answers = list(map_in_order(LocalExecutor(2), Errand().begin, range(2, 8)))
+    answers = list(map_in_order(LocalExecutor(2), SentJob().begin, range(2, 8)))
     assert [index for index, _, _ in answers] == list(range(2, 8))
     begun = {(process, begun) for _, process, begun in answers}
     assert len(begun) == len(dict(begun)) and os.getpid() not in dict(begun)
@@ -48,21 +48,21 @@ def test_answers_come_in_order_from_processes_that_begin_once():
 
 
 @pytest.mark.parametrize(
-    ("errand", "error", "said"),
+    ("job", "error", "said"),
     [
-        (Errand(refused=3), InvalidInputError, "^errand 3: nobody is in$"),
-        (Errand(broken=3), RuntimeError, "(?s)Traceback.*in work.*KeyError: 'spoon'"),
-        (Errand(deadly=3), RuntimeError, "^3: its process died, exit code 7$"),
+        (SentJob(refused=3), InvalidInputError, "^job 3: rejected$"),
+        (SentJob(broken=3), RuntimeError, "(?s)Traceback.*in work.*KeyError: 'spoon'"),
+        (SentJob(deadly=3), RuntimeError, "^3: its process died, exit code 7$"),
     ],
 )
-def test_what_goes_wrong_in_a_process_is_told(errand, error, said):
+def test_errors_in_a_process_are_reported(job, error, said):
     with pytest.raises(error, match=said):
-        list(map_in_order(LocalExecutor(2), errand.begin, range(8)))
+        list(map_in_order(LocalExecutor(2), job.begin, range(8)))
     assert multiprocessing.active_children() == []
 
 
 class Place:
-    """Where work is done, and by whom."""
+    """Core and process id of the work."""
 
     def begin(self):
         return lambda unit: (os.getpid(), usable_cores(), os.environ["NPROC"])
@@ -79,12 +79,12 @@ def test_each_process_stays_on_a_core_and_is_replaced_after_so_many_units():
             assert (outcome.item, len(cores), most) == (unit, 1, "1")
             workers.append(worker)
             processes.append(process)
-    assert workers == [0, 0, 1, 1, 2], "who has compiled nothing yet has another number"
+    assert workers == [0, 0, 1, 1, 2], "a new process has another number"
     assert len(set(processes)) == 3 and processes[0] == processes[1]
 
 
-def test_a_process_that_died_is_told_and_another_takes_its_place():
-    with LocalExecutor(2).pool(Errand(deadly=3).begin, 8) as pool:
+def test_a_dead_process_is_reported_and_replaced():
+    with LocalExecutor(2).pool(SentJob(deadly=3).begin, 8) as pool:
         for worker, unit in zip(pool.idle(), (3, 7), strict=True):
             pool.submit(worker, unit)
         outcomes = []
@@ -110,8 +110,8 @@ def test_cores_are_as_many_as_nproc_says(monkeypatch):
     assert usable_cores() == every
 
 
-def test_processes_end_with_whoever_wants_no_more():
-    answers = map_in_order(LocalExecutor(2), Errand(endless=1).begin, range(8))
+def test_processes_end_with_their_consumer():
+    answers = map_in_order(LocalExecutor(2), SentJob(endless=1).begin, range(8))
     next(answers)
     assert len(multiprocessing.active_children()) == 2
     answers.close()
@@ -135,9 +135,9 @@ print(list(map_in_order(LocalExecutor(1), work, range(2))))
 def test_a_script_that_is_not_guarded_ends_and_says_why(tmp_path, ballast):
     script = tmp_path / "script.py"
     script.write_text(UNGUARDED)
-    told = subprocess.run(
+    finished = subprocess.run(
         [sys.executable, str(script), ballast], capture_output=True, text=True, timeout=60
     )
-    assert told.returncode == 1 and told.stdout == ""
-    assert "RuntimeError: 0: its process died" in told.stderr.splitlines()[-1]
-    assert "if __name__ == '__main__':" in told.stderr
+    assert finished.returncode == 1 and finished.stdout == ""
+    assert "RuntimeError: 0: its process died" in finished.stderr.splitlines()[-1]
+    assert "if __name__ == '__main__':" in finished.stderr

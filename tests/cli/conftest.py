@@ -14,7 +14,7 @@ from contactgraph.cli import main as cli
 
 @pytest.fixture(scope="session")
 def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run folder of a training of 12 steps with a check every 4. Not to be changed."""
+    """The run folder of a training of 12 steps with a check every 4. Read only."""
     import jax.numpy as jnp
 
     from contactgraph.train import FitProgress, FitStatus

@@ -1,4 +1,4 @@
-"""Every command, as a user calls it: what it prints, what it writes, how it exits."""
+"""Every command as a user calls it: output, files and exit codes."""
 
 import json
 import subprocess
@@ -55,9 +55,9 @@ def done(*arguments: object) -> None:
 
 def test_the_real_entry_point() -> None:
     command = [sys.executable, "-m", "contactgraph"]
-    told = subprocess.run([*command, "--version"], capture_output=True, text=True)
-    assert (told.returncode, told.stderr) == (0, "")
-    assert told.stdout == f"contactgraph {version('contactgraph')}\n"
+    finished = subprocess.run([*command, "--version"], capture_output=True, text=True)
+    assert (finished.returncode, counts.stderr) == (0, "")
+    assert finished.stdout == f"contactgraph {version('contactgraph')}\n"
     mistake = subprocess.run([*command, "trian"], capture_output=True, text=True)
     assert mistake.returncode == 2
     assert mistake.stdout == ""
@@ -135,8 +135,8 @@ def test_collect_mixed_numbers_of_objects_in_one_file(tmp_path: Path) -> None:
         "objects": 2,
         "mixed": True,
     }
-    told = [(run.scene.metadata["objects"], run.scene.metadata["distractors"]) for run in dataset]
-    assert told == [(1, 0), (1, 1), (2, 0), (2, 1), (1, 0)]
+    counts = [(run.scene.metadata["objects"], run.scene.metadata["distractors"]) for run in dataset]
+    assert counts == [(1, 0), (1, 1), (2, 0), (2, 1), (1, 0)]
     for one, other in zip(read_trajectories(first), dataset, strict=False):
         assert np.array_equal(one.position, other.position), "the same, however many are recorded"
 

@@ -1,4 +1,4 @@
-"""Demonstrations, as a user records them: one goal for all runs, an expert without noise."""
+"""Demonstrations as a user records them: one goal for all, an expert without noise."""
 
 from pathlib import Path
 
@@ -55,16 +55,16 @@ def test_demonstrations_of_every_task(tmp_path: Path, task: str) -> None:
     assert len(np.unique(begins[:, 0], axis=0)) == len(runs)
     assert len(np.unique([run.scene.goal for run in runs], axis=0)) == 1
     *_, last = runs
-    told = last.scene.metadata
+    metadata = last.scene.metadata
     again = run_episode(
-        task_class(fixed_seed=told["fixed_seed"]), expert_class(noise=0.0), told["seed"]
+        task_class(fixed_seed=metadata["fixed_seed"]), expert_class(noise=0.0), metadata["seed"]
     )
     assert np.array_equal(again.control, last.control), "no noise, and to be had again"
     other = demonstrated(tmp_path / "other.h5", task, "--episodes", 1, "--seed", 4)
     assert not np.array_equal(next(iter(other)).scene.goal, next(iter(runs)).scene.goal)
 
 
-def test_one_goal_among_any_number_of_bystanders(tmp_path: Path) -> None:
+def test_one_goal_for_any_number_of_distractors(tmp_path: Path) -> None:
     options = ["--distractors", 2, "--objects", 1, "--mixed"]
     runs = demonstrated(tmp_path / "demos.h5", "multi-pickup", *options, "--episodes", 6)
     fewer = demonstrated(tmp_path / "fewer.h5", "multi-pickup", *options, "--episodes", 2)
@@ -75,7 +75,7 @@ def test_one_goal_among_any_number_of_bystanders(tmp_path: Path) -> None:
         assert np.array_equal(one.position, again.position), "the same, however many are recorded"
 
 
-def test_what_is_said_by_default_need_not_be_said(tmp_path: Path) -> None:
+def test_explicit_defaults_change_nothing(tmp_path: Path) -> None:
     said, unsaid = tmp_path / "said.h5", tmp_path / "unsaid.h5"
     common = ["collect", "pickup", "--episodes", "2", "--seed", "5"]
     assert cli.run([*common, "--goal", "sampled", "--expert", "train", "--out", str(said)]) == 0

@@ -1,4 +1,4 @@
-"""Learning costs from the command line: what it says and writes, and what it refuses."""
+"""Cost learning from the command line: output, files and rejected input."""
 
 import json
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def cut(run: Trajectory, steps: int = STEPS) -> Trajectory:
 
 @pytest.fixture(scope="module")
 def runs() -> list[Trajectory]:
-    """Three demonstrations of one goal, with bystanders in view."""
+    """Three demonstrations of one goal, with distractors."""
     factory = partial(PickupTask, 2, fixed_seed=7)
     return [cut(run) for run in collect([factory], [PickupExpert(noise=0.0)], 3, 0)]
 
@@ -71,7 +71,7 @@ def test_a_cost_is_learned_and_planned_with(demos: Path, tmp_path: Path) -> None
     assert (values["cost"], values["episodes"]) == (str(paths[0]), 1)
 
 
-def test_what_is_said_and_written(
+def test_printed_and_written_output(
     demos: Path,
     made_up_cost: Callable,
     tmp_path: Path,
@@ -113,7 +113,7 @@ def test_the_file_says_how_it_was_made(demos: Path, cost: Path, runs: list[Traje
 
 
 class Asked(Exception):
-    """Raised in place of long work, with what it was asked for."""
+    """Raised instead of long work, with the given arguments."""
 
 
 def asking(*arguments: object, **options: object) -> None:
@@ -160,7 +160,7 @@ def test_the_horizon_is_the_task_s(
         ("pickup", ["--max-force", "3.5"], 3.5),
     ],
 )
-def test_the_largest_force_is_the_task_s_or_what_is_said(
+def test_the_largest_force_is_the_task_s_or_the_flag_s(
     runs: list[Trajectory],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -216,7 +216,7 @@ def test_info(cost: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.fixture
 def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    """Runs a command in an empty folder, expects it to fail well, and gives what it said."""
+    """Runs a command in an empty folder, expects a user error, and returns its message."""
     monkeypatch.chdir(tmp_path)
 
     def fails(*arguments: object) -> str:

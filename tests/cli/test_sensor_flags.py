@@ -1,4 +1,4 @@
-"""The flags that spoil contact sensors, and data without contacts, with the model that ships."""
+"""Flags for contact-sensor faults, and data without contacts, with the shipped model."""
 
 import json
 from collections.abc import Callable
@@ -19,13 +19,13 @@ def pickups(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def told(command: list[object], result: Path) -> dict:
+def metrics_of(command: list[object], result: Path) -> dict:
     assert cli.run([str(each) for each in [*command, "--json", result]]) == 0
     return json.loads(result.read_text())
 
 
 def interrupting(calls: list[dict]) -> Callable:
-    """Stands in for long work: keeps what it was asked for, and stops there."""
+    """Replaces long work: stores the arguments, and stops."""
 
     def called(*arguments: object, **options: object) -> None:
         calls.append(options)
@@ -53,7 +53,7 @@ def test_the_flags_reach_their_work(pickups: Path, monkeypatch: pytest.MonkeyPat
 
 def test_evaluate_echoes_the_sensor(fresh: Path, tmp_path: Path) -> None:
     flags = ["--false-alarms", 0.05, "--delay", 2]
-    values = told(["evaluate", "pickup", fresh, *flags], tmp_path / "spoiled.json")
+    values = metrics_of(["evaluate", "pickup", fresh, *flags], tmp_path / "spoiled.json")
     assert [values[name] for name in ("false_alarms", "misses", "delay")] == [0.05, 0, 2]
     assert values["edge_f1"] is not None
 
@@ -61,7 +61,7 @@ def test_evaluate_echoes_the_sensor(fresh: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_control_says_what_was_planned(tmp_path: Path) -> None:
     command = ["control", "pickup", "pickup", "--episodes", 1, "--replan-every", 10]
-    values = told([*command, "--misses", 0.1], tmp_path / "one.json")
+    values = metrics_of([*command, "--misses", 0.1], tmp_path / "one.json")
     assert (values["misses"], values["unmeasured"], values["replan_every"]) == (0.1, False, 10)
     assert values["planned_windows"] == 20
     assert values["n_step_rmse_planned_m"] < values["constant_velocity_planned_rmse_m"]
@@ -75,11 +75,11 @@ def test_edges_without_truth_are_not_scored(
     dataset = read_trajectories(pickups)
     mixed = Dataset((dataset.trajectories[0], strip_contacts(dataset).trajectories[1]))
     write_trajectories(bare, list(mixed), mixed.metadata)
-    values = told(["evaluate", "pickup", bare], tmp_path / "bare.json")
+    values = metrics_of(["evaluate", "pickup", bare], tmp_path / "bare.json")
     assert values["edge_f1"] is None and values["edge_accuracy"] is None
     said = capsys.readouterr().out
     assert f"edges were not scored: 1 of 2 runs in {bare} have no contact field" in said
-    told(["evaluate", "pickup", pickups], tmp_path / "full.json")
+    metrics_of(["evaluate", "pickup", pickups], tmp_path / "full.json")
     assert "not scored" not in capsys.readouterr().out
     assert cli.run(["evaluate", "pickup", str(bare), "--misses", "0.1"]) == 2
     assert "1 of 2 trajectories have no contact field" in capsys.readouterr().err
@@ -94,8 +94,6 @@ def test_edges_without_truth_are_not_scored(
         ("--unmeasured --delay 1", "--unmeasured: no contact is measured"),
     ],
 )
-def test_what_no_sensor_can_be(
-    capsys: pytest.CaptureFixture[str], flags: str, message: str
-) -> None:
+def test_invalid_sensor_flags(capsys: pytest.CaptureFixture[str], flags: str, message: str) -> None:
     assert cli.run(["control", "pickup", "pickup", *flags.split()]) == 2
     assert message in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""A recording that is interrupted goes on; its file is that of one that was not."""
+"""An interrupted recording continues and ends in the file of an uninterrupted one."""
 
 from pathlib import Path
 
@@ -39,7 +39,7 @@ def unfinished(folder: Path) -> list[Path]:
 
 
 def contents(path: Path) -> dict[str, object]:
-    """All arrays and attributes of a dataset file, by their places."""
+    """All arrays and attributes of a dataset file, by path."""
     found: dict[str, object] = {}
 
     def look(name: str, item: h5py.Group | h5py.Dataset) -> None:
@@ -77,7 +77,7 @@ def test_twice_interrupted_it_is_the_same_file_and_no_run_is_made_twice(
     assert contents(parts) == contents(whole)
 
 
-def test_other_runs_begin_anew_and_leave_those_alone(
+def test_other_episodes_start_over_and_keep_the_old_ones(
     tmp_path: Path, interrupter: Interrupter
 ) -> None:
     out = tmp_path / "x.h5"
@@ -89,7 +89,7 @@ def test_other_runs_begin_anew_and_leave_those_alone(
     assert interrupter.made == 7 and unfinished(tmp_path) == [folder]
 
 
-def test_what_cannot_be_read_is_recorded_anew(
+def test_unreadable_episodes_are_recorded_again(
     tmp_path: Path, interrupter: Interrupter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(collect_command, "_SAVE_INTERVAL_S", 0.0)

@@ -1,4 +1,4 @@
-"""Whatever a user gets wrong: exit code 2, one line that helps, and nothing left behind."""
+"""User errors: exit code 2, one helpful line, and no file left."""
 
 import json
 import re
@@ -24,7 +24,7 @@ from contactgraph.data import (
 
 @pytest.fixture
 def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    """Runs a command in an empty folder, expects it to fail well, and gives what it said."""
+    """Runs a command in an empty folder, expects a user error, and returns its message."""
     monkeypatch.chdir(tmp_path)
 
     def fails(*arguments: object, code: int = 2) -> str:
@@ -254,14 +254,14 @@ def test_resuming_without_a_checkpoint(
 
 def test_mujoco_missing(tmp_path: Path) -> None:
     main = "import sys; from contactgraph.cli.main import main; sys.modules['mujoco'] = None; "
-    told = subprocess.run(
+    finished = subprocess.run(
         [sys.executable, "-c", main + "main(sys.argv[1:])", "collect", "franka", "--out", "a.h5"],
         cwd=tmp_path,
         capture_output=True,
         text=True,
     )
     said = "contactgraph: franka needs MuJoCo: pip install 'contactgraph[mujoco]'\n"
-    assert (told.returncode, told.stdout, told.stderr) == (2, "", said)
+    assert (finished.returncode, finished.stdout, finished.stderr) == (2, "", said)
     assert not any(tmp_path.iterdir())
 
 

@@ -1,4 +1,4 @@
-"""Which nodes are active, and the part of a scene about them: on the host, without a model."""
+"""Active nodes and their part of a scene, on the host, without a model."""
 
 import jax.numpy as jnp
 import numpy as np

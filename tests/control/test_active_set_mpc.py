@@ -1,4 +1,4 @@
-"""Ticks among the nodes in play answer what ticks about the whole scene answer."""
+"""MPC on the active set gives the plans of MPC on the whole scene."""
 
 import logging
 
@@ -56,7 +56,7 @@ def scene(count: int, others=(), seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def crowd(count: int, seed: int) -> dict[str, np.ndarray]:
-    """Bystanders anywhere around the ways, no two bodies within each other."""
+    """Distractors anywhere around the paths, without overlap."""
     rng = np.random.default_rng(seed)
     placed = [GRIPPER, TARGET]
     half = 2.0 * np.sqrt(count / 30)
@@ -67,21 +67,23 @@ def crowd(count: int, seed: int) -> dict[str, np.ndarray]:
     return {"position": np.array(placed), "velocity": np.zeros((count, 2))}
 
 
-def both(local: ActiveSetMPC, whole: MPC, seen: dict, steps: int) -> list[np.ndarray]:
-    """Drives both through the world as the whole plan has it; who was in play at each step."""
-    count = len(seen["position"])
+def both(local: ActiveSetMPC, whole: MPC, observed: dict, steps: int) -> list[np.ndarray]:
+    """Runs both along the whole scene's plan; the active nodes of each step."""
+    count = len(observed["position"])
     nodes = nodes_of(count, CAPACITY)
-    states = [mpc.reset(seen, nodes, cost()) for mpc in (local, whole)]
+    states = [mpc.reset(observed, nodes, cost()) for mpc in (local, whole)]
     in_play = []
     for _ in range(steps):
-        contacts = np.linalg.norm(seen["position"][:, None] - seen["position"], axis=-1) < 0.0805
+        contacts = (
+            np.linalg.norm(observed["position"][:, None] - observed["position"], axis=-1) < 0.0805
+        )
         plans = []
         for index, mpc in enumerate((local, whole)):
-            plan, states[index] = mpc.step(seen, contacts, states[index])
+            plan, states[index] = mpc.step(observed, contacts, states[index])
             plans.append(plan)
         found, wanted = plans
-        who = np.asarray(found.node_ids)
-        inside = who[who >= 0]
+        active_ids = np.asarray(found.node_ids)
+        inside = active_ids[active_ids >= 0]
         in_play.append(inside)
         np.testing.assert_allclose(found.controls, wanted.controls, atol=1e-7)
         np.testing.assert_allclose(found.cost, wanted.cost, rtol=1e-9)
@@ -94,31 +96,31 @@ def both(local: ActiveSetMPC, whole: MPC, seen: dict, steps: int) -> list[np.nda
         np.testing.assert_allclose(
             belief, np.asarray(wanted.beliefs.probability)[:, edge], atol=1e-6
         )
-        seen = {"position": predicted[1, :count, 0], "velocity": predicted[1, :count, 1]}
+        observed = {"position": predicted[1, :count, 0], "velocity": predicted[1, :count, 1]}
     return in_play
 
 
 @pytest.mark.parametrize("count", [pytest.param(11, marks=pytest.mark.slow), 30])
-def test_bystanders_far_away_are_left_out_and_change_nothing(local, whole, count):
+def test_distant_distractors_are_inactive_and_change_nothing(local, whole, count):
     for inside in both(local, whole, scene(count, seed=count), 4):
         assert inside.tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("count", [11, 30])
-def test_in_a_crowd_the_answer_is_that_of_all(local, whole, count):
+def test_a_dense_scene_gives_the_plan_of_the_whole_scene(local, whole, count):
     most = max(len(inside) for inside in both(local, whole, crowd(count, seed=count), 12))
     assert 2 < most < count
 
 
-def test_a_bystander_in_the_way_is_in_play_and_matters(local, whole):
+def test_a_distractor_on_the_path_is_active_and_matters(local, whole):
     between = 0.5 * (GRIPPER + TARGET)
     in_play = both(local, whole, scene(11, others=[between]), 12)
     assert all(2 in inside for inside in in_play)
     nodes = nodes_of(11, CAPACITY)
     plans = []
     for others in ([between], [between + 5.0]):
-        seen = scene(11, others)
-        plan, _ = local.step(seen, None, local.reset(seen, nodes, cost()))
+        observed = scene(11, others)
+        plan, _ = local.step(observed, None, local.reset(observed, nodes, cost()))
         plans.append(plan)
         assert 2 in plan.node_ids.tolist() or others[0][0] > 3.0
     assert np.max(np.abs(plans[0].controls - plans[1].controls)) > 0.1
@@ -130,7 +132,7 @@ BESIDE = [
     for part in (0.12, 0.21, 0.3, 0.39, 0.48, 0.57, 0.66, 0.75, 0.84, 0.93)
     for side in (-1, 1)
 ]
-"""Beside the way to the target, on both sides, 2 cm from being touched."""
+"""Beside the path to the target, on both sides, 2 cm from contact."""
 
 
 @pytest.fixture
@@ -146,7 +148,7 @@ def compilations():
     return counted
 
 
-def test_bystanders_far_away_compile_nothing(local, compilations):
+def test_distant_distractors_compile_nothing(local, compilations):
     state = local.reset(scene(4), nodes_of(4, CAPACITY), cost())
     _, state = local.step(scene(4), None, state)
     before = len(compilations)
@@ -155,21 +157,21 @@ def test_bystanders_far_away_compile_nothing(local, compilations):
         for seed in range(3):
             plan, state = local.step(scene(count, seed=seed), np.eye(count), state)
             assert plan.outcome.solved and plan.node_ids.tolist() == [0, 1]
-    # Up to eighteen in play, too: `reset` has seen to that.
+    # Up to eighteen active ones, too: `reset` compiles that.
     joining = scene(30, others=BESIDE[:4])
     plan, state = local.step(joining, None, state)
     assert set(range(6)) <= set(state.node_ids.tolist()) and len(state.node_ids) == 6
     assert len(compilations) == before
 
 
-def test_room_for_more_is_made_once_and_logged(model, caplog):
+def test_capacity_grows_once_and_is_logged(model, caplog):
     mpc = ActiveSetMPC(model, ILQR(HORIZON, 5, LIMITS))
-    crowded = scene(30, others=BESIDE)
+    dense = scene(30, others=BESIDE)
     with caplog.at_level(logging.WARNING, logger="contactgraph"):
         state = mpc.reset(scene(30), nodes_of(30, CAPACITY), cost())
         assert not caplog.messages
-        for seen in (crowded, scene(30), crowded, scene(30)):
-            plan, state = mpc.step(seen, None, state)
+        for observed in (dense, scene(30), dense, scene(30)):
+            plan, state = mpc.step(observed, None, state)
             assert plan.outcome.solved
     (message,) = caplog.messages
     assert "up to 30 active nodes; so far there was room for 18" in message
@@ -180,10 +182,10 @@ def test_with_a_limit_there_is_never_more_in_play(model):
     nodes, near = nodes_of(11, CAPACITY), scene(11, others=[0.5 * (GRIPPER + TARGET)])
     state = mpc.reset(scene(11), nodes, cost())
     plan, state = mpc.step(scene(11), None, state)
-    crowded, after = mpc.step(near, None, state)
-    assert crowded.outcome == PlanStatus.CAPACITY_EXCEEDED and "limit" in crowded.outcome.message
-    np.testing.assert_array_equal(crowded.controls[:-1], plan.controls[1:])
-    np.testing.assert_array_equal(after.last.control, crowded.controls[0])
+    dense, after = mpc.step(near, None, state)
+    assert dense.outcome == PlanStatus.CAPACITY_EXCEEDED and "limit" in dense.outcome.message
+    np.testing.assert_array_equal(dense.controls[:-1], plan.controls[1:])
+    np.testing.assert_array_equal(after.last.control, dense.controls[0])
     assert mpc.step(scene(11), None, after)[0].outcome.solved
     with pytest.raises(InvalidInputError, match=r"max_active_nodes must be at least 3 .* found 2"):
         mpc.reset(near, nodes, cost())
@@ -191,7 +193,7 @@ def test_with_a_limit_there_is_never_more_in_play(model):
         ActiveSetMPC(model, ILQR(HORIZON), max_active_nodes=0)
 
 
-def test_whoever_is_left_out_must_be_seen_all_the_same(local):
+def test_inactive_nodes_must_be_observed_too(local):
     state = local.reset(scene(11), nodes_of(11, CAPACITY), cost())
     plan, state = local.step(scene(11), None, state)
     lost = scene(11)
@@ -202,7 +204,7 @@ def test_whoever_is_left_out_must_be_seen_all_the_same(local):
     assert local.step(scene(11), None, state)[0].outcome.solved
 
 
-def test_what_comes_near_on_its_own_is_in_play(local):
+def test_an_approaching_node_becomes_active(local):
     nodes = nodes_of(11, CAPACITY)
     state = local.reset(scene(11, others=[[-0.7, 1.5]]), nodes, cost())
     assert 2 not in state.node_ids
@@ -210,30 +212,30 @@ def test_what_comes_near_on_its_own_is_in_play(local):
     coming["velocity"][2] = [0.0, -2.0]
     plan, state = local.step(coming, None, state)
     assert 2 in plan.node_ids
-    for _ in range(2):  # it leaves with the tick after the one that shows that it may
+    for _ in range(2):  # it leaves one step after it first may
         plan, state = local.step(scene(11), None, state)
     assert state.node_ids.tolist() == [0, 1]
 
 
-def test_another_cost_is_about_others(local, whole):
-    seen, nodes = scene(11, others=[[0.9, -0.8]]), nodes_of(11, CAPACITY)
+def test_another_cost_activates_its_nodes(local, whole):
+    observed, nodes = scene(11, others=[[0.9, -0.8]]), nodes_of(11, CAPACITY)
     other = chain_cost((0, 2), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, GOAL, CAPACITY)
     controls = []
     for mpc in (local, whole):
-        state = mpc.reset(seen, nodes, cost())
-        _, state = mpc.step(seen, None, state)
-        plan, _ = mpc.step(seen, None, state, cost=other)
+        state = mpc.reset(observed, nodes, cost())
+        _, state = mpc.step(observed, None, state)
+        plan, _ = mpc.step(observed, None, state, cost=other)
         controls.append(plan.controls)
     assert {0, 2} <= set(plan.node_ids.tolist())
     np.testing.assert_allclose(*controls, atol=1e-7)
 
 
-def test_feedback_acts_on_whoever_is_in_play(local, whole):
-    seen, nodes = crowd(11, seed=3), nodes_of(11, CAPACITY)
-    moved = {**seen, "position": seen["position"] + 0.01 * (np.arange(11) == 0)[:, None]}
+def test_feedback_acts_on_active_nodes(local, whole):
+    observed, nodes = crowd(11, seed=3), nodes_of(11, CAPACITY)
+    moved = {**observed, "position": observed["position"] + 0.01 * (np.arange(11) == 0)[:, None]}
     controls = []
     for mpc in (local, whole):
-        plan, _ = mpc.step(seen, None, mpc.reset(seen, nodes, cost()))
+        plan, _ = mpc.step(observed, None, mpc.reset(observed, nodes, cost()))
         controls.append(mpc.control(plan, moved))
     np.testing.assert_allclose(*controls, atol=1e-7)
     assert np.max(np.abs(controls[0] - plan.controls[0])) > 1e-3
@@ -248,12 +250,12 @@ def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
         MPC(model, ILQR(3, 1), **options),
     ):
         about = chain_cost((0, 1), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, GOAL, 5)
-        seen = scene(5, others=[[-0.4, -0.5]])
-        state = mpc.reset(seen, nodes_of(5, 5), about)
+        observed = scene(5, others=[[-0.4, -0.5]])
+        state = mpc.reset(observed, nodes_of(5, 5), about)
         for speed in (0.0, 1.5, 1.5, 1.2, 0.7):
-            seen["position"][0, 0] += 0.05 * speed
-            seen["velocity"][0, 0] = speed
-            plan, state = mpc.step(seen, None, state, np.array([4.0, 0.0]))
+            observed["position"][0, 0] += 0.05 * speed
+            observed["velocity"][0, 0] = speed
+            plan, state = mpc.step(observed, None, state, np.array([4.0, 0.0]))
         answers.append(
             (plan.controls, state.last.belief.probability[:3], state.last.motion_log_odds[:3])
         )
@@ -266,14 +268,14 @@ def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
 def test_of_a_rejected_trial_only_the_steps_count_that_could_have_saved_it(model):
     far = np.array([1.5, 1.0])
     mpc = ActiveSetMPC(model, ILQR(HORIZON, 8, LIMITS))
-    seen = scene(11)
-    state = mpc.reset(seen, nodes_of(11, CAPACITY), cost(far))
+    observed = scene(11)
+    state = mpc.reset(observed, nodes_of(11, CAPACITY), cost(far))
     given_up = []
     for _ in range(25):
-        plan, state = mpc.step(seen, None, state)
+        plan, state = mpc.step(observed, None, state)
         known = np.isfinite(np.asarray(plan.swept.lower)[: int(plan.iterations), :, 0, 0])
         assert known[0].all() and (np.diff(known.astype(int), axis=1) <= 0).all()
         given_up.append((~known).any())
         after = np.asarray(plan.states[1])[:2]
-        seen["position"][:2], seen["velocity"][:2] = after[:, 0], after[:, 1]
+        observed["position"][:2], observed["velocity"][:2] = after[:, 0], after[:, 1]
     assert any(given_up) and not all(given_up)

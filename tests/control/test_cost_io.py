@@ -1,4 +1,4 @@
-"""Cost files: written and read again to the last bit, and refused with one line when damaged."""
+"""Cost files: an exact round trip, and one line of error when damaged."""
 
 import json
 from dataclasses import replace
@@ -53,7 +53,7 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_is_read_is_what_was_written(path: Path) -> None:
+def test_a_written_cost_is_read_unchanged(path: Path) -> None:
     wanted, found = a_cost(), read_cost(path)
     for name in ("Q", "R", "goal", "nodes"):
         one, other = getattr(wanted, name), getattr(found, name)
@@ -162,7 +162,7 @@ ROW = [1.0] * 8
         ({"made": "by hand"}, "field 'made' must be an object, found 'by hand'"),
     ],
 )
-def test_what_is_wrong_is_named(path: Path, change: dict[str, Any], said: str) -> None:
+def test_wrong_fields_are_named(path: Path, change: dict[str, Any], said: str) -> None:
     content = json.loads(path.read_text())
     for name, value in change.items():
         content[name] = value(content[name]) if callable(value) else value
@@ -180,7 +180,7 @@ def test_what_is_wrong_is_named(path: Path, change: dict[str, Any], said: str) -
         *("goal", "Q", "R", "participants", "made", "history"),
     ],
 )
-def test_what_is_missing_is_named(path: Path, name: str) -> None:
+def test_missing_fields_are_named(path: Path, name: str) -> None:
     content = json.loads(path.read_text())
     del content[name]
     path.write_text(json.dumps(content))
@@ -201,7 +201,7 @@ def test_what_is_missing_is_named(path: Path, name: str) -> None:
         ),
     ],
 )
-def test_what_is_wrong_with_a_participant(path: Path, place: str, value: Any, said: str) -> None:
+def test_wrong_task_nodes_are_named(path: Path, place: str, value: Any, said: str) -> None:
     content = json.loads(path.read_text())
     content["participants"][1][place] = value
     path.write_text(json.dumps(content))
@@ -242,7 +242,7 @@ def test_no_file(tmp_path: Path) -> None:
         read_cost(tmp_path)
 
 
-def test_what_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:
+def test_an_unreadable_cost_is_not_written(tmp_path: Path) -> None:
     path, cost = tmp_path / "cost.json", a_cost()
     for wrong, said in (
         (replace(cost, Q=-cost.Q), "'Q' must be positive semi-definite"),

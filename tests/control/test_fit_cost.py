@@ -1,4 +1,4 @@
-"""Experts that are LQR controllers with a hidden cost: it is found again, up to its scale."""
+"""The hidden cost of LQR experts is recovered up to its scale."""
 
 import jax
 import jax.numpy as jnp
@@ -50,7 +50,7 @@ def hidden_expert(seed: int) -> tuple[Demonstrations, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))]
 )
-def test_a_hidden_cost_is_found_again(double_precision, seed):
+def test_a_hidden_cost_is_recovered(double_precision, seed):
     data, Q, R = hidden_expert(seed)
     recipe = CostLearningConfig(
         horizon=HORIZON,

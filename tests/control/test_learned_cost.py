@@ -37,7 +37,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def runs() -> list[Trajectory]:
-    """Five demonstrations of one goal, two bystanders in view."""
+    """Five demonstrations of one goal, with two distractors."""
     return collect(
         [partial(PickupTask, 2, fixed_seed=7)], [PickupExpert(noise=0.0)], episodes=5, seed=0
     )
@@ -48,7 +48,7 @@ def cost(model, runs) -> LearnedCost:
     return learn_cost(model, Dataset(tuple(runs)), RECIPE, limits=LIMITS)
 
 
-def test_who_takes_part_is_kept_and_why(cost):
+def test_task_nodes_and_reasons_are_stored(cost):
     assert cost.kept_nodes == ("gripper", "target") and cost.order == (0, 1)
     gripper, target, *others = cost.task_nodes
     assert gripper.actuated and gripper.kept and "actuated" in gripper.reason
@@ -63,7 +63,7 @@ def test_who_takes_part_is_kept_and_why(cost):
 
 
 @pytest.mark.slow
-def test_bystanders_change_nothing_that_is_learned(model, runs, cost):
+def test_distractors_do_not_change_the_learned_cost(model, runs, cost):
     alone = [without(run, ("distractor-0", "distractor-1")) for run in runs]
     learned = learn_cost(model, Dataset(tuple(alone)), RECIPE, limits=LIMITS)
     assert np.allclose(learned.Q, cost.Q, rtol=1e-3, atol=1e-3)
@@ -86,7 +86,7 @@ def test_terms_stand_for_themselves_and_one_ties_the_gripper_to_the_target(cost)
 
 
 @pytest.mark.slow
-def test_it_does_the_task_in_scenes_and_with_goals_it_has_not_seen(model, cost):
+def test_it_solves_new_scenes_and_goals(model, cost):
     metrics, runs = control_task(model, partial(PickupTask, 3), 6, 31, cost=cost, horizon=40)
     assert metrics.success_rate == 1.0
     assert metrics.touched_bystanders == 0
@@ -138,8 +138,10 @@ def test_it_finds_its_nodes_by_name_and_takes_the_scene_s_goal(runs, cost):
 
 def test_a_goal_can_stand_in_for_the_runs_own(model, runs, cost):
     bare = [replace(run, scene=replace(run.scene, goal=None)) for run in runs]
-    told = learn_cost(model, Dataset(tuple(bare)), RECIPE, goal=runs[0].scene.goal, limits=LIMITS)
-    assert np.allclose(told.Q, cost.Q) and np.allclose(told.goal, runs[0].scene.goal)
+    learned = learn_cost(
+        model, Dataset(tuple(bare)), RECIPE, goal=runs[0].scene.goal, limits=LIMITS
+    )
+    assert np.allclose(learned.Q, cost.Q) and np.allclose(learned.goal, runs[0].scene.goal)
     with pytest.raises(InvalidInputError, match="goal must be 2 finite numbers"):
         learn_cost(model, Dataset(tuple(bare)), RECIPE, goal=[1.0])
 
@@ -156,7 +158,7 @@ def test_a_control_at_its_limit_is_held_in_the_plan(model, runs):
     assert len(at) >= 1
     step, axis = at[0]
     assert not held.B[0, step, :, axis].any() and held.controls[0, step, axis] == 0.0
-    # What is done comes to the same.
+    # The resulting behaviour is the same.
     for data in (free, held):
         x = data.A[0, step] @ data.states[0, step] + data.offset[0, step]
         moved = x + data.B[0, step] @ data.controls[0, step]

@@ -122,7 +122,7 @@ def test_value_slope_and_gain_against_finite_differences():
         np.testing.assert_allclose(gain, policy.K[0][:, i], rtol=1e-5, atol=1e-8)
 
 
-def test_expected_decrease_is_what_the_step_gains_on_linear_dynamics():
+def test_expected_decrease_is_exact_on_linear_dynamics():
     problem = random_problem(6)
     rng = np.random.default_rng(6)
     start, controls = jnp.asarray(rng.normal(size=6)), jnp.asarray(rng.normal(size=(15, 2)))

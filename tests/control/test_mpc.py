@@ -1,4 +1,4 @@
-"""MPC: belief, warm start, deadline, bad input, and one compilation for everything that varies."""
+"""MPC: belief, warm start, deadline, bad input, and one compilation for all inputs."""
 
 import dataclasses
 import math
@@ -46,10 +46,10 @@ class Clock:
     """Every reading is ``tick`` seconds after the one before."""
 
     def __init__(self):
-        self.now, self.tick = 0.0, 0.0
+        self.now, self.period = 0.0, 0.0
 
     def __call__(self):
-        self.now += self.tick
+        self.now += self.period
         return self.now
 
 
@@ -75,7 +75,7 @@ def counted():
 
 @pytest.fixture
 def mpc(counted):
-    counted[2].tick = 0.0
+    counted[2].period = 0.0
     return counted[0]
 
 
@@ -109,7 +109,7 @@ def test_closed_loop_brings_the_object_to_the_goal(mpc):
     assert distance < 0.01
 
 
-def test_what_varies_within_capacity_does_not_recompile(counted, start):
+def test_changes_within_capacity_do_not_recompile(counted, start):
     mpc, calls, _ = counted
     before = len(calls)
     plan, state = mpc.step(scene(), None, start)
@@ -208,15 +208,15 @@ def test_a_huge_observation_gives_finite_controls(mpc, start):
 
 def test_a_late_plan_is_replaced_by_the_shifted_one_and_starts_the_next(counted, start):
     mpc, _, clock = counted
-    clock.tick = 0.009
+    clock.period = 0.009
     plan, state = mpc.step(scene(), None, start)
     assert plan.outcome.solved
-    clock.tick = 0.011
+    clock.period = 0.011
     moved = scene(shift=0.3)
     late, after = mpc.step(moved, None, state)
     assert late.outcome == PlanStatus.DEADLINE_MISSED and "deadline" in late.outcome.message
     np.testing.assert_array_equal(late.controls, shift_plan(plan).controls)
-    clock.tick = 0.0
+    clock.period = 0.0
     in_time, _ = mpc.step(moved, None, state)
     np.testing.assert_array_equal(after.plan.controls, in_time.controls)
 

@@ -1,4 +1,4 @@
-"""MPC that learns of contacts from motion: with what was applied, and only where it is asked to."""
+"""MPC that infers contacts from motion: with the applied control, and only on request."""
 
 from dataclasses import replace
 
@@ -15,10 +15,10 @@ from contactgraph.model import MotionNoise, load_model, shipped_model
 COST = chain_cost((0, 1), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, (0.5, 0.4), node_count=2)
 PUSH = np.array([4.0, 0.0])
 DT = 0.05
-WIDER = 0.09  # m; 1 cm farther than the model thinks bodies touch
+WIDER = 0.09  # m; 1 cm beyond the model's contact distance
 
 
-def seen(speeds, position=(0.0, WIDER)) -> dict[str, np.ndarray]:
+def observed(speeds, position=(0.0, WIDER)) -> dict[str, np.ndarray]:
     place, velocity = np.zeros((2, 2)), np.zeros((2, 2))
     place[:, 0], velocity[:, 0] = position, speeds
     return {"position": place, "velocity": velocity}
@@ -49,10 +49,10 @@ def inferring(model) -> MPC:
 
 def after_a_push(mpc: MPC, speeds, applied, contacts=None):
     """State after 4 N for a step, along the row, have left the bodies with these speeds."""
-    state = mpc.reset(seen([0.0, 0.0]), nodes_of(2, 2), COST)
-    _, state = mpc.step(seen([0.0, 0.0]), None, state)
+    state = mpc.reset(observed([0.0, 0.0]), nodes_of(2, 2), COST)
+    _, state = mpc.step(observed([0.0, 0.0]), None, state)
     moved = np.array([0.0, WIDER]) + 0.6 * DT * np.array(speeds)
-    return mpc.step(seen(speeds, moved), contacts, state, applied)[1]
+    return mpc.step(observed(speeds, moved), contacts, state, applied)[1]
 
 
 def test_a_load_is_a_contact_though_it_is_too_far_for_one(inferring, model) -> None:
@@ -63,23 +63,25 @@ def test_a_load_is_a_contact_though_it_is_too_far_for_one(inferring, model) -> N
     assert after_a_push(without, loaded, PUSH).last.belief.probability[0] < 0.5
 
 
-def test_it_matters_what_was_applied(inferring) -> None:
+def test_the_applied_control_matters(inferring) -> None:
     # Half the plan's force on one body, or all of it on two: the same motion of the first.
-    state = inferring.reset(seen([0.0, 0.0]), nodes_of(2, 2), COST)
-    plan, state = inferring.step(seen([0.0, 0.0]), None, state)
+    state = inferring.reset(observed([0.0, 0.0]), nodes_of(2, 2), COST)
+    plan, state = inferring.step(observed([0.0, 0.0]), None, state)
     planned = np.asarray(plan.controls[0], float)
-    told = inferring.step(seen([0.1, 0.1]), None, state, planned)[1]
-    untold = inferring.step(seen([0.1, 0.1]), None, state)[1]
-    np.testing.assert_array_equal(told.last.belief.probability, untold.last.belief.probability)
-    other = inferring.step(seen([0.1, 0.1]), None, state, planned + 3.0)[1]
-    assert other.last.belief.probability[0] != told.last.belief.probability[0]
+    with_control = inferring.step(observed([0.1, 0.1]), None, state, planned)[1]
+    default = inferring.step(observed([0.1, 0.1]), None, state)[1]
+    np.testing.assert_array_equal(
+        with_control.last.belief.probability, default.last.belief.probability
+    )
+    other = inferring.step(observed([0.1, 0.1]), None, state, planned + 3.0)[1]
+    assert other.last.belief.probability[0] != with_control.last.belief.probability[0]
 
 
 def test_after_a_late_step_the_control_is_that_of_the_plan_that_was_returned(inferring) -> None:
-    state = inferring.reset(seen([0.0, 0.0]), nodes_of(2, 2), COST)
-    _, state = inferring.step(seen([0.0, 0.0]), None, state)
+    state = inferring.reset(observed([0.0, 0.0]), nodes_of(2, 2), COST)
+    _, state = inferring.step(observed([0.0, 0.0]), None, state)
     CLOCK.step = 0.02
-    late, after = inferring.step(seen([0.1, 0.1]), None, state)
+    late, after = inferring.step(observed([0.1, 0.1]), None, state)
     CLOCK.step = 0.0
     assert late.outcome == PlanStatus.DEADLINE_MISSED
     np.testing.assert_array_equal(after.last.control, late.controls[0])
@@ -98,33 +100,33 @@ def test_both_sources_count(inferring) -> None:
 
 def test_a_bad_observation_judges_neither_of_its_steps(inferring) -> None:
     state = after_a_push(inferring, [0.1, 0.1], PUSH)
-    blind = seen([np.nan, 0.1])
-    for observation in (blind, seen([0.5, 0.0])):
+    blind = observed([np.nan, 0.1])
+    for observation in (blind, observed([0.5, 0.0])):
         carried = state.belief.probability
         _, state = inferring.step(observation, None, state, PUSH)
         np.testing.assert_array_equal(state.last.belief.probability, carried)
-    _, state = inferring.step(seen([0.7, 0.0]), None, state, PUSH)
+    _, state = inferring.step(observed([0.7, 0.0]), None, state, PUSH)
     assert np.all(np.isfinite(state.last.belief.probability))
 
 
 def test_without_it_nothing_but_measured_contacts_counts(model) -> None:
     mpc = MPC(model, ILQR(3, 1))
-    state = mpc.reset(seen([0.0, 0.0]), nodes_of(2, 2), COST)
-    _, state = mpc.step(seen([0.0, 0.0]), None, state)
-    plan, after = mpc.step(seen([0.1, 0.1]), None, state)
-    # Whatever was seen and applied before.
+    state = mpc.reset(observed([0.0, 0.0]), nodes_of(2, 2), COST)
+    _, state = mpc.step(observed([0.0, 0.0]), None, state)
+    plan, after = mpc.step(observed([0.1, 0.1]), None, state)
+    # Independent of earlier observations and controls.
     carry = eqx.tree_at(
         lambda m: (m.last.position, m.last.motion_log_odds), state.carry, replace_fn=jnp.ones_like
     )
     forgetful = replace(state, carry=carry)
-    other, _ = mpc.step(seen([0.1, 0.1]), None, forgetful, PUSH)
+    other, _ = mpc.step(observed([0.1, 0.1]), None, forgetful, PUSH)
     assert eqx.tree_equal(plan, other)
     np.testing.assert_array_equal(after.last.belief.probability, state.belief.probability)
 
 
 def test_arguments(inferring) -> None:
-    state = inferring.reset(seen([0.0, 0.0]), nodes_of(2, 2), COST)
+    state = inferring.reset(observed([0.0, 0.0]), nodes_of(2, 2), COST)
     with pytest.raises(InvalidInputError, match=r"applied must have shape \(2,\).*found \(3,\)"):
-        inferring.step(seen([0.0, 0.0]), None, state, np.zeros(3))
+        inferring.step(observed([0.0, 0.0]), None, state, np.zeros(3))
     with pytest.raises(InvalidInputError, match=r"motion_noise: only a Contact.*StickyBodies"):
         MPC(StickyBodies(), ILQR(3, 1), motion_noise=MotionNoise())

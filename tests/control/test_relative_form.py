@@ -30,7 +30,7 @@ def test_any_cost_has_terms_and_they_give_it_back(nodes, dimension):
     assert np.allclose(T.T @ relative_terms(Q, dimension) @ T, Q)
 
 
-def test_names_say_who_is_seen_from_whom():
+def test_names_state_node_and_reference():
     assert relative_names(("gripper", "cup")) == ("gripper - cup", "cup - goal")
 
 
@@ -47,7 +47,7 @@ def test_the_independent_part_is_an_orthogonal_projection():
     assert not part[:4, 4:].any() and part[0, 1] == part[0, 3] == 0.0
 
 
-def test_what_falls_makes_an_axis_of_its_own():
+def test_gravity_separates_an_axis():
     assert np.allclose(isotropic_axes(None, 2), 0.5)
     upright = isotropic_axes(np.array([0.0, 0.0, -9.81]), 3)
     assert np.allclose(upright, [[0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]])

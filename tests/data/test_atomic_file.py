@@ -1,4 +1,4 @@
-"""Atomic writes: the order of disk operations, and what a failure leaves."""
+"""Atomic writes: the order of disk operations, and files after a failure."""
 
 import os
 from pathlib import Path

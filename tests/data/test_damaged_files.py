@@ -1,4 +1,4 @@
-"""Whatever is wrong with a file becomes one line that names file, run and field."""
+"""Every fault of a file is reported in one line that names file, trajectory and field."""
 
 import re
 import shutil

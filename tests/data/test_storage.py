@@ -1,4 +1,4 @@
-"""Round trips, and what a reader sees while and after a file is written."""
+"""Round trips, and reads during and after a write."""
 
 import re
 import signal
@@ -123,7 +123,7 @@ def one_run(value: float = 0.0, steps: int = 5, nodes: int = 2, **scene: object)
 
 @settings(max_examples=60, deadline=None)
 @given(dataset=datasets(), compress=st.booleans())
-def test_what_is_written_is_read(
+def test_written_data_is_read_unchanged(
     dataset: Dataset, compress: bool, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "round-trip.h5"
@@ -222,7 +222,7 @@ def test_a_name_that_cannot_be_stored(tmp_path: Path) -> None:
         write_trajectories(tmp_path / "data.h5", [one_run(), run])
 
 
-def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+def test_unwritable_paths(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match=r"folder .* does not exist"):
         write_trajectories(tmp_path / "none" / "data.h5", [one_run()])
     with pytest.raises(InvalidInputError, match="must be a file, found a folder"):

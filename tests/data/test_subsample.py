@@ -1,4 +1,4 @@
-"""Runs in longer steps say the same of what happened."""
+"""Subsampled trajectories describe the same motion."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def thrown(steps: int, dt: float) -> Trajectory:
     return Trajectory(scene, position, velocity, control, contact, None, tracked, measured_at)
 
 
-def test_every_fifth_state_and_the_mean_of_what_was_applied() -> None:
+def test_every_fifth_state_and_the_mean_control() -> None:
     run = thrown(23, 0.001)
     (longer,) = subsample(Dataset((run,), {"lab": "here"}), 5)
     assert longer.scene.dt == pytest.approx(0.005) and longer.steps == 4
@@ -40,7 +40,7 @@ def test_a_touch_between_two_states_is_one_at_the_second() -> None:
     np.testing.assert_array_equal(longer.contact[:, 0, 1], [False, False, True, False, False])
 
 
-def test_what_is_no_longer_step() -> None:
+def test_invalid_subsampling() -> None:
     dataset = Dataset((thrown(20, 0.001),), {"lab": "here"})
     assert subsample(dataset, 1) is dataset
     assert subsample(dataset, 20).metadata == {"lab": "here"}

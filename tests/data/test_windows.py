@@ -1,4 +1,4 @@
-"""Impacts are found in the motion, and windows around them are drawn as often as asked."""
+"""Detection of impacts, and the rate of windows around them."""
 
 from dataclasses import replace
 
@@ -43,7 +43,7 @@ def pickup(seed: int, steps: int = 200) -> tuple[Trajectory, int]:
             velocity[:2] = velocity[:2].mean(axis=0)
         states.append((position, velocity))
         controls.append(force)
-    scene = Scene(("gripper", "box", "bystander"), ("g", "o", "o"), [True, False, False], DT)
+    scene = Scene(("gripper", "box", "distractor"), ("g", "o", "o"), [True, False, False], DT)
     contact = np.zeros((steps + 1, 3, 3), dtype=bool)
     contact[impact + 1 :, [0, 1], [1, 0]] = True
     states = np.array(states)
@@ -72,7 +72,7 @@ def test_impacts_are_found_in_noisy_velocities() -> None:
     assert found.sum() <= 20 + 10
 
 
-def test_an_actuated_body_that_hits_a_wall_unseen() -> None:
+def test_an_actuated_body_that_hits_a_hidden_wall() -> None:
     rng = np.random.default_rng(0)
     force = 5.0 * np.sin(np.linspace(0, 9, 100))[:, None] + rng.normal(size=(100, 1))
     velocity = np.cumsum(np.vstack([[[3.0]], force * DT]), axis=0)

@@ -1,4 +1,4 @@
-"""Each task here breaks one promise, and `check_task` must say which."""
+"""Each task violates one rule, and `check_task` must name it."""
 
 from dataclasses import replace
 
@@ -215,6 +215,6 @@ def test_a_broken_promise_is_named(task, message):
         (((0, 1), np.ones(4), np.ones(4), 0.0), "control_weight must be positive, found 0.0"),
     ],
 )
-def test_chain_cost_refuses_what_is_no_cost(arguments, message):
+def test_chain_cost_rejects_invalid_arguments(arguments, message):
     with pytest.raises(InvalidInputError, match=message):
         ChainCost(*arguments)

@@ -7,7 +7,7 @@ from contactgraph.envs.circle_world import CircleWorld
 RADIUS = 0.04
 DT = 0.05
 FLOAT32 = 2e-5
-"""What a few hundred float32 operations on numbers around 1 may lose."""
+"""Rounding error of a few hundred float32 operations on numbers around 1."""
 
 
 def make_world(position, substeps=10, mass=None):
@@ -22,7 +22,7 @@ def push(world, index, force):
     world.step(total)
 
 
-def crowded_run(steps=200, substeps=10, seed=0):
+def dense_run(steps=200, substeps=10, seed=0):
     """Body 0 is driven from one to the next of nine others and sweeps most of them up."""
     rng = np.random.default_rng(seed)
     grid = np.stack(np.meshgrid([-0.2, 0.0, 0.2], [-0.2, 0.0, 0.2]), axis=-1).reshape(-1, 2)
@@ -101,14 +101,14 @@ def test_an_impact_is_resolved_at_the_moment_of_touch(substeps, gap):
 
 
 def test_momentum_is_conserved_through_every_impact_and_by_every_group():
-    mass, _, velocity, contact, force = crowded_run()
+    mass, _, velocity, contact, force = dense_run()
     assert groups(contact[-1])[0].sum() >= 5, "the run must sweep up a group"
     momentum = np.einsum("n,tnd->td", mass, velocity)
     np.testing.assert_allclose(np.diff(momentum, axis=0), DT * force, atol=FLOAT32)
 
 
 def test_the_centre_of_mass_moves_as_if_nothing_had_touched():
-    mass, position, _, _, force = crowded_run()
+    mass, position, _, _, force = dense_run()
     theta = 11 / 20
     centre = np.einsum("n,tnd->td", mass, position) / mass.sum()
     expected, velocity = [centre[0]], np.zeros(2)
@@ -120,7 +120,7 @@ def test_the_centre_of_mass_moves_as_if_nothing_had_touched():
 
 
 def test_a_group_has_one_velocity_at_once_and_stays_rigid():
-    _, position, velocity, contact, _ = crowded_run()
+    _, position, velocity, contact, _ = dense_run()
     for step in range(len(position)):
         together = groups(contact[step])
         difference = np.abs(velocity[step][:, None] - velocity[step]).max(axis=-1)
@@ -131,7 +131,7 @@ def test_a_group_has_one_velocity_at_once_and_stays_rigid():
 
 
 def test_contacts_are_symmetric_never_end_and_are_of_touching_pairs_only():
-    _, _, _, contact, _ = crowded_run()
+    _, _, _, contact, _ = dense_run()
     assert np.array_equal(contact, contact.swapaxes(1, 2))
     assert not np.any(np.diagonal(contact, axis1=1, axis2=2))
     assert not np.any(contact[:-1] & ~contact[1:])
@@ -159,7 +159,7 @@ def test_a_body_that_passes_is_not_held(offset, hit):
 
 
 def test_runs_repeat_to_the_last_bit():
-    for one, other in zip(crowded_run(steps=80), crowded_run(steps=80), strict=True):
+    for one, other in zip(dense_run(steps=80), dense_run(steps=80), strict=True):
         assert np.array_equal(one, other)
 
 

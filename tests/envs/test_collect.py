@@ -12,7 +12,7 @@ from contactgraph.parallel import LocalExecutor
 
 
 class Signed(PickupTask):
-    """Tells who recorded."""
+    """Records its process id."""
 
     def begin(self, seed):
         scene, world = super().begin(seed)
@@ -28,14 +28,14 @@ def at_once(monkeypatch):
 
 
 @pytest.mark.usefixtures("at_once")
-def test_processes_record_what_one_would_bit_for_bit():
+def test_several_processes_record_the_same_bits_as_one():
     # Runs follow other runs than they would in one process: nothing may be left of those.
     mix = [PickupExpert(), ExplorationPolicy()]
-    told = []
-    runs = collect([Signed], mix, 7, 3, told.append, executor=LocalExecutor(2))
+    reported = []
+    runs = collect([Signed], mix, 7, 3, reported.append, executor=LocalExecutor(2))
     alone = collect([PickupTask], mix, 7, 3)
     assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
-    assert all(one is other for one, other in zip(told, runs, strict=True))
+    assert all(one is other for one, other in zip(reported, runs, strict=True))
     recorders = [run.scene.metadata["recorder"] for run in runs]
     assert recorders[0] == os.getpid() and os.getpid() not in recorders[1:]
 
@@ -47,7 +47,7 @@ def test_the_doors_expert_keeps_nothing_either():
     assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
 
 
-def test_what_is_quickly_done_is_done_alone(monkeypatch):
+def test_quick_episodes_start_no_workers(monkeypatch):
     def map_in_order(*arguments):
         raise AssertionError("it does not pay")
 

@@ -95,7 +95,7 @@ def test_the_target_door_of_a_seed_does_not_depend_on_the_distractors():
         assert np.array_equal(with_none["goal"], with_ten["goal"])
 
 
-def test_the_scene_says_what_is_there():
+def test_the_scene_describes_its_nodes():
     task = DoorTask(2)
     observation, _ = task.reset(seed=5)
     scene = task.scene
@@ -110,12 +110,12 @@ def test_the_scene_says_what_is_there():
     arms = observation["position"][1:] - scene.anchor[1:]
     np.testing.assert_allclose(np.linalg.norm(arms, axis=-1), 0.5, atol=1e-6)
     assert np.linalg.norm(scene.goal - scene.anchor[1]) == pytest.approx(0.5)
-    told = scene.metadata
-    assert (told["task"], told["seed"], told["distractors"], told["substeps"]) == ("door", 5, 2, 10)
-    assert told["angle"] == pytest.approx(np.arctan2(arms[0, 1], arms[0, 0]), abs=1e-6)
-    aim = scene.anchor[1] + 0.5 * np.array([np.cos(told["goal_angle"]), np.sin(told["goal_angle"])])
+    data = scene.metadata
+    assert (data["task"], data["seed"], data["distractors"], data["substeps"]) == ("door", 5, 2, 10)
+    assert data["angle"] == pytest.approx(np.arctan2(arms[0, 1], arms[0, 0]), abs=1e-6)
+    aim = scene.anchor[1] + 0.5 * np.array([np.cos(data["goal_angle"]), np.sin(data["goal_angle"])])
     np.testing.assert_allclose(scene.goal, aim)
-    assert told["simulator"].startswith("box2d 2.")
+    assert data["simulator"].startswith("box2d 2.")
 
 
 def test_an_episode_takes_120_steps_and_rest_is_no_success():

@@ -10,7 +10,7 @@ GRIPPER_MASS, DOOR_MASS = 1.5, 4.0
 DOOR_INERTIA = DOOR_MASS * ((LENGTH**2 + THICKNESS**2) / 12 + 0.25)
 HINGE = np.array([0.3, -0.2])
 FLOAT32 = 2e-5
-"""What a few hundred float32 operations on numbers around 1 may lose."""
+"""Rounding error of a few hundred float32 operations on numbers around 1."""
 
 
 def make_world(gripper, angle=0.0, hinge=HINGE, substeps=10):
@@ -40,7 +40,7 @@ def cross(one, other):
 
 
 def rate(world, door=1):
-    """Angular velocity of a door, rad/s, from what is seen of its middle."""
+    """Angular velocity of a door, rad/s, from the motion of its middle."""
     arm = world.position[door] - HINGE
     return cross(arm, world.velocity[door]) / (arm @ arm)
 
@@ -77,12 +77,12 @@ def coast_to_contact(world, steps=40):
 @pytest.mark.parametrize("angle", [0.0, 2.5])
 @pytest.mark.parametrize("speed", [0.5, 0.83, 1.7])
 def test_an_impact_is_resolved_at_the_moment_of_touch(substeps, angle, speed):
-    lever = 0.7
-    world = thrown([lever, 0.0], angle, speed, substeps)
+    radius = 0.7
+    world = thrown([radius, 0.0], angle, speed, substeps)
     gap = turned(world.position[0] - HINGE, -angle)[1] - RADIUS - THICKNESS / 2
     height = RADIUS + THICKNESS / 2
-    inertia = DOOR_INERTIA + GRIPPER_MASS * (lever**2 + height**2)
-    expected = -GRIPPER_MASS * lever * speed / inertia
+    inertia = DOOR_INERTIA + GRIPPER_MASS * (radius**2 + height**2)
+    expected = -GRIPPER_MASS * radius * speed / inertia
     for step in range(1, 20):
         push(world)
         late = step * DT - gap / speed
@@ -94,7 +94,7 @@ def test_an_impact_is_resolved_at_the_moment_of_touch(substeps, angle, speed):
                 world.position[1], HINGE + turned([LENGTH / 2, 0.0], now), atol=FLOAT32
             )
             np.testing.assert_allclose(
-                world.position[0], HINGE + turned([lever, height], now), atol=FLOAT32
+                world.position[0], HINGE + turned([radius, height], now), atol=FLOAT32
             )
     assert world.contact[0, 1]
 

@@ -1,4 +1,4 @@
-"""Runs that share their targets and goal, and differ in where they start."""
+"""Episodes with shared targets and goal and varying start positions."""
 
 from functools import partial
 
@@ -22,7 +22,7 @@ from contactgraph_franka.envs.franka_task import FrankaTask
 
 SEEDS = range(20)
 TARGETS = {PickupTask: 1, partial(MultiPickupTask, 3): 3, DoorTask: 1, FrankaTask: 1}
-"""How many nodes after the gripper are targets."""
+"""Number of targets, the nodes after the gripper."""
 EXPERTS = {PickupTask: PickupExpert, MultiPickupTask: PickupExpert, DoorTask: DoorExpert}
 
 
@@ -73,9 +73,9 @@ def test_how_many_distractors_there_are_does_not_move_them(task_class):
         assert np.array_equal(position[1:free], beside[1:free])
 
 
-def test_a_scene_tells_what_it_takes_to_have_it_again(task_class):
-    told = begun(task_class(distractors=1, fixed_seed=7), 5)[0].metadata
-    assert (told["seed"], told["fixed_seed"]) == (5, 7)
+def test_metadata_reproduces_a_scene(task_class):
+    metadata = begun(task_class(distractors=1, fixed_seed=7), 5)[0].metadata
+    assert (metadata["seed"], metadata["fixed_seed"]) == (5, 7)
     assert "fixed_seed" not in begun(task_class(), 5)[0].metadata
 
 
@@ -89,23 +89,23 @@ def test_a_fixed_seed_below_zero(task_class):
         task_class(fixed_seed=-1)
 
 
-def test_what_is_shared_is_drawn_apart_from_what_is_not():
+def test_shared_and_free_parts_use_separate_streams():
     shared = [fixed_seed(seed) for seed in range(100)]
     assert len(set(shared)) == 100
     for seed in range(100):
         assert not {shared[seed], seed} & set(episode_seeds(100, seed))
 
 
-def test_processes_record_what_one_would_and_a_run_can_be_had_again(monkeypatch):
+def test_several_processes_record_as_one_and_episodes_reproduce(monkeypatch):
     monkeypatch.setattr(collecting, "_ALONE_S", 0.0)
     monkeypatch.setattr(collecting, "_START_S", 0.0)
     task, demonstrator = partial(PickupTask, 2, fixed_seed=7), PickupExpert(noise=0.0)
     alone = collect([task], [demonstrator], 5, 3)
     shared = collect([task], [demonstrator], 4, 3, executor=LocalExecutor(2))
     assert all(same(one, other) for one, other in zip(alone, shared, strict=False))
-    told = alone[4].scene.metadata
-    again = PickupTask(told["distractors"], told["substeps"], told["fixed_seed"])
-    assert same(alone[4], run_episode(again, PickupExpert(noise=0.0), told["seed"]))
+    metadata = alone[4].scene.metadata
+    again = PickupTask(metadata["distractors"], metadata["substeps"], metadata["fixed_seed"])
+    assert same(alone[4], run_episode(again, PickupExpert(noise=0.0), metadata["seed"]))
 
 
 @pytest.mark.parametrize("seed", [0, 1])

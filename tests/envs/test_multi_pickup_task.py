@@ -70,7 +70,7 @@ def test_stops_are_apart_and_the_ways_are_clear(objects, distractors, fixed_seed
                 assert np.linalg.norm(node - way, axis=-1).min() >= clearance - 1e-6
 
 
-def test_the_scene_says_what_is_there():
+def test_the_scene_describes_its_nodes():
     task = MultiPickupTask(2, 1)
     observation, _ = task.reset(seed=5)
     scene = task.scene
@@ -78,12 +78,12 @@ def test_the_scene_says_what_is_there():
     assert scene.node_type == ("gripper", "object", "object", "object")
     assert scene.actuated.tolist() == [True, False, False, False]
     assert np.array_equal(scene.goal, observation["goal"])
-    told = scene.metadata
-    assert (told["task"], told["seed"], told["objects"]) == ("multi-pickup", 5, 2)
-    assert (told["distractors"], told["substeps"]) == (1, 10)
+    metadata = scene.metadata
+    assert (metadata["task"], metadata["seed"], metadata["objects"]) == ("multi-pickup", 5, 2)
+    assert (metadata["distractors"], metadata["substeps"]) == (1, 10)
 
 
-def test_held_is_whoever_hangs_on_the_gripper_through_others():
+def test_held_includes_indirectly_grasped_nodes():
     contact = np.zeros((6, 6), dtype=np.int8)
     for one, other in [(0, 3), (3, 1), (2, 4)]:
         contact[one, other] = contact[other, one] = 1

@@ -56,7 +56,7 @@ def test_a_seed_gives_the_same_episode_to_the_last_bit():
     assert not np.array_equal(run(7, steps=0)[0]["position"], run(8, steps=0)[0]["position"])
 
 
-def test_an_episode_without_a_seed_can_be_had_again_by_the_seed_it_names():
+def test_the_reported_seed_reproduces_an_unseeded_episode():
     task = PickupTask(2)
     task.reset(seed=3)
     first, _ = task.reset()
@@ -110,7 +110,7 @@ def test_the_target_and_goal_of_a_seed_do_not_depend_on_the_distractors():
         assert np.array_equal(with_none["goal"], with_ten["goal"])
 
 
-def test_the_scene_says_what_is_there():
+def test_the_scene_describes_its_nodes():
     task = PickupTask(2)
     observation, _ = task.reset(seed=5)
     scene = task.scene

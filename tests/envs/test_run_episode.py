@@ -43,16 +43,18 @@ def test_the_recorded_control_is_the_clipped_one():
 
 
 def test_every_step_is_reported():
-    seen = []
+    observed = []
     run = run_episode(
         PickupTask(),
         PickupExpert(),
         1,
-        lambda step, observation, control: seen.append((step, observation["position"], control)),
+        lambda step, observation, control: observed.append(
+            (step, observation["position"], control)
+        ),
     )
-    assert [step for step, _, _ in seen] == list(range(200))
-    assert np.array_equal(np.stack([position for _, position, _ in seen]), run.position[:-1])
-    assert np.array_equal(np.stack([control for _, _, control in seen]), run.control)
+    assert [step for step, _, _ in observed] == list(range(200))
+    assert np.array_equal(np.stack([position for _, position, _ in observed]), run.position[:-1])
+    assert np.array_equal(np.stack([control for _, _, control in observed]), run.control)
 
 
 class Watched(PickupTask):
@@ -82,7 +84,7 @@ def test_a_task_that_is_drawn_has_its_skeleton_recorded_at_every_state():
     assert run_episode(PickupTask(), PickupExpert(), 4).skeleton is None
 
 
-def test_the_metadata_tells_who_did_it_and_does_not_touch_the_task():
+def test_metadata_names_the_policy_and_keeps_the_task():
     task = PickupTask()
     run = run_episode(task, RestPolicy(), 9)
     assert run.scene.metadata["policy"] == "RestPolicy" and run.scene.metadata["seed"] == 9

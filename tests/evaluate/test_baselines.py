@@ -63,7 +63,7 @@ def test_frozen_contact_against_substeps_of_a_loop(substeps):
     assert np.allclose(fixed_contact_oracle(run, 4)[1], expected, atol=1e-12)
 
 
-def test_weight_pulls_at_what_is_carried_and_nothing_else():
+def test_weight_acts_on_carried_nodes_only():
     """A hand carries a body that holds another; a third rests, and a fourth slides by on it."""
     gravity, mass = np.array([0.3, 0.0, -9.8]), np.array([4.0, 1.0, 2.0, 3.0, 0.5])
     scene = Scene(

@@ -22,14 +22,14 @@ JSON_KEYS = {
 }
 
 
-def episode(speed, touch=None, bystander=None) -> Trajectory:
-    """A gripper with these speeds that touches the target, and a bystander, in these states."""
+def episode(speed, touch=None, distractor=None) -> Trajectory:
+    """A gripper with these speeds that touches the target and a distractor in these states."""
     states = len(speed)
     velocity = np.zeros((states, 3, 2))
     velocity[:, 0] = np.outer(speed, [0.6, -0.8])
-    velocity[:, 1] = 9.0  # nobody asks for the target's speed
+    velocity[:, 1] = 9.0  # the target's speed is not used
     contact = np.zeros((states, 3, 3), dtype=bool)
-    for node, since in ((1, touch), (2, bystander)):
+    for node, since in ((1, touch), (2, distractor)):
         if since is not None:
             contact[since:, 0, node] = contact[since:, node, 0] = True
     return Trajectory(
@@ -66,7 +66,7 @@ def test_contact_in_start_up_or_never_or_from_the_start():
 def test_over_episodes():
     runs = [
         episode([1.0] * 8, touch=7),
-        episode([1.0] * 6 + [0.5, 0.9], touch=7, bystander=7),
+        episode([1.0] * 6 + [0.5, 0.9], touch=7, distractor=7),
         episode([2.0] * 8, touch=7),
         episode([3.0] * 8),
     ]
@@ -81,12 +81,12 @@ def test_over_episodes():
 
 
 def test_a_longer_chain_knows_its_own():
-    run = episode([1.0] * 8, touch=6, bystander=7)
+    run = episode([1.0] * 8, touch=6, distractor=7)
     assert closed_loop_metrics([run], [True], (0, 1), 0).touched_bystanders == 1
     assert closed_loop_metrics([run], [True], (0, 1, 2), 0).touched_bystanders == 0
 
 
-def test_what_nobody_measured_is_none():
+def test_unmeasured_values_are_none():
     run = replace(episode([1.0] * 8, touch=7), contact=None)
     found = closed_loop_metrics([run], [False], (0, 1), 0)
     assert found.touched_bystanders is found.contact_speed_m_s is found.plan_ms_p99 is None

@@ -92,7 +92,7 @@ class Watched:
 
 
 class Watcher:
-    """Plans nothing, believes the contacts that it is told of, and remembers the costs."""
+    """Plans nothing, believes the measured contacts, and stores the costs."""
 
     def __init__(self):
         self.costs = []
@@ -108,12 +108,12 @@ class Watcher:
         return SimpleNamespace(controls=jnp.zeros((1, 2))), held
 
 
-TOLD = (0, 3, 1)
+TASK_CHAIN = (0, 3, 1)
 WEIGHTS = np.array([3.0, 3.0, 0.2, 0.2]), np.array([50.0, 50.0, 1.0, 1.0]), 0.01
 
 
-def planned_for(contacts, chain=TOLD) -> list[QuadraticCost]:
-    """The cost at each tick, the contacts of the tick before being known by then."""
+def planned_for(contacts, chain=TASK_CHAIN) -> list[QuadraticCost]:
+    """The cost at each step, given the contacts of the step before."""
     watcher = Watcher()
     policy = MPCPolicy(watcher, TaskCost.of(ChainCost(chain, *WEIGHTS), 2))
     policy.reset(scene_of(4, goal=np.ones(2)), 0)
@@ -136,9 +136,9 @@ def planned_for(contacts, chain=TOLD) -> list[QuadraticCost]:
         ([(1, 2), (2, 3)], (0, 3, 1)),  # They hold each other, and the gripper holds none.
     ],
 )
-def test_the_chain_follows_what_is_held(held, expected):
+def test_the_chain_follows_the_grasped_nodes(held, expected):
     costs = planned_for([held, [], []])
-    for cost, chain in zip(costs, (TOLD, expected, TOLD), strict=True):
+    for cost, chain in zip(costs, (TASK_CHAIN, expected, TASK_CHAIN), strict=True):
         wanted = chain_cost(chain, *WEIGHTS, np.ones(2), 4)
         assert np.array_equal(cost.Q, wanted.Q) and np.array_equal(cost.goal, wanted.goal)
         assert cost.cost_node_ids.tolist() == list(chain)
@@ -161,7 +161,7 @@ def test_padding_changes_no_control():
 
 
 @pytest.mark.slow
-def test_inspection_sees_what_the_controller_believes():
+def test_diagnostics_match_the_controllers_beliefs():
     model = gim_temp(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
     run = random_run(3, 12, 2, goal=np.ones(2))
     # Without force: a plan also knows what its own force does to a touch, a recording does not.
@@ -199,7 +199,7 @@ def test_scene_nodes_pads_and_knows_candidates():
         scene_nodes(scene, 2)
 
 
-def test_what_does_not_fit():
+def test_mismatched_inputs_are_rejected():
     class Slow(PickupTask):
         @property
         def scene(self):

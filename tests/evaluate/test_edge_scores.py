@@ -64,7 +64,7 @@ def test_scores_against_a_loop_and_without_padding():
     )
 
 
-def test_what_cannot_be_known_is_none():
+def test_unknown_values_are_none():
     never = one_window([OFF, OFF], [OFF, OFF, OFF])
     found = edge_scores(*never, np.array([[True]]), NOTHING, 0.1)
     assert found.counts.accuracy == 1.0

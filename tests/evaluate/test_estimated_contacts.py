@@ -27,7 +27,7 @@ def run_of(contact) -> Trajectory:
     ],
 )
 def test_delays_by_hand(true, belief, onsets, breaks) -> None:
-    # The last state has no tick, hence no belief.
+    # The last state has no control step, hence no belief.
     found = estimated_contacts(run_of([*true, 0]), np.array(belief)[:, None] * 0.8 + 0.1)
     assert found.onset_delays == pytest.approx(onsets)
     assert found.break_delays == pytest.approx(breaks)
@@ -53,17 +53,17 @@ def test_episodes_add_up() -> None:
     assert estimated_contacts(unknown, np.ones((4, 1))) == EstimatedContacts()
 
 
-def test_noise_is_what_it_says_and_the_same_each_time() -> None:
+def test_noise_has_its_deviation_and_is_reproducible() -> None:
     noise = ObservationNoise(position=0.001, velocity=0.02, seed=3)
     true = {"position": np.ones((2000, 2)), "velocity": np.zeros((2000, 2)), "goal": np.ones(2)}
-    seen = noise.observed(true, noise.begin(1))
-    assert np.std(seen["position"]) == pytest.approx(0.001, rel=0.05)
-    assert np.std(seen["velocity"]) == pytest.approx(0.02, rel=0.05)
-    assert np.mean(seen["position"]) == pytest.approx(1.0, abs=1e-4)
-    assert seen["goal"] is true["goal"] and np.all(true["position"] == 1.0)
+    noisy = noise.observed(true, noise.begin(1))
+    assert np.std(noisy["position"]) == pytest.approx(0.001, rel=0.05)
+    assert np.std(noisy["velocity"]) == pytest.approx(0.02, rel=0.05)
+    assert np.mean(noisy["position"]) == pytest.approx(1.0, abs=1e-4)
+    assert noisy["goal"] is true["goal"] and np.all(true["position"] == 1.0)
     again, other = (noise.observed(true, noise.begin(number)) for number in (1, 2))
-    assert np.array_equal(seen["position"], again["position"])
-    assert not np.array_equal(seen["position"], other["position"])
+    assert np.array_equal(noisy["position"], again["position"])
+    assert not np.array_equal(noisy["position"], other["position"])
     clear = ObservationNoise()
     assert clear.observed(true, clear.begin(0)) is true
     with pytest.raises(InvalidInputError, match="velocity must be at least 0 and finite, found -1"):

@@ -1,4 +1,4 @@
-"""How far rollouts grow, on models whose dynamics are known."""
+"""Growth of rollouts, on models with known dynamics."""
 
 import math
 

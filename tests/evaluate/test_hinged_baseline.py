@@ -87,7 +87,7 @@ def test_two_hinges_lock_and_one_shared_hinge_does_not():
     anchor = [NOWHERE, HINGE, HINGE + 1.0]
     locked = fixed_contact_oracle(doors(places, np.zeros((3, 2)), push, both, anchor), 4)[0]
     assert np.allclose(locked, np.array(places), atol=1e-12)
-    # Another door that nobody touches is no hindrance.
+    # Another, untouched door has no effect.
     apart = fixed_contact_oracle(doors(places, np.zeros((3, 2)), push, [(0, 1)], anchor), 4)[0]
     assert np.linalg.norm(apart[-1, 0] - places[0]) > 0.01
     assert np.allclose(apart[:, 2], places[2])

@@ -53,8 +53,8 @@ def test_motion_finds_in_closed_loop_what_distance_denies(model) -> None:
     assert inferred.estimated.onset_delays == (0.0,)
 
 
-def test_policies_are_told_what_was_applied() -> None:
-    told = []
+def test_policies_receive_the_applied_control() -> None:
+    applied_controls = []
 
     class Strong:
         def reset(self, scene, seed):
@@ -64,11 +64,11 @@ def test_policies_are_told_what_was_applied() -> None:
             return np.array([30.0, -1.0])
 
         def applied(self, control):
-            told.append(control)
+            applied_controls.append(control)
 
     run = run_episode(PickupTask(), Strong(), 0)
     # The task's limit is 10 N.
-    assert np.array_equal(told, run.control) and np.all(run.control == [10.0, -1.0])
+    assert np.array_equal(applied_controls, run.control) and np.all(run.control == [10.0, -1.0])
     assert hasattr(MPCPolicy, "applied")
 
 

@@ -1,4 +1,4 @@
-"""Lists are chosen where scenes are large, and grow once where they are too small."""
+"""Neighbour lists are chosen in large scenes and grow once on overflow."""
 
 import dataclasses
 import logging
@@ -75,7 +75,7 @@ def test_small_scenes_with_lists_come_out_the_same(model, sparse, monkeypatch, c
 
 
 @pytest.mark.usefixtures("large")
-def test_who_has_lists_in_large_scenes(model, apart) -> None:
+def test_models_with_lists_in_large_scenes(model, apart) -> None:
     lists = ReallocatingModel(model, apart)
     assert lists.given is model
     assert lists.model.neighbor_list is not None
@@ -90,7 +90,7 @@ def test_who_has_lists_in_large_scenes(model, apart) -> None:
 
 
 @pytest.mark.usefixtures("large")
-def test_room_grows_once_and_the_log_says_so(model, apart, caplog) -> None:
+def test_capacity_grows_once_and_is_logged(model, apart, caplog) -> None:
     lists = ReallocatingModel(model, apart)
     rooms = []
 
@@ -112,7 +112,7 @@ def test_room_grows_once_and_the_log_says_so(model, apart, caplog) -> None:
 
 
 @pytest.mark.usefixtures("large")
-def test_the_room_given_is_the_limit(model, apart) -> None:
+def test_the_given_capacity_is_the_limit(model, apart) -> None:
     given = dataclasses.replace(model, neighbor_list=NeighborList(3, 4))
     calls = []
     ReallocatingModel(given, apart).reallocate_on_overflow(calls.append, lambda found: False)
@@ -136,9 +136,9 @@ def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, capl
 @pytest.mark.slow
 @pytest.mark.usefixtures("large")
 def test_training_in_large_scenes_uses_lists(model, apart) -> None:
-    recipe = TrainConfig(steps=1, batch_size=2, window_length=2, rollout_from=1.0, bystanders=0)
-    state = initial_state(model, recipe, 0)
-    result = fit(state, apart, apart, recipe)
+    config = TrainConfig(steps=1, batch_size=2, window_length=2, rollout_from=1.0, bystanders=0)
+    state = initial_state(model, config, 0)
+    result = fit(state, apart, apart, config)
     assert result.status is FitStatus.finished
     assert math.isfinite(result.held_out_rmse_m)
     # What was learned is a model for scenes of any size.

@@ -28,9 +28,9 @@ def models():
 def test_models_fit_their_own_kind(models) -> None:
     check_fit(models[1], HINGED, 2, "the data")
     check_fit(models[0], FREE, 2, "the data")
-    # Anchors that are all NaN say that nobody hangs on a hinge.
+    # Anchors that are all NaN mean that no node has a hinge.
     check_fit(models[0], scene_of(2, anchor=np.full((2, 2), np.nan)), 2, "the data")
-    # Models that do not say what they are for are let through.
+    # Models without a stated task are accepted.
     check_fit(GluedBodies(), scene_of(2, anchor=ANCHOR), 5, "the data")
 
 
@@ -42,7 +42,7 @@ def test_models_fit_their_own_kind(models) -> None:
         (0, replace(FREE, dt=0.1), "the model is for dt 0.05 s, but the data has 0.1 s; "),
     ],
 )
-def test_what_does_not_fit_is_named_in_one_line(models, hinges, scene, message) -> None:
+def test_a_mismatch_is_named_in_one_line(models, hinges, scene, message) -> None:
     with pytest.raises(InvalidInputError) as caught:
         check_fit(models[hinges], scene, 2, "the data")
     assert str(caught.value).startswith(message)

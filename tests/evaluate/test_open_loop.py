@@ -65,7 +65,7 @@ def test_a_missed_onset_costs_what_remains_of_its_window(glued):
     assert glued.switch_time_error_s == pytest.approx(5.5 * DT)
 
 
-def test_who_foresees_the_touch_is_on_time(pickups, glued):
+def test_a_foreseen_touch_is_on_time(pickups, glued):
     seer = evaluate_open_loop(GluedBodies(reach=0.081), pickups)
     assert seer.edge_on_time == 1.0 and seer.edge_on_time_unmeasured == 1.0
     assert seer.switch_time_error_s < glued.switch_time_error_s
@@ -147,7 +147,7 @@ def test_bodies_at_rest_dilute_only_the_mean_over_all():
     assert found.n_step_rmse_moving_m is None and found.n_step_rmse_m == 0.0
 
 
-def test_what_is_not_recorded_is_none_and_the_rest_is_the_same(untrained):
+def test_unrecorded_values_are_none_and_the_rest_is_the_same(untrained):
     dataset = Dataset((random_run(3, 8, 0, goal=np.ones(2)), random_run(3, 8, 1)))
     full = evaluate_open_loop(untrained, dataset, horizon_s=3 * DT)
     bare = evaluate_open_loop(untrained, strip_contacts(dataset), horizon_s=3 * DT)

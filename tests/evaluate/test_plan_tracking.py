@@ -23,15 +23,15 @@ RUN = random_run(3, 45, 4)
 
 
 def record_of(run, every, offset=0.0):
-    """Plans, made every so many ticks, that put node 1 ``offset`` [m] from where it will be."""
-    ticks = np.arange(run.steps)
-    ahead = np.minimum(ticks[:, None] + np.arange(HORIZON + 1), run.steps)
+    """Plans, made every few steps, that place node 1 ``offset`` [m] off its later position."""
+    step_index = np.arange(run.steps)
+    ahead = np.minimum(step_index[:, None] + np.arange(HORIZON + 1), run.steps)
     plan = run.position[ahead]
     plan[:, 1:, 1, 0] += offset
     first, second = pair_indices(run.scene.node_count).T
-    status = np.where(ticks % every == 0, PlanStatus.ITERATION_LIMIT, PlanStatus.PLAN_REUSED)
+    status = np.where(step_index % every == 0, PlanStatus.ITERATION_LIMIT, PlanStatus.PLAN_REUSED)
     # What is kept of a plan while it is followed must not count as one.
-    plan[ticks % every != 0] += 7.0
+    plan[step_index % every != 0] += 7.0
     belief = np.where(run.contact[ahead[:, 1:]][:, :, first, second], 0.9, 0.1)
     return EpisodeRecord(np.ones(run.steps), status, plan, belief, belief[:, 0])
 
@@ -68,7 +68,7 @@ def test_only_bodies_that_move_are_moving():
 
 
 @pytest.mark.parametrize("every", [1, 5, 9])
-def test_plans_that_are_replaced_too_soon_say_nothing(every):
+def test_plans_replaced_too_soon_do_not_count(every):
     found = plan_tracking_error(RUN, record_of(RUN, every))
     assert found.windows == 0
     assert set(found.to_json().values()) == {0, None}
@@ -85,7 +85,7 @@ def test_a_plan_that_was_not_made_for_the_moment_is_none():
     assert plan_tracking_error(RUN, short).windows == 0
 
 
-def test_episodes_add_up_and_what_one_lacks_is_unknown():
+def test_episodes_add_up_and_missing_values_stay_unknown():
     other = random_run(5, 30, 9)
     parts = [
         plan_tracking_error(RUN, record_of(RUN, 10, 0.01)),

@@ -1,4 +1,4 @@
-"""Sensors that lie or answer late, and what that does to beliefs and control."""
+"""Effects of false and late sensors on beliefs and control."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_seeds_and_runs_differ_and_repeat():
     assert not np.array_equal(of(1, 2), of(1, 3)) and not np.array_equal(of(1, 2), of(2, 2))
 
 
-def test_the_correction_is_told_the_rates():
+def test_the_correction_receives_the_rates():
     sensor = SensorFaults(0.05, 0.2, 2).sensor
     assert (sensor.false_alarm, sensor.miss) == (0.05, 0.2)
     assert SensorFaults(0.001).sensor == ContactSensor()
@@ -73,7 +73,7 @@ def test_open_loop_suffers_and_scores_against_the_truth(pickups):
         assert np.array_equal(found.detail.contact, exact.detail.contact)
         assert found.frozen_contact_rmse_m == exact.frozen_contact_rmse_m
         assert found.n_step_rmse_unmeasured_m == exact.n_step_rmse_unmeasured_m
-    # Told that the sensor is nearly always wrong, a belief is not moved by it.
+    # With rates of a sensor that is nearly always wrong, the belief does not change.
     deaf = ContactSensor(0.5, 0.5)
     unmoved = evaluate_open_loop(world, pickups, sensor=deaf)
     assert unmoved.n_step_rmse_m == pytest.approx(exact.n_step_rmse_unmeasured_m)
@@ -100,7 +100,7 @@ def test_the_controller_sees_faults_and_the_record_the_truth():
     assert not beliefs["blind"].any()
 
 
-def test_what_cannot_be():
+def test_invalid_fault_rates():
     for rate in (-0.1, 1.0, np.nan):
         with pytest.raises(InvalidInputError, match="false_alarm_rate must be at least 0"):
             SensorFaults(rate)

@@ -57,8 +57,8 @@ def collecting(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 
 def members(group: int) -> list[str]:
     """The processes of a group that have not ended."""
-    told = subprocess.run(["ps", "-A", "-o", "pgid=,stat="], capture_output=True, text=True)
-    rows = [row.split() for row in told.stdout.splitlines()]
+    listed = subprocess.run(["ps", "-A", "-o", "pgid=,stat="], capture_output=True, text=True)
+    rows = [row.split() for row in listed.stdout.splitlines()]
     return [row[1] for row in rows if row[0] == str(group) and not row[1].startswith("Z")]
 
 

@@ -1,4 +1,4 @@
-"""A world whose contacts are exact, as a model whose edges can be forced: known by hand."""
+"""A world with exact contacts, as a model whose edges can be forced."""
 
 import dataclasses
 
@@ -63,7 +63,7 @@ class Keeps(eqx.Module):
 
 
 def rigid_world(factor: float = 1.0) -> ContactDynamics:
-    """In which nothing but motion tells of contacts."""
+    """Contacts are observable by motion only."""
     return dataclasses.replace(
         preset("gim_temp"), local_dynamics=RigidGroups(), inference=Keeps(factor)
     )
@@ -83,7 +83,7 @@ def in_a_row(count: int, velocity, probability, gap: float = 0.08) -> ModelState
     )
 
 
-def seen_after(state: ModelState, velocity) -> tuple:
+def observed_after(state: ModelState, velocity) -> tuple:
     """Position and velocity one step on, if bodies go on with ``velocity`` [N] along the row."""
     speeds = jnp.zeros_like(state.velocity).at[:, 0].set(jnp.asarray(velocity))
     return state.position + DT * speeds, speeds

@@ -1,4 +1,4 @@
-"""A, B and where they lead against MuJoCo's own step, and its own finite differences of it.
+"""A, B and the next state against MuJoCo's own step, and its own finite differences of it.
 
 Masses with weight, on springs and dampers, each on its own and in a chain.
 

@@ -33,11 +33,11 @@ def scene(hinges: bool) -> tuple[MassMatrix, jnp.ndarray]:
         hung[[1, 4]] = rng.normal(size=(2, 2))
         anchor = jnp.asarray(hung)
     states = map(jnp.asarray, (position, velocity, pairs.T))
-    seen = geometry(*states, 0.05, 0.08, None, anchor)
+    edge_geometry = geometry(*states, 0.05, 0.08, None, anchor)
     holding = {(0, 4), (2, 4), (1, 6)}
     holds = np.array([tuple(pair) in holding for pair in pairs.tolist()])
     stiff = jnp.asarray(np.where(holds, rng.uniform(1, 9, len(pairs)), 0.0))
-    matrix = MassMatrix(jnp.asarray(rng.uniform(0.5, 2.0, COUNT)), stiff, seen)
+    matrix = MassMatrix(jnp.asarray(rng.uniform(0.5, 2.0, COUNT)), stiff, edge_geometry)
     columns = 3 if hinges else 4
     return matrix, jnp.asarray(rng.normal(size=(COUNT, matrix.size, columns)))
 
@@ -48,9 +48,9 @@ def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
     matrix, vectors = scene(hinges)
 
     def by(solve):
-        def total(node, stiff, lever, vectors):
-            seen = dataclasses.replace(matrix.geometry, contact_jacobian=lever)
-            solved = solve(MassMatrix(node, stiff, seen), vectors)
+        def total(node, stiff, edge_jacobian, vectors):
+            edge_geometry = dataclasses.replace(matrix.geometry, contact_jacobian=edge_jacobian)
+            solved = solve(MassMatrix(node, stiff, edge_geometry), vectors)
             weights = jnp.arange(1.0, 1.0 + solved.solution.size).reshape(solved.solution.shape)
             share = jnp.arange(1.0, COUNT + 1.0)
             return jnp.sum(jnp.sin(weights) * solved.solution) + jnp.sum(
@@ -70,15 +70,15 @@ def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
     # Edges that hold nothing would join groups if they held: these have derivatives, too.
     idle = np.asarray(matrix.edge) == 0
     assert (np.abs(np.asarray(derivatives[1])[idle]) > 1e-6).all()
-    node, stiff, lever, right = zip(grouped_derivatives, derivatives, strict=True)
+    node, stiff, edge_jacobian, right = zip(grouped_derivatives, derivatives, strict=True)
     for found, expected in (node, stiff, right):
         np.testing.assert_allclose(found, expected, **close)
     if hinges:  # levers of one row are ones, and no variables
-        np.testing.assert_allclose(*lever, **close)
+        np.testing.assert_allclose(*edge_jacobian, **close)
 
 
 @pytest.mark.slow
-def test_a_group_without_room_has_no_solution() -> None:
+def test_a_group_beyond_capacity_has_no_solution() -> None:
     matrix, vectors = scene(hinges=False)
     assert np.isfinite(solve_block_diagonal(matrix, vectors, capacity=3).solution).all()
     assert np.isnan(solve_block_diagonal(matrix, vectors, capacity=2).solution).all()

@@ -1,4 +1,4 @@
-"""Distances, the moment of touch, the prior and the reach of an edge."""
+"""Distances, time of impact, prior and cutoff of an edge."""
 
 import equinox as eqx
 import jax
@@ -99,15 +99,15 @@ def test_under_a_push_the_share_is_nearly_that_of_a_numeric_root() -> None:
     r = np.stack([TOUCH + rng.uniform(0.0, 0.1, count), rng.uniform(-0.05, 0.05, count)], axis=-1)
     u = np.stack([rng.uniform(-4.0, -1.0, count), rng.uniform(-1.0, 1.0, count)], axis=-1)
     control_displacement = rng.uniform(-0.01, 0.01, (count, 2))
-    seen = jax.jit(jax.vmap(between))(r, u, control_displacement)
+    edges = jax.jit(jax.vmap(between))(r, u, control_displacement)
     part = np.linspace(0.0, 1.0, 2001)[:, None, None]
     distance = np.linalg.norm(r + part * DT * u + part**2 * control_displacement, axis=-1)
     touches = distance.min(axis=0) < TOUCH
     expected = np.where(touches, 1.0 - part[np.argmax(distance < TOUCH, axis=0), 0, 0], 0.0)
-    error = np.abs(np.asarray(seen.fraction_after_impact[:, 0]) - expected)
+    error = np.abs(np.asarray(edges.fraction_after_impact[:, 0]) - expected)
     assert 0.3 < touches.mean() < 0.9
     assert error.max() < 0.03 and np.quantile(error, 0.99) < 0.003
-    np.testing.assert_allclose(seen.closest_approach[:, 0], distance.min(axis=0), atol=1e-4)
+    np.testing.assert_allclose(edges.closest_approach[:, 0], distance.min(axis=0), atol=1e-4)
     # Without its force the touch is elsewhere.
     blind = jax.jit(jax.vmap(between))(r, u).fraction_after_impact[:, 0]
     assert np.quantile(np.abs(blind - expected), 0.99) > 0.1
@@ -115,19 +115,19 @@ def test_under_a_push_the_share_is_nearly_that_of_a_numeric_root() -> None:
 
 def scene_quantities(position, velocity, contact_distance, control_displacement=None):
     pairs = jnp.asarray(pair_indices(len(position)))
-    seen = geometry(position, velocity, pairs.T, DT, contact_distance, control_displacement)
+    edges = geometry(position, velocity, pairs.T, DT, contact_distance, control_displacement)
     features = InvariantFeatures(length=TOUCH)
     return (
-        seen.distance,
-        seen.predicted_distance,
-        seen.direction,
-        seen.fraction_after_impact,
-        features.edge(seen),
-        seen.closest_approach,
-        SmoothCutoff()(seen),
-        DistancePrior()(seen, contact_distance),
+        edges.distance,
+        edges.predicted_distance,
+        edges.direction,
+        edges.fraction_after_impact,
+        features.edge(edges),
+        edges.closest_approach,
+        SmoothCutoff()(edges),
+        DistancePrior()(edges, contact_distance),
         # Nothing learns where bodies touch from what is only a guess at it.
-        ClosestApproachPrior()(seen, TOUCH),
+        ClosestApproachPrior()(edges, TOUCH),
     )
 
 
@@ -149,8 +149,8 @@ def test_no_prior_teaches_where_bodies_touch() -> None:
         slope = jax.grad(lambda touch: prior(between([0.082, 0.0], [0.0, 0.0]), touch)[0])  # noqa: B023
         assert slope(TOUCH) == 0.0
     features = InvariantFeatures(length=TOUCH)
-    seen = between([0.082, 0.0], [0.0, 0.0])
-    slopes = eqx.filter_grad(lambda features: jnp.sum(features.edge(seen)))(features)
+    edges = between([0.082, 0.0], [0.0, 0.0])
+    slopes = eqx.filter_grad(lambda features: jnp.sum(features.edge(edges)))(features)
     assert slopes.contact_distance == 0.0
 
 

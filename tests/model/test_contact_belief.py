@@ -43,7 +43,7 @@ def test_a_sure_belief_survives_contradiction_and_stays_open(probability, measur
     np.testing.assert_allclose(belief.probability, [1.0 - probability], atol=1e-2)
 
 
-def test_what_was_not_measured_keeps_its_belief_to_the_bit() -> None:
+def test_unmeasured_edges_keep_their_belief_exactly() -> None:
     probability = np.linspace(0, 1, 11, dtype=np.float32)
     for nothing in (np.nan, np.inf, -np.inf):
         found = corrected(probability, np.full(11, nothing))

@@ -82,7 +82,7 @@ def dimension_of(name: str, hinges: bool) -> int:
 
 
 def scene(name: str, hinges: bool, variant: str) -> tuple[Arrays, np.ndarray]:
-    """Position, velocity, actuated, mask and anchor of four crowded nodes, and the control."""
+    """Position, velocity, actuated, mask and anchor of four close nodes, and the control."""
     dimension = dimension_of(name, hinges)
     rng = np.random.default_rng(1)
     arrays: Arrays = {
@@ -206,7 +206,7 @@ def test_turned_and_moved_scenes_are_predicted_turned_and_moved(name: str, hinge
     )
 
 
-def test_absolute_features_depend_on_the_place() -> None:
+def test_absolute_features_depend_on_position() -> None:
     turned, base = (results("paper_literal", False)[variant][2] for variant in ("turned", "base"))
     assert np.abs(turned - base).max() > 1e-3
 
@@ -309,8 +309,8 @@ def test_a_linear_step_knows_the_control_displacement() -> None:
     none, together = pushed(0.0), pushed(0.03)
     assert np.abs(together[1].probability[0] - none[1].probability[0]) > 0.1
     assert np.abs(together[0].B - none[0].B).max() > 1e-3
-    seen = stages(model, dataclasses.replace(state, control_displacement=still), nodes)
-    assert_same((seen.dynamics, seen.belief), none)
+    observed = stages(model, dataclasses.replace(state, control_displacement=still), nodes)
+    assert_same((observed.dynamics, observed.belief), none)
 
 
 def test_the_stages_of_a_step_in_their_order() -> None:

@@ -1,4 +1,4 @@
-"""Masses, dampers and springs solved together: by a plain solve, and by what physics keeps."""
+"""Masses, dampers and springs solved together: by a dense solve, and by conservation laws."""
 
 import itertools
 
@@ -40,8 +40,8 @@ def network(mass, pairs, **values) -> ContactSolver:
 
 @eqx.filter_jit
 def _solve(net, position, velocity, pairs, anchor, gain, size) -> tuple[ContactSolution, Geometry]:
-    seen = geometry(position, velocity, pairs.T, DT, TOUCH, None, anchor)
-    return net.solve(velocity, gain, seen, DT, size), seen
+    edge_geometry = geometry(position, velocity, pairs.T, DT, TOUCH, None, anchor)
+    return net.solve(velocity, gain, edge_geometry, DT, size), edge_geometry
 
 
 def solve(
@@ -60,11 +60,11 @@ def plain_jacobian(position, pairs, anchor) -> np.ndarray:
     jacobian = np.zeros((len(pairs), D, count, D))
     for edge, (first, second) in enumerate(pairs):
         for sign, own, other in ((-1, first, second), (1, second, first)):
-            lever = np.eye(D)
+            edge_jacobian = np.eye(D)
             if anchor is not None and np.isfinite(anchor[own, 0]):
                 arm, reach = position[own] - anchor[own], position[other] - anchor[own]
-                lever = (arm @ reach * np.eye(D) - np.outer(arm, reach)) / (arm @ arm)
-            jacobian[edge, :, own] = sign * lever
+                edge_jacobian = (arm @ reach * np.eye(D) - np.outer(arm, reach)) / (arm @ arm)
+            jacobian[edge, :, own] = sign * edge_jacobian
     return jacobian.reshape(len(pairs) * D, count * D)
 
 
@@ -132,7 +132,7 @@ def topologies() -> list:
 
 
 @pytest.mark.parametrize("pairs", topologies())
-def test_what_is_held_shares_its_momentum_in_any_topology(pairs) -> None:
+def test_coupled_nodes_share_momentum_in_any_topology(pairs) -> None:
     rng = np.random.default_rng(len(pairs))
     mass = rng.uniform(0.3, 5.0, 6)
     position, velocity = rng.normal(size=(2, 6, 2))
@@ -146,10 +146,10 @@ def test_what_is_held_shares_its_momentum_in_any_topology(pairs) -> None:
     common = np.tile(mass @ velocity / mass.sum(), (group, 1))
     np.testing.assert_allclose(velocity + change[:group], common, atol=1e-5)
     np.testing.assert_allclose(found.own_share[:group], mass / mass.sum(), atol=1e-5)
-    assert not np.any(change[group:]), "whoever is not held goes on"
+    assert not np.any(change[group:]), "uncoupled nodes move on unchanged"
 
 
-def test_what_is_not_held_does_not_move() -> None:
+def test_uncoupled_nodes_do_not_move() -> None:
     pairs = [(0, 1), (2, 3)]
     position, velocity = np.random.default_rng(0).normal(size=(2, 4, 2))
     net = network([1.0, 2.0, 3.0, 4.0], pairs, damper=[STIFF, 0.0])

@@ -158,7 +158,7 @@ def test_a_held_chain_answers_the_control_as_one_body() -> None:
     np.testing.assert_allclose(B / DT, np.tile(expected, (NODES, 1, 1)), atol=5e-3 * gain)
 
 
-def test_which_end_of_an_edge_comes_first_does_not_matter() -> None:
+def test_the_order_of_an_edges_nodes_does_not_matter() -> None:
     head, (local, message) = random_head(), inputs()
     one, other = (parameters(head, local, way) for way in (message, message[:, ::-1]))
     for ours, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):

@@ -18,7 +18,7 @@ def bars() -> HingedBodies:
     return HingedBodies(jnp.asarray(POSITION), jnp.asarray(ANCHOR))
 
 
-def lever(point, node=BAR) -> np.ndarray:
+def jacobian(point, node=BAR) -> np.ndarray:
     return np.asarray(bars().contact_jacobian(node, jnp.asarray(point)[None])[0])
 
 
@@ -32,7 +32,7 @@ def test_a_lever_is_that_of_a_rigid_rotation(point) -> None:
     reach, angle = np.asarray(point) - HINGE, 1e-6
     arm_moved = (turned(ARM, angle) - turned(ARM, -angle)) / 2
     point_moved = (turned(reach, angle) - turned(reach, -angle)) / 2
-    np.testing.assert_allclose(lever(point) @ arm_moved, point_moved, atol=1e-15)
+    np.testing.assert_allclose(jacobian(point) @ arm_moved, point_moved, atol=1e-15)
 
 
 def test_a_lever_in_space_is_that_of_a_rigid_rotation() -> None:
@@ -46,10 +46,10 @@ def test_a_lever_in_space_is_that_of_a_rigid_rotation() -> None:
     np.testing.assert_allclose(found @ np.cross(spin, arm), np.cross(spin, reach), atol=1e-12)
 
 
-def test_the_hinge_bears_what_acts_along_the_arm() -> None:
+def test_the_hinge_bears_forces_along_the_radius() -> None:
     rng = np.random.default_rng(0)
     for point, force in zip(rng.normal(size=(20, 2)), rng.normal(size=(20, 2)), strict=True):
-        at_node = lever(point).T @ force
+        at_node = jacobian(point).T @ force
         assert abs(at_node @ ARM) < 1e-12
         # What is left turns the node about the hinge as the force turns the bar.
         reach = point - HINGE
@@ -58,7 +58,7 @@ def test_the_hinge_bears_what_acts_along_the_arm() -> None:
 
 
 def test_without_a_hinge_a_node_is_its_only_point() -> None:
-    np.testing.assert_array_equal(lever([5.0, 3.0], FREE), np.eye(2))
+    np.testing.assert_array_equal(jacobian([5.0, 3.0], FREE), np.eye(2))
     place, slides = bars().closest_point(FREE, jnp.array([[5.0, 3.0]]))
     np.testing.assert_array_equal(place[0], POSITION[0])
     assert not np.any(slides)
@@ -104,16 +104,16 @@ def test_geometry_sees_a_bar_where_it_is_touched() -> None:
     spin = 0.8  # rad/s
     velocity = np.stack([-1.0 * side, spin * np.array([-ARM[1], ARM[0]])])
     states = jnp.asarray([body, HINGE + ARM]), jnp.asarray(velocity)
-    seen = geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
-    np.testing.assert_allclose(seen.distance, [0.1], rtol=1e-6)
-    np.testing.assert_allclose(seen.direction, [-side], atol=1e-6)
+    edges = geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    np.testing.assert_allclose(edges.distance, [0.1], rtol=1e-6)
+    np.testing.assert_allclose(edges.direction, [-side], atol=1e-6)
     # The material at the point turns with the bar, at 0.75 m from the hinge (and 0.1 beside it).
     reach = body - HINGE
     material = spin * np.array([-reach[1], reach[0]])
-    np.testing.assert_allclose(seen.relative_velocity, [material - velocity[0]], atol=1e-12)
+    np.testing.assert_allclose(edges.relative_velocity, [material - velocity[0]], atol=1e-12)
     closing = (material - velocity[0]) @ side
     assert closing == pytest.approx(1.0 + 0.75 * spin)
-    np.testing.assert_allclose(seen.fraction_after_impact, [1 - 0.02 / closing / 0.05], atol=1e-3)
+    np.testing.assert_allclose(edges.fraction_after_impact, [1 - 0.02 / closing / 0.05], atol=1e-3)
 
 
 def test_sliding_along_a_bar_brings_nothing_nearer() -> None:
@@ -121,6 +121,6 @@ def test_sliding_along_a_bar_brings_nothing_nearer() -> None:
     body = HINGE + 1.0 * ARM + 0.1 * side
     velocity = np.stack([3.0 * ARM, 0 * ARM])
     states = jnp.asarray([body, HINGE + ARM]), jnp.asarray(velocity)
-    seen = geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
-    np.testing.assert_allclose(seen.predicted_distance, seen.distance, rtol=1e-9)
-    assert seen.fraction_after_impact[0] == 0
+    edges = geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    np.testing.assert_allclose(edges.predicted_distance, edges.distance, rtol=1e-9)
+    assert edges.fraction_after_impact[0] == 0

@@ -1,4 +1,4 @@
-"""The springs that keep hinged bodies, and what they hold, on circles."""
+"""The springs that keep hinged and attached bodies on circles."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ pytestmark = pytest.mark.usefixtures("double_precision")
 HINGE, ARM = np.array([0.5, 0.5]), np.array([0.3, 0.4])
 OTHER = np.array([2.0, 0.5])
 ANCHOR = np.array([[np.nan, np.nan], HINGE, [np.nan, np.nan], OTHER])
-"""A gripper, a door, a bystander, and another door; the gripper's edges to the doors."""
+"""A gripper, a door, a distractor, and another door; the gripper's edges to the doors."""
 PAIRS = np.array([[0, 1], [0, 3], [2, 1]])
 SPIN = np.array([0.7, -1.3])
 """rad/s"""
@@ -39,10 +39,10 @@ def scene(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 
 def circles(hold, slip: float = 0.0) -> HingeConstraint:
     states = [jnp.asarray(values) for values in scene(slip)]
-    seen = geometry(*states, jnp.asarray(PAIRS).T, 0.05, 0.08, None, jnp.asarray(ANCHOR))
-    ends = seen.edge_index
+    edges = geometry(*states, jnp.asarray(PAIRS).T, 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    ends = edges.edge_index
     return hinge_constraint(
-        jnp.asarray(ANCHOR), *states, jnp.asarray(hold), ends, seen.relative_velocity
+        jnp.asarray(ANCHOR), *states, jnp.asarray(hold), ends, edges.relative_velocity
     )
 
 
@@ -68,7 +68,7 @@ def test_a_free_node_that_is_not_held_has_no_spring() -> None:
     assert not np.any(found.projection(moved)[jnp.array([0, 2])])
 
 
-def test_what_a_door_holds_turns_with_it() -> None:
+def test_nodes_attached_to_a_door_turn_with_it() -> None:
     found = circles([1.0, 0.0, 0.0])
     np.testing.assert_allclose(found.stiffness_rate[0], SPIN[0] ** 2)
     np.testing.assert_allclose(found.center[0], HINGE)
@@ -82,13 +82,13 @@ def test_half_a_hold_is_half_a_spring() -> None:
     np.testing.assert_allclose(found.strength[0], 0.5)
 
 
-def test_two_doors_share_what_they_hold() -> None:
+def test_two_doors_share_an_attached_node() -> None:
     found = circles([1.0, 1.0, 0.0])
     np.testing.assert_allclose(found.stiffness_rate[0], np.mean(SPIN**2))
     np.testing.assert_allclose(found.center[0], (HINGE + OTHER) / 2)
 
 
-def test_what_is_just_struck_is_not_yet_on_a_circle() -> None:
+def test_a_node_just_struck_is_not_yet_projected() -> None:
     assert circles([1.0, 0.0, 0.0], slip=2.0).strength[0] < 0.01
     assert circles([1.0, 0.0, 0.0], slip=1e-3).strength[0] > 0.99
 

@@ -99,7 +99,7 @@ def test_all_edges_are_surely_active(types) -> None:
     np.testing.assert_array_equal(found.type_probability, np.eye(types)[[1] * EDGES])
 
 
-def test_which_end_of_an_edge_comes_first_does_not_matter_to_it(recurrent) -> None:
+def test_edge_inference_is_symmetric_in_the_end_nodes(recurrent) -> None:
     node, edge, weight = graph()
     one = recurrent.embed(node, edge, weight, ENDS)
     other = recurrent.embed(node, edge[::-1], weight, ENDS[::-1])
@@ -149,7 +149,7 @@ def test_an_edge_networks_message_is_its_edges_own_affair() -> None:
     embedding, message = network(node, edge, weight, ENDS)
     assert embedding.shape == (NODES, 0) and message.shape == (2, EDGES, WIDTH)
     np.testing.assert_array_equal(message[0], message[1])
-    # Neither the nodes, nor who is joined, nor which end comes first, nor the other edges count.
+    # Nodes, connectivity, the order of end nodes and other edges have no effect.
     _, same = network(node + 1.0, edge[::-1], weight, ENDS[::-1])
     np.testing.assert_allclose(same, message, atol=1e-6)
     _, alone = network(node, edge[:, 2:3], weight[2:3], ENDS[:, 2:3])

@@ -157,7 +157,7 @@ def test_every_argument_comes_back(tmp_path: Path) -> None:
     assert (found.dimension, found.control_size, found.dt) == (3, 2, DT)
 
 
-def test_the_summary_says_what_is_in_the_file(good: Path) -> None:
+def test_the_summary_describes_the_file(good: Path) -> None:
     summary = describe_model(good)
     assert summary.training == TRAINING
     assert (summary.dimension, summary.control_size, summary.dt) == (2, 2, DT)
@@ -365,7 +365,7 @@ def test_single_precision_weights_are_read_as_such_in_a_double_session(good: Pat
     assert {array.dtype for array in arrays.values()} == {np.dtype("float32")}
 
 
-def test_what_cannot_be_saved(tmp_path: Path) -> None:
+def test_unsupported_models_are_not_saved(tmp_path: Path) -> None:
     model, path = preset("gim_temp"), tmp_path / "model"
     bad = eqx.tree_at(lambda model: model.features.contact_distance, model, jnp.array(jnp.nan))
     with pytest.raises(InvalidInputError, match=r"'features\.contact_distance' must be finite"):

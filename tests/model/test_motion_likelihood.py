@@ -1,4 +1,4 @@
-"""What motion says about contact: by hand; where it says nothing; where it must not say much."""
+"""Evidence of contact from motion: by hand, without information, and bounded."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from model_scenes import DT, nodes_of, preset
-from motion_worlds import Keeps, in_a_row, rigid_world, seen_after
+from motion_worlds import Keeps, in_a_row, observed_after, rigid_world
 
 from contactgraph.data import InvalidInputError
 from contactgraph.model import (
@@ -25,10 +25,10 @@ PUSH = jnp.array([4.0, 0.0])  # N, along the row
 _judge = eqx.filter_jit(contact_log_likelihood_ratio)
 
 
-def judged(state, control, seen, noise=NOISE, told=0.0, model=None, nodes=None):
+def judged(state, control, observed, noise=NOISE, log_odds=0.0, model=None, nodes=None):
     nodes = nodes_of(len(state.position)) if nodes is None else nodes
-    told = jnp.full(nodes.candidate.shape, told)
-    return _judge(model or rigid_world(), state, told, control, seen, nodes, noise)
+    log_odds = jnp.full(nodes.candidate.shape, log_odds)
+    return _judge(model or rigid_world(), state, log_odds, control, observed, nodes, noise)
 
 
 def by_hand(noise, difference, right_off=0.0):
@@ -49,9 +49,9 @@ def test_an_impact_by_hand(right_off) -> None:
     # One body runs into another: together they go on at half its speed, or past it.
     noise = MotionNoise(max_log_ratio=100.0)
     state = in_a_row(2, [1.0, 0.0], 0.2)
-    together = judged(state, REST, seen_after(state, [0.5 + right_off, 0.5 - right_off]), noise)
+    together = judged(state, REST, observed_after(state, [0.5 + right_off, 0.5 - right_off]), noise)
     assert together.log_ratio[0] == pytest.approx(by_hand(noise, 0.5, right_off), rel=1e-3)
-    past = judged(state, REST, seen_after(state, [1.0 - right_off, right_off]), noise)
+    past = judged(state, REST, observed_after(state, [1.0 - right_off, right_off]), noise)
     assert past.log_ratio[0] == pytest.approx(-by_hand(noise, 0.5, right_off), rel=1e-3)
     # Odds are those before, times the likelihoods' ratio.
     odds = 0.25 * np.exp(float(together.log_ratio[0]))
@@ -61,14 +61,14 @@ def test_an_impact_by_hand(right_off) -> None:
 
 def test_the_same_motion_says_nothing_to_the_bit() -> None:
     state = in_a_row(2, [0.7, 0.7], 0.3)
-    found = judged(state, REST, seen_after(state, [0.7, 0.7]))
+    found = judged(state, REST, observed_after(state, [0.7, 0.7]))
     assert found.log_ratio[0] == 0.0
     np.testing.assert_array_equal(
         found.corrected.type_probability, found.predicted.type_probability
     )
     # Nor does what happens to bodies out of each other's reach.
     far = in_a_row(2, [1.0, 0.0], 0.3, gap=0.5)
-    found = judged(far, REST, seen_after(far, [0.5, 0.5]))
+    found = judged(far, REST, observed_after(far, [0.5, 0.5]))
     assert found.log_ratio[0] == 0.0 and found.corrected.probability[0] == 0.0
 
 
@@ -76,99 +76,99 @@ def test_the_same_motion_says_nothing_to_the_bit() -> None:
 def test_a_load_is_felt(velocity, holds) -> None:
     # 4 N for 0.05 s on 1 kg, or on 2 kg.
     state = in_a_row(2, [0.0, 0.0], 0.5)
-    found = judged(state, PUSH, seen_after(state, velocity))
+    found = judged(state, PUSH, observed_after(state, velocity))
     assert (found.corrected.probability[0] > 0.9) == holds
     assert (found.corrected.probability[0] < 0.1) != holds
     assert (found.motion_log_odds[0] > 2) == holds
 
 
-def test_a_break_is_seen_at_once_and_not_remembered() -> None:
+def test_a_break_is_detected_at_once_and_not_remembered() -> None:
     state = in_a_row(2, [0.5, 0.5], 0.9999)
-    found = judged(state, -PUSH, seen_after(state, [0.3, 0.5]), told=NOISE.max_log_ratio)
+    found = judged(state, -PUSH, observed_after(state, [0.3, 0.5]), log_odds=NOISE.max_log_ratio)
     assert found.predicted.probability[0] > 0.98
     assert found.corrected.probability[0] < 0.5 and found.motion_log_odds[0] == 0.0
 
 
-def test_what_fits_nothing_says_next_to_nothing() -> None:
+def test_unexplained_motion_is_weak_evidence() -> None:
     state = in_a_row(2, [0.5, 0.5], 0.95)
-    position, velocity = seen_after(state, [0.6, 0.6])
+    position, velocity = observed_after(state, [0.6, 0.6])
     unbounded = MotionNoise(max_log_ratio=100.0)
     fits = judged(state, PUSH, (position, velocity), unbounded).log_ratio[0]
-    # One body is seen far off: what is left is what the other one says.
+    # One body is observed far off: only the other one's evidence is left.
     wild = position.at[1].add(jnp.array([3.0, -2.0])), velocity.at[1].add(20.0)
     found = judged(state, PUSH, wild, unbounded)
     assert 0.4 * fits < found.log_ratio[0] < 0.6 * fits
     # Both are.
-    found = judged(state, PUSH, (position + 3.0, velocity - 20.0), told=NOISE.max_log_ratio)
+    found = judged(state, PUSH, (position + 3.0, velocity - 20.0), log_odds=NOISE.max_log_ratio)
     assert abs(found.log_ratio[0]) < 0.1 and found.corrected.probability[0] > 0.9
     # The step after: it begins where nothing was.
     jumped = dataclasses.replace(state, position=state.position + 3.0)
-    found = judged(jumped, PUSH, (position, velocity), told=NOISE.max_log_ratio)
+    found = judged(jumped, PUSH, (position, velocity), log_odds=NOISE.max_log_ratio)
     assert abs(found.log_ratio[0]) < 0.1 and found.corrected.probability[0] > 0.9
 
 
 def test_one_frame_never_saturates() -> None:
     state = in_a_row(2, [5.0, 0.0], 0.0001)
     for velocity in ([2.5, 2.5], [5.0, 0.0]):
-        found = judged(state, REST, seen_after(state, velocity))
+        found = judged(state, REST, observed_after(state, velocity))
         assert abs(found.log_ratio[0]) == NOISE.max_log_ratio
     # A belief that motion contradicts counts as no surer than 1 in 100.
     odds = 0.01 / 0.99 * np.exp(NOISE.max_log_ratio)
-    found = judged(state, REST, seen_after(state, [2.5, 2.5]))
+    found = judged(state, REST, observed_after(state, [2.5, 2.5]))
     assert found.corrected.probability[0] == pytest.approx(odds / (1 + odds), rel=1e-3)
 
 
 def test_differences_within_the_noise_are_none() -> None:
     noise = MotionNoise(position=1e-3, velocity=0.02)
     state = in_a_row(2, [0.01, -0.01], 0.3)
-    assert judged(state, REST, seen_after(state, [0.0, 0.0]), noise).log_ratio[0] == 0.0
-    assert judged(state, REST, seen_after(state, [0.0, 0.0])).log_ratio[0] != 0.0
+    assert judged(state, REST, observed_after(state, [0.0, 0.0]), noise).log_ratio[0] == 0.0
+    assert judged(state, REST, observed_after(state, [0.0, 0.0])).log_ratio[0] != 0.0
 
 
-def test_what_one_contact_explains_is_no_evidence_for_another() -> None:
+def test_explained_motion_is_no_evidence_for_another_contact() -> None:
     state = in_a_row(3, [0.0, 0.0, 0.0], 0.3, gap=0.06)
     third = DT * 4.0 / 3
-    found = judged(state, PUSH, seen_after(state, [third] * 3))
+    found = judged(state, PUSH, observed_after(state, [third] * 3))
     # Edges 0-1, 0-2, 1-2: the row holds together by its neighbours.
     assert found.log_ratio[0] > 2 and found.log_ratio[2] > 2
     assert found.log_ratio[1] == 0.0
     np.testing.assert_array_equal(found.corrected.probability > 0.5, [True, False, True])
 
 
-def test_what_motion_has_told_is_remembered_and_nothing_else() -> None:
+def test_only_evidence_from_motion_is_remembered() -> None:
     forgets = rigid_world(factor=0.01)
     state = in_a_row(2, [0.5, 0.5], 0.99)
-    seen = seen_after(state, [0.5, 0.5])
+    observed = observed_after(state, [0.5, 0.5])
     stay = np.exp(-DT / NOISE.time_constant)
-    told = judged(state, REST, seen, told=NOISE.max_log_ratio, model=forgets)
-    assert told.corrected.probability[0] == pytest.approx(0.99 * stay, rel=1e-4)
-    assert told.motion_log_odds[0] == pytest.approx(NOISE.max_log_ratio * stay)
-    assert judged(state, REST, seen, model=forgets).corrected.probability[0] < 0.02
-    # Whatever motion told: what a sensor has denied since is not raised again.
+    log_odds = judged(state, REST, observed, log_odds=NOISE.max_log_ratio, model=forgets)
+    assert log_odds.corrected.probability[0] == pytest.approx(0.99 * stay, rel=1e-4)
+    assert log_odds.motion_log_odds[0] == pytest.approx(NOISE.max_log_ratio * stay)
+    assert judged(state, REST, observed, model=forgets).corrected.probability[0] < 0.02
+    # A contact that a sensor denied since is not raised again, whatever the evidence from motion.
     denied = dataclasses.replace(state, belief=two_type_belief(jnp.array([0.1])))
-    found = judged(denied, REST, seen, told=NOISE.max_log_ratio, model=forgets)
+    found = judged(denied, REST, observed, log_odds=NOISE.max_log_ratio, model=forgets)
     assert found.corrected.probability[0] <= 0.1
 
 
 @pytest.mark.parametrize("place", ["before", "after"])
 def test_a_step_with_a_bad_observation_is_not_judged(place) -> None:
     state = in_a_row(2, [1.0, 0.0], 0.4)
-    position, velocity = seen_after(state, [0.5, 0.5])
+    position, velocity = observed_after(state, [0.5, 0.5])
     if place == "before":
         state = dataclasses.replace(state, velocity=state.velocity.at[0, 0].set(jnp.nan))
     else:
         position = position.at[1, 1].set(jnp.inf)
-    carried, told = two_type_belief(jnp.array([0.25])), jnp.array([1.5])
-    arguments = (carried, state, told, REST, (position, velocity), nodes_of(2), NOISE)
+    carried, log_odds = two_type_belief(jnp.array([0.25])), jnp.array([1.5])
+    arguments = (carried, state, log_odds, REST, (position, velocity), nodes_of(2), NOISE)
     belief, kept = eqx.filter_jit(correct_by_motion)(rigid_world(), *arguments)
     np.testing.assert_array_equal(belief.probability, [0.25])
-    np.testing.assert_array_equal(kept, told)
+    np.testing.assert_array_equal(kept, log_odds)
 
 
 def test_padding_changes_nothing() -> None:
     state, padded = in_a_row(2, [1.0, 0.0], 0.3), in_a_row(4, [1.0, 0.0, 0.0, 0.0], 0.3)
-    seen, more = seen_after(state, [0.6, 0.4]), seen_after(padded, [0.6, 0.4, 9.0, 9.0])
-    one = judged(state, REST, seen)
+    observed, more = observed_after(state, [0.6, 0.4]), observed_after(padded, [0.6, 0.4, 9.0, 9.0])
+    one = judged(state, REST, observed)
     other = judged(padded, REST, more, nodes=nodes_of(2, 4))
     assert other.log_ratio[0] == pytest.approx(float(one.log_ratio[0]), rel=1e-5)
     assert np.all(other.log_ratio[1:] == 0)
@@ -179,7 +179,7 @@ def test_padding_changes_nothing() -> None:
 def test_double_precision() -> None:
     state = in_a_row(3, [1.0, 0.0, 0.0], 0.3)
     for model in (rigid_world(), preset("gim_temp")):
-        found = judged(state, PUSH, seen_after(state, [0.6, 0.6, 0.0]), model=model)
+        found = judged(state, PUSH, observed_after(state, [0.6, 0.6, 0.0]), model=model)
         kinds = {leaf.dtype for leaf in jax.tree.leaves(found)}
         assert kinds == {jnp.dtype(jnp.float64)}
         assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found))
@@ -188,7 +188,7 @@ def test_double_precision() -> None:
 @pytest.mark.parametrize("name", ["paper_literal", "gim_non_temp", "full_ab", "no_gim"])
 def test_every_model_of_ours_can_be_asked(name) -> None:
     state = in_a_row(3, [1.0, 0.0, 0.0], 0.3)
-    found = judged(state, PUSH, seen_after(state, [0.6, 0.6, 0.0]), model=preset(name))
+    found = judged(state, PUSH, observed_after(state, [0.6, 0.6, 0.0]), model=preset(name))
     assert np.all(np.isfinite(found.log_ratio))
     assert np.all((found.corrected.probability >= 0) & (found.corrected.probability <= 1))
 

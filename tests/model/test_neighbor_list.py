@@ -62,20 +62,20 @@ def test_a_list_has_the_near_pairs_each_once(dimension: int, cell: int | None) -
     assert found == {(i, j) for i, j in pair_indices(60).tolist() if near[i, j]}
 
 
-def test_padding_in_one_place_fills_no_cell() -> None:
+def test_coincident_padding_fills_no_cell() -> None:
     position = np.zeros((40, 2), np.float32)
     position[:2] = [[0.0, 0.1], [0.1, 0.0]]
     assert listed(position, mask=np.arange(40) < 2, cell=2) == ({(0, 1)}, True)
 
 
-def test_what_does_not_fit_is_told() -> None:
+def test_overflow_is_reported() -> None:
     position = np.random.default_rng(0).uniform(0, 0.15, (10, 2)).astype(np.float32)
     assert listed(position, edges=45, cell=10)[1]
     assert not listed(position, edges=44, cell=10)[1]
     assert not listed(position, edges=45, cell=3)[1]
 
 
-def test_places_of_pairs_and_back() -> None:
+def test_pair_indices_and_back() -> None:
     second = np.array([1, 2, 3, 100, 4095, 4096, 46_338, 46_339], np.int32)
     for first in (np.zeros_like(second), second // 2, second - 1):
         pairs = edge_nodes(unordered_edge_id(jnp.asarray(first), jnp.asarray(second)), 46_340).T
@@ -144,7 +144,7 @@ def test_predictions_and_gradients_are_those_of_all_pairs(name: str, hinges: boo
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
 
 
-def test_what_outgrows_a_list_has_no_prediction() -> None:
+def test_an_overflowing_list_predicts_nan() -> None:
     nodes = nodes_of(6)
     model = preset("gim_temp")
     state = crowd(model, nodes)
@@ -160,7 +160,7 @@ def test_what_outgrows_a_list_has_no_prediction() -> None:
         assert np.isnan(np.asarray(after.velocity)).all()
 
 
-def test_lists_are_made_with_room_for_a_scene() -> None:
+def test_lists_are_allocated_for_a_scene() -> None:
     nodes = nodes_of(20, 23)
     model = dataclasses.replace(preset("gim_temp"), cutoff=SmoothCutoff(inner=0.1, outer=FAR))
     state = crowd(model, nodes, size=0.4)

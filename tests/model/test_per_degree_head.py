@@ -1,4 +1,4 @@
-"""The paper's head: bounded, at rest at its damper, its equilibrium seen from hinge or node."""
+"""The paper's head: bounded, at rest at its damper, its equilibrium relative to hinge or node."""
 
 import dataclasses
 
@@ -46,7 +46,7 @@ def test_the_papers_parameters_are_bounded_and_its_damper_rests() -> None:
     assert not np.any(off_diagonal), "each degree of freedom takes its own control"
 
 
-def test_the_equilibrium_is_seen_from_the_hinge_where_there_is_one() -> None:
+def test_the_equilibrium_is_relative_to_the_hinge_if_any() -> None:
     local, embedding, message = inputs()
     head = PerDegreeHead(WIDTH, 2, key=jax.random.PRNGKey(1))
     free = head(local, embedding, message, STEP)

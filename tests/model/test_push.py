@@ -1,4 +1,4 @@
-"""What a step's own control does to positions: present contacts count, coming ones do not."""
+"""Sensitivity of positions to a step's own control: only present contacts count."""
 
 import dataclasses
 
@@ -59,7 +59,7 @@ def test_a_push_is_the_response_times_the_control() -> None:
 
 
 def test_the_contact_that_a_push_would_bring_does_not_push() -> None:
-    """Two bodies a hair out of touch: the model couples them, the force is the first one's own."""
+    """Two bodies just out of contact: the model couples them, the force acts on the first."""
     model, nodes = preset("no_gim"), nodes_of(2)
     position = jnp.array([[0.0, 0.0], [0.1, 0.0]])
     state = state_at(model, position, jnp.zeros((2, 2)), nodes)
@@ -72,14 +72,14 @@ def test_the_contact_that_a_push_would_bring_does_not_push() -> None:
     assert np.abs(together[0] - alone[0]).max() > 1e-5
 
 
-def test_a_push_decides_who_touches_whom() -> None:
+def test_the_control_decides_the_contact() -> None:
     """Bodies at rest, 2 cm from touch: pushed together within the step they meet in it."""
     model, nodes = preset("gim_temp"), nodes_of(2)
     touch = float(model.features.contact_distance)
     position, still = jnp.array([[0.0, 0.0], [touch + 0.02, 0.0]]), jnp.zeros((2, 2))
     shares = []
     for push in (None, jnp.array([[0.03, 0.0], [0.0, 0.0]]), jnp.array([[-0.03, 0.0], [0.0, 0.0]])):
-        percept = model.encode(position, still, nodes, push)
-        shares.append(float(percept.geometry.fraction_after_impact[0]))
+        encoded = model.encode(position, still, nodes, push)
+        shares.append(float(encoded.geometry.fraction_after_impact[0]))
     assert shares[0] == shares[2] == 0.0
     assert 0.0 < shares[1] < 0.5

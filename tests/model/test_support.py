@@ -1,4 +1,4 @@
-"""What rests until it is carried: who is carried, and what that does to a step."""
+"""Ground support: the lifted fraction, and its effect on a step."""
 
 import equinox as eqx
 import jax
@@ -66,21 +66,21 @@ def change(active: list[float], velocity: np.ndarray, control: np.ndarray) -> np
 
     @eqx.filter_jit
     def step(start: ModelState, control: jax.Array) -> jax.Array:
-        percept = model.encode(start.position, start.velocity, nodes)
-        local = model.cut_edges(percept, start.belief)
+        encoded = model.encode(start.position, start.velocity, nodes)
+        local = model.cut_edges(encoded, start.belief)
         linear = model.local_dynamics(local, DT, 3)
         return linear(start.position, start.velocity, control)[1]
 
     return np.asarray(step(start, jnp.asarray(control))) - velocity
 
 
-def test_what_nobody_carries_rests_and_has_no_weight() -> None:
+def test_supported_nodes_rest_and_have_no_weight() -> None:
     found = change([0.0, 0.0, 1.0], np.zeros((3, 3)), np.array([0.0, 0.0, 8.0]))
     assert np.allclose(found[0], [0, 0, DT * 8.0 / 4.0], rtol=1e-6)
     assert np.allclose(found[1:], 0.0, atol=1e-12), "two blocks that touch do not fall"
 
 
-def test_what_is_carried_loads_the_one_that_carries() -> None:
+def test_a_carried_node_loads_its_carrier() -> None:
     found = change([1.0, 0.0, 0.0], np.zeros((3, 3)), np.array([0.0, 0.0, 8.0]))
     together = DT * (8.0 + WEIGHT[2]) / 4.4
     assert np.allclose(found[:2, 2], together, rtol=0.02)
@@ -92,7 +92,7 @@ def test_weight_reaches_along_a_chain() -> None:
     assert np.allclose(found[:, 2], DT * 2 * WEIGHT[2] / 4.8, rtol=0.03)
 
 
-def test_the_ground_rubs_only_on_what_is_not_carried() -> None:
+def test_ground_friction_acts_on_supported_nodes_only() -> None:
     sliding = np.tile([0.2, 0.0, 0.0], (3, 1))
     free, held = (change(active, sliding, np.zeros(3)) for active in ([0.0] * 3, [1.0, 0.0, 0.0]))
     assert free[1, 0] < -1e-4
@@ -103,13 +103,13 @@ def test_carried_is_the_best_chain_to_an_actuated_node() -> None:
     position = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
     pairs = jnp.asarray(pair_indices(4))
     hold = jnp.asarray([{(0, 1): 0.9, (1, 2): 0.5}.get((int(i), int(j)), 0.0) for i, j in pairs])
-    seen = geometry(position, 0.0 * position, pairs.T, DT, 0.05)
-    share = lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen)
+    edges = geometry(position, 0.0 * position, pairs.T, DT, 0.05)
+    share = lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, edges)
     assert np.allclose(share, [1.0, 0.9, 0.45, 0.0])
-    # Found along the edges, where no more than so many hold each other.
-    assert np.array_equal(lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen, 3), share)
+    # Propagated along the edges, where no more than so many hold each other.
+    assert np.array_equal(lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, edges, 3), share)
     assert not np.array_equal(
-        lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, seen, 2), share
+        lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, edges, 2), share
     )
 
 
@@ -122,7 +122,7 @@ def test_a_model_with_weight_is_stored_and_loaded(tmp_path) -> None:
     )
 
 
-def test_a_distance_of_touch_that_is_told_is_no_weight_of_the_model(tmp_path) -> None:
+def test_a_given_contact_distance_is_not_a_model_weight(tmp_path) -> None:
     model = gim_temp(
         ModelConfig(3, 3, DT, 0.02, learned_contact_distance=False), key=jax.random.PRNGKey(0)
     )

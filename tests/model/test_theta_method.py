@@ -154,7 +154,7 @@ def blocks(theta: float, stiffness_rate: np.ndarray, damping_rate: np.ndarray) -
 
 
 def product_radii(theta: float, draw_stiffness, draw_damping, count: int = 1000) -> np.ndarray:
-    """Spectral radii of products of 200 steps whose parameters are drawn anew in each."""
+    """Spectral radii of products of 200 steps with new parameters in each."""
     product = np.tile(np.eye(2), (count, 1, 1))
     for _ in range(200):
         product = blocks(theta, draw_stiffness(count), draw_damping(count)) @ product
@@ -197,7 +197,7 @@ def test_random_products_shrink_if_damped_and_can_grow_if_not() -> None:
 
 
 @pytest.mark.parametrize("initial", [0.51, 0.55, 0.9])
-def test_a_learned_theta_starts_where_told_and_stays_above_one_half(initial):
+def test_a_learned_theta_starts_as_given_and_stays_above_one_half(initial):
     method = ThetaMethod(initial)
     assert abs(float(method.theta) - initial) < 1e-12
     assert 0.5 <= float(jax.tree.map(lambda raw: raw - 100.0, method).theta) < 0.5001

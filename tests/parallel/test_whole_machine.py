@@ -20,17 +20,17 @@ def shout(connection) -> None:
 
 
 @dataclass(frozen=True)
-class Errand:
+class SentJob:
     refused: int = -1
     deadly: int = -1
 
     def begin(self):
         def work(index: int):
             if index == self.refused:
-                raise InvalidInputError(f"errand {index}: nobody is in")
+                raise InvalidInputError(f"job {index}: rejected")
             if index == self.deadly:
                 os._exit(7)
-            # A process of its own, which those of other engines may not have.
+            # A subprocess, which workers of other executors may not start.
             ours, theirs = multiprocessing.Pipe()
             child = multiprocessing.get_context("spawn").Process(target=shout, args=(theirs,))
             child.start()
@@ -42,7 +42,7 @@ class Errand:
 
 
 def test_every_unit_has_a_new_process_all_cores_and_children():
-    answers = list(map_in_order(LocalExecutor(whole_machine=True), Errand().begin, range(2)))
+    answers = list(map_in_order(LocalExecutor(whole_machine=True), SentJob().begin, range(2)))
     assert [index for index, *_ in answers] == [0, 1]
     assert all(parent == process for _, parent, process, _ in answers)
     assert len({process for _, _, process, _ in answers}) == 2
@@ -51,7 +51,7 @@ def test_every_unit_has_a_new_process_all_cores_and_children():
 
 
 @pytest.mark.slow
-def test_nobody_outlives_the_owner():
+def test_no_process_outlives_the_owner():
     script = (
         "import os, sys, time\n"
         "from contactgraph.parallel import LocalExecutor\n"
@@ -78,13 +78,13 @@ def test_nobody_outlives_the_owner():
 
 
 @pytest.mark.parametrize(
-    ("errand", "error", "said"),
+    ("job", "error", "said"),
     [
-        (Errand(refused=0), InvalidInputError, "^errand 0: nobody is in$"),
-        (Errand(deadly=0), RuntimeError, "^0: its process died, exit code 7$"),
+        (SentJob(refused=0), InvalidInputError, "^job 0: rejected$"),
+        (SentJob(deadly=0), RuntimeError, "^0: its process died, exit code 7$"),
     ],
 )
-def test_what_goes_wrong_in_a_process_is_told(errand, error, said):
+def test_errors_in_a_process_are_reported(job, error, said):
     with pytest.raises(error, match=said):
-        list(map_in_order(LocalExecutor(whole_machine=True), errand.begin, range(2)))
+        list(map_in_order(LocalExecutor(whole_machine=True), job.begin, range(2)))
     assert multiprocessing.active_children() == []

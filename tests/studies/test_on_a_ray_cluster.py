@@ -1,5 +1,5 @@
-"""A Ray cluster of several nodes on this machine, one of which is killed: nothing lost, nothing
-twice, and the same data as ever."""
+"""A Ray cluster of several nodes on this machine, one of which is killed: no job is lost
+or repeated, and the data are the same."""
 
 import os
 import signal
@@ -41,8 +41,8 @@ pytestmark = [
 def nodes() -> Iterator[Cluster]:
     """A head that does no work, and two nodes of a core each. They know the tests' modules."""
     # Found dead in two seconds, not in 15.
-    told = {"health_check_period_ms": 500, "health_check_failure_threshold": 3}
-    head = {"num_cpus": 0, "_system_config": told}
+    reported = {"health_check_period_ms": 500, "health_check_failure_threshold": 3}
+    head = {"num_cpus": 0, "_system_config": reported}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
         cluster = Cluster(initialize_head=True, head_node_args=head)
@@ -74,8 +74,8 @@ def executor(nodes: Cluster) -> Iterator[RayExecutor]:
 
 
 @dataclass(frozen=True)
-class Errand:
-    """Work that a machine can be sent."""
+class SentJob:
+    """A job that can be sent to a machine."""
 
     refused: int = -1
     broken: int = -1
@@ -84,7 +84,7 @@ class Errand:
         def work(unit: int):
             time.sleep(0.02 * (6 - unit))
             if unit == self.refused:
-                raise InvalidInputError(f"errand {unit}: nobody is in")
+                raise InvalidInputError(f"job {unit}: rejected")
             if unit == self.broken:
                 raise KeyError("spoon")
             return unit, os.getpid()
@@ -94,7 +94,7 @@ class Errand:
 
 def test_answers_come_in_order_from_the_machines(executor: RayExecutor) -> None:
     assert executor.workers == 2
-    answers = list(map_in_order(executor, Errand().begin, range(6)))
+    answers = list(map_in_order(executor, SentJob().begin, range(6)))
     assert [unit for unit, _ in answers] == list(range(6))
     assert os.getpid() not in dict(answers).values()
 
@@ -102,15 +102,15 @@ def test_answers_come_in_order_from_the_machines(executor: RayExecutor) -> None:
 def test_errors_on_a_machine_are_raised_here(
     executor: RayExecutor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for errand, error, said in [
-        (Errand(refused=3), InvalidInputError, "^errand 3: nobody is in$"),
-        (Errand(broken=3), RuntimeError, "(?s)Traceback.*in work.*KeyError: 'spoon'"),
+    for sent_job, error, said in [
+        (SentJob(refused=3), InvalidInputError, "^job 3: rejected$"),
+        (SentJob(broken=3), RuntimeError, "(?s)Traceback.*in work.*KeyError: 'spoon'"),
     ]:
         with pytest.raises(error, match=said):
-            list(map_in_order(executor, errand.begin, range(6)))
+            list(map_in_order(executor, sent_job.begin, range(6)))
     monkeypatch.setattr(ray_cluster, "version", lambda package: "9.9")
     with pytest.raises(InvalidInputError, match=r"has contactgraph 0\.\d.*, not 9\.9 as here"):
-        list(map_in_order(executor, Errand().begin, range(6)))
+        list(map_in_order(executor, SentJob().begin, range(6)))
 
 
 def study(folder: Path, jobs: list[Job], executor: RayExecutor) -> tuple[list[Failure], list]:
@@ -133,9 +133,9 @@ def test_files_are_carried_to_cells_and_back(tmp_path: Path, executor: RayExecut
     bad = Job("bad", ("fail", "bad"), "fail")
     dead = Job("dead", ("die", "dead"), "die")
     failures, steps = study(tmp_path, [joined, run, bad, dead], executor)
-    told = {failure.job.output: failure.reason for failure in failures}
-    assert told.pop("dead").startswith("begun 4 times: ")
-    assert told == {
+    reported = {failure.job.output: failure.reason for failure in failures}
+    assert reported.pop("dead").startswith("begun 4 times: ")
+    assert reported == {
         "run": "exit code 130; it printed nothing to " + str(tmp_path / "study" / "run.log"),
         "bad": "exit code 2; contactgraph: it cannot be",
     }
@@ -145,7 +145,7 @@ def test_files_are_carried_to_cells_and_back(tmp_path: Path, executor: RayExecut
         **dict.fromkeys(("both", "join", "half", "fail"), 1),
         "die": 4,
     }
-    # What is here of a training goes along, and the training goes on from it.
+    # A partial training is sent along and resumed.
     (tmp_path / "study" / "run").mkdir()
     (tmp_path / "study" / "run" / "checkpoint-1").write_text("")
     assert study(tmp_path, [joined, run], executor)[0] == []
@@ -154,19 +154,19 @@ def test_files_are_carried_to_cells_and_back(tmp_path: Path, executor: RayExecut
 
 
 def children(begun: Path) -> dict[int, int]:
-    """Who works, by the process that began it."""
+    """Worker processes by their parent."""
     lines = begun.read_text().splitlines() if begun.exists() else []
     return {int(parent): int(child) for parent, child in map(str.split, lines)}
 
 
-def test_a_node_that_is_killed_costs_its_cell_alone(
+def test_a_killed_node_costs_only_its_job(
     tmp_path: Path, nodes: Cluster, executor: RayExecutor
 ) -> None:
     doomed = nodes.add_node(num_cpus=1)
     (raylet,) = doomed.all_processes["raylet"]
 
     def kill() -> None:
-        """Of a machine that is gone nothing is left: neither Ray's process nor who was at work."""
+        """A machine that is gone leaves neither Ray's process nor workers."""
         while (worker := children(tmp_path / "begun.txt").get(raylet.process.pid)) is None:
             time.sleep(0.02)
         nodes.remove_node(doomed, allow_graceful=False)
@@ -180,7 +180,7 @@ def test_a_node_that_is_killed_costs_its_cell_alone(
     killer.join()
     assert failures == []
     assert [(tmp_path / "study" / f"{n}").read_text() for n in range(9)] == list("012345678")
-    assert sorted(step.last.output for step in steps) == list("012345678"), "each told once"
+    assert sorted(step.last.output for step in steps) == list("012345678"), "each reported once"
     times = Counter(done(tmp_path))
     assert sorted(times.values()) == [1] * 8 + [2], "one was done again"
     assert study(tmp_path, jobs, executor) == ([], [])
@@ -203,7 +203,7 @@ def test_ctrl_c_keeps_finished_jobs(tmp_path: Path, executor: RayExecutor) -> No
 
 @pytest.fixture
 def silent() -> Iterator[int]:
-    """A port at which nobody speaks."""
+    """A port without a server."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield server.getsockname()[1]
 

@@ -1,4 +1,4 @@
-"""``contactgraph reproduce``: which studies there are, what it writes, how it exits."""
+"""``contactgraph reproduce``: its studies, files and exit codes."""
 
 import json
 import sys
@@ -57,7 +57,7 @@ def test_mistakes(
 
 @pytest.fixture
 def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Job]]:
-    """Cells are not made: every JSON file that they would write holds the same numbers."""
+    """Jobs do not run: every JSON file that they would write holds the same numbers."""
     asked: list[list[Job]] = []
 
     def run_jobs(

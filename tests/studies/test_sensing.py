@@ -1,4 +1,4 @@
-"""The study of contact without a sensor: its commands exist, and its shares are what they say."""
+"""The study of contact without a sensor: its commands and its shares."""
 
 import json
 import math
@@ -52,7 +52,7 @@ def test_shares_by_hand() -> None:
     assert not share_recovered(found, PICKUP_SENSING, AS_TRAINED, ERROR).known
 
 
-def test_a_contact_that_was_never_found_counts() -> None:
+def test_a_contact_never_detected_counts() -> None:
     name = "onset_delay_ms_p95"
     found = results_of(
         measured={"onsets": 20, name: 50.0},

@@ -1,4 +1,4 @@
-"""Windows: how often each is drawn, and that each is the stretch of the run it says it is."""
+"""Windows: sampling rates, and agreement with their trajectories."""
 
 import dataclasses
 
@@ -28,7 +28,7 @@ def padded():
     return pad_trajectories(Dataset((run(2, 5, 100.0), run(3, 8, 200.0))))
 
 
-def test_windows_are_drawn_as_often_as_told(padded) -> None:
+def test_windows_are_drawn_as_often_as_given(padded) -> None:
     windows = window_weights(padded, 3, 0.6)
     assert windows.has_event.any() and not windows.has_event.all()
     drawn = window_source(padded, windows).draw(20_000, jax.random.key(0))

@@ -1,4 +1,4 @@
-"""Numbers a recipe cannot have, and folders a run cannot begin in."""
+"""Invalid configurations and run folders."""
 
 import math
 from pathlib import Path

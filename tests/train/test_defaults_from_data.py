@@ -1,4 +1,4 @@
-"""What runs say about the model and the training that suit them."""
+"""Model and training defaults derived from trajectories."""
 
 from dataclasses import replace
 
@@ -17,22 +17,24 @@ def runs(*scenes: Scene) -> Dataset:
     return Dataset(tuple(still(scene) for scene in scenes))
 
 
-def scene(**told: float) -> Scene:
-    return Scene(("hand", "block"), ("hand", "block"), np.array([1, 0], bool), 0.1, metadata=told)
+def scene(**metadata: float) -> Scene:
+    return Scene(
+        ("hand", "block"), ("hand", "block"), np.array([1, 0], bool), 0.1, metadata=metadata
+    )
 
 
-def test_runs_that_tell_nothing_have_the_usual_distance_which_is_learned() -> None:
+def test_the_contact_distance_is_learned_without_a_given_one() -> None:
     found = defaults_from_data(runs(scene()))
     assert (found.contact_distance, found.learned_contact_distance) == (0.085, True)
     assert (found.hinges, found.weight, found.rollout_from) == (False, False, 0.5)
 
 
-def test_a_distance_that_is_told_is_kept() -> None:
+def test_a_given_distance_is_kept() -> None:
     found = defaults_from_data(runs(scene(contact_distance=0.02), scene(contact_distance=0.02)))
     assert (found.contact_distance, found.learned_contact_distance) == (0.02, False)
 
 
-def test_weight_and_hinges_are_seen_in_any_run() -> None:
+def test_weight_and_hinges_are_detected_in_any_trajectory() -> None:
     heavy = replace(scene(), gravity=np.array([0.0, -9.81]))
     hinged = replace(scene(), anchor=np.array([[np.nan, np.nan], [0.0, 0.0]]))
     found = defaults_from_data(runs(scene(), heavy, hinged))

@@ -18,7 +18,7 @@ PROGRAM = Path(__file__).with_name("on_devices.py")
 @pytest.mark.slow
 def test_four_devices_train_what_one_trains(recorded: Path) -> None:
     """Double precision: in single precision, Adam makes whole steps of mere rounding errors."""
-    told = subprocess.run(
+    finished = subprocess.run(
         [sys.executable, "-W", "error", str(PROGRAM), str(recorded)],
         env={
             **os.environ,
@@ -30,8 +30,8 @@ def test_four_devices_train_what_one_trains(recorded: Path) -> None:
         text=True,
         check=False,
     )
-    assert told.returncode == 0, told.stderr
-    devices, moved, apart, error_apart = map(float, told.stdout.split())
+    assert finished.returncode == 0, finished.stderr
+    devices, moved, apart, error_apart = map(float, finished.stdout.split())
     assert devices == 4
     assert moved > 1e-3
     assert apart < 1e-8 and error_apart < 1e-8

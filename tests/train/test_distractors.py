@@ -47,12 +47,12 @@ def test_it_keeps_its_distance_from_every_body_at_every_step(dimension: int) -> 
     assert np.all(distance[found].min(axis=(1, 2)) >= NEAREST - 1e-6)
     assert np.all(distance[found].min(axis=(1, 2)) <= FARTHEST + 1e-6)
     to_padding = np.linalg.norm(place[found, 0], axis=-1)
-    assert to_padding.min() < NEAREST, "padding keeps nobody away"
+    assert to_padding.min() < NEAREST, "padding does not repel distractors"
     assert not np.any(after.nodes.actuated[:, 3])
     assert np.all(after.nodes.candidate[:, 3:]), "its edges are candidates"
 
 
-def test_what_was_recorded_is_unchanged() -> None:
+def test_recorded_nodes_are_unchanged() -> None:
     before = windows(np.random.default_rng(1).normal(size=(4, 3, 2, 2)), [True, True])
     after = add_distractor(before, NEAREST, FARTHEST, jax.random.key(0))
     np.testing.assert_array_equal(after.position[:, :, :2], before.position)
@@ -63,8 +63,8 @@ def test_what_was_recorded_is_unchanged() -> None:
     np.testing.assert_array_equal(after.nodes.candidate[:, :1], before.nodes.candidate)
 
 
-def test_where_there_is_no_place_it_does_not_exist() -> None:
-    """A body sweeps a square so densely that only its rim leaves room."""
+def test_without_space_a_distractor_is_masked() -> None:
+    """A body sweeps a square so densely that only its rim is free."""
     line = 0.09 * np.arange(40)
     sweep = np.stack(np.meshgrid(line, line), axis=-1).reshape(1, -1, 1, 2)
     after = add_distractor(

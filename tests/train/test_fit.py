@@ -242,7 +242,7 @@ def test_a_file_of_ones_own_trains(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_a_short_training_learns(recorded: Path, fresh: Path, tmp_path: Path) -> None:
+def test_a_short_training_learns(recorded: Path, fresh: Path, tmp_path: Path) -> None:
     learned = tmp_path / "run"
     assert cli.run(["train", str(recorded), "--out", str(learned), "--steps", "800"]) == 0
     model = load_model(learned / "model.safetensors").model

@@ -25,7 +25,7 @@ class Graph(eqx.Module):
 
 
 class Still(eqx.Module):
-    """Predicts that nothing moves; its prior is 0.2, its belief 0.8, whatever happens."""
+    """Predicts that nothing moves; its prior is 0.2, its belief 0.8, always."""
 
     dt: float = DT
     control_size: int = 2

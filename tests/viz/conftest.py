@@ -4,7 +4,7 @@ from synthetic_pickup import pickup, report
 
 @pytest.fixture(scope="session")
 def run():
-    """A pickup past three bystanders."""
+    """A pickup past three distractors."""
     return pickup("3 distractors", 3, steps=60, horizon=5, seed=3)
 
 

@@ -43,7 +43,7 @@ def _plan(position, velocity, held, horizon, rng):
     return states
 
 
-def _bystanders(count, rng):
+def _resting_distractors(count, rng):
     places = []
     while len(places) < count:
         place = rng.uniform(-0.9, 0.9, 2)
@@ -63,7 +63,7 @@ def _distance_to_way(point, start, end):
 def pickup(name, distractors, steps=160, horizon=15, seed=0):
     rng = np.random.default_rng(seed)
     nodes = 2 + distractors
-    rest = _bystanders(distractors, rng)
+    rest = _resting_distractors(distractors, rng)
     pair, speed, held = np.stack([START, OBJECT]), np.zeros((2, 2)), False
     position, velocity, control, touch, plan = [], [], [], [], []
     noise = np.zeros(2)

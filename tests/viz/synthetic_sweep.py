@@ -38,7 +38,7 @@ def _arm(hand):
 
 
 def sweep_trajectory(distractors=2):
-    """Records the hand, the block it takes, and blocks that stand by."""
+    """Records the hand, the block it takes, and distractors."""
     hand = np.concatenate([_smooth(HAND, BLOCK, GRASP), _smooth(BLOCK, GOAL, STEPS - GRASP)[1:]])
     block = np.tile(BLOCK, (STEPS + 1, 1))
     block[GRASP:] = hand[GRASP:]

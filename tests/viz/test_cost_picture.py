@@ -43,7 +43,7 @@ def texts(figure: Figure, panel: int) -> list[str]:
     return [text.get_text() for text in figure.axes[panel].texts]
 
 
-def test_what_is_drawn_is_the_cost_over_the_mean_of_r() -> None:
+def test_the_cost_is_drawn_relative_to_the_mean_of_r() -> None:
     cost = a_cost()
     Q, W, R = shown(cost_figure(cost))
     assert np.allclose(Q, cost.Q / 4.0)
@@ -102,8 +102,8 @@ def test_more_nodes_make_a_larger_picture_and_long_names_are_shortened() -> None
     long = "a name that goes on and on, much too long for its block of the matrix"
     (shortened, _) = (text for text in texts(cost_figure(a_cost((long, "b"))), 0) if "…" in text)
     assert long.startswith(shortened[:-1]) and len(shortened) > 20
-    crowded = cost_figure(a_cost(("a", "b", "c"), dimension=3))
-    assert not any(text[-1:].isdigit() for text in texts(crowded, 0)), "no room for numbers"
+    small = cost_figure(a_cost(("a", "b", "c"), dimension=3))
+    assert not any(text[-1:].isdigit() for text in texts(small, 0)), "no space for numbers"
 
 
 def test_a_png_is_written_whole(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Scenes of three degrees of freedom: the same pictures, seen from aside."""
+"""Scenes of three degrees of freedom: the same pictures, from the side."""
 
 import base64
 import dataclasses
@@ -35,7 +35,7 @@ def corners(middle, size):
     return middle + 0.5 * np.array(list(itertools.product((-1, 1), repeat=3))) * size
 
 
-def test_the_plane_is_seen_as_it_is():
+def test_2d_scenes_are_not_distorted():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(5, 4, 2))
     view = projection_of(2)
@@ -45,7 +45,7 @@ def test_the_plane_is_seen_as_it_is():
     assert sorted(map(tuple, face)) == [(0.8, 1.9), (0.8, 2.1), (1.2, 1.9), (1.2, 2.1)]
 
 
-def test_space_is_seen_from_aside_and_upright():
+def test_3d_scenes_are_viewed_from_the_side_and_upright():
     view = projection_of(3)
     assert np.allclose(view.axes @ view.axes.T, np.eye(3))
     assert np.linalg.det(view.axes) == pytest.approx(1.0), "nothing is mirrored"
@@ -61,16 +61,16 @@ def test_faces_of_a_box_are_those_turned_to_the_eye():
     middle, size = np.array([0.3, -0.2, 0.1]), np.array([0.04, 0.06, 0.1])
     faces = view.box_faces(middle, size)
     shown = np.concatenate(faces)
-    seen = view(corners(middle, size))
+    visible = view(corners(middle, size))
     nearest = np.argmin(view.depth(corners(middle, size)))
-    assert all(np.abs(seen - point).sum(axis=1).min() < 1e-12 for point in shown)
-    hidden = [k for k, p in enumerate(seen) if np.abs(shown - p).sum(axis=1).min() > 1e-9]
+    assert all(np.abs(visible - point).sum(axis=1).min() < 1e-12 for point in shown)
+    hidden = [k for k, p in enumerate(visible) if np.abs(shown - p).sum(axis=1).min() > 1e-9]
     assert hidden == [nearest], "all corners but the farthest one"
     for axis, face in enumerate(faces):
         x, y = face.T
         area = 0.5 * abs(np.sum(x * np.roll(y, 1) - y * np.roll(x, 1)))
         assert area == pytest.approx(abs(view.axes[2, axis]) * np.prod(size) / size[axis])
-    assert np.allclose(view.half_extent(size), 0.5 * np.ptp(seen, axis=0))
+    assert np.allclose(view.half_extent(size), 0.5 * np.ptp(visible, axis=0))
 
 
 def test_the_ground_is_the_table_and_holds_everything(run):
@@ -108,11 +108,11 @@ def test_boxes_arm_and_goal_are_drawn_where_they_are(run):
     low, high = scene_limits(run)
     everything = [run.skeleton, corners(run.goal, 0.1), ground_of(run).corners()]
     everything += [corners(place, BLOCK_SIZE) for place in run.position[:, 1]]
-    seen = np.concatenate([run.projection(each).reshape(-1, 2) for each in everything])
-    assert (seen > low).all() and (seen < high).all()
+    visible = np.concatenate([run.projection(each).reshape(-1, 2) for each in everything])
+    assert (visible > low).all() and (visible < high).all()
 
 
-def test_what_is_near_covers_what_is_far_and_nothing_covers_the_hand(run):
+def test_near_bodies_cover_far_ones_and_none_covers_the_hand(run):
     axes = Figure().add_subplot()
     draw_scene(axes, run, 0)
     bodies = [p for p in axes.get_children() if isinstance(p, Polygon | Circle) and p.zorder == 3]

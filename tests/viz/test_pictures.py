@@ -69,19 +69,19 @@ def test_other_endings_and_missing_ffmpeg_are_the_users_to_mend(tmp_path, run, m
 
 
 def test_mp4_hands_every_frame_to_ffmpeg(tmp_path, run, monkeypatch):
-    seen = {}
+    drawn = {}
 
     def ffmpeg(command, input, **settings):
-        seen.update(command=command, size=len(input))
+        drawn.update(command=command, size=len(input))
         Path(command[-1]).write_bytes(b"film")
         return subprocess.CompletedProcess(command, 0, b"", b"")
 
     monkeypatch.setattr("shutil.which", lambda name: "/bin/ffmpeg")
     monkeypatch.setattr("subprocess.run", ffmpeg)
     write_animation(tmp_path / "run.mp4", shortened(run, 4))
-    width, height = map(int, seen["command"][seen["command"].index("-s") + 1].split("x"))
-    assert seen["size"] == 5 * width * height * 3
-    assert seen["command"][seen["command"].index("-r") + 1] == "20"
+    width, height = map(int, drawn["command"][drawn["command"].index("-s") + 1].split("x"))
+    assert drawn["size"] == 5 * width * height * 3
+    assert drawn["command"][drawn["command"].index("-r") + 1] == "20"
     assert (tmp_path / "run.mp4").read_bytes() == b"film"
 
 

@@ -89,7 +89,7 @@ def test_arrays_come_back_from_the_page(data, run):
     assert run.contact.any()
     np.testing.assert_array_equal(contact, run.contact)
     plan = first["plan"]
-    assert plan["nodes"] == [0, 1], "bystanders, which no plan moves, are left out"
+    assert plan["nodes"] == [0, 1], "distractors, which no plan moves, are left out"
     np.testing.assert_array_equal(
         floats(plan["position"], (steps, 6, 2, 2)), run.plan[:, :, :2].astype(np.float32)
     )

@@ -202,13 +202,13 @@ def test_loop_timing(robot: FrankaRobot) -> None:
 def test_contact_of_the_fingers(arm: SimulatedRobot, robot: FrankaRobot) -> None:
     place = np.array([0.45, 0.0, 0.08])
     robot.move_to(place, yaw=0.0, speed=0.5)
-    ahead, still, seen = np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1, bool)
+    ahead, still, observed = np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1, bool)
 
     def closed_on(seconds: float) -> list[float]:
         values = []
         until = arm.clock() + seconds
         while arm.clock() < until:
-            fingers.follow(ahead, still, seen)
+            fingers.follow(ahead, still, observed)
             values.append(fingers.contact())
             time.sleep(0.01)
         return values

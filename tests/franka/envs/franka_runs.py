@@ -1,4 +1,4 @@
-"""Runs of the arm of which every tick is noted, and worlds with the hand where a test wants it."""
+"""Recorded simulations of the arm, and worlds with a given hand position."""
 
 import mujoco
 import numpy as np
@@ -17,7 +17,7 @@ PADS = ("left_pad", "right_pad")
 
 
 class Watched:
-    """An `Impedance` that notes, at every tick, what the motors gave and where the joints are."""
+    """An `Impedance` that records torques and joint positions in every cycle."""
 
     def __init__(self, world):
         self._world, self._inner = world, world.impedance
@@ -39,7 +39,7 @@ class Watched:
 
 
 class WatchedTask(FrankaTask):
-    """The arm's task; `watched` is what its last run was like inside."""
+    """The arm's task; `watched` holds the internals of its last episode."""
 
     def begin(self, seed):
         scene, world = super().begin(seed)
@@ -61,8 +61,8 @@ def world_with_hand_at(point, yaw=0.7, block=(0.6, -0.3, 0.05), turned=0.0, gras
     return ArmWorld(joints, np.array([block]), np.array([turned]), DT, grasp)
 
 
-def tick(world, force, fingers=0.03):
-    """One millisecond with the fingers sent where the test wants them."""
+def step_once(world, force, fingers=0.03):
+    """One millisecond with the given finger command."""
     data = world.data
     data.ctrl[:7] = world.impedance(np.asarray(force, float))
     data.ctrl[7] = fingers

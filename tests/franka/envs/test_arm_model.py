@@ -1,9 +1,9 @@
-"""The arm itself: its kinematics, how it feels to a force, and what it does not go beyond."""
+"""The arm's kinematics, response to forces, and limits."""
 
 import mujoco
 import numpy as np
 import pytest
-from franka_runs import HIGH, LOW, TORQUE, Watched, push, tick, world_with_hand_at
+from franka_runs import HIGH, LOW, TORQUE, Watched, push, step_once, world_with_hand_at
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.envs.arm_model import inverse_kinematics
@@ -124,9 +124,9 @@ def test_a_force_from_outside_moves_the_hand_as_the_control_does():
     hand = world.model.body("hand").id
     outer, force = np.array([2.0, -5.0, -3.0]), np.array([1.0, 2.0, 4.0])
     world.data.xfrc_applied[hand, :3] = outer
-    # At the grasp point: a force at the hand's centre of mass, and the moment of its lever.
-    lever = world.position[0] - world.data.xipos[hand]
-    world.data.xfrc_applied[hand, 3:] = np.cross(lever, outer)
+    # At the grasp point: a force at the hand's centre of mass, and its moment.
+    offset = world.position[0] - world.data.xipos[hand]
+    world.data.xfrc_applied[hand, 3:] = np.cross(offset, outer)
     world.step(push(force))  # the observer takes a few ms to see it
     before = world.velocity[0]
     for _ in range(20):
@@ -158,7 +158,7 @@ def test_the_elbow_moves_home_without_the_hand():
     assert np.abs(world.data.qpos[:7] - home).max() > 0.15
     start = world.position[0]
     for _ in range(1500):
-        tick(world, [0.0, 0.0, 0.0])
+        step_once(world, [0.0, 0.0, 0.0])
         np.testing.assert_allclose(world.position[0], start, atol=5e-4)
     assert np.abs(world.data.qpos[:7] - home).max() < 0.05
     assert np.degrees(np.linalg.norm(world.impedance.turn)) < 0.2

@@ -1,9 +1,9 @@
-"""The grasp: when the fingers close, what holds the block, and when a contact is measured."""
+"""The grasp: closing of the fingers, friction, and measured contact."""
 
 import mujoco
 import numpy as np
 import pytest
-from franka_runs import WatchedTask, pads_touching, push, tick, world_with_hand_at
+from franka_runs import WatchedTask, pads_touching, push, step_once, world_with_hand_at
 
 from contactgraph.envs.episodes import run_episode
 from contactgraph_franka.envs.arm_world import (
@@ -60,7 +60,7 @@ def test_a_block_falls_as_the_fingers_open():
     lifted, hand = world.position[1, 2], world.position[0, 2]
     assert lifted > 0.07
     for _ in range(400):
-        tick(world, [0.0, 0.0, 0.0], fingers=0.04)
+        step_once(world, [0.0, 0.0, 0.0], fingers=0.04)
     assert not pads_touching(world)
     assert world.position[1, 2] < 0.06 < hand < world.position[0, 2]
 
@@ -77,7 +77,7 @@ def test_a_weld_keeps_the_pose_of_the_grasp():
     np.testing.assert_allclose(moved, place, atol=5e-4)
     np.testing.assert_allclose(rolled, turned, atol=5e-3)
     for _ in range(300):
-        tick(world, [0.0, 0.0, 0.0], fingers=0.04)
+        step_once(world, [0.0, 0.0, 0.0], fingers=0.04)
     np.testing.assert_allclose(in_hand(world)[0], place, atol=1e-3)
     np.testing.assert_array_equal(world.model.eq_data[weld], tie)
 
@@ -102,8 +102,8 @@ def test_the_hand_with_its_load_is_a_mass_of_both():
 def test_contact_is_that_of_the_pads(grasp):
     task = WatchedTask(1, grasp)
     run = run_episode(task, FrankaExpert(), 4)
-    ticks = [bool(pads_touching(task.world, pairs)) for pairs in task.watched.contacts]
-    touched = np.reshape(ticks, (400, 10)).any(axis=1).tolist()
+    touching = [bool(pads_touching(task.world, pairs)) for pairs in task.watched.contacts]
+    touched = np.reshape(touching, (400, 10)).any(axis=1).tolist()
     assert run.contact[1:, 0, 1].tolist() == touched
     assert not run.contact[:, :, 2].any() and not run.contact[0].any()
     # Once there it stays: the fingers do not bounce.

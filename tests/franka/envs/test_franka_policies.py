@@ -27,7 +27,7 @@ def positions(policy: Policy, seconds: float, seed: int = 3) -> np.ndarray:
     scene = pickup_scene(0.01, GOAL)
     policy.reset(scene, seed)
     hand, velocity, block = START.copy(), np.zeros(3), BLOCK.copy()
-    seen = []
+    observed = []
     for _ in range(round(seconds / 0.01)):
         observation = {
             "position": np.stack([hand, block]),
@@ -36,8 +36,8 @@ def positions(policy: Policy, seconds: float, seed: int = 3) -> np.ndarray:
         }
         velocity = velocity + policy(observation) / 4.0 * 0.01
         hand = hand + velocity * 0.01
-        seen.append(hand)
-    return np.stack(seen)
+        observed.append(hand)
+    return np.stack(observed)
 
 
 def test_a_path_goes_from_point_to_point_and_rests() -> None:
@@ -58,22 +58,24 @@ def test_a_path_goes_from_point_to_point_and_rests() -> None:
 
 
 def test_the_expert_visits_further_points_after_the_goal() -> None:
-    seen = positions(FrankaExpert(noise=0.0, further=[NEXT, LAST]), 10.0)
+    observed = positions(FrankaExpert(noise=0.0, further=[NEXT, LAST]), 10.0)
     for point in (BLOCK, GOAL, NEXT, LAST):
-        assert np.linalg.norm(seen - point, axis=1).min() < 0.02
-    np.testing.assert_allclose(seen[-1], LAST, atol=5e-3)
+        assert np.linalg.norm(observed - point, axis=1).min() < 0.02
+    np.testing.assert_allclose(observed[-1], LAST, atol=5e-3)
     # Without further points it stays at the goal.
     np.testing.assert_allclose(positions(FrankaExpert(noise=0.0), 10.0)[-1], GOAL, atol=5e-3)
 
 
 def test_free_space_excitation_visits_its_points_and_avoids_the_block() -> None:
-    seen = positions(free_space_excitation([NEXT, LAST], noise=0.0), 6.0)
+    observed = positions(free_space_excitation([NEXT, LAST], noise=0.0), 6.0)
     for point in (NEXT, LAST):
-        assert np.linalg.norm(seen - point, axis=1).min() < 0.01
-    assert np.linalg.norm(seen - BLOCK, axis=1).min() > 0.1
+        assert np.linalg.norm(observed - point, axis=1).min() < 0.01
+    assert np.linalg.norm(observed - BLOCK, axis=1).min() > 0.1
     # The path is continuous, so that the hand never hurries.
-    assert np.linalg.norm(np.diff(seen, axis=0), axis=1).max() / 0.01 < 0.45
-    assert not np.array_equal(seen, positions(free_space_excitation([NEXT, LAST], noise=0.5), 6.0))
+    assert np.linalg.norm(np.diff(observed, axis=0), axis=1).max() / 0.01 < 0.45
+    assert not np.array_equal(
+        observed, positions(free_space_excitation([NEXT, LAST], noise=0.5), 6.0)
+    )
 
 
 def test_free_space_excitation_needs_a_point() -> None:
@@ -83,9 +85,9 @@ def test_free_space_excitation_needs_a_point() -> None:
 
 def passes(policy: RecordingPolicy, seed: int) -> tuple[float, float]:
     """How near, m, the hand comes to the block, and its slowest speed, m/s, as it is there."""
-    seen = positions(policy, 10.0, seed)
-    distance = np.linalg.norm(seen - BLOCK, axis=1)
-    speed = np.linalg.norm(np.diff(seen, axis=0, prepend=START[None]), axis=1) / 0.01
+    observed = positions(policy, 10.0, seed)
+    distance = np.linalg.norm(observed - BLOCK, axis=1)
+    speed = np.linalg.norm(np.diff(observed, axis=0, prepend=START[None]), axis=1) / 0.01
     return float(distance.min()), float(speed[distance < 0.02].min(initial=np.inf))
 
 

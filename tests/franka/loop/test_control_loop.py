@@ -1,4 +1,4 @@
-"""The control loop goes on whatever the planner does, and stops by its limits."""
+"""The control loop continues under any planner fault and stops by its limits."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -200,8 +200,8 @@ def test_one_process_plans_several_episodes() -> None:
 
 @pytest.mark.slow
 def test_requested_stop() -> None:
-    ticks = itertools.count()
-    report, robot = live(busy, 30.0, asked=lambda: next(ticks) > 100)
+    cycles = itertools.count()
+    report, robot = live(busy, 30.0, asked=lambda: next(cycles) > 100)
     assert report.stop.reason is StopReason.ASKED and report.completed
     assert report.seconds < 20.0 and robot.braking
 

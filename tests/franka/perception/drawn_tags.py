@@ -1,4 +1,4 @@
-"""Pictures of tags without a renderer: seen straight on, to the pixel where they are said to be."""
+"""Frontal pictures of tags without a renderer, exact to the pixel."""
 
 import time
 

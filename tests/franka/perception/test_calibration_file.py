@@ -1,4 +1,4 @@
-"""A camera's calibration survives its file, and what is wrong with a file is named."""
+"""Round trip of calibration files, and error messages for invalid ones."""
 
 import json
 
@@ -38,14 +38,14 @@ def calibration(**change):
 
 
 def test_a_calibration_is_read_as_written(tmp_path):
-    for number, told in enumerate((calibration(), calibration(residuals=None, objects={}))):
+    for number, written in enumerate((calibration(), calibration(residuals=None, objects={}))):
         path = tmp_path / f"{number}.json"
-        write_calibration(path, told)
+        write_calibration(path, written)
         found = read_calibration(path)
-        assert found.intrinsics == told.intrinsics and found.residuals == told.residuals
-        assert found.made == MADE and list(found.objects) == list(told.objects)
-        np.testing.assert_array_equal(found.camera_pose, told.camera_pose)
-        for name, tagged in told.objects.items():
+        assert found.intrinsics == written.intrinsics and found.residuals == written.residuals
+        assert found.made == MADE and list(found.objects) == list(written.objects)
+        np.testing.assert_array_equal(found.camera_pose, written.camera_pose)
+        for name, tagged in written.objects.items():
             for one, other in zip(found.objects[name].tags, tagged.tags, strict=True):
                 assert (one.id, one.size) == (other.id, other.size)
                 np.testing.assert_array_equal(one.pose, other.pose)

@@ -1,4 +1,4 @@
-"""Calibration finds the camera it was simulated with, and refuses what cannot tell where it is."""
+"""Calibration recovers the simulated camera and rejects insufficient poses."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ MARKER = TaggedObject(
 
 def simulated(count, rng, spread=0.35, axes=(1.0, 1.0, 1.0), noise=0.0):
     """Poses of the hand, and how the camera sees the marker, in front of it."""
-    hands, seen = [], []
+    hands, views = [], []
     look = CAMERA @ pose(np.eye(3), np.array([0.0, 0.0, 0.9]))
     for _ in range(count):
         turn = rotation_of(rng.normal(0.0, spread, 3) * axes)
@@ -29,8 +29,8 @@ def simulated(count, rng, spread=0.35, axes=(1.0, 1.0, 1.0), noise=0.0):
         place = inverse(CAMERA) @ hands[-1] @ MARKER_POSE
         shake = rotation_of(rng.normal(0.0, 2.0 * noise, 3))
         place = pose(shake @ place[:3, :3], place[:3, 3] + rng.normal(0.0, noise, 3))
-        seen.append(ObjectPose(place, np.eye(6), (0, 1), 1.0, 16))
-    return np.array(hands), seen
+        views.append(ObjectPose(place, np.eye(6), (0, 1), 1.0, 16))
+    return np.array(hands), views
 
 
 def test_calibration_without_noise_is_exact():
@@ -46,37 +46,37 @@ def test_residuals_measure_the_noise_that_is_averaged():
     off = inverse(found.camera_pose) @ CAMERA
     assert np.linalg.norm(off[:3, 3]) < 2e-3
     assert np.linalg.norm(rotation_vector(off[:3, :3])) < 2e-3
-    told = found.residuals
-    assert 3e-4 < told.position < told.left_out < told.left_out_worst < 5e-3
-    assert 0.1 < told.pixel < 3.0
+    error = found.residuals
+    assert 3e-4 < error.position < error.left_out < error.left_out_worst < 5e-3
+    assert 0.1 < error.pixel < 3.0
 
 
 def test_one_picture_that_was_misread_does_not_spoil_the_others():
-    hands, seen = simulated(12, np.random.default_rng(2), noise=1e-4)
-    wrong = seen[3].pose @ pose(rotation_of(np.array([0.0, 0.5, 0.0])), np.zeros(3))
-    seen[3] = ObjectPose(wrong, np.eye(6), (0, 1), 1.0, 16)
-    found = calibrate(hands, seen, MARKER, LENS)
+    hands, views = simulated(12, np.random.default_rng(2), noise=1e-4)
+    wrong = views[3].pose @ pose(rotation_of(np.array([0.0, 0.5, 0.0])), np.zeros(3))
+    views[3] = ObjectPose(wrong, np.eye(6), (0, 1), 1.0, 16)
+    found = calibrate(hands, views, MARKER, LENS)
     assert np.linalg.norm(found.camera_pose[:3, 3] - CAMERA[:3, 3]) < 3e-3
     assert found.residuals.left_out_worst > 1e-3
 
 
 @pytest.mark.parametrize("axes", [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0)], ids=["none", "one"])
 def test_a_hand_that_turns_about_less_than_two_axes_is_refused(axes):
-    hands, seen = simulated(12, np.random.default_rng(3), axes=axes)
+    hands, views = simulated(12, np.random.default_rng(3), axes=axes)
     with pytest.raises(InvalidInputError) as error:
-        calibrate(hands, seen, MARKER, LENS)
+        calibrate(hands, views, MARKER, LENS)
     assert "needs turns of the hand about two axes: about the second one" in str(error.value)
     assert "0.0 degrees" in str(error.value) and "\n" not in str(error.value)
 
 
 def test_impossible_calibrations_are_refused():
-    hands, seen = simulated(8, np.random.default_rng(4))
+    hands, views = simulated(8, np.random.default_rng(4))
     with pytest.raises(InvalidInputError, match=r"at least 6 poses of the hand, found 5$"):
-        calibrate(hands[:5], seen[:5], MARKER, LENS)
+        calibrate(hands[:5], views[:5], MARKER, LENS)
     with pytest.raises(InvalidInputError, match=r"as many as sightings \(7\), found \(8, 4, 4\)$"):
-        calibrate(hands, seen[:7], MARKER, LENS)
+        calibrate(hands, views[:7], MARKER, LENS)
     with pytest.raises(InvalidInputError, match="hand pose 2 must be a rotation"):
-        calibrate(hands * np.where(np.arange(8) == 2, 2.0, 1.0)[:, None, None], seen, MARKER, LENS)
+        calibrate(hands * np.where(np.arange(8) == 2, 2.0, 1.0)[:, None, None], views, MARKER, LENS)
     others = TaggedObject((Tag(7, 0.05, np.eye(4)),))
     with pytest.raises(InvalidInputError, match="sighting 0 is of other tags than the marker's"):
-        calibrate(hands, seen, others, LENS)
+        calibrate(hands, views, others, LENS)

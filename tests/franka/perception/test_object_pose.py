@@ -35,7 +35,7 @@ def box():
     return TaggedObject(tuple(tags))
 
 
-def seen(tagged, place, lens, rng=None, noise=0.0):
+def detected(tagged, place, lens, rng=None, noise=0.0):
     """Detections of all tags, whether or not they face the camera."""
     found = []
     for tag in tagged.tags:
@@ -57,7 +57,7 @@ def test_exact_corners_give_the_exact_pose(tagged, lens):
     rng = np.random.default_rng(0)
     for _ in range(20):
         place = anywhere(rng)
-        best, *_ = object_poses(seen(tagged, place, lens), tagged, lens)
+        best, *_ = object_poses(detected(tagged, place, lens), tagged, lens)
         np.testing.assert_allclose(best.pose, place, atol=1e-6)
         assert best.tags == tuple(tagged.by_id) and best.error < 1e-3
 
@@ -67,7 +67,7 @@ def test_the_covariance_is_that_of_the_errors():
     distances = []
     for _ in range(150):
         place = anywhere(rng)
-        best, *_ = object_poses(seen(tagged, place, STRAIGHT, rng, 0.3), tagged, STRAIGHT, 0.3)
+        best, *_ = object_poses(detected(tagged, place, STRAIGHT, rng, 0.3), tagged, STRAIGHT, 0.3)
         turn = rotation_vector(place[:3, :3] @ best.pose[:3, :3].T)
         error = np.concatenate([turn, place[:3, 3] - best.pose[:3, 3]])
         distances.append(error @ np.linalg.solve(best.covariance, error))
@@ -79,7 +79,7 @@ def test_a_lone_tag_far_away_leaves_two_poses_and_one_is_right():
     tagged, rng, two = single_tag(7, 0.03), np.random.default_rng(2), 0
     for _ in range(30):
         place = pose(rotation_of(rng.normal(0.0, 0.3, 3)) @ DOWN, np.array([0.1, -0.1, 1.2]))
-        likely = object_poses(seen(tagged, place, STRAIGHT, rng, 0.15), tagged, STRAIGHT)
+        likely = object_poses(detected(tagged, place, STRAIGHT, rng, 0.15), tagged, STRAIGHT)
         two += len(likely) == 2
         apart = [
             np.linalg.norm(rotation_vector(place[:3, :3].T @ each.pose[:3, :3])) for each in likely
@@ -92,12 +92,12 @@ def test_tags_on_several_sides_leave_one_pose():
     tagged = box()
     for number in range(10):
         place = anywhere(np.random.default_rng(number))
-        assert len(object_poses(seen(tagged, place, STRAIGHT), tagged, STRAIGHT)) == 1
+        assert len(object_poses(detected(tagged, place, STRAIGHT), tagged, STRAIGHT)) == 1
 
 
 def test_one_corner_that_is_far_off_hardly_counts():
     tagged, place = box(), anywhere(np.random.default_rng(3))
-    detections = seen(tagged, place, STRAIGHT)
+    detections = detected(tagged, place, STRAIGHT)
     detections[1].corners[2] += (6.0, -4.0)
     best, *_ = object_poses(detections, tagged, STRAIGHT)
     assert np.linalg.norm(best.pose[:3, 3] - place[:3, 3]) < 2e-3
@@ -107,7 +107,9 @@ def test_one_corner_that_is_far_off_hardly_counts():
 def test_tags_of_others_are_none_of_its_own():
     assert (
         object_poses(
-            seen(single_tag(9, 0.05), anywhere(np.random.default_rng(0)), STRAIGHT), box(), STRAIGHT
+            detected(single_tag(9, 0.05), anywhere(np.random.default_rng(0)), STRAIGHT),
+            box(),
+            STRAIGHT,
         )
         == []
     )
@@ -124,7 +126,7 @@ def plane_depth(tagged, place, shape):
 def test_depth_moves_the_pose_by_as_much_as_it_is_surer():
     tagged, rng = single_tag(7, 0.04), np.random.default_rng(4)
     place = pose(rotation_of(np.array([0.4, -0.3, 0.1])) @ DOWN, np.array([0.05, 0.0, 1.0]))
-    best, *_ = object_poses(seen(tagged, place, STRAIGHT), tagged, STRAIGHT)
+    best, *_ = object_poses(detected(tagged, place, STRAIGHT), tagged, STRAIGHT)
     wrong = pose(best.pose[:3, :3], best.pose[:3, 3] + [0.0, 0.0, 0.01])
     off = type(best)(wrong, best.covariance, best.tags, best.error, best.explained)
     depth = plane_depth(tagged, place, (720, 1280))
@@ -140,7 +142,7 @@ def test_depth_moves_the_pose_by_as_much_as_it_is_surer():
 def test_depth_of_something_else_or_none_changes_nothing():
     tagged = single_tag(7, 0.04)
     place = pose(DOWN, np.array([0.0, 0.0, 1.0]))
-    best, *_ = object_poses(seen(tagged, place, STRAIGHT), tagged, STRAIGHT)
+    best, *_ = object_poses(detected(tagged, place, STRAIGHT), tagged, STRAIGHT)
     for depth in (0.0, np.nan, 0.5):
         assert with_depth(best, np.full((720, 1280), depth, np.float32), tagged, STRAIGHT) is best
 

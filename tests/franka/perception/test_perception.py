@@ -34,13 +34,13 @@ def expected(column):
 
 
 def test_the_position_of_a_drawn_tag_is_exact():
-    seen = ObjectDetector(calibration()).detect(CameraFrame(drawn([(3, 100, 80)]), None, 5.0))
-    np.testing.assert_allclose(seen["block"].position, expected(100), atol=3e-4)
-    assert seen["block"].tags == (3,) and seen["block"].time == 5.0
+    detected = ObjectDetector(calibration()).detect(CameraFrame(drawn([(3, 100, 80)]), None, 5.0))
+    np.testing.assert_allclose(detected["block"].position, expected(100), atol=3e-4)
+    assert detected["block"].tags == (3,) and detected["block"].time == 5.0
     # It faces the camera, upright.
-    np.testing.assert_allclose(seen["block"].pose[:3, 2], [1.0, 0.0, 0.0], atol=0.02)
-    np.testing.assert_allclose(seen["block"].pose[:3, 1], [0.0, 0.0, 1.0], atol=0.02)
-    spread = np.sqrt(np.diag(seen["block"].covariance))
+    np.testing.assert_allclose(detected["block"].pose[:3, 2], [1.0, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(detected["block"].pose[:3, 1], [0.0, 0.0, 1.0], atol=0.02)
+    spread = np.sqrt(np.diag(detected["block"].covariance))
     assert (spread < 2e-3).all() and spread[0] == spread.max()
 
 
@@ -66,9 +66,9 @@ def test_each_frame_with_the_object_gives_one_measurement():
     shared = SharedMeasurements(1, multiprocessing.get_context("spawn"))
     loop = DetectionLoop(Frames([at[0], empty, at[1]]), calibration(), shared)
     assert [loop.step() for _ in range(4)] == [True] * 3 + [False]
-    seen = shared.since(0)
-    assert [each.time for each in seen] == [0.0, 0.02]
-    for each in seen:
+    detected = shared.since(0)
+    assert [each.time for each in detected] == [0.0, 0.02]
+    for each in detected:
         np.testing.assert_allclose(each.position, expected(100), atol=3e-4)
 
 
@@ -84,13 +84,13 @@ def test_measurements_are_stored_by_object():
 @pytest.mark.slow
 def test_a_process_measures_position_and_velocity():
     with Perception(SlidingTag, calibration()) as seeing:
-        seen, frames = TrackedObjects(seeing, ("block",)), 0
+        detected, frames = TrackedObjects(seeing, ("block",)), 0
         until = time.monotonic() + 20.0
         while time.monotonic() < until:
             seeing.check()
             now = time.monotonic()
-            (estimate,) = seen.estimates(now)
-            frames = len(seen.tracks[1].states)
+            (estimate,) = detected.estimates(now)
+            frames = len(detected.tracks[1].states)
             if frames > 12 and estimate.tracked:
                 break
             time.sleep(0.005)
@@ -130,11 +130,11 @@ def no_camera():
 def test_mistakes_of_the_user_are_invalid_input():
     with pytest.raises(InvalidInputError, match=r"^no camera is attached$"):
         Perception(no_camera, calibration()).start()
-    told = calibration()
+    first = calibration()
     with pytest.raises(InvalidInputError, match="names no objects"):
-        Perception(SlidingTag, CameraCalibration(LENS, CAMERA, {}, told.made))
+        Perception(SlidingTag, CameraCalibration(LENS, CAMERA, {}, first.made))
     larger = type(LENS)(300.0, 300.0, 319.5, 239.5, 640, 480)
-    other = CameraCalibration(larger, CAMERA, told.objects, told.made)
+    other = CameraCalibration(larger, CAMERA, first.objects, first.made)
     with pytest.raises(InvalidInputError, match="gives 320 x 240 px, but was calibrated at 640 x"):
         Perception(SlidingTag, other).start()
 

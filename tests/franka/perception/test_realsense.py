@@ -125,10 +125,10 @@ def test_an_inverse_distortion_is_inverted():
     camera = RealSenseCamera(width=WIDTH, height=HEIGHT, device=device.device)
     lens = device.colour_profile.as_video_stream_profile().get_intrinsics()
     for pixel in ([0.0, 0.0], [160.0, 119.0], [300.0, 200.0], [20.0, 220.0]):
-        told = rs.rs2_deproject_pixel_to_point(lens, pixel, 1.0)
+        expected = rs.rs2_deproject_pixel_to_point(lens, pixel, 1.0)
         ours = camera.intrinsics.rays(np.array(pixel))
         # A hundredth of a pixel.
-        np.testing.assert_allclose(ours, told[:2], atol=0.01 / 300)
+        np.testing.assert_allclose(ours, expected[:2], atol=0.01 / 300)
     camera.close()
 
 

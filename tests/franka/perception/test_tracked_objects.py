@@ -1,4 +1,4 @@
-"""Objects that a camera sees late, and a hand takes along."""
+"""Objects with delayed camera measurements, carried by a hand."""
 
 import numpy as np
 import pytest
@@ -8,19 +8,19 @@ from contactgraph_franka.perception.tracked_objects import GraspOffsetHistory, T
 from contactgraph_franka.recording import smooth_track
 
 RATE, DELAY, NOISE = 30.0, 0.055, 0.001
-GRASPED, TOLD = 1.0, 1.035
-"""s: when fingers hold the block, and when they tell."""
+GRASPED, REPORTED = 1.0, 1.035
+"""s: the times of the grasp and of its report."""
 
 
 class Frames:
-    """The newest sighting by name."""
+    """The newest measurement by name."""
 
     def __init__(self) -> None:
-        self.told: dict[str, PositionMeasurement] = {}
+        self.measurements: dict[str, PositionMeasurement] = {}
 
     def since(self, name: str, after: float) -> list[PositionMeasurement]:
-        seen = self.told.get(name)
-        return [seen] if seen is not None and seen.time > after else []
+        objects = self.measurements.get(name)
+        return [objects] if objects is not None and objects.time > after else []
 
 
 def hand(time: float) -> tuple[np.ndarray, np.ndarray]:
@@ -47,9 +47,9 @@ def block(time: float) -> tuple[np.ndarray, np.ndarray]:
 def lived(
     hold: bool, hidden: tuple[float, float] = (9.0, 9.0), seed: int = 0
 ) -> tuple[TrackedObjects, list[tuple[float, float, bool]]]:
-    """What is tracked over 2 s, and how far off [m, m/s] and whether tracked, by ticks."""
+    """Tracks over 2 s: errors [m, m/s] and validity of each cycle."""
     source, random = Frames(), np.random.default_rng(seed)
-    seen = TrackedObjects(source, ("block",))
+    objects = TrackedObjects(source, ("block",))
     waiting: list[PositionMeasurement] = []
     exposed, found = 0.0, []
     for now in np.arange(0.0, 2.0, 0.001):
@@ -59,13 +59,13 @@ def lived(
                 waiting.append(PositionMeasurement(there, NOISE**2 * np.eye(3), now))
             exposed += 1.0 / RATE
         if waiting and now >= waiting[0].time + DELAY:
-            source.told["block"] = waiting.pop(0)
-        seen.follow(*hand(now), now, 0, float(hold and now >= TOLD))
-        (estimate,) = seen.estimates(now)
+            source.measurements["block"] = waiting.pop(0)
+        objects.follow(*hand(now), now, 0, float(hold and now >= REPORTED))
+        (estimate,) = objects.estimates(now)
         place, speed = block(now)
         off = np.linalg.norm(estimate.position - place), np.linalg.norm(estimate.velocity - speed)
         found.append((float(off[0]), float(off[1]), estimate.tracked))
-    return seen, found
+    return objects, found
 
 
 def test_a_grasped_object_follows_the_hand_despite_late_frames() -> None:
@@ -93,9 +93,9 @@ def test_an_object_hidden_for_long_is_lost_although_grasped() -> None:
 
 
 def test_smoothing_follows_the_carrier() -> None:
-    seen, _ = lived(hold=True)
+    objects, _ = lived(hold=True)
     at = np.arange(0.2, 1.9, 0.001)
-    position, velocity = smooth_track(seen.tracks[1], at)
+    position, velocity = smooth_track(objects.tracks[1], at)
     truth = [block(time) for time in at]
     error = np.linalg.norm(position - [each[0] for each in truth], axis=1)
     late = np.linalg.norm(velocity - [each[1] for each in truth], axis=1)
@@ -107,41 +107,41 @@ def test_smoothing_follows_the_carrier() -> None:
 
 def test_a_false_report_of_a_grasp_does_not_move_the_object() -> None:
     source = Frames()
-    seen = TrackedObjects(source, ("block",))
+    objects = TrackedObjects(source, ("block",))
     place = np.array([0.5, 0.0, 0.05])
-    for tick in range(1500):
-        now = 0.001 * tick
-        if tick % 33 == 0:
-            source.told["block"] = PositionMeasurement(place, 1e-6 * np.eye(3), now)
+    for cycle in range(1500):
+        now = 0.001 * cycle
+        if cycle % 33 == 0:
+            source.measurements["block"] = PositionMeasurement(place, 1e-6 * np.eye(3), now)
         gone = np.array([0.3 * max(0.0, now - 0.5), 0.0, 0.0])
-        seen.follow(gone, np.array([0.3, 0.0, 0.0]), now, 0, float(now > 0.5))
-        (estimate,) = seen.estimates(now)
+        objects.follow(gone, np.array([0.3, 0.0, 0.0]), now, 0, float(now > 0.5))
+        (estimate,) = objects.estimates(now)
         if now > 0.8:
             np.testing.assert_allclose(estimate.position, place, atol=0.012)
 
 
 def test_estimates_are_in_the_order_of_nodes_and_are_kept() -> None:
     source = Frames()
-    seen = TrackedObjects(source, ("block", "other"))
-    assert [one.tracked for one in seen.estimates(0.0)] == [False, False]
+    objects = TrackedObjects(source, ("block", "other"))
+    assert [one.tracked for one in objects.estimates(0.0)] == [False, False]
     for time in (0.1, 0.2):
-        source.told["block"] = PositionMeasurement(np.full(3, time), 1e-6 * np.eye(3), time)
+        source.measurements["block"] = PositionMeasurement(np.full(3, time), 1e-6 * np.eye(3), time)
         for _ in range(3):
-            estimates = seen.estimates(time)
+            estimates = objects.estimates(time)
         assert [one.tracked for one in estimates] == [True, False]
-    assert [state.time for state in seen.tracks[1].states] == [0.1, 0.2]
-    assert not seen.tracks[2].states
-    seen.begin()
-    assert not seen.tracks[1].states
+    assert [state.time for state in objects.tracks[1].states] == [0.1, 0.2]
+    assert not objects.tracks[2].states
+    objects.begin()
+    assert not objects.tracks[1].states
 
 
 def test_a_grasp_is_dated_back_by_the_delay_of_the_fingers() -> None:
     path = GraspOffsetHistory(2)
-    for tick in range(200):
-        hand_at = np.array([0.001 * tick, 0.0, 0.0])
-        held = 1 if 100 <= tick < 150 else None
-        path.append(hand_at, np.array([1.0, 0.0, 0.0]), 0.001 * tick, held)
-    # Told at 0.1 s, held for 0.035 s by then; let go at 0.15 s.
+    for cycle in range(200):
+        hand_at = np.array([0.001 * cycle, 0.0, 0.0])
+        held = 1 if 100 <= cycle < 150 else None
+        path.append(hand_at, np.array([1.0, 0.0, 0.0]), 0.001 * cycle, held)
+    # Reported at 0.1 s, 0.035 s after the grasp; released at 0.15 s.
     np.testing.assert_allclose(path.displacement(1, 0.12), [0.12 - 0.065, 0.0, 0.0], atol=2.1e-3)
     np.testing.assert_allclose(path.displacement(1, 5.0), [0.15 - 0.065, 0.0, 0.0], atol=2.1e-3)
     np.testing.assert_array_equal(path.displacement(0, 5.0), np.zeros(3))
@@ -164,6 +164,6 @@ def test_a_pause_between_notes_carries_nothing() -> None:
 
 def test_a_path_grows() -> None:
     path = GraspOffsetHistory(1)
-    for tick in range(70_000):
-        path.append(np.array([1e-6 * tick, 0.0, 0.0]), np.zeros(3), 0.001 * tick, 0)
+    for cycle in range(70_000):
+        path.append(np.array([1e-6 * cycle, 0.0, 0.0]), np.zeros(3), 0.001 * cycle, 0)
     assert path.displacement(0, 99.0)[0] == pytest.approx(0.069999)

@@ -1,4 +1,4 @@
-"""Known answers of the tracker: motion, delay, lost, wrong and doubled frames, blows."""
+"""Known answers of the tracker: motion, delay, lost, wrong and doubled frames, impulses."""
 
 from dataclasses import replace
 
@@ -127,7 +127,7 @@ def test_a_blow_is_followed_within_two_frames():
     def struck(time):
         return np.array([0.5 * max(0.0, time - 0.71), 0.0, 0.0])
 
-    assert watched(tracker, struck, range(24)) == 24  # one frame, 0.057 s, after the blow
+    assert watched(tracker, struck, range(24)) == 24  # one frame, 0.057 s, after the impulse
     estimate = tracker.estimate(24 / RATE)
     np.testing.assert_allclose(estimate.velocity, [0.5, 0.0, 0.0], atol=0.1)
     np.testing.assert_allclose(estimate.position, struck(24 / RATE), atol=5e-3)
@@ -164,7 +164,7 @@ def test_the_predicted_covariance_is_the_textbooks():
 
 
 def test_a_block_that_was_just_struck_is_not_lost():
-    """Frames come every 0.033 s and are told 0.04 s later: what was struck is 0.07 s ahead."""
+    """Frames come every 0.033 s with 0.04 s delay: an impact shows 0.07 s late."""
     tracker = ObjectTracker()
     for frame in range(10):
         tracker.measure(
@@ -178,12 +178,12 @@ def test_a_block_that_was_just_struck_is_not_lost():
 def test_a_grasped_object_has_no_impacts_and_ignores_a_wrong_tilt():
     free, held = ObjectTracker(), ObjectTracker()
     for frame in range(40):
-        seen = np.zeros(3)
+        observed = np.zeros(3)
         if frame in (20, 21, 22, 30):
-            seen = np.array([0.028, 0.0, 0.028])  # as a lone tag that leans to the other side
-        free.measure(seen, 1e-6 * np.eye(3), frame / 30.0)
-        counts = held.measure(seen, 1e-6 * np.eye(3), frame / 30.0, GRASPED)
-        assert counts == (not seen.any())
+            observed = np.array([0.028, 0.0, 0.028])  # as a lone tag that leans to the other side
+        free.measure(observed, 1e-6 * np.eye(3), frame / 30.0)
+        counts = held.measure(observed, 1e-6 * np.eye(3), frame / 30.0, GRASPED)
+        assert counts == (not observed.any())
         if frame == 22:
             assert np.linalg.norm(free.estimate(frame / 30.0 + 0.05).position) > 0.02
     estimate = held.estimate(40 / 30.0)

@@ -1,4 +1,4 @@
-"""What holds of a RealSense where its library is missing or cannot be loaded; and its clock."""
+"""RealSense without a loadable library, and its clock."""
 
 import sys
 
@@ -42,8 +42,8 @@ def test_the_error_names_the_extra_if_nothing_can_be_loaded(broken, monkeypatch)
 def test_a_devices_clock_is_set_by_its_quickest_frame():
     now = 0.0
     clock = FrameClock(lambda: now)
-    told = []
+    delays = []
     for number, way in enumerate((0.030, 0.021, 0.055, 0.020)):
         now = 100.0 + number / 30.0 + way
-        told.append(clock.from_device(7.0 + number / 30.0) - 100.0 - number / 30.0)
-    np.testing.assert_allclose(told, [0.030, 0.021, 0.021, 0.020], atol=1e-9)
+        delays.append(clock.from_device(7.0 + number / 30.0) - 100.0 - number / 30.0)
+    np.testing.assert_allclose(delays, [0.030, 0.021, 0.021, 0.020], atol=1e-9)

@@ -25,7 +25,7 @@ def scene() -> Iterator[ArmScene]:
         yield scene
 
 
-def seen(scene: ArmScene) -> np.void:
+def observed(scene: ArmScene) -> np.void:
     fields = ground_truth_fields(len(scene.blocks), scene.model.nq)
     row = np.zeros(1, np.dtype(fields))[0]
     StateRecorder(scene).fill(row, 0, 0.0)
@@ -44,11 +44,11 @@ def go(scene: ArmScene, start: np.ndarray, end: np.ndarray, seconds: float) -> N
 
 @pytest.mark.slow
 def test_an_arm_without_torques_floats(scene: ArmScene) -> None:
-    before = seen(scene)["position"].copy()
+    before = observed(scene)["position"].copy()
     for _ in range(2000):
         scene.robot.torque_control(np.zeros(7))
         scene.step()
-    after = seen(scene)
+    after = observed(scene)
     assert np.abs(after["position"][0] - before[0]).max() < 1e-3
     np.testing.assert_allclose(after["position"][0], [0.45, 0.0, 0.3], atol=1e-3)
     assert after["standing"][0] and not after["fingers"].any()
@@ -76,27 +76,27 @@ def test_a_grasped_block_stays_in_hand_under_3_m_s2(scene: ArmScene) -> None:
     scene.place_block(0, at, 0.0)
     scene.robot.set_hand_goal(0.08, 0.05, 70.0)
     go(scene, np.array([0.45, 0.0, 0.3]), at, 1.5)
-    assert not seen(scene)["fingers"].any()
+    assert not observed(scene)["fingers"].any()
     scene.robot.set_hand_goal(0.0, 0.05, 40.0)
     for _ in range(600):
         hold(scene, at)
-    grasped = seen(scene)
+    grasped = observed(scene)
     assert grasped["fingers"].all() and grasped["width"] == pytest.approx(0.04, abs=2e-4)
     offset = grasped["position"][1] - grasped["position"][0]
     hardest = 0.0
     for direction in ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]):
         begin, velocity = at, scene.data.qvel[9:12].copy()
-        for tick in range(500):
-            time = min(tick * CONTROL_PERIOD, 0.3)
+        for cycle in range(500):
+            time = min(cycle * CONTROL_PERIOD, 0.3)
             # Half of the time 3 m/s^2, the other half as much backwards.
             way = 1.5 * time**2 if time < 0.15 else 0.0675 - 1.5 * (0.3 - time) ** 2
             at = begin + way * np.array(direction)
             hold(scene, at)
-            if tick % 20 == 19:
+            if cycle % 20 == 19:
                 change = np.linalg.norm(scene.data.qvel[9:12] - velocity)
                 hardest = max(hardest, float(change) / 0.02)
                 velocity = scene.data.qvel[9:12].copy()
-    lifted = seen(scene)
+    lifted = observed(scene)
     assert hardest > 3.0
     assert lifted["fingers"].all() and not lifted["standing"][0]
     assert np.linalg.norm(lifted["position"][1] - lifted["position"][0] - offset) < 5e-4
@@ -108,7 +108,7 @@ def test_a_placed_block_is_at_rest(scene: ArmScene) -> None:
     for _ in range(300):
         scene.robot.torque_control(np.zeros(7))
         scene.step()
-    row = seen(scene)
+    row = observed(scene)
     np.testing.assert_allclose(row["position"][1], [0.6, 0.2, 0.05], atol=2e-4)
     np.testing.assert_allclose(row["turn"][1], [np.cos(0.25), 0, 0, np.sin(0.25)], atol=1e-3)
     assert np.abs(row["velocity"][1]).max() < 1e-3

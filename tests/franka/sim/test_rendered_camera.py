@@ -126,11 +126,11 @@ def errors(images, depths=None):
     found = []
     for number, (image, place) in enumerate(zip(images, POSES, strict=True)):
         frame = CameraFrame(image, None if depths is None else depths[number], 0.5)
-        seen = estimate_pose(frame, TagDetector([range(9)]).detect(image), BLOCK, LENS)
-        if seen is None:
+        detected = estimate_pose(frame, TagDetector([range(9)]).detect(image), BLOCK, LENS)
+        if detected is None:
             found.append((np.nan, np.nan))
             continue
-        apart = inverse(place) @ CAMERA @ seen.pose
+        apart = inverse(place) @ CAMERA @ detected.pose
         angle = np.arccos(np.clip((np.trace(apart[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
         found.append((np.linalg.norm(apart[:3, 3]), angle))
     return np.array(found)
@@ -154,9 +154,9 @@ def test_depth_does_not_harm(frames):
 @pytest.mark.slow
 def test_a_block_between_fingers_is_detected_by_its_free_tags(frames):
     off = errors(frames["held"])
-    seen = np.isfinite(off[:, 0])
-    assert seen.mean() > 0.7
-    assert np.median(off[seen, 0]) < 1e-3 and off[seen, 0].max() < 0.01
+    detected = np.isfinite(off[:, 0])
+    assert detected.mean() > 0.7
+    assert np.median(off[detected, 0]) < 1e-3 and off[detected, 0].max() < 0.01
 
 
 @pytest.mark.slow

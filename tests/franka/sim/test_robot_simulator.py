@@ -29,7 +29,7 @@ def test_the_simulation_keeps_to_the_clock(running: SimulatedRobot) -> None:
     rows = running.ground_truth.since(int(first["number"]))
     assert np.array_equal(np.diff(rows["number"]), np.ones(len(rows) - 1))
     assert running.clock() - rows["stamp"][-1] < 0.02
-    # Simulated seconds and those of the clock are as long; a busy machine may drop a few ticks.
+    # Simulated seconds and those of the clock are as long; a busy machine may drop a few cycles.
     span = rows[-1]["stamp"] - rows[0]["stamp"]
     assert rows[-1]["time"] - rows[0]["time"] == pytest.approx(span, rel=0.1)
     assert running.rate > 250 / PACE

@@ -90,10 +90,10 @@ def check_frames(running: SimulatedRobot, settings: CameraSettings) -> None:
         assert now - frame.time >= settings.delay
     last = frames[-1][0]
     calibration = running.calibration()
-    seen = ObjectDetector(calibration).detect(last)["block"]
+    observed = ObjectDetector(calibration).detect(last)["block"]
     there = running.ground_truth.between(last.time - 1e-6, last.time + 1e-6)
     assert len(there) == 1
-    error = seen.position - there[0]["position"][1]
+    error = observed.position - there[0]["position"][1]
     assert np.linalg.norm(error) < 3e-3
     mistaken = running.calibration(shift=[0.01, 0.0, 0.0], turn=[0.0, 0.0, 0.02])
     off = mistaken.camera_pose[:3, 3] - calibration.camera_pose[:3, 3]
