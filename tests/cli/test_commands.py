@@ -56,7 +56,7 @@ def done(*arguments: object) -> None:
 def test_the_real_entry_point() -> None:
     command = [sys.executable, "-m", "contactgraph"]
     finished = subprocess.run([*command, "--version"], capture_output=True, text=True)
-    assert (finished.returncode, counts.stderr) == (0, "")
+    assert (finished.returncode, finished.stderr) == (0, "")
     assert finished.stdout == f"contactgraph {version('contactgraph')}\n"
     mistake = subprocess.run([*command, "trian"], capture_output=True, text=True)
     assert mistake.returncode == 2
