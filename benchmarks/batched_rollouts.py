@@ -3,8 +3,8 @@
 Usage: python benchmarks/batched_rollouts.py [--quick] [--json FILE]
 
 200 steps from crowds of one density, beginning with the first belief. Side by side is one call:
-`jax.lax.map` over the scenes, so many at a time (the chunk) by `vmap`. One alone is a call for one
-scene; the ratio is that of all scenes one after the other to all in one call. Medians of
+`jax.lax.map` over chunks of scenes under `vmap`. One alone is a call for one scene; the ratio is
+that of all scenes one after the other to all in one call. Medians of
 interleaved calls, milliseconds. The difference is that of the first scene's positions.
 """
 

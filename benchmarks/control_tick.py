@@ -2,15 +2,14 @@
 
 Usage: python benchmarks/control_tick.py [--quick] [--json FILE]
 
-Whole episodes of the pickup task, planned 20 steps ahead, and of the arm's, planned 50 (half a
-second) ahead, with the shipped models; the arm's need the extra ``mujoco``. Compilation happens in
-`ActiveSetMPC.reset`; it is timed and counted apart, and a tick that compiled would show in the last
-column. Ticks are made `pin_to_core`.
+Whole episodes of the pickup task (horizon 20) and of the arm's (horizon 50, half a second), with
+the shipped models; the arm's need the extra ``mujoco``. `ActiveSetMPC.reset` compiles; that time and
+count are separate, and compilations during control steps appear in the last column. Control steps
+run under `pin_to_core`.
 
-The rows named "bystanders" are pickups with as many nodes as the row says, of which all but two
-stand off the ways, no less dense than the task's own. Each of their ticks is made for every number
-of nodes, one after the other, so that ratios are of the same moment of the same motion, with the
-machine in the same mood; ``differs`` is by how much a force differs from that with two nodes.
+The rows "bystanders" are pickups with distractors away from the paths, as dense as the task's own.
+Each control step is computed for every number of nodes in turn, so that ratios compare the same
+state under the same load; ``differs`` is the largest difference of a force from the first row's.
 """
 
 import time
@@ -38,60 +37,60 @@ from contactgraph.model import ContactDynamics, Nodes, load_model, scene_nodes, 
 
 Row = dict[str, float | int | str]
 DENSITY = 5.0
-"""Bystanders a square metre: 20 in the task's square of 2 m."""
+"""Distractors per square metre: 20 in the task's square of 2 m."""
 
 
 def controller(model: ContactDynamics, task: GripperTask, horizon: int) -> ActiveSetMPC:
-    """With at most five rollouts a tick."""
+    """A controller with at most five rollouts per control step."""
     limits = ControlLimits(jnp.asarray(task.action_space.low), jnp.asarray(task.action_space.high))
     return ActiveSetMPC(model, ILQR(horizon=horizon, iterations=5, limits=limits))
 
 
 def cost_of(task: GripperTask, goal: np.ndarray, nodes: int) -> QuadraticCost:
-    """The task's own, in a scene of so many nodes."""
+    """The task's cost in a scene of ``nodes`` nodes."""
     terms, control_size = task.cost_terms(), len(task.action_space.low)
     weights = terms.pick_weights, terms.goal_weights, terms.control_weight
     return chain_cost(terms.chain, *weights, goal, nodes, control_size)
 
 
 @dataclass
-class Ticks:
-    """What is measured of a controller in one kind of scene."""
+class StepTimes:
+    """Measurements of a controller in one type of scene."""
 
     mpc: ActiveSetMPC
-    heard: Compilations
+    compilations: Compilations
     milliseconds: list[float] = field(default_factory=list)
-    in_play: list[int] = field(default_factory=list)
+    active_nodes: list[int] = field(default_factory=list)
     compile_s: float = 0.0
     at_reset: int = 0
-    in_ticks: int = 0
+    in_steps: int = 0
 
     def reset(self, observation: dict, nodes: Nodes, cost: QuadraticCost) -> MPCState:
-        """The first one compiles."""
-        before, began = self.heard.count, time.perf_counter()
+        """Resets the controller; the first call compiles."""
+        before, began = self.compilations.count, time.perf_counter()
         state = self.mpc.reset(observation, nodes, cost)
         if not self.milliseconds:
             self.compile_s = time.perf_counter() - began
-            self.at_reset = self.heard.count - before
+            self.at_reset = self.compilations.count - before
         return state
 
     def step(self, observation: dict, state: MPCState) -> tuple[np.ndarray, MPCState]:
         """The force, N, and the state after it."""
-        before, began = self.heard.count, time.perf_counter()
+        before, began = self.compilations.count, time.perf_counter()
         plan, state = self.mpc.step(observation, observation["contact"], state)
         force = np.asarray(plan.controls)[0]  # waits for the plan
         self.milliseconds.append(1e3 * (time.perf_counter() - began))
-        self.in_play.append(int(np.sum(np.asarray(plan.node_ids) >= 0)))
-        self.in_ticks += self.heard.count - before
+        self.active_nodes.append(int(np.sum(np.asarray(plan.node_ids) >= 0)))
+        self.in_steps += self.compilations.count - before
         return force, state
 
     def row(self, name: str, nodes: int, times: float, differs: float | str) -> Row:
-        """As a row of the table."""
+        """A row of the table."""
         p50, p99, p999 = np.percentile(self.milliseconds, [50, 99, 99.9])
         return {
             "task": name,
             "nodes": nodes,
-            "in play": float(np.mean(self.in_play)),
+            "in play": float(np.mean(self.active_nodes)),
             "ticks": len(self.milliseconds),
             "p50 ms": float(p50),
             "p99 ms": float(p99),
@@ -100,7 +99,7 @@ class Ticks:
             "differs N": differs,
             "compile s": self.compile_s,
             "compilations": self.at_reset,
-            "in ticks": self.in_ticks,
+            "in ticks": self.in_steps,
         }
 
 
@@ -109,43 +108,43 @@ def of_task(
     tasks: list[GripperTask],
     horizon: int,
     episodes: int,
-    heard: Compilations,
+    compilations: Compilations,
 ) -> list[Row]:
-    """A row a task, over several episodes, each with another layout and goal."""
+    """One row per task, over several episodes, each with another layout and goal."""
     rows: list[Row] = []
     least = 0.0
     for task in tasks:
-        ticks = Ticks(controller(model, task, horizon), heard)
+        times = StepTimes(controller(model, task, horizon), compilations)
         for seed in episode_seeds(episodes, seed=0):
             observation, _ = task.reset(seed=seed)
             count = task.scene.node_count
             cost = cost_of(task, observation["goal"], count)
-            state = ticks.reset(observation, scene_nodes(task.scene), cost)
+            state = times.reset(observation, scene_nodes(task.scene), cost)
             with pin_to_core():
                 for _ in range(task.max_steps):
-                    force, state = ticks.step(observation, state)
+                    force, state = times.step(observation, state)
                     observation, *_ = task.step(force)
-        median = float(np.median(ticks.milliseconds))
+        median = float(np.median(times.milliseconds))
         least = least or median
-        rows.append(ticks.row(str(task.scene.metadata["task"]), count, median / least, ""))
+        rows.append(times.row(str(task.scene.metadata["task"]), count, median / least, ""))
     return rows
 
 
-def among(observation: dict, bystanders: np.ndarray) -> dict:
-    """What is observed, with bystanders at rest besides."""
-    rest = np.zeros_like(bystanders)
+def among(observation: dict, distractors: np.ndarray) -> dict:
+    """The observation with additional distractors at rest."""
+    rest = np.zeros_like(distractors)
     own = len(observation["position"])
-    contact = np.zeros((own + len(bystanders),) * 2, np.int8)
+    contact = np.zeros((own + len(distractors),) * 2, np.int8)
     contact[:own, :own] = observation["contact"]
     return {
-        "position": np.concatenate([observation["position"], bystanders]),
+        "position": np.concatenate([observation["position"], distractors]),
         "velocity": np.concatenate([observation["velocity"], rest]),
         "contact": contact,
     }
 
 
-def bystanders_around(stops: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """[count, 2] m, off the ways between the ``stops`` [S, 2] m, and off each other."""
+def distractors_around(stops: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """[count, 2] m, away from the paths between the ``stops`` [S, 2] m and from each other."""
     half = 0.5 * np.sqrt(max(count, 20) / DENSITY)
     placed = np.zeros((0, 2))
     while len(placed) < count:
@@ -156,20 +155,20 @@ def bystanders_around(stops: np.ndarray, count: int, rng: np.random.Generator) -
     return placed
 
 
-def with_bystanders(
-    model: ContactDynamics, sizes: list[int], episodes: int, heard: Compilations
+def with_distractors(
+    model: ContactDynamics, sizes: list[int], episodes: int, compilations: Compilations
 ) -> list[Row]:
-    """A row a number of nodes, two of which are in play; the first is to have no others."""
+    """One row per number of nodes, two of which are active; the first has no others."""
     task = PickupTask()
-    all_ticks = [Ticks(controller(model, task, 20), heard) for _ in sizes]
+    all_times = [StepTimes(controller(model, task, 20), compilations) for _ in sizes]
     differs = np.zeros(len(sizes))
     for seed in episode_seeds(episodes, seed=0):
         observation, _ = task.reset(seed=seed)
         stops = np.concatenate([observation["position"], observation["goal"][None]])
         rng = np.random.default_rng(seed)
-        around = [bystanders_around(stops, size - 2, rng) for size in sizes]
+        around = [distractors_around(stops, size - 2, rng) for size in sizes]
         states = [
-            ticks.reset(
+            times.reset(
                 among(observation, others),
                 Nodes(
                     actuated=jnp.asarray(np.arange(size) == 0),
@@ -178,37 +177,39 @@ def with_bystanders(
                 ),
                 cost_of(task, observation["goal"], size),
             )
-            for ticks, others, size in zip(all_ticks, around, sizes, strict=True)
+            for times, others, size in zip(all_times, around, sizes, strict=True)
         ]
         with pin_to_core():
             for step in range(task.max_steps):
-                seen = [among(observation, others) for others in around]
+                observations = [among(observation, others) for others in around]
                 forces: dict[int, np.ndarray] = {}
                 for index in np.roll(range(len(sizes)), step).tolist():
-                    forces[index], states[index] = all_ticks[index].step(seen[index], states[index])
+                    forces[index], states[index] = all_times[index].step(
+                        observations[index], states[index]
+                    )
                 apart = [np.max(np.abs(forces[index] - forces[0])) for index in range(len(sizes))]
                 differs = np.maximum(differs, apart)
                 observation, *_ = task.step(forces[0])
-    first = np.array(all_ticks[0].milliseconds)
+    first = np.array(all_times[0].milliseconds)
     return [
-        ticks.row("bystanders", size, float(np.median(ticks.milliseconds / first)), float(apart))
-        for ticks, size, apart in zip(all_ticks, sizes, differs, strict=True)
+        times.row("bystanders", size, float(np.median(times.milliseconds / first)), float(apart))
+        for times, size, apart in zip(all_times, sizes, differs, strict=True)
     ]
 
 
 def main() -> None:
     """Measure and print."""
-    options = arguments("Time of a control tick.")
+    options = arguments("Time of a control step.")
     episodes = 1 if options.quick else 10
-    heard = Compilations()
+    compilations = Compilations()
     model = load_model(shipped_model("pickup")).model
-    rows = with_bystanders(model, [2, 11, 100, 1000], episodes, heard)
-    rows += of_task(model, [PickupTask(n - 2) for n in (2, 11, 21)], 20, 5 * episodes, heard)
+    rows = with_distractors(model, [2, 11, 100, 1000], episodes, compilations)
+    rows += of_task(model, [PickupTask(n - 2) for n in (2, 11, 21)], 20, 5 * episodes, compilations)
     if find_spec("mujoco") is not None:
         from contactgraph_franka.envs.franka_task import FrankaTask
 
         model = load_model(shipped_model("franka")).model
-        rows += of_task(model, [FrankaTask(n - 2) for n in (2, 7)], 50, episodes, heard)
+        rows += of_task(model, [FrankaTask(n - 2) for n in (2, 7)], 50, episodes, compilations)
     report("control_tick", rows, options)
 
 

@@ -54,7 +54,7 @@ def sample() -> tuple[LQRProblem, np.ndarray, LQRTrajectory]:
 def with_jax(
     name: str, solver: Callable, axis: int, data: tuple, answer: Callable[[Answer], Answer]
 ) -> Method:
-    """A solver of ours, the batch kept in this axis of every array."""
+    """Our solver, with the batch in this axis of every array."""
     placed = jax.tree.map(lambda leaf: jnp.asarray(np.moveaxis(leaf, 0, axis)), data)
 
     @jax.jit
@@ -107,7 +107,7 @@ def with_mpc(data: tuple) -> Method | Missing:
 
 
 def symmetric(answer: Answer) -> Answer:
-    """Autodiff tells the two halves of Q and R apart; the adjoint rule does not."""
+    """Autodiff distinguishes the two halves of Q and R; the adjoint rule does not."""
     return eqx.tree_at(
         lambda both: (both[1][0].Q, both[1][0].R),
         answer,
@@ -116,7 +116,7 @@ def symmetric(answer: Answer) -> Answer:
 
 
 def batch_first(answer: Answer) -> Answer:
-    """From the batch in the last axis."""
+    """Moves the batch from the last axis to the first."""
     return jax.tree.map(lambda leaf: np.moveaxis(leaf, -1, 0), answer)
 
 

@@ -41,9 +41,9 @@ Sample = tuple[ContactDynamics, list[Trajectory], Nodes]
 
 
 def sample(bodies: int, runs: int) -> Sample:
-    """The model, and runs of 200 steps with so many bodies."""
+    """The model, and trajectories of 200 steps with ``bodies`` bodies."""
     recorded = collect([lambda: PickupTask(bodies - 2)], [PickupExpert()], runs, seed=0)
-    # With lists of near pairs where training and evaluation would use them.
+    # Neighbour lists are used as in training and evaluation.
     model = load_model(shipped_model("pickup")).model
     model = ReallocatingModel(model, Dataset(tuple(recorded))).model
     return model, recorded, scene_nodes(recorded[0].scene)
@@ -85,8 +85,8 @@ def rollout(given: Sample) -> tuple[Method, Method | Missing]:
 def training(given: Sample) -> tuple[Method, Method | Missing]:
     """Ours, and eager; the loss and its gradients.
 
-    Away from the trained weights, where gradients are sums that all but cancel, and float32 has
-    few digits left to compare.
+    The weights are perturbed: at the trained ones gradients nearly cancel, with few digits left
+    in float32.
     """
     trained, runs, nodes = given
     model = _disturbed(trained)
@@ -131,7 +131,7 @@ def training(given: Sample) -> tuple[Method, Method | Missing]:
 
 
 def _disturbed(model: ContactDynamics) -> ContactDynamics:
-    """Every weight off by some tenth."""
+    """Every weight perturbed by about a tenth."""
     rng = np.random.default_rng(0)
     weights, static = eqx.partition(model, eqx.is_inexact_array)
 

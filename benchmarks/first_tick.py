@@ -2,11 +2,10 @@
 
 Usage: python benchmarks/first_tick.py [--quick] [--json FILE]
 
-A process is started that imports the package, loads the shipped pickup model, resets the controller
-on a scene of 11 objects and makes one tick, planned 20 steps ahead; timed from outside, from the
-process's start to the answer, import and interpreter included. JAX keeps compiled programs in a
-folder: the first process finds it empty (the peer here), the ones after it find all they need. The
-forces are compared.
+A process imports the package, loads the shipped pickup model, resets the controller on a scene of
+11 objects and makes one control step with horizon 20. The time is that of the whole process, with
+interpreter and imports. JAX stores compiled programs in a folder, which is empty for the first
+process (the peer here) and complete for the next one. The forces are compared.
 """
 
 import subprocess
@@ -17,7 +16,7 @@ import time
 import numpy as np
 from measuring import arguments, comparison, difference, report
 
-TICK = """
+FIRST_STEP = """
 import sys, jax
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
@@ -40,23 +39,23 @@ print(*np.asarray(plan.controls[0], float))
 """
 
 
-def first_tick(folder: str) -> tuple[float, np.ndarray]:
+def first_step(folder: str) -> tuple[float, np.ndarray]:
     """Seconds from the process's start to its end, and the first force, N."""
     began = time.perf_counter()
-    command = [sys.executable, "-c", TICK, folder]
-    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-    return time.perf_counter() - began, np.array([float(word) for word in said.split()])
+    command = [sys.executable, "-c", FIRST_STEP, folder]
+    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return time.perf_counter() - began, np.array([float(word) for word in output.split()])
 
 
 def main() -> None:
     """Measure and print."""
-    options = arguments("Time to the first control tick of a new process.")
+    options = arguments("Time to the first control step of a new process.")
     cold, warm = [], []
     for _ in range(1 if options.quick else 3):
         with tempfile.TemporaryDirectory() as folder:
-            seconds, force = first_tick(folder)
+            seconds, force = first_step(folder)
             cold.append(seconds)
-            seconds, again = first_tick(folder)
+            seconds, again = first_step(folder)
             warm.append(seconds)
     what = "first control tick of a new process, programs compiled before"
     apart = difference(again, force)

@@ -6,8 +6,8 @@ Measures the curves named (all where none is), writes each as DIR/<curve>.csv, a
 are in DIR into DIR/growth.svg. DIR is docs/growth by default, where the published ones are.
 
 objects  one step of the model: see model_at_scale.py
-batch    a rollout of 200 steps of a scene of two, so many scenes in one call
-horizon  a control tick of the pickup task, so many steps planned ahead
+batch    a rollout of 200 steps of scenes of two, against the scenes in one call
+horizon  a control step of the pickup task against its horizon
 memory   a step of training on a window of 50 steps: see training_memory.py
 """
 
@@ -63,7 +63,7 @@ def batch(model: ContactDynamics, quick: bool) -> Iterator[Row]:
 
 
 def horizon(model: ContactDynamics, quick: bool) -> Iterator[Row]:
-    """Milliseconds of a tick, the median over an episode's first ones."""
+    """Milliseconds of a control step, the median over an episode's first ones."""
     task = PickupTask()
     for ahead in (5, 10) if quick else (5, 10, 20, 50, 100, 200, _MOST_PLANNED):
         mpc = controller(model, task, ahead)
@@ -81,10 +81,10 @@ def horizon(model: ContactDynamics, quick: bool) -> Iterator[Row]:
 
 
 def memory(model: ContactDynamics, quick: bool) -> Iterator[Row]:
-    """GiB that XLA plans for; nothing is run."""
+    """GiB planned by XLA; nothing runs."""
     for count in (12,) if quick else (12, 100, 1000):
         near = memory_of(listing(model, count), count, True)
-        # That of a thousand with every pair an edge would ask for more than there is.
+        # A thousand nodes with all pairs as edges would exceed the memory.
         every = memory_of(model, count, True)["memory GiB"] if count <= 100 else ""
         yield {"objects": count, "listed": near["memory GiB"], "all pairs": every}
 
@@ -98,7 +98,7 @@ CURVES: dict[str, Curve] = {
 _UNITS = {
     "objects": "one step of the model, ms",
     "batch": "a step of a scene of two, µs",
-    "horizon": "control tick, ms",
+    "horizon": "control step, ms",
     "memory": "step of training, GiB",
 }
 
@@ -148,7 +148,7 @@ def main() -> None:
                 if number == 0:
                     writer.writeheader()
                 writer.writerow({key: _rounded(row[key]) for key in row})
-                # What is measured is kept, whatever becomes of the rest.
+                # Finished curves are kept if a later one fails.
                 file.flush()
         print(options.out / f"{name}.csv")
     draw(options.out)

@@ -2,10 +2,10 @@
 
 Usage: python benchmarks/ilqr_pendulum.py [--quick] [--json FILE]
 
-One start, and 64 starts at once (crocoddyl: in turn), on one core. Every solver, ours too, is given
-the fewest iterations, of a few numbers tried, with which its cost is within 1e-4 of the least: what
-is timed is the way to the same optimum, not the care with which a solver makes sure of it. Ours
-counts rollouts, rejected ones included. The costs, summed alike for all, are compared.
+One start, and 64 starts at once (crocoddyl: in turn), on one core. Every solver gets the
+fewest iterations, of a few numbers tried, with which its cost is within 1e-4 of the least, so that
+times compare convergence to the same optimum, not stopping criteria. Ours counts rollouts, rejected
+ones included. The costs, summed alike for all, are compared.
 """
 
 import one_core  # noqa: F401, I001  before JAX
@@ -27,7 +27,7 @@ BATCH = 64
 
 
 def rows(what: str, starts: np.ndarray, peers: list[Solver | Missing], quick: bool) -> list[Row]:
-    """One a peer."""
+    """One row per peer."""
     least = total_cost(starts, OURS.controls(OURS.prepared(starts, MANY)()))
     count = enough_iterations(OURS, starts, least)
     assert count is not None, "ours needs more iterations than are tried"

@@ -43,7 +43,7 @@ def side_by_side(given: Problems) -> Method:
 
 
 def few_at_a_time(given: Problems) -> Method:
-    """Some side by side, and then the next, in one compiled call, each read where it is."""
+    """Chunks one after the other, in one compiled call without copies."""
 
     def in_turns(leaf: np.ndarray) -> jax.Array:
         return jnp.asarray(leaf.reshape(FEW, BATCH // FEW, *leaf.shape[1:]), jnp.float32)
@@ -78,7 +78,7 @@ def few_at_a_time(given: Problems) -> Method:
 
 
 def with_mpc(given: Problems) -> Method | Missing:
-    """mpc.pytorch; gives the controls."""
+    """mpc.pytorch; returns the controls."""
     try:
         peer = MPCTorch(*given)
     except ImportError as missing:

@@ -3,8 +3,8 @@
 Usage: python benchmarks/lqr_solve.py [--quick] [--json FILE]
 
 200 steps, 2 controls, and as many states as 2, 12 and 100 bodies in the plane have, dynamics block
-diagonal as the model's are: by our dense form, by crocoddyl's DDP in C++, and by our form that
-knows of the blocks, which is compared with the dense one. All give the optimal states and controls
+diagonal as the model's are: by our dense form, by crocoddyl's DDP in C++, and by our block
+form, which is compared with the dense one. All give the optimal states and controls
 from a start; ours are float32, crocoddyl's double. One core.
 """
 

@@ -3,11 +3,10 @@
 Usage: python benchmarks/matrix_share.py [--quick] [--json FILE]
 
 The training steps of `eager_comparison`, on one core in float32: with the shipped model, whose
-networks are 32 wide, and with fresh ones four and eight times as wide, to see what becomes of the
-share where products are more of the work. Counted are the products of the dense layers alone: one
-pass to learn how controls push, one forwards, and backwards two products for each one of the pass
-(the slope of its input, and of its weights). The core's rate is that of one product of two large
-square matrices.
+networks are 32 wide, and with fresh ones four and eight times as wide, where
+products are more of the work. Only products of the dense layers count: one pass for the control
+sensitivity, one forward pass, and a backward pass with two products for each (the gradients of
+input and weights). The core's rate is that of one product of two large square matrices.
 """
 
 import one_core  # noqa: F401, I001  before JAX

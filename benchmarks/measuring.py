@@ -59,7 +59,7 @@ def _processor() -> str:
 
 
 class Compilations:
-    """Counts XLA compilations, from JAX's own events. One lives as long as the process."""
+    """Counts XLA compilations by JAX's events, for the lifetime of the process."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -101,7 +101,7 @@ def report(name: str, rows: Sequence[Mapping[str, Any]], options: argparse.Names
 
 @dataclass(frozen=True)
 class Method:
-    """A way to get an answer."""
+    """A method to compare."""
 
     name: str
     run: Callable[[], Any]

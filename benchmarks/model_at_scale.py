@@ -35,7 +35,7 @@ _ALL_PAIRS = 1000
 """Objects up to which every pair is an edge, too; a single call from here on."""
 
 _SPACING = 0.15
-"""m, of a grid of objects, each displaced by up to a third of it: a tenth of them touch."""
+"""m, the spacing of a grid of objects, displaced by up to a third of it: a tenth touch."""
 _SPEED = 0.2
 """m/s"""
 
@@ -58,7 +58,7 @@ def crowd(count: int, seed: int = 0) -> tuple[jax.Array, jax.Array, Nodes]:
 
 
 def listing(model: ContactDynamics, count: int) -> ContactDynamics:
-    """The same model with lists of about 1.5 times what is near in such a scene."""
+    """The same model with a list capacity of about 1.5 times the near pairs."""
     return replace(model, neighbor_list=NeighborList(max_edges=5 * count, cell_capacity=12))
 
 
@@ -101,7 +101,7 @@ def measured(model: ContactDynamics, count: int, rounds: int) -> dict[str, float
         "pairs": pairs,
         "near": int(jnp.sum(listed().belief.edge_id < pairs)),
     }
-    # Apart from the others, which leave nothing of it in the caches.
+    # Separate, since the other calls evict the caches.
     taken = medians(calls, rounds)
     if count > _ALL_PAIRS:
         return row | {

@@ -1,4 +1,4 @@
-"""Importing this keeps the process on one core. To be imported before JAX and torch count cores."""
+"""Pins the process to one core. Import it before JAX and torch, which count cores."""
 
 import os
 

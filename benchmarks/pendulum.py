@@ -47,7 +47,7 @@ class Solver:
 
 
 def total_cost(starts: np.ndarray, controls: np.ndarray) -> np.ndarray:
-    """[batch] The cost of controls [batch, H], the same sum in double precision for everybody."""
+    """[batch] The cost of controls [batch, H], the same sum in double precision for all solvers."""
     angle, rate = starts.astype(float).T
     total = np.zeros(len(starts))
     for torque in controls.T:
@@ -62,7 +62,7 @@ def _state_cost(angle: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
 
 def enough_iterations(solver: Solver, starts: np.ndarray, least: np.ndarray) -> int | None:
-    """The first number tried with which a solver is within `NEAR` of these costs."""
+    """The first tried number with which a solver is within `NEAR` of these costs."""
     for iterations in TRIED:
         controls = solver.controls(solver.prepared(starts, iterations)())
         if np.all(total_cost(starts, controls) <= (1.0 + NEAR) * least):
@@ -71,7 +71,7 @@ def enough_iterations(solver: Solver, starts: np.ndarray, least: np.ndarray) -> 
 
 
 def method(solver: Solver, starts: np.ndarray, iterations: int) -> Method:
-    """What is timed; the answer is the cost from every start."""
+    """The timed method; its answer is the cost from every start."""
 
     def cost(returned: Any) -> np.ndarray:
         return total_cost(starts, solver.controls(returned))
@@ -113,7 +113,7 @@ def _planned(starts: np.ndarray, iterations: int) -> Callable[[], Any]:
         state = ModelState(start[:1, None], start[1:, None], belief)
         return ilqr.solve(model, state, nodes, cost).controls[:, 0]
 
-    # One start is solved without a batch: that is how a controller calls it.
+    # One start is solved without a batch, as a controller does.
     placed = jnp.asarray(starts[0] if len(starts) == 1 else starts, jnp.float32)
     solve = jax.jit(controls if len(starts) == 1 else jax.vmap(controls))
     return lambda: jax.block_until_ready(solve(placed))

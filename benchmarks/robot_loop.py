@@ -18,7 +18,7 @@ from contactgraph_franka.loop.control_loop import measure_loop
 from contactgraph_franka.safety import Robot, RobotReading, SafetyLimits, Stop
 
 LIMITS = SafetyLimits(max_force=14.0, longest_gap=0.1, longest_age=0.1, stop_within=0.2)
-"""With deadlines so long that what is late is measured, and not the end of the measurement."""
+"""Long deadlines, so that delays are measured instead of stopping the loop."""
 
 
 class Timed:

@@ -9,9 +9,9 @@ noise a pixel and an error of 0.3 % that all pixels of a frame share. The calibr
 camera's pose as `calibrate` finds it from 20 pictures of the block in a hand whose own poses are
 0.3 mm and 0.05 degrees off.
 
-Then the block is taken from rest to 0.5 m/s in 0.3 s, along four ways; frames come at 30 Hz, 30 ms
-late, and the tracker is asked every 2 ms where the block is now. Last, a loop of 1 kHz runs alone,
-beside a thread that watches a camera of 30 Hz, and beside a process that does.
+Then the block accelerates from rest to 0.5 m/s in 0.3 s, along four paths; frames come at 30 Hz, 30
+ms late, and the tracker estimates the position every 2 ms. Last, a loop of 1 kHz runs alone, beside
+a detection thread at 30 Hz, and beside a detection process.
 """
 
 import os
@@ -77,7 +77,7 @@ def camera_pose() -> np.ndarray:
     return pose(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
 
 
-def places(place: np.ndarray) -> np.ndarray:
+def free_body_state(place: np.ndarray) -> np.ndarray:
     """A pose [4, 4] as MuJoCo's ``qpos`` [7]."""
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(place[:3, :3]).ravel())
@@ -91,7 +91,7 @@ def anywhere(rng: np.random.Generator) -> np.ndarray:
 
 
 class Bench:
-    """A camera and a block, and how the block is seen where it is put."""
+    """A camera, a block, and the detector of its pose."""
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
@@ -101,26 +101,26 @@ class Bench:
         self.detector = TagDetector([tuple(self.tagged.by_id)])
 
     def frame(self, place: np.ndarray, moment: float = 0.0) -> CameraFrame:
-        taken = self.camera.picture(places(place), moment)
+        taken = self.camera.picture(free_body_state(place), moment)
         assert taken.depth is not None
         scale = np.float32(1.0 + DEPTH_ERROR * self.rng.standard_normal())
         return replace(taken, depth=taken.depth * scale)
 
-    def seen(self, frame: CameraFrame) -> tuple[ObjectPose | None, float]:
-        """How the block is seen in a frame, and the seconds it took."""
+    def detect(self, frame: CameraFrame) -> tuple[ObjectPose | None, float]:
+        """The detected pose in a frame, and the seconds taken."""
         began = time.perf_counter()
         found = estimate_pose(frame, self.detector.detect(frame.image), self.tagged, LENS)
         return found, time.perf_counter() - began
 
 
 def calibration(bench: Bench) -> HandEye:
-    """From 20 poses of a hand that holds the block, tilted to all sides, and is a little off."""
+    """Calibration from 20 tilted poses of a hand that holds the block, with small errors."""
     in_hand = pose(rotation_of(np.array([np.pi, 0.1, 0.2])), np.array([0.01, 0.0, 0.03]))
     hands, sightings = [], []
     while len(hands) < 20:
         turn = rotation_of(bench.rng.normal(0.0, 0.35, 3))
         place = pose(turn, bench.rng.uniform(LOW + np.array([0.0, 0.0, 0.1]), HIGH))
-        found, _ = bench.seen(replace(bench.frame(place), depth=None))
+        found, _ = bench.detect(replace(bench.frame(place), depth=None))
         if found is None:
             continue
         off = pose(
@@ -146,10 +146,10 @@ def at_rest(bench: Bench, count: int, hand_eye: HandEye) -> Iterator[dict[str, A
             ("calibrated", replace(frame, depth=None), hand_eye.camera_pose),
             ("calibrated, depth", frame, hand_eye.camera_pose),
         ):
-            found, seconds = bench.seen(taken)
+            found, seconds = bench.detect(taken)
             if found is None:
                 continue
-            if kind == "with depth":  # its windows are those of the frame before: as in a stream
+            if kind == "with depth":  # search windows come from the frame before, as in a stream
                 took.append(seconds)
             measured = camera @ found.pose
             errors.setdefault(kind, []).append(
@@ -172,7 +172,7 @@ def at_rest(bench: Bench, count: int, hand_eye: HandEye) -> Iterator[dict[str, A
 
 
 def in_motion(bench: Bench, hand_eye: HandEye | None) -> dict[str, Any]:
-    """A row: errors of the tracker's estimate of now, over picks along four ways."""
+    """A row: errors of the tracker's current estimate, over picks along four paths."""
     camera = bench.camera.pose if hand_eye is None else hand_eye.camera_pose
     position, speed = [], []
     frames = 0
@@ -185,7 +185,7 @@ def in_motion(bench: Bench, hand_eye: HandEye | None) -> dict[str, Any]:
         for index in range(int(1.2 * RATE)):
             moment = index / RATE
             place = pose(turn, start + way * _way(moment - begin)[0])
-            found, _ = bench.seen(bench.frame(place, moment))
+            found, _ = bench.detect(bench.frame(place, moment))
             if found is not None:
                 spread = camera[:3, :3] @ found.covariance[3:, 3:] @ camera[:3, :3].T
                 coming.append((moment, (camera @ found.pose)[:3, 3], spread))
@@ -210,7 +210,7 @@ def in_motion(bench: Bench, hand_eye: HandEye | None) -> dict[str, Any]:
 
 
 def _way(since: float) -> tuple[float, float]:
-    """m gone and m/s, ``since`` s after the start of a pick: from rest to 0.5 m/s within 0.3 s."""
+    """Distance m and speed m/s, ``since`` s after the start: from rest to 0.5 m/s within 0.3 s."""
     speeding = float(np.clip(since, 0.0, 0.3))
     acceleration = 0.5 / 0.3
     gone = 0.5 * acceleration * speeding**2 + 0.5 * max(since - 0.3, 0.0)
@@ -218,7 +218,7 @@ def _way(since: float) -> tuple[float, float]:
 
 
 class Replay:
-    """A camera that shows one frame again and again, at 30 Hz."""
+    """A camera that repeats one frame at 30 Hz."""
 
     intrinsics = LENS
 
@@ -236,36 +236,36 @@ class Replay:
         pass
 
 
-def loop(ticks: int, each: Callable[[], object]) -> np.ndarray:
-    """[ticks] ms by which ticks of a loop of 1 kHz came late."""
-    late, due = np.empty(ticks), time.monotonic()
-    for tick in range(ticks):
+def loop(cycles: int, each: Callable[[], object]) -> np.ndarray:
+    """[cycles] ms of delay of each cycle of a loop of 1 kHz."""
+    late, due = np.empty(cycles), time.monotonic()
+    for cycle in range(cycles):
         due += 0.001
         time.sleep(max(0.0, due - time.monotonic()))
-        late[tick] = 1e3 * (time.monotonic() - due)
+        late[cycle] = 1e3 * (time.monotonic() - due)
         each()
         due = max(due, time.monotonic() - 0.001)
     return late
 
 
-def beside(bench: Bench, ticks: int) -> Iterator[dict[str, Any]]:
-    """Rows: how late ticks come without and with seeing beside them."""
+def beside(bench: Bench, cycles: int) -> Iterator[dict[str, Any]]:
+    """Rows: delays of cycles without and with detection in parallel."""
     taken = bench.frame(pose(np.eye(3), np.array([0.5, 0.0, 0.05])))
     known = CameraCalibration(
         LENS, bench.camera.pose, {"block": bench.tagged}, "2026-01-01T00:00:00+00:00"
     )
-    yield _lateness("alone", loop(ticks, lambda: None))
+    yield _lateness("alone", loop(cycles, lambda: None))
     shared = SharedMeasurements(1, multiprocessing.get_context("spawn"))
     watch = DetectionLoop(Replay(taken.image), known, shared)
     ended = threading.Event()
     thread = threading.Thread(target=_watching, args=(watch, ended))
     thread.start()
-    yield _lateness("a thread", loop(ticks, lambda: shared.since(0)))
+    yield _lateness("a thread", loop(cycles, lambda: shared.since(0)))
     ended.set()
     thread.join()
     with Perception(partial(Replay, taken.image), known) as seeing:
-        seen = TrackedObjects(seeing, ("block",))
-        yield _lateness("a process", loop(ticks, lambda: seen.estimates(time.monotonic())))
+        objects = TrackedObjects(seeing, ("block",))
+        yield _lateness("a process", loop(cycles, lambda: objects.estimates(time.monotonic())))
 
 
 def _watching(watch: DetectionLoop, ended: threading.Event) -> None:
@@ -288,7 +288,7 @@ def _lateness(what: str, late: np.ndarray) -> dict[str, Any]:
 
 def main() -> None:
     """Measure and print."""
-    options = arguments("Exactness of tags seen by a rendered camera.")
+    options = arguments("Accuracy of tag poses from a rendered camera.")
     bench = Bench(int(time.time()) if not options.quick else 0)
     hand_eye = calibration(bench)
     found = hand_eye.residuals

@@ -2,8 +2,8 @@
 
 Usage: python benchmarks/training_memory.py [--quick] [--json FILE]
 
-Loss and gradient on one window of 50 steps. Nothing is run: it is compiled, for shapes alone, and
-XLA says how much it will ask for.
+Loss and gradient on one window of 50 steps are compiled for shapes alone and not run; XLA reports
+the planned memory.
 """
 
 import time

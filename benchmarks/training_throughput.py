@@ -16,11 +16,11 @@ from contactgraph.model import ModelConfig, gim_temp
 from contactgraph.train import FitProgress, FitState, TrainConfig, fit, initial_state
 
 
-def measured(recipe: TrainConfig, dataset: Dataset, chunks: int) -> dict[str, float | str | int]:
-    """One row. Each check of `fit` ends a chunk of steps; the first ones compile."""
+def measured(config: TrainConfig, dataset: Dataset, chunks: int) -> dict[str, float | str | int]:
+    """One row. Each check of `fit` ends a chunk of steps; the first chunks compile."""
     train, held_out = split_by_trajectory(dataset, 0.15, seed=0)
     model = gim_temp(ModelConfig(2, 2, dataset.dt), key=jax.random.key(0))
-    warm = replace(recipe, steps=2 * recipe.check_every)
+    warm = replace(config, steps=2 * config.check_every)
     began = time.perf_counter()
     state = fit(initial_state(model, warm, seed=0), train, held_out, warm).state
     first = time.perf_counter() - began
@@ -37,16 +37,16 @@ def measured(recipe: TrainConfig, dataset: Dataset, chunks: int) -> dict[str, fl
         fit(start, train, held_out, warm, on_check)
     # Between the two checks of one call lies exactly one chunk.
     chunk = min(after - before for before, after in zip(times[::2], times[1::2], strict=True))
-    steps = recipe.check_every / chunk
-    windows = steps * recipe.batch_size
+    steps = config.check_every / chunk
+    windows = steps * config.batch_size
     return {
-        "rollout term": "yes" if recipe.rollout_from == 0.0 else "no",
-        "nodes": 2 + recipe.bystanders,
-        "batch": recipe.batch_size,
+        "rollout term": "yes" if config.rollout_from == 0.0 else "no",
+        "nodes": 2 + config.bystanders,
+        "batch": config.batch_size,
         "compile s": first - 2 * chunk,
         "ms/step": 1e3 / steps,
         "windows/s": windows,
-        "transitions/s": windows * recipe.window_length,
+        "transitions/s": windows * config.window_length,
     }
 
 

@@ -4,8 +4,8 @@ Usage: python benchmarks/training_time.py [--quick] [--json FILE]
 
 Every row records 40 runs of the pickup with a seed of its own, trains in a new process without any
 compiled program, trains again in another with them, and controls 20 episodes of a seed of its own,
-a plan followed for ten steps. The error is that of the paper's metric: where plans put all bodies
-within 0.5 s against where following them led.
+a plan followed for ten steps. The error is the paper's metric: planned
+against executed positions over 0.5 s.
 """
 
 import json
@@ -43,7 +43,7 @@ def measured(seed: int, episodes: int, options: list[str]) -> dict[str, float | 
 
 
 def run(folder: Path, *command: str) -> float:
-    """How long the command takes, its process's start included, s."""
+    """Duration of the command, including process start, s."""
     began = time.perf_counter()
     program = [sys.executable, "-m", "contactgraph", *command]
     subprocess.run(program, cwd=folder, check=True, capture_output=True)

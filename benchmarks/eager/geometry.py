@@ -12,7 +12,7 @@ SMALLEST = 1e-12
 
 @dataclass
 class Geometry:
-    """Of all edges, seen from the first node of each."""
+    """Geometry of all edges, relative to the first node of each."""
 
     displacement: Tensor
     relative_velocity: Tensor

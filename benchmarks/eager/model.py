@@ -20,7 +20,7 @@ NEAR = 0.03
 
 @dataclass
 class EncodedGraph:
-    """What does not depend on the belief."""
+    """The quantities of a step that do not depend on the belief."""
 
     geometry: Geometry
     node: Tensor
@@ -102,28 +102,32 @@ class EagerModel(nn.Module):
         candidate: Tensor | None = None,
     ) -> EncodedGraph:
         """``position``, ``velocity``, ``push`` [..., N, D]; ``candidate`` [..., E] bool."""
-        seen = geometry(position, velocity, self.pairs, self.dt, self.touch, push)
+        edge_geometry = geometry(position, velocity, self.pairs, self.dt, self.touch, push)
         speed = torch.sqrt((velocity**2).sum(-1) + 1e-12)
         bounded = (speed / (1.0 + speed))[..., None]
         node = torch.cat([self.kind.expand(*speed.shape, 2), bounded], dim=-1)
-        gaps = torch.stack([seen.distance, seen.nearest], dim=-1) / self.touch.detach() - 1.0
+        gaps = (
+            torch.stack([edge_geometry.distance, edge_geometry.nearest], dim=-1)
+            / self.touch.detach()
+            - 1.0
+        )
         close = gaps / (NEAR + gaps.abs())
-        distance = seen.distance[..., None] / self.length - 1.0
-        edge = torch.cat([close, distance, seen.fraction_after_impact[..., None]], dim=-1)
-        part = (self.reach.far - seen.nearest) / (self.reach.far - self.reach.near)
+        distance = edge_geometry.distance[..., None] / self.length - 1.0
+        edge = torch.cat([close, distance, edge_geometry.fraction_after_impact[..., None]], dim=-1)
+        part = (self.reach.far - edge_geometry.nearest) / (self.reach.far - self.reach.near)
         part = part.clamp(0.0, 1.0)
         weight = part**2 * (3.0 - 2.0 * part)
         if candidate is not None:
             weight = weight * candidate
         message = 2.0 * self.edge_network(edge) * weight[..., None]
-        return EncodedGraph(seen, node, edge, weight, message)
+        return EncodedGraph(edge_geometry, node, edge, weight, message)
 
-    def prior_belief(self, percept: EncodedGraph) -> Tensor:
-        """[..., E, 2] What distance alone says."""
+    def prior_belief(self, encoded: EncodedGraph) -> Tensor:
+        """[..., E, 2]: the prior by distance alone."""
         touch, prior = self.touch.detach(), self.prior
-        margin = (prior.margin * touch - percept.geometry.nearest) / (prior.sharpness * touch)
+        margin = (prior.margin * touch - encoded.geometry.nearest) / (prior.sharpness * touch)
         active = prior.doubt + (1.0 - 2.0 * prior.doubt) * torch.sigmoid(2.0 * margin)
-        active = active * percept.weight
+        active = active * encoded.weight
         return torch.stack([1.0 - active, active], dim=-1)
 
     def predict_belief(self, belief: Tensor, message: Tensor, weight: Tensor) -> Tensor:
@@ -133,41 +137,43 @@ class EagerModel(nn.Module):
         active = active * weight
         return torch.stack([1.0 - active, active], dim=-1)
 
-    def linear(self, percept: EncodedGraph, belief: Tensor, velocity: Tensor) -> Linear:
+    def linear(self, encoded: EncodedGraph, belief: Tensor, velocity: Tensor) -> Linear:
         """The linear step, given which edges are active."""
         hard = one_hot(belief.argmax(-1), 2).to(belief.dtype)
-        active = (hard + belief - belief.detach())[..., 1] * percept.weight
-        message = 2.0 * self.local_network(percept.edge) * active[..., None]
+        active = (hard + belief - belief.detach())[..., 1] * encoded.weight
+        message = 2.0 * self.local_network(encoded.edge) * active[..., None]
         out = self.hold(message)
         hold = MOST_HELD * active * torch.sigmoid(out[..., 0] + 5.0)
         hold = hold / (1.0 - hold)
         spring = active * softplus(out[..., 1] - 6.0)
         rest = active * softplus(out[..., 2]) * self.length
-        ground = softplus(self.ground(percept.node)[..., 0] - 6.0)
+        ground = softplus(self.ground(encoded.node)[..., 0] - 6.0)
         mass = torch.exp(PACE * self.kind @ self.weights["local_dynamics.head.log_mass"])
         gain = (PACE * self.kind @ self.weights["local_dynamics.head.gain_root"]) ** 2
-        return self._moved(percept.geometry, velocity, (hold, spring, rest), mass, ground, gain)
+        return self._moved(encoded.geometry, velocity, (hold, spring, rest), mass, ground, gain)
 
     def _moved(
         self,
-        seen: Geometry,
+        edge_geometry: Geometry,
         velocity: Tensor,
         edges: Sequence[Tensor],
         mass: Tensor,
         ground: Tensor,
         gain: Tensor,
     ) -> Linear:
-        """The network of masses, dampers and springs, solved, and seen from each node."""
+        """The network of masses, dampers and springs, solved, as one system per node."""
         (hold, spring, rest), J, dt, theta = edges, self.jacobian, self.dt, self.theta
         stiff = hold + spring
         inertia = torch.diag_embed(mass + ground)
         inverse = torch.linalg.inv(J.T @ (stiff[..., None] * J) + inertia)
-        direction = seen.displacement / seen.distance[..., None]
-        stretch = seen.displacement - rest[..., None] * direction
-        impulse = stiff[..., None] * seen.relative_velocity + spring[..., None] * stretch / dt
-        late = (seen.fraction_after_impact - theta) * hold
+        direction = edge_geometry.displacement / edge_geometry.distance[..., None]
+        stretch = edge_geometry.displacement - rest[..., None] * direction
+        impulse = (
+            stiff[..., None] * edge_geometry.relative_velocity + spring[..., None] * stretch / dt
+        )
+        late = (edge_geometry.fraction_after_impact - theta) * hold
         change = -inverse @ (J.T @ impulse + ground[..., None] * velocity)
-        shift = -dt * inverse @ (J.T @ (late[..., None] * seen.relative_velocity))
+        shift = -dt * inverse @ (J.T @ (late[..., None] * edge_geometry.relative_velocity))
         response = inverse @ gain
         own = torch.diagonal(inverse, dim1=-2, dim2=-1) * mass
         size = torch.sqrt((change**2).sum(-1) + SMALLEST**2)
@@ -188,7 +194,7 @@ class EagerModel(nn.Module):
             torch.stack([torch.zeros_like(A22), A22], dim=-1),
         ]
         A = torch.stack(rows, dim=-2)[..., None, :, :].expand(*end.shape, 2, 2)
-        # What the network answers to a push is damped already.
+        # The network's response to a push is already damped.
         B2 = (dt * response)[..., None, None] * torch.eye(end.shape[-1])
         offset2 = (damper / den)[..., None] * end
         offset = torch.stack([theta * dt * offset2 + shift, offset2], dim=-1)
@@ -203,9 +209,9 @@ class EagerModel(nn.Module):
         candidate: Tensor | None = None,
     ) -> tuple[Linear, Tensor]:
         """The dynamics of the coming step, and the belief they rest on."""
-        percept = self.encode(position, velocity, push, candidate)
-        belief = self.predict_belief(belief, percept.message, percept.weight)
-        return self.linear(percept, belief, velocity), belief
+        encoded = self.encode(position, velocity, push, candidate)
+        belief = self.predict_belief(belief, encoded.message, encoded.weight)
+        return self.linear(encoded, belief, velocity), belief
 
     def control_sensitivity(self, position: Tensor, velocity: Tensor, belief: Tensor) -> Tensor:
         """[N, D, U] m/N, if only the present contacts hold."""

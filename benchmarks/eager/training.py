@@ -35,31 +35,31 @@ class Training:
         """The weighted sum of `contactgraph.train.LossTerms` without a rollout."""
         model, dt = self.model, self.model.dt
         position, velocity = self.position[:, :-1], self.velocity[:, :-1]
-        percept, prior, belief = self._believed(self._pushes())
-        x, v = model.linear(percept, belief, velocity)(position, velocity, self.control)
+        encoded, prior, belief = self._believed(self._pushes())
+        x, v = model.linear(encoded, belief, velocity)(position, velocity, self.control)
         error = (((x - self.position[:, 1:]) / dt) ** 2).sum(-1)
         error = error + ((v - self.velocity[:, 1:]) ** 2).sum(-1)
         p, q = belief.clamp(SMALLEST, 1.0), prior.clamp(SMALLEST, 1.0)
         divergence = (p * (p.log() - q.log())).sum(-1)
-        exists = percept.weight > 0
+        exists = encoded.weight > 0
         divergence = torch.where(exists, divergence, torch.zeros_like(divergence)).sum()
         divergence = divergence / exists.sum().clamp(min=1)
         return torch.sqrt(error + SMALLEST).mean() + error.mean() + 0.05 * divergence
 
     @torch.no_grad()
     def _pushes(self) -> Tensor:
-        percept, _, belief = self._believed(None)
-        linear: Linear = self.model.linear(percept, belief, self.velocity[:, :-1])
+        encoded, _, belief = self._believed(None)
+        linear: Linear = self.model.linear(encoded, belief, self.velocity[:, :-1])
         response = linear.B[..., 0, :]
         before = torch.cat([response[:, :1], response[:, :-1]], dim=1)
         return (before * self.control[:, :, None, None, :]).sum(-1)
 
     def _believed(self, push: Tensor | None) -> tuple[EncodedGraph, Tensor, Tensor]:
         model = self.model
-        percept = model.encode(self.position[:, :-1], self.velocity[:, :-1], push)
-        prior = model.prior_belief(percept)
+        encoded = model.encode(self.position[:, :-1], self.velocity[:, :-1], push)
+        prior = model.prior_belief(encoded)
         belief, beliefs = prior[:, 0], []
         for t in range(self.control.shape[1]):
-            belief = model.predict_belief(belief, percept.message[:, t], percept.weight[:, t])
+            belief = model.predict_belief(belief, encoded.message[:, t], encoded.weight[:, t])
             beliefs.append(belief)
-        return percept, prior, torch.stack(beliefs, dim=1)
+        return encoded, prior, torch.stack(beliefs, dim=1)
