@@ -3,7 +3,7 @@
 Usage: python benchmarks/control_tick.py [--quick] [--json FILE]
 
 Whole episodes of the pickup task (horizon 20) and of the arm's (horizon 50, half a second), with
-the shipped models; the arm's need the extra ``mujoco``. `ActiveSetMPC.reset` compiles; that time and
+the shipped models; the arm's need the extra ``mujoco``. `ActiveSetMPC.reset` compiles; its time and
 count are separate, and compilations during control steps appear in the last column. Control steps
 run under `pin_to_core`.
 
