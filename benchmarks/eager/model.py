@@ -56,7 +56,7 @@ class EagerModel(nn.Module):
             name: nn.Parameter(torch.tensor(array)) for name, array in module_arrays(model).items()
         }
         """By the names of the model's arrays."""
-        self.dt, self.reach, self.prior = model.dt, model.reach, model.prior
+        self.dt, self.cutoff, self.prior = model.dt, model.cutoff, model.prior
         self.length = model.features.length
         self.temperature = model.inference.temperature
         self.pairs = torch.tensor(pair_indices(len(actuated)))
@@ -114,7 +114,7 @@ class EagerModel(nn.Module):
         close = gaps / (NEAR + gaps.abs())
         distance = edge_geometry.distance[..., None] / self.length - 1.0
         edge = torch.cat([close, distance, edge_geometry.fraction_after_impact[..., None]], dim=-1)
-        part = (self.reach.far - edge_geometry.nearest) / (self.reach.far - self.reach.near)
+        part = (self.cutoff.outer - edge_geometry.nearest) / (self.cutoff.outer - self.cutoff.inner)
         part = part.clamp(0.0, 1.0)
         weight = part**2 * (3.0 - 2.0 * part)
         if candidate is not None:
@@ -126,7 +126,9 @@ class EagerModel(nn.Module):
         """[..., E, 2]: the prior by distance alone."""
         touch, prior = self.touch.detach(), self.prior
         margin = (prior.margin * touch - encoded.geometry.nearest) / (prior.sharpness * touch)
-        active = prior.doubt + (1.0 - 2.0 * prior.doubt) * torch.sigmoid(2.0 * margin)
+        active = prior.min_probability + (1.0 - 2.0 * prior.min_probability) * torch.sigmoid(
+            2.0 * margin
+        )
         active = active * encoded.weight
         return torch.stack([1.0 - active, active], dim=-1)
 

@@ -77,7 +77,7 @@ def test_other_numbers_of_objects_do_not_recompile():
 
 @dataclass(frozen=True)
 class Watched:
-    """What a planner carries, as far as the policy looks at it."""
+    """The part of a planner's state that the policy reads."""
 
     cost: QuadraticCost
     belief: ContactBelief

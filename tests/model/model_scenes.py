@@ -52,7 +52,7 @@ def _preset(
 
 
 def with_random_weights(construct: Callable[[], ContactDynamics], seed: int = 0) -> ContactDynamics:
-    """What `construct` makes, its weights drawn by numpy: that compiles nothing."""
+    """The result of `construct`, with weights drawn by numpy, which compiles nothing."""
     rng = np.random.default_rng(seed)
 
     def draw(path: tuple, leaf: object) -> object:

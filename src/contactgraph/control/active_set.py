@@ -168,7 +168,7 @@ class ActiveSetMPC:
         return ActiveBounds(state.plan.swept, state.node_ids, state.required, self._cutoff)
 
     def _with_observation(self, state: ActiveSetState) -> ActiveSetState:
-        """Where the plan was reused, its bounds also hold the observed positions."""
+        """Bounds of a reused plan also contain the observed positions."""
         every = self._mpc.config.replan_every
         if every == 1 or state.plan.outcome != PlanStatus.PLAN_REUSED:
             return state

@@ -226,7 +226,7 @@ class _Search(eqx.Module):
     trial: AffinePolicy
     damping: Float[Array, ""]
     attempt: Int[Array, ""]
-    """Which of the step sizes the trial takes."""
+    """Index of the trial's step size."""
     iteration: Int[Array, ""]
     status: Int[Array, ""]
 

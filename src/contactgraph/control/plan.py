@@ -16,7 +16,7 @@ from contactgraph.model import ContactBelief, ModelState, Nodes, StepModel
 
 
 class PlanStatus(IntEnum):
-    """How a plan came about; `message` is a sentence for the user."""
+    """The origin of a plan; `message` is a sentence for the user."""
 
     CONVERGED = 0
     ITERATION_LIMIT = 1

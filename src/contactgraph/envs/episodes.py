@@ -100,7 +100,7 @@ def collect(
 
     A mix is a longer list: ``[expert] * 8 + [ExplorationPolicy(), RestPolicy()]`` explores in
     every tenth run and rests in every tenth. Each run has a seed of its own, spawned from
-    ``seed``, so that run ``i`` is the same however many are recorded, and by whom; its scene's
+    ``seed``, so that run ``i`` is the same for any number of episodes and workers; its scene's
     metadata names it, and `run_episode` with it gives that run again.
 
     ``on_episode`` is called with every run as it is done, in order. This process records, or, where

@@ -54,7 +54,7 @@ def lifted_fraction(
     geometry: Geometry,
     group_capacity: int | None = None,
 ) -> Float[Array, " N"]:
-    """How far each node is lifted, in [0, 1]: the strongest chain of edges to an actuated node.
+    """Lifted fraction of each node, in [0, 1]: the strongest chain of edges to an actuated node.
 
     `actuated` is 1 or 0, the `coupling` of an edge in [0, 1), a chain as strong as the product of
     its edges. `group_capacity`: most nodes that are coupled; None: no limit.

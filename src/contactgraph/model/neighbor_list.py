@@ -158,7 +158,7 @@ def near_pairs(
     mask: Bool[Array, " N"],
     cutoff: float,
 ) -> Bool[Array, " all"]:
-    """Which of all pairs may come within the cutoff; arguments as of `NeighborList`."""
+    """Mask of the pairs that may come within the cutoff; arguments as of `NeighborList`."""
     first, second = pair_indices(position.shape[0]).T
     apart = position[second] - position[first]
     near = jnp.sum(apart**2, axis=-1) < (cutoff + bound[first] + bound[second]) ** 2

@@ -37,7 +37,7 @@ _CLEARANCE = 1.03
 
 
 class FitStatus(enum.Enum):
-    """How training ended; the value is the text for users."""
+    """The end of training; the value is the text for users."""
 
     finished = "all steps done"
     stopped_early = "the held-out error no longer fell"

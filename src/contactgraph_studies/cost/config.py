@@ -32,7 +32,7 @@ class Demonstrator:
     """MPC, with another goal in every demonstration; else the task's expert, always with the same
     goal and objects."""
     hidden: "CostCondition | None" = None
-    """How the cost of MPC was learned; None: it is the task's own."""
+    """Learning of the cost of MPC; None: the task's own cost."""
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ def test_free_space_excitation_needs_a_point() -> None:
 
 
 def passes(policy: RecordingPolicy, seed: int) -> tuple[float, float]:
-    """How near, m, the hand comes to the block, and its slowest speed, m/s, as it is there."""
+    """The least distance, m, of hand and block, and the least speed, m/s, near it."""
     observed = positions(policy, 10.0, seed)
     distance = np.linalg.norm(observed - BLOCK, axis=1)
     speed = np.linalg.norm(np.diff(observed, axis=0, prepend=START[None]), axis=1) / 0.01

@@ -18,7 +18,7 @@ APART = 0.015
 
 
 class Device:
-    """What a RealSense gives, without one: two streams, 15 mm apart."""
+    """The synthetic streams of a RealSense, 15 mm apart."""
 
     def __init__(self, model=rs.distortion.none, coeffs=(0.0,) * 5):
         self.device = rs.software_device()

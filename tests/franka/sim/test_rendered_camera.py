@@ -39,7 +39,7 @@ from contactgraph_franka.sim.blocks import tagged_block
 from contactgraph_franka.perception import Intrinsics
 from contactgraph_franka.envs.arm_model import mujoco
 
-told = np.load(sys.argv[1])
+setup = np.load(sys.argv[1])
 tree = ElementTree.fromstring(
     '<mujoco><worldbody><geom type="plane" size="3 3 .1" rgba=".45 .5 .55 1"/>'
     '<light pos="0 0 3" dir="0 0 -1" directional="true"/></worldbody></mujoco>'
@@ -53,18 +53,18 @@ for side in (-1, 1):
         rgba=".3 .3 .3 1", mass="0", contype="0", conaffinity="0",
     )
 model = mujoco.MjModel.from_xml_string(ElementTree.tostring(tree, encoding="unicode"))
-lens = Intrinsics(*told["lens"][:4], *map(int, told["lens"][4:]))
+lens = Intrinsics(*setup["lens"][:4], *map(int, setup["lens"][4:]))
 held = mujoco.MjModel.from_xml_string(ElementTree.tostring(tree, encoding="unicode"))
 held.geom_group[held.geom_group == 4] = 0
 cameras = {
-    "exact": RenderedCamera(model, told["camera"], lens, grey_noise=0.0, depth_noise=0.0),
-    "noisy": RenderedCamera(model, told["camera"], lens, depth_noise=0.003, seed=1),
-    "windows": RenderedCamera(model, told["camera"], lens, bodies=("block",), seed=2),
-    "held": RenderedCamera(held, told["camera"], lens, seed=3),
+    "exact": RenderedCamera(model, setup["camera"], lens, grey_noise=0.0, depth_noise=0.0),
+    "noisy": RenderedCamera(model, setup["camera"], lens, depth_noise=0.003, seed=1),
+    "windows": RenderedCamera(model, setup["camera"], lens, bodies=("block",), seed=2),
+    "held": RenderedCamera(held, setup["camera"], lens, seed=3),
 }
 made = {"mass": model.body("block").mass[0]}
 for name, camera in cameras.items():
-    frames = [camera.picture(places, 0.5) for places in told["places"]]
+    frames = [camera.picture(places, 0.5) for places in setup["places"]]
     assert all(frame.time == 0.5 for frame in frames)
     made[name] = [frame.image for frame in frames]
     if frames[0].depth is not None:
@@ -113,8 +113,8 @@ def frames(tmp_path_factory):
     folder = tmp_path_factory.mktemp("frames")
     lens = [LENS.fx, LENS.fy, LENS.cx, LENS.cy, LENS.width, LENS.height]
     places = [as_places(place) for place in POSES]
-    np.savez(folder / "told.npz", lens=lens, camera=CAMERA, places=places)
-    done = in_process(RENDERED, "egl", folder / "told.npz", folder / "frames.npz")
+    np.savez(folder / "setup.npz", lens=lens, camera=CAMERA, places=places)
+    done = in_process(RENDERED, "egl", folder / "setup.npz", folder / "frames.npz")
     if "OpenGL" in done.stderr:
         pytest.skip(f"no OpenGL without a screen here: {done.stderr.splitlines()[-1]}")
     assert done.returncode == 0, done.stderr
@@ -206,8 +206,8 @@ def test_the_block_is_as_heavy_as_the_papers(frames):
 
 @pytest.mark.slow
 def test_without_opengl_the_error_names_the_variable(tmp_path):
-    np.savez(tmp_path / "told.npz", lens=[9.0] * 4 + [64, 48], camera=CAMERA, places=[[0.0] * 7])
-    done = in_process(RENDERED, "disabled", tmp_path / "told.npz", tmp_path / "none.npz")
+    np.savez(tmp_path / "setup.npz", lens=[9.0] * 4 + [64, 48], camera=CAMERA, places=[[0.0] * 7])
+    done = in_process(RENDERED, "disabled", tmp_path / "setup.npz", tmp_path / "none.npz")
     assert done.returncode == 1
     assert "a rendered camera needs OpenGL without a screen: set MUJOCO_GL=egl" in done.stderr
 
