@@ -1,5 +1,6 @@
 """Every command as a user calls it: output, files and exit codes."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import safetensors
 
 from contactgraph.cli import main as cli
 from contactgraph.cli.models import model_preset
+from contactgraph.cli.tasks import known_task
 from contactgraph.data import describe_file, read_trajectories
 from contactgraph.envs import PickupExpert
 from contactgraph.evaluate import closed_loop_metrics, collect
@@ -280,7 +282,30 @@ def by_the_expert(model, factory, episodes, seed, *, on_episode, **options):
     for each in trajectories:
         after = np.minimum(np.arange(200)[:, None] + np.arange(options["horizon"] + 1), 200)
         on_episode(each, SimpleNamespace(plan=each.position[after]))
-    return closed_loop_metrics(trajectories, [True, False], (0, 1), seed, [1.0, 2.0]), trajectories
+    return closed_loop_metrics(
+        trajectories, [True, False][:episodes], (0, 1), seed, [1.0, 2.0]
+    ), trajectories
+
+
+def test_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One test condition, with episodes of the expert; the numbers are those of the files."""
+    task = dataclasses.replace(known_task("pickup"), conditions=known_task("pickup").conditions[:1])
+    monkeypatch.setattr("contactgraph.cli.tasks.known_task", lambda name: task)
+    monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
+    page = tmp_path / "report" / "index.html"
+    done("report", "pickup", "--test-runs", 1, "--episodes", 2, "--out", page)
+    assert f"the report: {page}" in capsys.readouterr().out
+    (open_loop,) = (page.parent / "cells").glob("evaluate-*.json")
+    measured = json.loads(open_loop.read_text())
+    numbers = json.loads((page.parent / "results.json").read_text())["numbers"]
+    errors = {number["value"] for number in numbers if number["unit"] == "cm"}
+    assert any(error == pytest.approx(100 * measured["n_step_rmse_m"]) for error in errors)
+    table = (page.parent / "table.csv").read_text().splitlines()
+    assert len(table) == 1 + len(numbers)
+    assert "pickup" in page.read_text(encoding="utf-8")
+    assert (page.parent / "pickup.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow

@@ -100,7 +100,8 @@ def both(local: ActiveSetMPC, whole: MPC, observed: dict, steps: int) -> list[np
     return in_play
 
 
-@pytest.mark.parametrize("count", [pytest.param(11, marks=pytest.mark.slow), 30])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [11, 30])
 def test_distant_distractors_are_inactive_and_change_nothing(local, whole, count):
     for inside in both(local, whole, scene(count, seed=count), 4):
         assert inside.tolist() == [0, 1]

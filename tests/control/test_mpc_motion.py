@@ -55,6 +55,7 @@ def after_a_push(mpc: MPC, speeds, applied, contacts=None):
     return mpc.step(observed(speeds, moved), contacts, state, applied)[1]
 
 
+@pytest.mark.slow
 def test_a_load_is_a_contact_though_it_is_too_far_for_one(inferring, model) -> None:
     loaded, free = [0.1, 0.1], [0.2, 0.0]
     assert after_a_push(inferring, loaded, PUSH).last.belief.probability[0] > 0.9

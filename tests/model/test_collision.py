@@ -131,6 +131,7 @@ def scene_quantities(position, velocity, contact_distance, control_displacement=
     )
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("double_precision")
 def test_derivatives_against_finite_differences() -> None:
     # One pair meets within the step, one approaches, one overlaps: all away from the kinks.

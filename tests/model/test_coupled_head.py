@@ -89,7 +89,10 @@ def by_hand(head: CoupledHead, local: LocalInput, message, theta: float):
     return network, network.solve(local.velocity, gain, local.geometry, DT, 2)
 
 
-@pytest.mark.parametrize("theta", [pytest.param(0.5, marks=pytest.mark.slow), 0.6, 1.0])
+@pytest.mark.parametrize(
+    "theta",
+    [pytest.param(0.5, marks=pytest.mark.slow), pytest.param(0.6, marks=pytest.mark.slow), 1.0],
+)
 def test_the_linear_step_is_that_of_the_network(theta: float) -> None:
     head, (local, message) = random_head(), inputs()
     found = parameters(head, local, message, theta)

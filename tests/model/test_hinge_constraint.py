@@ -46,6 +46,7 @@ def circles(hold, slip: float = 0.0) -> HingeConstraint:
     )
 
 
+@pytest.mark.slow
 def test_a_bars_spring_pulls_as_hard_as_turning_needs() -> None:
     position, velocity = scene()
     found = circles([0.0, 0.0, 0.0])

@@ -144,6 +144,7 @@ def test_predictions_and_gradients_are_those_of_all_pairs(name: str, hinges: boo
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_an_overflowing_list_predicts_nan() -> None:
     nodes = nodes_of(6)
     model = preset("gim_temp")
