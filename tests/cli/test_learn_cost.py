@@ -63,7 +63,7 @@ def test_a_cost_is_learned_and_planned_with(demos: Path, tmp_path: Path) -> None
     first, again = map(read_cost, paths)
     assert np.array_equal(first.Q, again.Q) and np.array_equal(first.R, again.R), "one seed"
     assert first.history.imitation[-1] < first.history.imitation[0]
-    assert [each.name for each in first.participants if each.kept] == ["gripper", "target"]
+    assert [each.name for each in first.task_nodes if each.kept] == ["gripper", "target"]
     result = tmp_path / "out.json"
     command = ["control", "pickup", "pickup", "--episodes", "1", "--replan-every", "10"]
     assert cli.run([*command, "--cost", str(paths[0]), "--json", str(result)]) == 0

@@ -17,7 +17,7 @@ import os, signal, sys, time
 import dataclasses
 from pathlib import Path
 import jax, numpy as np
-from contactgraph.model import gim_temp
+from contactgraph.model import ModelConfig, gim_temp
 from contactgraph.train import FitProgress, TrainConfig, RunFolder, initial_state
 
 folder = RunFolder(Path(sys.argv[1]))
