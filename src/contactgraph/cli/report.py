@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import Positional, arg
+from tyro.conf import arg
 
 from contactgraph.cli.collect import Collect
 from contactgraph.cli.control import Control
 from contactgraph.cli.evaluate import Evaluate
+from contactgraph.cli.options import ModelArgument
 
 if TYPE_CHECKING:
     from contactgraph.cli.model_report import ConditionResult, ModelResult
@@ -21,18 +22,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Report:
-    """Test a model on fresh scenes, and write a page that shows what it learned and how well."""
+    """Test a model on new scenes, and write a page that shows what it learned and how well."""
 
-    model: Positional[Annotated[str, arg(metavar="MODEL")]]
-    """A run folder, a model file, or a model that ships with the package (pickup)."""
+    model: ModelArgument
     task: str = "pickup"
     """The task to test it on: pickup, multi-pickup, door or franka."""
-    out: Path | None = None
-    """The page to write; report/index.html in the run folder, or here, if not given."""
+    out: Annotated[
+        Path | None,
+        arg(
+            metavar="FILE",
+            help_behavior_hint="(default: report/index.html in the run folder, or here)",
+        ),
+    ] = None
+    """The page to write."""
     test_runs: int = 20
-    """Recorded runs a test condition."""
+    """Recorded trajectories per test condition."""
     episodes: int = 20
-    """Closed-loop episodes a test condition."""
+    """Closed-loop episodes per test condition."""
     seed: int = 1000
     """Seed of the test scenes."""
 
@@ -142,13 +148,12 @@ class Report:
 
     def _scene(self, condition: "TestCondition", task: "KnownTask") -> "SceneRun":
         """The first closed-loop episode of a condition, with its plans."""
-        from contactgraph.cli.models import model_path
+        from contactgraph.cli.models import stored_model
         from contactgraph.cli.tasks import TaskOptions, task_factory
         from contactgraph.evaluate import control_task
-        from contactgraph.model.io import load_model
         from contactgraph.viz import scene_run
 
-        model = load_model(model_path(self.model)).model
+        model = stored_model(self.model)
         records: list[EpisodeRecord] = []
 
         def on_episode(run: "Trajectory", record: "EpisodeRecord") -> None:

@@ -132,12 +132,13 @@ def describe_model(path: str | Path) -> ModelSummary:
     """
     path = Path(path)
     with _opened(path) as (file, header):
-        own = "preset" in (made := header["model"])
-        shapes: Any = _config(made, path) if own else _shapes(made, None, path)
+        model = header["model"]
+        own = "preset" in model
+        shapes: Any = _config(model, path) if own else _shapes(model, None, path)
         sizes = [int(np.prod(file.get_slice(name).get_shape())) for name in file.keys()]  # noqa: SIM118
     return ModelSummary(
         format_version=header["format_version"],
-        model=made if own else with_current_names(made),
+        model=model if own else with_current_names(model),
         training=header["training"],
         dimension=shapes.dimension,
         control_size=shapes.control_size,
