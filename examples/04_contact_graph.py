@@ -12,7 +12,7 @@ import numpy as np
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import model_diagnostics, run_episode
 from contactgraph.model import load_model, shipped_model
-from contactgraph.viz import scene_run, write_summary_figure
+from contactgraph.viz import scene_trajectory, write_summary_figure
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 model = load_model(shipped_model("pickup")).model
@@ -47,5 +47,5 @@ graph = insight.belief > 0.5
 wrong = np.sum(graph != run.contact[1:, insight.edges[:, 0], insight.edges[:, 1]])
 print(f"of {graph.size} edges over the episode, {wrong} are wrong")
 
-write_summary_figure(folder / "contact_graph.png", scene_run(model, "3 distractors", run))
+write_summary_figure(folder / "contact_graph.png", scene_trajectory(model, "3 distractors", run))
 print(f"wrote {folder / 'contact_graph.png'}")

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from contactgraph.data import atomic_write, read_trajectories
 from contactgraph.model.io import load_model
-from contactgraph.viz import SceneRun, scene_run, write_summary_figure
+from contactgraph.viz import SceneTrajectory, scene_trajectory, write_summary_figure
 from contactgraph.viz.scene_picture import CONTACT_COLOUR, body_colour
 from contactgraph.viz.selection import focus_nodes, involved_nodes, leading_edges, shown_directions
 from contactgraph_studies.study import Picture
@@ -72,24 +72,25 @@ def write_figure(folder: Path, name: str, title: str, caption: str, figure: Figu
     return Picture(title, caption, image, "svg+xml")
 
 
-def write_scene(folder: Path, name: str, title: str, caption: str, scene: SceneRun) -> Picture:
+def write_scene(
+    folder: Path, name: str, title: str, caption: str, scene: SceneTrajectory
+) -> Picture:
     """Write the summary figure of an episode to ``figures/NAME.png``."""
     path = folder / _FOLDER / f"{name}.png"
     write_summary_figure(path, scene)
     return Picture(title, caption, path.read_bytes(), "png")
 
 
-def first_episode(numbers: Path, model: Path, title: str) -> SceneRun | None:
+def first_episode(numbers: Path, model: Path, title: str) -> SceneTrajectory | None:
     """The first trajectory beside a file of numbers; None if it or the model is missing."""
     trajectories = numbers.with_suffix(".h5")
     if not (trajectories.is_file() and model.is_file()):
         return None
-    return scene_run(
-        load_model(model).model, title, read_trajectories(trajectories).trajectories[0]
-    )
+    first = read_trajectories(trajectories).trajectories[0]
+    return scene_trajectory(load_model(model).model, title, first)
 
 
-def parameter_figure(scene: SceneRun) -> Figure:
+def parameter_figure(scene: SceneTrajectory) -> Figure:
     """Belief, speed, inverse mass, stiffness and damping over time; bands mark true contact.
 
     In three dimensions parameters along the vertical are dashed.
@@ -128,7 +129,7 @@ def parameter_figure(scene: SceneRun) -> Figure:
     return figure
 
 
-def _mark_contact(axes: Axes, scene: SceneRun, time: np.ndarray) -> None:
+def _mark_contact(axes: Axes, scene: SceneTrajectory, time: np.ndarray) -> None:
     """A band while the first of the leading edges is in true contact."""
     leading = leading_edges(scene, limit=1)
     if scene.contact is None or not leading:

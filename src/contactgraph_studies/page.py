@@ -9,11 +9,11 @@ from pathlib import Path
 from string import Template
 
 from contactgraph.cli.output import provenance, write_json, write_text
-from contactgraph.viz.markup import numbers_table
-from contactgraph.viz.number_table import csv_numbers, markdown_numbers
+from contactgraph.viz.markup import metrics_table
+from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
 from contactgraph_studies.results import with_range
 from contactgraph_studies.runner import Failure
-from contactgraph_studies.study import Claim, ClaimNumber, Picture, Study, StudyResult
+from contactgraph_studies.study import Claim, ClaimMetric, Picture, Study, StudyResult
 
 _VERDICTS = {True: "holds", False: "does not hold", None: "not known"}
 _CLASSES = {True: "met", False: "missed", None: ""}
@@ -41,15 +41,15 @@ def write_study(
     )
     write_text(folder / "table.md", "\n".join(table.markdown() for table in result.tables))
     write_text(folder / "table.csv", result.tables[0].csv())
-    write_text(folder / "targets.md", markdown_numbers(result.targets))
-    write_text(folder / "targets.csv", csv_numbers(result.targets))
+    write_text(folder / "targets.md", markdown_metrics(result.targets))
+    write_text(folder / "targets.csv", csv_metrics(result.targets))
     commands = [command, *(job.command for job in study.jobs)]
     page = study_page(result, failed, commands, origin["versions"], date)
     write_text(folder / "index.html", page)
     for claim in result.claims:
         print(f"{claim.number}. {_VERDICTS[claim.holds]}: {claim.title}")
         print(f"   {claim.sentence}")
-    print(markdown_numbers(result.targets))
+    print(markdown_metrics(result.targets))
     print(f"the page: {folder / 'index.html'}")
 
 
@@ -71,7 +71,7 @@ def study_page(
         failures=_failures(failures),
         figures=_section("figures", "Figures", map(_picture, result.figures)),
         asked=escape(result.targets_heading),
-        targets=numbers_table(tuple(result.targets)),
+        targets=metrics_table(tuple(result.targets)),
         tables="".join(table.html() for table in result.tables),
         scenes=_section("scenes", "Scenes", map(_picture, result.scenes)),
         commands="\n".join(escape(command) for command in commands),
@@ -87,7 +87,7 @@ def _section(slug: str, heading: str, parts: Iterable[str]) -> str:
 
 
 def _claim(claim: Claim) -> str:
-    rows = "".join(_claim_row(number) for number in claim.numbers)
+    rows = "".join(_claim_row(metric) for metric in claim.metrics)
     return (
         f'<article class="claim"><p class="verdict {_CLASSES[claim.holds]}">'
         f"{_VERDICTS[claim.holds]}</p><div>"
@@ -102,11 +102,11 @@ def _claim(claim: Claim) -> str:
     )
 
 
-def _claim_row(number: ClaimNumber) -> str:
+def _claim_row(metric: ClaimMetric) -> str:
     return (
-        f"<tr><td>{escape(number.task)}</td><td>{escape(number.name)}</td>"
-        f'<td class="figure">{escape(with_range(number.statistic, number.unit))}</td>'
-        f"<td><code>{escape(number.statistic.command)}</code></td></tr>"
+        f"<tr><td>{escape(metric.task)}</td><td>{escape(metric.name)}</td>"
+        f'<td class="figure">{escape(with_range(metric.statistic, metric.unit))}</td>'
+        f"<td><code>{escape(metric.statistic.command)}</code></td></tr>"
     )
 
 

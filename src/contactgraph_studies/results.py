@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from contactgraph.evaluate import wilson_interval
-from contactgraph.viz.number_table import short, with_unit
+from contactgraph.viz.metric_table import short, with_unit
 from contactgraph_studies.job import Measurement
 
 Values = Mapping[str, Any]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from contactgraph.cli.tasks import Target
-from contactgraph.viz import Number
+from contactgraph.viz import Metric
 from contactgraph_studies.job import Job, Measurement, Variant
 from contactgraph_studies.paper.config import DOOR, FRANKA, MULTI_PICKUP, PICKUP
 from contactgraph_studies.results import PLANNED_F1, Quantity, Results, SeedStatistic, Values
@@ -198,17 +198,17 @@ def sensing_table(results: Results, conditions: Sequence[SensorCondition]) -> St
 
 def sensing_targets(
     results: Results, tasks: Sequence[SensingTask], amounts: SensingAmounts
-) -> tuple[Number, ...]:
+) -> tuple[Metric, ...]:
     """The targets of contact inferred from motion."""
-    numbers = []
+    targets = []
     for task in tasks:
         for condition in task.conditions:
             where = SensorCondition(task.name, condition.name, INFERRED.name)
             label = f"{task.name}, {condition.name}, by motion alone"
             f1 = results.statistic(where, _F1)
-            numbers.append(judged(f"{label}: edge F1", "", f1, _F1_TARGET, amounts.seeds))
+            targets.append(judged(f"{label}: edge F1", "", f1, _F1_TARGET, amounts.seeds))
             delay, name = results.statistic(where, ONSET_DELAY_P95), "onset delay, 95 %"
-            numbers.append(
+            targets.append(
                 judged(f"{label}: {name}", "ms", delay, _DELAY_TARGET_MS, amounts.seeds, True)
             )
     for condition in PICKUP_SENSING.conditions:
@@ -217,8 +217,8 @@ def sensing_targets(
             label = f"{PICKUP_SENSING.name}, {condition.name}: share of what contacts measured gain"
             label += f" in {name}{'' if share.known else ' (they gain nothing)'}"
             target = _RECOVERED_TARGET if share.known else None
-            numbers.append(judged(label, "%", share, target, amounts.seeds))
-    return tuple(numbers)
+            targets.append(judged(label, "%", share, target, amounts.seeds))
+    return tuple(targets)
 
 
 def _delay_ms(key: str) -> Quantity:

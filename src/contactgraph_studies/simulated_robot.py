@@ -6,8 +6,8 @@ from functools import cached_property
 from pathlib import Path
 
 from contactgraph.cli.tasks import Target
-from contactgraph.viz import Number
-from contactgraph.viz.number_table import short
+from contactgraph.viz import Metric
+from contactgraph.viz.metric_table import short
 from contactgraph_studies.job import Job, Measurement, Options, Variant
 from contactgraph_studies.results import SUCCESS_PERCENT, Quantity, Results
 from contactgraph_studies.study import Study, StudyResult, judged
@@ -229,7 +229,7 @@ def _heading(key: str) -> str:
     return key.replace("_", " ")
 
 
-def sim_targets(results: Results, amounts: SimAmounts) -> tuple[Number, ...]:
+def sim_targets(results: Results, amounts: SimAmounts) -> tuple[Metric, ...]:
     """The targets of the simulated robot; its prediction error is to be the paper's on an arm."""
     error = Quantity("n_step_rmse_inferred_m", 100.0, null=math.inf)
     delay = Quantity("switch_time_error_inferred_s", 1000.0)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from contactgraph.cli.tasks import Target
-from contactgraph.viz import Number
+from contactgraph.viz import Metric
 from contactgraph_studies.job import Job, Measurement, in_dependency_order
 from contactgraph_studies.results import Quantity, Results, SeedStatistic
 from contactgraph_studies.tables import StudyTable
@@ -26,7 +26,7 @@ class Picture:
     """``svg+xml`` or ``png``."""
 
 
-class ClaimNumber(NamedTuple):
+class ClaimMetric(NamedTuple):
     """A measured number that a claim is judged by."""
 
     name: str
@@ -47,7 +47,7 @@ class Claim:
     """The condition under which it holds for these models."""
     results: Results
     tasks: Sequence[str]
-    numbers: list[ClaimNumber] = field(default_factory=list)
+    metrics: list[ClaimMetric] = field(default_factory=list)
     verdicts: list[bool | None] = field(default_factory=list)
     """None: not known."""
     findings: list[str] = field(default_factory=list)
@@ -57,7 +57,7 @@ class Claim:
 
     def add(self, name: str, task: str, unit: str, statistic: SeedStatistic) -> SeedStatistic:
         """Record a number; returns it."""
-        self.numbers.append(ClaimNumber(name, task, unit, statistic))
+        self.metrics.append(ClaimMetric(name, task, unit, statistic))
         return statistic
 
     def measure(
@@ -101,7 +101,7 @@ class Claim:
                     "values": [_json(value) for value in one.values],
                     "command": one.command,
                 }
-                for name, task, unit, one in self.numbers
+                for name, task, unit, one in self.metrics
             ],
         }
 
@@ -113,7 +113,7 @@ class StudyResult:
     title: str
     summary: str
     targets_heading: str
-    targets: Sequence[Number]
+    targets: Sequence[Metric]
     tables: Sequence[StudyTable]
     """The first is written to ``table.csv``, all of them to ``table.md`` and the page."""
     amounts: Mapping[str, Any]
@@ -150,9 +150,9 @@ def judged(
     target: Target | None,
     seeds: Sequence[int],
     lower: bool = False,
-) -> Number:
+) -> Metric:
     """The median over seeds with its range, beside the target; ``lower``: lower is better."""
-    return Number(
+    return Metric(
         name=name,
         value=statistic.median if statistic.known else None,
         unit=unit,

@@ -321,7 +321,7 @@ def test_control_in_space(tmp_path: Path) -> None:
     assert (values["task"], values["grasp"], values["horizon"]) == ("franka", "weld", 20)
     assert values["n_steps"] == 50 and values["frozen_contact_rmse_m"] is not None
     (run,) = read_trajectories(episodes)
-    assert run.scene.has_weight and run.control.shape == (400, 3) and run.skeleton is not None
+    assert run.scene.has_weight and run.control.shape == (400, 3) and run.link_positions is not None
 
 
 def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:

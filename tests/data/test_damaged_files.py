@@ -43,8 +43,8 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     state = rng.normal(size=(2, STEPS + 1, NODES, 2))
     contact = np.zeros((STEPS + 1, NODES, NODES), dtype=bool)
-    control, skeleton = rng.normal(size=(STEPS, 2)), rng.normal(size=(STEPS + 1, 4, 2))
-    run = Trajectory(scene, state[0], state[1], control, contact, skeleton)
+    control, link_positions = rng.normal(size=(STEPS, 2)), rng.normal(size=(STEPS + 1, 4, 2))
+    run = Trajectory(scene, state[0], state[1], control, contact, link_positions)
     write_trajectories(path, [run, run], {"task": "push"})
     return path
 
@@ -194,8 +194,11 @@ STATE = np.zeros((STEPS + 1, NODES, 2))
         (put("size", [[1, 1], [1, 0], [1, 1]]), f"{RUN}: size must be positive, or NaN throughout"),
         (put("size", [[1, np.inf]] * 3), "found [1.0, inf] for 'gripper'"),
         (put("size", [[1, 1], [np.nan, 1], [1, 1]]), "found [nan, 1.0] for 'käse'"),
-        (with_nan("skeleton"), f"{RUN}: skeleton must be finite, found nan at [1, 1, 0]"),
-        (put("skeleton", STATE[:3]), f"{RUN}: skeleton must have shape (T+1, P, D) = (5, P, 2)"),
+        (with_nan("skeleton"), f"{RUN}: link_positions must be finite, found nan at [1, 1, 0]"),
+        (
+            put("skeleton", STATE[:3]),
+            f"{RUN}: link_positions must have shape (T+1, P, D) = (5, P, 2)",
+        ),
         (put("skeleton", STATE[..., :1]), "with P >= 2, found (5, 3, 1)"),
         (put("skeleton", STATE[:, :1]), "with P >= 2, found (5, 1, 2)"),
         (put("skeleton", STATE[0]), f"{RUN}/skeleton: must have shape (T+1, P, D) of floats"),

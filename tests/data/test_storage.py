@@ -96,7 +96,7 @@ def assert_same(found: Dataset, expected: Dataset) -> None:
     }
     assert len(found) == len(expected)
     for ours, theirs in zip(found, expected, strict=True):
-        for name in ("position", "velocity", "control", "contact", "skeleton", *MEASURING):
+        for name in ("position", "velocity", "control", "contact", "link_positions", *MEASURING):
             assert_same_array(getattr(ours, name), getattr(theirs, name))
         for name in ("actuated", "anchor", "goal", "mass", "radius", "size", "candidate_edges"):
             assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))

@@ -76,12 +76,12 @@ class Watched(PickupTask):
         return self.stick
 
 
-def test_a_task_that_is_drawn_has_its_skeleton_recorded_at_every_state():
+def test_a_task_that_is_drawn_has_its_links_recorded_at_every_state():
     run = run_episode(Watched(), PickupExpert(), 4)
-    assert run.skeleton.shape == (201, 2, 2)
-    assert np.array_equal(run.skeleton[:, 1], run.position[:, 0])
-    assert np.array_equal(run.skeleton[:, 0], np.tile([0.0, 2.0], (201, 1)))
-    assert run_episode(PickupTask(), PickupExpert(), 4).skeleton is None
+    assert run.link_positions.shape == (201, 2, 2)
+    assert np.array_equal(run.link_positions[:, 1], run.position[:, 0])
+    assert np.array_equal(run.link_positions[:, 0], np.tile([0.0, 2.0], (201, 1)))
+    assert run_episode(PickupTask(), PickupExpert(), 4).link_positions is None
 
 
 def test_metadata_names_the_policy_and_keeps_the_task():

@@ -13,7 +13,7 @@ from made_up import Change, cost_results
 
 from contactgraph.control import LearningHistory, write_cost
 from contactgraph.data import Scene, Trajectory, write_trajectories
-from contactgraph.viz import Number
+from contactgraph.viz import Metric
 from contactgraph_studies.cost.config import (
     COST_TASKS,
     DOOR_COST,
@@ -69,12 +69,12 @@ def test_sentence_and_numbers_of_the_claim() -> None:
         "99 % (297 of 300; 97.1 to 99.7) on multi-pickup and 99 % (297 of 300; 97.1 to 99.7) on "
         "door."
     )
-    assert [number.statistic.median for number in found.numbers[:4]] == [50.0, 99.0, 99.0, 99.0]
+    assert [number.statistic.median for number in found.metrics[:4]] == [50.0, 99.0, 99.0, 99.0]
     nothing = transfers(Results({}), COST_TASKS, FULL_COST)
     assert (nothing.holds, nothing.sentence) == (None, "Not measured.")
 
 
-def targets(results: Results) -> dict[str, Number]:
+def targets(results: Results) -> dict[str, Metric]:
     return {number.name: number for number in cost_targets(results, [PICKUP_COST], FULL_COST)}
 
 

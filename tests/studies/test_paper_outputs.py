@@ -10,7 +10,7 @@ import pytest
 from made_up import AMOUNTS, by_the_paper, results
 from matplotlib.figure import Figure
 
-from contactgraph.viz.number_table import csv_numbers, markdown_numbers
+from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
 from contactgraph_studies.figures import new_figure, svg, write_figure
 from contactgraph_studies.page import study_page
 from contactgraph_studies.paper.claims import claims
@@ -109,15 +109,15 @@ def test_targets_are_judged_by_the_median_over_seeds() -> None:
     assert (error.at_least, error.aim, error.reached) == (1.2, 0.3, True)
     assert numbers["door, 10 more doors: edge F1, the same"].reached is True
     assert numbers["door, 10 more doors: success"].reached is None, "not measured"
-    text = markdown_numbers(list(numbers.values()))
+    text = markdown_metrics(list(numbers.values()))
     assert "planned against executed | 1.1 cm (0.1 to 5) | 1.2 | 0.3 | yes |" in text
     assert "10 more doors: success | not known | 95 | 100 |  |" in text
     arm = {number.name: number for number in model_targets(results(), [FRANKA], (0, 1, 2))}
     assert arm["franka, 5 distractors: success"].at_least == 90.0
     assert len(arm) == 2 * 6, "speed at contact and control time are judged for the arm alone"
     missed = model_targets(results({ERROR: 0.02}, GIM_TEMP), TASKS, (0,))
-    assert "| **no** |" in markdown_numbers(missed)
-    read = list(csv.DictReader(io.StringIO(csv_numbers(missed))))
+    assert "| **no** |" in markdown_metrics(missed)
+    read = list(csv.DictReader(io.StringIO(csv_metrics(missed))))
     assert len(read) == len(missed) == 3 * 2 * 4
     assert (read[0]["value"], read[0]["reached"]) == ("2.0", "False")
 

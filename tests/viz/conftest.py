@@ -3,11 +3,11 @@ from synthetic_pickup import pickup, report
 
 
 @pytest.fixture(scope="session")
-def run():
+def scene():
     """A pickup past three distractors."""
     return pickup("3 distractors", 3, steps=60, horizon=5, seed=3)
 
 
 @pytest.fixture(scope="session")
-def data(run):
-    return report((run, pickup("no distractors", 0, steps=60, horizon=5)))
+def data(scene):
+    return report((scene, pickup("no distractors", 0, steps=60, horizon=5)))

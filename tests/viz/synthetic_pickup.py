@@ -6,7 +6,7 @@ goal; the touch is purely inelastic and then holds.
 
 import numpy as np
 
-from contactgraph.viz import LossCurve, NStepError, Number, ReportData, SceneRun
+from contactgraph.viz import LossCurve, Metric, NStepError, ReportData, SceneTrajectory
 
 DT, RADIUS, SUBSTEPS = 0.05, 0.04, 10
 START, OBJECT, GOAL = np.array([-0.75, -0.5]), np.array([0.1, 0.05]), np.array([0.62, 0.6])
@@ -86,7 +86,7 @@ def pickup(name, distractors, steps=160, horizon=15, seed=0):
     contact[:, 0] = touch
     belief = _belief(position, velocity, contact, edges, rng)
     parameters = _parameters(belief[:, 0], touch, nodes, rng)
-    return SceneRun(
+    return SceneTrajectory(
         name=name,
         dt=DT,
         node_name=("gripper", *(f"object-{k}" for k in range(nodes - 1))),
@@ -128,7 +128,7 @@ def _parameters(held, touch, nodes, rng):
     return {name: np.stack([values, values], axis=-1) for name, values in parameters.items()}
 
 
-def report(runs=None):
+def report(scenes=None):
     step = np.arange(0, 3001, 25.0)
     decay = np.exp(-step / 500.0)
     rng = np.random.default_rng(1)
@@ -157,10 +157,10 @@ def report(runs=None):
             )
     return ReportData(
         title="A contact graph that picks things up",
-        summary="Trained on 40 recorded runs, the model knows when the gripper holds the object, "
-        "and carries it to the goal past ten objects it has never seen.",
-        numbers=(
-            Number(
+        summary="Trained on 40 recorded trajectories, the model knows when the gripper holds the "
+        "object, and carries it to the goal past ten objects it has never seen.",
+        metrics=(
+            Metric(
                 "Success with 10 distractors",
                 100.0,
                 "%",
@@ -172,23 +172,23 @@ def report(runs=None):
                 0,
                 True,
             ),
-            Number(
+            Metric(
                 "N-step error", 0.42, "cm", (0.36, 0.5), 0.5, 0.2, True, collect, (0, 1, 2), True
             ),
-            Number("Edge F1", 0.991, "", (0.985, 0.996), 0.97, 0.99, False, collect, 0, True),
-            Number(
+            Metric("Edge F1", 0.991, "", (0.985, 0.996), 0.97, 0.99, False, collect, 0, True),
+            Metric(
                 "Speed at contact", 1.13, "m/s", (1.05, 1.2), 0.3, None, False, control, 0, True
             ),
-            Number("Plan time, p99", 12.4, "ms", None, 10, 3, True, control, 0, True),
-            Number("Model file", 0.21, "MB", None, 1, None, True, "contactgraph info runs/pickup"),
+            Metric("Plan time, p99", 12.4, "ms", None, 10, 3, True, control, 0, True),
+            Metric("Model file", 0.21, "MB", None, 1, None, True, "contactgraph info runs/pickup"),
         ),
-        runs=(
+        scenes=(
             pickup("no distractors", 0),
             pickup("3 distractors", 3, seed=3),
             pickup("10 distractors", 10, seed=5),
         )
-        if runs is None
-        else runs,
+        if scenes is None
+        else scenes,
         errors=tuple(errors),
         horizon_s=0.5,
         losses=(

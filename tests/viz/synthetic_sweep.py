@@ -6,7 +6,7 @@ With a belief, parameters and plans such as a good model would have.
 import numpy as np
 
 from contactgraph.data import Scene, Trajectory, pair_indices
-from contactgraph.viz import SceneRun
+from contactgraph.viz import SceneTrajectory
 
 DT, STEPS, GRASP = 0.02, 100, 45
 HAND, BLOCK, GOAL = [0.35, -0.3, 0.3], [0.5, -0.02, 0.05], [0.6, 0.3, 0.25]
@@ -70,7 +70,7 @@ def sweep_trajectory(distractors=2):
 
 def sweep(name="Sweep", distractors=2, horizon=25):
     """The same with what a model might make of it."""
-    run = sweep_trajectory(distractors)
+    recorded = sweep_trajectory(distractors)
     rng = np.random.default_rng(0)
     edges = pair_indices(2 + distractors)
     held = (np.arange(STEPS) >= GRASP - 1).astype(float)
@@ -85,13 +85,13 @@ def sweep(name="Sweep", distractors=2, horizon=25):
     stiffness = np.abs(0.02 * rng.standard_normal(inverse_mass.shape))
     stiffness[:, 1, 2] += 40.0 * (1.0 - held)
     ahead = np.minimum(np.arange(STEPS)[:, None] + np.arange(horizon + 1), STEPS)
-    return SceneRun.from_trajectory(
+    return SceneTrajectory.from_trajectory(
         name,
-        run,
+        recorded,
         edges,
         belief,
         inverse_mass=inverse_mass,
         stiffness=stiffness,
         damping=damping,
-        plan=run.position[ahead] + 0.0005 * rng.standard_normal((STEPS, horizon + 1, 1, 3)),
+        plan=recorded.position[ahead] + 0.0005 * rng.standard_normal((STEPS, horizon + 1, 1, 3)),
     )

@@ -12,7 +12,7 @@ from test_report_browser import screenshot
 from test_report_page import bare
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
-from contactgraph.viz import ReportData, SceneRun, write_animation, write_summary_figure
+from contactgraph.viz import ReportData, SceneTrajectory, write_animation, write_summary_figure
 from contactgraph.viz.report import embedded_json
 from contactgraph.viz.scene_picture import bar_corners, draw_scene, scene_limits
 
@@ -21,7 +21,7 @@ HINGES = np.array([[np.nan, np.nan], [0.0, 0.0], [1.2, 0.4]])
 
 
 @pytest.fixture(scope="module")
-def doors() -> SceneRun:
+def doors() -> SceneTrajectory:
     """A gripper that pushes a door of 1 m, beside another door."""
     angle = -1.2 + 0.04 * np.arange(STEPS + 1)
     along = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -34,12 +34,12 @@ def doors() -> SceneRun:
         ("gripper", "door", "distractor"), ("gripper", "door", "door"), np.arange(3) == 0, DT,
         anchor=HINGES, goal=np.array([0.5, 0.1]), radius=np.array([0.04, 0.025, 0.025]),
     )  # fmt: skip
-    run = Trajectory(
+    trajectory = Trajectory(
         scene, position, np.gradient(position, DT, axis=0), np.ones((STEPS, 2)), contact
     )
     edges = np.array([[0, 1], [0, 2]])
     belief = contact[1:][:, edges[:, 0], edges[:, 1]].astype(float)
-    return SceneRun.from_trajectory("doors", run, edges, belief)
+    return SceneTrajectory.from_trajectory("doors", trajectory, edges, belief)
 
 
 def test_a_bar_goes_from_hinge_to_tip(doors):
@@ -77,14 +77,14 @@ def test_bars_are_drawn_and_inside_the_picture(doors):
 
 def test_still_and_film(tmp_path, doors):
     write_summary_figure(tmp_path / "still.png", doors)
-    write_animation(tmp_path / "run.gif", dataclasses.replace(doors, plan=None))
+    write_animation(tmp_path / "scene.gif", dataclasses.replace(doors, plan=None))
     assert min(each.stat().st_size for each in tmp_path.iterdir()) > 5000
 
 
-def test_the_page_knows_the_hinges(doors, run):
-    (found,) = json.loads(embedded_json(ReportData("Doors", "two", runs=(doors,))))["runs"]
+def test_the_page_knows_the_hinges(doors, scene):
+    (found,) = json.loads(embedded_json(ReportData("Doors", "two", scenes=(doors,))))["scenes"]
     assert found["anchor"] == [None, [0.0, 0.0], [1.2, 0.4]]
-    (found,) = json.loads(embedded_json(ReportData("One", "x", runs=(bare(run, 1),))))["runs"]
+    (found,) = json.loads(embedded_json(ReportData("One", "x", scenes=(bare(scene, 1),))))["scenes"]
     assert found["anchor"] is None
 
 
@@ -95,10 +95,10 @@ def orange(picture):
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="needs the chromium browser")
 def test_browser_draws_bars(tmp_path, doors):
-    picture, said = screenshot(tmp_path, ReportData("Doors", "two of them", runs=(doors,)))
+    picture, said = screenshot(tmp_path, ReportData("Doors", "two of them", scenes=(doors,)))
     assert said == []
     with_bars = orange(picture)
     (tmp_path / "without").mkdir()
     without = dataclasses.replace(doors, anchor=None)
-    picture, _ = screenshot(tmp_path / "without", ReportData("Doors", "x", runs=(without,)))
+    picture, _ = screenshot(tmp_path / "without", ReportData("Doors", "x", scenes=(without,)))
     assert with_bars > orange(picture) + 1000, "a bar of 1 m in a scene of 2 m"

@@ -16,17 +16,17 @@ from synthetic_sweep import BLOCK_SIZE, GOAL, GRASP, STEPS, sweep, sweep_traject
 from test_report_browser import pixels_of, screenshot
 
 from contactgraph.data import InvalidInputError, read_trajectories, write_trajectories
-from contactgraph.viz import ReportData, SceneRun, write_animation, write_summary_figure
+from contactgraph.viz import ReportData, SceneTrajectory, write_animation, write_summary_figure
 from contactgraph.viz.projection import projection_of
 from contactgraph.viz.report import embedded_json
-from contactgraph.viz.scene_picture import SKELETON_COLOUR, draw_scene, scene_limits
+from contactgraph.viz.scene_picture import LINK_COLOUR, draw_scene, scene_limits
 from contactgraph.viz.selection import ground_of, shown_directions
 
-BONE = np.array([int(SKELETON_COLOUR[i : i + 2], 16) for i in (1, 3, 5)])
+LINK = np.array([int(LINK_COLOUR[i : i + 2], 16) for i in (1, 3, 5)])
 
 
 @pytest.fixture(scope="module")
-def run():
+def scene():
     return sweep()
 
 
@@ -73,90 +73,97 @@ def test_faces_of_a_box_are_those_turned_to_the_eye():
     assert np.allclose(view.half_extent(size), 0.5 * np.ptp(visible, axis=0))
 
 
-def test_the_ground_is_the_table_and_holds_everything(run):
-    ground = ground_of(run)
+def test_the_ground_is_the_table_and_holds_everything(scene):
+    ground = ground_of(scene)
     assert ground.level == pytest.approx(0.0), "where the blocks stand; the hand is never lower"
     assert ground.spacing == 0.1
     for corner in (ground.low, ground.high):
         assert np.allclose(corner / 0.1, np.round(corner / 0.1))
-    for places in (run.position, run.skeleton, run.goal):
+    for places in (scene.position, scene.link_positions, scene.goal):
         level = places[..., :2].reshape(-1, 2)
         assert (level >= ground.low).all() and (level <= ground.high).all()
     lines = ground.lines()
     assert len(lines) == np.sum(np.round((ground.high - ground.low) / 0.1)) + 2
     assert np.array_equal(lines.min(axis=(0, 1)), ground.corners().min(axis=0))
     flat = dataclasses.replace(
-        sweep(distractors=0), position=np.full((STEPS + 1, 2, 3), np.nan), skeleton=None, goal=None
+        sweep(distractors=0),
+        position=np.full((STEPS + 1, 2, 3), np.nan),
+        link_positions=None,
+        goal=None,
     )
     assert ground_of(flat) is None
 
 
-def test_boxes_arm_and_goal_are_drawn_where_they_are(run):
+def test_boxes_arm_and_goal_are_drawn_where_they_are(scene):
     axes, state = Figure().add_subplot(), GRASP + 20
-    draw_scene(axes, run, state)
+    draw_scene(axes, scene, state)
     boxes = [p.get_xy() for p in axes.get_children() if isinstance(p, Polygon) and p.zorder == 3]
     assert len(boxes) == 3 * 3, "three faces each"
     outline = np.concatenate(boxes)
-    places = corners(run.position[state, 1], BLOCK_SIZE)
-    for corner in run.projection(np.delete(places, run.projection.depth(places).argmin(), axis=0)):
+    places = corners(scene.position[state, 1], BLOCK_SIZE)
+    for corner in scene.projection(
+        np.delete(places, scene.projection.depth(places).argmin(), axis=0)
+    ):
         assert np.abs(outline - corner).sum(axis=1).min() < 1e-9
     circles = {one.center: one.radius for one in axes.get_children() if isinstance(one, Circle)}
-    hand = tuple(run.projection(run.position[state, 0]))
+    hand = tuple(scene.projection(scene.position[state, 0]))
     assert circles[hand] == 0.025 and 0.05 in circles.values()
-    arm = run.projection(run.skeleton[state])
+    arm = scene.projection(scene.link_positions[state])
     assert any(np.array_equal(line.get_xydata(), arm) for line in axes.lines)
-    low, high = scene_limits(run)
-    everything = [run.skeleton, corners(run.goal, 0.1), ground_of(run).corners()]
-    everything += [corners(place, BLOCK_SIZE) for place in run.position[:, 1]]
-    visible = np.concatenate([run.projection(each).reshape(-1, 2) for each in everything])
+    low, high = scene_limits(scene)
+    everything = [scene.link_positions, corners(scene.goal, 0.1), ground_of(scene).corners()]
+    everything += [corners(place, BLOCK_SIZE) for place in scene.position[:, 1]]
+    visible = np.concatenate([scene.projection(each).reshape(-1, 2) for each in everything])
     assert (visible > low).all() and (visible < high).all()
 
 
-def test_near_bodies_cover_far_ones_and_none_covers_the_hand(run):
+def test_near_bodies_cover_far_ones_and_none_covers_the_hand(scene):
     axes = Figure().add_subplot()
-    draw_scene(axes, run, 0)
+    draw_scene(axes, scene, 0)
     bodies = [p for p in axes.get_children() if isinstance(p, Polygon | Circle) and p.zorder == 3]
     assert isinstance(bodies[-1], Circle)
-    depth = run.projection.depth(run.position[0, 1:])
+    depth = scene.projection.depth(scene.position[0, 1:])
     order = [bodies[3 * k].get_xy()[:4].mean(axis=0) for k in range(3)]
     for drawn, node in zip(order, 1 + np.argsort(depth), strict=True):
-        assert np.linalg.norm(drawn - run.projection(run.position[0, node])) < 0.06
+        assert np.linalg.norm(drawn - scene.projection(scene.position[0, node])) < 0.06
 
 
-def test_films_and_stills(tmp_path, run):
-    film = dataclasses.replace(run, dt=0.004, plan=None)
-    write_animation(tmp_path / "run.gif", film)
-    with Image.open(tmp_path / "run.gif") as picture:
+def test_films_and_stills(tmp_path, scene):
+    film = dataclasses.replace(scene, dt=0.004, plan=None)
+    write_animation(tmp_path / "scene.gif", film)
+    with Image.open(tmp_path / "scene.gif") as picture:
         assert picture.n_frames == 11
         bones = []
         for frame in (0, 10):
             picture.seek(frame)
             pixels = np.asarray(picture.convert("RGB")).astype(int)
-            bones.append(np.abs(pixels - BONE).sum(axis=-1) < 25)
+            bones.append(np.abs(pixels - LINK).sum(axis=-1) < 25)
     assert min(bone.sum() for bone in bones) > 800
     assert (bones[0] & ~bones[1]).sum() > 400, "the arm moves, and leaves nothing behind"
-    write_summary_figure(tmp_path / "still.png", run)
+    write_summary_figure(tmp_path / "still.png", scene)
     assert (tmp_path / "still.png").stat().st_size > 20000
 
 
-def test_the_page_has_all_that_is_drawn(run):
-    (found,) = json.loads(embedded_json(ReportData("Arm", "x", runs=(run,))))["runs"]
+def test_the_page_has_all_that_is_drawn(scene):
+    (found,) = json.loads(embedded_json(ReportData("Arm", "x", scenes=(scene,))))["scenes"]
     read = lambda text, *shape: np.frombuffer(base64.b64decode(text), "<f4").reshape(shape)  # noqa: E731
     assert found["dimension"] == 3
-    assert np.allclose(found["axes"], run.projection.axes)
+    assert np.allclose(found["axes"], scene.projection.axes)
     assert found["ground"]["spacing"] == 0.1
     assert found["box"] == [None, *[BLOCK_SIZE.tolist()] * 3]
     assert np.allclose(
-        read(found["skeleton"], STEPS + 1, found["skeletonPoints"], 3), run.skeleton, atol=1e-6
+        read(found["linkPositions"], STEPS + 1, found["linkPoints"], 3),
+        scene.link_positions,
+        atol=1e-6,
     )
     assert found["plan"]["horizon"] == 25, "25 steps ahead are few enough to draw each"
     shape = (STEPS, 26, len(found["plan"]["nodes"]), 3)
-    assert np.allclose(read(found["plan"]["position"], *shape), run.plan[:, :, :2], atol=1e-6)
+    assert np.allclose(read(found["plan"]["position"], *shape), scene.plan[:, :, :2], atol=1e-6)
     level, vertical = (read(each, STEPS, 4) for each in found["stiffness"])
-    assert np.allclose(vertical, run.stiffness[..., 2], atol=1e-5)
+    assert np.allclose(vertical, scene.stiffness[..., 2], atol=1e-5)
     assert level[:, 1].max() < 1.0 < vertical[:, 1].max(), "the table holds the block up alone"
-    longer = dataclasses.replace(run, plan=np.repeat(run.plan, 3, axis=1))
-    (found,) = json.loads(embedded_json(ReportData("Arm", "x", runs=(longer,))))["runs"]
+    longer = dataclasses.replace(scene, plan=np.repeat(scene.plan, 3, axis=1))
+    (found,) = json.loads(embedded_json(ReportData("Arm", "x", scenes=(longer,))))["scenes"]
     assert found["plan"]["horizon"] == 25
 
 
@@ -168,22 +175,26 @@ def test_parameters_are_shown_by_direction():
     assert np.array_equal(mean, level)
 
 
-def test_a_stored_run_is_drawn_as_recorded(tmp_path):
+def test_a_stored_trajectory_is_drawn_as_recorded(tmp_path):
     recorded = sweep_trajectory(distractors=1)
     write_trajectories(tmp_path / "sweep.h5", [recorded])
     (found,) = read_trajectories(tmp_path / "sweep.h5").trajectories
     edges, belief = np.array([[0, 1]]), np.zeros((STEPS, 1))
-    run = SceneRun.from_trajectory("again", found, edges, belief)
-    assert np.array_equal(run.skeleton, recorded.skeleton)
-    assert np.array_equal(run.box(1), BLOCK_SIZE) and run.box(0) is None
-    assert run.goal_radius == 0.05 and run.goal.tolist() == GOAL
-    assert run.contact[:, 0].argmax() == GRASP
+    again = SceneTrajectory.from_trajectory("again", found, edges, belief)
+    assert np.array_equal(again.link_positions, recorded.link_positions)
+    assert np.array_equal(again.box(1), BLOCK_SIZE) and again.box(0) is None
+    assert again.goal_radius == 0.05 and again.goal.tolist() == GOAL
+    assert again.contact[:, 0].argmax() == GRASP
     scene = dataclasses.replace(found.scene, radius=None, metadata={"goal_radius": "near"})
-    bare = SceneRun.from_trajectory("bare", dataclasses.replace(found, scene=scene), edges, belief)
+    bare = SceneTrajectory.from_trajectory(
+        "bare", dataclasses.replace(found, scene=scene), edges, belief
+    )
     assert bare.radius.tolist() == [0.02] * 3, "no thicker than a block"
     assert bare.goal_radius == 0.1
     scene = dataclasses.replace(scene, size=None)
-    bare = SceneRun.from_trajectory("bare", dataclasses.replace(found, scene=scene), edges, belief)
+    bare = SceneTrajectory.from_trajectory(
+        "bare", dataclasses.replace(found, scene=scene), edges, belief
+    )
     assert bare.radius.tolist() == [0.04] * 3 and bare.box(1) is None
 
 
@@ -191,21 +202,21 @@ def test_a_stored_run_is_drawn_as_recorded(tmp_path):
     ("field", "value", "message"),
     [
         ("size", np.zeros((4, 2)), r"size must have shape \(4, 3\), found \(4, 2\)"),
-        ("skeleton", np.zeros((100, 8, 3)), r"skeleton must have shape \(101, 8, 3\)"),
+        ("link_positions", np.zeros((100, 8, 3)), r"link_positions must have shape \(101, 8, 3\)"),
         ("stiffness", np.zeros((100, 4)), r"stiffness must have shape \(100, 4, 3\)"),
     ],
 )
-def test_wrong_shapes_are_named(run, field, value, message):
+def test_wrong_shapes_are_named(scene, field, value, message):
     with pytest.raises(InvalidInputError, match=f"'Sweep': {message}"):
-        dataclasses.replace(run, **{field: value})
+        dataclasses.replace(scene, **{field: value})
 
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="needs the chromium browser")
-def test_browser_draws_the_arm_and_turns_the_scene(tmp_path, run):
-    data = ReportData("Arm", "sweeps", runs=(run,))
+def test_browser_draws_the_arm_and_turns_the_scene(tmp_path, scene):
+    data = ReportData("Arm", "sweeps", scenes=(scene,))
     picture, said = screenshot(tmp_path, data)
     assert said == []
-    assert pixels_of(picture[:, :480], BONE) > 1500
+    assert pixels_of(picture[:, :480], LINK) > 1500
     assert pixels_of(picture[:, :480], np.array([0xCB, 0x5F, 0x12])) > 60, "the block's edges"
     (tmp_path / "turned").mkdir()
     acting = """

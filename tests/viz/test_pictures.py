@@ -15,38 +15,38 @@ from contactgraph.viz.summary_figure import summary_states
 GRIPPER = np.array([0x1B, 0x66, 0xA8])
 
 
-def shortened(run, steps, dt=0.05):
-    """The steps around the start of ``run`` alone."""
+def shortened(scene, steps, dt=0.05):
+    """The steps around the start of ``scene`` alone."""
     states = ("position", "velocity", "contact")
     others = ("control", "belief", "inverse_mass", "stiffness", "damping", "plan")
-    cut = {name: getattr(run, name)[: steps + 1] for name in states}
-    cut |= {name: getattr(run, name)[:steps] for name in others}
-    return dataclasses.replace(run, dt=dt, **cut)
+    cut = {name: getattr(scene, name)[: steps + 1] for name in states}
+    cut |= {name: getattr(scene, name)[:steps] for name in others}
+    return dataclasses.replace(scene, dt=dt, **cut)
 
 
-def test_gif_has_a_frame_for_every_state(tmp_path, run):
-    path = tmp_path / "new" / "run.gif"
-    write_animation(path, shortened(run, 8))
+def test_gif_has_a_frame_for_every_state(tmp_path, scene):
+    path = tmp_path / "new" / "scene.gif"
+    write_animation(path, shortened(scene, 8))
     with Image.open(path) as picture:
         assert picture.n_frames == 9
         assert picture.info["duration"] == 50
         assert picture.info["loop"] == 0
-    assert [one.name for one in path.parent.iterdir()] == ["run.gif"]
+    assert [one.name for one in path.parent.iterdir()] == ["scene.gif"]
 
 
-def test_fast_runs_are_subsampled_to_real_time(tmp_path, run):
-    fast = shortened(run, 8, dt=0.01)
+def test_fast_trajectories_are_subsampled_to_real_time(tmp_path, scene):
+    fast = shortened(scene, 8, dt=0.01)
     assert list(frame_states(fast)) == [0, 4, 8]
-    path = tmp_path / "run.gif"
+    path = tmp_path / "scene.gif"
     write_animation(path, fast)
     with Image.open(path) as picture:
         assert picture.n_frames == 3
         assert picture.info["duration"] == 40
 
 
-def test_gripper_moves_in_the_picture(tmp_path, run):
-    path = tmp_path / "run.gif"
-    write_animation(path, dataclasses.replace(shortened(run, 12), plan=None))
+def test_gripper_moves_in_the_picture(tmp_path, scene):
+    path = tmp_path / "scene.gif"
+    write_animation(path, dataclasses.replace(shortened(scene, 12), plan=None))
     places = []
     with Image.open(path) as picture:
         for frame in (0, 12):
@@ -58,17 +58,17 @@ def test_gripper_moves_in_the_picture(tmp_path, run):
     assert places[1] > places[0] + 20
 
 
-def test_other_endings_and_missing_ffmpeg_are_the_users_to_mend(tmp_path, run, monkeypatch):
+def test_other_endings_and_missing_ffmpeg_are_the_users_to_mend(tmp_path, scene, monkeypatch):
     with pytest.raises(InvalidInputError, match=r"must end in \.gif or \.mp4, found '\.avi'"):
-        write_animation(tmp_path / "run.avi", run)
+        write_animation(tmp_path / "scene.avi", scene)
     monkeypatch.setattr("shutil.which", lambda name: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(InvalidInputError, match=r"pip install imageio-ffmpeg, or name a \.gif"):
-        write_animation(tmp_path / "run.mp4", run)
+        write_animation(tmp_path / "scene.mp4", scene)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_mp4_hands_every_frame_to_ffmpeg(tmp_path, run, monkeypatch):
+def test_mp4_hands_every_frame_to_ffmpeg(tmp_path, scene, monkeypatch):
     drawn = {}
 
     def ffmpeg(command, input, **settings):
@@ -78,25 +78,25 @@ def test_mp4_hands_every_frame_to_ffmpeg(tmp_path, run, monkeypatch):
 
     monkeypatch.setattr("shutil.which", lambda name: "/bin/ffmpeg")
     monkeypatch.setattr("subprocess.run", ffmpeg)
-    write_animation(tmp_path / "run.mp4", shortened(run, 4))
+    write_animation(tmp_path / "scene.mp4", shortened(scene, 4))
     width, height = map(int, drawn["command"][drawn["command"].index("-s") + 1].split("x"))
     assert drawn["size"] == 5 * width * height * 3
     assert drawn["command"][drawn["command"].index("-r") + 1] == "20"
-    assert (tmp_path / "run.mp4").read_bytes() == b"film"
+    assert (tmp_path / "scene.mp4").read_bytes() == b"film"
 
 
-def test_still_is_a_picture_with_the_grasp_in_the_middle(tmp_path, run):
+def test_still_is_a_picture_with_the_grasp_in_the_middle(tmp_path, scene):
     path = tmp_path / "still.png"
-    write_summary_figure(path, run)
+    write_summary_figure(path, scene)
     pixels = np.asarray(Image.open(path).convert("RGB")).astype(int)
     assert pixels.shape[1] > 1200
     assert (np.abs(pixels - GRIPPER).sum(axis=-1) < 30).sum() > 500
-    assert summary_states(run)[2] == int(np.argmax(run.contact[:, 0]))
+    assert summary_states(scene)[2] == int(np.argmax(scene.contact[:, 0]))
 
 
 @pytest.mark.parametrize("nodes", [1, 2])
-def test_still_and_film_of_a_run_without_contacts_or_parameters(tmp_path, run, nodes):
-    write_summary_figure(tmp_path / "still.png", bare(run, nodes))
-    named = dataclasses.replace(bare(run, nodes), name="costs $5_x^ and $")
-    write_animation(tmp_path / "run.gif", dataclasses.replace(named, dt=0.0008))
-    assert (tmp_path / "run.gif").stat().st_size > 1000
+def test_still_and_film_of_a_trajectory_without_contacts_or_parameters(tmp_path, scene, nodes):
+    write_summary_figure(tmp_path / "still.png", bare(scene, nodes))
+    named = dataclasses.replace(bare(scene, nodes), name="costs $5_x^ and $")
+    write_animation(tmp_path / "scene.gif", dataclasses.replace(named, dt=0.0008))
+    assert (tmp_path / "scene.gif").stat().st_size > 1000

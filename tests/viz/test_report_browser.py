@@ -69,17 +69,17 @@ def test_browser_draws_the_bodies_without_a_complaint(tmp_path, data):
     assert pixels_of(picture[:, :480], GRIPPER) > 150, "the gripper's ring and trail"
 
 
-def test_browser_draws_a_lone_body(tmp_path, run):
-    picture, said = screenshot(tmp_path, ReportData("One body", "alone", runs=(bare(run, 1),)))
+def test_browser_draws_a_lone_body(tmp_path, scene):
+    picture, said = screenshot(tmp_path, ReportData("One body", "alone", scenes=(bare(scene, 1),)))
     assert said == []
     assert pixels_of(picture[:, :480], GRIPPER) > 100
 
 
 def test_browser_page_answers_its_controls(tmp_path, data):
-    """The second run, near the grasp, by keyboard and by a pointer over a plot."""
+    """The second scene, near the grasp, by keyboard and by a pointer over a plot."""
     acting = """
     const choose = (id) => [...document.querySelectorAll(`#${id} input`)][1].click();
-    choose("run-choice");
+    choose("scene-choice");
     choose("span-choice");
     const now = () => document.getElementById("now").textContent;
     const press = (key) =>
@@ -107,5 +107,5 @@ def test_browser_page_answers_its_controls(tmp_path, data):
     step = float(found["after"][:-2]) - float(found["before"][:-2])
     assert step == pytest.approx(0.05)
     assert found["slid"] == "1.00 s"
-    grasp = int(np.argmax(data.runs[1].contact[:, 0])) * 0.05
+    grasp = int(np.argmax(data.scenes[1].contact[:, 0])) * 0.05
     assert float(found["hovered"][:-2]) == pytest.approx(grasp + 1.0, abs=0.011)

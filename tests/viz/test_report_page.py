@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.viz import NStepError, Number, ReportData, SceneRun, write_report
+from contactgraph.viz import Metric, NStepError, ReportData, SceneTrajectory, write_report
 from contactgraph.viz.report import page
 
 VOID = {"meta", "input", "br", "link", "img"}
@@ -71,48 +71,48 @@ def test_policy_allows_exactly_the_script_on_the_page(data):
     assert f"'sha256-{digest}'" in text
 
 
-def test_arrays_come_back_from_the_page(data, run):
-    first = payload(page(data))["runs"][0]
-    steps, nodes, edges = run.steps, run.node_count, run.edge_count
+def test_arrays_come_back_from_the_page(data, scene):
+    first = payload(page(data))["scenes"][0]
+    steps, nodes, edges = scene.steps, scene.node_count, scene.edge_count
     np.testing.assert_array_equal(
-        floats(first["position"], (steps + 1, nodes, 2)), run.position.astype(np.float32)
+        floats(first["position"], (steps + 1, nodes, 2)), scene.position.astype(np.float32)
     )
     np.testing.assert_array_equal(
-        floats(first["belief"], (steps, edges)), run.belief.astype(np.float32)
+        floats(first["belief"], (steps, edges)), scene.belief.astype(np.float32)
     )
     (mean,) = first["inverseMass"]
-    np.testing.assert_allclose(floats(mean, (steps, nodes)), run.inverse_mass.mean(-1), atol=1e-6)
+    np.testing.assert_allclose(floats(mean, (steps, nodes)), scene.inverse_mass.mean(-1), atol=1e-6)
     contact = np.zeros((steps + 1, edges), dtype=bool)
     for edge, spans in enumerate(first["contact"]):
         for start, end in spans:
             contact[start:end, edge] = True
-    assert run.contact.any()
-    np.testing.assert_array_equal(contact, run.contact)
+    assert scene.contact.any()
+    np.testing.assert_array_equal(contact, scene.contact)
     plan = first["plan"]
     assert plan["nodes"] == [0, 1], "distractors, which no plan moves, are left out"
     np.testing.assert_array_equal(
-        floats(plan["position"], (steps, 6, 2, 2)), run.plan[:, :, :2].astype(np.float32)
+        floats(plan["position"], (steps, 6, 2, 2)), scene.plan[:, :, :2].astype(np.float32)
     )
 
 
-def test_the_page_knows_what_the_run_is_about(data, run):
-    first = payload(page(data))["runs"][0]
+def test_the_page_knows_the_task_bodies(data, scene):
+    first = payload(page(data))["scenes"][0]
     assert first["focus"] == [0, 1]
     assert first["leading"][0] == 0
-    assert first["grasp"] == int(np.argmax(run.contact[:, 0]))
-    assert run.contact[first["grasp"], 0]
-    assert not run.contact[first["grasp"] - 1, 0]
+    assert first["grasp"] == int(np.argmax(scene.contact[:, 0]))
+    assert scene.contact[first["grasp"], 0]
+    assert not scene.contact[first["grasp"] - 1, 0]
 
 
-def test_hostile_text_stays_text(run):
-    names = tuple(f"{name}{HOSTILE}" for name in run.node_name)
-    hostile = dataclasses.replace(run, name=HOSTILE, node_name=names, node_type=names)
+def test_hostile_text_stays_text(scene):
+    names = tuple(f"{name}{HOSTILE}" for name in scene.node_name)
+    hostile = dataclasses.replace(scene, name=HOSTILE, node_name=names, node_type=names)
     text = page(
         ReportData(
             title=HOSTILE,
             summary=HOSTILE,
-            numbers=(Number(HOSTILE, 1.0, HOSTILE, (0, 1), command=HOSTILE, tile=True),),
-            runs=(hostile,),
+            metrics=(Metric(HOSTILE, 1.0, HOSTILE, (0, 1), command=HOSTILE, tile=True),),
+            scenes=(hostile,),
             errors=(NStepError(HOSTILE, HOSTILE, 0.01),),
             versions={HOSTILE: HOSTILE},
             remake=(HOSTILE,),
@@ -121,51 +121,51 @@ def test_hostile_text_stays_text(run):
     reader = Reader(text)
     assert "img" not in reader.tags
     assert len(reader.scripts) == 2
-    assert payload(text)["runs"][0]["nodeName"] == list(names)
+    assert payload(text)["scenes"][0]["nodeName"] == list(names)
     assert payload(text)["errors"][0]["condition"] == HOSTILE
 
 
-def test_missing_and_non_finite_values_become_gaps(run):
-    belief = run.belief.copy()
+def test_missing_and_non_finite_values_become_gaps(scene):
+    belief = scene.belief.copy()
     belief[3] = np.nan
-    broken = dataclasses.replace(run, belief=belief, goal=np.array([np.nan, 0.0]))
-    numbers = (
-        Number("not measured", None, "cm", None, 0.5, None, True),
-        Number("no number", float("nan"), "cm", (float("nan"), float("inf"))),
+    broken = dataclasses.replace(scene, belief=belief, goal=np.array([np.nan, 0.0]))
+    metrics = (
+        Metric("not measured", None, "cm", None, 0.5, None, True),
+        Metric("no number", float("nan"), "cm", (float("nan"), float("inf"))),
     )
     errors = (NStepError("3", "all", float("nan"), None, float("inf")),)
-    text = page(ReportData("t", "s", numbers, (broken,), errors))
+    text = page(ReportData("t", "s", metrics, (broken,), errors))
     assert "NaN" not in Reader(text).scripts[0]
     assert ">nan" not in text
     assert ">inf" not in text
     found = payload(text)
     assert found["errors"][0]["model"] is None
-    assert found["runs"][0]["goal"] == [None, 0.0]
-    assert np.isnan(floats(found["runs"][0]["belief"], belief.shape)[3]).all()
-    assert found["runs"][0]["leading"][0] == 0
+    assert found["scenes"][0]["goal"] == [None, 0.0]
+    assert np.isnan(floats(found["scenes"][0]["belief"], belief.shape)[3]).all()
+    assert found["scenes"][0]["leading"][0] == 0
 
 
-def bare(run, nodes):
+def bare(scene, nodes):
     """The first bodies alone, without contacts, parameters, plan or goal."""
     edges = np.array([[0, 1]]) if nodes > 1 else np.zeros((0, 2), dtype=int)
-    return SceneRun(
+    return SceneTrajectory(
         name="bare",
-        dt=run.dt,
-        node_name=run.node_name[:nodes],
-        node_type=run.node_type[:nodes],
-        actuated=run.actuated[:nodes],
-        radius=run.radius[:nodes],
-        position=run.position[:, :nodes],
-        velocity=run.velocity[:, :nodes],
-        control=np.zeros((run.steps, 0)),
+        dt=scene.dt,
+        node_name=scene.node_name[:nodes],
+        node_type=scene.node_type[:nodes],
+        actuated=scene.actuated[:nodes],
+        radius=scene.radius[:nodes],
+        position=scene.position[:, :nodes],
+        velocity=scene.velocity[:, :nodes],
+        control=np.zeros((scene.steps, 0)),
         edges=edges,
-        belief=run.belief[:, : len(edges)],
+        belief=scene.belief[:, : len(edges)],
     )
 
 
 @pytest.mark.parametrize("nodes", [1, 2])
-def test_works_without_contacts_and_parameters(run, nodes):
-    first = payload(page(ReportData("t", "s", runs=(bare(run, nodes),))))["runs"][0]
+def test_works_without_contacts_and_parameters(scene, nodes):
+    first = payload(page(ReportData("t", "s", scenes=(bare(scene, nodes),))))["scenes"][0]
     assert first["contact"] is None
     assert first["inverseMass"] is None
     assert first["focus"] == list(range(nodes))
@@ -179,11 +179,11 @@ def test_parts_without_data_are_left_out():
 
 
 def test_reached_compares_in_the_right_direction():
-    assert Number("a", 99, at_least=98).reached
-    assert Number("a", 97, at_least=98).reached is False
-    assert Number("a", 0.4, at_least=0.5, lower_is_better=True).reached
-    assert Number("a", 0.6, at_least=0.5, lower_is_better=True).reached is False
-    assert Number("a", None, at_least=0.5).reached is None
+    assert Metric("a", 99, at_least=98).reached
+    assert Metric("a", 97, at_least=98).reached is False
+    assert Metric("a", 0.4, at_least=0.5, lower_is_better=True).reached
+    assert Metric("a", 0.6, at_least=0.5, lower_is_better=True).reached is False
+    assert Metric("a", None, at_least=0.5).reached is None
 
 
 def test_numbers_carry_command_and_seed(data):
@@ -196,9 +196,9 @@ def test_numbers_carry_command_and_seed(data):
 def test_large_run_stays_small():
     from synthetic_pickup import pickup
 
-    run = pickup("10 distractors", 10, steps=200, horizon=2, seed=5)
-    assert (run.node_count, run.edge_count) == (12, 66)
-    assert len(page(ReportData("t", "s", runs=(run,) * 3))) < 1_000_000
+    scene = pickup("10 distractors", 10, steps=200, horizon=2, seed=5)
+    assert (scene.node_count, scene.edge_count) == (12, 66)
+    assert len(page(ReportData("t", "s", scenes=(scene,) * 3))) < 1_000_000
 
 
 def test_file_is_written_whole_and_folders_are_made(tmp_path, data):
@@ -220,19 +220,19 @@ def test_file_is_written_whole_and_folders_are_made(tmp_path, data):
         ("edges", np.full((10, 2), 5), "edges must name nodes 0 to 4"),
     ],
 )
-def test_wrong_shapes_are_named(run, field, value, message):
+def test_wrong_shapes_are_named(scene, field, value, message):
     with pytest.raises(InvalidInputError, match=message):
-        dataclasses.replace(run, **{field: value})
+        dataclasses.replace(scene, **{field: value})
 
 
-def test_from_trajectory_picks_contact_by_edge(run):
+def test_from_trajectory_picks_contact_by_edge(scene):
     from contactgraph.data import Scene, Trajectory
 
-    dense = np.zeros((run.steps + 1, 5, 5), dtype=bool)
-    for edge, (i, j) in enumerate(run.edges):
-        dense[:, i, j] = dense[:, j, i] = run.contact[:, edge]
-    scene = Scene(run.node_name, run.node_type, run.actuated, run.dt, goal=run.goal)
-    trajectory = Trajectory(scene, run.position, run.velocity, run.control, dense)
-    made = SceneRun.from_trajectory("again", trajectory, run.edges, run.belief)
-    np.testing.assert_array_equal(made.contact, run.contact)
+    dense = np.zeros((scene.steps + 1, 5, 5), dtype=bool)
+    for edge, (i, j) in enumerate(scene.edges):
+        dense[:, i, j] = dense[:, j, i] = scene.contact[:, edge]
+    task_scene = Scene(scene.node_name, scene.node_type, scene.actuated, scene.dt, goal=scene.goal)
+    trajectory = Trajectory(task_scene, scene.position, scene.velocity, scene.control, dense)
+    made = SceneTrajectory.from_trajectory("again", trajectory, scene.edges, scene.belief)
+    np.testing.assert_array_equal(made.contact, scene.contact)
     assert re.match("gripper and object-0", made.edge_name(0))

@@ -97,7 +97,7 @@ class Control:
             evaluate_open_loop,
         )
         from contactgraph.model import MotionNoise
-        from contactgraph.viz import check_animation, scene_run, write_animation
+        from contactgraph.viz import check_animation, scene_trajectory, write_animation
 
         for path in (self.json, self.video, self.save):
             check_writable(path)
@@ -162,7 +162,8 @@ class Control:
             write_trajectories(self.save, trajectories, metadata)
         if self.video is not None:
             name = f"{self.task}, {self.distractors} distractors"
-            write_animation(self.video, scene_run(model, name, trajectories[0], first[0].plan))
+            scene = scene_trajectory(model, name, trajectories[0], first[0].plan)
+            write_animation(self.video, scene)
         write_json(self.json, values)
         _print_summary(metrics, predicted)
 

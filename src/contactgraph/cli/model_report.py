@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.cli.tasks import KnownTask, Target, TestCondition
-from contactgraph.viz import LossCurve, NStepError, Number, ReportData, SceneRun
+from contactgraph.viz import LossCurve, Metric, NStepError, ReportData, SceneTrajectory
 
 _HORIZON_S = 0.5
 """Horizon of the N-step errors, s."""
@@ -43,11 +43,11 @@ class ModelResult:
     training_command: str
 
 
-def report_numbers(result: ModelResult) -> tuple[Number, ...]:
+def report_metrics(result: ModelResult) -> tuple[Metric, ...]:
     """Every number of the report, in the order of its table."""
     task, targets = result.task, result.task.targets
     first, last = result.conditions[0], result.conditions[-1]
-    numbers: list[Number] = []
+    metrics: list[Metric] = []
 
     def add(
         name: str,
@@ -59,8 +59,8 @@ def report_numbers(result: ModelResult) -> tuple[Number, ...]:
         tile: bool = False,
         interval: tuple[float, float] | None = None,
     ) -> None:
-        numbers.append(
-            Number(
+        metrics.append(
+            Metric(
                 name=name,
                 value=value,
                 unit=unit,
@@ -121,7 +121,7 @@ def report_numbers(result: ModelResult) -> tuple[Number, ...]:
     add(name, "ms", milliseconds, command, target, lower=True, tile=True)
     megabytes = result.model_bytes / 1e6
     add("model file", "MB", megabytes, result.training_command, Target(1.0), lower=True)
-    return tuple(numbers)
+    return tuple(metrics)
 
 
 def _ratio(value: float | None, reference: float | None) -> float | None:
@@ -130,24 +130,24 @@ def _ratio(value: float | None, reference: float | None) -> float | None:
 
 def model_report(
     result: ModelResult,
-    numbers: Sequence[Number],
-    scenes: Sequence[SceneRun],
-    metrics: Sequence[Mapping[str, float]],
+    metrics: Sequence[Metric],
+    scenes: Sequence[SceneTrajectory],
+    history: Sequence[Mapping[str, float]],
     versions: Mapping[str, str],
     remake: Sequence[str],
 ) -> ReportData:
-    """The page's data; ``metrics`` are the rows of the training's ``metrics.jsonl``."""
+    """The page's data; ``history`` are the rows of the training's ``metrics.jsonl``."""
     return ReportData(
         title=result.task.title,
         summary=(
             "A model learned from recorded trajectories of a gripper when bodies touch and "
             "how they move then; iLQR-MPC uses it to do the same in new scenes."
         ),
-        numbers=tuple(numbers),
-        runs=tuple(scenes),
+        metrics=tuple(metrics),
+        scenes=tuple(scenes),
         errors=tuple(_errors(result.conditions)),
         horizon_s=_HORIZON_S,
-        losses=tuple(_losses(metrics)),
+        losses=tuple(_losses(history)),
         versions=dict(versions),
         remake=tuple(remake),
     )
@@ -176,11 +176,11 @@ def _errors(conditions: Sequence[ConditionResult]) -> list[NStepError]:
     return errors
 
 
-def _losses(metrics: Sequence[Mapping[str, float]]) -> list[LossCurve]:
-    if not metrics:
+def _losses(history: Sequence[Mapping[str, float]]) -> list[LossCurve]:
+    if not history:
         return []
-    step = np.array([row["step"] for row in metrics])
-    names = [name for name in metrics[0] if name not in ("step", "seconds", "held_out_rmse_m")]
-    curves = [LossCurve(name, step, np.array([row[name] for row in metrics])) for name in names]
-    held_out = np.array([row["held_out_rmse_m"] for row in metrics])
+    step = np.array([row["step"] for row in history])
+    names = [name for name in history[0] if name not in ("step", "seconds", "held_out_rmse_m")]
+    curves = [LossCurve(name, step, np.array([row[name] for row in history])) for name in names]
+    held_out = np.array([row["held_out_rmse_m"] for row in history])
     return [*curves, LossCurve("position error, m", step, held_out, held_out=True)]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from contactgraph.cli.tasks import KnownTask, TestCondition
     from contactgraph.data import Trajectory
     from contactgraph.evaluate import EpisodeRecord
-    from contactgraph.viz import SceneRun
+    from contactgraph.viz import SceneTrajectory
 
 
 @dataclass(frozen=True)
@@ -105,53 +105,53 @@ class Report:
 
     def _write(self, page: Path, result: "ModelResult", task: "KnownTask") -> None:
         """The page, and beside it the table (Markdown, CSV, JSON) and a figure of one scene."""
-        from contactgraph.cli.model_report import model_report, report_numbers
+        from contactgraph.cli.model_report import model_report, report_metrics
         from contactgraph.cli.output import provenance, write_json, write_text
         from contactgraph.train import RunFolder
         from contactgraph.viz import write_report, write_summary_figure
-        from contactgraph.viz.number_table import csv_numbers, markdown_numbers
+        from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
 
         command = f"contactgraph report {self.model} --task {self.task} --seed {self.seed}"
-        metrics = RunFolder(Path(self.model)).metrics() if Path(self.model).is_dir() else []
-        numbers = report_numbers(result)
+        history = RunFolder(Path(self.model)).metrics() if Path(self.model).is_dir() else []
+        metrics = report_metrics(result)
         folder = page.parent
         scenes = [self._scene(one.condition, task) for one in result.conditions]
         versions = provenance()["versions"]
-        write_report(page, model_report(result, numbers, scenes, metrics, versions, [command]))
+        write_report(page, model_report(result, metrics, scenes, history, versions, [command]))
         figure = folder / f"{self.task.replace(':', '-')}.png"
         write_summary_figure(figure, scenes[min(1, len(scenes) - 1)])
-        write_text(folder / "table.md", markdown_numbers(numbers))
-        write_text(folder / "table.csv", csv_numbers(numbers))
+        write_text(folder / "table.md", markdown_metrics(metrics))
+        write_text(folder / "table.csv", csv_metrics(metrics))
         write_json(
             folder / "results.json",
             {
                 "numbers": [
                     {
-                        "what": number.name,
-                        "unit": number.unit,
-                        "value": number.value,
-                        "interval": number.interval,
-                        "at_least": number.at_least,
-                        "aim": number.aim,
-                        "reached": number.reached,
-                        "command": number.command,
+                        "what": metric.name,
+                        "unit": metric.unit,
+                        "value": metric.value,
+                        "interval": metric.interval,
+                        "at_least": metric.at_least,
+                        "aim": metric.aim,
+                        "reached": metric.reached,
+                        "command": metric.command,
                     }
-                    for number in numbers
+                    for metric in metrics
                 ],
                 "training_seed": result.seed,
                 "remake": [command],
                 **provenance(),
             },
         )
-        print(markdown_numbers(numbers))
+        print(markdown_metrics(metrics))
         print(f"the report: {page}")
 
-    def _scene(self, condition: "TestCondition", task: "KnownTask") -> "SceneRun":
+    def _scene(self, condition: "TestCondition", task: "KnownTask") -> "SceneTrajectory":
         """The first closed-loop episode of a condition, with its plans."""
         from contactgraph.cli.models import stored_model
         from contactgraph.cli.tasks import TaskOptions, task_factory
         from contactgraph.evaluate import control_task
-        from contactgraph.viz import scene_run
+        from contactgraph.viz import scene_trajectory
 
         model = stored_model(self.model)
         records: list[EpisodeRecord] = []
@@ -167,7 +167,7 @@ class Report:
             horizon=task.horizon,
             on_episode=on_episode,
         )
-        return scene_run(model, condition.name, runs[0], records[0].plan)
+        return scene_trajectory(model, condition.name, runs[0], records[0].plan)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -132,7 +132,7 @@ def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
         velocity=trajectory.velocity[states],
         control=control.reshape(steps, every, trajectory.control_size).mean(axis=1),
         contact=contact,
-        skeleton=chosen(trajectory.skeleton),
+        link_positions=chosen(trajectory.link_positions),
         tracked=chosen(trajectory.tracked),
         measured_at=chosen(trajectory.measured_at),
     )

@@ -29,6 +29,8 @@ from contactgraph.data.untrusted_hdf5 import (
 _ONE_CHUNK = 2**24
 """Arrays up to this many bytes are one chunk, whose address the header's checksum covers."""
 _OF_SCENE = {each.name for each in fields(Scene)}
+_ATTRIBUTES = {"skeleton": "link_positions"}
+"""Arrays whose attribute of `Trajectory` has another name."""
 
 
 def write_trajectories(
@@ -158,7 +160,9 @@ def _read_trajectory(group: UntrustedGroup) -> Trajectory:
     """The trajectory in ``group``; raises `InvalidInputError` naming it and the field."""
     there = group.names()
     arrays: dict[str, Any] = {
-        name: _read_array(group, name) for name in ARRAYS if name not in OPTIONAL or name in there
+        _ATTRIBUTES.get(name, name): _read_array(group, name)
+        for name in ARRAYS
+        if name not in OPTIONAL or name in there
     }
     names: dict[str, Any] = {name: group.texts(name) for name in NAMES}
     dt, metadata = _read_dt(group), _read_metadata(group)
@@ -211,7 +215,8 @@ def _write_trajectory(
         texts = _fixed_texts(f"{where}/{name}", getattr(trajectory.scene, name))
         _write_array(group, name, texts, compress)
     for name, field in ARRAYS.items():
-        value = getattr(trajectory.scene if name in _OF_SCENE else trajectory, name)
+        owner = trajectory.scene if name in _OF_SCENE else trajectory
+        value = getattr(owner, _ATTRIBUTES.get(name, name))
         if value is None:
             continue
         written = _write_array(group, name, value, compress)

@@ -139,9 +139,9 @@ class Trajectory:
     """[T, U] N; U may be 0."""
     contact: np.ndarray | None = None
     """[T+1, N, N] bool, symmetric: whether two nodes touch at a step. None: not recorded."""
-    skeleton: np.ndarray | None = None
-    """[T+1, P, D] m: points, joined by lines in their order, of a body that is drawn but is no
-    node, such as an arm from base to hand. None: there is none. Training never reads it."""
+    link_positions: np.ndarray | None = None
+    """[T+1, P, D] m: joints, joined by lines in their order, of a drawn body that is no node,
+    such as an arm from base to hand. None: there is none. Training never reads it."""
     tracked: np.ndarray | None = None
     """[T+1, N] bool: whether the position of a node was being tracked. None: simulated, or not
     known. Training never reads it."""
@@ -170,9 +170,9 @@ class Trajectory:
             raise InvalidInputError(
                 f"control must have shape (T, U) with T = {steps}, found {self.control.shape}"
             )
-        if self.skeleton is not None:
-            self._check_skeleton(state_shape)
-        for name in ("position", "velocity", "control", "skeleton"):
+        if self.link_positions is not None:
+            self._check_link_positions(state_shape)
+        for name in ("position", "velocity", "control", "link_positions"):
             value = getattr(self, name)
             if value is not None and not np.all(np.isfinite(value)):
                 where = [int(i) for i in np.argwhere(~np.isfinite(value))[0]]
@@ -183,15 +183,15 @@ class Trajectory:
             self._check_contact(steps)
         self._check_measuring(state_shape[:2])
 
-    def _check_skeleton(self, state_shape: tuple[int, ...]) -> None:
-        skeleton = np.asarray(self.skeleton, dtype=np.float64)
-        object.__setattr__(self, "skeleton", skeleton)
+    def _check_link_positions(self, state_shape: tuple[int, ...]) -> None:
+        link_positions = np.asarray(self.link_positions, dtype=np.float64)
+        object.__setattr__(self, "link_positions", link_positions)
         states, _, dimension = state_shape
-        points = skeleton.shape[1] if skeleton.ndim == 3 else 0
-        if points < 2 or skeleton.shape != (states, points, dimension):
+        points = link_positions.shape[1] if link_positions.ndim == 3 else 0
+        if points < 2 or link_positions.shape != (states, points, dimension):
             raise InvalidInputError(
-                f"skeleton must have shape (T+1, P, D) = ({states}, P, {dimension}) with P >= 2, "
-                f"found {skeleton.shape}"
+                f"link_positions must have shape (T+1, P, D) = ({states}, P, {dimension}) with "
+                f"P >= 2, found {link_positions.shape}"
             )
 
     def _check_contact(self, steps: int) -> None:

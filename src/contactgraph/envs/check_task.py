@@ -29,13 +29,13 @@ def check_task(task_factory: Callable[[], Task]) -> None:
         first, _ = task.reset(seed=seed)
         _check_observation(task, first, "reset")
         _check_scene(task.scene, first)
-        points = _check_skeleton(task, None, "reset")
+        points = _check_link_positions(task, None, "reset")
         _check_cost(task)
         _check_start(task.scene, first)
         twin_first, _ = twin.reset(seed=seed)
         _check_equal(first, twin_first, f"two tasks reset with seed {seed} must agree")
         _check_episode(task, twin, first, np.random.default_rng(seed))
-        _check_skeleton(task, points, "the end of an episode")
+        _check_link_positions(task, points, "the end of an episode")
         again, _ = task.reset(seed=seed)
         _check_equal(first, again, f"a reset with seed {seed} after an episode must begin it again")
 
@@ -145,7 +145,7 @@ def _check_observation(task: Task, observation: Observation, when: str) -> None:
         _fail(f"an observation must lie in observation_space, violated at {when}")
 
 
-def _check_skeleton(task: Task, points: int | None, when: str) -> int | None:
+def _check_link_positions(task: Task, points: int | None, when: str) -> int | None:
     """The number of points of a `Renderable` task; ``points`` is that number if already known."""
     if not isinstance(task, Renderable):
         return None

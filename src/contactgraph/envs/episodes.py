@@ -33,7 +33,7 @@ def run_episode(
     ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
     it. If both task and policy support it, feedback acts within the steps, and controls are
     their means. The scene's metadata gains the policy's class name and whether the run succeeded.
-    A task that is `Renderable` has its skeleton recorded at every state.
+    A task that is `Renderable` has its link positions recorded at every state.
     """
     if seed < 0:
         raise InvalidInputError(f"seed must be at least 0, found {seed}")
@@ -44,7 +44,7 @@ def run_episode(
     observations = [observation]
     drawn = task if isinstance(task, Renderable) else None
     # Copies: a simulator may return views of its own state.
-    skeletons = [] if drawn is None else [np.array(drawn.link_positions())]
+    link_positions = [] if drawn is None else [np.array(drawn.link_positions())]
     controls: list[np.ndarray] = []
     done = False
     while not done:
@@ -61,7 +61,7 @@ def run_episode(
         observation, done = following, terminated or truncated
         observations.append(observation)
         if drawn is not None:
-            skeletons.append(np.array(drawn.link_positions()))
+            link_positions.append(np.array(drawn.link_positions()))
         controls.append(control)
     metadata = {
         **task.scene.metadata,
@@ -74,7 +74,7 @@ def run_episode(
         velocity=np.stack([each["velocity"] for each in observations]),
         control=np.stack(controls),
         contact=np.stack([each["contact"] for each in observations]).astype(bool),
-        skeleton=np.stack(skeletons) if skeletons else None,
+        link_positions=np.stack(link_positions) if link_positions else None,
     )
 
 

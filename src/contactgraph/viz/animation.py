@@ -14,29 +14,29 @@ from PIL import Image
 
 from contactgraph.data import InvalidInputError, atomic_write
 from contactgraph.viz.scene_picture import INK, SOFT, draw_scene
-from contactgraph.viz.scene_run import SceneRun
+from contactgraph.viz.scene_trajectory import SceneTrajectory
 
 _FRAME_SECONDS = 0.04
 """Least time between frames; viewers show a GIF not much faster."""
 _SIDE_INCHES, _HEAD_INCHES, _DOTS_PER_INCH = 4.8, 0.4, 100
 
 
-def write_animation(path: str | Path, run: SceneRun) -> None:
-    """Write ``run`` in real time to a ``.gif`` or ``.mp4`` file, whole or not at all.
+def write_animation(path: str | Path, scene: SceneTrajectory) -> None:
+    """Write ``scene`` in real time to a ``.gif`` or ``.mp4`` file, whole or not at all.
 
     Raises `InvalidInputError` as `check_animation` does.
     """
     path = Path(path)
     check_animation(path)
     program = _ffmpeg(path) if path.suffix.lower() == ".mp4" else ""
-    states = frame_states(run)
-    seconds = run.dt * states.step
+    states = frame_states(scene)
+    seconds = scene.dt * states.step
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary:
         if program:
-            _write_mp4(temporary, _frames(run, states), seconds, program)
+            _write_mp4(temporary, _frames(scene, states), seconds, program)
         else:
-            _write_gif(temporary, _frames(run, states), seconds)
+            _write_gif(temporary, _frames(scene, states), seconds)
 
 
 def check_animation(path: Path) -> None:
@@ -48,25 +48,25 @@ def check_animation(path: Path) -> None:
         _ffmpeg(path)
 
 
-def frame_states(run: SceneRun) -> range:
+def frame_states(scene: SceneTrajectory) -> range:
     """The states to draw: all, or every n-th if they are closer in time than frames."""
-    return range(0, run.steps + 1, max(1, round(_FRAME_SECONDS / run.dt)))
+    return range(0, scene.steps + 1, max(1, round(_FRAME_SECONDS / scene.dt)))
 
 
-def _frames(run: SceneRun, states: range) -> Iterator[np.ndarray]:
+def _frames(scene: SceneTrajectory, states: range) -> Iterator[np.ndarray]:
     """[height, width, 3] uint8, one a state."""
     height = _SIDE_INCHES + _HEAD_INCHES
     figure = Figure(figsize=(_SIDE_INCHES, height), dpi=_DOTS_PER_INCH, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.02, 0.02, 0.96, 0.96 * _SIDE_INCHES / height))
     # Names are user input: a dollar sign must not be parsed as mathematics.
-    figure.text(0.02, 0.955, run.name, color=INK, fontsize=11, weight="bold", parse_math=False)
+    figure.text(0.02, 0.955, scene.name, color=INK, fontsize=11, weight="bold", parse_math=False)
     time = figure.text(0.98, 0.955, "", color=SOFT, fontsize=11, ha="right")
     for state in states:
         for artist in (*axes.lines, *axes.artists, *axes.patches):
             artist.remove()
-        draw_scene(axes, run, state)
-        time.set_text(f"{state * run.dt:.2f} s")
+        draw_scene(axes, scene, state)
+        time.set_text(f"{state * scene.dt:.2f} s")
         canvas.draw()
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 

@@ -4,51 +4,51 @@ import math
 from collections.abc import Mapping
 from html import escape
 
-from contactgraph.viz.report_data import NStepError, Number, ReportData
+from contactgraph.viz.report_data import Metric, NStepError, ReportData
 
 _MISSING = "&ndash;"
 
 
-def tiles(numbers: tuple[Number, ...]) -> str:
+def tiles(metrics: tuple[Metric, ...]) -> str:
     """The figures shown large at the head of the page."""
-    shown = [number for number in numbers if number.tile]
+    shown = [metric for metric in metrics if metric.tile]
     if not shown:
         return ""
     items = []
-    for number in shown:
-        interval = _interval(number)
+    for metric in shown:
+        interval = _interval(metric)
         between = f'<span class="tile-interval">{escape(interval)}</span>'
-        unit = f'<span class="tile-unit">{escape(number.unit)}</span>' if number.unit else ""
+        unit = f'<span class="tile-unit">{escape(metric.unit)}</span>' if metric.unit else ""
         items.append(
-            f'<li><span class="tile-name">{escape(number.name)}</span>'
-            f'<span class="tile-value">{figure(number.value)}{unit}</span>{between}</li>'
+            f'<li><span class="tile-name">{escape(metric.name)}</span>'
+            f'<span class="tile-value">{figure(metric.value)}{unit}</span>{between}</li>'
         )
     return f'<ul class="tiles" aria-label="Key numbers">{"".join(items)}</ul>'
 
 
-def numbers_table(numbers: tuple[Number, ...]) -> str:
+def metrics_table(metrics: tuple[Metric, ...]) -> str:
     """Every number with its target, its command and its seed."""
-    if not numbers:
+    if not metrics:
         return ""
     heads = ("What", "Value", "95 % interval or range", "At least", "Aim", "Command", "Seed")
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
-    rows = "".join(_row(number) for number in numbers)
+    rows = "".join(_row(metric) for metric in metrics)
     return f'<table class="numbers"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
 
 
-def _row(number: Number) -> str:
-    limit = "at most" if number.lower_is_better else "at least"
-    command = f"<code>{escape(number.command)}</code>" if number.command else _MISSING
+def _row(metric: Metric) -> str:
+    limit = "at most" if metric.lower_is_better else "at least"
+    command = f"<code>{escape(metric.command)}</code>" if metric.command else _MISSING
     cells = (
-        ("Value", f"{_with_unit(number.value, number.unit)}{_mark(number.reached)}", "figure"),
-        ("95 % interval or range", escape(_interval(number)) or _MISSING, "figure"),
-        (limit.capitalize(), _asked(number.at_least, number, limit), "figure"),
-        ("Aim", _asked(number.aim, number, ""), "figure"),
+        ("Value", f"{_with_unit(metric.value, metric.unit)}{_mark(metric.reached)}", "figure"),
+        ("95 % interval or range", escape(_interval(metric)) or _MISSING, "figure"),
+        (limit.capitalize(), _asked(metric.at_least, metric, limit), "figure"),
+        ("Aim", _asked(metric.aim, metric, ""), "figure"),
         ("Command", command, "command"),
-        ("Seed", _seed(number.seed), "figure"),
+        ("Seed", _seed(metric.seed), "figure"),
     )
     body = "".join(f'<td class="{kind}" data-label="{name}">{v}</td>' for name, v, kind in cells)
-    return f'<tr><th scope="row">{escape(number.name)}</th>{body}</tr>'
+    return f'<tr><th scope="row">{escape(metric.name)}</th>{body}</tr>'
 
 
 def _mark(reached: bool | None) -> str:
@@ -58,22 +58,22 @@ def _mark(reached: bool | None) -> str:
     return f' <span class="mark {kind}" title="{word}" aria-label="{word}"></span>'
 
 
-def _asked(value: float | None, number: Number, limit: str) -> str:
+def _asked(value: float | None, metric: Metric, limit: str) -> str:
     if value is None:
         return _MISSING
     sign = {"at most": "≤ ", "at least": "≥ "}.get(limit, "")
-    return sign + _with_unit(value, number.unit)
+    return sign + _with_unit(value, metric.unit)
 
 
 def _with_unit(value: float | None, unit: str) -> str:
     return f"{figure(value)} {escape(unit)}".strip()
 
 
-def _interval(number: Number) -> str:
-    if number.interval is None:
+def _interval(metric: Metric) -> str:
+    if metric.interval is None:
         return ""
-    low, high = number.interval
-    return f"{figure(low)} to {figure(high)} {number.unit}".strip()
+    low, high = metric.interval
+    return f"{figure(low)} to {figure(high)} {metric.unit}".strip()
 
 
 def _seed(seed: int | tuple[int, ...] | None) -> str:

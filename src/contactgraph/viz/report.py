@@ -12,9 +12,9 @@ from string import Template
 import numpy as np
 
 from contactgraph.data import InvalidInputError, atomic_write
-from contactgraph.viz.markup import errors_table, footer, numbers_table, tiles
+from contactgraph.viz.markup import errors_table, footer, metrics_table, tiles
 from contactgraph.viz.report_data import ReportData
-from contactgraph.viz.scene_run import SceneRun
+from contactgraph.viz.scene_trajectory import SceneTrajectory
 from contactgraph.viz.selection import (
     Ground,
     focus_nodes,
@@ -33,7 +33,7 @@ _SCRIPTS = (
     "canvas.js",
     "scene_frame.js",
     "scene_bodies.js",
-    "scene_ways.js",
+    "scene_paths.js",
     "scene_edges.js",
     "scene.js",
     "scene_turn.js",
@@ -70,11 +70,11 @@ def page(data: ReportData) -> str:
         summary=escape(data.summary),
         script_hash=f"sha256-{digest}",
         style=_asset("page.css"),
-        tiles=tiles(data.numbers),
-        scene=_asset("scene.html") if data.runs else "",
+        tiles=tiles(data.metrics),
+        scene=_asset("scene.html") if data.scenes else "",
         errors=_section("errors.html", bool(data.errors), errors_table(data.errors)),
         losses=_section("losses.html", bool(data.losses), ""),
-        numbers=_section("numbers.html", bool(data.numbers), numbers_table(data.numbers)),
+        numbers=_section("numbers.html", bool(data.metrics), metrics_table(data.metrics)),
         footer=footer(data),
         data=embedded_json(data),
         script=script,
@@ -104,7 +104,7 @@ _PLAN_POINTS = 20
 def embedded_json(data: ReportData) -> str:
     """The page's data. ``<``, ``>`` and ``&`` are escaped, so no text in it can end a script."""
     payload = {
-        "runs": [_run(run) for run in data.runs],
+        "scenes": [_scene(scene) for scene in data.scenes],
         "horizon": _number(data.horizon_s),
         "errors": [
             {
@@ -131,48 +131,48 @@ def embedded_json(data: ReportData) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _run(run: SceneRun) -> dict[str, object]:
+def _scene(scene: SceneTrajectory) -> dict[str, object]:
     return {
-        "name": run.name,
-        "dt": run.dt,
-        "steps": run.steps,
-        "dimension": run.dimension,
-        "axes": run.projection.axes.tolist(),
-        "ground": _ground(ground_of(run)),
-        "controlSize": run.control.shape[1],
-        "nodeName": list(run.node_name),
-        "nodeType": list(run.node_type),
-        "actuated": run.actuated.tolist(),
-        "radius": [_number(radius) for radius in run.radius],
-        "anchor": _anchors(run),
-        "box": [_list(run.box(node)) for node in range(run.node_count)],
-        "goal": None if run.goal is None else [_number(value) for value in run.goal],
-        "goalRadius": _number(run.goal_radius),
-        "edges": run.edges.tolist(),
-        "position": _floats(run.position),
-        "velocity": _floats(run.velocity),
-        "skeletonPoints": 0 if run.skeleton is None else run.skeleton.shape[1],
-        "skeleton": _floats(run.skeleton),
-        "control": _floats(run.control),
-        "belief": _floats(run.belief),
-        "contact": None if run.contact is None else [_spans(run.contact[:, e]) for e in _all(run)],
-        "inverseMass": _directions(run.inverse_mass),
-        "stiffness": _directions(run.stiffness),
-        "damping": _directions(run.damping),
-        "plan": _plan(run),
-        "leading": leading_edges(run),
-        "focus": focus_nodes(run),
-        "involved": involved_nodes(run),
-        "grasp": grasp_step(run),
+        "name": scene.name,
+        "dt": scene.dt,
+        "steps": scene.steps,
+        "dimension": scene.dimension,
+        "axes": scene.projection.axes.tolist(),
+        "ground": _ground(ground_of(scene)),
+        "controlSize": scene.control.shape[1],
+        "nodeName": list(scene.node_name),
+        "nodeType": list(scene.node_type),
+        "actuated": scene.actuated.tolist(),
+        "radius": [_number(radius) for radius in scene.radius],
+        "anchor": _anchors(scene),
+        "box": [_list(scene.box(node)) for node in range(scene.node_count)],
+        "goal": None if scene.goal is None else [_number(value) for value in scene.goal],
+        "goalRadius": _number(scene.goal_radius),
+        "edges": scene.edges.tolist(),
+        "position": _floats(scene.position),
+        "velocity": _floats(scene.velocity),
+        "linkPoints": 0 if scene.link_positions is None else scene.link_positions.shape[1],
+        "linkPositions": _floats(scene.link_positions),
+        "control": _floats(scene.control),
+        "belief": _floats(scene.belief),
+        "contact": None if scene.contact is None else [_spans(each) for each in scene.contact.T],
+        "inverseMass": _directions(scene.inverse_mass),
+        "stiffness": _directions(scene.stiffness),
+        "damping": _directions(scene.damping),
+        "plan": _plan(scene),
+        "leading": leading_edges(scene),
+        "focus": focus_nodes(scene),
+        "involved": involved_nodes(scene),
+        "grasp": grasp_step(scene),
     }
 
 
-def _anchors(run: SceneRun) -> list[list[float] | None] | None:
+def _anchors(scene: SceneTrajectory) -> list[list[float] | None] | None:
     """[N] hinge positions; None for a node without one."""
-    if run.anchor is None:
+    if scene.anchor is None:
         return None
-    nodes = range(run.node_count)
-    return [None if run.bar(n) is None else run.anchor[n].tolist() for n in nodes]
+    nodes = range(scene.node_count)
+    return [None if scene.bar(n) is None else scene.anchor[n].tolist() for n in nodes]
 
 
 def _list(values: np.ndarray | None) -> list[float] | None:
@@ -194,17 +194,13 @@ def _directions(values: np.ndarray | None) -> list[str | None] | None:
     return None if values is None else [_floats(each) for each in shown_directions(values)]
 
 
-def _all(run: SceneRun) -> range:
-    return range(run.edge_count)
-
-
-def _plan(run: SceneRun) -> dict[str, object] | None:
+def _plan(scene: SceneTrajectory) -> dict[str, object] | None:
     """Plans of moving bodies; resting distractors would be most of the page."""
-    if run.plan is None or run.plan.shape[1] < 2:
+    if scene.plan is None or scene.plan.shape[1] < 2:
         return None
-    moved = np.nan_to_num(np.abs(run.plan - run.plan[:, :1])).max(axis=(0, 1, 3))
+    moved = np.nan_to_num(np.abs(scene.plan - scene.plan[:, :1])).max(axis=(0, 1, 3))
     nodes = np.flatnonzero(moved > _PLAN_MOVES)
-    shown = run.plan[:, :: max(1, (run.plan.shape[1] - 1) // _PLAN_POINTS), nodes]
+    shown = scene.plan[:, :: max(1, (scene.plan.shape[1] - 1) // _PLAN_POINTS), nodes]
     return {
         "nodes": nodes.tolist(),
         "horizon": shown.shape[1] - 1,

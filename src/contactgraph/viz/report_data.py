@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.viz.scene_run import SceneRun
+from contactgraph.viz.scene_trajectory import SceneTrajectory
 
 
 @dataclass(frozen=True)
-class Number:
+class Metric:
     """One measured value and its origin. Values are in ``unit``, as displayed."""
 
     name: str
@@ -89,8 +89,8 @@ class ReportData:
     title: str
     summary: str
     """One sentence."""
-    numbers: tuple[Number, ...] = ()
-    runs: tuple[SceneRun, ...] = ()
+    metrics: tuple[Metric, ...] = ()
+    scenes: tuple[SceneTrajectory, ...] = ()
     """The first is shown first."""
     errors: tuple[NStepError, ...] = ()
     horizon_s: float | None = None

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Circle, Polygon
 
-from contactgraph.viz.scene_run import SceneRun
+from contactgraph.viz.scene_trajectory import SceneTrajectory
 from contactgraph.viz.selection import Ground, ground_of, involved_nodes
 
 BODY_COLOURS = ("#1b66a8", "#cb5f12", "#7650a3", "#0d8074")
@@ -14,7 +14,7 @@ BELIEF_COLOUR = "#b81f45"
 CONTACT_COLOUR = "#f3dd9a"
 GOAL_COLOUR = "#2c8a5c"
 GROUND_COLOUR = "#f6f4ee"
-SKELETON_COLOUR = "#d3d6da"
+LINK_COLOUR = "#d3d6da"
 INK, SOFT, RULE = "#1d2127", "#616872", "#e2ded5"
 
 
@@ -25,34 +25,35 @@ def body_colour(node: int, involved: list[int]) -> str:
 
 
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
-_BONE = 0.018
-"""Line width of a skeleton, in widths of the picture."""
+_LINK_WIDTH = 0.018
+"""Line width of links, in widths of the picture."""
 
 
-def draw_bodies(axes: Axes, run: SceneRun, state: int, involved: list[int]) -> None:
+def draw_bodies(axes: Axes, scene: SceneTrajectory, state: int, involved: list[int]) -> None:
     """Every node; far ones first, distractors first among those equally far away."""
-    place, depth = run.projection(run.position[state]), run.projection.depth(run.position[state])
+    position = scene.position[state]
+    place, depth = scene.projection(position), scene.projection.depth(position)
 
     def order(node: int) -> tuple[bool, float, bool]:
         # An actuated node is never hidden by the objects that it holds.
-        return bool(run.actuated[node]), float(np.nan_to_num(depth[node])), node in involved
+        return bool(scene.actuated[node]), float(np.nan_to_num(depth[node])), node in involved
 
-    for node in sorted(range(run.node_count), key=order):
+    for node in sorted(range(scene.node_count), key=order):
         if not np.isfinite(place[node]).all():
             continue
         colour = body_colour(node, involved)
-        width = 2.0 if run.actuated[node] else 1.1
-        bar, box = run.bar(node), run.box(node)
+        width = 2.0 if scene.actuated[node] else 1.1
+        bar, box = scene.bar(node), scene.box(node)
         if bar is not None:
-            _draw_bar(axes, run.projection(bar[state]), float(run.radius[node]), colour, width)
+            _draw_bar(axes, scene.projection(bar[state]), float(scene.radius[node]), colour, width)
         elif box is not None:
-            faces = run.projection.box_faces(run.position[state, node], box)
+            faces = scene.projection.box_faces(position[node], box)
             _draw_box(axes, faces, colour, width)
         else:
             x, y = place[node]
             # In 2D nodes are opaque, so that trails and plans end at their outline.
-            fill = _pale(colour) if run.dimension < 3 else (*to_rgb(colour), 0.3)
-            circle = Circle((x, y), run.radius[node], fc=fill, ec=colour, lw=width, zorder=3)
+            fill = _pale(colour) if scene.dimension < 3 else (*to_rgb(colour), 0.3)
+            circle = Circle((x, y), scene.radius[node], fc=fill, ec=colour, lw=width, zorder=3)
             axes.add_artist(circle)
 
 
@@ -86,16 +87,16 @@ def _draw_box(axes: Axes, faces: list[np.ndarray], colour: str, width: float) ->
         )
 
 
-def draw_skeleton(axes: Axes, run: SceneRun, state: int) -> None:
+def draw_links(axes: Axes, scene: SceneTrajectory, state: int) -> None:
     """The links and joints of a body that is no node."""
-    if run.skeleton is None:
+    if scene.link_positions is None:
         return
-    points = run.projection(run.skeleton[state])
+    points = scene.projection(scene.link_positions[state])
     inches = axes.bbox.transformed(axes.figure.dpi_scale_trans.inverted()).width
-    thickness = 72.0 * inches * _BONE
+    thickness = 72.0 * inches * _LINK_WIDTH
     axes.plot(
         *points.T,
-        color=SKELETON_COLOUR,
+        color=LINK_COLOUR,
         lw=thickness,
         solid_capstyle="round",
         solid_joinstyle="round",
@@ -104,14 +105,14 @@ def draw_skeleton(axes: Axes, run: SceneRun, state: int) -> None:
     axes.plot(*points.T, "o", color=SOFT, ms=0.45 * thickness, mew=0, zorder=2.6)
 
 
-def draw_shadows(axes: Axes, run: SceneRun, state: int, below: Ground) -> None:
+def draw_shadows(axes: Axes, scene: SceneTrajectory, state: int, below: Ground) -> None:
     """The shadow of every node on the ground, under vertical light."""
-    for node in range(run.node_count):
-        middle, half = run.position[state, node, :2], run.half_size[node, :2]
+    for node in range(scene.node_count):
+        middle, half = scene.position[state, node, :2], scene.half_size[node, :2]
         outline = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * half
-        if run.box(node) is None:
+        if scene.box(node) is None:
             outline = np.stack([np.cos(_ROUND), np.sin(_ROUND)], axis=-1) * half
-        rim = run.projection(below.at(middle + outline))
+        rim = scene.projection(below.at(middle + outline))
         if np.isfinite(rim).all():
             axes.add_artist(Polygon(rim, fc=INK, ec="none", alpha=0.12, zorder=0.7))
 
@@ -120,26 +121,26 @@ _FAINTEST = 0.02
 """Edges with a lower belief are not drawn."""
 
 
-def scene_limits(run: SceneRun) -> tuple[np.ndarray, np.ndarray]:
+def scene_limits(scene: SceneTrajectory) -> tuple[np.ndarray, np.ndarray]:
     """Lower left and upper right corner, m in the picture, of a square that holds everything."""
-    place, reach = run.projection(run.position), run.half_picture
+    place, reach = scene.projection(scene.position), scene.half_picture
     lows, highs = [(place - reach).reshape(-1, 2)], [(place + reach).reshape(-1, 2)]
-    if run.goal is not None:
-        goal = run.projection(run.goal)[None]
-        lows.append(goal - run.goal_radius)
-        highs.append(goal + run.goal_radius)
-    for node in range(run.node_count):
-        bar = run.bar(node)
+    if scene.goal is not None:
+        goal = scene.projection(scene.goal)[None]
+        lows.append(goal - scene.goal_radius)
+        highs.append(goal + scene.goal_radius)
+    for node in range(scene.node_count):
+        bar = scene.bar(node)
         if bar is not None:
-            ends = run.projection(bar).reshape(-1, 2)
-            lows.append(ends - run.radius[node])
-            highs.append(ends + run.radius[node])
-    if run.skeleton is not None:
-        lows.append(run.projection(run.skeleton).reshape(-1, 2))
+            ends = scene.projection(bar).reshape(-1, 2)
+            lows.append(ends - scene.radius[node])
+            highs.append(ends + scene.radius[node])
+    if scene.link_positions is not None:
+        lows.append(scene.projection(scene.link_positions).reshape(-1, 2))
         highs.append(lows[-1])
-    below = ground_of(run)
+    below = ground_of(scene)
     if below is not None:
-        lows.append(run.projection(below.corners()))
+        lows.append(scene.projection(below.corners()))
         highs.append(lows[-1])
     low, high = np.concatenate(lows), np.concatenate(highs)
     known = np.isfinite(low).all(axis=1)
@@ -151,65 +152,65 @@ def scene_limits(run: SceneRun) -> tuple[np.ndarray, np.ndarray]:
     return middle - half, middle + half
 
 
-def draw_scene(axes: Axes, run: SceneRun, state: int) -> None:
+def draw_scene(axes: Axes, scene: SceneTrajectory, state: int) -> None:
     """The scene at state ``state`` (0 to T): goal, trails, plan, bodies and edges by belief.
 
     The belief and the contact drawn are those about the step that led to this state. In space,
     bodies stand on a grid, and raised bodies cast a shadow straight down.
     """
-    low, high = scene_limits(run)
+    low, high = scene_limits(scene)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
     for side in axes.spines.values():
         side.set_color(RULE)
-    involved = involved_nodes(run)
-    below = ground_of(run)
+    involved = involved_nodes(scene)
+    below = ground_of(scene)
     if below is not None:
-        _draw_ground(axes, run, below)
-        draw_shadows(axes, run, state, below)
-    _draw_goal(axes, run, below)
-    _draw_ways(axes, run, state, involved)
-    draw_skeleton(axes, run, state)
-    draw_bodies(axes, run, state, involved)
-    _draw_edges(axes, run, state)
+        _draw_ground(axes, scene, below)
+        draw_shadows(axes, scene, state, below)
+    _draw_goal(axes, scene, below)
+    _draw_paths(axes, scene, state, involved)
+    draw_links(axes, scene, state)
+    draw_bodies(axes, scene, state, involved)
+    _draw_edges(axes, scene, state)
 
 
-def _draw_ground(axes: Axes, run: SceneRun, below: Ground) -> None:
-    rim = run.projection(below.corners())
+def _draw_ground(axes: Axes, scene: SceneTrajectory, below: Ground) -> None:
+    rim = scene.projection(below.corners())
     axes.add_artist(Polygon(rim, fc=GROUND_COLOUR, ec="none", zorder=0.5))
-    for line in run.projection(below.lines()):
+    for line in scene.projection(below.lines()):
         axes.plot(*line.T, color=RULE, lw=0.6, zorder=0.6)
 
 
-def _draw_goal(axes: Axes, run: SceneRun, below: Ground | None) -> None:
-    if run.goal is None:
+def _draw_goal(axes: Axes, scene: SceneTrajectory, below: Ground | None) -> None:
+    if scene.goal is None:
         return
-    x, y = (float(value) for value in run.projection(run.goal))
-    axes.add_artist(Circle((x, y), run.goal_radius, color=GOAL_COLOUR, alpha=0.12, lw=0))
+    x, y = (float(value) for value in scene.projection(scene.goal))
+    axes.add_artist(Circle((x, y), scene.goal_radius, color=GOAL_COLOUR, alpha=0.12, lw=0))
     axes.add_artist(
-        Circle((x, y), run.goal_radius, fill=False, ec=GOAL_COLOUR, lw=1.0, ls=(0, (3, 3)))
+        Circle((x, y), scene.goal_radius, fill=False, ec=GOAL_COLOUR, lw=1.0, ls=(0, (3, 3)))
     )
     if below is not None:
-        foot = run.projection(below.at(run.goal[:2]))
+        foot = scene.projection(below.at(scene.goal[:2]))
         axes.plot([x, foot[0]], [y, foot[1]], color=GOAL_COLOUR, lw=0.8, ls=(0, (3, 3)), zorder=1)
 
 
-def _draw_ways(axes: Axes, run: SceneRun, state: int, involved: list[int]) -> None:
-    plan = None if run.plan is None else run.plan[min(state, run.steps - 1), 1:]
+def _draw_paths(axes: Axes, scene: SceneTrajectory, state: int, involved: list[int]) -> None:
+    plan = None if scene.plan is None else scene.plan[min(state, scene.steps - 1), 1:]
     for node in involved:
         colour = body_colour(node, involved)
-        way = run.projection(run.position[:, node])
-        axes.plot(*way.T, color=colour, lw=0.7, alpha=0.25)
-        axes.plot(*way[: state + 1].T, color=colour, lw=1.3, alpha=0.8)
+        path = scene.projection(scene.position[:, node])
+        axes.plot(*path.T, color=colour, lw=0.7, alpha=0.25)
+        axes.plot(*path[: state + 1].T, color=colour, lw=1.3, alpha=0.8)
         if plan is not None:
-            axes.plot(*run.projection(plan[:, node]).T, ".", color=colour, ms=2.2, alpha=0.5)
+            axes.plot(*scene.projection(plan[:, node]).T, ".", color=colour, ms=2.2, alpha=0.5)
 
 
-def _draw_edges(axes: Axes, run: SceneRun, state: int) -> None:
-    belief = np.nan_to_num(run.belief[max(0, state - 1)])
-    for edge, (first, second) in enumerate(run.edges):
-        ends = run.projection(run.position[state][[first, second]])
-        width = _points(axes, float(min(run.radius[first], run.radius[second])))
-        if run.contact is not None and run.contact[state, edge]:
+def _draw_edges(axes: Axes, scene: SceneTrajectory, state: int) -> None:
+    belief = np.nan_to_num(scene.belief[max(0, state - 1)])
+    for edge, (first, second) in enumerate(scene.edges):
+        ends = scene.projection(scene.position[state][[first, second]])
+        width = _points(axes, float(min(scene.radius[first], scene.radius[second])))
+        if scene.contact is not None and scene.contact[state, edge]:
             axes.plot(*ends.T, color=CONTACT_COLOUR, lw=width, solid_capstyle="round", zorder=4)
         probability = float(np.clip(belief[edge], 0.0, 1.0))
         if probability > _FAINTEST:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactgraph.viz.scene_run import SceneRun
+from contactgraph.viz.scene_trajectory import SceneTrajectory
 
 _SPACINGS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _MOST_SQUARES = 8
@@ -44,17 +44,17 @@ class Ground:
         return np.concatenate([places, np.full((*places.shape[:-1], 1), self.level)], axis=-1)
 
 
-def ground_of(run: SceneRun) -> Ground | None:
+def ground_of(scene: SceneTrajectory) -> Ground | None:
     """The ground of a trajectory in space, at the lowest height of any passive body.
 
     None in 2D, and without finite positions.
     """
-    if run.dimension < 3:
+    if scene.dimension < 3:
         return None
-    bottom = run.position[..., 2] - run.half_size[:, 2]
-    passive = bottom[:, ~run.actuated] if not run.actuated.all() else bottom
-    points = [run.position - run.half_size, run.position + run.half_size]
-    points += [each for each in (run.skeleton, run.goal) if each is not None]
+    bottom = scene.position[..., 2] - scene.half_size[:, 2]
+    passive = bottom[:, ~scene.actuated] if not scene.actuated.all() else bottom
+    points = [scene.position - scene.half_size, scene.position + scene.half_size]
+    points += [each for each in (scene.link_positions, scene.goal) if each is not None]
     places = np.concatenate([each[..., :2].reshape(-1, 2) for each in points])
     places, heights = places[np.isfinite(places).all(axis=1)], passive[np.isfinite(passive)]
     if not (places.size and heights.size):
@@ -73,46 +73,46 @@ _BELIEVED = 0.5
 _SHOWN_EDGES = 4
 
 
-def leading_edges(run: SceneRun, limit: int = _SHOWN_EDGES) -> list[int]:
+def leading_edges(scene: SceneTrajectory, limit: int = _SHOWN_EDGES) -> list[int]:
     """Edges that ever matter, most important first, at most ``limit``.
 
     An edge matters if it is ever truly in contact or its belief ever exceeds 0.2. True contacts
     come first, then by the largest and the mean belief.
     """
-    largest, mean = _largest(run.belief), _mean(run.belief)
-    touched = np.zeros(run.edge_count) if run.contact is None else run.contact.mean(axis=0)
+    largest, mean = _largest(scene.belief), _mean(scene.belief)
+    touched = np.zeros(scene.edge_count) if scene.contact is None else scene.contact.mean(axis=0)
     order = np.lexsort((-mean, -largest, -touched))
     return [int(e) for e in order if touched[e] > 0 or largest[e] > _WORTH_SHOWING][:limit]
 
 
-def focus_nodes(run: SceneRun) -> list[int]:
+def focus_nodes(scene: SceneTrajectory) -> list[int]:
     """The two main bodies, an actuated one first; one body if none touch."""
-    leading = leading_edges(run, limit=1)
+    leading = leading_edges(scene, limit=1)
     if leading:
-        first, second = (int(node) for node in run.edges[leading[0]])
-        swap = bool(run.actuated[second]) and not run.actuated[first]
+        first, second = (int(node) for node in scene.edges[leading[0]])
+        swap = bool(scene.actuated[second]) and not scene.actuated[first]
         return [second, first] if swap else [first, second]
-    return [int(np.argmax(run.actuated))]
+    return [int(np.argmax(scene.actuated))]
 
 
-def involved_nodes(run: SceneRun) -> list[int]:
+def involved_nodes(scene: SceneTrajectory) -> list[int]:
     """The focus, then every other body that is ever truly touched or long believed to be."""
-    nodes = focus_nodes(run)
-    mean = _mean(run.belief)
-    for edge in leading_edges(run):
-        if (mean[edge] > 0.05) if run.contact is None else run.contact[:, edge].any():
-            nodes += [int(node) for node in run.edges[edge] if int(node) not in nodes]
+    nodes = focus_nodes(scene)
+    mean = _mean(scene.belief)
+    for edge in leading_edges(scene):
+        if (mean[edge] > 0.05) if scene.contact is None else scene.contact[:, edge].any():
+            nodes += [int(node) for node in scene.edges[edge] if int(node) not in nodes]
     return nodes
 
 
-def grasp_step(run: SceneRun) -> int | None:
+def grasp_step(scene: SceneTrajectory) -> int | None:
     """The first state in which the two bodies in focus touch: truly, or else by belief."""
-    leading = leading_edges(run, limit=1)
+    leading = leading_edges(scene, limit=1)
     if not leading:
         return None
-    if run.contact is not None and run.contact[:, leading[0]].any():
-        return int(np.argmax(run.contact[:, leading[0]]))
-    believed = run.belief[:, leading[0]] >= _BELIEVED
+    if scene.contact is not None and scene.contact[:, leading[0]].any():
+        return int(np.argmax(scene.contact[:, leading[0]]))
+    believed = scene.belief[:, leading[0]] >= _BELIEVED
     return int(np.argmax(believed)) + 1 if believed.any() else None
 
 

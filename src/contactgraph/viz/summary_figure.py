@@ -18,7 +18,7 @@ from contactgraph.viz.scene_picture import (
     body_colour,
     draw_scene,
 )
-from contactgraph.viz.scene_run import SceneRun
+from contactgraph.viz.scene_trajectory import SceneTrajectory
 from contactgraph.viz.selection import (
     focus_nodes,
     grasp_step,
@@ -30,17 +30,17 @@ from contactgraph.viz.selection import (
 _MOMENTS = 5
 
 
-def write_summary_figure(path: str | Path, run: SceneRun) -> None:
-    """Write a PNG of ``run`` atomically: five moments, the belief and 1/m over time."""
+def write_summary_figure(path: str | Path, scene: SceneTrajectory) -> None:
+    """Write a PNG of ``scene`` atomically: five moments, the belief and 1/m over time."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary:
-        summary_figure(run).savefig(temporary, dpi=150, format="png")
+        summary_figure(scene).savefig(temporary, dpi=150, format="png")
 
 
-def summary_figure(run: SceneRun) -> Figure:
+def summary_figure(scene: SceneTrajectory) -> Figure:
     """The picture as a matplotlib figure, drawn without a display."""
-    plots = 1 + (run.inverse_mass is not None)
+    plots = 1 + (scene.inverse_mass is not None)
     figure = Figure(figsize=(11.0, 2.9 + 1.25 * plots), facecolor="white")
     FigureCanvasAgg(figure)
     heights = [2.15] + [1.0] * plots
@@ -56,28 +56,28 @@ def summary_figure(run: SceneRun) -> Figure:
         bottom=0.08,
     )
     axes = [figure.add_subplot(grid[row + 1, :]) for row in range(plots)]
-    _draw_belief(axes[0], run)
-    if run.inverse_mass is not None:
-        _draw_inverse_mass(axes[1], run, run.inverse_mass)
+    _draw_belief(axes[0], scene)
+    if scene.inverse_mass is not None:
+        _draw_inverse_mass(axes[1], scene, scene.inverse_mass)
         axes[0].tick_params(labelbottom=False)
     axes[-1].set_xlabel("time, s", color=SOFT, fontsize=9, loc="right", labelpad=1)
-    for place, state in enumerate(summary_states(run)):
-        scene = figure.add_subplot(grid[0, place])
-        draw_scene(scene, run, state)
-        time = state * run.dt
-        scene.set_title(f"{time:.2f} s", fontsize=10, color=INK, pad=5)
+    for place, state in enumerate(summary_states(scene)):
+        moment = figure.add_subplot(grid[0, place])
+        draw_scene(moment, scene, state)
+        time = state * scene.dt
+        moment.set_title(f"{time:.2f} s", fontsize=10, color=INK, pad=5)
         for plot in axes:
             plot.axvline(time, color=INK, lw=0.7, alpha=0.45)
-        axes[0].add_artist(_thread(scene, axes[0], time))
+        axes[0].add_artist(_thread(moment, axes[0], time))
     return figure
 
 
-def _thread(scene: Axes, plot: Axes, time: float) -> ConnectionPatch:
+def _thread(moment: Axes, plot: Axes, time: float) -> ConnectionPatch:
     """The line from a moment's picture down to its time."""
     return ConnectionPatch(
         xyA=(0.5, 0.0),
         xyB=(time, 1.0),
-        coordsA=scene.transAxes,
+        coordsA=moment.transAxes,
         coordsB=plot.get_xaxis_transform(),
         color=INK,
         lw=0.7,
@@ -85,29 +85,29 @@ def _thread(scene: Axes, plot: Axes, time: float) -> ConnectionPatch:
     )
 
 
-def summary_states(run: SceneRun) -> list[int]:
+def summary_states(scene: SceneTrajectory) -> list[int]:
     """Five moments: start, before, at and after the grasp, end; evenly spread without a grasp."""
-    grasp = grasp_step(run)
+    grasp = grasp_step(scene)
     if grasp is None:
-        return [int(state) for state in np.linspace(0, run.steps, _MOMENTS)]
-    after = grasp + round(0.3 * (run.steps - grasp))
-    return [0, round(0.6 * grasp), grasp, after, run.steps]
+        return [int(state) for state in np.linspace(0, scene.steps, _MOMENTS)]
+    after = grasp + round(0.3 * (scene.steps - grasp))
+    return [0, round(0.6 * grasp), grasp, after, scene.steps]
 
 
-def _draw_belief(axes: Axes, run: SceneRun) -> None:
-    time = np.arange(run.steps + 1) * run.dt
-    leading = leading_edges(run)
+def _draw_belief(axes: Axes, scene: SceneTrajectory) -> None:
+    time = np.arange(scene.steps + 1) * scene.dt
+    leading = leading_edges(scene)
     for place, edge in enumerate(leading):
         strength = 1.0 if place == 0 else 0.4
         axes.stairs(
-            run.belief[:, edge], time, baseline=None, color=BELIEF_COLOUR, lw=1.6, alpha=strength
+            scene.belief[:, edge], time, baseline=None, color=BELIEF_COLOUR, lw=1.6, alpha=strength
         )
-    _style(axes, run, "belief", (-0.06, 1.08))
+    _style(axes, scene, "belief", (-0.06, 1.08))
     if leading:
         axes.text(
             0.99,
             0.7,
-            run.edge_name(leading[0]),
+            scene.edge_name(leading[0]),
             color=BELIEF_COLOUR,
             fontsize=9,
             ha="right",
@@ -116,9 +116,9 @@ def _draw_belief(axes: Axes, run: SceneRun) -> None:
         )
 
 
-def _draw_inverse_mass(axes: Axes, run: SceneRun, inverse_mass: np.ndarray) -> None:
-    time = np.arange(run.steps + 1) * run.dt
-    involved, focus = involved_nodes(run), focus_nodes(run)
+def _draw_inverse_mass(axes: Axes, scene: SceneTrajectory, inverse_mass: np.ndarray) -> None:
+    time = np.arange(scene.steps + 1) * scene.dt
+    involved, focus = involved_nodes(scene), focus_nodes(scene)
     directions = shown_directions(inverse_mass)
     for place, node in enumerate(focus):
         colour = body_colour(node, involved)
@@ -127,7 +127,7 @@ def _draw_inverse_mass(axes: Axes, run: SceneRun, inverse_mass: np.ndarray) -> N
         axes.text(
             0.99,
             0.8 - 0.17 * place,
-            run.node_name[node],
+            scene.node_name[node],
             color=colour,
             fontsize=9,
             ha="right",
@@ -135,7 +135,7 @@ def _draw_inverse_mass(axes: Axes, run: SceneRun, inverse_mass: np.ndarray) -> N
             parse_math=False,
         )
     largest = np.nanmax(np.append([values[:, focus] for values in directions], 0.1))
-    _style(axes, run, "1/m, 1/kg", (-0.06 * float(largest), 1.08 * float(largest)))
+    _style(axes, scene, "1/m, 1/kg", (-0.06 * float(largest), 1.08 * float(largest)))
     if len(directions) > 1:
         axes.text(
             0.99,
@@ -148,9 +148,9 @@ def _draw_inverse_mass(axes: Axes, run: SceneRun, inverse_mass: np.ndarray) -> N
         )
 
 
-def _style(axes: Axes, run: SceneRun, name: str, limits: tuple[float, float]) -> None:
+def _style(axes: Axes, scene: SceneTrajectory, name: str, limits: tuple[float, float]) -> None:
     """A plain frame, and the leading edge's true contact as a band over the steps before it."""
-    axes.set(xlim=(0, run.steps * run.dt), ylim=limits)
+    axes.set(xlim=(0, scene.steps * scene.dt), ylim=limits)
     axes.set_ylabel(name, color=SOFT, fontsize=9)
     axes.tick_params(colors=SOFT, labelsize=8, length=3)
     axes.grid(axis="y", color=RULE, lw=0.6)
@@ -158,10 +158,10 @@ def _style(axes: Axes, run: SceneRun, name: str, limits: tuple[float, float]) ->
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(RULE)
-    leading = leading_edges(run, limit=1)
-    if run.contact is not None and leading:
-        touching = run.contact[1:, leading[0]].astype(float)
-        edges = np.arange(run.steps + 1) * run.dt
+    leading = leading_edges(scene, limit=1)
+    if scene.contact is not None and leading:
+        touching = scene.contact[1:, leading[0]].astype(float)
+        edges = np.arange(scene.steps + 1) * scene.dt
         axes.stairs(
             np.where(touching > 0, limits[1], limits[0]),
             edges,

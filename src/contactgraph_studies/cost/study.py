@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from contactgraph.cli.tasks import Target
-from contactgraph.viz import Number
-from contactgraph.viz.number_table import short
+from contactgraph.viz import Metric
+from contactgraph.viz.metric_table import short
 from contactgraph_studies.cost.config import (
     PICKUP_COST,
     SCENE_SEED,
@@ -220,23 +220,23 @@ def _each_seed(statistic: SeedStatistic) -> str:
 
 def cost_targets(
     results: Results, tasks: Sequence[CostTask], amounts: CostAmounts
-) -> tuple[Number, ...]:
+) -> tuple[Metric, ...]:
     """The targets of every task."""
-    numbers = []
+    targets = []
     for task in tasks:
         most, among = by_demonstrations(amounts)[-1], among_distractors(amounts)
         tests = [(most, _UNSEEN), *((test, _AMONG_DISTRACTORS) for test in among)]
-        numbers += [_success_target(results, task, *each, amounts) for each in tests]
-        numbers.append(_demonstrations_target(results, task, amounts))
+        targets += [_success_target(results, task, *each, amounts) for each in tests]
+        targets.append(_demonstrations_target(results, task, amounts))
         seconds = results.statistic(learning(task, most.learned), _SECONDS)
         name = f"{task.name}: learning from {amounts.most} demonstrations, on one core"
-        numbers.append(judged(name, "s", seconds, _LEARNING_S, amounts.seeds, lower=True))
-    return tuple(numbers)
+        targets.append(judged(name, "s", seconds, _LEARNING_S, amounts.seeds, lower=True))
+    return tuple(targets)
 
 
 def _success_target(
     results: Results, task: CostTask, test: CostTest, target: Target, amounts: CostAmounts
-) -> Number:
+) -> Metric:
     """Success of the episodes of all seeds together, with their Wilson interval."""
     labels = control(task, test)
     success, each = results.success(labels), results.statistic(labels, SUCCESS_PERCENT)
@@ -254,7 +254,7 @@ def _success_target(
     return replace(number, value=100.0 * success.rate, interval=(100.0 * low, 100.0 * high))
 
 
-def _demonstrations_target(results: Results, task: CostTask, amounts: CostAmounts) -> Number:
+def _demonstrations_target(results: Results, task: CostTask, amounts: CostAmounts) -> Metric:
     """The fewest demonstrations from which on success is at least `ENOUGH`."""
     needed: list[float] = []
     command, missed = "", False

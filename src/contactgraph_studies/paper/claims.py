@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from contactgraph.cli.tasks import TestCondition
-from contactgraph.viz.number_table import short, with_unit
+from contactgraph.viz.metric_table import short, with_unit
 from contactgraph_studies.paper.claims_graph import (
     corrected_edges,
     edges_mean_contact,
@@ -80,7 +80,7 @@ def _small_in_distribution(results: Results, tasks: Sequence[StudyTask]) -> Clai
             claim.judge(error.median < _SMALL_CM, [error])
             if error.median >= _SMALL_CM:
                 large.append(f"{model.name} on {task.name} ({with_unit(error.median, 'cm')})")
-    known = [one.statistic.median for one in claim.numbers if one.statistic.known]
+    known = [one.statistic.median for one in claim.metrics if one.statistic.known]
     worst = with_unit(max(known, default=math.nan), "cm")
     claim.sentence = {
         True: f"The largest median error of any of these models is {worst}.",

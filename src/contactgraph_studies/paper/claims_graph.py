@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from contactgraph.viz.number_table import short, with_unit
+from contactgraph.viz.metric_table import short, with_unit
 from contactgraph_studies.paper import jobs
 from contactgraph_studies.paper.config import (
     FAULTS,

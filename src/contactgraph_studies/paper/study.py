@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from contactgraph.cli.tasks import TestCondition
-from contactgraph.viz import Number
-from contactgraph.viz.number_table import short
+from contactgraph.viz import Metric
+from contactgraph.viz.metric_table import short
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper.claims import claims
 from contactgraph_studies.paper.config import FRANKA, GIM_TEMP, Amounts, StudyModel, StudyTask
@@ -178,12 +178,12 @@ def model_table(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) 
 
 def model_targets(
     results: Results, tasks: Sequence[StudyTask], seeds: Sequence[int]
-) -> tuple[Number, ...]:
+) -> tuple[Metric, ...]:
     """The targets of GIM-Temp; each is judged by the median over seeds."""
     return tuple(one for task in tasks for one in _task_targets(results, task, seeds))
 
 
-def _task_targets(results: Results, task: StudyTask, seeds: Sequence[int]) -> Iterator[Number]:
+def _task_targets(results: Results, task: StudyTask, seeds: Sequence[int]) -> Iterator[Metric]:
     targets = task.known.targets
     for scenes in (task.as_trained, task.hardest):
         sources = (Source.planned, Source.recorded, Source.every_step)

@@ -160,13 +160,13 @@ def test_the_scene_describes_its_nodes():
     assert metadata["grasp"] == "weld" and metadata["simulator"].startswith("mujoco ")
 
 
-def test_the_skeleton_ends_at_the_hand_and_begins_at_the_base():
+def test_the_links_end_at_the_hand_and_begin_at_the_base():
     task = FrankaTask()
     observation, _ = task.reset(seed=2)
-    skeleton = task.link_positions()
-    np.testing.assert_array_equal(skeleton[0], [0.0, 0.0, 0.0])
-    np.testing.assert_array_equal(skeleton[-1], observation["position"][0])
-    lengths = np.linalg.norm(np.diff(skeleton, axis=0), axis=-1)
+    links = task.link_positions()
+    np.testing.assert_array_equal(links[0], [0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(links[-1], observation["position"][0])
+    lengths = np.linalg.norm(np.diff(links, axis=0), axis=-1)
     arm = [0.333, 0.0, 0.316, 0.0825, np.hypot(0.0825, 0.384), 0.0, 0.088, 0.107, 0.1254]
     np.testing.assert_allclose(lengths, arm, atol=1e-9)
 

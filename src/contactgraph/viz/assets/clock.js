@@ -1,33 +1,33 @@
-// The one time of the page: which run, where in it, whether it plays. Views listen to it.
+// The one time of the page: the scene shown, the step in it, and whether it plays. Views listen to it.
 
 const clock = {
-  run: payload.runs[0],
+  scene: payload.scenes[0],
   step: 0, // a real number from 0 to T; a whole number is a recorded state
   playing: false,
   speed: 1,
-  span: null, // [first, last] step that the plots show; null shows the whole run
+  span: null, // [first, last] step that the plots show; null shows the whole trajectory
 };
 
 const timeListeners = [];
-const runListeners = [];
+const sceneListeners = [];
 let lastFrame = null;
 
 function seek(step) {
-  clock.step = Math.max(0, Math.min(clock.run.steps, step));
+  clock.step = Math.max(0, Math.min(clock.scene.steps, step));
   for (const listener of timeListeners) listener();
 }
 
 function showSpan(span) {
   clock.span = span;
-  for (const listener of runListeners) listener();
+  for (const listener of sceneListeners) listener();
   seek(clock.step);
 }
 
-// Another run starts over, or, where the clock stands still, rests at its grasp.
-function chooseRun(run) {
-  clock.run = run;
-  clock.step = clock.playing ? 0 : (run.grasp ?? 0);
-  for (const listener of runListeners) listener();
+// Another scene starts over, or, where the clock stands still, rests at its grasp.
+function chooseScene(scene) {
+  clock.scene = scene;
+  clock.step = clock.playing ? 0 : (scene.grasp ?? 0);
+  for (const listener of sceneListeners) listener();
   seek(clock.step);
 }
 
@@ -35,9 +35,9 @@ function tick(now) {
   if (!clock.playing) return;
   const seconds = lastFrame === null ? 0 : Math.min(0.1, (now - lastFrame) / 1000);
   lastFrame = now;
-  const next = clock.step + (seconds * clock.speed) / clock.run.dt;
-  if (next >= clock.run.steps) {
-    seek(clock.run.steps);
+  const next = clock.step + (seconds * clock.speed) / clock.scene.dt;
+  if (next >= clock.scene.steps) {
+    seek(clock.scene.steps);
     pause();
     return;
   }
@@ -47,7 +47,7 @@ function tick(now) {
 
 function play() {
   if (clock.playing) return;
-  if (clock.step >= clock.run.steps) clock.step = 0;
+  if (clock.step >= clock.scene.steps) clock.step = 0;
   clock.playing = true;
   lastFrame = null;
   requestAnimationFrame(tick);
@@ -60,8 +60,8 @@ function pause() {
 }
 
 // About a second on either side of the grasp, where all the learning shows.
-function graspSpan(run) {
-  if (run.grasp === null) return null;
-  const margin = Math.round(1 / run.dt);
-  return [Math.max(0, run.grasp - margin), Math.min(run.steps, run.grasp + margin)];
+function graspSpan(scene) {
+  if (scene.grasp === null) return null;
+  const margin = Math.round(1 / scene.dt);
+  return [Math.max(0, scene.grasp - margin), Math.min(scene.steps, scene.grasp + margin)];
 }

@@ -16,11 +16,11 @@ function choices(id, options, choose) {
 }
 
 function showControls() {
-  const { run, step, playing } = clock;
+  const { scene, step, playing } = clock;
   const slider = document.getElementById("time");
   const button = document.getElementById("play");
-  const time = `${(step * run.dt).toFixed(2)} s`;
-  slider.max = run.steps;
+  const time = `${(step * scene.dt).toFixed(2)} s`;
+  slider.max = scene.steps;
   slider.value = step;
   slider.setAttribute("aria-valuetext", time);
   document.getElementById("now").textContent = time;
@@ -31,13 +31,13 @@ function showControls() {
 // In words, for those who do not see the canvas; written when it stands still.
 function describeScene() {
   if (clock.playing) return;
-  const { run, step } = clock;
-  const sure = run.edges.map((_, edge) => edge).filter((edge) => beliefAt(run, edge, step) >= 0.5);
-  const edges = sure.map((edge) => `${run.edgeName[edge]} (${beliefAt(run, edge, step).toFixed(2)})`);
+  const { scene, step } = clock;
+  const sure = scene.edges.map((_, edge) => edge).filter((edge) => beliefAt(scene, edge, step) >= 0.5);
+  const edges = sure.map((edge) => `${scene.edgeName[edge]} (${beliefAt(scene, edge, step).toFixed(2)})`);
   const words = edges.length ? `Edges believed active: ${edges.join(", ")}.` : "No edge is believed active.";
-  const sentence = `${(step * run.dt).toFixed(2)} s. ${words}`;
+  const sentence = `${(step * scene.dt).toFixed(2)} s. ${words}`;
   document.getElementById("scene-words").textContent = sentence;
-  scene.canvas.setAttribute("aria-label", `The scene seen from ${run.dimension < 3 ? "above" : "aside"}. ${sentence}`);
+  view.canvas.setAttribute("aria-label", `The scene seen from ${scene.dimension < 3 ? "above" : "aside"}. ${sentence}`);
 }
 
 function onKey(event) {
@@ -56,7 +56,7 @@ function onKey(event) {
 
 // Plays once when first seen, unless the reader asked for calm: then it rests at the grasp.
 function playWhenSeen() {
-  seek(clock.run.grasp ?? 0);
+  seek(clock.scene.grasp ?? 0);
   if (calm.matches) return;
   const watch = new IntersectionObserver((entries) => {
     if (!entries.some((entry) => entry.isIntersecting)) return;
@@ -64,20 +64,20 @@ function playWhenSeen() {
     seek(0);
     play();
   }, { threshold: 0.6 });
-  watch.observe(scene.canvas);
+  watch.observe(view.canvas);
 }
 
 function startWatching() {
   startScene();
   startTimePlots();
   timeListeners.push(showControls, describeScene);
-  choices("run-choice", payload.runs.map((run) => ({ name: run.name, run })), ({ run }) => {
-    if (clock.span) clock.span = graspSpan(run);
-    chooseRun(run);
+  choices("scene-choice", payload.scenes.map((scene) => ({ name: scene.name, scene })), ({ scene }) => {
+    if (clock.span) clock.span = graspSpan(scene);
+    chooseScene(scene);
   });
-  const spans = [{ name: "whole run", near: false }];
-  if (payload.runs.some((run) => run.grasp !== null)) spans.push({ name: "around the contact", near: true });
-  choices("span-choice", spans, ({ near }) => showSpan(near ? graspSpan(clock.run) : null));
+  const spans = [{ name: "whole trajectory", near: false }];
+  if (payload.scenes.some((scene) => scene.grasp !== null)) spans.push({ name: "around the contact", near: true });
+  choices("span-choice", spans, ({ near }) => showSpan(near ? graspSpan(clock.scene) : null));
   document.getElementById("play").addEventListener("click", () => (clock.playing ? pause() : play()));
   document.getElementById("time").addEventListener("input", (event) => {
     const step = Number(event.target.value); // read first: pausing puts the slider back
@@ -90,11 +90,11 @@ function startWatching() {
   document.addEventListener("keydown", onKey);
   window.addEventListener("beforeprint", () => {
     pause();
-    seek(clock.run.grasp ?? clock.run.steps);
+    seek(clock.scene.grasp ?? clock.scene.steps);
   });
   playWhenSeen();
 }
 
-if (payload.runs.length) startWatching();
+if (payload.scenes.length) startWatching();
 startErrorChart();
 startLossChart();

@@ -16,18 +16,18 @@ function turnedAxes([, , eye], aside, up) {
 }
 
 function startTurning() {
-  const { canvas } = scene;
+  const { canvas } = view;
   let last = null;
   canvas.addEventListener("pointerdown", (event) => {
-    if (!clock.run.ground) return;
+    if (!clock.scene.ground) return;
     last = [event.clientX, event.clientY];
     canvas.setPointerCapture(event.pointerId);
   });
   canvas.addEventListener("pointermove", (event) => {
     if (!last) return;
-    scene.axes = turnedAxes(scene.axes, event.clientX - last[0], event.clientY - last[1]);
+    view.axes = turnedAxes(view.axes, event.clientX - last[0], event.clientY - last[1]);
     last = [event.clientX, event.clientY];
-    fitScene(sceneBounds(clock.run));
+    fitScene(sceneBounds(clock.scene));
     drawScene();
   });
   for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => (last = null));

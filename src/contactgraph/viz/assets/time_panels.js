@@ -1,18 +1,18 @@
-// Which panels a run has: beliefs, learned parameters, motion.
+// Which panels a scene has: beliefs, learned parameters, motion.
 
 const DASHES = ["solid", "dashed", "dotted"]; // of the first, second and third axis
 
-function beliefPanels(run) {
-  const read = (edge) => (step) => run.belief[step * run.edges.length + edge];
-  const panels = run.leading.map((edge) => ({
-    title: run.edgeName[edge],
+function beliefPanels(scene) {
+  const read = (edge) => (step) => scene.belief[step * scene.edges.length + edge];
+  const panels = scene.leading.map((edge) => ({
+    title: scene.edgeName[edge],
     height: 44,
     domain: [0, 1],
     ticks: [0, 0.5, 1],
-    spans: run.contact ? run.contact[edge] : [],
+    spans: scene.contact ? scene.contact[edge] : [],
     lines: [{ name: "", colour: "--belief", perStep: true, read: read(edge) }],
   }));
-  const rest = run.edges.map((_, edge) => edge).filter((edge) => !run.leading.includes(edge));
+  const rest = scene.edges.map((_, edge) => edge).filter((edge) => !scene.leading.includes(edge));
   if (rest.length) {
     const largest = (step) => rest.reduce((most, edge) => Math.max(most, read(edge)(step) || 0), 0);
     panels.push({
@@ -42,56 +42,56 @@ function valueDomain(lines, count, withZero) {
   return [withZero && low === 0 ? 0 : low - margin, high + margin];
 }
 
-function parameterPanels(run) {
-  const spans = run.contact && run.leading.length ? run.contact[run.leading[0]] : [];
+function parameterPanels(scene) {
+  const spans = scene.contact && scene.leading.length ? scene.contact[scene.leading[0]] : [];
   const kinds = [
-    { title: "inverse mass 1/m", unit: "1/kg", height: 110, values: run.inverseMass, least: 0.1 },
-    { title: "stiffness k/m", unit: "1/s²", height: 52, values: run.stiffness, least: 0 },
-    { title: "damping c/m", unit: "1/s", height: 52, values: run.damping, least: 0 },
+    { title: "inverse mass 1/m", unit: "1/kg", height: 110, values: scene.inverseMass, least: 0.1 },
+    { title: "stiffness k/m", unit: "1/s²", height: 52, values: scene.stiffness, least: 0 },
+    { title: "damping c/m", unit: "1/s", height: 52, values: scene.damping, least: 0 },
   ];
   return kinds.filter((kind) => kind.values).map((kind) => {
-    const lines = run.focus.flatMap((node) => kind.values.map((values, direction) => ({
-      name: direction === 0 ? run.nodeName[node] : "",
-      colour: colourName(run, node),
+    const lines = scene.focus.flatMap((node) => kind.values.map((values, direction) => ({
+      name: direction === 0 ? scene.nodeName[node] : "",
+      colour: colourName(scene, node),
       dash: DASHES[direction],
       perStep: true,
-      read: (step) => values[step * run.nodes + node],
+      read: (step) => values[step * scene.nodes + node],
     })));
-    const [low, high] = valueDomain(lines, run.steps, true);
+    const [low, high] = valueDomain(lines, scene.steps, true);
     return { ...kind, spans, lines, domain: [low, Math.max(high, 1.06 * kind.least)] };
   });
 }
 
-function motionPanels(run) {
-  const spans = run.contact && run.leading.length ? run.contact[run.leading[0]] : [];
+function motionPanels(scene) {
+  const spans = scene.contact && scene.leading.length ? scene.contact[scene.leading[0]] : [];
   const kinds = [
-    { title: "position", unit: "m", values: run.position },
-    { title: "velocity", unit: "m/s", values: run.velocity },
+    { title: "position", unit: "m", values: scene.position },
+    { title: "velocity", unit: "m/s", values: scene.velocity },
   ];
   return kinds.map((kind) => {
-    const lines = run.focus.flatMap((node) => DASHES.slice(0, run.dimension).map((dash, axis) => ({
-      name: axis === 0 ? run.nodeName[node] : "",
-      colour: colourName(run, node),
+    const lines = scene.focus.flatMap((node) => DASHES.slice(0, scene.dimension).map((dash, axis) => ({
+      name: axis === 0 ? scene.nodeName[node] : "",
+      colour: colourName(scene, node),
       dash,
       perStep: false,
-      read: (state) => kind.values[(state * run.nodes + node) * run.dimension + axis],
+      read: (state) => kind.values[(state * scene.nodes + node) * scene.dimension + axis],
     })));
-    return { ...kind, height: 100, spans, lines, domain: valueDomain(lines, run.steps + 1, false) };
+    return { ...kind, height: 100, spans, lines, domain: valueDomain(lines, scene.steps + 1, false) };
   });
 }
 
 function drawTimePlots() {
-  const run = clock.run;
+  const scene = clock.scene;
   cursors.length = 0;
-  drawGroup("belief-plots", beliefPanels(run));
-  drawGroup("parameter-plots", parameterPanels(run));
-  drawGroup("motion-plots", motionPanels(run));
-  document.getElementById("no-contact").hidden = run.contact !== null;
+  drawGroup("belief-plots", beliefPanels(scene));
+  drawGroup("parameter-plots", parameterPanels(scene));
+  drawGroup("motion-plots", motionPanels(scene));
+  document.getElementById("no-contact").hidden = scene.contact !== null;
   for (const moveCursor of cursors) moveCursor();
 }
 
 function startTimePlots() {
   redrawOnResize(document.querySelector(".stage-plots"), drawTimePlots);
-  runListeners.push(drawTimePlots);
+  sceneListeners.push(drawTimePlots);
   timeListeners.push(() => cursors.forEach((moveCursor) => moveCursor()));
 }

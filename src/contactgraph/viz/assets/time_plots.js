@@ -6,7 +6,7 @@ const MARGIN = { left: 38, right: 6, top: 5, bottom: 5 };
 const cursors = [];
 
 function shownSpan() {
-  return clock.span ?? [0, clock.run.steps];
+  return clock.span ?? [0, clock.scene.steps];
 }
 
 function linePoints(line, toX, toY, [first, last]) {
@@ -30,7 +30,7 @@ function drawAxes(svg, panel, toX, toY, width, bottom) {
     element("text", { x: MARGIN.left - 6, y: toY(tick) + 4, "text-anchor": "end" }, svg, readable(tick));
   }
   if (!panel.timeAxis) return;
-  const { dt } = clock.run;
+  const { dt } = clock.scene;
   const [first, last] = shownSpan();
   for (const tick of niceTicks(first * dt, last * dt, width > 420 ? 6 : 4)) {
     const x = toX(tick / dt);
@@ -95,7 +95,7 @@ function writePanelHead(parent, panel) {
   for (const line of panel.lines) {
     const value = html("span", { style: `color: var(${line.colour})` }, values);
     cursors.push(() => {
-      const index = line.perStep ? stepOf(clock.run, clock.step) : Math.round(clock.step);
+      const index = line.perStep ? stepOf(clock.scene, clock.step) : Math.round(clock.step);
       const number = line.read(index);
       const text = Number.isFinite(number) ? number.toFixed(2) : "–";
       value.textContent = line.name ? `${line.name} ${text}` : text;

@@ -14,8 +14,8 @@ _DEFAULT_GOAL_RADIUS = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class SceneRun:
-    """One run of ``T`` steps with ``N`` nodes, ``D`` degrees of freedom, ``E`` edges, to be drawn.
+class SceneTrajectory:
+    """A drawn trajectory: ``T`` steps, ``N`` nodes, ``D`` degrees of freedom, ``E`` edges.
 
     Pictures show the first three degrees of freedom; see `projection`. Numbers that are not finite
     are drawn as gaps.
@@ -23,7 +23,7 @@ class SceneRun:
     """
 
     name: str
-    """The label of the run, e.g. ``"3 distractors"``."""
+    """The label, e.g. ``"3 distractors"``."""
     dt: float
     """Time between two steps, s."""
     node_name: tuple[str, ...]
@@ -62,8 +62,8 @@ class SceneRun:
     """[N, D] m: hinge of a node, NaN without one; see `bar`. None: no node has one."""
     size: np.ndarray | None = None
     """[N, D] m: sides of a box drawn instead of a ball; NaN for a ball. None: only balls."""
-    skeleton: np.ndarray | None = None
-    """[T+1, P, D] m: points of a body that is no node, joined by lines. None: there is none."""
+    link_positions: np.ndarray | None = None
+    """[T+1, P, D] m: joints of a drawn body that is no node. None: there is none."""
 
     def __post_init__(self) -> None:
         for name in ("radius", "position", "velocity", "control", "belief"):
@@ -71,7 +71,7 @@ class SceneRun:
         self._set("actuated", np.asarray(self.actuated, dtype=bool))
         self._set("edges", np.asarray(self.edges, dtype=np.int64).reshape(-1, 2))
         optional = ("goal", "inverse_mass", "stiffness", "damping", "plan", "anchor", "size")
-        for name in (*optional, "skeleton"):
+        for name in (*optional, "link_positions"):
             if getattr(self, name) is not None:
                 self._set(name, np.asarray(getattr(self, name), dtype=np.float64))
         if self.contact is not None:
@@ -85,12 +85,12 @@ class SceneRun:
         shape = self.position.shape
         if len(shape) != 3 or shape[0] < 2 or shape[1] < 1 or shape[2] < 2:
             raise InvalidInputError(
-                f"run {self.name!r}: position must have shape (T+1, N, D) with T >= 1, N >= 1 and "
-                f"D >= 2, found {shape}"
+                f"scene {self.name!r}: position must have shape (T+1, N, D) with T >= 1, N >= 1 "
+                f"and D >= 2, found {shape}"
             )
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise InvalidInputError(
-                f"run {self.name!r}: dt must be a positive number of seconds, found {self.dt}"
+                f"scene {self.name!r}: dt must be a positive number of seconds, found {self.dt}"
             )
         steps, nodes, dimension = self.steps, self.node_count, self.dimension
         shapes = {
@@ -109,22 +109,22 @@ class SceneRun:
         }
         if self.plan is not None:
             shapes["plan"] = (steps, *self.plan.shape[1:2], nodes, dimension)
-        if self.skeleton is not None:
-            shapes["skeleton"] = (steps + 1, *self.skeleton.shape[1:2], dimension)
+        if self.link_positions is not None:
+            shapes["link_positions"] = (steps + 1, *self.link_positions.shape[1:2], dimension)
         for name, valid in shapes.items():
             value = getattr(self, name)
             if value is not None and value.shape != valid:
                 raise InvalidInputError(
-                    f"run {self.name!r}: {name} must have shape {valid}, found {value.shape}"
+                    f"scene {self.name!r}: {name} must have shape {valid}, found {value.shape}"
                 )
         for name in ("node_name", "node_type"):
             if len(getattr(self, name)) != nodes:
                 raise InvalidInputError(
-                    f"run {self.name!r}: {name} must have one entry a node ({nodes}), "
+                    f"scene {self.name!r}: {name} must have one entry a node ({nodes}), "
                     f"found {len(getattr(self, name))}"
                 )
         if self.edges.size and (self.edges.min() < 0 or self.edges.max() >= nodes):
-            raise InvalidInputError(f"run {self.name!r}: edges must name nodes 0 to {nodes - 1}")
+            raise InvalidInputError(f"scene {self.name!r}: edges must name nodes 0 to {nodes - 1}")
 
     @property
     def steps(self) -> int:
@@ -198,7 +198,7 @@ class SceneRun:
         stiffness: np.ndarray | None = None,
         damping: np.ndarray | None = None,
         plan: np.ndarray | None = None,
-    ) -> "SceneRun":
+    ) -> "SceneTrajectory":
         """A recorded trajectory with a model's estimates; see the fields for shapes and units.
 
         Where the scene has no radius, balls of 0.04 m are drawn, or less where boxes are thinner.
@@ -228,7 +228,7 @@ class SceneRun:
             plan=plan,
             anchor=scene.anchor,
             size=scene.size,
-            skeleton=trajectory.skeleton,
+            link_positions=trajectory.link_positions,
         )
 
 
@@ -244,24 +244,22 @@ def _goal_radius(scene: Scene) -> float:
     return _DEFAULT_GOAL_RADIUS
 
 
-def scene_run(
-    model: ContactDynamics, name: str, run: Trajectory, plan: np.ndarray | None = None
-) -> SceneRun:
+def scene_trajectory(
+    model: ContactDynamics, name: str, trajectory: Trajectory, plan: np.ndarray | None = None
+) -> SceneTrajectory:
     """A trajectory with the model's beliefs, corrected by measured contacts, and parameters.
 
     ``plan`` [T, H+1, N, D] m holds the positions that a controller planned at each step.
     """
-    insight = model_diagnostics(model, run)
-    parameters = insight.parameters
-    if parameters is None:
-        return SceneRun.from_trajectory(name, run, insight.edges, insight.belief, plan=plan)
-    return SceneRun.from_trajectory(
+    insight = model_diagnostics(model, trajectory)
+    learned = insight.parameters
+    return SceneTrajectory.from_trajectory(
         name,
-        run,
+        trajectory,
         insight.edges,
         insight.belief,
-        inverse_mass=np.asarray(parameters.inverse_mass),
-        stiffness=np.asarray(parameters.stiffness_rate),
-        damping=np.asarray(parameters.damping_rate),
+        inverse_mass=None if learned is None else np.asarray(learned.inverse_mass),
+        stiffness=None if learned is None else np.asarray(learned.stiffness_rate),
+        damping=None if learned is None else np.asarray(learned.damping_rate),
         plan=plan,
     )
