@@ -55,10 +55,11 @@ test: $(DEVELOPMENT)
 	$(BIN)/mypy
 	$(BIN)/pytest $(PARALLEL) -m "not slow and not realtime"
 
+# These tests run with XLA's defaults, as users do; tests/conftest.py sets flags for the fast tests.
 # Tests that measure milliseconds run alone.
 test-all: test
-	$(BIN)/pytest $(PARALLEL) -m "slow and not realtime"
-	$(BIN)/pytest -m realtime
+	XLA_FLAGS= $(BIN)/pytest $(PARALLEL) -m "slow and not realtime"
+	XLA_FLAGS= $(BIN)/pytest -m realtime
 
 # The tests of a file share compiled programs, so one process runs them all.
 PARALLEL = -n 2 --dist loadfile

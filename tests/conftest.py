@@ -1,6 +1,8 @@
 """Shared by all tests: the folder of compiled programs, and one small trained run."""
 
 import os
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from functools import partial
@@ -8,13 +10,38 @@ from pathlib import Path
 
 import pytest
 
-# Set before anything imports JAX. Compilation takes most of a test's time, so compiled programs are
-# kept in a folder of the repository, which workers and subprocesses share.
+_FAST_COMPILATION = (
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    " --xla_cpu_parallel_codegen_split_count=1"
+)
+"""These flags halve the time that XLA takes to compile. The programs run more slowly."""
+
+
+def _accepted(flags: str) -> bool:
+    """True unless the installed XLA lacks one of the flags: it then aborts the process."""
+    return (
+        subprocess.run(
+            [sys.executable, "-c", "import jax; jax.devices()"],
+            env={**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            check=False,
+        ).returncode
+        == 0
+    )
+
+
+# The variables are set before JAX is imported, and workers and subprocesses inherit them.
+# Compilation takes most of a test's time. Hence compiled programs are kept in a folder of the
+# repository, and the fast tests compile without optimisation. The Makefile sets XLA_FLAGS to
+# nothing for the other tests, so that they run the programs that users run.
 _CACHE = Path(__file__).resolve().parents[1] / ".cache" / "jax"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+if "XLA_FLAGS" not in os.environ:
+    os.environ["XLA_FLAGS"] = _FAST_COMPILATION if _accepted(_FAST_COMPILATION) else ""
 
-import jax  # noqa: E402  after what it goes by
+import jax  # noqa: E402  after the variables that it reads
 
 _MOST_MAPS = 20_000
 
