@@ -23,7 +23,6 @@ if find_spec("mujoco") is None or find_spec("pyapriltags") is None:
     print("tag_pose is left out: it needs pip install 'contactgraph[mujoco,robot]'")
     sys.exit()
 
-import multiprocessing
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -43,10 +42,10 @@ from contactgraph_franka.perception import (
     ObjectTracker,
 )
 from contactgraph_franka.perception.camera import inverse, pose, rotation_of
-from contactgraph_franka.perception.detector import estimate_pose
+from contactgraph_franka.perception.detector import ObjectDetector, estimate_pose
 from contactgraph_franka.perception.hand_eye import HandEye, calibrate
 from contactgraph_franka.perception.object_pose import ObjectPose
-from contactgraph_franka.perception.perception import DetectionLoop, Perception, SharedMeasurements
+from contactgraph_franka.perception.perception import Perception
 from contactgraph_franka.perception.tags import TagDetector
 from contactgraph_franka.perception.tracked_objects import TrackedObjects
 from contactgraph_franka.sim.blocks import TaggedBlock, tagged_block
@@ -255,12 +254,10 @@ def beside(bench: Bench, cycles: int) -> Iterator[dict[str, Any]]:
         LENS, bench.camera.pose, {"block": bench.tagged}, "2026-01-01T00:00:00+00:00"
     )
     yield _lateness("alone", loop(cycles, lambda: None))
-    shared = SharedMeasurements(1, multiprocessing.get_context("spawn"))
-    watch = DetectionLoop(Replay(taken.image), known, shared)
     ended = threading.Event()
-    thread = threading.Thread(target=_watching, args=(watch, ended))
+    thread = threading.Thread(target=_watching, args=(Replay(taken.image), known, ended))
     thread.start()
-    yield _lateness("a thread", loop(cycles, lambda: shared.since(0)))
+    yield _lateness("a thread", loop(cycles, lambda: None))
     ended.set()
     thread.join()
     with Perception(partial(Replay, taken.image), known) as seeing:
@@ -268,10 +265,14 @@ def beside(bench: Bench, cycles: int) -> Iterator[dict[str, Any]]:
         yield _lateness("a process", loop(cycles, lambda: objects.estimates(time.monotonic())))
 
 
-def _watching(watch: DetectionLoop, ended: threading.Event) -> None:
+def _watching(camera: Replay, known: CameraCalibration, ended: threading.Event) -> None:
+    detector = ObjectDetector(known)
     while not ended.is_set():
-        if not watch.step():
+        frame = camera.read()
+        if frame is None:
             time.sleep(0.001)
+        else:
+            detector.detect(frame)
 
 
 def _lateness(what: str, late: np.ndarray) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
 from contactgraph_franka.perception.tracker import predicted
@@ -159,26 +160,13 @@ def smooth_track(track: "Track", at: np.ndarray) -> tuple[np.ndarray, np.ndarray
         predicted_covariance = predicted(state.covariance, step, following.density)
         gain = np.linalg.solve(predicted_covariance, forward @ state.covariance).T
         means[index] = state.mean + gain @ (means[index + 1] - forward @ state.mean)
-    times = np.array([state.time for state in states])
-    position, velocity = _interpolate_cubic(times, np.stack(means), at)
+    mean, times = np.stack(means), np.array([state.time for state in states])
+    # Knots beyond all times, on the straight lines before the first frame and after the last.
+    ends = np.array([min(at[0], times[0]) - 1.0, max(at[-1], times[-1]) + 1.0])
+    straight = mean[[0, -1]]
+    straight[:, :3] += (ends - times[[0, -1]])[:, None] * straight[:, 3:]
+    knots = np.concatenate([ends[:1], times, ends[1:]])
+    position, velocity = np.split(np.concatenate([straight[:1], mean, straight[1:]]), 2, axis=1)
+    path = CubicHermiteSpline(knots, position, velocity)
     carried, speed = track.carried.motion(track.index, at)
-    return position + carried, velocity + speed
-
-
-def _interpolate_cubic(
-    times: np.ndarray, mean: np.ndarray, at: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The cubics between ``mean`` [K, 6] at ``times`` [K] s, and straight lines outside."""
-    inside = np.clip(at, times[0], times[-1])
-    index = np.clip(np.searchsorted(times, inside, side="right") - 1, 0, max(0, len(times) - 2))
-    after = np.minimum(index + 1, len(times) - 1)
-    step = (times[after] - times[index])[:, None]
-    step = np.where(step > 0.0, step, 1.0)
-    s = (inside - times[index])[:, None] / step
-    p, v = mean[index, :3], mean[index, 3:] * step
-    q, w = mean[after, :3], mean[after, 3:] * step
-    d = q - p
-    position = p + s * v + s**2 * (3.0 * d - 2.0 * v - w) + s**3 * (v + w - 2.0 * d)
-    velocity = v + 2.0 * s * (3.0 * d - 2.0 * v - w) + 3.0 * s**2 * (v + w - 2.0 * d)
-    velocity = velocity / step
-    return position + (at - inside)[:, None] * velocity, velocity
+    return path(at) + carried, path(at, 1) + speed

@@ -121,7 +121,7 @@ class FrankaArm:
         self.real = simulation is None
         self.name = f"the arm at {robot.address}"
         if simulation is not None:
-            self.name = f"the simulated arm at {robot.address}, {simulation.pace:g} times slower"
+            self.name = f"the simulated arm at {robot.address}, {clock.pace:g} times slower"
         self._franka, self._gripper, self._simulation = robot, gripper, simulation
 
     def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:

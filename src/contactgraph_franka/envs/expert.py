@@ -1,8 +1,10 @@
 """Scripted policies of the arm: the expert's sweep, and the excitation that training data needs."""
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import BPoly
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
@@ -31,6 +33,7 @@ _MEAN = 0.55  # Mean speed of a segment over the sweep speed
 _SHORTEST = 0.5  # Least duration of a segment from rest to rest, s
 LONGEST = 3.3
 """Largest duration of a sweep, s; longer ones are sped up."""
+_CORRELATION_STEPS = 10.0  # Of the noise
 _GRASP_S = 0.6  # Time that a hand at rest gives its fingers to close, s
 
 GRASPING = 0.7
@@ -49,47 +52,39 @@ _GRASPING_NOISE, _FREE_NOISE = 0.4, 1.0
 
 
 class HandPath:
-    """A sequence of minimum-jerk segments, quintic in time (Flash and Hogan 1985)."""
+    """A path from rest by minimum-jerk segments, quintic in time (Flash and Hogan 1985)."""
 
-    def __init__(self) -> None:
-        self._segments: list[tuple[float, float, np.ndarray]] = []
-        self.duration = 0.0
+    def __init__(self, start: np.ndarray) -> None:
+        """``start`` [3] m."""
+        self._times = [0.0]
+        self._points = [[start, np.zeros(3), np.zeros(3)]]
+
+    @property
+    def duration(self) -> float:
         """s, of the whole path."""
+        return self._times[-1]
 
-    def append(
-        self,
-        start: np.ndarray,
-        start_velocity: np.ndarray,
-        end: np.ndarray,
-        end_velocity: np.ndarray,
-        duration: float,
-    ) -> None:
-        """Adds a segment of ``duration`` s; positions [3] m, velocities [3] m/s."""
-        coefficients = _quintic(start, start_velocity, end, end_velocity, duration)
-        self._segments.append((self.duration, duration, coefficients))
-        self.duration += duration
+    def append(self, end: np.ndarray, end_velocity: np.ndarray, duration: float) -> None:
+        """Adds a segment of ``duration`` s to ``end`` [3] m, passed with a velocity [3] m/s."""
+        self._times.append(self.duration + duration)
+        self._points.append([end, end_velocity, np.zeros(3)])
 
-    def append_rest_to_rest(self, start: np.ndarray, end: np.ndarray) -> None:
-        """Adds a segment between two positions [3] m at rest, at the mean speed of a sweep."""
-        rest = np.zeros(3)
-        duration = float(np.linalg.norm(end - start)) / (_MEAN * SWEEP_SPEED)
-        self.append(start, rest, end, rest, max(duration, _SHORTEST))
+    def append_rest(self, end: np.ndarray) -> None:
+        """Adds a segment from rest to rest at ``end`` [3] m, at the mean speed of a sweep."""
+        duration = float(np.linalg.norm(end - self._points[-1][0])) / (_MEAN * SWEEP_SPEED)
+        self.append(end, np.zeros(3), max(duration, _SHORTEST))
+
+    @cached_property
+    def _polynomial(self) -> BPoly:
+        return BPoly.from_derivatives(self._times, self._points)
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position m, velocity m/s and acceleration m/s^2, each [3], at ``time`` s.
 
-        Later times give the end of the path.
+        Later times give the end of the path, which must be complete.
         """
-        begin, duration, coefficients = [s for s in self._segments if s[0] <= time][-1]
-        s = np.clip((time - begin) / duration, 0.0, 1.0)
-        powers = s ** np.arange(6)
-        first = np.arange(6) * s ** np.maximum(np.arange(6) - 1, 0)
-        second = np.arange(6) * np.arange(-1, 5) * s ** np.maximum(np.arange(6) - 2, 0)
-        return (
-            powers @ coefficients,
-            first @ coefficients / duration,
-            second @ coefficients / duration**2,
-        )
+        within, path = min(time, self.duration), self._polynomial
+        return path(within), path(within, 1), path(within, 2)
 
     def force(
         self, time: float, position: np.ndarray, velocity: np.ndarray, mass: float
@@ -105,11 +100,9 @@ class PathPolicy:
     ``noise`` N as in `PickupExpert`. The mass of the hand is the scene's, or `APPARENT_MASS`.
     """
 
-    def __init__(
-        self, plan: Callable[[Observation], HandPath], noise: float, correlation_steps: float = 10.0
-    ) -> None:
+    def __init__(self, plan: Callable[[Observation], HandPath], noise: float) -> None:
         self._plan = plan
-        self._noise = CorrelatedNoise(noise, correlation_steps)
+        self._noise = CorrelatedNoise(noise, _CORRELATION_STEPS)
         self._path: HandPath | None = None
         self._dt, self._mass, self._step = 0.0, APPARENT_MASS, 0
 
@@ -140,12 +133,11 @@ class FrankaExpert:
     def __init__(
         self,
         noise: float = 0.2,
-        correlation_steps: float = 10.0,
         further: Sequence[np.ndarray] = (),
         stop: np.ndarray | None = None,
     ) -> None:
         self._further, self._stop = tuple(further), stop
-        self._policy = PathPolicy(self._path, noise, correlation_steps)
+        self._policy = PathPolicy(self._path, noise)
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` for a scene that is no pickup."""
@@ -162,21 +154,20 @@ class FrankaExpert:
 
     def _path(self, observation: Observation) -> HandPath:
         hand, block = observation["position"][[HAND, TARGET]]
-        goal, path = observation["goal"], HandPath()
+        goal, path = observation["goal"], HandPath(hand)
         if self._stop is None:
             _append_sweep(path, hand, block, goal)
         else:
-            rest, grasp = np.zeros(3), block + self._stop
-            path.append_rest_to_rest(hand, grasp)
-            path.append(grasp, rest, grasp, rest, _GRASP_S)
-            path.append_rest_to_rest(grasp, goal)
-        _append_visits(path, goal, self._further)
+            grasp = block + self._stop
+            path.append_rest(grasp)
+            path.append(grasp, np.zeros(3), _GRASP_S)
+            path.append_rest(goal)
+        for point in self._further:
+            path.append_rest(point)
         return path
 
 
-def free_space_excitation(
-    points: Sequence[np.ndarray], noise: float = 0.2, correlation_steps: float = 10.0
-) -> PathPolicy:
+def free_space_excitation(points: Sequence[np.ndarray], noise: float = 0.2) -> PathPolicy:
     """Visits each of ``points`` [K, 3] m without a grasp, resting at each.
 
     Raises `InvalidInputError` for no points.
@@ -185,11 +176,12 @@ def free_space_excitation(
         raise InvalidInputError("free-space excitation needs at least one point, found none")
 
     def plan(observation: Observation) -> HandPath:
-        path = HandPath()
-        _append_visits(path, observation["position"][HAND], points)
+        path = HandPath(observation["position"][HAND])
+        for point in points:
+            path.append_rest(point)
         return path
 
-    return PathPolicy(plan, noise, correlation_steps)
+    return PathPolicy(plan, noise)
 
 
 class RecordingPolicy:
@@ -249,18 +241,11 @@ def _append_sweep(path: HandPath, hand: np.ndarray, block: np.ndarray, goal: np.
     """From ``hand`` through ``block`` to ``goal``, each [3] m."""
     direction = (block - hand) * [1.0, 1.0, 0.0]
     sweep = SWEEP_SPEED * direction / np.linalg.norm(direction) + [0.0, 0.0, RISE]
-    rest = np.zeros(3)
     first = float(np.linalg.norm(block - hand)) / (_MEAN * SWEEP_SPEED)
     second = float(np.linalg.norm(goal - block)) / (_MEAN * SWEEP_SPEED)
     speed_up = min(1.0, LONGEST / (first + second))
-    path.append(hand, rest, block, sweep, speed_up * first)
-    path.append(block, sweep, goal, rest, speed_up * second)
-
-
-def _append_visits(path: HandPath, start: np.ndarray, points: Sequence[np.ndarray]) -> None:
-    for point in points:
-        path.append_rest_to_rest(start, point)
-        start = point
+    path.append(block, sweep, speed_up * first)
+    path.append(goal, np.zeros(3), speed_up * second)
 
 
 def _random_point(random: np.random.Generator, height: float) -> np.ndarray:
@@ -269,25 +254,3 @@ def _random_point(random: np.random.Generator, height: float) -> np.ndarray:
         point = random.uniform([*(LOW[:2] + EDGE), height], HIGH - EDGE)
         if reachable(point):
             return point
-
-
-def _quintic(
-    start: np.ndarray,
-    start_velocity: np.ndarray,
-    end: np.ndarray,
-    end_velocity: np.ndarray,
-    duration: float,
-) -> np.ndarray:
-    """[6, 3]: coefficients of the position over s in [0, 1], without acceleration at the ends."""
-    displacement = end - start - duration * start_velocity
-    change = duration * (end_velocity - start_velocity)
-    return np.stack(
-        [
-            start,
-            duration * start_velocity,
-            np.zeros(3),
-            10.0 * displacement - 4.0 * change,
-            -15.0 * displacement + 7.0 * change,
-            6.0 * displacement - 3.0 * change,
-        ]
-    )

@@ -1,15 +1,12 @@
 """The simulated arm over a table with tagged blocks, served by the arm's own protocol.
 
-``python -m contactgraph_franka.sim.arm_server FOLDER`` is the server's process. No other module
-imports franky_sim.
+No other module imports franky_sim.
 """
 
-import os
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from multiprocessing.connection import Connection
 from typing import Any
 from xml.etree import ElementTree
 
@@ -19,7 +16,7 @@ from contactgraph.data import InvalidInputError
 from contactgraph_franka.envs.arm_model import JOINTS, mujoco
 from contactgraph_franka.loop.realtime import realtime_priority
 from contactgraph_franka.sim.blocks import CONTACT, MASS, WOOD_FRICTION, scene_blocks
-from contactgraph_franka.sim.session import read_session
+from contactgraph_franka.sim.session import Session
 from contactgraph_franka.sim.shared_state import SceneResetService, create_ground_truth
 
 try:
@@ -179,23 +176,24 @@ class StateRecorder:
         row["qpos"] = data.qpos
 
 
-def main() -> None:
-    """Serves until the owner ends."""
-    folder = Path(sys.argv[1])
-    session = read_session(folder)
+def serve(connection: Connection, session: Session) -> None:
+    """Serves until the other end of ``connection`` closes; sends None after the first step."""
     with ArmScene(session.blocks, session.mass) as scene:
-        (folder / "scene.xml").write_text(scene.description)
+        (session.folder / "scene.xml").write_text(scene.description)
         with scene.server(session.address) as servers, realtime_priority():
-            _serve(scene, servers, folder, session.pace)
+            _step_in_time(connection, scene, servers, session)
 
 
-def _serve(scene: ArmScene, servers: list[Any], folder: Path, pace: float) -> None:
+def _step_in_time(
+    connection: Connection, scene: ArmScene, servers: list[Any], session: Session
+) -> None:
     """Control steps at absolute times, so that delays do not add up."""
-    period, owner = pace * CONTROL_PERIOD, os.getppid()
+    pace, folder = session.pace, session.folder
+    period = pace * CONTROL_PERIOD
     number, due = 0, time.monotonic()
-    truth = create_ground_truth(folder, len(scene.blocks), scene.model.nq, due / pace)
+    truth = create_ground_truth(folder, len(scene.blocks), scene.model.nq)
     recorder, resets = StateRecorder(scene), SceneResetService(folder)
-    while number % _OWNER_CHECK or os.getppid() == owner:
+    while number % _OWNER_CHECK or not connection.poll():
         due += period
         late = time.monotonic() - due
         if late < 0.0:
@@ -210,6 +208,8 @@ def _serve(scene: ArmScene, servers: list[Any], folder: Path, pace: float) -> No
             server.send_state()
         recorder.fill(truth.begin(), number, time.monotonic() / pace)
         truth.publish()
+        if not number:
+            connection.send(None)
         number += 1
 
 
@@ -261,7 +261,3 @@ def _element(scene: ElementTree.Element, path: str) -> ElementTree.Element:
     if element is None:
         raise InvalidInputError(f"franky-sim's scene has no {path}: another version than 1.0?")
     return element
-
-
-if __name__ == "__main__":
-    main()

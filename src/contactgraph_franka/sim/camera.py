@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph_franka.perception.camera import CameraFrame, Intrinsics, pose
-from contactgraph_franka.sim.shared_state import RingReader, RingWriter
+from contactgraph_franka.shared_ring import RingReader, RingWriter
 
 _EYE = np.array([1.3, 0.0, 0.4])
 _LOOK_AT = np.array([0.45, 0.0, 0.15])
@@ -62,7 +62,10 @@ class CameraSettings:
 
 def frame_ring(folder: Path, lens: Intrinsics, depth: bool) -> RingWriter:
     """The ring of a camera's frames."""
-    return RingWriter(folder / "frames", _frame_fields(lens, depth), _SLOTS)
+    shape = (lens.height, lens.width)
+    fields: list[tuple] = [("time", "f8"), ("image", "u1", shape)]
+    depths: list[tuple] = [("depth", "f4", shape)] if depth else []
+    return RingWriter(folder / "frames", fields + depths, _SLOTS)
 
 
 def publish_frame(ring: RingWriter, frame: CameraFrame) -> None:
@@ -77,16 +80,11 @@ def publish_frame(ring: RingWriter, frame: CameraFrame) -> None:
 class SimulatedCamera:
     """A `Camera` that reads the frames of another process."""
 
-    def __init__(self, folder: Path, lens: Intrinsics, depth: bool) -> None:
-        self._lens = lens
-        self._has_depth = depth
-        self._ring = RingReader(folder / "frames", _frame_fields(lens, depth))
+    def __init__(self, folder: Path, intrinsics: Intrinsics) -> None:
+        self.intrinsics = intrinsics
+        """Of all frames."""
+        self._ring = RingReader(folder / "frames")
         self._read = 0
-
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """Intrinsics of all frames."""
-        return self._lens
 
     def read(self) -> CameraFrame | None:
         """The newest frame; None if there is none since the last call."""
@@ -94,14 +92,8 @@ class SimulatedCamera:
             return None
         record = self._ring.newest()
         self._read = int(record["number"]) + 1
-        depth = record["depth"] if self._has_depth else None
+        depth = record["depth"] if "depth" in record.dtype.names else None
         return CameraFrame(record["image"], depth, float(record["time"]))
 
     def close(self) -> None:
         """Does nothing: shared memory needs no release."""
-
-
-def _frame_fields(lens: Intrinsics, depth: bool) -> list[tuple]:
-    shape = (lens.height, lens.width)
-    fields: list[tuple] = [("time", "f8"), ("image", "u1", shape)]
-    return [*fields, ("depth", "f4", shape)] if depth else fields

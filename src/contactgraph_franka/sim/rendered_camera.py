@@ -1,25 +1,19 @@
-"""A camera that renders a MuJoCo scene with given intrinsics and noise.
-
-``python -m contactgraph_franka.sim.rendered_camera FOLDER`` is the camera's process.
-"""
+"""A camera that renders a MuJoCo scene with given intrinsics and noise."""
 
 import copy
 import math
-import os
-import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.envs.arm_model import mujoco, open_renderer
-from contactgraph_franka.loop.realtime import set_nice
 from contactgraph_franka.perception.camera import CameraFrame, Intrinsics, Window
-from contactgraph_franka.sim.camera import frame_ring, publish_frame
-from contactgraph_franka.sim.session import read_session
+from contactgraph_franka.sim.camera import CameraSettings, frame_ring, publish_frame
+from contactgraph_franka.sim.session import Session
 from contactgraph_franka.sim.shared_state import GroundTruth
 
 _BODY_RADIUS = 0.075  # m, of a sphere about a block's centre that contains it
@@ -28,7 +22,6 @@ _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 _DEPTH_STEP = 0.001  # m: depth cameras measure whole millimetres
 _NOISE_PICTURES = 3
 """Pictures of noise drawn beforehand; a frame's noise begins at a random pixel of it."""
-_NICENESS = 5
 _VISUAL, _COLLISION, _SHOWN, _HIDDEN = 2, 3, 0, 4  # Groups of geoms
 
 
@@ -179,15 +172,9 @@ def window_around(point: np.ndarray, pose: np.ndarray, lens: Intrinsics) -> Wind
     return Window(left, top, side, side)
 
 
-def main() -> None:
-    """Renders frames until the owner ends."""
-    folder = Path(sys.argv[1])
-    session = read_session(folder)
-    settings = session.camera
-    if settings is None:
-        raise InvalidInputError("this simulated robot has no camera")
-    set_nice(_NICENESS)
-    model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+def render(connection: Connection, session: Session, settings: CameraSettings) -> None:
+    """Renders frames until the other end of ``connection`` closes; sends None when it can."""
+    model = mujoco.MjModel.from_xml_path(str(session.folder / "scene.xml"))
     # The hand must occlude blocks; its visual meshes take twice as long as its collision shapes.
     group = model.geom_group
     group[group == _VISUAL] = _HIDDEN
@@ -201,12 +188,13 @@ def main() -> None:
         bodies=[f"block{index}" for index in range(session.blocks)],
         seed=settings.seed,
     )
-    truth = GroundTruth(folder, session.blocks)
-    frames = frame_ring(folder, settings.intrinsics, settings.depth_noise is not None)
-    rate, pace, owner = settings.rate, session.pace, os.getppid()
+    truth = GroundTruth(session.folder)
+    frames = frame_ring(session.folder, settings.intrinsics, settings.depth_noise is not None)
+    connection.send(None)
+    rate, pace = settings.rate, session.pace
     # Frames are due at multiples of 1 / rate on the reader's clock.
     number = math.ceil(time.monotonic() / pace * rate)
-    while os.getppid() == owner:
+    while not connection.poll():
         _sleep_until(number / rate * pace)
         now = truth.newest()
         frame = camera.picture(now["qpos"], float(now["stamp"]))
@@ -218,7 +206,3 @@ def main() -> None:
 def _sleep_until(moment: float) -> None:
     """``moment`` s on the wall clock."""
     time.sleep(max(0.0, moment - time.monotonic()))
-
-
-if __name__ == "__main__":
-    main()

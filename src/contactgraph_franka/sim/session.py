@@ -1,25 +1,19 @@
-"""The simulated robot's processes, and the folder in memory by which others find them."""
+"""The folder in memory by which other processes find a simulated robot."""
 
 import json
 import os
 import shutil
 import socket
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from contactgraph.data import InvalidInputError
 from contactgraph.data.json_fields import parse_json
+from contactgraph_franka.shared_ring import MEMORY
 from contactgraph_franka.sim.camera import CameraSettings
 
 _PORTS = (1337, 1338)  # Ports of the protocol, for the arm and its gripper
-_START = 30.0  # Largest time of a process to be ready, s
-_END = 2.0  # Largest time of a process to end on request, s
-_MISTAKE = "contactgraph.data.errors.InvalidInputError: "
 
 
 @dataclass(frozen=True)
@@ -39,10 +33,8 @@ class Session:
 
     @property
     def folder(self) -> Path:
-        """In shared memory, if the system has it."""
-        memory = Path("/dev/shm")
-        parent = memory if memory.is_dir() else Path(tempfile.gettempdir())
-        return parent / f"contactgraph-{os.getuid()}-{self.address}"
+        """In `MEMORY`."""
+        return MEMORY / f"contactgraph-{os.getuid()}-{self.address}"
 
     def create(self) -> None:
         """Makes the folder, replacing that of a dead owner.
@@ -95,53 +87,6 @@ def free_address(candidates: Sequence[str]) -> str:
         f"ports {_PORTS[0]} and {_PORTS[1]} are not free at {', '.join(candidates)}: another "
         "server runs there, or it is no address of this machine"
     )
-
-
-class ChildProcess:
-    """``python -m MODULE FOLDER``, with its output in a log file of the folder."""
-
-    def __init__(self, module: str, folder: Path, environment: Mapping[str, str] | None = None):
-        self._module = module
-        self._log = folder / f"{module.rpartition('.')[2]}.log"
-        with self._log.open("w") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", module, str(folder)],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                env={**os.environ, **(environment or {})},
-                # Ctrl-C is for the owner to handle.
-                start_new_session=True,
-            )
-
-    def wait_until(self, ready: Callable[[], bool]) -> None:
-        """Waits until ``ready()``; raises as `check` does, and `RuntimeError` after 30 s."""
-        until = time.monotonic() + _START
-        while not ready():
-            self.check()
-            if time.monotonic() > until:
-                raise RuntimeError(f"{self._module} was not ready within {_START:.0f} s")
-            time.sleep(0.01)
-
-    def check(self) -> None:
-        """Raises the error that ended the process: `InvalidInputError`, or `RuntimeError`."""
-        code = self._process.poll()
-        if code is None:
-            return
-        lines = self._log.read_text().strip().splitlines() if self._log.exists() else []
-        last = lines[-1] if lines else "without a word"
-        if last.startswith(_MISTAKE):
-            raise InvalidInputError(last.removeprefix(_MISTAKE))
-        raise RuntimeError(f"{self._module} ended with code {code}: {last}")
-
-    def close(self) -> None:
-        """Ends it."""
-        self._process.terminate()
-        try:
-            self._process.wait(_END)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
 
 
 def _is_free(address: str, port: int) -> bool:

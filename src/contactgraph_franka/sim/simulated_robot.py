@@ -1,22 +1,25 @@
 """Starting a simulated robot, and attaching to one from other processes."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
+from multiprocessing.connection import Connection
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.loop.realtime import WallClock
+from contactgraph_franka.loop.worker_process import WorkerProcess
 from contactgraph_franka.perception.calibration import CameraCalibration
 from contactgraph_franka.perception.camera import pose, rotation_of
 from contactgraph_franka.sim.blocks import MASS, block_names, scene_blocks
 from contactgraph_franka.sim.camera import CameraSettings, SimulatedCamera
-from contactgraph_franka.sim.session import ChildProcess, Session, find_session, free_address
-from contactgraph_franka.sim.shared_state import GroundTruth, is_ready, request_block_pose
+from contactgraph_franka.sim.session import Session, find_session, free_address
+from contactgraph_franka.sim.shared_state import GroundTruth, request_block_pose
 
 ADDRESSES = tuple(f"127.0.0.{number}" for number in range(1, 10))
 """Addresses of a simulated robot; it takes the first free one."""
+_START_S = 30.0  # Largest time of a process to be ready, s
 
 
 class SimulatedRobot:
@@ -24,32 +27,17 @@ class SimulatedRobot:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._truth = GroundTruth(session.folder, session.blocks)
-
-    @property
-    def address(self) -> str:
+        self.address = session.address
         """Address of the server, for the arm's client."""
-        return self._session.address
-
-    @property
-    def pace(self) -> float:
-        """Wall seconds of a simulated second."""
-        return self._session.pace
-
-    @property
-    def clock(self) -> WallClock:
-        """The reader's clock, slower than the wall clock by `pace`, of all time stamps."""
-        return WallClock(self._session.pace)
+        self.clock = WallClock(session.pace)
+        """The reader's clock, slower than the wall clock by the pace, of all time stamps."""
+        self.ground_truth = GroundTruth(session.folder)
+        """Exact states, for evaluation and never for control."""
 
     @property
     def rate(self) -> float:
-        """Control steps a second of wall time since the start; 1000 / `pace` if on time."""
-        return self._truth.rate / self._session.pace
-
-    @property
-    def ground_truth(self) -> GroundTruth:
-        """Exact states, for evaluation and never for control."""
-        return self._truth
+        """Control steps a second of wall time; 1000 over the pace if on time."""
+        return self.ground_truth.rate / self.clock.pace
 
     def place_block(self, index: int, position: np.ndarray, yaw: float = 0.0) -> None:
         """Moves block ``index`` to ``position`` [3] m and ``yaw`` rad, at rest.
@@ -65,10 +53,7 @@ class SimulatedRobot:
 
     def camera(self) -> SimulatedCamera:
         """The camera; raises `InvalidInputError` if there is none."""
-        settings = self._settings()
-        return SimulatedCamera(
-            self._session.folder, settings.intrinsics, settings.depth_noise is not None
-        )
+        return SimulatedCamera(self._session.folder, self._settings().intrinsics)
 
     def calibration(
         self, shift: Sequence[float] = (0.0, 0.0, 0.0), turn: Sequence[float] = (0.0, 0.0, 0.0)
@@ -130,37 +115,46 @@ class RobotSimulator:
         self._arguments = (pace, blocks, mass)
         self._camera = camera
         self._addresses = tuple(addresses)
-        self._children: list[ChildProcess] = []
+        self._workers: list[WorkerProcess] = []
 
     def __enter__(self) -> SimulatedRobot:
         address = free_address(self._addresses)
         self._session = Session(address, *self._arguments, os.getpid(), self._camera)
         self._session.create()
-        folder = self._session.folder
         try:
-            arm = self._start("arm_server")
-            arm.wait_until(lambda: is_ready(folder))
+            self._wait_for(WorkerProcess("the simulated arm", _serve_arm, self._session))
             if self._camera is not None:
-                camera = self._start("rendered_camera", {"MUJOCO_GL": "egl"})
-                camera.wait_until((folder / "frames.count").exists)
+                arguments = self._session, self._camera
+                self._wait_for(WorkerProcess("the rendered camera", _render, *arguments, nice=5))
             return SimulatedRobot(self._session)
         except BaseException:
             self.__exit__()
             raise
 
     def __exit__(self, *_: object) -> None:
-        for child in reversed(self._children):
-            child.close()
-        self._children.clear()
+        for worker in reversed(self._workers):
+            worker.close()
+        self._workers.clear()
         self._session.remove()
 
     def check(self) -> None:
-        """Raises `RuntimeError` with the last output of a process that has died."""
-        for child in self._children:
-            child.check()
+        """Raises the error of a process that has ended; see `WorkerProcess.receive`."""
+        for worker in self._workers:
+            worker.check()
 
-    def _start(self, part: str, environment: Mapping[str, str] | None = None) -> ChildProcess:
-        module = f"contactgraph_franka.sim.{part}"
-        child = ChildProcess(module, self._session.folder, environment)
-        self._children.append(child)
-        return child
+    def _wait_for(self, worker: WorkerProcess) -> None:
+        self._workers.append(worker)
+        worker.receive(_START_S)
+
+
+def _serve_arm(connection: Connection, session: Session) -> None:
+    from contactgraph_franka.sim.arm_server import serve
+
+    serve(connection, session)
+
+
+def _render(connection: Connection, session: Session, settings: CameraSettings) -> None:
+    os.environ["MUJOCO_GL"] = "egl"  # MuJoCo reads it when it is imported
+    from contactgraph_franka.sim.rendered_camera import render
+
+    render(connection, session, settings)

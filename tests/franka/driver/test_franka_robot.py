@@ -1,5 +1,6 @@
 """The driver with a simulated arm behind the real protocol, in a process of its own."""
 
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -235,14 +236,14 @@ def test_a_lost_arm_is_noticed_within_20_ms(server_turn: None, how: signal.Signa
     def attempt() -> None:
         simulator = RobotSimulator(pace=PACE)
         with simulator as running, FrankaRobot(running.address, clock=running.clock) as robot:
-            server = simulator._children[0]._process
+            server = simulator._workers[0].process
             safe = SafeRobot(robot, LIMITS, running.clock)
             with realtime_priority():
                 for _ in range(3):
                     safe.reset()
                     if held(safe, running.clock, 0.1) is None:
                         break
-                server.send_signal(how)
+                os.kill(server.pid, how)
                 died = running.clock()
                 stop = held(safe, running.clock, 0.5)
             server.kill()

@@ -41,10 +41,10 @@ def positions(policy: Policy, seconds: float, seed: int = 3) -> np.ndarray:
 
 
 def test_a_path_goes_from_point_to_point_and_rests() -> None:
-    path = HandPath()
+    path = HandPath(START)
     rest, speed = np.zeros(3), np.array([0.3, 0.0, 0.1])
-    path.append(START, rest, BLOCK, speed, 2.0)
-    path.append(BLOCK, speed, GOAL, rest, 1.0)
+    path.append(BLOCK, speed, 2.0)
+    path.append(GOAL, rest, 1.0)
     assert path.duration == 3.0
     for time, place, pace in ((0.0, START, rest), (2.0, BLOCK, speed), (9.0, GOAL, rest)):
         position, velocity, acceleration = path.at(time)

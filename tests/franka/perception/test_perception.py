@@ -1,6 +1,5 @@
 """Detection in a process of its own, on drawn tags."""
 
-import multiprocessing
 import os
 import signal
 import time
@@ -12,15 +11,12 @@ from drawn_tags import CAMERA, LENS, SIZE, SlidingTag, calibration, drawn
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception import CameraCalibration, CameraFrame, single_tag
-from contactgraph_franka.perception.perception import (
-    PositionMeasurement,
-    SharedMeasurements,
-)
 from contactgraph_franka.perception.tracked_objects import TrackedObjects
 
 pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
 from contactgraph_franka.perception.detector import ObjectDetector
-from contactgraph_franka.perception.perception import DetectionLoop, Perception
+from contactgraph_franka.perception.perception import Perception, detect
+from contactgraph_franka.shared_ring import RingReader
 
 DISTANCE = LENS.fx * SIZE / 48.0
 """m: a tag of 48 px."""
@@ -49,48 +45,75 @@ def test_absent_objects_are_not_detected():
 
 
 class Frames:
-    """A camera that shows the given frames, one a call."""
+    """A camera that shows the given frames, one a call; also the connection, until they end."""
 
     intrinsics = LENS
+    closed = False
 
     def __init__(self, frames):
-        self._frames = iter(frames)
+        self._frames = list(frames)
+        self.sent = []
 
     def read(self):
-        return next(self._frames, None)
+        return self._frames.pop(0)
+
+    def close(self):
+        self.closed = True
+
+    def poll(self):
+        return not self._frames
+
+    def send(self, message):
+        self.sent.append(message)
 
 
-def test_each_frame_with_the_object_gives_one_measurement():
+def detected(frames, calibrated, folder):
+    """The measurements of each object in the frames, by a `Perception` without its process."""
+    camera = Frames(frames)
+    paths = {name: folder / name for name in calibrated.objects}
+    detect(camera, paths, lambda: camera, calibrated)
+    assert camera.sent == [None] and camera.closed
+    seeing = Perception(Frames, calibrated)
+    seeing._rings = {name: RingReader(path) for name, path in paths.items()}
+    return seeing
+
+
+def test_each_frame_with_the_object_gives_one_measurement(tmp_path):
     empty = CameraFrame(drawn([]), None, 0.01)
     at = [CameraFrame(drawn([(3, 100, 80)]), None, time) for time in (0.0, 0.02)]
-    shared = SharedMeasurements(1, multiprocessing.get_context("spawn"))
-    loop = DetectionLoop(Frames([at[0], empty, at[1]]), calibration(), shared)
-    assert [loop.step() for _ in range(4)] == [True] * 3 + [False]
-    detected = shared.since(0)
-    assert [each.time for each in detected] == [0.0, 0.02]
-    for each in detected:
+    seeing = detected([at[0], None, empty, at[1]], calibration(), tmp_path)
+    found = seeing.since("block")
+    assert [each.time for each in found] == [0.0, 0.02]
+    for each in found:
         np.testing.assert_allclose(each.position, expected(100), atol=3e-4)
+        assert each.covariance.shape == (3, 3) and (np.diag(each.covariance) > 0.0).all()
 
 
-def test_measurements_are_stored_by_object():
+def test_measurements_are_stored_by_object(tmp_path):
     objects = {"other": single_tag(5, SIZE), **calibration().objects}
     both = CameraCalibration(LENS, CAMERA, objects, calibration().made)
-    shared = SharedMeasurements(2, multiprocessing.get_context("spawn"))
-    frame = CameraFrame(drawn([(3, 100, 80)]), None, 0.0)
-    assert DetectionLoop(Frames([frame]), both, shared).step()
-    assert shared.since(0) == [] and len(shared.since(1)) == 1
+    seeing = detected([CameraFrame(drawn([(3, 100, 80)]), None, 0.0)], both, tmp_path)
+    assert seeing.since("other") == [] and len(seeing.since("block")) == 1
+
+
+def test_the_newest_five_measurements_are_returned(tmp_path):
+    frames = [CameraFrame(drawn([(3, 100, 80)]), None, float(number)) for number in range(9)]
+    seeing = detected(frames, calibration(), tmp_path)
+    assert [each.time for each in seeing.since("block")] == [4.0, 5.0, 6.0, 7.0, 8.0]
+    assert [each.time for each in seeing.since("block", 6.5)] == [7.0, 8.0]
+    assert seeing.since("block", 8.0) == []  # nothing newer
 
 
 @pytest.mark.slow
 def test_a_process_measures_position_and_velocity():
     with Perception(SlidingTag, calibration()) as seeing:
-        detected, frames = TrackedObjects(seeing, ("block",)), 0
+        objects, frames = TrackedObjects(seeing, ("block",)), 0
         until = time.monotonic() + 20.0
         while time.monotonic() < until:
             seeing.check()
             now = time.monotonic()
-            (estimate,) = detected.estimates(now)
-            frames = len(detected.tracks[1].states)
+            (estimate,) = objects.estimates(now)
+            frames = len(objects.tracks[1].states)
             if frames > 12 and estimate.tracked:
                 break
             time.sleep(0.005)
@@ -103,22 +126,23 @@ def test_a_process_measures_position_and_velocity():
 
 @pytest.mark.slow
 def test_errors_in_the_process_are_raised():
-    seeing = Perception(partial(SlidingTag, 3), calibration())
     until = time.monotonic() + 20.0
-    with pytest.raises(RuntimeError, match="the cable is out"):
-        seeing.start()  # on a busy machine the cable is out before this returns
+    # On a busy machine the cable is out before the context is entered.
+    with (
+        pytest.raises(RuntimeError, match="the cable is out"),
+        Perception(partial(SlidingTag, 3), calibration()) as seeing,
+    ):
         while time.monotonic() < until:
             seeing.check()
             time.sleep(0.01)
-    seeing.close()
 
 
 @pytest.mark.slow
 def test_the_death_of_the_process_is_raised():
     with Perception(SlidingTag, calibration()) as seeing:
-        os.kill(seeing._process.pid, signal.SIGKILL)
-        seeing._process.join()
-        with pytest.raises(RuntimeError, match="the camera's process has ended"):
+        os.kill(seeing._worker.process.pid, signal.SIGKILL)
+        seeing._worker.process.join()
+        with pytest.raises(RuntimeError, match="the camera's process ended with exit code -9"):
             seeing.check()
 
 
@@ -129,30 +153,11 @@ def no_camera():
 @pytest.mark.slow
 def test_mistakes_of_the_user_are_invalid_input():
     with pytest.raises(InvalidInputError, match=r"^no camera is attached$"):
-        Perception(no_camera, calibration()).start()
+        Perception(no_camera, calibration()).__enter__()
     first = calibration()
     with pytest.raises(InvalidInputError, match="names no objects"):
         Perception(SlidingTag, CameraCalibration(LENS, CAMERA, {}, first.made))
     larger = type(LENS)(300.0, 300.0, 319.5, 239.5, 640, 480)
     other = CameraCalibration(larger, CAMERA, first.objects, first.made)
     with pytest.raises(InvalidInputError, match="gives 320 x 240 px, but was calibrated at 640 x"):
-        Perception(SlidingTag, other).start()
-
-
-def test_measurements_pass_unchanged_through_shared_memory():
-    shared = SharedMeasurements(2, multiprocessing.get_context("spawn"))
-    assert shared.since(1) == []
-    rng = np.random.default_rng(0)
-    written = []
-    for number in range(19):
-        position, covariance = rng.normal(size=3), rng.normal(size=(3, 3))
-        written.append(PositionMeasurement(position, covariance, float(number)))
-        shared.write(1, written[-1])
-        found = shared.since(1, number - 2.5)
-        assert [each.time for each in found] == [w.time for w in written if w.time > number - 2.5]
-        for each, true in zip(found, written[-len(found) :], strict=True):
-            np.testing.assert_array_equal(each.position, true.position)
-            np.testing.assert_array_equal(each.covariance, true.covariance)
-        assert shared.since(1, float(number)) == []  # nothing newer
-    assert [each.time for each in shared.since(1)] == [14.0, 15.0, 16.0, 17.0, 18.0]
-    assert shared.since(0) == []
+        Perception(SlidingTag, other).__enter__()

@@ -7,16 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from contactgraph_franka import shared_ring
 from contactgraph_franka.perception.camera import CameraFrame, Intrinsics
-from contactgraph_franka.sim import shared_state as module
+from contactgraph_franka.shared_ring import RingReader, RingWriter
+from contactgraph_franka.sim import shared_state
 from contactgraph_franka.sim.camera import SimulatedCamera, frame_ring, publish_frame
 from contactgraph_franka.sim.shared_state import (
     GroundTruth,
-    RingReader,
-    RingWriter,
     SceneResetService,
     create_ground_truth,
-    is_ready,
     request_block_pose,
 )
 
@@ -24,14 +23,12 @@ LENS = Intrinsics(20.0, 20.0, 7.5, 7.5, 16, 16)
 
 
 def written(folder: Path, steps: int) -> tuple[RingWriter, GroundTruth]:
-    writer = create_ground_truth(folder, blocks=1, nq=3, start=-1.0)
-    assert not is_ready(folder)
+    writer = create_ground_truth(folder, blocks=1, nq=3)
     for number in range(steps):
         row = writer.begin()
         row["position"] = row["stamp"] = number
         writer.publish()
-    assert is_ready(folder)
-    return writer, GroundTruth(folder, blocks=1)
+    return writer, GroundTruth(folder)
 
 
 def test_steps_are_read_in_order(tmp_path: Path) -> None:
@@ -42,8 +39,8 @@ def test_steps_are_read_in_order(tmp_path: Path) -> None:
 
 
 def test_old_steps_are_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_KEPT", 16)
-    monkeypatch.setattr(module, "_MARGIN", 4)
+    monkeypatch.setattr(shared_state, "_KEPT", 16)
+    monkeypatch.setattr(shared_ring, "MARGIN", 4)
     _, truth = written(tmp_path, 50)
     assert truth.since(-1)["number"].tolist() == list(range(38, 50))
 
@@ -57,7 +54,7 @@ def test_a_step_that_is_being_written_is_left_out(tmp_path: Path) -> None:
 def test_the_newest_record_is_returned_only_when_complete(tmp_path: Path) -> None:
     fields: list[tuple] = [("value", "f8")]
     writer = RingWriter(tmp_path / "ring", fields, slots=1)
-    reader = RingReader(tmp_path / "ring", fields)
+    reader = RingReader(tmp_path / "ring")
     writer.begin()["value"] = 1.0
     writer.publish()
     writer.begin()["value"] = 2.0
@@ -71,7 +68,7 @@ def test_the_newest_record_is_returned_only_when_complete(tmp_path: Path) -> Non
 
 def test_a_camera_gives_each_frame_once_and_the_newest(tmp_path: Path) -> None:
     ring = frame_ring(tmp_path, LENS, depth=True)
-    camera = SimulatedCamera(tmp_path, LENS, depth=True)
+    camera = SimulatedCamera(tmp_path, LENS)
     assert camera.read() is None
     for number in range(7):
         image = np.full((16, 16), number, np.uint8)

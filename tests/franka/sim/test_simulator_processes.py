@@ -35,10 +35,10 @@ def test_the_death_of_a_server_is_reported(server_turn: None) -> None:
     simulator = RobotSimulator(pace=PACE)
     with simulator as running:
         simulator.check()
-        server = simulator._children[0]._process
+        server = simulator._workers[0].process
         server.kill()
-        server.wait()
-        with pytest.raises(RuntimeError, match=r"arm_server ended with code -9"):
+        server.join()
+        with pytest.raises(RuntimeError, match=r"the simulated arm ended with exit code -9"):
             simulator.check()
         address = running.address
     with pytest.raises(InvalidInputError, match="no simulated robot runs"):
@@ -50,7 +50,7 @@ def test_no_process_outlives_its_owner(server_turn: None) -> None:
     script = (
         "import time\nfrom contactgraph_franka.sim.simulated_robot import RobotSimulator\n"
         "r = RobotSimulator(pace=2.0)\nwith r as running:\n"
-        "    print(r._children[0]._process.pid, flush=True)\n    time.sleep(60)\n"
+        "    print(r._workers[0].process.pid, flush=True)\n    time.sleep(60)\n"
     )
     owner = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     assert owner.stdout is not None
