@@ -12,12 +12,10 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import Any, Concatenate, ParamSpec
+from typing import Any
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.loop.realtime import set_nice
-
-P = ParamSpec("P")
 
 
 class WorkerProcess:
@@ -29,11 +27,7 @@ class WorkerProcess:
     """
 
     def __init__(
-        self,
-        name: str,
-        work: Callable[Concatenate[Connection, P], None],
-        *arguments: P.args,
-        nice: int = 0,
+        self, name: str, work: Callable[..., None], *arguments: object, nice: int = 0
     ) -> None:
         self._name = name
         context = multiprocessing.get_context("spawn")

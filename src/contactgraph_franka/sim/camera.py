@@ -92,7 +92,7 @@ class SimulatedCamera:
             return None
         record = self._ring.newest()
         self._read = int(record["number"]) + 1
-        depth = record["depth"] if "depth" in record.dtype.names else None
+        depth = record["depth"] if "depth" in (record.dtype.names or ()) else None
         return CameraFrame(record["image"], depth, float(record["time"]))
 
     def close(self) -> None:
