@@ -1,13 +1,13 @@
 """Style and output of a study's figures."""
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from contactgraph.data import atomic_write, read_trajectories
@@ -24,20 +24,18 @@ _FOLDER = "figures"
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, in inches, drawn without a display."""
-    figure = Figure(figsize=(width, height), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    """An empty figure, in inches."""
+    return Figure(figsize=(width, height), facecolor="white", layout="constrained")
 
 
 def panel_row(
-    width: float, height: float, titles: list[str], share_y: bool = True
+    tasks: Sequence[Any], width: float, margin: float, height: float, share_y: bool = True
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with one panel for each title, side by side."""
-    figure = new_figure(width, height)
-    panels = list(figure.subplots(1, len(titles), squeeze=False, sharey=share_y)[0])
-    for axes, title in zip(panels, titles, strict=True):
-        style_axes(axes, title)
+    """A figure with one panel of ``width`` inches for each task, side by side."""
+    figure = new_figure(width * len(tasks) + margin, height)
+    panels = list(figure.subplots(1, len(tasks), squeeze=False, sharey=share_y)[0])
+    for axes, task in zip(panels, tasks, strict=True):
+        style_axes(axes, task.name)
     return figure, panels
 
 
@@ -72,13 +70,11 @@ def write_figure(folder: Path, name: str, title: str, caption: str, figure: Figu
     return Picture(title, caption, image, "svg+xml")
 
 
-def write_scene(
-    folder: Path, name: str, title: str, caption: str, scene: SceneTrajectory
-) -> Picture:
+def write_scene(folder: Path, name: str, caption: str, scene: SceneTrajectory) -> Picture:
     """Write the summary figure of an episode to ``figures/NAME.png``."""
     path = folder / _FOLDER / f"{name}.png"
     write_summary_figure(path, scene)
-    return Picture(title, caption, path.read_bytes(), "png")
+    return Picture(scene.name, caption, path.read_bytes(), "png")
 
 
 def first_episode(numbers: Path, model: Path, title: str) -> SceneTrajectory | None:
@@ -86,8 +82,9 @@ def first_episode(numbers: Path, model: Path, title: str) -> SceneTrajectory | N
     trajectories = numbers.with_suffix(".h5")
     if not (trajectories.is_file() and model.is_file()):
         return None
-    first = read_trajectories(trajectories).trajectories[0]
-    return scene_trajectory(load_model(model).model, title, first)
+    return scene_trajectory(
+        load_model(model).model, title, read_trajectories(trajectories).trajectories[0]
+    )
 
 
 def parameter_figure(scene: SceneTrajectory) -> Figure:

@@ -87,7 +87,7 @@ def _section(slug: str, heading: str, parts: Iterable[str]) -> str:
 
 
 def _claim(claim: Claim) -> str:
-    rows = "".join(_claim_row(metric) for metric in claim.metrics)
+    rows = "".join(_claim_row(number) for number in claim.metrics)
     return (
         f'<article class="claim"><p class="verdict {_CLASSES[claim.holds]}">'
         f"{_VERDICTS[claim.holds]}</p><div>"
@@ -102,11 +102,11 @@ def _claim(claim: Claim) -> str:
     )
 
 
-def _claim_row(metric: ClaimMetric) -> str:
+def _claim_row(number: ClaimMetric) -> str:
     return (
-        f"<tr><td>{escape(metric.task)}</td><td>{escape(metric.name)}</td>"
-        f'<td class="figure">{escape(with_range(metric.statistic, metric.unit))}</td>'
-        f"<td><code>{escape(metric.statistic.command)}</code></td></tr>"
+        f"<tr><td>{escape(number.task)}</td><td>{escape(number.name)}</td>"
+        f'<td class="figure">{escape(with_range(number.statistic, number.statistic.unit))}</td>'
+        f"<td><code>{escape(number.statistic.command)}</code></td></tr>"
     )
 
 

@@ -21,6 +21,8 @@ class Quantity:
     """A number in the output of a command, or made of several."""
 
     key: str
+    unit: str = ""
+    """Of the number as displayed."""
     scale: float = 1.0
     null: float = math.nan
     """Value that a JSON null stands for: NaN (not known) or infinity (a diverged prediction)."""
@@ -35,8 +37,8 @@ class Quantity:
         return self.null if value is None else self.scale * float(value)
 
 
-SUCCESS_PERCENT = Quantity("success_rate", 100.0)
-CONTACT_SPEED = Quantity("contact_speed_m_s")
+SUCCESS_PERCENT = Quantity("success_rate", "%", 100.0)
+CONTACT_SPEED = Quantity("contact_speed_m_s", "m/s")
 PLANNED_F1 = Quantity("edge_f1_planned")
 
 
@@ -57,6 +59,7 @@ class SeedStatistic:
     """Infinite where a prediction diverged."""
     command: str = ""
     """Command of the first seed."""
+    unit: str = ""
 
     @property
     def known(self) -> bool:
@@ -65,7 +68,7 @@ class SeedStatistic:
 
     @property
     def median(self) -> float:
-        """Median over the seeds; NaN without any value."""
+        """NaN without any value, as `low` and `high`."""
         return statistics.median(self.values) if self.values else math.nan
 
     @property
@@ -77,6 +80,10 @@ class SeedStatistic:
     def high(self) -> float:
         """The highest value of any seed."""
         return max(self.values, default=math.nan)
+
+    def __str__(self) -> str:
+        """The median with its unit."""
+        return with_unit(self.median, self.unit)
 
 
 @dataclass(frozen=True)
@@ -98,8 +105,8 @@ class Success:
 
     def __str__(self) -> str:
         """Per cent, with the interval."""
-        low, high = self.interval
-        return f"{100 * self.rate:.0f} % of {self.episodes} ({100 * low:.0f} to {100 * high:.0f})"
+        percent, low, high = (short(100.0 * rate) for rate in (self.rate, *self.interval))
+        return f"{percent} % of {self.episodes} ({low} to {high})"
 
 
 class Results:
@@ -129,7 +136,7 @@ class Results:
         found = [one for one in self.readings(condition) if quantity.key in one.values]
         values = [quantity.read(one.values) for one in found]
         known = tuple(value for value in values if not math.isnan(value))
-        return SeedStatistic(known, found[0].command if found else "")
+        return SeedStatistic(known, found[0].command if found else "", quantity.unit)
 
     def success(self, condition: Any) -> Success | None:
         """Of closed-loop readings; None without any."""
@@ -156,10 +163,8 @@ class Results:
 
 def with_range(statistic: SeedStatistic, unit: str = "") -> str:
     """The median, and the range of several seeds."""
-    if not statistic.known:
-        return "not known"
     median = with_unit(statistic.median, unit)
-    if len(statistic.values) == 1:
+    if len(statistic.values) < 2:
         return median
     return f"{median} ({short(statistic.low)} to {short(statistic.high)})"
 

@@ -29,7 +29,7 @@ class SensingTask:
 
 @dataclass(frozen=True)
 class SensingAmounts:
-    """Number of seeds and episodes."""
+    """Metric of seeds and episodes."""
 
     seeds: tuple[int, ...]
     """Of scenes, above `SCENE_SEED`."""
@@ -79,8 +79,8 @@ _GAINS = {
 _NO_GAIN = 0.02
 """Relative gain by measured contacts below which there is nothing to recover."""
 _F1 = Quantity("edge_f1_found")
-_ERROR = Quantity("n_step_rmse_planned_m", 100.0)
-_PLAN_MS = Quantity("plan_ms_p50")
+_ERROR = Quantity("n_step_rmse_planned_m", "cm", 100.0)
+_PLAN_MS = Quantity("plan_ms_p50", "ms")
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,6 @@ def sensing_table(results: Results, conditions: Sequence[SensorCondition]) -> St
         "control tick, ms": _PLAN_MS,
     }
     labels = ("Task", "Condition", "Contacts known by")
-    csv_only = {"successes": "", "episodes": ""}
 
     def row(condition: SensorCondition) -> dict[str, Any]:
         success = results.success(condition)
@@ -186,9 +185,7 @@ def sensing_table(results: Results, conditions: Sequence[SensorCondition]) -> St
         headings={
             **{name: name for name in labels},
             "_success": "success (95 %)",
-            **csv_only,
             **{name: name for name in numbers},
-            "command": "",
         },
         texts=dict.fromkeys(numbers, known_text),
         rows=[row(condition) for condition in conditions],
@@ -200,25 +197,24 @@ def sensing_targets(
     results: Results, tasks: Sequence[SensingTask], amounts: SensingAmounts
 ) -> tuple[Metric, ...]:
     """The targets of contact inferred from motion."""
-    targets = []
+    get, seeds, numbers = results.statistic, amounts.seeds, []
     for task in tasks:
         for condition in task.conditions:
             where = SensorCondition(task.name, condition.name, INFERRED.name)
             label = f"{task.name}, {condition.name}, by motion alone"
-            f1 = results.statistic(where, _F1)
-            targets.append(judged(f"{label}: edge F1", "", f1, _F1_TARGET, amounts.seeds))
-            delay, name = results.statistic(where, ONSET_DELAY_P95), "onset delay, 95 %"
-            targets.append(
-                judged(f"{label}: {name}", "ms", delay, _DELAY_TARGET_MS, amounts.seeds, True)
-            )
+            delay = get(where, ONSET_DELAY_P95)
+            numbers += [
+                judged(f"{label}: edge F1", get(where, _F1), _F1_TARGET, seeds),
+                judged(f"{label}: onset delay, 95 %", delay, _DELAY_TARGET_MS, seeds, lower=True),
+            ]
     for condition in PICKUP_SENSING.conditions:
         for key, name in _GAINS.items():
             share = share_recovered(results, PICKUP_SENSING, condition, key)
             label = f"{PICKUP_SENSING.name}, {condition.name}: share of what contacts measured gain"
             label += f" in {name}{'' if share.known else ' (they gain nothing)'}"
             target = _RECOVERED_TARGET if share.known else None
-            targets.append(judged(label, "%", share, target, amounts.seeds))
-    return tuple(targets)
+            numbers.append(judged(label, share, target, seeds))
+    return tuple(numbers)
 
 
 def _delay_ms(key: str) -> Quantity:
@@ -228,7 +224,7 @@ def _delay_ms(key: str) -> Quantity:
         count = values[f"{key.split('_', maxsplit=1)[0]}s"]
         return math.nan if not count else math.inf if values[key] is None else float(values[key])
 
-    return Quantity(key, derived=delay)
+    return Quantity(key, "ms", derived=delay)
 
 
 ONSET_DELAY_P95 = _delay_ms("onset_delay_ms_p95")
@@ -246,9 +242,9 @@ def share_recovered(
         where = SensorCondition(task.name, condition.name, sensor.name)
         statistic = results.statistic(where, Quantity(key))
         if not statistic.known or len(statistic.values) < len(results.readings(where)):
-            return SeedStatistic()
+            return SeedStatistic(unit="%")
         means.append(sum(statistic.values) / len(statistic.values))
     best, worst, reached = means
     if abs(best - worst) < _NO_GAIN * abs(worst):
-        return SeedStatistic()
-    return SeedStatistic((100.0 * (reached - worst) / (best - worst),), statistic.command)
+        return SeedStatistic(unit="%")
+    return SeedStatistic((100.0 * (reached - worst) / (best - worst),), statistic.command, "%")

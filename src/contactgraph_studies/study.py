@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -31,7 +31,6 @@ class ClaimMetric(NamedTuple):
 
     name: str
     task: str
-    unit: str
     statistic: SeedStatistic
 
 
@@ -52,27 +51,22 @@ class Claim:
     """None: not known."""
     findings: list[str] = field(default_factory=list)
     """The result on each task."""
-    sentence: str = "Not measured."
-    """The measured result."""
 
-    def add(self, name: str, task: str, unit: str, statistic: SeedStatistic) -> SeedStatistic:
+    def add(self, name: str, task: str, statistic: SeedStatistic) -> SeedStatistic:
         """Record a number; returns it."""
-        self.metrics.append(ClaimMetric(name, task, unit, statistic))
+        self.metrics.append(ClaimMetric(name, task, statistic))
         return statistic
 
-    def measure(
-        self, name: str, task: str, unit: str, condition: Any, quantity: Quantity
-    ) -> SeedStatistic:
-        """Record a measured number; returns it."""
-        return self.add(name, task, unit, self.results.statistic(condition, quantity))
+    def measure(self, name: str, condition: Any, quantity: Quantity) -> SeedStatistic:
+        """Record a measured number of the condition's task; returns it."""
+        return self.add(name, condition.task, self.results.statistic(condition, quantity))
 
-    def judge(self, holds: bool, needed: Sequence[SeedStatistic], finding: str = "") -> None:
+    def judge(self, holds: bool, needed: Iterable[SeedStatistic], finding: str = "") -> None:
         """Add a verdict and its reason, or None if a ``needed`` number is not known."""
         known = all(one.known for one in needed)
         self.verdicts.append(holds if known else None)
         if known and finding:
             self.findings.append(finding)
-            self.sentence = f"{'; '.join(self.findings)}."
 
     @property
     def holds(self) -> bool | None:
@@ -80,6 +74,11 @@ class Claim:
         if False in self.verdicts:
             return False
         return None if not self.verdicts or None in self.verdicts else True
+
+    @property
+    def sentence(self) -> str:
+        """The measured result."""
+        return f"{'; '.join(self.findings)}." if self.findings else "Not measured."
 
     def to_json(self) -> dict[str, Any]:
         """An entry of ``claims.json``; infinity is the word ``infinite``."""
@@ -95,13 +94,13 @@ class Claim:
                 {
                     "name": name,
                     "task": task,
-                    "unit": unit,
+                    "unit": one.unit,
                     "median": _json(one.median),
                     "range_over_seeds": [_json(one.low), _json(one.high)],
                     "values": [_json(value) for value in one.values],
                     "command": one.command,
                 }
-                for name, task, unit, one in self.metrics
+                for name, task, one in self.metrics
             ],
         }
 
@@ -145,7 +144,6 @@ class Study(ABC):
 
 def judged(
     name: str,
-    unit: str,
     statistic: SeedStatistic,
     target: Target | None,
     seeds: Sequence[int],
@@ -155,7 +153,7 @@ def judged(
     return Metric(
         name=name,
         value=statistic.median if statistic.known else None,
-        unit=unit,
+        unit=statistic.unit,
         interval=(statistic.low, statistic.high) if len(statistic.values) > 1 else None,
         at_least=None if target is None else target.at_least,
         aim=None if target is None else target.aim,

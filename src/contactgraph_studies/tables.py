@@ -36,13 +36,12 @@ class StudyTable:
     title: str
     caption: str
     headings: Mapping[str, str]
-    """Every column: its name in ``table.csv`` and its heading on the page and in ``table.md``.
-
-    An empty heading keeps a column off the page, a name with an underscore out of the CSV file.
-    A `SeedStatistic` takes three columns there.
-    """
+    """The columns on the page and in ``table.md``: heading by name."""
     rows: Sequence[Mapping[str, Any]]
-    """Texts, numbers, `SeedStatistic` or `Success` by name of the column."""
+    """Texts, numbers, `SeedStatistic` or `Success` by name of the column.
+
+    All are columns of ``table.csv``, a `SeedStatistic` three, but for names with an underscore.
+    """
     texts: Mapping[str, Callable[[Any], str]] = field(default_factory=dict)
     """Format on the page, by name of the column; `cell_text` for others."""
     separator: str = "_"
@@ -50,8 +49,9 @@ class StudyTable:
 
     @property
     def frame(self) -> pd.DataFrame:
-        """One row for each condition, one column for each of ``headings``."""
-        return pd.DataFrame(self.rows, columns=list(self.headings), dtype=object)
+        """One row for each condition."""
+        columns = list(self.rows[0] if self.rows else self.headings)
+        return pd.DataFrame(self.rows, columns=columns, dtype=object)
 
     def csv(self) -> str:
         """The table for programs."""
@@ -61,21 +61,21 @@ class StudyTable:
 
     def page_cells(self) -> pd.DataFrame:
         """The cells of the page as texts."""
-        shown = self.frame[[name for name, heading in self.headings.items() if heading]]
+        shown = self.frame[list(self.headings)]
         return shown.apply(lambda cells: cells.map(self.texts.get(cells.name, cell_text)))
 
     def markdown(self) -> str:
         """The cells of the page as Markdown."""
-        heads = [heading for heading in self.headings.values() if heading]
-        lines = [f"| {' | '.join(cells)} |" for cells in (heads, *self.page_cells().to_numpy())]
-        return "\n".join([lines[0], f"|{'---|' * len(heads)}", *lines[1:], ""])
+        rows = (self.headings.values(), *self.page_cells().to_numpy())
+        lines = [f"| {' | '.join(cells)} |" for cells in rows]
+        return "\n".join([lines[0], f"|{'---|' * len(self.headings)}", *lines[1:], ""])
 
     def html(self) -> str:
         """The cells of the page as a section; a row's commands show as its tooltip."""
-        heads = "".join(f"<th>{escape(head)}</th>" for head in self.headings.values() if head)
+        heads = "".join(f"<th>{escape(head)}</th>" for head in self.headings.values())
         rows = []
         for row, texts in zip(self.rows, self.page_cells().to_dict("records"), strict=True):
-            commands = [row[name] for name in self.headings if name.startswith("command")]
+            commands = [row[name] for name in row if name.startswith("command")]
             cells = (_html_cell(row[name], text) for name, text in texts.items())
             rows.append(f'<tr title="{escape(chr(10).join(commands))}">{"".join(cells)}</tr>')
         return (

@@ -2,9 +2,10 @@
 
 from command_lines import commands_of, conflicting_outputs, value
 
-from contactgraph_studies.cost.config import COST_TASKS, FULL_COST, PICKUP_COST, QUICK_COST
+from contactgraph_studies.cost.config import COST_TASKS, FULL_COST, QUICK_COST
 from contactgraph_studies.cost.jobs import cost_measurements
 from contactgraph_studies.job import Job, in_dependency_order
+from contactgraph_studies.paper.config import PICKUP
 
 
 def test_every_command_line_is_one_of_ours() -> None:
@@ -43,7 +44,7 @@ def test_all_measurements() -> None:
 
 
 def test_demonstrations_have_one_goal_unless_a_known_cost_makes_them() -> None:
-    jobs = in_dependency_order(one.job for one in cost_measurements([PICKUP_COST], FULL_COST))
+    jobs = in_dependency_order(one.job for one in cost_measurements([PICKUP], FULL_COST))
 
     def command(output: str) -> str:
         return next(job.command for job in jobs if job.output == output)

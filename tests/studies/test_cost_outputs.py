@@ -16,10 +16,7 @@ from contactgraph.data import Scene, Trajectory, write_trajectories
 from contactgraph.viz import Metric
 from contactgraph_studies.cost.config import (
     COST_TASKS,
-    DOOR_COST,
     FULL_COST,
-    MULTI_PICKUP_COST,
-    PICKUP_COST,
     among_distractors,
     by_demonstrations,
     known_answers,
@@ -34,6 +31,7 @@ from contactgraph_studies.cost.known_answer import (
 )
 from contactgraph_studies.cost.study import CostStudy, cost_table, cost_targets, transfers
 from contactgraph_studies.figures import svg
+from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP
 from contactgraph_studies.results import Results, with_range
 
 RATIO = "learned over hidden"
@@ -65,9 +63,9 @@ def test_sentence_and_numbers_of_the_claim() -> None:
     )
     assert found.holds is True, "fewer demonstrations are another question"
     assert found.sentence == (
-        "Learned from 40 demonstrations: 99 % (297 of 300; 97.1 to 99.7) on pickup, "
-        "99 % (297 of 300; 97.1 to 99.7) on multi-pickup and 99 % (297 of 300; 97.1 to 99.7) on "
-        "door."
+        "pickup, 40 demonstrations: 99 % of 300 (97.1 to 99.7); "
+        "multi-pickup, 40 demonstrations: 99 % of 300 (97.1 to 99.7); "
+        "door, 40 demonstrations: 99 % of 300 (97.1 to 99.7)."
     )
     assert [number.statistic.median for number in found.metrics[:4]] == [50.0, 99.0, 99.0, 99.0]
     nothing = transfers(Results({}), COST_TASKS, FULL_COST)
@@ -75,7 +73,7 @@ def test_sentence_and_numbers_of_the_claim() -> None:
 
 
 def targets(results: Results) -> dict[str, Metric]:
-    return {number.name: number for number in cost_targets(results, [PICKUP_COST], FULL_COST)}
+    return {number.name: number for number in cost_targets(results, [PICKUP], FULL_COST)}
 
 
 def test_targets_are_judged_by_all_episodes_together() -> None:
@@ -114,7 +112,7 @@ def test_markdown_and_csv_agree() -> None:
     assert len(texts) == 3 * 8 + 1
     assert texts[3] == [
         *("pickup", "expert", "40", "0"),
-        "99 % (297 of 300; 97.1 to 99.7)",
+        "99 % of 300 (97.1 to 99.7)",
         "100, 99, 98",
         "1.5 (1.5 to 1.5)",
         "",
@@ -139,7 +137,7 @@ def test_markdown_and_csv_agree() -> None:
 
 
 def test_the_known_answer_is_known_up_to_scale() -> None:
-    own = own_cost(PICKUP_COST)
+    own = own_cost(PICKUP)
     same = replace(own, Q=7.0 * own.Q, R=7.0 * own.R)
     half = replace(own, Q=3.5 * own.Q, R=7.0 * own.R)
     answers = [KnownAnswer(own, same, 0.06), KnownAnswer(own, half, 0.07)]
@@ -166,7 +164,7 @@ def test_the_known_answer_is_known_up_to_scale() -> None:
 
 
 def test_costs_of_several_objects_are_compared_in_the_hidden_ones_order() -> None:
-    own = own_cost(MULTI_PICKUP_COST)
+    own = own_cost(MULTI_PICKUP)
     assert own.kept_nodes == ("gripper", "target-1", "target-2")
     # The same cost, as a learner writes it that saw the second target touched first.
     order = np.array([0, 1, 2, 3, 8, 9, 10, 11, 4, 5, 6, 7])
@@ -188,8 +186,8 @@ def test_costs_of_several_objects_are_compared_in_the_hidden_ones_order() -> Non
 def test_known_answers_are_those_whose_files_are_there(tmp_path: Path) -> None:
     """The hidden cost is the task's own, or that in the file by which the runs were made."""
     history = LearningHistory(*[jnp.ones(1)] * 4)
-    own = replace(own_cost(DOOR_COST), history=history)
-    wanted = cost_measurements([DOOR_COST], FULL_COST)
+    own = replace(own_cost(DOOR), history=history)
+    wanted = cost_measurements([DOOR], FULL_COST)
     by_own, by_learned = known_answers(FULL_COST)
     other = replace(own, Q=2.0 * own.Q)
     for seed, learned, cost in ((0, by_own, own), (1, by_learned, own), (1, MOST.learned, other)):
@@ -204,11 +202,11 @@ def test_known_answers_are_those_whose_files_are_there(tmp_path: Path) -> None:
         control=force,
     )
     write_trajectories(tmp_path / "cells" / "door" / "seed-0" / "own-cost.h5", [run])
-    assert float(DOOR_COST.task().action_space.high[0]) == 10.0  # type: ignore[attr-defined]
-    first = read_answers(tmp_path, wanted, DOOR_COST, by_own)
+    assert DOOR.known.max_force == 10.0
+    first = read_answers(tmp_path, wanted, DOOR, by_own)
     assert [each.at_limit for each in first] == [0.5]
     assert known_answer_terms(first)[0][RATIO].values == pytest.approx((1.0,))
-    second = read_answers(tmp_path, wanted, DOOR_COST, by_learned)
+    second = read_answers(tmp_path, wanted, DOOR, by_learned)
     assert len(second) == 1 and np.isnan(second[0].at_limit)
     assert known_answer_terms(second)[0][RATIO].values == pytest.approx((0.5**0.5,))
 

@@ -77,7 +77,7 @@ def test_markdown_and_csv_agree() -> None:
     assert markdown[2].startswith("| pickup | as trained | GIM-Temp | 0.8 (0.8 to 0.8) | 1.6 ")
     assert markdown[2].endswith("| 100 % of 60 (94 to 100) | 100 % of 60 (94 to 100) |")
     assert "| Full-AB | not finite (not finite to not finite) |" in markdown[6]
-    assert markdown[6].endswith("| 10 % of 60 (5 to 20) |  |")
+    assert markdown[6].endswith("| 10 % of 60 (4.66 to 20.1) |  |")
     assert read_csv(table)[4]["planned_cm_median"] == "inf"
 
 

@@ -13,9 +13,9 @@ from contactgraph.cli import main as cli
 from contactgraph.control import LearningHistory, write_cost
 from contactgraph_studies import page
 from contactgraph_studies.cost import config
-from contactgraph_studies.cost.config import PICKUP_COST
 from contactgraph_studies.cost.known_answer import own_cost
 from contactgraph_studies.job import Job, JobRecords
+from contactgraph_studies.paper.config import PICKUP
 from contactgraph_studies.runner import Failure, Progress
 
 FILES = {
@@ -131,7 +131,7 @@ def test_files_of_the_study_of_costs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     history = LearningHistory(*[jnp.ones(1)] * 4)
-    learned = replace(own_cost(PICKUP_COST), history=history)
+    learned = replace(own_cost(PICKUP), history=history)
     values = {"success_rate": 0.97, "episodes": 100, "contact_speed_m_s": 1.5}
 
     def run_jobs(
@@ -148,7 +148,7 @@ def test_files_of_the_study_of_costs(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("contactgraph_studies.runner.run_jobs", run_jobs)
-    monkeypatch.setattr(config, "COST_TASKS", [PICKUP_COST])
+    monkeypatch.setattr(config, "COST_TASKS", [PICKUP])
     assert cli.run(["reproduce", "cost", "--quick"]) == 0
     folder = tmp_path / "results" / "cost"
     assert {path.name for path in folder.iterdir()} - {"cells"} == FILES

@@ -83,6 +83,6 @@ def test_result_from_the_existing_outputs(tmp_path: Path) -> None:
     label = f"{PICKUP_SENSING.name}, {WIDER.name}, by motion alone"
     assert reached == {f"{label}: edge F1": True, f"{label}: onset delay, 95 %": True}
     first = found.tables[0].markdown().splitlines()[2]
-    assert "| contacts measured | 90 % of 60 (80 to 95) | 0.97" in first
+    assert "| contacts measured | 90 % of 60 (79.9 to 95.3) | 0.97" in first
     assert len(found.tables[0].csv().splitlines()) == 1 + len(STUDY.measurements) // 3
     assert len(found.readings) == 15

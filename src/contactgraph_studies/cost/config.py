@@ -1,22 +1,9 @@
-"""Configuration of the study of learned costs."""
+"""Configuration of the study of learned costs. Tasks are controlled with their shipped models."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
-from contactgraph.envs import DoorTask, MultiPickupTask, PickupTask
-from contactgraph.envs.contract import Task
 from contactgraph_studies.job import Options
-from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP, TEST_SEED
-
-
-@dataclass(frozen=True)
-class CostTask:
-    """A task, controlled with the shipped model of the same name."""
-
-    name: str
-    task: Callable[[], Task]
-    without_prior: bool = False
-    """Whether learning without the prior is measured, too."""
+from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP, TEST_SEED, StudyTask
 
 
 @dataclass(frozen=True)
@@ -58,7 +45,7 @@ class CostTest:
 
 @dataclass(frozen=True)
 class CostAmounts:
-    """Number of seeds, demonstrations and episodes."""
+    """Metric of seeds, demonstrations and episodes."""
 
     seeds: tuple[int, ...]
     """Of demonstrations; each seed has its own goal and objects."""
@@ -85,11 +72,7 @@ EXPERT_AMONG = Demonstrator(
     "expert-among-5", f"expert among {DISTRACTORS} distractors", distractors=DISTRACTORS
 )
 OWN_COST = Demonstrator("own-cost", "MPC with the task's own cost", planned=True)
-
-PICKUP_COST = CostTask(PICKUP.name, PickupTask, without_prior=True)
-MULTI_PICKUP_COST = CostTask(MULTI_PICKUP.name, MultiPickupTask)
-DOOR_COST = CostTask(DOOR.name, DoorTask)
-COST_TASKS = (PICKUP_COST, MULTI_PICKUP_COST, DOOR_COST)
+COST_TASKS = (PICKUP, MULTI_PICKUP, DOOR)
 
 FULL_COST = CostAmounts((0, 1, 2), (5, 10, 20, 40), 100)
 QUICK_COST = CostAmounts((0,), (5, 40), 10)
@@ -102,10 +85,7 @@ def by_demonstrations(amounts: CostAmounts) -> list[CostTest]:
 
 def among_distractors(amounts: CostAmounts) -> list[CostTest]:
     """Tested with distractors; learned without and with others."""
-    return [
-        CostTest(_learned(demonstrator, amounts.most), DISTRACTORS)
-        for demonstrator in (EXPERT, EXPERT_AMONG)
-    ]
+    return [CostTest(_learned(one, amounts.most), DISTRACTORS) for one in (EXPERT, EXPERT_AMONG)]
 
 
 def known_answers(amounts: CostAmounts) -> tuple[CostCondition, CostCondition]:
@@ -122,20 +102,18 @@ def known_answers(amounts: CostAmounts) -> tuple[CostCondition, CostCondition]:
 
 def without_prior(amounts: CostAmounts) -> CostTest:
     """Learned from the expert without the prior towards independent cost terms."""
-    learned = _learned(EXPERT, amounts.most)
-    options = ("--prior-weight", "0")
-    name = f"{learned.name}, without the prior"
-    return CostTest(CostCondition(f"{learned.slug}-no-prior", name, EXPERT, amounts.most, options))
+    slug, name = f"{EXPERT.slug}-{amounts.most}-no-prior", f"{EXPERT.name}, without the prior"
+    return CostTest(CostCondition(slug, name, EXPERT, amounts.most, ("--prior-weight", "0")))
 
 
-def tests_of(task: CostTask, amounts: CostAmounts) -> list[CostTest]:
+def tests_of(task: StudyTask, amounts: CostAmounts) -> list[CostTest]:
     """All tests of a task, in the order of the table."""
     own = CostTest(known_answers(amounts)[0])
     every = [*by_demonstrations(amounts), *among_distractors(amounts), own]
-    return [*every, without_prior(amounts)] if task.without_prior else every
+    return [*every, without_prior(amounts)] if task is PICKUP else every
 
 
-def learned_costs(task: CostTask, amounts: CostAmounts) -> list[CostCondition]:
+def learned_costs(task: StudyTask, amounts: CostAmounts) -> list[CostCondition]:
     """All costs that are learned for a task."""
     tested = [test.learned for test in tests_of(task, amounts)]
     return list(dict.fromkeys([*tested, *known_answers(amounts)]))

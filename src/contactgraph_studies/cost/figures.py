@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from contactgraph.control import read_cost
@@ -11,12 +13,11 @@ from contactgraph.viz import cost_figure
 from contactgraph.viz.scene_picture import BODY_COLOURS
 from contactgraph_studies.cost.config import (
     CostAmounts,
-    CostTask,
     among_distractors,
     by_demonstrations,
     known_answers,
 )
-from contactgraph_studies.cost.jobs import OwnCostLabels, control, learning
+from contactgraph_studies.cost.jobs import CostLabels, control, learning
 from contactgraph_studies.cost.known_answer import read_answers
 from contactgraph_studies.figures import (
     LEGEND,
@@ -28,6 +29,7 @@ from contactgraph_studies.figures import (
     write_scene,
 )
 from contactgraph_studies.job import Measurement
+from contactgraph_studies.paper.config import StudyTask
 from contactgraph_studies.results import SUCCESS_PERCENT, Results
 from contactgraph_studies.study import Picture
 
@@ -35,30 +37,25 @@ ENOUGH = 0.95
 """The success for which the number of demonstrations is a target."""
 
 
-def success_figure(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts) -> Figure:
+def success_figure(results: Results, tasks: Sequence[StudyTask], amounts: CostAmounts) -> Figure:
     """Success by number of demonstrations: all seeds with their interval, and each as a dot."""
-    figure, panels = panel_row(3.6 * len(tasks) + 0.6, 3.8, [task.name for task in tasks])
-    colour, counts = BODY_COLOURS[0], amounts.demonstrations
+    figure, panels = panel_row(tasks, 3.6, 0.6, 3.8)
+    counts = amounts.demonstrations
     for axes, task in zip(panels, tasks, strict=True):
-        pooled = []
+        pooled, seeds = [], []
         for position, test in enumerate(by_demonstrations(amounts)):
             labels = control(task, test)
             success = results.success(labels)
-            if success is None:
-                continue
-            pooled.append((position, 100.0 * success.rate))
-            ends = [100.0 * end for end in success.interval]
-            first = position == 0
-            label = "95 % interval" if first else "_"
-            axes.plot([position] * 2, ends, color=colour, lw=1.4, label=label)
-            seeds = results.statistic(labels, SUCCESS_PERCENT).values
-            label = "each seed" if first else "_"
-            beside = [position + 0.1] * len(seeds)
-            axes.plot(beside, seeds, "o", color=SOFT, ms=3, alpha=0.7, label=label)
-        rates = [rate for _, rate in pooled]
-        axes.plot(
-            [x for x, _ in pooled], rates, "o-", color=colour, lw=1.6, ms=5, label="all seeds"
-        )
+            if success is not None:
+                pooled.append([position, success.rate, *success.interval])
+                each = results.statistic(labels, SUCCESS_PERCENT).values
+                seeds += [(position + 0.1, percent) for percent in each]
+        x, rate, low, high = np.reshape(pooled, (-1, 4)).T * [[1.0], [100.0], [100.0], [100.0]]
+        line: dict[str, Any] = {"color": BODY_COLOURS[0], "lw": 1.6, "ms": 5}
+        ends = np.abs([rate - low, high - rate])
+        axes.errorbar(x, rate, ends, fmt="o-", label="all seeds, 95 % interval", **line)
+        dots = np.reshape(seeds, (-1, 2)).T
+        axes.plot(*dots, "o", color=SOFT, ms=3, alpha=0.7, label="each seed")
         axes.axhline(100.0 * ENOUGH, color=SOFT, lw=0.7, ls=(0, (2, 3)))
         axes.set_xticks(range(len(counts)), [str(count) for count in counts])
         axes.set_xlim(-0.5, len(counts) - 0.5)
@@ -72,20 +69,17 @@ def cost_pictures(
     results: Results,
     folder: Path,
     measurements: Sequence[Measurement],
-    tasks: Sequence[CostTask],
+    tasks: Sequence[StudyTask],
     amounts: CostAmounts,
 ) -> list[Picture]:
     """The figures, written to ``figures/NAME.png`` and ``.svg`` in the folder."""
-    pictures = [
-        write_figure(
-            folder,
-            "success",
-            "Success with unseen goals and objects",
-            "By the number of demonstrations that the cost was learned from. The dotted line is at "
-            f"{100 * ENOUGH:.0f} %.",
-            success_figure(results, tasks, amounts),
-        )
-    ]
+    title = "Success with unseen goals and objects"
+    caption = (
+        "By the number of demonstrations that the cost was learned from. The dotted line is at "
+        f"{100 * ENOUGH:.0f} %."
+    )
+    figure = success_figure(results, tasks, amounts)
+    pictures = [write_figure(folder, "success", title, caption, figure)]
     for task in tasks:
         most = by_demonstrations(amounts)[-1].learned
         path = _output(folder, measurements, learning(task, most))
@@ -95,9 +89,8 @@ def cost_pictures(
             figure = cost_figure(read_cost(path))
             pictures.append(write_figure(folder, f"cost-{task.name}", title, caption, figure))
         for learned in known_answers(amounts):
-            answers = read_answers(folder, measurements, task, learned)
-            if answers:
-                figure = cost_figure(answers[0].learned, answers[0].hidden)
+            for answer in read_answers(folder, measurements, task, learned)[:1]:
+                figure = cost_figure(answer.learned, answer.hidden)
                 name = f"known-{learned.demonstrator.slug}-{task.name}"
                 caption = (
                     f"Learned from {learned.demonstrations} runs of {learned.name}, the first "
@@ -111,7 +104,7 @@ def cost_pictures(
 def cost_scenes(
     folder: Path,
     measurements: Sequence[Measurement],
-    tasks: Sequence[CostTask],
+    tasks: Sequence[StudyTask],
     amounts: CostAmounts,
 ) -> list[Picture]:
     """The first episode of the first seed of every task, among distractors."""
@@ -122,16 +115,12 @@ def cost_scenes(
         title = f"{task.name}, {test.distractors} distractors in view"
         scene = None if path is None else first_episode(path, shipped_model(task.name), title)
         if scene is not None:
-            pictures.append(write_scene(folder, f"scene-{task.name}", title, caption, scene))
+            pictures.append(write_scene(folder, f"scene-{task.name}", caption, scene))
     return pictures
 
 
-def _output(
-    folder: Path, measurements: Sequence[Measurement], labels: OwnCostLabels
-) -> Path | None:
+def _output(folder: Path, measurements: Sequence[Measurement], labels: CostLabels) -> Path | None:
     """Of the first seed; None if it does not exist."""
-    for one in measurements:
-        if one.condition == labels:
-            path = folder / one.job.output
-            return path if path.is_file() else None
-    return None
+    paths = (folder / one.job.output for one in measurements if one.condition == labels)
+    path = next(paths, None)
+    return path if path is not None and path.is_file() else None

@@ -3,76 +3,58 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from contactgraph_studies.cost.config import (
-    DISTRACTORS,
-    LOOK_AHEAD,
-    OWN_COST,
-    SCENE_SEED,
-    CostAmounts,
-    CostCondition,
-    CostTask,
-    CostTest,
-    Demonstrator,
-    learned_costs,
-    tests_of,
-)
-from contactgraph_studies.job import Job, Measurement
+from contactgraph_studies.cost import config
+from contactgraph_studies.cost.config import CostAmounts, CostCondition, CostTest, Demonstrator
+from contactgraph_studies.job import Job, Measurement, Options
+from contactgraph_studies.paper.config import StudyTask
 
 
 @dataclass(frozen=True)
-class OwnCostLabels:
-    """The labels of control with the task's own cost, in ``results.json``."""
+class CostLabels:
+    """The labels of a number in ``results.json``."""
 
     source: str
     task: str
-
-
-@dataclass(frozen=True)
-class CostLabels(OwnCostLabels):
-    """The labels of learning a cost, and of control with it."""
-
-    learned_from: str
-    demonstrations: int
+    learned_from: str | None = None
+    """None: control with the task's own cost."""
+    demonstrations: int | None = None
     distractors: int | None = None
     """Of control."""
 
 
-def demonstrated(task: CostTask) -> OwnCostLabels:
+def demonstrated(task: StudyTask) -> CostLabels:
     """Control with the task's own cost; these trajectories are demonstrations, too."""
-    return OwnCostLabels("control with the task's own cost", task.name)
+    return CostLabels("control with the task's own cost", task.name)
 
 
-def learning(task: CostTask, learned: CostCondition) -> CostLabels:
+def learning(task: StudyTask, learned: CostCondition) -> CostLabels:
     """Learning of a cost."""
     return CostLabels("learning", task.name, learned.name, learned.demonstrations)
 
 
-def control(task: CostTask, test: CostTest) -> CostLabels:
+def control(task: StudyTask, test: CostTest) -> CostLabels:
     """Control with a learned cost."""
     learned = test.learned
     return CostLabels("control", task.name, learned.name, learned.demonstrations, test.distractors)
 
 
-def cost_measurements(tasks: Sequence[CostTask], amounts: CostAmounts) -> list[Measurement]:
+def cost_measurements(tasks: Sequence[StudyTask], amounts: CostAmounts) -> list[Measurement]:
     """All of the study, seed by seed."""
     return [one for seed in amounts.seeds for task in tasks for one in _of(task, seed, amounts)]
 
 
-def _of(task: CostTask, seed: int, amounts: CostAmounts) -> Iterator[Measurement]:
-    own = demonstration_job(task, OWN_COST, seed, amounts)
+def _of(task: StudyTask, seed: int, amounts: CostAmounts) -> Iterator[Measurement]:
+    own = _demonstration_job(task, config.OWN_COST, seed, amounts)
     yield Measurement(demonstrated(task), seed, own)
-    for learned in learned_costs(task, amounts):
-        yield Measurement(learning(task, learned), seed, learning_job(task, learned, seed, amounts))
-    for test in tests_of(task, amounts):
-        job = learning_job(task, test.learned, seed, amounts)
-        # The page shows these scenes.
-        save = test.distractors == DISTRACTORS and seed == amounts.seeds[0]
-        tested = _test_job(task, test, seed, job, amounts, save)
-        yield Measurement(control(task, test), seed, tested)
+    for learned in config.learned_costs(task, amounts):
+        job = _learning_job(task, learned, seed, amounts)
+        yield Measurement(learning(task, learned), seed, job)
+    for test in config.tests_of(task, amounts):
+        yield Measurement(control(task, test), seed, _test_job(task, test, seed, amounts))
 
 
-def demonstration_job(
-    task: CostTask, demonstrator: Demonstrator, seed: int, amounts: CostAmounts
+def _demonstration_job(
+    task: StudyTask, demonstrator: Demonstrator, seed: int, amounts: CostAmounts
 ) -> Job:
     """Demonstrations; those of MPC lie beside the numbers of control."""
     path = f"cells/{task.name}/seed-{seed}/{demonstrator.slug}"
@@ -85,19 +67,19 @@ def demonstration_job(
         return Job(output, arguments, f"collect {task.name}")
     output, trajectories = f"{path}.json", f"{path}.h5"
     needs: tuple[Job, ...] = ()
-    cost: tuple[str, ...] = ()
+    cost: Options = ()
     if demonstrator.hidden is not None:
-        needs = (learning_job(task, demonstrator.hidden, seed, amounts),)
+        needs = (_learning_job(task, demonstrator.hidden, seed, amounts),)
         # The answer is known only for a horizon as long as the learner's.
-        cost = ("--cost", needs[0].output, "--horizon", str(LOOK_AHEAD))
+        cost = ("--cost", needs[0].output, "--horizon", str(config.LOOK_AHEAD))
     files = ("--json", output, "--save", trajectories)
     arguments = ("control", task.name, task.name, *cost, *counts, *scenes, *files)
     return Job(output, arguments, f"control {task.name}", needs, (trajectories,))
 
 
-def learning_job(task: CostTask, learned: CostCondition, seed: int, amounts: CostAmounts) -> Job:
+def _learning_job(task: StudyTask, learned: CostCondition, seed: int, amounts: CostAmounts) -> Job:
     """The file of a learned cost."""
-    data = demonstration_job(task, learned.demonstrator, seed, amounts)
+    data = _demonstration_job(task, learned.demonstrator, seed, amounts)
     trajectories = data.output.replace(".json", ".h5")
     output = f"cells/{task.name}/seed-{seed}/{learned.slug}/cost.json"
     options = ("--runs", str(learned.demonstrations), *learned.options)
@@ -105,21 +87,21 @@ def learning_job(task: CostTask, learned: CostCondition, seed: int, amounts: Cos
     return Job(output, arguments, f"learn-cost {task.name}", (data,))
 
 
-def _test_job(
-    task: CostTask, test: CostTest, seed: int, learned: Job, amounts: CostAmounts, save: bool
-) -> Job:
-    output = learned.output.replace("cost.json", f"control-{test.distractors}-distractors.json")
+def _test_job(task: StudyTask, test: CostTest, seed: int, amounts: CostAmounts) -> Job:
+    learned = _learning_job(task, test.learned, seed, amounts)
+    path = learned.output.replace("cost.json", f"control-{test.distractors}-distractors")
     scenes = _distractors(test.distractors)
-    saved = (output.replace(".json", ".h5"),) if save else ()
+    # The page shows these scenes.
+    shown = test.distractors == config.DISTRACTORS and seed == amounts.seeds[0]
+    saved = (f"{path}.h5",) if shown else ()
     arguments = (
         *("control", task.name, task.name, "--cost", learned.output),
-        *("--episodes", str(amounts.episodes), "--seed", str(SCENE_SEED + seed)),
-        *scenes,
-        *("--json", output),
-        *(("--save", *saved) if saved else ()),
+        *("--episodes", str(amounts.episodes), "--seed", str(config.SCENE_SEED + seed)),
+        *(*scenes, "--json", f"{path}.json", *(("--save", *saved) if saved else ())),
     )
-    return Job(output, arguments, " ".join(("control", task.name, *scenes)), (learned,), saved)
+    group = " ".join(("control", task.name, *scenes))
+    return Job(f"{path}.json", arguments, group, (learned,), saved)
 
 
-def _distractors(count: int) -> tuple[str, ...]:
+def _distractors(count: int) -> Options:
     return ("--distractors", str(count)) if count else ()

@@ -9,12 +9,14 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
+from contactgraph.cli.tasks import TaskOptions
 from contactgraph.control import LearnedCost, LearningHistory, cost_terms, read_cost
 from contactgraph.data import read_trajectories
 from contactgraph.evaluate import TaskCost
-from contactgraph_studies.cost.config import CostAmounts, CostCondition, CostTask, known_answers
+from contactgraph_studies.cost.config import CostAmounts, CostCondition, known_answers
 from contactgraph_studies.cost.jobs import learning
 from contactgraph_studies.job import Measurement
+from contactgraph_studies.paper.config import StudyTask
 from contactgraph_studies.results import SeedStatistic
 from contactgraph_studies.tables import StudyTable
 
@@ -31,12 +33,13 @@ class KnownAnswer(NamedTuple):
     """Fraction of steps with a saturated force; NaN if the trajectories are missing."""
 
 
-def own_cost(task: CostTask) -> LearnedCost:
+def own_cost(task: StudyTask) -> LearnedCost:
     """The task's own cost in the form of a learned one."""
-    made = task.task()
+    made = task.known.factory(TaskOptions())()
     made.reset(seed=0)
     scene, terms = made.scene, made.cost_terms()
-    whole = TaskCost.of(terms, int(_limits(task).size)).in_scene(scene).quadratic(scene.node_count)
+    control_size = cast(gymnasium.spaces.Box, made.action_space).shape[0]
+    whole = TaskCost.of(terms, control_size).in_scene(scene).quadratic(scene.node_count)
     D = scene.dimension
     rows = _state_rows(terms.chain, 2 * D)
     nothing = jnp.zeros(0)
@@ -52,7 +55,7 @@ def own_cost(task: CostTask) -> LearnedCost:
 
 
 def read_answers(
-    folder: Path, measurements: Sequence[Measurement], task: CostTask, learned: CostCondition
+    folder: Path, measurements: Sequence[Measurement], task: StudyTask, learned: CostCondition
 ) -> list[KnownAnswer]:
     """The pairs of costs in the folder that are about the same nodes."""
     answers = []
@@ -100,7 +103,7 @@ def known_answer_terms(answers: Sequence[KnownAnswer]) -> list[dict[str, Any]]:
 def known_answer_table(
     folder: Path,
     measurements: Sequence[Measurement],
-    tasks: Sequence[CostTask],
+    tasks: Sequence[StudyTask],
     amounts: CostAmounts,
 ) -> StudyTable:
     """Hidden and learned costs, term by term."""
@@ -138,13 +141,8 @@ def _state_rows(nodes: Sequence[int], size: int) -> np.ndarray:
     return (size * np.asarray(nodes)[:, None] + np.arange(size)).reshape(-1)
 
 
-def _limits(task: CostTask) -> np.ndarray:
-    """[U] N, the largest force."""
-    return cast(gymnasium.spaces.Box, task.task().action_space).high
-
-
-def _at_limit(task: CostTask, trajectories: Path) -> float:
-    if not trajectories.is_file():
+def _at_limit(task: StudyTask, trajectories: Path) -> float:
+    if not trajectories.is_file() or task.known.max_force is None:
         return float("nan")
     force = np.concatenate([one.control for one in read_trajectories(trajectories)])
-    return float(np.mean((np.abs(force) >= _AT_LIMIT * _limits(task)).any(axis=1)))
+    return float(np.mean((np.abs(force) >= _AT_LIMIT * task.known.max_force).any(axis=1)))

@@ -10,32 +10,24 @@ from contactgraph.cli.tasks import Target
 from contactgraph.viz import Metric
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.cost.config import (
-    PICKUP_COST,
     SCENE_SEED,
     CostAmounts,
-    CostTask,
     CostTest,
     among_distractors,
     by_demonstrations,
     tests_of,
 )
 from contactgraph_studies.cost.figures import ENOUGH, cost_pictures, cost_scenes
-from contactgraph_studies.cost.jobs import (
-    control,
-    cost_measurements,
-    demonstrated,
-    learning,
-)
+from contactgraph_studies.cost.jobs import control, cost_measurements, demonstrated, learning
 from contactgraph_studies.cost.known_answer import known_answer_table
 from contactgraph_studies.job import Measurement
+from contactgraph_studies.paper.config import PICKUP, StudyTask
 from contactgraph_studies.results import (
     CONTACT_SPEED,
     SUCCESS_PERCENT,
     Quantity,
     Results,
     SeedStatistic,
-    Success,
-    joined,
 )
 from contactgraph_studies.study import Claim, Study, StudyResult, judged
 from contactgraph_studies.tables import StudyTable, counts, known_text
@@ -48,7 +40,7 @@ _LEARNING_S = Target(300.0, 60.0)
 _FEW = 5.0
 """Demonstrations for a success of `ENOUGH`."""
 _TOUCHED = Quantity("touched_bystanders")
-_SECONDS = Quantity("made", derived=lambda values: float(values["made"]["seconds"]))
+_SECONDS = Quantity("made", "s", derived=lambda values: float(values["made"]["seconds"]))
 _OMITTED = ("history", "in_words")
 """Fields of a cost file that are long, or the same in all."""
 _VERDICTS = {
@@ -62,7 +54,7 @@ _VERDICTS = {
 class CostStudy(Study):
     """Costs learned from demonstrations of some tasks."""
 
-    tasks: Sequence[CostTask]
+    tasks: Sequence[StudyTask]
     amounts: CostAmounts
 
     @cached_property
@@ -97,7 +89,7 @@ class CostStudy(Study):
         )
 
 
-def transfers(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts) -> Claim:
+def transfers(results: Results, tasks: Sequence[StudyTask], amounts: CostAmounts) -> Claim:
     """Claim 8: a learned cost does the task for goals and objects that were not demonstrated."""
     claim = Claim(
         8,
@@ -107,25 +99,21 @@ def transfers(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts)
         "goal and object locations […] the learned controller can perform the task with 98% "
         "success rate",
         f"learned from {amounts.most} demonstrations, control succeeds in at least "
-        f"{100 * _PAPER:.0f} % of the episodes of all seeds of {PICKUP_COST.name}, with unseen "
+        f"{100 * _PAPER:.0f} % of the episodes of all seeds of {PICKUP.name}, with unseen "
         "goals and objects (the paper has this task alone)",
         results,
         [task.name for task in tasks],
     )
-    rates = {}
+    claim.verdicts = [None]
     for task in tasks:
         for test in by_demonstrations(amounts):
             name = f"success, {test.learned.demonstrations} demonstrations"
-            claim.measure(name, task.name, "%", control(task, test), SUCCESS_PERCENT)
+            claim.measure(name, control(task, test), SUCCESS_PERCENT)
         success = results.success(control(task, by_demonstrations(amounts)[-1]))
         if success is not None:
-            rates[task.name] = success.rate
-            claim.findings.append(f"{success_text(success)} on {task.name}")
-    own = rates.get(PICKUP_COST.name)
-    claim.verdicts.append(None if own is None else own >= _PAPER)
-    if claim.findings:
-        found = joined(claim.findings)
-        claim.sentence = f"Learned from {amounts.most} demonstrations: {found}."
+            claim.findings.append(f"{task.name}, {amounts.most} demonstrations: {success}")
+            if task.name == PICKUP.name:
+                claim.verdicts = [success.rate >= _PAPER]
     return claim
 
 
@@ -134,44 +122,32 @@ _HEADINGS = {
     "learned_from": "Cost learned from",
     "demonstrations": "demonstrations",
     "distractors": "distractors in view",
-    "seeds": "",
     "_success": "success (95 %)",
     "_each_seed": "each seed, %",
-    "successes": "",
-    "episodes": "",
-    "interval_low": "",
-    "interval_high": "",
-    "success_percent": "",
     "contact_speed_m_s": "speed at contact, m/s",
-    "touched_bystanders": "",
     "_touched": "episodes in which a distractor was touched",
     "learning_s": "learning, s",
-    "command_learning": "",
-    "command_control": "",
 }
 
 
-def cost_table(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts) -> StudyTable:
+def cost_table(results: Results, tasks: Sequence[StudyTask], amounts: CostAmounts) -> StudyTable:
     """Every cost in every kind of scene; the task's own cost comes last."""
 
-    def row(task: CostTask, test: CostTest | None) -> dict[str, Any]:
-        if test is None:
-            learned_from, demonstrations, distractors = "not learned: the task's own cost", None, 0
-            labels, seconds = demonstrated(task), SeedStatistic()
-        else:
-            learned_from, demonstrations = test.learned.name, test.learned.demonstrations
-            labels, distractors = control(task, test), test.distractors
+    def row(task: StudyTask, test: CostTest | None) -> dict[str, Any]:
+        labels, seconds = demonstrated(task), SeedStatistic()
+        if test is not None:
+            labels = control(task, test)
             seconds = results.statistic(learning(task, test.learned), _SECONDS)
         percent, success = results.statistic(labels, SUCCESS_PERCENT), results.success(labels)
         touched = results.statistic(labels, _TOUCHED)
         interval = (None, None) if success is None else success.interval
         return {
             "task": task.name,
-            "learned_from": learned_from,
-            "demonstrations": demonstrations,
-            "distractors": distractors,
+            "learned_from": test.learned.name if test else "not learned: the task's own cost",
+            "demonstrations": test.learned.demonstrations if test else None,
+            "distractors": test.distractors if test else 0,
             "seeds": len(percent.values),
-            "_success": success,
+            "_success": success or "not known",
             "_each_seed": percent,
             **counts(success),
             "interval_low": interval[0],
@@ -179,7 +155,7 @@ def cost_table(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts
             "success_percent": percent,
             "contact_speed_m_s": results.statistic(labels, CONTACT_SPEED),
             "touched_bystanders": touched,
-            "_touched": touched if distractors else SeedStatistic(),
+            "_touched": touched if test and test.distractors else SeedStatistic(),
             "learning_s": seconds,
             "command_learning": seconds.command,
             "command_control": percent.command,
@@ -195,23 +171,9 @@ def cost_table(results: Results, tasks: Sequence[CostTask], amounts: CostAmounts
         "one core while another job runs on the other. The task's own cost is tested in the "
         "scenes of its demonstrations.",
         headings=_HEADINGS,
-        texts={
-            "_success": success_text,
-            "_each_seed": _each_seed,
-            "_touched": _each_seed,
-            "learning_s": known_text,
-        },
+        texts={"_each_seed": _each_seed, "_touched": _each_seed, "learning_s": known_text},
         rows=[row(task, test) for task in tasks for test in (*tests_of(task, amounts), None)],
     )
-
-
-def success_text(success: Success | None) -> str:
-    """Per cent, counts, and the interval of all episodes together."""
-    if success is None:
-        return "not known"
-    low, high = (100.0 * end for end in success.interval)
-    counts = f"{success.successes} of {success.episodes}"
-    return f"{short(100.0 * success.rate)} % ({counts}; {short(low)} to {short(high)})"
 
 
 def _each_seed(statistic: SeedStatistic) -> str:
@@ -219,23 +181,23 @@ def _each_seed(statistic: SeedStatistic) -> str:
 
 
 def cost_targets(
-    results: Results, tasks: Sequence[CostTask], amounts: CostAmounts
+    results: Results, tasks: Sequence[StudyTask], amounts: CostAmounts
 ) -> tuple[Metric, ...]:
     """The targets of every task."""
-    targets = []
+    numbers = []
     for task in tasks:
         most, among = by_demonstrations(amounts)[-1], among_distractors(amounts)
-        tests = [(most, _UNSEEN), *((test, _AMONG_DISTRACTORS) for test in among)]
-        targets += [_success_target(results, task, *each, amounts) for each in tests]
-        targets.append(_demonstrations_target(results, task, amounts))
+        numbers.append(_success_target(results, task, most, _UNSEEN, amounts))
+        numbers += [_success_target(results, task, t, _AMONG_DISTRACTORS, amounts) for t in among]
+        numbers.append(_demonstrations_target(results, task, amounts))
         seconds = results.statistic(learning(task, most.learned), _SECONDS)
         name = f"{task.name}: learning from {amounts.most} demonstrations, on one core"
-        targets.append(judged(name, "s", seconds, _LEARNING_S, amounts.seeds, lower=True))
-    return tuple(targets)
+        numbers.append(judged(name, seconds, _LEARNING_S, amounts.seeds, lower=True))
+    return tuple(numbers)
 
 
 def _success_target(
-    results: Results, task: CostTask, test: CostTest, target: Target, amounts: CostAmounts
+    results: Results, task: StudyTask, test: CostTest, target: Target, amounts: CostAmounts
 ) -> Metric:
     """Success of the episodes of all seeds together, with their Wilson interval."""
     labels = control(task, test)
@@ -244,31 +206,29 @@ def _success_target(
     name += f"{test.learned.demonstrations} demonstrations"
     if test.distractors:
         name += f" by the {test.learned.name}, {test.distractors} distractors in view"
-    if success is not None:
-        name += f" ({success.successes} of {success.episodes} episodes; "
-        name += f"each seed: {_each_seed(each)} %)"
-    number = judged(name, "%", each, target, amounts.seeds)
     if success is None:
-        return number
+        return judged(name, each, target, amounts.seeds)
+    name += (
+        f" ({success.successes} of {success.episodes} episodes; each seed: {_each_seed(each)} %)"
+    )
     low, high = success.interval
+    number = judged(name, each, target, amounts.seeds)
     return replace(number, value=100.0 * success.rate, interval=(100.0 * low, 100.0 * high))
 
 
-def _demonstrations_target(results: Results, task: CostTask, amounts: CostAmounts) -> Metric:
+def _demonstrations_target(results: Results, task: StudyTask, amounts: CostAmounts) -> Metric:
     """The fewest demonstrations from which on success is at least `ENOUGH`."""
-    needed: list[float] = []
-    command, missed = "", False
+    needed, missed = SeedStatistic(), False
     for test in reversed(by_demonstrations(amounts)):
-        readings = results.readings(control(task, test))
-        success = results.success(control(task, test))
+        labels = control(task, test)
+        success = results.success(labels)
         missed = success is not None and success.rate < ENOUGH
         if success is None or missed:
             break
-        needed, command = [test.learned.demonstrations], readings[0].command
+        command = results.readings(labels)[0].command
+        needed = SeedStatistic((test.learned.demonstrations,), command)
     tried = ", ".join(str(count) for count in amounts.demonstrations)
-    if missed and not needed:
+    if missed and not needed.known:
         tried += ": not enough"
     name = f"{task.name}: demonstrations needed for {100 * ENOUGH:.0f} % (of {tried})"
-    statistic = SeedStatistic(tuple(needed), command)
-    number = judged(name, "", statistic, None, amounts.seeds, lower=True)
-    return replace(number, aim=_FEW)
+    return replace(judged(name, needed, None, amounts.seeds, lower=True), aim=_FEW)

@@ -72,7 +72,7 @@ class StudyTask:
 
 @dataclass(frozen=True)
 class Amounts:
-    """Number of seeds, trajectories and episodes."""
+    """Metric of seeds, trajectories and episodes."""
 
     seeds: tuple[int, ...]
     """Of training data and training."""

@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
@@ -23,7 +25,7 @@ from contactgraph_studies.paper.config import (
     StudyModel,
     StudyTask,
 )
-from contactgraph_studies.paper.jobs import ModelCondition, Source, planned, recorded
+from contactgraph_studies.paper.jobs import Source, planned, recorded
 from contactgraph_studies.results import Quantity, Results, SeedStatistic
 from contactgraph_studies.study import Picture
 
@@ -88,7 +90,7 @@ def scene_pictures(
         if scene is None:
             continue
         caption = "A closed-loop episode of GIM-Temp, replanned every half second."
-        scenes.append(figures.write_scene(folder, name, title, caption, scene))
+        scenes.append(figures.write_scene(folder, name, caption, scene))
         if condition is task.as_trained:
             title, name = f"Belief and learned parameters, {task.name}", f"parameters-{task.name}"
             caption = "Predictions before every step; bands mark contact of the first edge named."
@@ -99,7 +101,7 @@ def scene_pictures(
 
 def error_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
     """N-step error of every model, in and out of distribution; log axis."""
-    figure, panels = _panels(tasks, 4.6, 1.6, 4.4)
+    figure, panels = figures.panel_row(tasks, 4.6, 1.6, 4.4)
     for axes, task in zip(panels, tasks, strict=True):
         _draw_bars(axes, results, task, task.models, jobs.PLANNED_ERROR)
         for group, condition in enumerate((task.as_trained, task.hardest)):
@@ -123,7 +125,7 @@ def error_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
 
 def edge_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
     """Edges predicted wrongly in closed loop: 100 % less the accuracy."""
-    figure, panels = _panels(tasks, 3.6, 0.6, 3.6, share_y=False)
+    figure, panels = figures.panel_row(tasks, 3.6, 0.6, 3.6, share_y=False)
     for axes, task in zip(panels, tasks, strict=True):
         _draw_bars(axes, results, task, (GIM_TEMP, GIM_NON_TEMP), _wrong(jobs.PLANNED_ACCURACY))
         axes.set_ylim(bottom=0.0)
@@ -134,19 +136,16 @@ def edge_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
 
 def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
     """Edges predicted wrongly on recorded trajectories, by fault of the contact sensor."""
-    figure, panels = _panels(tasks, 3.6, 1.6, 4.0)
+    figure, panels = figures.panel_row(tasks, 3.6, 1.6, 4.0)
     names = ["exact", "no sensor", *(fault.name for fault in FAULTS)]
     wrong, unmeasured = _wrong(jobs.EDGE_ACCURACY), _wrong(jobs.UNMEASURED_ACCURACY)
     for axes, task in zip(panels, tasks, strict=True):
         own = recorded(task, GIM_TEMP, task.as_trained)
-        labels = (task.name, GIM_TEMP.name, task.as_trained.name)
-        faulty = [ModelCondition(Source.faults, *labels, fault.name) for fault in FAULTS]
-        rows = [(own, wrong), (own, unmeasured), *((condition, wrong) for condition in faulty)]
-        for position, row in enumerate(rows):
-            one, colour = results.statistic(*row), GIM_TEMP.colour
-            axes.plot([one.low, one.high], [position] * 2, color=colour, lw=1.4)
-            label = GIM_TEMP.name if position == 0 else "_"
-            axes.plot(one.median, position, "o", color=colour, ms=5, label=label)
+        rows = [(own, wrong), (own, unmeasured)]
+        rows += [(replace(own, source=Source.faults, sensor=one.name), wrong) for one in FAULTS]
+        median, ranges = _ranges([results.statistic(*row) for row in rows])
+        style = {"color": GIM_TEMP.colour, "label": GIM_TEMP.name}
+        axes.errorbar(median, range(len(rows)), xerr=ranges, fmt="o", ms=5, **style)
         other = results.statistic(recorded(task, GIM_NON_TEMP, task.as_trained), wrong)
         axes.axvline(other.median, color=GIM_NON_TEMP.colour, lw=1.4, label=GIM_NON_TEMP.name)
         axes.set_xlim(left=0.0)
@@ -159,25 +158,17 @@ def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
 
 def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> Figure:
     """Open-loop error against the number of training trajectories."""
-    figure, panels = _panels(tasks, 5.0, 0.6, 4.0)
+    figure, panels = figures.panel_row(tasks, 5.0, 0.6, 4.0)
     sizes = amounts.sample_sizes
     for axes, task in zip(panels, tasks, strict=True):
-        lines = [
-            (model, condition, style)
-            for model in (GIM_TEMP, NO_GIM_AUG)
-            for condition, style in ((task.as_trained, "--"), (task.hardest, "-"))
-        ]
-        drawn = 0
-        for model, condition, style in lines:
-            every = {n: sample_errors(results, task, model, condition, n) for n in sizes}
-            known = {size: error for size, error in every.items() if error.known}
-            drawn += len(known)
-            line: dict[str, Any] = {"ls": style, "marker": "o", "ms": 4, "lw": 1.6}
-            line |= {"color": model.colour, "label": f"{model.name}, {condition.name}"}
-            axes.plot(list(known), [error.median for error in known.values()], **line)
-            for size, error in known.items():
-                axes.plot([size] * 2, [error.low, error.high], color=model.colour, lw=1.0)
-        if drawn:  # an empty log axis is an error
+        for model in (GIM_TEMP, NO_GIM_AUG):
+            for condition, style in ((task.as_trained, "--"), (task.hardest, "-")):
+                every = [sample_errors(results, task, model, condition, size) for size in sizes]
+                median, ranges = _ranges(every)
+                label = f"{model.name}, {condition.name}"
+                line: dict[str, Any] = {"color": model.colour, "ls": style, "label": label}
+                axes.errorbar(sizes, median, ranges, marker="o", ms=4, lw=1.6, **line)
+        if np.isfinite(axes.dataLim.intervaly).all():  # an empty log axis is an error
             axes.set_yscale("log")
         axes.set_xscale("log")
         axes.axvline(task.training_runs, color=SOFT, lw=0.7, ls=_DOTTED)
@@ -187,14 +178,6 @@ def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts
         axes.legend(**LEGEND)
     panels[0].set_ylabel("N-step error on recorded runs, cm", **TEXT)
     return figure
-
-
-def _panels(
-    tasks: Sequence[StudyTask], width: float, margin: float, height: float, share_y: bool = True
-) -> tuple[Figure, list[Axes]]:
-    """One panel a task, ``width`` in wide."""
-    titles = [task.name for task in tasks]
-    return figures.panel_row(width * len(tasks) + margin, height, titles, share_y)
 
 
 def _draw_bars(
@@ -233,6 +216,13 @@ def _draw_bars(
     axes.set_xticks(range(len(conditions)), [condition.name for condition in conditions])
 
 
+def _ranges(statistics: Sequence[SeedStatistic]) -> tuple[list[float], np.ndarray]:
+    """Medians, and how far the ranges over seeds go below and above them; NaN if not known."""
+    below = [one.median - one.low for one in statistics]
+    above = [one.high - one.median for one in statistics]
+    return [one.median for one in statistics], np.array([below, above])
+
+
 def _wrong(accuracy: Quantity) -> Quantity:
     """100 % less an accuracy."""
-    return Quantity(accuracy.key, derived=lambda values: 100.0 - accuracy.read(values))
+    return Quantity(accuracy.key, "%", derived=lambda values: 100.0 - accuracy.read(values))

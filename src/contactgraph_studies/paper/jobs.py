@@ -4,7 +4,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum, auto
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 from contactgraph.cli.tasks import TestCondition
 from contactgraph_studies.job import Job, Measurement, Options
@@ -53,28 +54,33 @@ class ModelCondition:
     """For `Source.samples`."""
 
 
-PLANNED_ERROR = Quantity("n_step_rmse_planned_m", 100.0, null=math.inf)
-"""cm, planned against executed positions: the paper's metric."""
-RECORDED_ERROR = Quantity("n_step_rmse_m", 100.0, null=math.inf)
-"""cm, open loop."""
-CONSTANT_VELOCITY = Quantity("constant_velocity_planned_rmse_m", 100.0)
-FIXED_CONTACT = Quantity("frozen_contact_planned_rmse_m", 100.0)
-"""cm, of the two baselines on the same windows."""
+PLANNED_ERROR = Quantity("n_step_rmse_planned_m", "cm", 100.0, null=math.inf)
+"""Planned against executed positions: the paper's metric."""
+RECORDED_ERROR = Quantity("n_step_rmse_m", "cm", 100.0, null=math.inf)
+"""Open loop."""
+CONSTANT_VELOCITY = Quantity("constant_velocity_planned_rmse_m", "cm", 100.0)
+FIXED_CONTACT = Quantity("frozen_contact_planned_rmse_m", "cm", 100.0)
+"""The two baselines on the same windows as `PLANNED_ERROR`."""
 EDGE_F1 = Quantity("edge_f1")
-EDGE_ACCURACY = Quantity("edge_accuracy", 100.0)
-PLANNED_ACCURACY = Quantity("edge_accuracy_planned", 100.0)
-UNMEASURED_ACCURACY = Quantity("edge_accuracy_unmeasured", 100.0)
-"""%, without contact measurements."""
+EDGE_ACCURACY = Quantity("edge_accuracy", "%", 100.0)
+PLANNED_ACCURACY = Quantity("edge_accuracy_planned", "%", 100.0)
+UNMEASURED_ACCURACY = Quantity("edge_accuracy_unmeasured", "%", 100.0)
+"""Without contact measurements."""
 
 
-def planned(task: StudyTask, model: StudyModel, scenes: TestCondition) -> ModelCondition:
-    """Planned against executed trajectories."""
-    return ModelCondition(Source.planned, task.name, model.name, scenes.name)
+def condition_of(
+    source: Source,
+    task: StudyTask,
+    model: StudyModel,
+    scenes: TestCondition,
+    sensor: str | None = None,
+    training_runs: int | None = None,
+) -> ModelCondition:
+    """The labels of a test."""
+    return ModelCondition(source, task.name, model.name, scenes.name, sensor, training_runs)
 
 
-def recorded(task: StudyTask, model: StudyModel, scenes: TestCondition) -> ModelCondition:
-    """Predictions of recorded expert trajectories."""
-    return ModelCondition(Source.recorded, task.name, model.name, scenes.name)
+planned, recorded = partial(condition_of, Source.planned), partial(condition_of, Source.recorded)
 
 
 def measurements(tasks: Sequence[StudyTask], amounts: Amounts) -> list[Measurement]:
@@ -164,8 +170,7 @@ class _TrainedModel:
         scenes: TestCondition,
         name: str,
         options: Options = (),
-        sensor: str | None = None,
-        training_runs: int | None = None,
+        **labels: Any,
     ) -> Measurement:
         """Predictions of expert trajectories in scenes that are in no training data."""
         counts = ("--episodes", str(self.amounts.test_runs), "--seed", str(TEST_SEED))
@@ -175,8 +180,8 @@ class _TrainedModel:
         arguments = ("evaluate", self.training.output, data.output, *options, "--json", output)
         group = f"evaluate {data.output} after {self.training.group}"
         job = Job(output, arguments, group, (self.training, data))
-        labels = (self.task.name, self.model.name, scenes.name, sensor, training_runs)
-        return Measurement(ModelCondition(source, *labels), self.seed, job)
+        condition = condition_of(source, self.task, self.model, scenes, **labels)
+        return Measurement(condition, self.seed, job)
 
     def control(
         self,
@@ -196,5 +201,4 @@ class _TrainedModel:
         )
         group = f"{name} {scenes.slug} after {self.training.group}"
         job = Job(output, arguments, group, (self.training,), saved)
-        condition = ModelCondition(source, self.task.name, self.model.name, scenes.name)
-        return Measurement(condition, self.seed, job)
+        return Measurement(condition_of(source, self.task, self.model, scenes), self.seed, job)

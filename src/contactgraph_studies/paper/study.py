@@ -20,8 +20,8 @@ from contactgraph_studies.paper.jobs import (
     FIXED_CONTACT,
     PLANNED_ERROR,
     RECORDED_ERROR,
-    ModelCondition,
     Source,
+    condition_of,
     conditions_of,
     measurements,
 )
@@ -36,7 +36,7 @@ from contactgraph_studies.results import (
 from contactgraph_studies.study import Study, StudyResult, judged
 from contactgraph_studies.tables import StudyTable, counts
 
-_PLAN_MS = Quantity("plan_ms_p99")
+_PLAN_MS = Quantity("plan_ms_p99", "ms")
 
 
 @dataclass(frozen=True)
@@ -90,35 +90,19 @@ def _moving(key: str, of_all: Quantity) -> Quantity:
     return Quantity(key, derived=partial(_moving_cm, key=key, of_all=of_all))
 
 
-def _condition(
-    source: Source, task: StudyTask, scenes: TestCondition, model: StudyModel
-) -> ModelCondition:
-    return ModelCondition(source, task.name, model.name, scenes.name)
-
-
 _HEADINGS = {
     "task": "task",
     "scenes": "scenes",
-    "in_distribution": "",
     "model": "model",
-    "seeds": "",
     "planned_cm": "N-step error, planned against executed, cm",
     "planned_moving_cm": "of moving bodies, cm",
     "recorded_cm": "open loop, cm",
-    "recorded_moving_cm": "",
     "frozen_contact_cm": "baseline: fixed contact, cm",
     "constant_velocity_cm": "baseline: constant velocity, cm",
     "edge_f1_planned": "edge F1 planned",
     "edge_f1_recorded": "edge F1 recorded",
-    "plan_ms_p99_every_step": "",
     "_success": "success, replanned every 0.5 s",
     "_success_every_step": "every step",
-    "successes": "",
-    "episodes": "",
-    "successes_every_step": "",
-    "episodes_every_step": "",
-    "command_closed_loop": "",
-    "command_open_loop": "",
 }
 
 
@@ -130,7 +114,7 @@ def model_table(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) 
 
     def row(task: StudyTask, scenes: TestCondition, model: StudyModel) -> dict[str, Any]:
         sources = (Source.planned, Source.recorded, Source.every_step)
-        closed, opened, every_step = (_condition(one, task, scenes, model) for one in sources)
+        closed, opened, every_step = (condition_of(one, task, model, scenes) for one in sources)
         error, open_loop = get(closed, PLANNED_ERROR), get(opened, RECORDED_ERROR)
         success, success_every_step = results.success(closed), results.success(every_step)
         return {
@@ -187,7 +171,7 @@ def _task_targets(results: Results, task: StudyTask, seeds: Sequence[int]) -> It
     targets = task.known.targets
     for scenes in (task.as_trained, task.hardest):
         sources = (Source.planned, Source.recorded, Source.every_step)
-        closed, opened, every_step = (_condition(one, task, scenes, GIM_TEMP) for one in sources)
+        closed, opened, every_step = (condition_of(one, task, GIM_TEMP, scenes) for one in sources)
         inside, get = scenes.in_distribution, results.statistic
         error_target, f1_target = task.known.error_target_cm(scenes), targets.edge_f1[inside]
         error, f1 = get(closed, PLANNED_ERROR), get(closed, PLANNED_F1)
@@ -195,11 +179,11 @@ def _task_targets(results: Results, task: StudyTask, seeds: Sequence[int]) -> It
         speed, time = get(every_step, CONTACT_SPEED), get(every_step, _PLAN_MS)
         label = f"{task.name}, {scenes.name}: "
         name = f"{label}N-step error, planned against executed"
-        yield judged(name, "cm", error, error_target, seeds, lower=True)
-        yield judged(f"{label}edge F1, the same", "", f1, f1_target, seeds)
-        yield judged(f"{label}edge F1, recorded", "", f1_recorded, f1_target, seeds)
-        yield judged(f"{label}success", "%", success, targets.success_percent[inside], seeds)
+        yield judged(name, error, error_target, seeds, lower=True)
+        yield judged(f"{label}edge F1, the same", f1, f1_target, seeds)
+        yield judged(f"{label}edge F1, recorded", f1_recorded, f1_target, seeds)
+        yield judged(f"{label}success", success, targets.success_percent[inside], seeds)
         if task is FRANKA:  # the other tasks' reports judge these
             name = f"{label}control tick, 99 %, both cores busy"
-            yield judged(f"{label}speed at contact", "m/s", speed, targets.contact_speed, seeds)
-            yield judged(name, "ms", time, targets.tick_ms, seeds, lower=True)
+            yield judged(f"{label}speed at contact", speed, targets.contact_speed, seeds)
+            yield judged(name, time, targets.tick_ms, seeds, lower=True)
