@@ -167,7 +167,9 @@ def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts
                 median, ranges = _ranges(every)
                 label = f"{model.name}, {condition.name}"
                 line: dict[str, Any] = {"color": model.colour, "ls": style, "label": label}
-                axes.errorbar(sizes, median, ranges, marker="o", ms=4, lw=1.6, **line)
+                axes.errorbar(
+                    sizes, median, ranges, marker="o", ms=4, lw=1.6, elinewidth=1.0, **line
+                )
         if np.isfinite(axes.dataLim.intervaly).all():  # an empty log axis is an error
             axes.set_yscale("log")
         axes.set_xscale("log")
