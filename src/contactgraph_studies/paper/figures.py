@@ -144,7 +144,7 @@ def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
         rows = [(own, wrong), (own, unmeasured)]
         rows += [(replace(own, source=Source.faults, sensor=one.name), wrong) for one in FAULTS]
         median, ranges = _ranges([results.statistic(*row) for row in rows])
-        style = {"color": GIM_TEMP.colour, "label": GIM_TEMP.name}
+        style: dict[str, Any] = {"color": GIM_TEMP.colour, "label": GIM_TEMP.name}
         axes.errorbar(median, range(len(rows)), xerr=ranges, fmt="o", ms=5, **style)
         other = results.statistic(recorded(task, GIM_NON_TEMP, task.as_trained), wrong)
         axes.axvline(other.median, color=GIM_NON_TEMP.colour, lw=1.4, label=GIM_NON_TEMP.name)
