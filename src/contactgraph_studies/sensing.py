@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from contactgraph.cli.tasks import Target
-from contactgraph.viz import Metric
+from contactgraph.viz import ReportMetric
 from contactgraph_studies.job import Job, Measurement, Variant
 from contactgraph_studies.paper.config import DOOR, FRANKA, MULTI_PICKUP, PICKUP
 from contactgraph_studies.results import PLANNED_F1, Quantity, Results, SeedStatistic, Values
@@ -195,7 +195,7 @@ def sensing_table(results: Results, conditions: Sequence[SensorCondition]) -> St
 
 def sensing_targets(
     results: Results, tasks: Sequence[SensingTask], amounts: SensingAmounts
-) -> tuple[Metric, ...]:
+) -> tuple[ReportMetric, ...]:
     """The targets of contact inferred from motion."""
     get, seeds, numbers = results.statistic, amounts.seeds, []
     for task in tasks:

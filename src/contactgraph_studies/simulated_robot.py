@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 from contactgraph.cli.tasks import Target
-from contactgraph.viz import Metric
+from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.job import Job, Measurement, Options, Variant
 from contactgraph_studies.results import SUCCESS_PERCENT, Quantity, Results
@@ -17,7 +17,7 @@ from contactgraph_studies.tables import StudyTable
 
 @dataclass(frozen=True)
 class SimAmounts:
-    """Metric of trajectories and episodes."""
+    """ReportMetric of trajectories and episodes."""
 
     training_runs: int
     validation_runs: int
@@ -215,7 +215,7 @@ def sim_table(results: Results) -> StudyTable:
     )
 
 
-def sim_targets(results: Results, amounts: SimAmounts) -> tuple[Metric, ...]:
+def sim_targets(results: Results, amounts: SimAmounts) -> tuple[ReportMetric, ...]:
     """The targets of the simulated robot; its prediction error is to be the paper's on an arm."""
     error = Quantity("n_step_rmse_inferred_m", "cm", 100.0, null=math.inf)
     delay = Quantity("switch_time_error_inferred_s", "ms", 1000.0)

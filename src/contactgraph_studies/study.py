@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from contactgraph.cli.tasks import Target
-from contactgraph.viz import Metric
+from contactgraph.viz import ReportMetric
 from contactgraph_studies.job import Job, Measurement, in_dependency_order
 from contactgraph_studies.results import Quantity, Results, SeedStatistic
 from contactgraph_studies.tables import StudyTable
@@ -112,7 +112,7 @@ class StudyResult:
     title: str
     summary: str
     targets_heading: str
-    targets: Sequence[Metric]
+    targets: Sequence[ReportMetric]
     tables: Sequence[StudyTable]
     """The first is written to ``table.csv``, all of them to ``table.md`` and the page."""
     amounts: Mapping[str, Any]
@@ -148,9 +148,9 @@ def judged(
     target: Target | None,
     seeds: Sequence[int],
     lower: bool = False,
-) -> Metric:
+) -> ReportMetric:
     """The median over seeds with its range, beside the target; ``lower``: lower is better."""
-    return Metric(
+    return ReportMetric(
         name=name,
         value=statistic.median if statistic.known else None,
         unit=statistic.unit,

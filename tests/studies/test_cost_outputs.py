@@ -13,7 +13,7 @@ from made_up import Change, cost_results
 
 from contactgraph.control import LearningHistory, write_cost
 from contactgraph.data import Scene, Trajectory, write_trajectories
-from contactgraph.viz import Metric
+from contactgraph.viz import ReportMetric
 from contactgraph_studies.cost.config import (
     COST_TASKS,
     FULL_COST,
@@ -72,7 +72,7 @@ def test_sentence_and_numbers_of_the_claim() -> None:
     assert (nothing.holds, nothing.sentence) == (None, "Not measured.")
 
 
-def targets(results: Results) -> dict[str, Metric]:
+def targets(results: Results) -> dict[str, ReportMetric]:
     return {number.name: number for number in cost_targets(results, [PICKUP], FULL_COST)}
 
 

@@ -6,7 +6,7 @@ goal; the touch is purely inelastic and then holds.
 
 import numpy as np
 
-from contactgraph.viz import LossCurve, Metric, NStepError, ReportData, SceneTrajectory
+from contactgraph.viz import LossCurve, NStepError, ReportData, ReportMetric, SceneTrajectory
 
 DT, RADIUS, SUBSTEPS = 0.05, 0.04, 10
 START, OBJECT, GOAL = np.array([-0.75, -0.5]), np.array([0.1, 0.05]), np.array([0.62, 0.6])
@@ -160,7 +160,7 @@ def report(scenes=None):
         summary="Trained on 40 recorded trajectories, the model knows when the gripper holds the "
         "object, and carries it to the goal past ten objects it has never seen.",
         metrics=(
-            Metric(
+            ReportMetric(
                 "Success with 10 distractors",
                 100.0,
                 "%",
@@ -172,15 +172,17 @@ def report(scenes=None):
                 0,
                 True,
             ),
-            Metric(
+            ReportMetric(
                 "N-step error", 0.42, "cm", (0.36, 0.5), 0.5, 0.2, True, collect, (0, 1, 2), True
             ),
-            Metric("Edge F1", 0.991, "", (0.985, 0.996), 0.97, 0.99, False, collect, 0, True),
-            Metric(
+            ReportMetric("Edge F1", 0.991, "", (0.985, 0.996), 0.97, 0.99, False, collect, 0, True),
+            ReportMetric(
                 "Speed at contact", 1.13, "m/s", (1.05, 1.2), 0.3, None, False, control, 0, True
             ),
-            Metric("Plan time, p99", 12.4, "ms", None, 10, 3, True, control, 0, True),
-            Metric("Model file", 0.21, "MB", None, 1, None, True, "contactgraph info runs/pickup"),
+            ReportMetric("Plan time, p99", 12.4, "ms", None, 10, 3, True, control, 0, True),
+            ReportMetric(
+                "Model file", 0.21, "MB", None, 1, None, True, "contactgraph info runs/pickup"
+            ),
         ),
         scenes=(
             pickup("no distractors", 0),

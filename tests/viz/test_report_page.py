@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.viz import Metric, NStepError, ReportData, SceneTrajectory, write_report
+from contactgraph.viz import NStepError, ReportData, ReportMetric, SceneTrajectory, write_report
 from contactgraph.viz.report import page
 
 VOID = {"meta", "input", "br", "link", "img"}
@@ -111,7 +111,7 @@ def test_hostile_text_stays_text(scene):
         ReportData(
             title=HOSTILE,
             summary=HOSTILE,
-            metrics=(Metric(HOSTILE, 1.0, HOSTILE, (0, 1), command=HOSTILE, tile=True),),
+            metrics=(ReportMetric(HOSTILE, 1.0, HOSTILE, (0, 1), command=HOSTILE, tile=True),),
             scenes=(hostile,),
             errors=(NStepError(HOSTILE, HOSTILE, 0.01),),
             versions={HOSTILE: HOSTILE},
@@ -130,8 +130,8 @@ def test_missing_and_non_finite_values_become_gaps(scene):
     belief[3] = np.nan
     broken = dataclasses.replace(scene, belief=belief, goal=np.array([np.nan, 0.0]))
     metrics = (
-        Metric("not measured", None, "cm", None, 0.5, None, True),
-        Metric("no number", float("nan"), "cm", (float("nan"), float("inf"))),
+        ReportMetric("not measured", None, "cm", None, 0.5, None, True),
+        ReportMetric("no number", float("nan"), "cm", (float("nan"), float("inf"))),
     )
     errors = (NStepError("3", "all", float("nan"), None, float("inf")),)
     text = page(ReportData("t", "s", metrics, (broken,), errors))
@@ -179,11 +179,11 @@ def test_parts_without_data_are_left_out():
 
 
 def test_reached_compares_in_the_right_direction():
-    assert Metric("a", 99, at_least=98).reached
-    assert Metric("a", 97, at_least=98).reached is False
-    assert Metric("a", 0.4, at_least=0.5, lower_is_better=True).reached
-    assert Metric("a", 0.6, at_least=0.5, lower_is_better=True).reached is False
-    assert Metric("a", None, at_least=0.5).reached is None
+    assert ReportMetric("a", 99, at_least=98).reached
+    assert ReportMetric("a", 97, at_least=98).reached is False
+    assert ReportMetric("a", 0.4, at_least=0.5, lower_is_better=True).reached
+    assert ReportMetric("a", 0.6, at_least=0.5, lower_is_better=True).reached is False
+    assert ReportMetric("a", None, at_least=0.5).reached is None
 
 
 def test_numbers_carry_command_and_seed(data):

@@ -52,7 +52,7 @@ class LearnCost:
         import jax.numpy as jnp
 
         from contactgraph.cli.info import cost_lines
-        from contactgraph.cli.models import in_steps_of, model_path
+        from contactgraph.cli.models import in_steps_of, model_path, stored_model
         from contactgraph.cli.options import check_range, check_seed, check_weight
         from contactgraph.cli.output import (
             check_suffix,
@@ -63,7 +63,6 @@ class LearnCost:
         )
         from contactgraph.control import ControlLimits, CostLearningConfig, learn_cost, write_cost
         from contactgraph.data import InvalidInputError
-        from contactgraph.model.io import load_model
         from contactgraph.viz import write_cost_picture
 
         check_suffix("--out", self.out, ".json")
@@ -92,7 +91,7 @@ class LearnCost:
         if max_force is not None:
             bound = jnp.full(dataset.control_size, max_force)
             limits = ControlLimits(-bound, bound)
-        model = load_model(model_file).model
+        model = stored_model(self.model)
         dataset = in_steps_of(model, dataset, str(self.demonstrations))
         started = time.perf_counter()
         with progress("learning", config.steps) as bar:

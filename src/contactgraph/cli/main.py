@@ -24,6 +24,7 @@ from contactgraph.cli.control import Control
 from contactgraph.cli.evaluate import Evaluate
 from contactgraph.cli.info import Info
 from contactgraph.cli.learn_cost import LearnCost
+from contactgraph.cli.options import load_entry_point
 from contactgraph.cli.report import Report
 from contactgraph.cli.train import Train
 from contactgraph.data import InvalidInputError
@@ -112,11 +113,10 @@ def _names() -> list[str]:
 
 
 def _command(name: str) -> type[Command]:
-    if name in _COMMANDS:
-        return _COMMANDS[name]
-    for entry in entry_points(group=_GROUP, name=name):
-        return entry.load()
-    raise InvalidInputError(_unknown(name, _names()))
+    command = _COMMANDS.get(name) or load_entry_point(_GROUP, name, type)
+    if command is None:
+        raise InvalidInputError(_unknown(name, _names()))
+    return command
 
 
 def _unknown(name: str, names: Sequence[str]) -> str:
@@ -130,8 +130,8 @@ def _overview() -> str:
     for name in _names():
         try:
             summary = (_command(name).__doc__ or "").strip().split("\n\n")[0]
-        except ImportError as error:
-            summary = f"(cannot be imported: {error})"
+        except InvalidInputError as error:
+            summary = f"(not available: {error})"
         lines.append(f"  {name:<12}{' '.join(summary.split())}")
     return "\n".join(
         [

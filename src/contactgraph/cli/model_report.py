@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.cli.tasks import KnownTask, Target, TestCondition
-from contactgraph.viz import LossCurve, Metric, NStepError, ReportData, SceneTrajectory
+from contactgraph.viz import LossCurve, NStepError, ReportData, ReportMetric, SceneTrajectory
 
 _HORIZON_S = 0.5
 """Horizon of the N-step errors, s."""
@@ -43,11 +43,11 @@ class ModelResult:
     training_command: str
 
 
-def report_metrics(result: ModelResult) -> tuple[Metric, ...]:
+def report_metrics(result: ModelResult) -> tuple[ReportMetric, ...]:
     """Every number of the report, in the order of its table."""
     task, targets = result.task, result.task.targets
     first, last = result.conditions[0], result.conditions[-1]
-    metrics: list[Metric] = []
+    metrics: list[ReportMetric] = []
 
     def add(
         name: str,
@@ -55,35 +55,22 @@ def report_metrics(result: ModelResult) -> tuple[Metric, ...]:
         value: float | None,
         command: str,
         target: Target | None,
-        lower: bool = False,
-        tile: bool = False,
-        interval: tuple[float, float] | None = None,
+        **options: Any,
     ) -> None:
-        metrics.append(
-            Metric(
-                name=name,
-                value=value,
-                unit=unit,
-                interval=interval,
-                at_least=None if target is None else target.at_least,
-                aim=None if target is None else target.aim,
-                lower_is_better=lower,
-                command=command,
-                seed=result.seed,
-                tile=tile,
-            )
-        )
+        limits = {} if target is None else {"at_least": target.at_least, "aim": target.aim}
+        fields = {"command": command, "seed": result.seed, **limits, **options}
+        metrics.append(ReportMetric(name, value, unit, **fields))
 
     def add_error(name: str, one: ConditionResult, tile: bool = False) -> None:
         error = one.open_loop["n_step_rmse_m"]
         error_cm = None if error is None else 100.0 * error
         target = task.error_target_cm(one.condition)
-        add(name, "cm", error_cm, one.open_loop_command, target, lower=True, tile=tile)
+        add(name, "cm", error_cm, one.open_loop_command, target, lower_is_better=True, tile=tile)
 
     add_error("N-step error", first, tile=True)
     ratio = _ratio(first.open_loop["n_step_rmse_m"], first.open_loop["frozen_contact_rmse_m"])
-    name = "the same, share of the frozen-contact floor"
-    add(name, "", ratio, first.open_loop_command, Target(0.25), lower=True)
+    name = "the same, share of the fixed-contact oracle's"
+    add(name, "", ratio, first.open_loop_command, Target(0.25), lower_is_better=True)
     for one in result.conditions[1:]:
         growth = _ratio(
             one.open_loop["n_step_rmse_moving_m"], first.open_loop["n_step_rmse_moving_m"]
@@ -91,7 +78,7 @@ def report_metrics(result: ModelResult) -> tuple[Metric, ...]:
         name = f"error of moving bodies, {one.condition.name} against {first.condition.name}"
         # Distractors should not change the error; further objects to handle may.
         target = Target(1.2, 1.0) if one.condition.distractors else None
-        add(name, "times", growth, one.open_loop_command, target, lower=True)
+        add(name, "times", growth, one.open_loop_command, target, lower_is_better=True)
     add_error(f"N-step error, {last.condition.name}, all nodes", last)
     for one in (first, last):
         target = targets.edge_f1.get(one.condition.in_distribution)
@@ -114,13 +101,13 @@ def report_metrics(result: ModelResult) -> tuple[Metric, ...]:
     add("speed at contact, median", "m/s", speed, command, target, tile=True)
     add("slowest on the way there, any episode", "m/s", slowest, command, None)
     target = targets.training_s
-    add("training", "s", result.training_s, result.training_command, target, lower=True)
-    name = f"control tick, horizon {last.closed_loop['horizon']}, {last.condition.name}, 99 %"
+    add("training", "s", result.training_s, result.training_command, target, lower_is_better=True)
+    name = f"control step, horizon {last.closed_loop['horizon']}, {last.condition.name}, 99 %"
     milliseconds, command = last.closed_loop["plan_ms_p99"], last.closed_loop_command
     target = targets.tick_ms
-    add(name, "ms", milliseconds, command, target, lower=True, tile=True)
+    add(name, "ms", milliseconds, command, target, lower_is_better=True, tile=True)
     megabytes = result.model_bytes / 1e6
-    add("model file", "MB", megabytes, result.training_command, Target(1.0), lower=True)
+    add("model file", "MB", megabytes, result.training_command, Target(1.0), lower_is_better=True)
     return tuple(metrics)
 
 
@@ -130,7 +117,7 @@ def _ratio(value: float | None, reference: float | None) -> float | None:
 
 def model_report(
     result: ModelResult,
-    metrics: Sequence[Metric],
+    metrics: Sequence[ReportMetric],
     scenes: Sequence[SceneTrajectory],
     history: Sequence[Mapping[str, float]],
     versions: Mapping[str, str],

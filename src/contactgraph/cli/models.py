@@ -38,11 +38,18 @@ def model_preset(name: str) -> Preset:
     return load_object("--model", name) if ":" in name else choice("--model", name, MODELS)
 
 
+def run_folder(name: str) -> Path | None:
+    """The run folder in a ``MODEL`` argument; None for a model file or a shipped model."""
+    path = Path(_split(name)[1])
+    return path if path.is_dir() else None
+
+
 def model_path(name: str) -> Path:
-    """The model file of a run folder, a model file itself, or a shipped model.
+    """The file of a ``MODEL`` argument: of a run folder, itself, or of a shipped model.
 
     Raises `InvalidInputError` if there is none.
     """
+    _, name = _split(name)
     path = Path(name)
     if path.is_file():
         return path
@@ -62,15 +69,19 @@ def model_path(name: str) -> Path:
 
 
 def stored_model(name: str) -> ContactDynamics:
-    """The model of a run folder, a model file, or a shipped model.
+    """The model of a ``MODEL`` argument: a run folder, a model file, or a shipped model.
 
-    ``module:factory@NAME`` rebuilds one with parts that are not of this package by the preset that
-    made it. Raises `InvalidInputError` as `load_model` does.
+    ``module:factory@MODEL`` rebuilds one with parts that are not of this package by the preset
+    that made it. Raises `InvalidInputError` as `load_model` does.
     """
+    preset, _ = _split(name)
+    return load_model(model_path(name), model_preset(preset) if preset else None).model
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Preset, empty without one, and model of ``module:factory@MODEL``."""
     made_by = _MADE_BY.fullmatch(name)
-    if made_by is None:
-        return load_model(model_path(name)).model
-    return load_model(model_path(made_by["name"]), model_preset(made_by["preset"])).model
+    return (made_by["preset"], made_by["name"]) if made_by else ("", name)
 
 
 def in_steps_of(model: object, dataset: Dataset, name: str) -> Dataset:

@@ -4,6 +4,7 @@ import importlib
 import math
 import sys
 from contextlib import AbstractContextManager, nullcontext
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -23,8 +24,7 @@ ModelArgument = Positional[
         arg(
             metavar="MODEL",
             help="A run folder of train, a model file, or a shipped model: door, franka, "
-            "multi-pickup or pickup. evaluate and control also take module:factory@MODEL, for a "
-            "model with parts of your own.",
+            "multi-pickup or pickup. module:factory@MODEL is a model with parts of your own.",
         ),
     ]
 ]
@@ -97,6 +97,26 @@ def load_object(what: str, name: str) -> Any:
     except (ImportError, AttributeError, ValueError) as error:
         raise InvalidInputError(f"{what} {name}: {error}") from error
     return found
+
+
+def load_entry_point(group: str, name: str, expected: type[Value]) -> Value | None:
+    """The object that an installed package registers as ``name`` in ``group``; None without one.
+
+    Raises `InvalidInputError`, which names the entry point, if it cannot be loaded.
+    """
+    for entry in entry_points(group=group, name=name):
+        try:
+            loaded = entry.load()
+            if not isinstance(loaded, expected):
+                raise TypeError(f"it must be a {expected.__name__}, found {loaded!r}")
+            return loaded
+        except InvalidInputError:  # a missing extra
+            raise
+        except Exception as error:
+            reason = f"{name}: entry point {entry.value} cannot be loaded: {error}"
+            package = "its package" if entry.dist is None else entry.dist.name
+            raise InvalidInputError(f"{reason}; reinstall {package}") from error
+    return None
 
 
 def check_range(flag: str, value: int, lowest: int, highest: int) -> None:

@@ -15,7 +15,6 @@ from contactgraph.cli.options import ModelArgument
 if TYPE_CHECKING:
     from contactgraph.cli.model_report import ConditionResult, ModelResult
     from contactgraph.cli.tasks import KnownTask, TestCondition
-    from contactgraph.data import Trajectory
     from contactgraph.evaluate import EpisodeRecord
     from contactgraph.viz import SceneTrajectory
 
@@ -45,7 +44,7 @@ class Report:
     def run(self) -> None:
         """Test, and write the page."""
         from contactgraph.cli.model_report import ModelResult
-        from contactgraph.cli.models import model_path
+        from contactgraph.cli.models import model_path, run_folder
         from contactgraph.cli.output import check_writable
         from contactgraph.cli.tasks import known_task
         from contactgraph.data import InvalidInputError
@@ -53,8 +52,7 @@ class Report:
 
         if self.test_runs < 1:
             raise InvalidInputError(f"--test-runs must be at least 1, found {self.test_runs}")
-        folder = Path(self.model) if Path(self.model).is_dir() else Path()
-        page = self.out or folder / "report" / "index.html"
+        page = self.out or (run_folder(self.model) or Path()) / "report" / "index.html"
         if page.parent.exists():
             check_writable(page)
         task = known_task(self.task)
@@ -106,13 +104,15 @@ class Report:
     def _write(self, page: Path, result: "ModelResult", task: "KnownTask") -> None:
         """The page, and beside it the table (Markdown, CSV, JSON) and a figure of one scene."""
         from contactgraph.cli.model_report import model_report, report_metrics
+        from contactgraph.cli.models import run_folder
         from contactgraph.cli.output import provenance, write_json, write_text
         from contactgraph.train import RunFolder
         from contactgraph.viz import write_report, write_summary_figure
         from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
 
         command = f"contactgraph report {self.model} --task {self.task} --seed {self.seed}"
-        history = RunFolder(Path(self.model)).metrics() if Path(self.model).is_dir() else []
+        training = run_folder(self.model)
+        history = [] if training is None else RunFolder(training).metrics()
         metrics = report_metrics(result)
         folder = page.parent
         scenes = [self._scene(one.condition, task) for one in result.conditions]
@@ -126,16 +126,7 @@ class Report:
             folder / "results.json",
             {
                 "numbers": [
-                    {
-                        "what": metric.name,
-                        "unit": metric.unit,
-                        "value": metric.value,
-                        "interval": metric.interval,
-                        "at_least": metric.at_least,
-                        "aim": metric.aim,
-                        "reached": metric.reached,
-                        "command": metric.command,
-                    }
+                    {"what": metric.name} | {key: getattr(metric, key) for key in _JSON_KEYS}
                     for metric in metrics
                 ],
                 "training_seed": result.seed,
@@ -155,19 +146,18 @@ class Report:
 
         model = stored_model(self.model)
         records: list[EpisodeRecord] = []
-
-        def on_episode(run: "Trajectory", record: "EpisodeRecord") -> None:
-            records.append(record)
-
-        _, runs = control_task(
+        _, trajectories = control_task(
             model,
             task_factory(self.task, TaskOptions(condition.distractors, condition.objects)),
             episodes=1,
             seed=self.seed,
             horizon=task.horizon,
-            on_episode=on_episode,
+            on_episode=lambda _, record: records.append(record),
         )
-        return scene_trajectory(model, condition.name, runs[0], records[0].plan)
+        return scene_trajectory(model, condition.name, trajectories[0], records[0].plan)
+
+
+_JSON_KEYS = ("unit", "value", "interval", "at_least", "aim", "reached", "command")
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from functools import partial
 from importlib.metadata import entry_points
 from typing import Any
 
-from contactgraph.cli.options import choice, load_object
+from contactgraph.cli.options import choice, load_entry_point, load_object
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import (
     DoorExpert,
@@ -224,12 +224,9 @@ def known_task(name: str) -> KnownTask:
         return TASKS[name]
     if ":" in name:
         return _task_of_class(name)
-    for entry in entry_points(group=_GROUP, name=name):
-        task = entry.load()
-        assert isinstance(task, KnownTask), f"{entry.value} must be a KnownTask, found {task!r}"
-        return task
     names = (*task_names(), "module:Class")
-    return choice("task", name, dict.fromkeys(names, TASKS["pickup"]))
+    task = load_entry_point(_GROUP, name, KnownTask)
+    return task or choice("task", name, dict.fromkeys(names, TASKS["pickup"]))
 
 
 def _task_of_class(name: str) -> KnownTask:

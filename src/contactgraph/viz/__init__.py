@@ -6,9 +6,9 @@ from contactgraph.viz.cost_picture import cost_figure as cost_figure
 from contactgraph.viz.cost_picture import write_cost_picture as write_cost_picture
 from contactgraph.viz.report import write_report as write_report
 from contactgraph.viz.report_data import LossCurve as LossCurve
-from contactgraph.viz.report_data import Metric as Metric
 from contactgraph.viz.report_data import NStepError as NStepError
 from contactgraph.viz.report_data import ReportData as ReportData
+from contactgraph.viz.report_data import ReportMetric as ReportMetric
 from contactgraph.viz.scene_trajectory import SceneTrajectory as SceneTrajectory
 from contactgraph.viz.scene_trajectory import scene_trajectory as scene_trajectory
 from contactgraph.viz.summary_figure import write_summary_figure as write_summary_figure

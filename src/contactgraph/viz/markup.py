@@ -4,12 +4,12 @@ import math
 from collections.abc import Mapping
 from html import escape
 
-from contactgraph.viz.report_data import Metric, NStepError, ReportData
+from contactgraph.viz.report_data import NStepError, ReportData, ReportMetric
 
 _MISSING = "&ndash;"
 
 
-def tiles(metrics: tuple[Metric, ...]) -> str:
+def tiles(metrics: tuple[ReportMetric, ...]) -> str:
     """The figures shown large at the head of the page."""
     shown = [metric for metric in metrics if metric.tile]
     if not shown:
@@ -26,7 +26,7 @@ def tiles(metrics: tuple[Metric, ...]) -> str:
     return f'<ul class="tiles" aria-label="Key numbers">{"".join(items)}</ul>'
 
 
-def metrics_table(metrics: tuple[Metric, ...]) -> str:
+def metrics_table(metrics: tuple[ReportMetric, ...]) -> str:
     """Every number with its target, its command and its seed."""
     if not metrics:
         return ""
@@ -36,7 +36,7 @@ def metrics_table(metrics: tuple[Metric, ...]) -> str:
     return f'<table class="numbers"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
 
 
-def _row(metric: Metric) -> str:
+def _row(metric: ReportMetric) -> str:
     limit = "at most" if metric.lower_is_better else "at least"
     command = f"<code>{escape(metric.command)}</code>" if metric.command else _MISSING
     cells = (
@@ -58,7 +58,7 @@ def _mark(reached: bool | None) -> str:
     return f' <span class="mark {kind}" title="{word}" aria-label="{word}"></span>'
 
 
-def _asked(value: float | None, metric: Metric, limit: str) -> str:
+def _asked(value: float | None, metric: ReportMetric, limit: str) -> str:
     if value is None:
         return _MISSING
     sign = {"at most": "≤ ", "at least": "≥ "}.get(limit, "")
@@ -69,7 +69,7 @@ def _with_unit(value: float | None, unit: str) -> str:
     return f"{figure(value)} {escape(unit)}".strip()
 
 
-def _interval(metric: Metric) -> str:
+def _interval(metric: ReportMetric) -> str:
     if metric.interval is None:
         return ""
     low, high = metric.interval

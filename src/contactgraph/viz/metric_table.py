@@ -5,10 +5,10 @@ import io
 import math
 from collections.abc import Sequence
 
-from contactgraph.viz.report_data import Metric
+from contactgraph.viz.report_data import ReportMetric
 
 
-def markdown_metrics(metrics: Sequence[Metric]) -> str:
+def markdown_metrics(metrics: Sequence[ReportMetric]) -> str:
     """One row per metric: value, interval and target."""
     lines = [
         "| what | measured (interval or range over seeds) | at least | aim | reached |",
@@ -27,7 +27,7 @@ def markdown_metrics(metrics: Sequence[Metric]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def csv_metrics(metrics: Sequence[Metric]) -> str:
+def csv_metrics(metrics: Sequence[ReportMetric]) -> str:
     """One row per metric: name, unit, value, interval, target, whether reached, command."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -10,7 +10,7 @@ from contactgraph.viz.scene_trajectory import SceneTrajectory
 
 
 @dataclass(frozen=True)
-class Metric:
+class ReportMetric:
     """One measured value and its origin. Values are in ``unit``, as displayed."""
 
     name: str
@@ -89,7 +89,7 @@ class ReportData:
     title: str
     summary: str
     """One sentence."""
-    metrics: tuple[Metric, ...] = ()
+    metrics: tuple[ReportMetric, ...] = ()
     scenes: tuple[SceneTrajectory, ...] = ()
     """The first is shown first."""
     errors: tuple[NStepError, ...] = ()

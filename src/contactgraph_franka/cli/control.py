@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import check_range, check_seed
+from contactgraph.cli.options import ModelArgument, check_range, check_seed
 from contactgraph.cli.output import check_writable, progress, write_json
-from contactgraph.data import InvalidInputError, Trajectory, write_trajectories
+from contactgraph.data import Trajectory, write_trajectories
 from contactgraph_franka.cli.arms import Arm, open_arm
 from contactgraph_franka.cli.options import (
     ArmOptions,
@@ -52,8 +52,7 @@ permit, more along one axis than along another, so that the hand approaches on a
 class Run:
     """Let an arm pick up a block and bring it to a goal, by MPC with a learned model."""
 
-    model: Positional[Annotated[str, arg(metavar="MODEL")]]
-    """A run folder, a model file, or a model that ships with the package (franka)."""
+    model: ModelArgument
     address: Positional[Annotated[str, arg(metavar="ADDR")]]
     """The arm's address, a simulated robot's, or fake."""
     goal: Annotated[tuple[float, ...], arg(metavar="X Y Z")]
@@ -84,8 +83,8 @@ class Run:
         check_range("--horizon", self.horizon, 1, 1000)
         limits = self.arm.limits(self.address)
         goal = check_position("--goal", self.goal, limits)
-        model = model_path(self.model)
-        make = partial(mpc_planner, model, limits.max_force, self.horizon, self.infer_contacts)
+        model_path(self.model)  # a wrong name is refused before the planner starts
+        make = partial(mpc_planner, self.model, limits.max_force, self.horizon, self.infer_contacts)
         with open_arm(self.address, self.arm) as arm:
             wait_for_block(arm)
             with PlannerProcess(make) as planner:
@@ -152,8 +151,7 @@ class ControlSimulated:
     a finger touches the block within 0.05 m of the goal.
     """
 
-    model: Positional[Annotated[str, arg(metavar="MODEL")]]
-    """A run folder, a model file, or a model that ships with the package (franka)."""
+    model: ModelArgument
     episodes: int = 20
     """Number of episodes."""
     seed: int = 0
@@ -181,12 +179,12 @@ class ControlSimulated:
         check_range("--horizon", self.horizon, 1, 1000)
         check_seed(self.seed)
         check_seconds("--seconds", self.seconds, 25.0)
-        model = model_path(self.model)
+        model_path(self.model)  # a wrong name is refused before the planner starts
         results: list[dict[str, Any]] = []
         trajectories: list[Trajectory] = []
         with simulated_setup(self.pace) as setup:
             force = setup.limits.max_force
-            make = partial(mpc_planner, model, force, self.horizon, self.infer_contacts)
+            make = partial(mpc_planner, self.model, force, self.horizon, self.infer_contacts)
             with PlannerProcess(make) as planner, progress("episodes", self.episodes) as steps:
                 session = Session(setup.arm, setup.limits, planner, self.seconds)
                 for number in range(self.episodes):
@@ -266,19 +264,17 @@ class ControlSimulated:
         }
 
 
-def mpc_planner(path: Path, max_force: float, horizon: int, infer_contacts: bool) -> Planner:
-    """MPC with the model in the file ``path``, for the arm's pickup; forces up to ``max_force`` N.
+def mpc_planner(name: str, max_force: float, horizon: int, infer_contacts: bool) -> Planner:
+    """MPC with the model ``name``, for the arm's pickup; forces up to ``max_force`` N.
 
-    Raises `InvalidInputError` where the file holds no model, or one of another task.
+    Raises `InvalidInputError` as `stored_model` does, and for a model of another task.
     """
+    from contactgraph.cli.models import stored_model
     from contactgraph.evaluate.mpc_policy import TaskCost
-    from contactgraph.model import ContactDynamics, MotionNoise
-    from contactgraph.model.io import load_model
+    from contactgraph.model import MotionNoise
     from contactgraph_franka.loop.mpc_planner import MPCPlanner
 
-    model = load_model(path).model
-    if not isinstance(model, ContactDynamics):
-        raise InvalidInputError(f"{path}: must be a model of contacts to control an arm with")
+    model = stored_model(name)
     goal = np.zeros(3)  # each episode has its own
     return MPCPlanner(
         model,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from contactgraph.cli.tasks import Target
-from contactgraph.viz import Metric
+from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.cost.config import (
     SCENE_SEED,
@@ -182,7 +182,7 @@ def _each_seed(statistic: SeedStatistic) -> str:
 
 def cost_targets(
     results: Results, tasks: Sequence[StudyTask], amounts: CostAmounts
-) -> tuple[Metric, ...]:
+) -> tuple[ReportMetric, ...]:
     """The targets of every task."""
     numbers = []
     for task in tasks:
@@ -198,7 +198,7 @@ def cost_targets(
 
 def _success_target(
     results: Results, task: StudyTask, test: CostTest, target: Target, amounts: CostAmounts
-) -> Metric:
+) -> ReportMetric:
     """Success of the episodes of all seeds together, with their Wilson interval."""
     labels = control(task, test)
     success, each = results.success(labels), results.statistic(labels, SUCCESS_PERCENT)
@@ -216,7 +216,7 @@ def _success_target(
     return replace(number, value=100.0 * success.rate, interval=(100.0 * low, 100.0 * high))
 
 
-def _demonstrations_target(results: Results, task: StudyTask, amounts: CostAmounts) -> Metric:
+def _demonstrations_target(results: Results, task: StudyTask, amounts: CostAmounts) -> ReportMetric:
     """The fewest demonstrations from which on success is at least `ENOUGH`."""
     needed, missed = SeedStatistic(), False
     for test in reversed(by_demonstrations(amounts)):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from contactgraph.cli.tasks import TestCondition
-from contactgraph.viz import Metric
+from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper.claims import claims
@@ -162,12 +162,14 @@ def model_table(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) 
 
 def model_targets(
     results: Results, tasks: Sequence[StudyTask], seeds: Sequence[int]
-) -> tuple[Metric, ...]:
+) -> tuple[ReportMetric, ...]:
     """The targets of GIM-Temp; each is judged by the median over seeds."""
     return tuple(one for task in tasks for one in _task_targets(results, task, seeds))
 
 
-def _task_targets(results: Results, task: StudyTask, seeds: Sequence[int]) -> Iterator[Metric]:
+def _task_targets(
+    results: Results, task: StudyTask, seeds: Sequence[int]
+) -> Iterator[ReportMetric]:
     targets = task.known.targets
     for scenes in (task.as_trained, task.hardest):
         sources = (Source.planned, Source.recorded, Source.every_step)

@@ -1,0 +1,145 @@
+"""Entry points that cannot be loaded, and models with parts of one's own."""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import jax
+import pytest
+
+from contactgraph.cli import main as cli
+from contactgraph.cli.collect import Collect
+from contactgraph.cli.evaluate import Evaluate
+from contactgraph.model import ModelConfig
+from contactgraph.model.io import save_model
+
+ENTRY_POINTS = """\
+[contactgraph.commands]
+stale = no_such_module:Stale
+nameless = contactgraph.data:NoSuchName
+number = math:pi
+[contactgraph.tasks]
+stale-task = no_such_module:TASK
+"""
+OWN_MODEL = """\
+import dataclasses
+from contactgraph.model import NoCutoff, gim_temp
+
+class OwnCutoff(NoCutoff):
+    pass
+
+def build(config, *, key):
+    return dataclasses.replace(gim_temp(config, key=key), cutoff=OwnCutoff())
+"""
+
+
+@pytest.fixture
+def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Installed metadata whose entry points cannot be loaded."""
+    metadata = tmp_path / "other-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(ENTRY_POINTS)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["stale"], "stale: entry point no_such_module:Stale cannot be loaded: No module named"),
+        (["stale", "--help"], "stale: entry point no_such_module:Stale cannot be loaded: No mod"),
+        (["nameless"], "nameless: entry point contactgraph.data:NoSuchName cannot be loaded: mod"),
+        (["number"], "number: entry point math:pi cannot be loaded: it must be a type, found 3.14"),
+        (
+            ["collect", "stale-task", "--out", "a.h5"],
+            "stale-task: entry point no_such_module:TASK cannot be loaded: No module named",
+        ),
+    ],
+)
+def test_an_entry_point_that_cannot_be_loaded_is_named(
+    arguments: list[str], said: str, other_package: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run(arguments) == 2
+    output, error = capsys.readouterr()
+    assert output == ""
+    (line,) = error.splitlines()
+    assert line.startswith(f"contactgraph: {said}") and line.endswith("; reinstall other")
+
+
+def test_other_commands_and_tasks_remain(
+    other_package: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run([]) == cli.run(["info"]) == cli.run(["train", "--help"]) == 0
+    output, error = capsys.readouterr()
+    assert error == ""
+    for line in (
+        "  stale       (not available: stale: entry point no_such_module:Stale cannot be loaded",
+        "  stale-task    not available: stale-task: entry point no_such_module:TASK cannot be l",
+        "  evaluate    ",
+        "  pickup        a gripper ",
+    ):
+        assert f"\n{line}" in output
+
+
+@pytest.fixture
+def own_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A model with a part of its own, in the run folder ``run`` of the current folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "own_model.py").write_text(OWN_MODEL)
+    monkeypatch.syspath_prepend(tmp_path)
+    import own_model
+
+    config = ModelConfig(2, 2, 0.05, 0.1)
+    model = own_model.build(config, key=jax.random.key(0))
+    (tmp_path / "run").mkdir()
+    save_model(tmp_path / "run/model.safetensors", model, {}, ("own_model:build", config))
+    yield "own_model:build@run"
+    sys.modules.pop("own_model", None)
+
+
+def test_learn_cost_takes_a_model_with_parts_of_ones_own(
+    own_model: str, made_up_cost: Callable, fresh: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models = []
+
+    def learn(model, *arguments, **options):
+        models.append(model)
+        return made_up_cost(model, *arguments, **options)
+
+    monkeypatch.setattr("contactgraph.control.learn_cost", learn)
+    assert cli.run(["learn-cost", own_model, str(fresh), "--out", "cost.json"]) == 0
+    assert [type(model.cutoff).__name__ for model in models] == ["OwnCutoff"]
+
+
+def test_report_takes_a_model_with_parts_of_ones_own(
+    own_model: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The commands of its first test condition get the same argument."""
+    given = []
+
+    def stop(command: Evaluate) -> None:
+        given.append(command.model)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Collect, "run", lambda command: None)
+    monkeypatch.setattr(Evaluate, "run", stop)
+    assert cli.run(["report", own_model]) == 130
+    assert given == [own_model]
+    assert Path("run/report/cells").is_dir(), "the page belongs to the run folder"
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        ("run", "has parts of your own; give their preset, own_model:build"),
+        ("own_model:build@gone", "gone: no such run folder or model file; models that ship are"),
+        ("own_model:gone@run", "--model own_model:gone: module 'own_model' has no attribute 'go"),
+    ],
+)
+def test_a_wrong_name_of_such_a_model_is_refused(
+    model: str, said: str, own_model: str, fresh: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run(["learn-cost", model, str(fresh), "--out", "cost.json"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
