@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -38,6 +38,8 @@ def _accepted(flags: str) -> bool:
 _CACHE = Path(__file__).resolve().parents[1] / ".cache" / "jax"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+# Source locations within programs cost 5 % of the time of compilation.
+os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
 if "XLA_FLAGS" not in os.environ:
     os.environ["XLA_FLAGS"] = _FAST_COMPILATION if _accepted(_FAST_COMPILATION) else ""
 
@@ -71,30 +73,46 @@ def _done(arguments: list[str]) -> None:
     assert run(arguments) == 0
 
 
+def _shared(factory: pytest.TempPathFactory, name: str, create: Callable[[Path], None]) -> Path:
+    """The path that `create` writes, in the first worker that needs it, for all workers."""
+    import fcntl
+
+    folder = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    path, finished = folder / name, folder / f"{name}.finished"
+    with (folder / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not finished.exists():
+            create(path)
+            finished.touch()
+    return path
+
+
 @pytest.fixture(scope="session")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """20 recorded pickups, to train on."""
-    path = tmp_path_factory.mktemp("recorded") / "data.h5"
-    _done(["collect", "pickup", "--episodes", "20", "--out", str(path)])
-    return path
+    """20 recorded pickups, to train on. Read only."""
+    collect = ["collect", "pickup", "--episodes", "20", "--out"]
+    return _shared(tmp_path_factory, "recorded.h5", lambda path: _done([*collect, str(path)]))
 
 
 @pytest.fixture(scope="session")
 def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """6 pickups of another seed, to test on."""
-    path = tmp_path_factory.mktemp("fresh") / "data.h5"
-    _done(["collect", "pickup", "--episodes", "6", "--seed", "1", "--out", str(path)])
-    return path
+    """6 pickups of another seed, to test on. Read only."""
+    collect = ["collect", "pickup", "--episodes", "6", "--seed", "1", "--out"]
+    return _shared(tmp_path_factory, "fresh.h5", lambda path: _done([*collect, str(path)]))
 
 
 @pytest.fixture(scope="session")
 def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of a training of 12 steps with a check every 4. Read only."""
-    path = tmp_path_factory.mktemp("trained") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        _check_every_4(patch)
-        _done(["train", str(recorded), "--out", str(path), *SHORT])
-    return path
+
+    def train(path: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            _check_every_4(patch)
+            _done(["train", str(recorded), "--out", str(path), *SHORT])
+
+    return _shared(tmp_path_factory, "trained", train)
 
 
 @pytest.fixture

@@ -13,9 +13,12 @@ from contactgraph.control import ControlLimits, LQRProblem, solve_lqr
 from contactgraph.control.box_qp import solve_box_qp, solve_small
 from contactgraph.control.lqr import block_dynamics, improve_policy
 from contactgraph.control.riccati import block_operator, dense_operator
+from contactgraph.model import LinearDynamics
 
 solve = jax.jit(solve_lqr, static_argnums=1)
 improve = jax.jit(improve_policy)
+evaluated = jax.jit(lambda value, state: value(state))
+small = jax.jit(solve_small)
 
 
 @pytest.fixture(autouse=True)
@@ -29,20 +32,20 @@ def random_problem(seed: int, horizon: int = 15, n: int = 6, U: int = 2) -> LQRP
     rng = np.random.default_rng(seed)
     root_Q, root_R = rng.normal(size=(horizon + 1, n, n)), rng.normal(size=(horizon, U, U))
     return LQRProblem(
-        A=jnp.asarray(np.eye(n) + 0.2 * rng.normal(size=(horizon, n, n))),
-        B=jnp.asarray(rng.normal(size=(horizon, n, U))),
-        offset=jnp.asarray(rng.normal(size=(horizon, n))),
-        Q=jnp.asarray(root_Q @ root_Q.swapaxes(1, 2)),
-        R=jnp.asarray(root_R @ root_R.swapaxes(1, 2) + 0.1 * np.eye(U)),
-        q=jnp.asarray(rng.normal(size=(horizon + 1, n))),
-        r=jnp.asarray(rng.normal(size=(horizon, U))),
+        A=np.eye(n) + 0.2 * rng.normal(size=(horizon, n, n)),
+        B=rng.normal(size=(horizon, n, U)),
+        offset=rng.normal(size=(horizon, n)),
+        Q=root_Q @ root_Q.swapaxes(1, 2),
+        R=root_R @ root_R.swapaxes(1, 2) + 0.1 * np.eye(U),
+        q=rng.normal(size=(horizon + 1, n)),
+        r=rng.normal(size=(horizon, U)),
     )
 
 
 def total_cost(problem: LQRProblem, states, controls):
-    p = problem
-    state = jnp.einsum("ti,tij,tj->", states, p.Q, states) + 2 * jnp.sum(p.q * states)
-    control = jnp.einsum("ti,tij,tj->", controls, p.R, controls) + 2 * jnp.sum(p.r * controls)
+    p, states, controls = jax.tree.map(np.asarray, (problem, states, controls))
+    state = np.einsum("ti,tij,tj->", states, p.Q, states) + 2 * np.sum(p.q * states)
+    control = np.einsum("ti,tij,tj->", controls, p.R, controls) + 2 * np.sum(p.r * controls)
     return state + control
 
 
@@ -50,7 +53,7 @@ def follow(problem: LQRProblem, start, controls):
     states, problem = [np.asarray(start)], jax.tree.map(np.asarray, problem)
     for t, u in enumerate(controls):
         states.append(problem.A[t] @ states[-1] + problem.B[t] @ np.asarray(u) + problem.offset[t])
-    return jnp.asarray(np.stack(states))
+    return np.stack(states)
 
 
 def kkt_solution(problem: LQRProblem, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +82,7 @@ def kkt_solution(problem: LQRProblem, start: np.ndarray) -> tuple[np.ndarray, np
 @pytest.mark.parametrize("n", [6, 20])
 def test_one_of_many_is_solved_where_it_is(n):
     every = [random_problem(seed, n=n) for seed in range(6)]
-    many = jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(2, 3, *leaves[0].shape), *every)
+    many = jax.tree.map(lambda *leaves: np.stack(leaves).reshape(2, 3, *leaves[0].shape), *every)
     rows, columns = jnp.divmod(jnp.arange(6), 3)
     found = jax.lax.map(lambda which: solve(many, which=which), (rows, columns))
     for index, problem in enumerate(every):
@@ -102,18 +105,18 @@ def test_equals_the_dense_kkt_solution(seed, n, U):
         np.testing.assert_allclose(x, states[t], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(u, controls[t], rtol=1e-9, atol=1e-9)
         x = problem.A[t] @ x + problem.B[t] @ u + problem.offset[t]
-    cost = total_cost(problem, jnp.asarray(states), jnp.asarray(controls))
+    cost = total_cost(problem, states, controls)
     first = jax.tree.map(lambda leaf: leaf[0], value)
-    np.testing.assert_allclose(first(jnp.asarray(start)), cost, rtol=1e-9)
+    np.testing.assert_allclose(evaluated(first, start), cost, rtol=1e-9)
 
 
 def test_value_slope_and_gain_against_finite_differences():
     problem = random_problem(5)
     policy, value = solve(problem)
-    first = jax.tree.map(lambda leaf: np.asarray(leaf[0]), value)
+    first = jax.tree.map(lambda leaf: np.asarray(leaf)[0], value)
     x = np.random.default_rng(5).normal(size=6)
     for i, step in enumerate(1e-5 * np.eye(6)):
-        slope = (first(x + step) - first(x - step)) / 2e-5
+        slope = (evaluated(first, x + step) - evaluated(first, x - step)) / 2e-5
         np.testing.assert_allclose(slope, 2 * (first.P @ x + first.p)[i], rtol=1e-6)
         # The gain is how the optimal first control, solved afresh, moves with the state.
         gain = (
@@ -125,15 +128,15 @@ def test_value_slope_and_gain_against_finite_differences():
 def test_expected_decrease_is_exact_on_linear_dynamics():
     problem = random_problem(6)
     rng = np.random.default_rng(6)
-    start, controls = jnp.asarray(rng.normal(size=6)), jnp.asarray(rng.normal(size=(15, 2)))
+    start, controls = rng.normal(size=6), rng.normal(size=(15, 2))
     states = follow(problem, start, controls)
     better = improve(problem, states[:-1], controls, jnp.zeros(()), None)
-    best = total_cost(problem, *map(jnp.asarray, kkt_solution(problem, start)))
+    best = total_cost(problem, *kkt_solution(problem, start))
     gained = total_cost(problem, states, controls) - best
     np.testing.assert_allclose(better.expected_decrease, gained, rtol=1e-9)
     softer = improve(problem, states[:-1], controls, jnp.asarray(10.0), None)
     assert 0 < softer.expected_decrease < better.expected_decrease
-    assert jnp.sum(softer.step**2) < jnp.sum(better.step**2)
+    assert np.sum(np.square(softer.step)) < np.sum(np.square(better.step))
 
 
 def test_controls_at_a_limit_have_no_feedback_and_the_others_have_that_of_their_own_problem():
@@ -158,7 +161,7 @@ def test_controls_at_a_limit_have_no_feedback_and_the_others_have_that_of_their_
 
 def test_no_step_is_left_at_the_optimum():
     problem = random_problem(7)
-    states, controls = map(jnp.asarray, kkt_solution(problem, np.ones(6)))
+    states, controls = kkt_solution(problem, np.ones(6))
     for damping in (0.0, 3.0):
         again = improve(problem, states[:-1], controls, jnp.asarray(damping), None)
         np.testing.assert_allclose(again.step, 0.0, atol=1e-9)
@@ -174,25 +177,26 @@ def test_block_diagonal_form_equals_the_dense_one(N, U):
     rng = np.random.default_rng(8)
     horizon, D = 10, 2
     shape = (horizon, N, D)
-    linear = blocks(
-        *(jnp.asarray(rng.normal(size=shape)) for _ in range(2)),
-        jnp.asarray(rng.normal(size=(*shape, U))),
-        jnp.asarray(rng.normal(size=shape)),
+    linear = jax.jit(blocks)(
+        *(rng.normal(size=shape) for _ in range(2)),
+        rng.normal(size=(*shape, U)),
+        rng.normal(size=shape),
     )
-    A, B, offset = linear.stacked()
+    A, B, offset = jax.tree.map(np.asarray, jax.jit(LinearDynamics.stacked)(linear))
     dense = random_problem(8, horizon, 2 * N * D, U)
     dense = LQRProblem(A, B, offset, dense.Q, dense.R, dense.q, dense.r)
     # From [N, 2, D] to [2, N, D].
     index = np.arange(2 * N * D).reshape(N, 2, D).swapaxes(0, 1).ravel()
-    np.testing.assert_array_equal(block_dynamics(linear)[1], B[:, index])
+    by_block = jax.jit(block_dynamics)(linear)
+    np.testing.assert_array_equal(by_block[1], B[:, index])
     block = LQRProblem(
-        *block_dynamics(linear),
+        *by_block,
         dense.Q[:, index[:, None], index],
         dense.R,
         dense.q[:, index],
         dense.r,
     )
-    expected, value = solve(dense)
+    expected, value = jax.tree.map(np.asarray, solve(dense))
     found, block_value = solve(block, block_operator)
     np.testing.assert_allclose(found.K, expected.K[:, :, index], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.k, expected.k, rtol=1e-9, atol=1e-9)
@@ -210,10 +214,10 @@ def test_rounding_does_not_grow_where_the_dynamics_are_unstable(operator):
     blocks = 1.8 * np.eye(2)[:, :, None] + 0.3 * rng.normal(size=(horizon, 2, 2, half))
     dense = np.block([[blocks[:, i, j][:, :, None] * np.eye(half) for j in (0, 1)] for i in (0, 1)])
     given = random_problem(9, horizon, n, n // 2)
-    exact = solve(eqx.tree_at(lambda p: p.A, given, jnp.asarray(dense)))[0]
-    A = jnp.asarray(blocks if operator is block_operator else dense)
+    exact = solve(eqx.tree_at(lambda p: p.A, given, dense))[0]
+    A = blocks if operator is block_operator else dense
     single = jax.tree.map(
-        lambda leaf: leaf.astype(jnp.float32), eqx.tree_at(lambda p: p.A, given, A)
+        lambda leaf: leaf.astype(np.float32), eqx.tree_at(lambda p: p.A, given, A)
     )
     found = solve(single, operator)[0]
     scale = np.max(np.abs(exact.K))
@@ -225,7 +229,7 @@ def test_small_solve(size):
     rng = np.random.default_rng(size)
     root = rng.normal(size=(size, size))
     matrix, right = root @ root.T + 0.1 * np.eye(size), rng.normal(size=(size, 4))
-    found = solve_small(jnp.asarray(matrix), jnp.asarray(right))
+    found = small(matrix, right)
     np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-9)
 
 

@@ -30,18 +30,16 @@ def random_problem(seed: int, horizon: int = 6, n: int = 4, U: int = 2):
     rng = np.random.default_rng(seed)
     root_Q, root_R = rng.normal(size=(horizon + 1, n, n)), rng.normal(size=(horizon, U, U))
     problem = LQRProblem(
-        A=jnp.asarray(np.eye(n) + 0.3 * rng.normal(size=(horizon, n, n))),
-        B=jnp.asarray(rng.normal(size=(horizon, n, U))),
-        offset=jnp.asarray(rng.normal(size=(horizon, n))),
-        Q=jnp.asarray(root_Q @ root_Q.swapaxes(1, 2)),
-        R=jnp.asarray(root_R @ root_R.swapaxes(1, 2) + np.eye(U)),
-        q=jnp.asarray(rng.normal(size=(horizon + 1, n))),
-        r=jnp.asarray(rng.normal(size=(horizon, U))),
+        A=np.eye(n) + 0.3 * rng.normal(size=(horizon, n, n)),
+        B=rng.normal(size=(horizon, n, U)),
+        offset=rng.normal(size=(horizon, n)),
+        Q=root_Q @ root_Q.swapaxes(1, 2),
+        R=root_R @ root_R.swapaxes(1, 2) + np.eye(U),
+        q=rng.normal(size=(horizon + 1, n)),
+        r=rng.normal(size=(horizon, U)),
     )
-    weights = LQRTrajectory(
-        jnp.asarray(rng.normal(size=(horizon + 1, n))), jnp.asarray(rng.normal(size=(horizon, U)))
-    )
-    return problem, jnp.asarray(rng.normal(size=n)), weights
+    weights = LQRTrajectory(rng.normal(size=(horizon + 1, n)), rng.normal(size=(horizon, U)))
+    return problem, rng.normal(size=n), weights
 
 
 def by_scan(problem: LQRProblem, start) -> LQRTrajectory:
@@ -93,12 +91,17 @@ def with_symmetric_cost(problem: LQRProblem) -> LQRProblem:
 
 def finite_differences(loss, at):
     """Central differences with respect to every entry of every leaf."""
-    flat, unflatten = ravel_pytree(at)
 
-    def difference(direction):
-        return (loss(unflatten(flat + direction)) - loss(unflatten(flat - direction))) / 2e-5
+    @jax.jit
+    def differences(at):
+        flat, unflatten = ravel_pytree(at)
 
-    return unflatten(jax.jit(jax.vmap(difference))(1e-5 * jnp.eye(flat.size)))
+        def difference(direction):
+            return (loss(unflatten(flat + direction)) - loss(unflatten(flat - direction))) / 2e-5
+
+        return unflatten(jax.vmap(difference)(1e-5 * jnp.eye(flat.size)))
+
+    return differences(at)
 
 
 SIZES = [
@@ -116,7 +119,9 @@ def test_equals_rollout_of_the_riccati_policy_and_autodiff_through_it(seed, hori
     assert ours.states.shape == (horizon + 1, n) and ours.controls.shape == (horizon, U)
     jax.tree.map(close_to(1e-10), ours, expected)
     ours, expected = (
-        jax.jit(jax.grad(loss_of(solver, weights), argnums=(0, 1)))(problem, start)
+        jax.tree.map(
+            np.asarray, jax.jit(jax.grad(loss_of(solver, weights), argnums=(0, 1)))(problem, start)
+        )
         for solver in (lqr_trajectory, by_scan)
     )
     jax.tree.map(close_to(1e-9), ours, (with_symmetric_cost(expected[0]), expected[1]))
@@ -162,13 +167,13 @@ def test_the_optimality_conditions_hold():
         return solve_kkt(factor_kkt(p.A, p.B, p.Q, p.R), p.q, p.r, p.offset, start)
 
     solution = solve(p, start)
-    x, u, after = solution.states, solution.controls, solution.costates
+    x, u, after = map(np.asarray, (solution.states, solution.controls, solution.costates))
 
     def times(matrices, vectors):
-        return jnp.einsum("tij,tj->ti", matrices, vectors)
+        return np.einsum("tij,tj->ti", matrices, vectors)
 
     pulled = times(p.A.swapaxes(1, 2), after)[1:]
-    costate = times(p.Q, x)[1:] + p.q[1:] + jnp.pad(pulled, ((0, 1), (0, 0)))
+    costate = times(p.Q, x)[1:] + p.q[1:] + np.pad(pulled, ((0, 1), (0, 0)))
     np.testing.assert_allclose(x[0], start)
     np.testing.assert_allclose(x[1:], times(p.A, x[:-1]) + times(p.B, u) + p.offset, atol=1e-12)
     np.testing.assert_allclose(
@@ -177,6 +182,12 @@ def test_the_optimality_conditions_hold():
     np.testing.assert_allclose(after, costate, atol=1e-10)
 
 
+def sample_loss(sample, weights):
+    problem = LQRProblem(**{name: sample[name] for name in sample if name != "start"})
+    return loss_of(lqr_trajectory, weights)(problem, sample["start"])
+
+
+loss_and_slope = jax.jit(jax.value_and_grad(sample_loss))
 SHARED = [((), 0), (("Q", "R"), -1), (("A", "B", "Q", "R"), 0), (("q", "offset", "start"), -1)]
 
 
@@ -191,12 +202,11 @@ def test_a_batch_equals_one_by_one(shared, axis):
     weights = samples[0][2]
 
     def loss(sample):
-        problem = LQRProblem(**{name: sample[name] for name in sample if name != "start"})
-        return loss_of(lqr_trajectory, weights)(problem, sample["start"])
+        return sample_loss(sample, weights)
 
     axes = {name: None if name in shared else axis for name in flat[0]}
     batch = {
-        name: flat[0][name] if name in shared else jnp.stack([s[name] for s in flat], axis)
+        name: flat[0][name] if name in shared else np.stack([s[name] for s in flat], axis)
         for name in axes
     }
 
@@ -205,25 +215,24 @@ def test_a_batch_equals_one_by_one(shared, axis):
         return jnp.sum(each), each
 
     total, each = jax.jit(jax.grad(losses, has_aux=True))(batch)
-    one = jax.jit(jax.value_and_grad(loss))
-    values, slopes = zip(*[one(sample) for sample in flat], strict=True)
+    values, slopes = zip(*[loss_and_slope(sample, weights) for sample in flat], strict=True)
     np.testing.assert_allclose(each, values, rtol=1e-12)
     for name, slope in total.items():
-        alone = [s[name] for s in slopes]
-        close_to(1e-10)(slope, sum(alone) if name in shared else jnp.stack(alone, axis))
+        alone = [np.asarray(s[name]) for s in slopes]
+        close_to(1e-10)(slope, sum(alone) if name in shared else np.stack(alone, axis))
 
 
 def test_a_batch_of_batches_and_a_map_over_batches():
     problems = [random_problem(seed, 3, 2, 1)[:2] for seed in range(6)]
     batch = jax.tree.map(
-        lambda *leaves: jnp.stack(leaves).reshape(2, 3, *leaves[0].shape), *problems
+        lambda *leaves: np.stack(leaves).reshape(2, 3, *leaves[0].shape), *problems
     )
     inner = jax.vmap(lqr_trajectory)
     nested = jax.jit(jax.vmap(inner))(*batch)
     mapped = jax.jit(lambda batch: jax.lax.map(lambda each: inner(*each), batch))(batch)
     alone = jax.jit(lqr_trajectory)(*problems[4])
     jax.tree.map(close_to(1e-12), nested, mapped)
-    jax.tree.map(close_to(1e-12), jax.tree.map(lambda leaf: leaf[1, 1], nested), alone)
+    jax.tree.map(close_to(1e-12), jax.tree.map(lambda leaf: np.asarray(leaf)[1, 1], nested), alone)
 
 
 @pytest.mark.parametrize("U", [2, 7])
@@ -231,13 +240,13 @@ def test_small_systems_are_solved_with_the_batch_last(U):
     rng = np.random.default_rng(U)
     root, right = rng.normal(size=(U, U, 5)), rng.normal(size=(U, 3, 5))
     matrix = np.einsum("ikb,jkb->ijb", root, root) + np.eye(U)[..., None]
-    answer = jax.jit(solve_small)(jnp.asarray(matrix), jnp.asarray(right))
+    answer = jax.jit(solve_small)(matrix, right)
     np.testing.assert_allclose(np.einsum("ikb,kjb->ijb", matrix, answer), right, atol=1e-10)
 
 
 def test_single_precision_stays_single():
     problem, start, weights = random_problem(7, 3, 2, 1)
-    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), (problem, start))
+    single = jax.tree.map(lambda leaf: leaf.astype(np.float32), (problem, start))
     slopes = jax.jit(jax.grad(loss_of(lqr_trajectory, weights), argnums=(0, 1)))
     ours, expected = slopes(*single), slopes(problem, start)
     assert {leaf.dtype for leaf in jax.tree.leaves(ours)} == {jnp.dtype("float32")}
@@ -247,15 +256,19 @@ def test_single_precision_stays_single():
 def test_a_long_horizon_of_an_unstable_system_in_single_precision():
     """A gain that undoes a growth of 1.5 a step, 300 steps: errors must not grow with it."""
     rng = np.random.default_rng(8)
-    A = jnp.asarray(1.5 * np.eye(4) + 0.2 * rng.normal(size=(300, 4, 4)))
-    B, offset = jnp.asarray(rng.normal(size=(300, 4, 2))), jnp.asarray(rng.normal(size=(300, 4)))
-    problem = tracking_problem(A, B, offset, jnp.eye(4), jnp.eye(2), jnp.ones(4))
-    double = jax.jit(lqr_trajectory)(problem, jnp.ones(4))
-    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), (problem, jnp.ones(4)))
-    jax.tree.map(close_to(1e-3), jax.jit(lqr_trajectory)(*single), double)
+    A = 1.5 * np.eye(4) + 0.2 * rng.normal(size=(300, 4, 4))
+    dynamics = A, rng.normal(size=(300, 4, 2)), rng.normal(size=(300, 4))
+
+    @jax.jit
+    def tracked(dynamics, Q, R, goal):
+        return lqr_trajectory(tracking_problem(*dynamics, Q, R, goal), goal)
+
+    given = dynamics, np.eye(4), np.eye(2), np.ones(4)
+    single = jax.tree.map(lambda leaf: leaf.astype(np.float32), given)
+    jax.tree.map(close_to(1e-3), tracked(*single), tracked(*given))
 
 
 def test_forward_mode_is_refused():
     problem, start, _ = random_problem(9, 2, 2, 1)
     with pytest.raises(TypeError, match="forward-mode"):
-        jax.jvp(lambda x: lqr_trajectory(problem, x), (start,), (start,))
+        jax.jit(lambda x: jax.jvp(lambda x: lqr_trajectory(problem, x), (x,), (x,)))(start)

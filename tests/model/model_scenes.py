@@ -21,8 +21,18 @@ from contactgraph.model import (
     paper_literal,
     paper_literal_no_gim,
 )
+from contactgraph.model.collision import geometry
 
 DT = 0.05
+jitted_geometry = eqx.filter_jit(geometry)
+
+
+@eqx.filter_jit
+def compiled(function: Callable, *arguments):
+    """``function(*arguments)`` as one program; uncompiled, each operation would be one."""
+    return function(*arguments)
+
+
 PRESETS = {
     "gim_temp": gim_temp,
     "gim_non_temp": gim_non_temp,
@@ -59,11 +69,11 @@ def with_random_weights(construct: Callable[[], ContactDynamics], seed: int = 0)
         if not isinstance(leaf, jax.ShapeDtypeStruct):
             return leaf
         if leaf.ndim == 0:  # The touch distance, and the raw theta.
-            return jnp.asarray(np.full((), 0.1, leaf.dtype))
+            return jax.device_put(np.full((), 0.1, leaf.dtype))
         # Masses and gains are exponentials and squares of theirs: some that bodies could have.
         single = path[-1].name in ("log_mass", "gain_root")
         bound = 0.2 if single else 1.5 / np.sqrt(leaf.shape[-1])
-        return jnp.asarray(rng.uniform(-bound, bound, leaf.shape).astype(leaf.dtype))
+        return jax.device_put(rng.uniform(-bound, bound, leaf.shape).astype(leaf.dtype))
 
     return jax.tree_util.tree_map_with_path(draw, eqx.filter_eval_shape(construct))
 

@@ -24,16 +24,17 @@ from contactgraph.model.collision import Geometry, geometry
 TOUCH = 0.08
 
 
+@jax.jit
+def from_origin(*moved) -> Geometry:
+    moved = [jnp.stack([jnp.zeros(len(value)), value]) for value in moved]
+    return geometry(*moved[:2], jnp.asarray(pair_indices(2)).T, DT, TOUCH, *moved[2:])
+
+
 def between(displacement, velocity, control_displacement=None) -> Geometry:
     """Of one edge: the second node lies at `displacement`, moves with `velocity`, and is pushed."""
-    given = (
-        displacement,
-        velocity,
-        *([] if control_displacement is None else [control_displacement]),
-    )
-    pairs = jnp.asarray(pair_indices(2))
-    moved = [jnp.stack([jnp.zeros(len(value)), jnp.asarray(value)]) for value in given]
-    return geometry(*moved[:2], pairs.T, DT, TOUCH, *moved[2:])
+    given = displacement, velocity, control_displacement
+    moved = [value for value in given if value is not None]
+    return from_origin(*(np.array(value) if isinstance(value, list) else value for value in moved))
 
 
 def test_an_edge_by_hand() -> None:
@@ -113,6 +114,12 @@ def test_under_a_push_the_share_is_nearly_that_of_a_numeric_root() -> None:
     assert np.quantile(np.abs(blind - expected), 0.99) > 0.1
 
 
+@jax.jit
+def quantities_and_slopes(position, velocity, contact_distance):
+    given = position, velocity, contact_distance
+    return scene_quantities(*given), jax.jacrev(scene_quantities, argnums=(0, 1, 2))(*given)
+
+
 def scene_quantities(position, velocity, contact_distance, control_displacement=None):
     pairs = jnp.asarray(pair_indices(len(position)))
     edges = geometry(position, velocity, pairs.T, DT, contact_distance, control_displacement)
@@ -147,11 +154,13 @@ def test_derivatives_against_finite_differences() -> None:
 
 def test_no_prior_teaches_where_bodies_touch() -> None:
     for prior in (DistancePrior(threshold=0.085), ClosestApproachPrior()):
-        slope = jax.grad(lambda touch: prior(between([0.082, 0.0], [0.0, 0.0]), touch)[0])  # noqa: B023
+        edges = between([0.082, 0.0], [0.0, 0.0])
+        slope = jax.jit(jax.grad(lambda touch: prior(edges, touch)[0]))  # noqa: B023
         assert slope(TOUCH) == 0.0
     features = InvariantFeatures(length=TOUCH)
     edges = between([0.082, 0.0], [0.0, 0.0])
-    slopes = eqx.filter_grad(lambda features: jnp.sum(features.edge(edges)))(features)
+    total = eqx.filter_grad(lambda features: jnp.sum(features.edge(edges)))
+    slopes = eqx.filter_jit(total)(features)
     assert slopes.contact_distance == 0.0
 
 
@@ -170,10 +179,8 @@ def test_no_prior_teaches_where_bodies_touch() -> None:
     ],
 )
 def test_values_and_gradients_are_finite_everywhere(displacement, velocity) -> None:
-    states = jnp.array([[0.0, 0.0], displacement]), jnp.array([[0.0, 0.0], velocity])
-    found = scene_quantities(*states, jnp.asarray(TOUCH))
-    slopes = jax.jacrev(scene_quantities, argnums=(0, 1, 2))(*states, jnp.asarray(TOUCH))
-    for leaf in jax.tree.leaves((found, slopes)):
+    states = np.array([[0.0, 0.0], displacement]), np.array([[0.0, 0.0], velocity])
+    for leaf in jax.tree.leaves(quantities_and_slopes(*states, TOUCH)):
         assert np.all(np.isfinite(leaf))
 
 

@@ -12,11 +12,17 @@ from jax.test_util import check_grads
 from contactgraph.model import ContactBelief, ContactSensor, correct, two_type_belief
 
 SENSOR = ContactSensor(false_alarm=0.02, miss=0.1)
+jitted_correct = jax.jit(correct)
+
+
+@jax.jit
+def posterior_probability(probability, measurement, sensor) -> jax.Array:
+    return correct(two_type_belief(probability), measurement, sensor).probability
 
 
 def corrected(probability, measurement, sensor=SENSOR) -> np.ndarray:
-    belief = two_type_belief(jnp.atleast_1d(jnp.asarray(probability, jnp.float32)))
-    return np.asarray(correct(belief, jnp.atleast_1d(jnp.asarray(measurement)), sensor).probability)
+    given = (np.atleast_1d(np.asarray(value, np.float32)) for value in (probability, measurement))
+    return np.asarray(posterior_probability(*given, sensor))
 
 
 def test_bayes_by_hand() -> None:
@@ -39,7 +45,7 @@ def test_a_sure_belief_survives_contradiction_and_stays_open(probability, measur
     # A sensor that is never wrong is believed, but no wrong certainty is for ever.
     belief = two_type_belief(jnp.array([probability]))
     for _ in range(14):
-        belief = correct(belief, jnp.array([1.0 - probability]), SENSOR)
+        belief = jitted_correct(belief, np.array([1.0 - probability]), SENSOR)
     np.testing.assert_allclose(belief.probability, [1.0 - probability], atol=1e-2)
 
 
@@ -78,9 +84,7 @@ rates = st.floats(0, 1)
 def test_a_corrected_belief_is_a_belief(raw, measurement, false_alarm, miss) -> None:
     raw = (raw + 1e-3) / (raw + 1e-3).sum(axis=-1, keepdims=True)
     sensor = ContactSensor(false_alarm, miss)
-    found = np.asarray(
-        correct(ContactBelief(jnp.asarray(raw)), jnp.asarray(measurement), sensor).type_probability
-    )
+    found = np.asarray(jitted_correct(ContactBelief(raw), measurement, sensor).type_probability)
     assert np.all((found >= 0) & (found <= 1))
     np.testing.assert_allclose(found.sum(axis=-1), 1, atol=1e-5)
     # The sensor tells active from inactive, not the active types from each other.
@@ -107,7 +111,7 @@ def test_derivatives_against_finite_differences() -> None:
         return correct(belief, measurement, SENSOR).type_probability
 
     probability = jnp.array([[0.5, 0.3, 0.2], [0.05, 0.9, 0.05], [0.98, 0.01, 0.01]])
-    check_grads(posterior, (probability, jnp.array([0.8, 0.1, 0.4])), order=1, eps=1e-6)
+    check_grads(jax.jit(posterior), (probability, jnp.array([0.8, 0.1, 0.4])), order=1, eps=1e-6)
 
 
 @pytest.mark.usefixtures("double_precision")
@@ -116,5 +120,5 @@ def test_an_edge_that_was_not_measured_has_a_finite_gradient() -> None:
         found = correct(two_type_belief(probability), jnp.array([jnp.nan, 1.0]), SENSOR)
         return jnp.sum(found.probability)
 
-    slope = jax.grad(total)(jnp.array([0.3, 1.0]))
+    slope = jax.jit(jax.grad(total))(jnp.array([0.3, 1.0]))
     assert slope[0] == 1 and np.all(np.isfinite(slope))

@@ -8,10 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import DT, with_random_weights
+from model_scenes import DT, jitted_geometry, with_random_weights
 
-from contactgraph.model import CoupledHead, SpringMassDamper, ThetaMethod
-from contactgraph.model.collision import geometry
+from contactgraph.model import CoupledHead, LinearDynamics, SpringMassDamper, ThetaMethod
 from contactgraph.model.contact_solver import ContactSolver
 from contactgraph.model.types import LocalInput, Step
 
@@ -52,7 +51,7 @@ def inputs(hinges: bool = False) -> tuple[LocalInput, jax.Array]:
         node_features=jnp.asarray(np.hstack([kind, rng.uniform(size=(NODES, 1))])),
         edge_features=jnp.zeros((2, len(PAIRS), 0)),
         weight=jnp.asarray(weight),
-        geometry=geometry(*states, jnp.asarray(PAIRS).T, DT, 0.08, None, anchor),
+        geometry=jitted_geometry(*states, jnp.asarray(PAIRS).T, DT, 0.08, None, anchor),
         anchor=anchor,
     )
     return local, jnp.asarray(rng.normal(size=(TYPES, 2, len(PAIRS), WIDTH)))
@@ -67,11 +66,18 @@ def parameters(head, local, message, theta=0.6) -> SpringMassDamper:
     return _parameters(head, local, message, Step(jnp.asarray(theta), DT, 2))
 
 
+@eqx.filter_jit
 def moved(found: SpringMassDamper, local: LocalInput, control, theta=0.6):
     linear = ThetaMethod(theta, learned=False)(found, DT)
-    return linear(local.position, local.velocity, jnp.asarray(control))
+    return linear(local.position, local.velocity, jnp.array(control))
 
 
+@eqx.filter_jit
+def linearized(found: SpringMassDamper, theta: float) -> LinearDynamics:
+    return ThetaMethod(theta, learned=False)(found, DT)
+
+
+@eqx.filter_jit
 def by_hand(head: CoupledHead, local: LocalInput, message, theta: float):
     """The network that the head's own networks describe, solved."""
     out = jax.vmap(jax.vmap(head.edge))(message[:, 0] + message[:, 1])
@@ -111,7 +117,7 @@ def test_the_linear_step_is_that_of_the_network(theta: float) -> None:
 @pytest.mark.parametrize("theta", [0.5, 1.0])
 def test_a_nodes_own_step_is_stable_and_does_not_overshoot(theta: float) -> None:
     found = parameters(random_head(), *inputs(), theta)
-    A = ThetaMethod(theta, learned=False)(found, DT).A
+    A = linearized(found, theta).A
     assert np.all(found.damping_rate >= 0) and not np.any(found.stiffness_rate)
     assert np.all((A[..., 1, 1] >= 0) & (A[..., 1, 1] <= 1)), "what is kept of a node's velocity"
     assert A[..., 1, 1].min() < 0.7, "the struck ones keep little"
@@ -129,7 +135,7 @@ def test_an_untouched_node_only_rubs_against_the_ground() -> None:
     kept = network.mass / (network.mass + network.ground_damper)
     np.testing.assert_allclose(still, kept[:, None] * local.velocity, rtol=1e-3)
     gain = (5 * local.node_type @ head.gain_root) ** 2
-    response = ThetaMethod(0.6, learned=False)(found, DT).B[..., 1, :] / DT
+    response = linearized(found, 0.6).B[..., 1, :] / DT
     expected = (gain / (network.mass + network.ground_damper))[:, None, None] * np.eye(2)
     np.testing.assert_allclose(response, expected, rtol=1e-9)
 
@@ -156,7 +162,7 @@ def test_a_held_chain_answers_the_control_as_one_body() -> None:
     local = dataclasses.replace(local, weight=jnp.asarray(active))
     network, _ = by_hand(head, local, message, 0.6)
     gain = np.sum((5 * local.node_type @ head.gain_root) ** 2)
-    B = ThetaMethod(0.6, learned=False)(parameters(head, local, message), DT).B[..., 1, :]
+    B = linearized(parameters(head, local, message), 0.6).B[..., 1, :]
     expected = gain / np.sum(network.mass) * np.eye(2)
     np.testing.assert_allclose(B / DT, np.tile(expected, (NODES, 1, 1)), atol=5e-3 * gain)
 
@@ -177,7 +183,7 @@ def test_a_hinged_body_stays_on_its_circle() -> None:
     assert found.stiffness_rate[1, 0] > 0
     # The springs of hinge_constraint leave alone what the control does to velocities.
     _, motion = by_hand(head, local, message, 0.6)
-    B = ThetaMethod(0.6, learned=False)(found, DT).B
+    B = linearized(found, 0.6).B
     np.testing.assert_allclose(B[..., 1, :] / DT, motion.response, rtol=1e-6, atol=1e-9)
 
 

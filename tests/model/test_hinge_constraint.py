@@ -1,10 +1,11 @@
 """The springs that keep hinged and attached bodies on circles."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from model_scenes import jitted_geometry
 
-from contactgraph.model.collision import geometry
 from contactgraph.model.hinge import HingeConstraint, hinge_constraint
 
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -15,6 +16,7 @@ ANCHOR = np.array([[np.nan, np.nan], HINGE, [np.nan, np.nan], OTHER])
 PAIRS = np.array([[0, 1], [0, 3], [2, 1]])
 SPIN = np.array([0.7, -1.3])
 """rad/s"""
+jitted_constraint = eqx.filter_jit(hinge_constraint)
 
 
 def across(arm: np.ndarray) -> np.ndarray:
@@ -39,10 +41,9 @@ def scene(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 
 def circles(hold, slip: float = 0.0) -> HingeConstraint:
     states = [jnp.asarray(values) for values in scene(slip)]
-    edges = geometry(*states, jnp.asarray(PAIRS).T, 0.05, 0.08, None, jnp.asarray(ANCHOR))
-    ends = edges.edge_index
-    return hinge_constraint(
-        jnp.asarray(ANCHOR), *states, jnp.asarray(hold), ends, edges.relative_velocity
+    edges = jitted_geometry(*states, jnp.asarray(PAIRS).T, 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    return jitted_constraint(
+        jnp.asarray(ANCHOR), *states, np.array(hold), edges.edge_index, edges.relative_velocity
     )
 
 

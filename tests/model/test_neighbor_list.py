@@ -1,6 +1,7 @@
 """Lists of near pairs: what is in them, and that nothing else matters."""
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -31,13 +32,17 @@ from contactgraph.model.neighbor_list import edge_nodes, travel_bound, unordered
 FAR = 0.25
 
 
+@partial(jax.jit, static_argnums=0)
+def list_pairs(lists, position, way, mask):
+    return lists(position, way, mask, FAR)
+
+
 def listed(position, way=None, mask=None, edges=400, cell=30):
     """Pairs of the list, as a set, and whether they fit."""
     count = len(position)
     way = np.zeros(count) if way is None else way
     mask = np.ones(count, bool) if mask is None else mask
-    lists = NeighborList(max_edges=edges, cell_capacity=cell)
-    found = jax.jit(lists)(jnp.asarray(position), jnp.asarray(way), jnp.asarray(mask), FAR)
+    found = list_pairs(NeighborList(max_edges=edges, cell_capacity=cell), position, way, mask)
     number = np.asarray(found.edge_id)
     real = number < count * (count - 1) // 2
     assert (np.diff(number[real]) > 0).all()  # each once, ascending
@@ -204,8 +209,8 @@ def test_measured_contacts_are_those_of_all_pairs() -> None:
     sensor = ContactSensor(jnp.linspace(0.1, 0.2, 6), 0.3)
     every = two_type_belief(jnp.linspace(0.1, 0.9, 6))
     edge = jnp.asarray([1, 2, 5, 6])
-    near = correct(every.over(edge, 6), measured, sensor)
-    whole = correct(every, measured, sensor).probability
+    near = jax.jit(correct)(every.over(edge, 6), measured, sensor)
+    whole = jax.jit(correct)(every, measured, sensor).probability
     np.testing.assert_allclose(near.probability, [*whole[jnp.asarray([1, 2, 5])], 0.0], atol=1e-6)
     np.testing.assert_array_equal(near.edge_id, edge)
 

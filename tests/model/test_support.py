@@ -1,10 +1,13 @@
 """Ground support: the lifted fraction, and its effect on a step."""
 
+from functools import cache
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from model_scenes import jitted_geometry, with_random_weights
 
 from contactgraph.data import pair_indices
 from contactgraph.model import (
@@ -17,17 +20,20 @@ from contactgraph.model import (
     load_model,
     save_model,
 )
-from contactgraph.model.collision import geometry
 from contactgraph.model.heads import lifted_fraction
+
+jitted_fraction = eqx.filter_jit(lifted_fraction)
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 DT = 0.01
 WEIGHT = np.array([0.0, 0.0, -3.9])
 
 
+@cache
 def model_with_weight() -> ContactDynamics:
     """Its unactuated nodes weigh 3.9 N and rub on the ground, nothing reaches them otherwise."""
-    model = gim_temp(ModelConfig(3, 3, DT, 0.05, weight=True), key=jax.random.PRNGKey(0))
+    config = ModelConfig(3, 3, DT, 0.05, weight=True)
+    model = with_random_weights(lambda: gim_temp(config, key=jax.random.PRNGKey(0)))
     head = model.local_dynamics.head
     last = head.edge.layers[-1]
     head = eqx.tree_at(
@@ -53,25 +59,26 @@ def model_with_weight() -> ContactDynamics:
 
 def state(velocity: np.ndarray, active: list[float]) -> tuple[ModelState, Nodes]:
     position = jnp.asarray([[0.0, 0.0, 0.3], [0.0, 0.0, 0.29], [0.0, 0.02, 0.29]])
-    probability = jnp.asarray(active)
-    belief = ContactBelief(jnp.stack([1.0 - probability, probability], axis=-1))
-    nodes = Nodes(jnp.arange(3) == 0, jnp.ones(3, bool), jnp.asarray(probability > 0.5))
+    probability = np.array(active)
+    belief = ContactBelief(jnp.asarray(np.stack([1.0 - probability, probability], axis=-1)))
+    nodes = Nodes(jnp.asarray(np.arange(3) == 0), jnp.ones(3, bool), jnp.asarray(probability > 0.5))
     return ModelState(position, jnp.asarray(velocity), belief), nodes
 
 
+@eqx.filter_jit
+def next_velocity(
+    model: ContactDynamics, start: ModelState, nodes: Nodes, control: jax.Array
+) -> jax.Array:
+    encoded = model.encode(start.position, start.velocity, nodes)
+    local = model.cut_edges(encoded, start.belief)
+    linear = model.local_dynamics(local, DT, 3)
+    return linear(start.position, start.velocity, control)[1]
+
+
 def change(active: list[float], velocity: np.ndarray, control: np.ndarray) -> np.ndarray:
-    """[N, D] m/s: what a step does to velocities when exactly these edges hold."""
-    model = model_with_weight()
-    start, nodes = state(velocity, active)
-
-    @eqx.filter_jit
-    def step(start: ModelState, control: jax.Array) -> jax.Array:
-        encoded = model.encode(start.position, start.velocity, nodes)
-        local = model.cut_edges(encoded, start.belief)
-        linear = model.local_dynamics(local, DT, 3)
-        return linear(start.position, start.velocity, control)[1]
-
-    return np.asarray(step(start, jnp.asarray(control))) - velocity
+    """[N, D] m/s: change of the velocities in a step in which exactly these edges hold."""
+    found = next_velocity(model_with_weight(), *state(velocity, active), jnp.asarray(control))
+    return np.asarray(found) - velocity
 
 
 def test_supported_nodes_rest_and_have_no_weight() -> None:
@@ -101,16 +108,15 @@ def test_ground_friction_acts_on_supported_nodes_only() -> None:
 
 def test_carried_is_the_best_chain_to_an_actuated_node() -> None:
     position = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
-    pairs = jnp.asarray(pair_indices(4))
-    hold = jnp.asarray([{(0, 1): 0.9, (1, 2): 0.5}.get((int(i), int(j)), 0.0) for i, j in pairs])
-    edges = geometry(position, 0.0 * position, pairs.T, DT, 0.05)
-    share = lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, edges)
+    pairs = pair_indices(4)
+    hold = jnp.asarray([{(0, 1): 0.9, (1, 2): 0.5}.get((i, j), 0.0) for i, j in pairs.tolist()])
+    edges = jitted_geometry(position, np.zeros((4, 3)), jnp.asarray(pairs.T), DT, 0.05)
+    actuated = jnp.asarray([1.0, 0.0, 0.0, 0.0])
+    share = jitted_fraction(actuated, hold, edges)
     assert np.allclose(share, [1.0, 0.9, 0.45, 0.0])
     # Propagated along the edges, where no more than so many hold each other.
-    assert np.array_equal(lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, edges, 3), share)
-    assert not np.array_equal(
-        lifted_fraction(jnp.asarray([1.0, 0.0, 0.0, 0.0]), hold, edges, 2), share
-    )
+    assert np.array_equal(jitted_fraction(actuated, hold, edges, 3), share)
+    assert not np.array_equal(jitted_fraction(actuated, hold, edges, 2), share)
 
 
 def test_a_model_with_weight_is_stored_and_loaded(tmp_path) -> None:

@@ -59,10 +59,13 @@ def step(theta: float, parameters: SpringMassDamper, dt: float = DT):
     return ThetaMethod(theta, learned=False)(parameters, dt)
 
 
+jitted_step = jax.jit(step, static_argnums=0)
+
+
 def worst(theta: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Spectral radii and energy norms of all draws."""
     parameters = random_parameters(seed)
-    A = np.asarray(step(theta, parameters).A)
+    A = np.asarray(jitted_step(theta, parameters).A)
     return spectral_radius(A), energy_norm(A, np.asarray(parameters.stiffness_rate))
 
 

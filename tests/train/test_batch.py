@@ -2,13 +2,16 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from contactgraph.data import Dataset, Scene, Trajectory, pad_trajectories, window_weights
-from contactgraph.train.batch import window_source
+from contactgraph.train.batch import WindowSource, window_source
+
+draw = eqx.filter_jit(WindowSource.draw)
+take = eqx.filter_jit(WindowSource.take)
 
 
 def run(count: int, steps: int, offset: float) -> Trajectory:
@@ -31,7 +34,7 @@ def padded():
 def test_windows_are_drawn_as_often_as_given(padded) -> None:
     windows = window_weights(padded, 3, 0.6)
     assert windows.has_event.any() and not windows.has_event.all()
-    drawn = window_source(padded, windows).draw(20_000, jax.random.key(0))
+    drawn = draw(window_source(padded, windows), 20_000, jax.random.key(0))
     number = np.asarray(drawn.position[:, 0, 0, 0])
     expected = np.where(windows.trajectory == 0, 100.0, 200.0) + windows.start
     assert set(number) == set(expected)
@@ -42,7 +45,7 @@ def test_windows_are_drawn_as_often_as_given(padded) -> None:
 
 def test_a_window_is_a_stretch_of_its_run(padded) -> None:
     windows = window_weights(padded, 3, 0.6)
-    batch = window_source(padded, windows).take(jnp.arange(len(windows.trajectory)))
+    batch = take(window_source(padded, windows), np.arange(len(windows.trajectory)))
     for index, (number, start) in enumerate(zip(windows.trajectory, windows.start, strict=True)):
         for name, end in (("position", 4), ("velocity", 4), ("control", 3)):
             expected = getattr(padded, name)[number, start : start + end]
@@ -58,7 +61,7 @@ def test_hinges_go_with_their_runs(padded) -> None:
     hung = dataclasses.replace(hung, scene=dataclasses.replace(hung.scene, anchor=anchor))
     runs = pad_trajectories(Dataset((free, hung)))
     windows = window_weights(runs, 3, 0.6)
-    nodes = window_source(runs, windows).take(jnp.arange(len(windows.trajectory))).nodes
+    nodes = take(window_source(runs, windows), np.arange(len(windows.trajectory))).nodes
     hinged = np.asarray(jax.vmap(lambda nodes: nodes.hinged)(nodes))
     np.testing.assert_array_equal(hinged, (windows.trajectory == 1)[:, None] & [False, True, False])
     np.testing.assert_allclose(nodes.anchor[hinged], np.tile(anchor[1], (hinged.sum(), 1)))
@@ -72,4 +75,4 @@ def test_training_sees_no_contact_labels() -> None:
     assert padded.contact is not None
     source = window_source(padded, window_weights(padded, 3, 0.6))
     assert source.trajectories.contact is None
-    assert {name for name in vars(source.take(jnp.arange(2))) if "contact" in name} == set()
+    assert {name for name in vars(take(source, np.arange(2))) if "contact" in name} == set()

@@ -98,6 +98,6 @@ def test_a_chunked_function_is_the_function_of_every_item(devices: int, edges: i
         return jnp.sum(found["sum"] * jnp.arange(14.0)) + jnp.sum(found["sine"])
 
     expected = np.sum(np.sum(x * y, axis=1) * np.arange(14.0)) + np.sum(np.sin(x))
-    value, gradient = jax.value_and_grad(total)(x)
+    value, gradient = jax.jit(jax.value_and_grad(total))(x)
     np.testing.assert_allclose(value, expected, rtol=1e-5)
     np.testing.assert_allclose(gradient, y * np.arange(14.0)[:, None] + np.cos(x), rtol=1e-5)
