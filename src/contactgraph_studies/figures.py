@@ -92,7 +92,7 @@ def parameter_figure(scene: SceneTrajectory) -> Figure:
 
     In three dimensions parameters along the vertical are dashed.
     """
-    speed = np.linalg.norm(scene.velocity, axis=-1)[:-1]
+    speed = np.linalg.norm(scene.trajectory.velocity, axis=-1)[:-1]
     parameters = [
         ("1/m, 1/kg", scene.inverse_mass),
         ("k/m, 1/s²", scene.stiffness),
@@ -102,7 +102,7 @@ def parameter_figure(scene: SceneTrajectory) -> Figure:
     shown += [(name, shown_directions(each)) for name, each in parameters if each is not None]
     figure = new_figure(7.0, 1.4 * (1 + len(shown)))
     axes = figure.subplots(1 + len(shown), 1, sharex=True)
-    time = np.arange(scene.steps + 1) * scene.dt
+    time = scene.time
     for panel, name in zip(axes, ("belief", *(name for name, _ in shown)), strict=True):
         _mark_contact(panel, scene, time)
         style_axes(panel)

@@ -4,8 +4,11 @@ Circles of 1 kg without friction; a PD force drives the gripper through the obje
 goal; the touch is purely inelastic and then holds.
 """
 
+import dataclasses
+
 import numpy as np
 
+from contactgraph.data import Scene, Trajectory
 from contactgraph.viz import LossCurve, NStepError, ReportData, ReportMetric, SceneTrajectory
 
 DT, RADIUS, SUBSTEPS = 0.05, 0.04, 10
@@ -86,23 +89,32 @@ def pickup(name, distractors, steps=160, horizon=15, seed=0):
     contact[:, 0] = touch
     belief = _belief(position, velocity, contact, edges, rng)
     parameters = _parameters(belief[:, 0], touch, nodes, rng)
-    return SceneTrajectory(
-        name=name,
-        dt=DT,
+    scene = Scene(
         node_name=("gripper", *(f"object-{k}" for k in range(nodes - 1))),
         node_type=("gripper", *("object" for _ in range(nodes - 1))),
         actuated=np.arange(nodes) == 0,
-        radius=np.full(nodes, RADIUS),
-        position=position,
-        velocity=velocity,
-        control=np.array(control),
-        edges=edges,
-        belief=belief,
+        dt=DT,
         goal=GOAL,
-        contact=contact,
-        plan=np.array(plan),
-        **parameters,
+        radius=np.full(nodes, RADIUS),
     )
+    dense = np.zeros((steps + 1, nodes, nodes), dtype=bool)
+    dense[:, 0, 1] = dense[:, 1, 0] = touch
+    trajectory = Trajectory(scene, position, velocity, np.array(control), dense)
+    return SceneTrajectory(name, trajectory, edges, belief, plan=np.array(plan), **parameters)
+
+
+def changed(scene, **fields):
+    """The scene trajectory with other fields: its own, its trajectory's or its scene's."""
+    given = dict(fields)
+
+    def taken(part):
+        names = [one.name for one in dataclasses.fields(part) if one.name in given]
+        return {name: given.pop(name) for name in names}
+
+    own, recorded = taken(scene), taken(scene.trajectory)
+    static = dataclasses.replace(scene.trajectory.scene, **given)
+    trajectory = dataclasses.replace(scene.trajectory, scene=static, **recorded)
+    return dataclasses.replace(scene, trajectory=trajectory, **own)
 
 
 def _belief(position, velocity, contact, edges, rng):

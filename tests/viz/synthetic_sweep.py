@@ -85,7 +85,7 @@ def sweep(name="Sweep", distractors=2, horizon=25):
     stiffness = np.abs(0.02 * rng.standard_normal(inverse_mass.shape))
     stiffness[:, 1, 2] += 40.0 * (1.0 - held)
     ahead = np.minimum(np.arange(STEPS)[:, None] + np.arange(horizon + 1), STEPS)
-    return SceneTrajectory.from_trajectory(
+    return SceneTrajectory(
         name,
         recorded,
         edges,

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from synthetic_pickup import changed
 from test_report_page import bare
 
 from contactgraph.data import InvalidInputError
@@ -17,11 +18,14 @@ GRIPPER = np.array([0x1B, 0x66, 0xA8])
 
 def shortened(scene, steps, dt=0.05):
     """The steps around the start of ``scene`` alone."""
+    recorded, steps_of = (
+        scene.trajectory,
+        ("belief", "inverse_mass", "stiffness", "damping", "plan"),
+    )
+    cut = {name: getattr(scene, name)[:steps] for name in steps_of}
     states = ("position", "velocity", "contact")
-    others = ("control", "belief", "inverse_mass", "stiffness", "damping", "plan")
-    cut = {name: getattr(scene, name)[: steps + 1] for name in states}
-    cut |= {name: getattr(scene, name)[:steps] for name in others}
-    return dataclasses.replace(scene, dt=dt, **cut)
+    cut |= {name: getattr(recorded, name)[: steps + 1] for name in states}
+    return changed(scene, dt=dt, control=recorded.control[:steps], **cut)
 
 
 def test_gif_has_a_frame_for_every_state(tmp_path, scene):
@@ -98,5 +102,5 @@ def test_still_is_a_picture_with_the_grasp_in_the_middle(tmp_path, scene):
 def test_still_and_film_of_a_trajectory_without_contacts_or_parameters(tmp_path, scene, nodes):
     write_summary_figure(tmp_path / "still.png", bare(scene, nodes))
     named = dataclasses.replace(bare(scene, nodes), name="costs $5_x^ and $")
-    write_animation(tmp_path / "scene.gif", dataclasses.replace(named, dt=0.0008))
+    write_animation(tmp_path / "scene.gif", changed(named, dt=0.0008))
     assert (tmp_path / "scene.gif").stat().st_size > 1000

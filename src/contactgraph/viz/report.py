@@ -16,7 +16,6 @@ from contactgraph.viz.markup import errors_table, footer, metrics_table, tiles
 from contactgraph.viz.report_data import ReportData
 from contactgraph.viz.scene_trajectory import SceneTrajectory
 from contactgraph.viz.selection import (
-    Ground,
     focus_nodes,
     grasp_step,
     ground_of,
@@ -132,28 +131,29 @@ def embedded_json(data: ReportData) -> str:
 
 
 def _scene(scene: SceneTrajectory) -> dict[str, object]:
+    static = scene.trajectory.scene
     return {
         "name": scene.name,
         "dt": scene.dt,
         "steps": scene.steps,
         "dimension": scene.dimension,
         "axes": scene.projection.axes.tolist(),
-        "ground": _ground(ground_of(scene)),
-        "controlSize": scene.control.shape[1],
+        "ground": _ground(scene),
+        "controlSize": scene.trajectory.control.shape[1],
         "nodeName": list(scene.node_name),
-        "nodeType": list(scene.node_type),
+        "nodeType": list(static.node_type),
         "actuated": scene.actuated.tolist(),
         "radius": [_number(radius) for radius in scene.radius],
-        "anchor": _anchors(scene),
-        "box": [_list(scene.box(node)) for node in range(scene.node_count)],
+        "anchor": None if static.anchor is None else _rows(static.anchor),
+        "box": [None] * scene.node_count if static.size is None else _rows(static.size),
         "goal": None if scene.goal is None else [_number(value) for value in scene.goal],
         "goalRadius": _number(scene.goal_radius),
         "edges": scene.edges.tolist(),
         "position": _floats(scene.position),
-        "velocity": _floats(scene.velocity),
+        "velocity": _floats(scene.trajectory.velocity),
         "linkPoints": 0 if scene.link_positions is None else scene.link_positions.shape[1],
         "linkPositions": _floats(scene.link_positions),
-        "control": _floats(scene.control),
+        "control": _floats(scene.trajectory.control),
         "belief": _floats(scene.belief),
         "contact": None if scene.contact is None else [_spans(each) for each in scene.contact.T],
         "inverseMass": _directions(scene.inverse_mass),
@@ -167,27 +167,23 @@ def _scene(scene: SceneTrajectory) -> dict[str, object]:
     }
 
 
-def _anchors(scene: SceneTrajectory) -> list[list[float] | None] | None:
-    """[N] hinge positions; None for a node without one."""
-    if scene.anchor is None:
-        return None
-    nodes = range(scene.node_count)
-    return [None if scene.bar(n) is None else scene.anchor[n].tolist() for n in nodes]
+def _rows(values: np.ndarray) -> list[list[float] | None]:
+    """The rows of numbers; None for one of NaN."""
+    return [None if np.isnan(row).any() else row.tolist() for row in values]
 
 
-def _list(values: np.ndarray | None) -> list[float] | None:
-    return None if values is None else values.tolist()
-
-
-def _ground(ground: Ground | None) -> dict[str, object] | None:
-    if ground is None:
-        return None
-    return {
-        "low": ground.low.tolist(),
-        "high": ground.high.tolist(),
-        "level": ground.level,
-        "spacing": ground.spacing,
-    }
+def _ground(scene: SceneTrajectory) -> dict[str, object] | None:
+    ground = ground_of(scene)
+    return (
+        None
+        if ground is None
+        else {
+            "low": ground.low.tolist(),
+            "high": ground.high.tolist(),
+            "level": ground.level,
+            "spacing": ground.spacing,
+        }
+    )
 
 
 def _directions(values: np.ndarray | None) -> list[str | None] | None:

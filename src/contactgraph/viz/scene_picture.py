@@ -36,11 +36,9 @@ def draw_bodies(axes: Axes, scene: SceneTrajectory, state: int, involved: list[i
 
     def order(node: int) -> tuple[bool, float, bool]:
         # An actuated node is never hidden by the objects that it holds.
-        return bool(scene.actuated[node]), float(np.nan_to_num(depth[node])), node in involved
+        return bool(scene.actuated[node]), float(depth[node]), node in involved
 
     for node in sorted(range(scene.node_count), key=order):
-        if not np.isfinite(place[node]).all():
-            continue
         colour = body_colour(node, involved)
         width = 2.0 if scene.actuated[node] else 1.1
         bar, box = scene.bar(node), scene.box(node)
@@ -113,8 +111,7 @@ def draw_shadows(axes: Axes, scene: SceneTrajectory, state: int, below: Ground) 
         if scene.box(node) is None:
             outline = np.stack([np.cos(_ROUND), np.sin(_ROUND)], axis=-1) * half
         rim = scene.projection(below.at(middle + outline))
-        if np.isfinite(rim).all():
-            axes.add_artist(Polygon(rim, fc=INK, ec="none", alpha=0.12, zorder=0.7))
+        axes.add_artist(Polygon(rim, fc=INK, ec="none", alpha=0.12, zorder=0.7))
 
 
 _FAINTEST = 0.02
@@ -143,10 +140,7 @@ def scene_limits(scene: SceneTrajectory) -> tuple[np.ndarray, np.ndarray]:
         lows.append(scene.projection(below.corners()))
         highs.append(lows[-1])
     low, high = np.concatenate(lows), np.concatenate(highs)
-    known = np.isfinite(low).all(axis=1)
-    if not known.any():
-        return -np.ones(2), np.ones(2)
-    low, high = low[known].min(axis=0), high[known].max(axis=0)
+    low, high = low.min(axis=0), high.max(axis=0)
     half = 0.55 * float(np.max(high - low))
     middle = (low + high) / 2.0
     return middle - half, middle + half

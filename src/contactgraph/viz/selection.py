@@ -45,10 +45,7 @@ class Ground:
 
 
 def ground_of(scene: SceneTrajectory) -> Ground | None:
-    """The ground of a trajectory in space, at the lowest height of any passive body.
-
-    None in 2D, and without finite positions.
-    """
+    """The ground of a trajectory in space, at the lowest height of any passive body; None in 2D."""
     if scene.dimension < 3:
         return None
     bottom = scene.position[..., 2] - scene.half_size[:, 2]
@@ -56,16 +53,13 @@ def ground_of(scene: SceneTrajectory) -> Ground | None:
     points = [scene.position - scene.half_size, scene.position + scene.half_size]
     points += [each for each in (scene.link_positions, scene.goal) if each is not None]
     places = np.concatenate([each[..., :2].reshape(-1, 2) for each in points])
-    places, heights = places[np.isfinite(places).all(axis=1)], passive[np.isfinite(passive)]
-    if not (places.size and heights.size):
-        return None
     low, high = places.min(axis=0), places.max(axis=0)
     widest = float(np.max(high - low))
     spacing = next((s for s in _SPACINGS if s * _MOST_SQUARES >= widest), _SPACINGS[-1])
     # Slightly inwards: a point on a line up to rounding needs no further row of squares.
     low = spacing * np.floor(low / spacing + 1e-6)
     high = spacing * np.ceil(high / spacing - 1e-6)
-    return Ground(low, np.maximum(high, low + spacing), float(heights.min()), spacing)
+    return Ground(low, np.maximum(high, low + spacing), float(passive.min()), spacing)
 
 
 _WORTH_SHOWING = 0.2
@@ -79,7 +73,8 @@ def leading_edges(scene: SceneTrajectory, limit: int = _SHOWN_EDGES) -> list[int
     An edge matters if it is ever truly in contact or its belief ever exceeds 0.2. True contacts
     come first, then by the largest and the mean belief.
     """
-    largest, mean = _largest(scene.belief), _mean(scene.belief)
+    belief = np.nan_to_num(scene.belief)
+    largest, mean = belief.max(axis=0), belief.mean(axis=0)
     touched = np.zeros(scene.edge_count) if scene.contact is None else scene.contact.mean(axis=0)
     order = np.lexsort((-mean, -largest, -touched))
     return [int(e) for e in order if touched[e] > 0 or largest[e] > _WORTH_SHOWING][:limit]
@@ -98,7 +93,7 @@ def focus_nodes(scene: SceneTrajectory) -> list[int]:
 def involved_nodes(scene: SceneTrajectory) -> list[int]:
     """The focus, then every other body that is ever truly touched or long believed to be."""
     nodes = focus_nodes(scene)
-    mean = _mean(scene.belief)
+    mean = np.nan_to_num(scene.belief).mean(axis=0)
     for edge in leading_edges(scene):
         if (mean[edge] > 0.05) if scene.contact is None else scene.contact[:, edge].any():
             nodes += [int(node) for node in scene.edges[edge] if int(node) not in nodes]
@@ -125,11 +120,3 @@ def shown_directions(values: np.ndarray) -> list[np.ndarray]:
     if values.shape[-1] < 3:
         return [values.mean(axis=-1)]
     return [values[..., :2].mean(axis=-1), values[..., 2]]
-
-
-def _largest(belief: np.ndarray) -> np.ndarray:
-    return np.max(np.nan_to_num(belief, nan=0.0), axis=0)
-
-
-def _mean(belief: np.ndarray) -> np.ndarray:
-    return np.mean(np.nan_to_num(belief, nan=0.0), axis=0)

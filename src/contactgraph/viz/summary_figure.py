@@ -95,7 +95,7 @@ def summary_states(scene: SceneTrajectory) -> list[int]:
 
 
 def _draw_belief(axes: Axes, scene: SceneTrajectory) -> None:
-    time = np.arange(scene.steps + 1) * scene.dt
+    time = scene.time
     leading = leading_edges(scene)
     for place, edge in enumerate(leading):
         strength = 1.0 if place == 0 else 0.4
@@ -117,7 +117,7 @@ def _draw_belief(axes: Axes, scene: SceneTrajectory) -> None:
 
 
 def _draw_inverse_mass(axes: Axes, scene: SceneTrajectory, inverse_mass: np.ndarray) -> None:
-    time = np.arange(scene.steps + 1) * scene.dt
+    time = scene.time
     involved, focus = involved_nodes(scene), focus_nodes(scene)
     directions = shown_directions(inverse_mass)
     for place, node in enumerate(focus):
@@ -161,10 +161,9 @@ def _style(axes: Axes, scene: SceneTrajectory, name: str, limits: tuple[float, f
     leading = leading_edges(scene, limit=1)
     if scene.contact is not None and leading:
         touching = scene.contact[1:, leading[0]].astype(float)
-        edges = np.arange(scene.steps + 1) * scene.dt
         axes.stairs(
             np.where(touching > 0, limits[1], limits[0]),
-            edges,
+            scene.time,
             baseline=limits[0],
             fill=True,
             color=CONTACT_COLOUR,
