@@ -20,7 +20,7 @@ from contactgraph.control.learned_cost import (
     TaskNode,
 )
 from contactgraph.data import InvalidInputError, atomic_write
-from contactgraph.data.json_fields import JsonFields, check_version, parse_json
+from contactgraph.data.json_fields import JsonFields, read_json_fields
 
 FORMAT = "contactgraph-cost"
 VERSION = 1
@@ -104,24 +104,8 @@ def read_cost(path: str | Path) -> LearnedCost:
 
 def describe_cost(path: str | Path) -> CostSummary:
     """The cost, and how it was made. Raises `InvalidInputError` as `read_cost` does."""
-    path = Path(path)
-    if not path.exists():
-        raise InvalidInputError(f"{path}: does not exist")
-    if not path.is_file():
-        raise InvalidInputError(f"{path}: must be a file, found a folder or device")
-    if path.stat().st_size > _SIZE_LIMIT:
-        raise InvalidInputError(f"{path}: must be a cost file, of at most {_SIZE_LIMIT} bytes")
-    try:
-        content = parse_json(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise InvalidInputError(
-            f"{path}: must be a cost file (JSON), found something else or a damaged file ({reason})"
-        ) from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InvalidInputError(f"{path}: must be a cost file, whose 'format' is {FORMAT!r}")
-    check_version(f"{path}: field", content, VERSION)
-    return _summary(JsonFields(str(path), content))
+    fields = read_json_fields(Path(path), "a cost file", FORMAT, VERSION, _SIZE_LIMIT)
+    return _summary(fields)
 
 
 def _summary(fields: JsonFields) -> CostSummary:

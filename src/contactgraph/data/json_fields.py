@@ -2,8 +2,8 @@
 
 import json
 import reprlib
-from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -138,14 +138,36 @@ def parse_json(text: str) -> Any:
     return json.loads(text, parse_constant=_refuse_constant)
 
 
-def check_version(field: str, content: Mapping[str, Any], version: int) -> None:
-    """Raises `InvalidInputError` where ``format_version`` is another one.
+def read_json_fields(
+    path: Path, what: str, file_format: str, version: int, size_limit: int
+) -> JsonFields:
+    """The fields of ``what``, such as "a cost file", in the file ``path``.
 
-    ``field`` names the field in the message, with the file's name, e.g. ``"a.json: field"``.
+    Its fields ``format`` and ``format_version`` must be ``file_format`` and ``version``. Nothing in
+    it is executed. Raises `InvalidInputError` where it is anything else, or has more than
+    ``size_limit`` bytes.
     """
+    if not path.exists():
+        raise InvalidInputError(f"{path}: does not exist")
+    if not path.is_file():
+        raise InvalidInputError(f"{path}: must be a file, found a folder or device")
+    if path.stat().st_size > size_limit:
+        raise InvalidInputError(f"{path}: must be {what}, of at most {size_limit} bytes")
+    try:
+        content = parse_json(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise InvalidInputError(
+            f"{path}: must be {what} (JSON), found something else or a damaged file ({reason})"
+        ) from error
+    if not isinstance(content, dict) or content.get("format") != file_format:
+        raise InvalidInputError(f"{path}: must be {what}, whose 'format' is {file_format!r}")
     found = content.get("format_version")
     if found != version or isinstance(found, bool):
-        raise InvalidInputError(f"{field} 'format_version' must be {version}, found {found!r}")
+        raise InvalidInputError(
+            f"{path}: field 'format_version' must be {version}, found {found!r}"
+        )
+    return JsonFields(str(path), content)
 
 
 def _refuse_constant(name: str) -> None:

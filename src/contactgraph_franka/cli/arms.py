@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,42 +34,12 @@ _DETECTION_TIMEOUT = 15.0
 """Wall seconds: rendered cameras are slow."""
 
 
-class Arm(Protocol):
-    """A robot with its clock, its object source, and motions outside the control loop."""
-
-    robot: Robot
-    clock: WallClock
-    name: str
-    """Text for the user."""
-    real: bool
-    """Whether it can hurt a person."""
-    tracker: "TrackedObjects | None"
-    """The tracker of the block; None without a camera."""
-    assumed: AssumedBlock | None
-    """The block at a given position; None with a camera."""
-    block_yaw: float
-    """rad: orientation of the block when the arm was opened; 0 without a camera."""
-
-    def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
-        """Names and texts."""
-
-    def move_to(self, position: np.ndarray, yaw: float) -> None:
-        """Moves the open hand slowly to ``position`` [3] m; raises `RobotFault` where it cannot."""
-
-    def place_block(self, layout: ArmLayout) -> bool:
-        """Puts the block to its position in ``layout``; False where a person must do it."""
-
-    def last_error(self) -> str:
-        """The arm's own message about its last stop; empty where there is none."""
-
-
 class FakeArm:
-    """`FakeRobot` in real time."""
+    """`FakeRobot` in real time; the methods are those of `FrankaArm`."""
 
     real = False
     block_yaw = 0.0
-    tracker: "TrackedObjects | None" = None
-    assumed: AssumedBlock | None = None
+    objects = None
     name = "a fake arm: a point mass and an object without weight"
 
     def __init__(self) -> None:
@@ -79,7 +49,7 @@ class FakeArm:
         self.robot: Robot = RealtimeFakeRobot(self._fake, self.clock)
 
     def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
-        """See `Arm`."""
+        """See `FrankaArm`."""
         low, high = limits.workspace_low, limits.workspace_high
         return [
             ("address", FAKE),
@@ -89,16 +59,16 @@ class FakeArm:
         ]
 
     def move_to(self, position: np.ndarray, yaw: float) -> None:
-        """See `Arm`; it takes no time."""
+        """See `FrankaArm`; it takes no time."""
         self._fake.place(position, self._fake.position[1])
 
     def place_block(self, layout: ArmLayout) -> bool:
-        """See `Arm`."""
+        """See `FrankaArm`."""
         self._fake.place(self._fake.position[0], layout.blocks[0])
         return True
 
     def last_error(self) -> str:
-        """See `Arm`."""
+        """See `FrankaArm`."""
         return ""
 
 
@@ -115,17 +85,21 @@ class FrankaArm:
         block_yaw: float,
     ) -> None:
         self.robot: Robot = robot
-        self.clock, self.block_yaw = clock, block_yaw
-        self.tracker = None if isinstance(objects, AssumedBlock) else objects
-        self.assumed = objects if isinstance(objects, AssumedBlock) else None
+        self.clock = clock
+        self.objects = objects
+        """The source of the block's position; None where the robot has its own."""
+        self.block_yaw = block_yaw
+        """rad: orientation of the block when the arm was opened; 0 without a camera."""
         self.real = simulation is None
+        """Whether it can hurt a person."""
         self.name = f"the arm at {robot.address}"
+        """Text for the user."""
         if simulation is not None:
             self.name = f"the simulated arm at {robot.address}, {clock.pace:g} times slower"
         self._franka, self._gripper, self._simulation = robot, gripper, simulation
 
     def describe(self, limits: SafetyLimits) -> list[tuple[str, str]]:
-        """See `Arm`."""
+        """Names and texts of its state and limits."""
         from contactgraph_franka.driver.description import describe_gripper
 
         fingers = self._gripper
@@ -135,7 +109,7 @@ class FrankaArm:
         ]
 
     def move_to(self, position: np.ndarray, yaw: float) -> None:
-        """See `Arm`."""
+        """Moves the open hand slowly to ``position`` [3] m; raises `RobotFault` where it cannot."""
         self._gripper.open()
         if self._franka.ended is not None and not self._franka.recover():
             raise RobotFault(f"{self.name} does not recover: {self._franka.last_error}")
@@ -145,17 +119,21 @@ class FrankaArm:
             raise RobotFault(f"{self.name} {ended}; its message: {self.last_error()}")
 
     def place_block(self, layout: ArmLayout) -> bool:
-        """See `Arm`."""
+        """Puts the block to its position in ``layout``; False where a person must do it."""
         if self._simulation is None:
             return False
         self._simulation.place_block(0, layout.blocks[0], float(layout.block_yaw[0]))
         return True
 
     def last_error(self) -> str:
-        """See `Arm`."""
+        """The arm's own message about its last stop; empty where there is none."""
         ended = self._franka.ended
         reason = "" if ended is None else ended.reason.value
         return " ".join(f"{reason} {self._franka.last_error}".split())
+
+
+Arm = FakeArm | FrankaArm
+"""A robot with its clock, its object source, and motions outside the control loop."""
 
 
 @contextmanager

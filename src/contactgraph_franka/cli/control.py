@@ -47,6 +47,9 @@ _CONTROL_WEIGHT = 0.03
 """1/N^2. With the simulated task's 0.01, long plans begin with more force than an arm's limits
 permit, more along one axis than along another, so that the hand approaches on a curve."""
 
+_REPORTED = ("rate_hz", "jitter_ms_p99", "plan_ms_p50", "plan_ms_p99", "plans", "plans_late")
+"""Numbers of the loop of an episode in the JSON of `ControlSimulated`."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -109,7 +112,7 @@ class Run:
                 "goal": goal.tolist(),
                 "dry_run": self.dry_run,
                 "pace": arm.clock.pace,
-                **outcome.to_json(),
+                **vars(outcome),
                 **report.to_json(),
             },
         )
@@ -236,12 +239,7 @@ class ControlSimulated:
             "tracking_error_m": error,
             "end": report.stop.reason.value,
             "completed": report.completed,
-            "rate_hz": report.rate_hz,
-            "jitter_ms_p99": report.jitter_ms_p99,
-            "plan_ms_p50": report.plan_ms_p50,
-            "plan_ms_p99": report.plan_ms_p99,
-            "plans": report.plans,
-            "plans_late": report.plans_late,
+            **{name: getattr(report, name) for name in _REPORTED},
         }, truth
 
     def _summary(self, results: list[dict[str, Any]]) -> dict[str, Any]:

@@ -18,14 +18,9 @@ from contactgraph.data import (
     read_trajectories,
     write_trajectories,
 )
+from contactgraph.envs.contract import Policy
 from contactgraph_franka.cli.arms import Arm, open_arm
-from contactgraph_franka.cli.options import (
-    ArmOptions,
-    RobotFault,
-    check_seconds,
-    ctrl_c,
-    point,
-)
+from contactgraph_franka.cli.options import ArmOptions, RobotFault, check_seconds, ctrl_c, point
 from contactgraph_franka.cli.session import (
     Session,
     SimulatedSetup,
@@ -35,8 +30,9 @@ from contactgraph_franka.cli.session import (
     simulated_setup,
     wait_for_block,
 )
+from contactgraph_franka.envs.expert import FrankaExpert, RecordingPolicy, grasps
 from contactgraph_franka.envs.pickup import HAND, TARGET, ArmLayout, pickup_scene
-from contactgraph_franka.loop import Planner, PlannerProcess
+from contactgraph_franka.loop import PlannerProcess
 from contactgraph_franka.loop.planner import PolicyPlanner
 
 _DT = 0.01
@@ -89,7 +85,7 @@ class Record:
         metadata: Metadata = {"task": "franka", "seed": self.seed, "noise": self.noise}
         with (
             open_arm(self.address, self.arm) as arm,
-            PlannerProcess(partial(expert_planner, self.noise)) as planner,
+            _planning(FrankaExpert(self.noise)) as planner,
             progress("recording", self.runs) as steps,
         ):
             session = Session(arm, limits, planner, self.seconds)
@@ -122,6 +118,11 @@ class Record:
             print(f"the expert succeeded in {succeeded} of {len(done)} trajectories")
 
 
+def _planning(policy: Policy) -> PlannerProcess:
+    scene = pickup_scene(_DT, np.zeros(3))  # each episode has its own goal
+    return PlannerProcess(partial(PolicyPlanner, policy, scene))
+
+
 def _existing(path: Path, **flags: float) -> list[Trajectory]:
     """The trajectories of an earlier call of the command, which must have had the same flags."""
     if not path.exists():
@@ -145,13 +146,6 @@ def _arrange(arm: Arm, layout: ArmLayout) -> None:
     wait_for_block(arm)
     goal = point(layout.goal)
     count_down(arm, f"the hand will sweep through the block and bring it to {goal} m")
-
-
-def expert_planner(noise: float) -> Planner:
-    """The scripted expert of the arm's pickup, with ``noise`` N on its force."""
-    from contactgraph_franka.envs.expert import FrankaExpert
-
-    return PolicyPlanner(FrankaExpert(noise=noise), pickup_scene(_DT, np.zeros(3)))
 
 
 @dataclass(frozen=True)
@@ -207,7 +201,7 @@ class RecordSimulated:
         metadata: Metadata = {"task": "franka", "seed": self.seed}
         with (
             simulated_setup(self.pace) as setup,
-            PlannerProcess(partial(recording_planner, self.stopping)) as planner,
+            _planning(RecordingPolicy(self.stopping)) as planner,
             progress("recording", self.runs) as steps,
         ):
             session = Session(setup.arm, setup.limits, planner, self.seconds)
@@ -222,7 +216,6 @@ class RecordSimulated:
         self, setup: SimulatedSetup, session: Session, number: int
     ) -> tuple[Trajectory, Trajectory, Trajectory]:
         """One trajectory: smoothed, by the ground truth, and as tracked online."""
-        from contactgraph_franka.envs.expert import grasps
         from contactgraph_franka.sim.shared_state import ground_truth_trajectory
 
         for attempt in range(_ATTEMPTS):
@@ -281,10 +274,3 @@ def _summary(recorded: list[Trajectory], truth: list[Trajectory]) -> dict[str, A
         "hand_error_worst_m": float(error[:, HAND].max()),
         "each": metadata,
     }
-
-
-def recording_planner(stopping: float) -> Planner:
-    """`RecordingPolicy` as a planner; ``stopping`` is its share of grasps at rest."""
-    from contactgraph_franka.envs.expert import RecordingPolicy
-
-    return PolicyPlanner(RecordingPolicy(stopping), pickup_scene(_DT, np.zeros(3)))

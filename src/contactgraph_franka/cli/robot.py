@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,10 +60,7 @@ class Check:
         for line in timing.lines():
             print(line)
         report = timing.report
-        write_json(
-            self.json,
-            {"address": self.address, **timing.to_json()},
-        )
+        write_json(self.json, {"address": self.address, **timing.to_json()})
         if not report.completed:
             raise RobotFault(f"the arm stopped: {report.stop.reason.value}. {error}".strip())
         if report.rate_hz < _MIN_HZ or report.jitter_ms_p99 > _MAX_JITTER_MS:
@@ -102,13 +98,13 @@ class Calibrate:
             single_tag,
             write_calibration,
         )
-        from contactgraph_franka.sim.blocks import block_names, scene_blocks
+        from contactgraph_franka.sim.blocks import tagged_objects
 
         check_suffix("--out", self.out, ".json")
         check_writable(self.out)
         check_range("--poses", self.poses, _MIN_POSES, 200)
         marker = single_tag(self.tag, self.tag_size)
-        blocks = dict(zip(block_names(1), (each.tagged for each in scene_blocks(1)), strict=True))
+        blocks = tagged_objects(1)
         if any(self.tag in tagged.by_id for tagged in blocks.values()):
             raise InvalidInputError(f"--tag {self.tag} is one of the block's; take another")
         if self.address == FAKE:
@@ -132,9 +128,8 @@ class Calibrate:
                     hand_poses.append(robot.hand_pose())
                     marker_poses.append(marker_pose)
             solved = calibrate(np.stack(hand_poses), marker_poses, marker, camera.intrinsics)
-            made = datetime.now(UTC).isoformat(timespec="seconds")
             calibration = CameraCalibration(
-                camera.intrinsics, solved.camera_pose, blocks, made, solved.residuals
+                camera.intrinsics, solved.camera_pose, blocks, residuals=solved.residuals
             )
         finally:
             camera.close()

@@ -22,11 +22,9 @@ from contactgraph_franka.envs.pickup import (
 from contactgraph_franka.loop import (
     AsyncPlanner,
     ControlLoop,
-    EpisodeStart,
     LoopReport,
     PlanFeedback,
     PlanResult,
-    TimedObservation,
 )
 from contactgraph_franka.recording import TrajectoryRecorder
 from contactgraph_franka.safety import Robot, RobotReading, SafeRobot, SafetyLimits, Stop
@@ -75,59 +73,20 @@ class ReadOnlyRobot:
         """Does nothing: the robot stays out of control."""
 
 
-class PrintedPlans:
-    """An `AsyncPlanner` that prints a plan every half second."""
-
-    def __init__(self, planner: AsyncPlanner) -> None:
-        self._planner = planner
-        self.interval = planner.interval
-
-    def reset(self, start: EpisodeStart) -> None:
-        """See `AsyncPlanner`."""
-        self._planner.reset(start)
-        self._began: float | None = None
-        self._due = 0.0
-
-    def submit(self, observation: TimedObservation) -> None:
-        """See `AsyncPlanner`."""
-        if self._began is None:
-            self._began = self._due = observation.time
-        self._planner.submit(observation)
-
-    def poll(self) -> PlanResult | None:
-        """See `AsyncPlanner`."""
-        result = self._planner.poll()
-        if result is None or self._began is None or result.observed_at < self._due:
-            return result
-        self._due = result.observed_at + _PRINT_INTERVAL
-        if isinstance(result.policy, PlanFeedback):
-            hand, block = result.policy.states[-1, :2, 0]
-            print(
-                f"at {result.observed_at - self._began:4.1f} s: first force "
-                f"{point(result.policy.controls[0], 1)} N; in {result.policy.duration:g} s the "
-                f"hand at {point(hand)} m, the block at {point(block)} m"
-            )
-        return result
-
-
 @dataclass(frozen=True)
 class EpisodeOutcome:
-    """Final state of an episode."""
+    """Final state of an episode; the names are those of the commands' JSON."""
 
     success: bool | None
     """Whether the hand holds the block at the goal; None where nothing was read."""
-    distance: float | None
-    """m, from block to goal."""
-
-    def to_json(self) -> dict[str, float | bool | None]:
-        """Both by name."""
-        return {"success": self.success, "distance_m": self.distance}
+    distance_m: float | None
+    """From block to goal."""
 
     def __str__(self) -> str:
-        if self.distance is None:
+        if self.distance_m is None:
             return "nothing was read"
-        result = ("yes: the block is held" if self.success else "no: the block is not") + " at"
-        return f"success    {result} the goal, {100 * self.distance:.1f} cm from it"
+        result = "yes: the block is held" if self.success else "no: the block is not"
+        return f"success    {result} at the goal, {100 * self.distance_m:.1f} cm from it"
 
 
 class Session:
@@ -142,11 +101,11 @@ class Session:
         dry: bool = False,
     ) -> None:
         """Each episode lasts ``seconds``. ``dry``: no force is sent, and plans are printed."""
-        self._arm, self._seconds = arm, seconds
+        self._arm, self._seconds, self._dry = arm, seconds, dry
         robot: Robot = ReadOnlyRobot(arm.robot) if dry else arm.robot
         self._loop = ControlLoop(
             SafeRobot(robot, limits, arm.clock),
-            PrintedPlans(planner) if dry else planner,
+            planner,
             arm.clock,
             period=_PERIOD,
         )
@@ -158,11 +117,16 @@ class Session:
     ) -> LoopReport:
         """Runs one episode to ``goal`` [3] m; ``stop_requested`` ends it gently."""
         self._recorder.reset()
-        for source in (self._arm.tracker, self._arm.assumed):
-            if source is not None:
-                source.begin()
+        self._next_print = 0.0
+        if self._arm.objects is not None:
+            self._arm.objects.begin()
         return self._loop.run(
-            self._seconds, goal, seed, on_cycle=self._record, stop_requested=stop_requested
+            self._seconds,
+            goal,
+            seed,
+            on_cycle=self._record,
+            on_plan=self._print_plan if self._dry else None,
+            stop_requested=stop_requested,
         )
 
     @property
@@ -178,13 +142,13 @@ class Session:
         With ``smooth``, later frames of the camera correct the block's states; else they are those
         known at the time.
         """
-        tracker = self._arm.tracker
+        objects = self._arm.objects
         scene = pickup_scene(_PERIOD, goal)
         outcome = self.outcome(goal)
         metadata = {**scene.metadata, **metadata, "pace": self._arm.clock.pace}
         if outcome.success is not None:
             metadata["success"] = outcome.success
-        tracks = tracker.tracks if smooth and tracker is not None else None
+        tracks = objects.tracks if smooth and objects is not None else None
         return self._recorder.trajectory(replace(scene, metadata=metadata), tracks)
 
     def outcome(self, goal: np.ndarray) -> EpisodeOutcome:
@@ -194,6 +158,17 @@ class Session:
         position = self._last.position
         distance = float(np.linalg.norm(position[TARGET] - goal))
         return EpisodeOutcome(is_success(position, goal), distance)
+
+    def _print_plan(self, elapsed: float, result: PlanResult) -> None:
+        if elapsed < self._next_print or not isinstance(result.policy, PlanFeedback):
+            return
+        self._next_print = elapsed + _PRINT_INTERVAL
+        hand, block = result.policy.states[-1, :2, 0]
+        force = point(result.policy.controls[0], 1)
+        print(
+            f"at {elapsed:4.1f} s: first force {force} N; in {result.policy.duration:g} s the hand "
+            f"at {point(hand)} m, the block at {point(block)} m"
+        )
 
     def _record(self, now: float, reading: RobotReading | None, sent: np.ndarray | None) -> None:
         self._recorder(now, reading, sent)
@@ -268,9 +243,9 @@ def count_down(arm: Arm, motion: str) -> None:
 def wait_for_block(arm: Arm) -> None:
     """Returns when the block is tracked steadily; raises `RobotFault` where it is not."""
     since = began = arm.clock()
-    while arm.tracker is not None:
+    while arm.objects is not None:
         now = arm.clock()
-        if not all(each.tracked for each in arm.tracker.estimates(now)):
+        if not all(each.tracked for each in arm.objects.estimates(now)):
             since = now
         if now - since > _STEADY:
             return

@@ -25,8 +25,9 @@ from contactgraph_franka.driver.client import (
     move_to_pose,
 )
 from contactgraph_franka.driver.description import describe_arm, describe_limits
+from contactgraph_franka.driver.gripper import FrankaGripper
 from contactgraph_franka.driver.impedance import HandImpedance
-from contactgraph_franka.driver.readings import Fingers, ObjectSource, ReadingBuilder
+from contactgraph_franka.driver.readings import ObjectSource, ReadingBuilder
 from contactgraph_franka.safety.limits import SafetyLimits
 from contactgraph_franka.safety.robot import RobotReading, Stop, StopReason
 
@@ -66,7 +67,7 @@ class FrankaRobot:
         clock: Callable[[], float] = time.monotonic,
         limits: JointLimits = FR3_LIMITS,
         drives: JointDrives = NO_DRIVES,
-        fingers: Fingers | None = None,
+        fingers: FrankaGripper | None = None,
     ) -> None:
         """Connects to ``address``; nothing moves.
 

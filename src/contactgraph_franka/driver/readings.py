@@ -2,12 +2,16 @@
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from contactgraph_franka.perception.tracked_objects import TrackedObjects
 from contactgraph_franka.perception.tracker import Estimate
 from contactgraph_franka.safety.robot import RobotReading
+
+if TYPE_CHECKING:
+    from contactgraph_franka.driver.gripper import FrankaGripper
 
 _HAND_VARIANCE = 1e-8
 """m^2: the maker states a repeatability of 0.1 mm."""
@@ -15,40 +19,10 @@ _BLOCK_VARIANCE = 1e-6
 """m^2, of a position given by a person: to a millimetre."""
 
 
-class ObjectSource(Protocol):
-    """A source of object positions: see `contactgraph_franka.perception`."""
-
-    def follow(
-        self, hand: np.ndarray, speed: np.ndarray, stamp: float, block: int, contact: float
-    ) -> None:
-        """Takes in the hand's position [3] m and velocity [3] m/s at ``stamp`` s.
-
-        ``contact``: 1 where its fingers hold ``block``, 0 where not, NaN where that is unknown.
-        """
-
-    def estimates(self, now: float) -> Sequence[Estimate]:
-        """One for each object, at ``now`` s."""
-
-
-class Fingers(Protocol):
-    """The fingers of the hand: see `FrankaGripper`."""
-
-    @property
-    def block(self) -> int:
-        """Index of the block that they close on, or closed on last."""
-
-    def follow(self, offset: np.ndarray, velocity: np.ndarray, tracked: np.ndarray) -> None:
-        """Closes or opens them: ``offset`` [M, 3] m to the blocks, ``velocity`` [M, 3] m/s of the
-        grasp point relative to them, ``tracked`` [M] bool."""
-
-    def contact(self) -> float:
-        """1 where they hold the block, 0 where not, NaN where that is unknown."""
-
-
 class ReadingBuilder:
     """Assembles readings. Node 0 is the hand, the others are the objects."""
 
-    def __init__(self, objects: ObjectSource | None, fingers: Fingers | None) -> None:
+    def __init__(self, objects: "ObjectSource | None", fingers: "FrankaGripper | None") -> None:
         self._objects, self._fingers = objects, fingers
 
     def reading(
@@ -94,10 +68,13 @@ class ReadingBuilder:
 
 
 class AssumedBlock:
-    """An `ObjectSource` without a camera: a block at a given position until the fingers hold it.
+    """An object source without a camera: a block at a given position until the fingers hold it.
 
     From then on it moves with the hand.
     """
+
+    tracks = None
+    """No frames to smooth; see `TrackedObjects`."""
 
     def __init__(self, position: np.ndarray) -> None:
         """``position`` [3] m of its centre."""
@@ -111,7 +88,7 @@ class AssumedBlock:
     def follow(
         self, hand: np.ndarray, speed: np.ndarray, stamp: float, block: int, contact: float
     ) -> None:
-        """See `ObjectSource`."""
+        """See `TrackedObjects`."""
         # An unknown contact changes nothing.
         if contact > 0.5:
             self._position, self._velocity = hand.copy(), speed.copy()
@@ -121,3 +98,7 @@ class AssumedBlock:
     def estimates(self, now: float) -> list[Estimate]:
         """The one block, at ``now`` s."""
         return [Estimate(self._position, self._velocity, np.full(3, _BLOCK_VARIANCE), now, True)]
+
+
+ObjectSource: TypeAlias = TrackedObjects | AssumedBlock
+"""A source of object positions."""

@@ -2,11 +2,12 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
+from contactgraph.envs.feedback import PlanFeedback
 from contactgraph_franka.loop.planner import (
     AsyncPlanner,
     EpisodeStart,
@@ -22,6 +23,9 @@ from contactgraph_franka.safety.robot import Command, Robot, RobotReading, StopR
 CycleCallback = Callable[[float, RobotReading | None, np.ndarray | None], None]
 """Called in every cycle with the time s, the reading (None: nothing new) and the force [D] N really
 sent (None: none was). It must be fast."""
+
+PlanCallback = Callable[[float, PlanResult], None]
+"""Called with each plan, and the time s from the begin of the episode to its observation."""
 
 _BRAKING_S = 0.05
 """s, for which the loop goes on after a stop: until the force is off, and then calling the robot's
@@ -78,6 +82,7 @@ class ControlLoop:
         seed: int = 0,
         *,
         on_cycle: CycleCallback | None = None,
+        on_plan: PlanCallback | None = None,
         stop_requested: Callable[[], bool] = lambda: False,
     ) -> LoopReport:
         """Runs for ``seconds``, or until a limit or ``stop_requested`` ends it; always gently.
@@ -88,7 +93,7 @@ class ControlLoop:
         reading = self._first_reading()
         self._planner.reset(EpisodeStart(reading, goal, seed))
         with realtime_priority():
-            return self._run(reading, seconds, on_cycle, stop_requested)
+            return self._run(reading, seconds, on_cycle, on_plan, stop_requested)
 
     def _first_reading(self) -> RobotReading:
         until = time.monotonic() + _FIRST_READING_S
@@ -107,6 +112,7 @@ class ControlLoop:
         reading: RobotReading,
         seconds: float,
         on_cycle: CycleCallback | None,
+        on_plan: PlanCallback | None,
         stop_requested: Callable[[], bool],
     ) -> LoopReport:
         robot, clock, planner, period = self._robot, self._clock, self._planner, self._period
@@ -132,6 +138,8 @@ class ControlLoop:
                 result, fault = None, error
             if result is not None:
                 statistics.add_plan(now, result)
+                if on_plan is not None:
+                    on_plan(result.observed_at - began, result)
                 active = result if result.policy is not None else active
             if robot.stop is None:
                 statistics.add_plan_age(now, active)
@@ -181,30 +189,24 @@ def _is_finite(reading: RobotReading, shape: tuple[int, ...]) -> bool:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class PositionHold:
-    """A policy that holds the hand at a position by a soft spring and damper."""
-
-    target: np.ndarray
-    """[D] m"""
-    duration: float
-    """s"""
-
-    def __call__(self, elapsed: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """[D] N, at [N, D] m and m/s."""
-        force = _HOLD_STIFFNESS * (self.target - position[0]) - _HOLD_DAMPING * velocity[0]
-        return force * min(1.0, _HOLD_FORCE / max(float(np.linalg.norm(force)), 1e-9))
-
-
 class PositionHoldPlanner:
-    """An `AsyncPlanner` that takes no time and holds the hand at its first position."""
+    """An `AsyncPlanner` that takes no time.
+
+    It holds the hand at its first position by a soft spring and damper.
+    """
 
     interval = 0.05
     """s"""
 
     def reset(self, start: EpisodeStart) -> None:
         """Takes the present position of the hand as the target."""
-        self._policy = PositionHold(start.reading.position[0].copy(), duration=1.0)
+        position = start.reading.position
+        state = np.stack([position, np.zeros_like(position)], axis=1)
+        gains = np.zeros((1, position.shape[1], *state.shape))
+        for part, gain in enumerate((_HOLD_STIFFNESS, _HOLD_DAMPING)):
+            gains[0, :, 0, part] = -gain * np.eye(position.shape[1])
+        held = np.stack([state, state])
+        self._policy = PlanFeedback(held, np.zeros((1, position.shape[1])), gains, dt=1.0)
         self._result: PlanResult | None = None
 
     def submit(self, observation: TimedObservation) -> None:
@@ -232,6 +234,7 @@ def measure_loop(robot: Robot, limits: SafetyLimits, clock: Clock, seconds: floa
         if reading is not None:
             times.append(reading.robot_time)
 
+    limits = replace(limits, max_force=min(limits.max_force, _HOLD_FORCE))
     loop = ControlLoop(SafeRobot(robot, limits, clock), PositionHoldPlanner(), clock)
     report = loop.run(seconds, np.zeros(len(limits.workspace_low)), on_cycle=add_time)
     gaps = 1e3 * np.diff(times) if len(times) > 1 else np.full(1, np.nan)

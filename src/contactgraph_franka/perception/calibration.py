@@ -2,14 +2,14 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from datetime import datetime
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError, atomic_write
-from contactgraph.data.json_fields import JsonFields, check_version, parse_json
+from contactgraph.data.json_fields import JsonFields, read_json_fields
 from contactgraph_franka.perception.camera import Intrinsics, check_pose, transform
 
 CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
@@ -102,7 +102,7 @@ class CameraCalibration:
     """[4, 4]: camera to the robot's base."""
     objects: Mapping[str, TaggedObject]
     """By node name."""
-    made: str
+    made: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     """ISO 8601 time."""
     residuals: CalibrationResiduals | None = None
     """None if the pose is not from `calibrate`."""
@@ -155,26 +155,10 @@ def read_calibration(path: str | Path) -> CameraCalibration:
 
     Raises `InvalidInputError` that names file and field for any invalid content.
     """
-    path = Path(path)
-    if not path.exists():
-        raise InvalidInputError(f"{path}: does not exist")
-    if not path.is_file() or path.stat().st_size > _SIZE_LIMIT:
-        raise InvalidInputError(f"{path}: must be a file of at most {_SIZE_LIMIT} bytes")
+    what = "a camera's calibration"
+    fields = read_json_fields(Path(path), what, FORMAT, VERSION, _SIZE_LIMIT)
     try:
-        content = parse_json(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise InvalidInputError(
-            f"{path}: must be a camera's calibration (JSON), found something else or a damaged "
-            f"file ({reason})"
-        ) from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InvalidInputError(
-            f"{path}: must be a camera's calibration, whose 'format' is {FORMAT!r}"
-        )
-    check_version(f"{path}: field", content, VERSION)
-    try:
-        return _calibration(JsonFields(str(path), content))
+        return _calibration(fields)
     except InvalidInputError as error:
         reason = str(error)
         raise InvalidInputError(
@@ -203,15 +187,10 @@ def _calibration(fields: JsonFields) -> CameraCalibration:
         )
     lens = fields.inner("intrinsics")
     distorted = lens.content.get("distortion") is not None
-    intrinsics = Intrinsics(
-        fx=_number(lens, "fx"),
-        fy=_number(lens, "fy"),
-        cx=_number(lens, "cx"),
-        cy=_number(lens, "cy"),
-        width=lens.count("width", 1),
-        height=lens.count("height", 1),
-        distortion=tuple(lens.numbers("distortion", (5,)).tolist()) if distorted else None,
-    )
+    fx, fy, cx, cy = (_number(lens, name) for name in ("fx", "fy", "cx", "cy"))
+    width, height = (lens.count(name, 1) for name in ("width", "height"))
+    distortion = tuple(lens.numbers("distortion", (5,)).tolist()) if distorted else None
+    intrinsics = Intrinsics(fx, fy, cx, cy, width, height, distortion)
     camera_pose = fields.numbers("camera_pose", (4, 4))
     return CameraCalibration(intrinsics, camera_pose, objects, fields.text("made"), residuals)
 

@@ -11,7 +11,8 @@ import numpy as np
 
 _SEARCH = 2.5  # px, largest search distance across an edge
 _CELL_SHARE = 0.85  # Largest search distance, in cells of the tag; the next cell has another colour
-_CELLS = 8  # A tag's side, in cells
+CELLS = 8
+"""Cells along a tag36h11 with its black border; a white one, a cell wide, must surround it."""
 _LEAST_SEARCH = 0.9  # px; a cell narrower than that is no wider than the blur
 _ALONG = np.linspace(0.07, 0.93, 24)
 """Sample positions along an edge, without the ends, which the next edge blurs."""
@@ -51,7 +52,7 @@ def find_edges(image: np.ndarray, corners: np.ndarray) -> Edges:
     normal = np.stack([sides[:, 1], -sides[:, 0]], axis=1) / lengths[:, None]
     inwards = np.einsum("ec,ec->e", middles - starts, normal)
     normal *= -np.sign(inwards)[:, None]
-    cell = 2.0 * np.abs(inwards) / _CELLS
+    cell = 2.0 * np.abs(inwards) / CELLS
     search = np.minimum(_SEARCH, _CELL_SHARE * cell)
     samples = (
         starts[:, None, None]

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from PIL import Image
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception.camera import Window
+from contactgraph_franka.perception.edges import CELLS
 
 try:
     import pyapriltags
@@ -146,3 +148,22 @@ def _window(detections: Sequence[TagDetection], image: np.ndarray) -> Window | N
     left, top = np.floor(np.maximum(low - margin, 0)).astype(int).tolist()
     right, bottom = np.ceil(np.minimum(high + margin, (width, height))).astype(int).tolist()
     return Window(left, top, right - left, bottom - top)
+
+
+def black_cells(tag: int) -> np.ndarray:
+    """[8, 8] bool, rows from the top: the black cells of tag36h11 number ``tag``, 0 to 586."""
+    code, columns, rows = _family()
+    black = np.ones((CELLS, CELLS), bool)
+    bits = len(columns)
+    for bit, (column, row) in enumerate(zip(columns, rows, strict=True)):
+        black[row, column] = not code[tag] >> (bits - 1 - bit) & 1
+    return black
+
+
+@cache
+def _family() -> tuple[list[int], list[int], list[int]]:
+    """The codes of tag36h11, and the column and the row of each bit, the most significant first."""
+    detector = pyapriltags.Detector("tag36h11")
+    family = detector.tag_families["tag36h11"].contents
+    bits = family.nbits
+    return family.codes[: family.ncodes], family.bit_x[:bits], family.bit_y[:bits]

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +13,10 @@ from contactgraph_franka.perception.tracker import (
     Estimate,
     FilterState,
     ObjectTracker,
-    PositionMeasurement,
 )
+
+if TYPE_CHECKING:
+    from contactgraph_franka.perception.perception import Perception
 
 _FINGER_DELAY = 0.035
 """s from stopped fingers to their report: `FingerContact`'s window and one reading."""
@@ -22,13 +24,6 @@ _PAUSE = 0.05  # s between two entries beyond which the motion in between is unk
 _KEPT = 512  # Entries, half a second, that delayed frames still refer to
 _CAPACITY = 1 << 16  # Initial number of entries, a minute at 1 kHz. Doubling takes 1 ms
 _NOTHING = -1
-
-
-class MeasurementSource(Protocol):
-    """Measurements of objects, as of `contactgraph_franka.perception.perception.Perception`."""
-
-    def since(self, name: str, after: float) -> Sequence[PositionMeasurement]:
-        """The newest measurements exposed after ``after`` s, in order."""
 
 
 class GraspOffsetHistory:
@@ -149,7 +144,7 @@ class TrackedObjects:
     A grasped object moves with the hand; the camera corrects only its offset in the hand.
     """
 
-    def __init__(self, source: MeasurementSource, names: Sequence[str]) -> None:
+    def __init__(self, source: "Perception", names: Sequence[str]) -> None:
         """``names`` are those of the nodes after the hand."""
         self._source = source
         self._names = tuple(names)

@@ -9,9 +9,9 @@ from contactgraph.data import InvalidInputError
 from contactgraph_franka.envs.pickup import BLOCK
 from contactgraph_franka.perception.calibration import Tag, TaggedObject
 from contactgraph_franka.perception.camera import pose, transform
+from contactgraph_franka.perception.edges import CELLS
+from contactgraph_franka.perception.tags import black_cells
 
-CELLS = 8
-"""Cells along a tag36h11 with its black border; a white one, a cell wide, must surround it."""
 MASS = 0.83
 """kg, of the paper's block."""
 LARGEST_COUNT = 2
@@ -22,20 +22,6 @@ WOOD_FRICTION = ".5 .005 .0001"
 _POSITIONS = ((0.5, -0.15, 0.05), (0.5, 0.15, 0.05))  # Initial positions of the blocks, m
 _TAGS_A_BLOCK = 9
 _LIFT = 1e-4  # m, of the print above the paper, against flicker
-# Columns and rows of the first half of the code's bits, the most significant first. The other half
-# is its image under half a turn.
-_COLUMN = (1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4)
-_ROW = (1, 1, 1, 1, 1, 2, 2, 2, 3, 1, 2, 3, 4, 5, 2, 3, 4, 3)
-# fmt: off
-_CODES = (
-    0xD7E00984B, 0xDDA664CA7, 0xDC4A1C821, 0xE17B470E9, 0xEF91D01B1, 0xF429CDD73,
-    0x05DA29225, 0x1106CBA43, 0x223BED79D, 0x21F51213C, 0x33EB19CA6, 0x3F76EB0F8,
-    0x469A97414, 0x45DCFE0B0, 0x4A6465F72, 0x51801DB96, 0x5EB946B4E, 0x68A7CC2EC,
-    0x6F0BA2652, 0x78765559D, 0x87B83D129, 0x86CC4A5C5, 0x8B64DF90F, 0x9C577B611,
-)
-# fmt: on
-TAGS = len(_CODES)
-"""Number of tags whose published code is known here: ids 0 to TAGS - 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +64,10 @@ def scene_blocks(count: int, mass: float = MASS) -> tuple[TaggedBlock, ...]:
     return blocks
 
 
-def block_names(count: int) -> list[str]:
-    """The names of nodes 1 and on."""
-    return ["block", *(f"block-{index}" for index in range(1, count))][:count]
+def tagged_objects(count: int) -> dict[str, TaggedObject]:
+    """The tags of the blocks by the names of nodes 1 and on."""
+    names = ["block", *(f"block-{index}" for index in range(1, count))][:count]
+    return {name: each.tagged for name, each in zip(names, scene_blocks(count), strict=True)}
 
 
 def tagged_block(
@@ -96,13 +83,9 @@ def tagged_block(
     Its frame is at its centre, z up. Each upright face has two tags, at its ends, so that the tilt
     is well observed and fingers around the middle cover none; the top has one. They are as large
     as the narrowest face of ``sides`` [3] m allows with a white border, 0.032 m for the default.
-    Ids count from ``first_tag``. Raises `InvalidInputError` for unknown ids, or a block less than
-    twice as high as wide.
+    Ids count from ``first_tag``. Raises `InvalidInputError` for unknown ids, or a block less
+    than twice as high as wide.
     """
-    if first_tag < 0 or first_tag + _TAGS_A_BLOCK > TAGS:
-        raise InvalidInputError(
-            f"first_tag must be 0 to {TAGS - _TAGS_A_BLOCK}, found {first_tag} for {name}"
-        )
     width = float(min(sides[:2]))
     if sides[2] < 2.0 * width:
         raise InvalidInputError(f"sides of {name} must be twice as high as wide, found {sides}")
@@ -127,21 +110,6 @@ def tagged_block(
         for part, colour in (("paper", ".9 .9 .9 1"), ("ink", ".05 .05 .05 1"))
     )
     return TaggedBlock(body, (_print_mesh(name, tags), *materials), TaggedObject(tags))
-
-
-def black_cells(tag: int) -> np.ndarray:
-    """[8, 8] bool, rows from the top: the black cells of tag36h11 number ``tag``.
-
-    Raises `InvalidInputError` for a tag whose code is not known here.
-    """
-    if not 0 <= tag < TAGS:
-        raise InvalidInputError(f"tag must be 0 to {TAGS - 1}, found {tag}")
-    black = np.ones((CELLS, CELLS), bool)
-    half = list(zip(_COLUMN, _ROW, strict=True))
-    both = half + [(CELLS - 1 - column, CELLS - 1 - row) for column, row in half]
-    for bit, (column, row) in enumerate(both):
-        black[row, column] = not _CODES[tag] >> (len(both) - 1 - bit) & 1
-    return black
 
 
 def _tag_poses(sides: np.ndarray, width: float) -> list[np.ndarray]:

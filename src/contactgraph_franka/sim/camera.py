@@ -40,8 +40,6 @@ class CameraSettings:
     """s, from exposure to availability."""
     grey_noise: float = 2.0
     """Grey levels, standard deviation."""
-    depth_noise: float | None = None
-    """m at 1 m; None: no depth."""
     seed: int = 0
     """Seed of the noise."""
 
@@ -60,20 +58,16 @@ class CameraSettings:
         return CameraSettings(**{**fields, "intrinsics": Intrinsics(**lens), "place": place})
 
 
-def frame_ring(folder: Path, lens: Intrinsics, depth: bool) -> RingWriter:
+def frame_ring(folder: Path, lens: Intrinsics) -> RingWriter:
     """The ring of a camera's frames."""
-    shape = (lens.height, lens.width)
-    fields: list[tuple] = [("time", "f8"), ("image", "u1", shape)]
-    depths: list[tuple] = [("depth", "f4", shape)] if depth else []
-    return RingWriter(folder / "frames", fields + depths, _SLOTS)
+    fields: list[tuple] = [("time", "f8"), ("image", "u1", (lens.height, lens.width))]
+    return RingWriter(folder / "frames", fields, _SLOTS)
 
 
 def publish_frame(ring: RingWriter, frame: CameraFrame) -> None:
-    """Publishes a frame to readers."""
+    """Publishes a frame to readers, without its depth."""
     slot = ring.begin()
     slot["time"], slot["image"] = frame.time, frame.image
-    if frame.depth is not None:
-        slot["depth"] = frame.depth
     ring.publish()
 
 
@@ -92,8 +86,7 @@ class SimulatedCamera:
             return None
         record = self._ring.newest()
         self._read = int(record["number"]) + 1
-        depth = record["depth"] if "depth" in (record.dtype.names or ()) else None
-        return CameraFrame(record["image"], depth, float(record["time"]))
+        return CameraFrame(record["image"], None, float(record["time"]))
 
     def close(self) -> None:
         """Does nothing: shared memory needs no release."""

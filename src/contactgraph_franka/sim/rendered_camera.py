@@ -184,12 +184,11 @@ def render(connection: Connection, session: Session, settings: CameraSettings) -
         settings.pose,
         settings.intrinsics,
         grey_noise=settings.grey_noise,
-        depth_noise=settings.depth_noise,
         bodies=[f"block{index}" for index in range(session.blocks)],
         seed=settings.seed,
     )
     truth = GroundTruth(session.folder)
-    frames = frame_ring(session.folder, settings.intrinsics, settings.depth_noise is not None)
+    frames = frame_ring(session.folder, settings.intrinsics)
     connection.send(None)
     rate, pace = settings.rate, session.pace
     # Frames are due at multiples of 1 / rate on the reader's clock.

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from multiprocessing.connection import Connection
 
 import numpy as np
@@ -12,7 +11,7 @@ from contactgraph_franka.loop.realtime import WallClock
 from contactgraph_franka.loop.worker_process import WorkerProcess
 from contactgraph_franka.perception.calibration import CameraCalibration
 from contactgraph_franka.perception.camera import pose, rotation_of
-from contactgraph_franka.sim.blocks import MASS, block_names, scene_blocks
+from contactgraph_franka.sim.blocks import MASS, tagged_objects
 from contactgraph_franka.sim.camera import CameraSettings, SimulatedCamera
 from contactgraph_franka.sim.session import Session, find_session, free_address
 from contactgraph_franka.sim.shared_state import GroundTruth, request_block_pose
@@ -69,11 +68,8 @@ class SimulatedRobot:
             rotation_of(np.asarray(turn)) @ settings.pose[:3, :3],
             settings.pose[:3, 3] + np.asarray(shift),
         )
-        blocks = scene_blocks(self._session.blocks)
-        names = block_names(len(blocks))
-        objects = {name: block.tagged for name, block in zip(names, blocks, strict=True)}
-        made = datetime.now(UTC).isoformat(timespec="seconds")
-        return CameraCalibration(settings.intrinsics, camera_pose, objects, made)
+        objects = tagged_objects(self._session.blocks)
+        return CameraCalibration(settings.intrinsics, camera_pose, objects)
 
     def _settings(self) -> CameraSettings:
         if self._session.camera is None:

@@ -116,7 +116,7 @@ def test_other_files_are_refused(text, tmp_path):
 def test_no_file_and_no_file_at_all(tmp_path):
     with pytest.raises(InvalidInputError, match=r"none\.json: does not exist$"):
         read_calibration(tmp_path / "none.json")
-    with pytest.raises(InvalidInputError, match="must be a file of at most"):
+    with pytest.raises(InvalidInputError, match="must be a file, found a folder"):
         read_calibration(tmp_path)
 
 

@@ -13,7 +13,6 @@ from contactgraph_franka.perception.camera import (
     rotation_vector,
 )
 from contactgraph_franka.perception.detector import DEPTH_NOISE, with_depth
-from contactgraph_franka.sim.blocks import TAGS
 
 pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
 from contactgraph_franka.perception.object_pose import object_poses
@@ -185,7 +184,3 @@ def test_turns_and_their_vectors():
 def test_impossible_values_are_refused(make, said):
     with pytest.raises(InvalidInputError, match=said):
         make()
-
-
-def test_the_codes_known_here_are_enough_for_two_blocks():
-    assert TAGS >= 18

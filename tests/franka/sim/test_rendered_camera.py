@@ -215,7 +215,7 @@ def test_without_opengl_the_error_names_the_variable(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"first_tag": 16}, "first_tag must be 0 to 15, found 16 for block"),
+        ({"first_tag": 579}, "id of a tag36h11 must be 0 to 586, found 587"),
         ({"sides": np.array([0.04, 0.04, 0.05])}, "sides of block must be twice as high as wide"),
     ],
 )

@@ -25,7 +25,7 @@ def clean() -> Iterator[None]:
 
 
 def test_an_address_identifies_its_session() -> None:
-    made = session(os.getpid(), CameraSettings(delay=0.05, depth_noise=0.002))
+    made = session(os.getpid(), CameraSettings(delay=0.05, grey_noise=3.0))
     made.create()
     assert find_session(ADDRESS) == made
 
