@@ -141,11 +141,9 @@ def parse_json(text: str) -> Any:
 def read_json_fields(
     path: Path, what: str, file_format: str, version: int, size_limit: int
 ) -> JsonFields:
-    """The fields of ``what``, such as "a cost file", in the file ``path``.
+    """The fields of ``what``, such as "a cost file"; nothing in the file is executed.
 
-    Its fields ``format`` and ``format_version`` must be ``file_format`` and ``version``. Nothing in
-    it is executed. Raises `InvalidInputError` where it is anything else, or has more than
-    ``size_limit`` bytes.
+    Raises `InvalidInputError` unless it is JSON of this format and version, within the limit.
     """
     if not path.exists():
         raise InvalidInputError(f"{path}: does not exist")
