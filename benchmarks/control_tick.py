@@ -31,7 +31,7 @@ from contactgraph.control import (
 )
 from contactgraph.envs import PickupTask
 from contactgraph.envs.gripper_task import GripperTask
-from contactgraph.envs.pickup_layout import CLEARANCE, CORRIDOR, RADIUS, distance_to_ways
+from contactgraph.envs.pickup_layout import CLEARANCE, CORRIDOR, RADIUS, distance_to_paths
 from contactgraph.evaluate import episode_seeds
 from contactgraph.model import ContactDynamics, Nodes, load_model, scene_nodes, shipped_model
 
@@ -150,7 +150,7 @@ def distractors_around(stops: np.ndarray, count: int, rng: np.random.Generator) 
     while len(placed) < count:
         point = rng.uniform(-half, half, 2)
         gaps = np.linalg.norm(placed - point, axis=1)
-        if np.all(gaps >= 2 * RADIUS + CLEARANCE) and distance_to_ways(point, stops) >= CORRIDOR:
+        if np.all(gaps >= 2 * RADIUS + CLEARANCE) and distance_to_paths(point, stops) >= CORRIDOR:
             placed = np.concatenate([placed, point[None]])
     return placed
 

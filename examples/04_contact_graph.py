@@ -16,36 +16,37 @@ from contactgraph.viz import scene_trajectory, write_summary_figure
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 model = load_model(shipped_model("pickup")).model
-run = run_episode(PickupTask(distractors=3), PickupExpert(), seed=3)
+trajectory = run_episode(PickupTask(distractors=3), PickupExpert(), seed=3)
 
 # measured=False: the model receives positions, velocities and forces, but no contacts.
-insight = model_diagnostics(model, run, measured=False)
+insight = model_diagnostics(model, trajectory, measured=False)
 
 # Edge e joins the nodes edges[e]. This one has the largest belief at any time.
 edge = int(insight.belief.max(axis=0).argmax())
 first, second = insight.edges[edge]
-names = run.scene.node_name
-print(f"{run.scene.node_count} nodes, {len(insight.edges)} edges; the most probable is")
+names = trajectory.scene.node_name
+print(f"{trajectory.scene.node_count} nodes, {len(insight.edges)} edges; the most probable is")
 print(f"{names[first]} - {names[second]}, with these estimates:")
 print("  time  belief  true contact    1/m of each, 1/kg    k/m, 1/s^2    c/m, 1/s")
 
-touch = int(run.contact[:, first, second].argmax())
-for t in [*range(touch - 3, touch + 3), run.steps - 1]:
+touch = int(trajectory.contact[:, first, second].argmax())
+for t in [*range(touch - 3, touch + 3), trajectory.steps - 1]:
     # Entry t describes the step from t to t + 1; its contact is that at its end.
     inverse_mass = insight.parameters.inverse_mass[t].mean(axis=-1)
     stiffness = insight.parameters.stiffness_rate[t, second].mean()
     damping = insight.parameters.damping_rate[t, second].mean()
     print(
         f"{t * model.dt:6.2f}  {insight.belief[t, edge]:6.2f}  "
-        f"{'yes' if run.contact[t + 1, first, second] else 'no':12s}    "
+        f"{'yes' if trajectory.contact[t + 1, first, second] else 'no':12s}    "
         f"{inverse_mass[first]:6.2f} {inverse_mass[second]:6.2f}      "
         f"{stiffness:10.3f}  {damping:10.3f}"
     )
 
 # The 0/1 graph of a step is where the belief is above one half.
 graph = insight.belief > 0.5
-wrong = np.sum(graph != run.contact[1:, insight.edges[:, 0], insight.edges[:, 1]])
+wrong = np.sum(graph != trajectory.contact[1:, insight.edges[:, 0], insight.edges[:, 1]])
 print(f"of {graph.size} edges over the episode, {wrong} are wrong")
 
-write_summary_figure(folder / "contact_graph.png", scene_trajectory(model, "3 distractors", run))
+scene = scene_trajectory(model, "3 distractors", trajectory)
+write_summary_figure(folder / "contact_graph.png", scene)
 print(f"wrote {folder / 'contact_graph.png'}")

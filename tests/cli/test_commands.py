@@ -110,8 +110,8 @@ def test_collect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     done("collect", "pickup", *options, "--out", path)
     captured = capsys.readouterr()
     assert captured.out.splitlines() == [
-        f"{path}: 3 runs of pickup, seed 7",
-        "the expert succeeded in 2 of 2 runs",
+        f"{path}: 3 episodes of pickup, seed 7",
+        "the expert succeeded in 2 of 2 episodes",
     ]
     assert captured.err.splitlines()[-1] == "collecting: 3 of 3"
     dataset = read_trajectories(path)
@@ -328,7 +328,12 @@ def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str])
     for what, said in {
         trained: ["run folder, gim-temp, seed 0", "12 of 12 steps", "held-out"],
         trained / "model.safetensors": ["model, ", "2 a node, control 2", "0.05 s", "data_sha256"],
-        recorded: ["dataset, 20 runs", "200 of 0.05 s", "2: gripper, target", "in 20 of 20 runs"],
+        recorded: [
+            "dataset, 20 trajectories",
+            "200 of 0.05 s",
+            "2: gripper, target",
+            "in 20 of 20",
+        ],
         "pickup": ["pickup: model, ", "command", "seed"],
     }.items():
         done("info", what)

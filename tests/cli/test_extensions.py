@@ -86,16 +86,16 @@ def own_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """A model with a part of its own, in the run folder ``run`` of the current folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    (tmp_path / "own_model.py").write_text(OWN_MODEL)
+    (tmp_path / "another_model.py").write_text(OWN_MODEL)
     monkeypatch.syspath_prepend(tmp_path)
-    import own_model
+    import another_model
 
     config = ModelConfig(2, 2, 0.05, 0.1)
-    model = own_model.build(config, key=jax.random.key(0))
+    model = another_model.build(config, key=jax.random.key(0))
     (tmp_path / "run").mkdir()
-    save_model(tmp_path / "run/model.safetensors", model, {}, ("own_model:build", config))
-    yield "own_model:build@run"
-    sys.modules.pop("own_model", None)
+    save_model(tmp_path / "run/model.safetensors", model, {}, ("another_model:build", config))
+    yield "another_model:build@run"
+    sys.modules.pop("another_model", None)
 
 
 def test_learn_cost_takes_a_model_with_parts_of_ones_own(
@@ -132,9 +132,15 @@ def test_report_takes_a_model_with_parts_of_ones_own(
 @pytest.mark.parametrize(
     ("model", "said"),
     [
-        ("run", "has parts of your own; give their preset, own_model:build"),
-        ("own_model:build@gone", "gone: no such run folder or model file; models that ship are"),
-        ("own_model:gone@run", "--model own_model:gone: module 'own_model' has no attribute 'go"),
+        ("run", "has parts of your own; give their preset, another_model:build"),
+        (
+            "another_model:build@gone",
+            "gone: no such run folder or model file; models that ship are",
+        ),
+        (
+            "another_model:gone@run",
+            "--model another_model:gone: module 'another_model' has no attribute 'go",
+        ),
     ],
 )
 def test_a_wrong_name_of_such_a_model_is_refused(

@@ -88,8 +88,10 @@ def test_printed_and_written_output(
         "kept     target",
         "dropped  distractor-0, distractor-1",
     ]
-    assert lines[0].startswith("kept     gripper: actuated; in contact in 3 of 3 runs, from ")
-    assert lines[2].endswith(": no active edge in any of 3 runs")
+    assert lines[0].startswith(
+        "kept     gripper: actuated; in contact in 3 of 3 trajectories, from "
+    )
+    assert lines[2].endswith(": no active edge in any of 3 trajectories")
     assert lines[3].startswith("gripper - target  1 m costs as much as ")
     assert lines[4].startswith("target - goal     1 m costs as much as ")
     assert lines[5].startswith("imitation loss  ") and lines[5].endswith(" in the end")
@@ -239,8 +241,8 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("--out no/cost.json", "no/cost.json: folder no does not exist"),
         ("--out a.json --picture a.svg", "--picture must name a file that ends in .png, found a.s"),
         ("--out a.json --picture no/a.png", "no/a.png: folder no does not exist"),
-        ("--out a.json --runs 4", "--runs must be 1 to 3, the runs in "),
-        ("--out a.json --runs 0", "--runs must be 1 to 3, the runs in "),
+        ("--out a.json --runs 4", "--runs must be 1 to 3, the trajectories in "),
+        ("--out a.json --runs 0", "--runs must be 1 to 3, the trajectories in "),
         ("--out a.json --max-force 0", "--max-force must be positive, found 0.0"),
         ("--out a.json --horizon 0", "--horizon must be 1 to 1000, found 0"),
         ("--out a.json --steps 0", "--steps must be 1 to 1000000, found 0"),
@@ -272,21 +274,24 @@ def in_space(run: Trajectory) -> Trajectory:
     [
         (
             lambda run: replace(run, control=run.control[:, :0]),
-            "demos.h5: run 0: control must have at least one axis, found none",
+            "demos.h5: demonstration 0: control must have at least one axis, found none",
         ),
-        (in_space, "demos.h5: the model is for dimension D 2, but run 0 has 3; they must agree"),
+        (
+            in_space,
+            "demos.h5: the model is for dimension D 2, but demonstration 0 has 3; they must agree",
+        ),
         (
             lambda run: with_scene(run, dt=0.02),
-            "demos.h5: the model is for dt 0.05 s, but run 0 has 0.02 s; they must agree",
+            "demos.h5: the model is for dt 0.05 s, but demonstration 0 has 0.02 s; they must agree",
         ),
         pytest.param(
             lambda run: with_scene(run, goal=None),
-            "demos.h5: run 0: goal is missing; a cost is about a goal",
+            "demos.h5: demonstration 0: goal is missing",
             marks=pytest.mark.slow,
         ),
         pytest.param(
             lambda run: cut(run, 19),
-            "demos.h5: run 0: control must have at least the horizon's 20 steps, found 19",
+            "demos.h5: demonstration 0: control must have at least the horizon's 20 steps",
             marks=pytest.mark.slow,
         ),
     ],

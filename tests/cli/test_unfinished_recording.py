@@ -68,11 +68,11 @@ def test_twice_interrupted_it_is_the_same_file_and_no_run_is_made_twice(
         assert cli.run([*COMMAND, str(parts)]) == 130
         (folder,) = unfinished(tmp_path)
         said = capsys.readouterr().err.splitlines()
-        assert said[-2] == f"{folder}: {at} runs are kept; the same command goes on from there"
+        assert said[-2] == f"{folder}: {at} episodes are kept; the same command continues"
         assert not parts.exists()
     assert cli.run([*COMMAND, str(parts)]) == 0
     assert interrupter.made == 7
-    assert capsys.readouterr().out.startswith(f"{parts}: goes on after 5 of 7 runs\n")
+    assert capsys.readouterr().out.startswith(f"{parts}: goes on after 5 of 7 episodes\n")
     assert unfinished(tmp_path) == []
     assert contents(parts) == contents(whole)
 

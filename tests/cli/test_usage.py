@@ -114,11 +114,11 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ),
         (
             "collect pickup --out a.h5 --expert demo --resting 0.1",
-            "--expert demo: every run is a demonstration, so --exploration and --resting must be ",
+            "--expert demo: every episode is a demonstration, so --exploration and --resting must",
         ),
         (
             "collect multi-pickup --out a.h5 --goal fixed --mixed --objects 2",
-            "--goal fixed: all runs have the same objects, so --mixed takes --objects 1 or none, f",
+            "--goal fixed: all episodes have the same objects, so --mixed takes --objects 1 or",
         ),
         ("collect pickup --out a.h5 --goal fixed --seed -1", "--seed must be 0 to 4294967295, fou"),
         ("collect pickup --out no/a.h5", "no/a.h5: folder no does not exist"),

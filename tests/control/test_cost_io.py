@@ -71,9 +71,9 @@ def test_a_file_says_what_it_is_about_in_words(path: Path, tmp_path: Path) -> No
     assert (content["format"], content["format_version"]) == ("contactgraph-cost", 1)
     assert "mean of R's diagonal is 1/N^2" in content["in_words"]["scale"]
     assert [each["reason"] for each in content["participants"]] == [
-        "actuated; in contact in 2 of 3 runs, from 0.8 s",
-        "in contact in 3 of 3 runs, from 0.85 s",
-        "no active edge in any of 2 runs",
+        "actuated; in contact in 2 of 3 trajectories, from 0.8 s",
+        "in contact in 3 of 3 trajectories, from 0.85 s",
+        "no active edge in any of 2 trajectories",
     ]
     lines = path.read_text(encoding="utf-8").splitlines()
     begin = lines.index('  "Q": [')

@@ -52,14 +52,17 @@ def test_task_nodes_and_reasons_are_stored(cost):
     assert cost.kept_nodes == ("gripper", "target") and cost.order == (0, 1)
     gripper, target, *others = cost.task_nodes
     assert gripper.actuated and gripper.kept and "actuated" in gripper.reason
-    assert target.active_runs == target.runs == 5 and "in contact in 5 of 5" in target.reason
+    assert (
+        target.active_trajectories == target.trajectories == 5
+        and "in contact in 5 of 5" in target.reason
+    )
     assert (
         target.first_contact_time == gripper.first_contact_time
         and 0.5 < target.first_contact_time < 2.0
     )
     assert [each.name for each in others] == ["distractor-0", "distractor-1"]
     assert not any(each.kept for each in others)
-    assert all(each.reason == "no active edge in any of 5 runs" for each in others)
+    assert all(each.reason == "no active edge in any of 5 trajectories" for each in others)
 
 
 @pytest.mark.slow
@@ -173,13 +176,19 @@ def test_a_control_at_its_limit_is_held_in_the_plan(model, runs):
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda run: cut(run, 12), "run 1: control must have at least the horizon's 20 steps"),
+        (
+            lambda run: cut(run, 12),
+            "demonstration 1: control must have at least the horizon's 20 steps",
+        ),
         (
             lambda run: replace(run, scene=replace(run.scene, goal=None)),
-            "run 1: goal is missing",
+            "demonstration 1: goal is missing",
         ),
-        (lambda run: cut(run, 30, 60), "run 1: the model infers no contact"),
-        (lambda run: renamed(run, "target", "cup"), "run 1: node_name must have 'target'"),
+        (lambda run: cut(run, 30, 60), "demonstration 1: the model infers no contact"),
+        (
+            lambda run: renamed(run, "target", "cup"),
+            "demonstration 1: node_name must have 'target'",
+        ),
     ],
 )
 def test_demonstrations_that_do_not_serve_are_named(model, runs, spoil, message):
@@ -190,10 +199,12 @@ def test_demonstrations_that_do_not_serve_are_named(model, runs, spoil, message)
 
 def test_no_control_and_another_kind_of_scene_are_named(model, runs):
     blind = [replace(run, control=np.zeros((run.steps, 0))) for run in runs]
-    with pytest.raises(InvalidInputError, match="run 0: control must have at least one axis"):
+    with pytest.raises(
+        InvalidInputError, match="demonstration 0: control must have at least one axis"
+    ):
         learn_cost(model, Dataset(tuple(blind)), RECIPE)
     wide = [replace(run, control=np.zeros((run.steps, 3))) for run in runs]
-    with pytest.raises(InvalidInputError, match="control size U 2, but run 0 has 3"):
+    with pytest.raises(InvalidInputError, match="control size U 2, but demonstration 0 has 3"):
         learn_cost(model, Dataset(tuple(wide)), RECIPE)
 
 

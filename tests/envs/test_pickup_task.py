@@ -13,7 +13,7 @@ from contactgraph.envs.pickup_layout import (
     CORRIDOR,
     OVERSHOOT,
     RADIUS,
-    distance_to_ways,
+    distance_to_paths,
 )
 from contactgraph.evaluate import run_episode
 
@@ -94,12 +94,12 @@ def test_no_distractor_lies_by_the_ways(distractors):
             assert distance.min() >= CORRIDOR - 1e-6
 
 
-def test_distance_to_ways_by_hand():
+def test_distance_to_paths_by_hand():
     stops = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
-    assert distance_to_ways(np.array([0.5, -0.4]), stops) == pytest.approx(0.4)
-    assert distance_to_ways(np.array([-0.3, 0.4]), stops) == pytest.approx(0.5)
-    assert distance_to_ways(np.array([1.0 + OVERSHOOT, 0.1]), stops) == pytest.approx(0.1)
-    assert distance_to_ways(np.array([0.8, 0.9]), stops) == pytest.approx(0.2)
+    assert distance_to_paths(np.array([0.5, -0.4]), stops) == pytest.approx(0.4)
+    assert distance_to_paths(np.array([-0.3, 0.4]), stops) == pytest.approx(0.5)
+    assert distance_to_paths(np.array([1.0 + OVERSHOOT, 0.1]), stops) == pytest.approx(0.1)
+    assert distance_to_paths(np.array([0.8, 0.9]), stops) == pytest.approx(0.2)
 
 
 def test_the_target_and_goal_of_a_seed_do_not_depend_on_the_distractors():

@@ -219,5 +219,5 @@ def test_mismatched_inputs_are_rejected():
         control_task(SEER, PickupTask, 0, 0)
     with pytest.raises(InvalidInputError, match="no step since reset"):
         policy_of(SEER).record()
-    with pytest.raises(InvalidInputError, match=r"control size U 2, but the run has 0"):
+    with pytest.raises(InvalidInputError, match=r"control size U 2, but the trajectory has 0"):
         model_diagnostics(model, replace(random_run(2, 3, 0), control=np.zeros((3, 0))))

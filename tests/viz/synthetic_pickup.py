@@ -51,14 +51,14 @@ def _resting_distractors(count, rng):
     while len(places) < count:
         place = rng.uniform(-0.9, 0.9, 2)
         ways = [(START, OBJECT), (OBJECT, GOAL)]
-        clear = all(_distance_to_way(place, *way) > 0.17 for way in ways)
+        clear = all(_distance_to_path(place, *way) > 0.17 for way in ways)
         apart = all(np.linalg.norm(place - other) > 0.15 for other in places)
         if clear and apart:
             places.append(place)
     return np.array(places).reshape(-1, 2)
 
 
-def _distance_to_way(point, start, end):
+def _distance_to_path(point, start, end):
     along = np.clip((point - start) @ (end - start) / ((end - start) @ (end - start)), 0.0, 1.0)
     return np.linalg.norm(point - start - along * (end - start))
 

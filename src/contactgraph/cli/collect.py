@@ -79,8 +79,8 @@ class Collect:
             raise InvalidInputError("--exploration and --resting together must not exceed 1")
         if demonstrates and self.exploration + self.resting > 0.0:
             raise InvalidInputError(
-                "--expert demo: every run is a demonstration, so --exploration and --resting must "
-                "be left out"
+                "--expert demo: every episode is a demonstration, so --exploration and --resting "
+                "must be left out"
             )
         check_writable(self.out)
         explorations = round(self.exploration * self.episodes)
@@ -92,7 +92,7 @@ class Collect:
         unfinished = UnfinishedRecording(self.out, self._inputs())
         if unfinished.recorded:
             done = len(unfinished.recorded)
-            print(f"{self.out}: goes on after {done} of {self.episodes} runs")
+            print(f"{self.out}: goes on after {done} of {self.episodes} episodes")
         with (
             open_executor(self.cluster) as executor,
             progress("collecting", self.episodes) as bar,
@@ -114,10 +114,10 @@ class Collect:
             metadata["expert"] = self.expert
         write_trajectories(self.out, trajectories, metadata)
         unfinished.remove()
-        print(f"{self.out}: {len(trajectories)} runs of {self.task}, seed {self.seed}")
+        print(f"{self.out}: {len(trajectories)} episodes of {self.task}, seed {self.seed}")
         if experts:
             successes = sum(bool(each.scene.metadata["success"]) for each in trajectories[:experts])
-            print(f"the expert succeeded in {successes} of {experts} runs")
+            print(f"the expert succeeded in {successes} of {experts} episodes")
 
     def _inputs(self) -> dict[str, Any]:
         """The options that the trajectories depend on."""
@@ -163,7 +163,7 @@ class UnfinishedRecording:
         self._save()
         if self._saved:
             print(
-                f"{self.folder}: {self._saved} runs are kept; the same command goes on from there",
+                f"{self.folder}: {self._saved} episodes are kept; the same command continues",
                 file=sys.stderr,
             )
 

@@ -51,7 +51,7 @@ class Control:
     cost: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(the task's cost)")] = None
     """Cost file by learn-cost, to plan with in place of the task's own cost."""
     horizon: Annotated[
-        int | None, arg(metavar="INT", help_behavior_hint="(20; franka 50; with --cost the double)")
+        int | None, arg(metavar="INT", help_behavior_hint="(20; franka 50; twice with --cost)")
     ] = None
     """Planning horizon, steps."""
     replan_every: int = 1

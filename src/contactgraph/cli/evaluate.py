@@ -71,8 +71,8 @@ class Evaluate:
         unlabelled = sum(trajectory.contact is None for trajectory in dataset)
         if unlabelled:
             print(
-                f"edges were not scored: {unlabelled} of {len(dataset)} runs in {self.data} have "
-                "no contact field"
+                f"edges were not scored: {unlabelled} of {len(dataset)} trajectories in "
+                f"{self.data} have no contact field"
             )
 
 

@@ -138,12 +138,12 @@ def _print_dataset(path: Path) -> None:
 
     summary = describe_file(path)
     nodes = [len(names) for names in summary.node_name]
-    print(f"{path}: dataset, {len(summary.steps)} runs, {summary.size} bytes")
+    print(f"{path}: dataset, {len(summary.steps)} trajectories, {summary.size} bytes")
     print(f"  steps     {_span(summary.steps)} of {summary.dt[0]} s")
     print(f"  nodes     {_span(nodes)}: {', '.join(summary.node_name[0])}")
     print(f"  control   {_span(summary.control_size)}")
     labelled = sum(bool(has) for has in summary.has_contact)
-    print(f"  contacts  in {labelled} of {len(summary.steps)} runs")
+    print(f"  contacts  in {labelled} of {len(summary.steps)} trajectories")
     for name, value in summary.metadata.items():
         print(f"  {name:<9} {_text(value)}")
 

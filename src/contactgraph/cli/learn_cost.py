@@ -147,8 +147,8 @@ class LearnCost:
             return dataset
         if not 1 <= self.runs <= len(dataset):
             raise InvalidInputError(
-                f"--runs must be 1 to {len(dataset)}, the runs in {self.demonstrations}, found "
-                f"{self.runs}"
+                f"--runs must be 1 to {len(dataset)}, the trajectories in {self.demonstrations}, "
+                f"found {self.runs}"
             )
         return Dataset(dataset.trajectories[: self.runs], dataset.metadata)
 

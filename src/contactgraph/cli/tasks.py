@@ -286,8 +286,8 @@ def mixed_factories(name: str, options: TaskOptions) -> list[TaskFactory]:
     task_factory(name, options)
     if options.fixed_seed is not None and options.objects not in (None, 1):
         raise InvalidInputError(
-            "--goal fixed: all runs have the same objects, so --mixed takes --objects 1 or none, "
-            f"found {options.objects}"
+            "--goal fixed: all episodes have the same objects, so --mixed takes --objects 1 or "
+            f"none, found {options.objects}"
         )
     counts = [None] if options.objects is None else range(1, options.objects + 1)
     return [

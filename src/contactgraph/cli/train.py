@@ -49,11 +49,11 @@ class Train:
     """Share of windows that contain an impact."""
     rollout_from: Annotated[
         float | None,
-        arg(metavar="SHARE", help_behavior_hint="(default: 0.5; with weight 0)"),
+        arg(metavar="SHARE", help_behavior_hint="(default: 0.5; for bodies with weight 0)"),
     ] = None
     """Share of the steps after which the loss includes the rollout of whole windows."""
     bystanders: int = 1
-    """Resting distractors put into every window; none if what can be touched is hinged."""
+    """Resting distractors added to every window, unless no passive body of the data ever rests."""
     prior_weight: float = 0.05
     """Weight of the KL divergence of beliefs from the distance prior."""
     devices: Annotated[

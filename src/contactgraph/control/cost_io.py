@@ -68,8 +68,8 @@ def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | No
                 "kept": each.kept,
                 "reason": each.reason,
                 "actuated": each.actuated,
-                "runs": each.runs,
-                "active_runs": each.active_runs,
+                "runs": each.trajectories,
+                "active_runs": each.active_trajectories,
                 "joins_s": each.first_contact_time,
             }
             for each in cost.task_nodes
@@ -136,13 +136,13 @@ def _summary(fields: JsonFields) -> CostSummary:
 
 
 def _task_node(fields: JsonFields) -> TaskNode:
-    runs = fields.count("runs", 0)
+    trajectories = fields.count("runs", 0)
     active = fields.count("active_runs", 0)
     return TaskNode(
         name=fields.text("name"),
         actuated=fields.truth("actuated"),
-        runs=runs,
-        active_runs=active,
+        trajectories=trajectories,
+        active_trajectories=active,
         first_contact_time=float(fields.numbers("joins_s", ())) if active else None,
     )
 

@@ -138,8 +138,8 @@ def cost_learner(
     D, H = isotropy.shape[0], config.horizon
     m = data.states.shape[-1]
     states = np.asarray(data.states, dtype=np.float64)
-    run, begin = starts[:, 0], starts[:, 1]
-    moved = (states[run, begin + H] - states[run, begin]).reshape(len(starts), -1, 2, D)
+    index, begin = starts[:, 0], starts[:, 1]
+    moved = (states[index, begin + H] - states[index, begin]).reshape(len(starts), -1, 2, D)
     force = _size(np.asarray(data.controls), "control")
     distance = _size(moved[:, :, 0], "position")
     speed = _size(states.reshape(*states.shape[:2], -1, 2, D)[:, :, :, 1], "velocity")
@@ -162,7 +162,7 @@ def _size(values: np.ndarray, name: str) -> float:
     """Root mean square; raises where it is zero."""
     size = float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
     if not size > 0.0:
-        raise InvalidInputError(f"runs: {name} never changes from 0; nothing was demonstrated")
+        raise InvalidInputError(f"demonstrations: {name} never changes from 0")
     return size
 
 
@@ -203,7 +203,7 @@ def fit_cost(
     seed: int = 0,
     on_step: Callable[[int, float], None] = lambda step, loss: None,
 ) -> FittedCost:
-    """Q and R whose optimal plans from the states ``starts`` [W, 2] (run, step) are the data.
+    """Q and R whose optimal plans from the states ``starts`` [W, 2] are the data.
 
     ``isotropy`` [D, D]: `isotropic_axes`. ``seed``: of the order of windows. ``on_step`` receives,
     every 50 steps, the steps done and the imitation loss. Raises `InvalidInputError` where Q or R
@@ -251,12 +251,12 @@ def learn_cost(
 ) -> LearnedCost:
     """Q and R under which the model's optimal plans are the demonstrations.
 
-    Nodes that take part in none of them are left out (`task_nodes`). ``goal`` [D] m: in place of
-    the trajectories' own. ``limits``: those of the demonstrated controls; None: there were none.
-    ``seed`` and ``on_step`` are `fit_cost`'s.
+    Nodes that take part in none of them are left out (`task_nodes`). ``goal`` [D] m replaces the
+    goals of the scenes. ``limits`` bounded the demonstrated controls. ``seed`` and ``on_step`` are
+    those of `fit_cost`.
 
-    Raises `InvalidInputError` where a run has no control or no goal, is shorter than the horizon,
-    does not fit the model, touches nothing or lacks a node; and where Q or R loses its
+    Raises `InvalidInputError` where a demonstration has no control or goal, is shorter than the
+    horizon, does not fit the model, touches nothing or lacks a node; and where Q or R loses its
     definiteness, with the step and the smallest eigenvalue.
     """
     scene = demonstrations.trajectories[0].scene

@@ -45,20 +45,20 @@ class DemonstrationWindow(eqx.Module):
 class Demonstrations(eqx.Module):
     """Trajectories of the ``M`` kept nodes, padded to the longest; ``m = 2MD`` as `stack_state`."""
 
-    A: Float[Array, "runs T m m"]
-    B: Float[Array, "runs T m U"]
-    offset: Float[Array, "runs T m"]
-    states: Float[Array, "runs T+1 m"]
-    controls: Float[Array, "runs T U"]
+    A: Float[Array, "K T m m"]
+    B: Float[Array, "K T m U"]
+    offset: Float[Array, "K T m"]
+    states: Float[Array, "K T+1 m"]
+    controls: Float[Array, "K T U"]
     """The free controls; 0 where a control was at a limit, whose effect is in ``offset``."""
-    goal: Float[Array, "runs m"]
+    goal: Float[Array, "K m"]
     """Of every node, at rest."""
 
-    def window(self, run: Array, start: Array, horizon: int) -> DemonstrationWindow:
-        """``H`` steps of a run from one of its states on."""
+    def window(self, index: Array, start: Array, horizon: int) -> DemonstrationWindow:
+        """``H`` steps of demonstration ``index`` from one of its states on."""
 
         def cut(values: Array, count: int) -> Array:
-            return jax.lax.dynamic_slice_in_dim(values[run], start, count)
+            return jax.lax.dynamic_slice_in_dim(values[index], start, count)
 
         return DemonstrationWindow(
             A=cut(self.A, horizon),
@@ -66,7 +66,7 @@ class Demonstrations(eqx.Module):
             offset=cut(self.offset, horizon),
             states=cut(self.states, horizon + 1),
             controls=cut(self.controls, horizon),
-            goal=self.goal[run],
+            goal=self.goal[index],
         )
 
 
@@ -82,26 +82,26 @@ def demonstrations_of(
     Where a control was at one of ``limits``, its optimum lies beyond. So it is held at the limit in
     the plan too, and not compared.
 
-    Raises `InvalidInputError`, naming the run, where one has no goal.
+    Raises `InvalidInputError`, naming the demonstration, where one has no goal.
     """
-    runs, longest = len(dataset), max(run.steps for run in dataset)
+    count, longest = len(dataset), max(trajectory.steps for trajectory in dataset)
     dimension, M, U = dataset.dimension, len(names), dataset.control_size
-    nodes = np.array([[run.scene.node_name.index(name) for name in names] for run in dataset])
-    states = np.zeros((runs, longest + 1, 2 * M * dimension))
-    controls = np.zeros((runs, longest, U))
-    goals = np.zeros((runs, M, 2, dimension))
-    for number, run in enumerate(dataset):
-        target = run.scene.goal if goal is None else goal
+    nodes = np.array([[each.scene.node_name.index(name) for name in names] for each in dataset])
+    states = np.zeros((count, longest + 1, 2 * M * dimension))
+    controls = np.zeros((count, longest, U))
+    goals = np.zeros((count, M, 2, dimension))
+    for number, trajectory in enumerate(dataset):
+        target = trajectory.scene.goal if goal is None else goal
         if target is None:
-            raise InvalidInputError(f"run {number}: goal is missing; a cost is about a goal")
-        both = np.stack([run.position, run.velocity], axis=2)[:, nodes[number]]
-        states[number, : run.steps + 1] = both.reshape(run.steps + 1, -1)
-        controls[number, : run.steps] = run.control
+            raise InvalidInputError(f"demonstration {number}: goal is missing")
+        both = np.stack([trajectory.position, trajectory.velocity], axis=2)[:, nodes[number]]
+        states[number, : trajectory.steps + 1] = both.reshape(trajectory.steps + 1, -1)
+        controls[number, : trajectory.steps] = trajectory.control
         goals[number, :, 0] = target
     free = np.ones_like(controls) if limits is None else _within(controls, limits)
     dtype = filtered.dynamics.A.dtype
     kept = jax.tree.map(
-        lambda block: jax.vmap(lambda of_run, chosen: of_run[:-1, chosen])(block, nodes),
+        lambda block: jax.vmap(lambda one, chosen: one[:-1, chosen])(block, nodes),
         filtered.dynamics,
     )
     A, B, offset = _stacked(kept)
@@ -112,23 +112,23 @@ def demonstrations_of(
         offset=offset + jnp.einsum("rtmu,rtu->rtm", B, held),
         states=jnp.asarray(states, dtype),
         controls=jnp.asarray(controls * free, dtype),
-        goal=jnp.asarray(goals.reshape(runs, -1), dtype),
+        goal=jnp.asarray(goals.reshape(count, -1), dtype),
     )
 
 
 def window_starts(dataset: Dataset, horizon: int) -> np.ndarray:
-    """[W, 2] (run, step) of every window of ``horizon`` steps.
+    """[W, 2] (demonstration, step) of every window of ``horizon`` steps.
 
-    Raises `InvalidInputError`, naming the run, where one is shorter.
+    Raises `InvalidInputError`, naming the demonstration, where one is shorter.
     """
-    for number, run in enumerate(dataset):
-        if run.steps < horizon:
+    for number, trajectory in enumerate(dataset):
+        if trajectory.steps < horizon:
             raise InvalidInputError(
-                f"run {number}: control must have at least the horizon's {horizon} steps, found "
-                f"{run.steps}"
+                f"demonstration {number}: control must have at least the horizon's {horizon} "
+                f"steps, found {trajectory.steps}"
             )
     return np.array(
-        [(i, t) for i, run in enumerate(dataset) for t in range(run.steps - horizon + 1)]
+        [(i, t) for i, each in enumerate(dataset) for t in range(each.steps - horizon + 1)]
     )
 
 
@@ -145,17 +145,17 @@ def _stacked(dynamics: LinearDynamics) -> tuple[Array, Array, Array]:
 
 
 def filter_demonstrations(model: StepModel, demonstrations: Dataset) -> FilteredTrajectory:
-    """[runs, T, …] The model's beliefs along every trajectory, padded to the longest and largest.
+    """[K, T, …] The model's beliefs along every trajectory, padded to the longest and largest.
 
     Contacts correct the beliefs where they were recorded. Raises `InvalidInputError`, naming the
-    run, where one has no control or does not fit the model.
+    demonstration, where one has no control or does not fit the model.
     """
-    for number, run in enumerate(demonstrations):
-        if run.control_size == 0:
+    for number, trajectory in enumerate(demonstrations):
+        if trajectory.control_size == 0:
             raise InvalidInputError(
-                f"run {number}: control must have at least one axis, found none"
+                f"demonstration {number}: control must have at least one axis, found none"
             )
-        check_fit(model, run.scene, run.control_size, f"run {number}")
+        check_fit(model, trajectory.scene, trajectory.control_size, f"demonstration {number}")
     return _filtered(model, on_device(pad_trajectories(demonstrations), dtype_of(model)))
 
 
@@ -164,35 +164,34 @@ def task_nodes(demonstrations: Dataset, filtered: FilteredTrajectory) -> tuple[T
 
     An edge is active where its probability is above 1/2. The paper drops a node that is not
     actuated and has no active edge in any demonstration at any step. Raises `InvalidInputError`,
-    naming the run, where nothing touches or a node that takes part is missing.
+    naming the demonstration, where nothing touches or a node that takes part is missing.
     """
     probability = np.asarray(filtered.posterior.probability)
     contact_times: dict[str, list[float]] = {}
     counts: dict[str, int] = {}
     actuated: set[str] = set()
-    for number, run in enumerate(demonstrations):
-        count = run.scene.node_count
+    for number, trajectory in enumerate(demonstrations):
+        count = trajectory.scene.node_count
         pairs = pair_indices(count)
-        active = probability[number, : run.steps + 1, : len(pairs)] > 0.5
+        active = probability[number, : trajectory.steps + 1, : len(pairs)] > 0.5
         if not active.any():
             raise InvalidInputError(
-                f"run {number}: the model infers no contact in this demonstration; at least one is "
-                "required"
+                f"demonstration {number}: the model infers no contact; at least one is required"
             )
-        for node, name in enumerate(run.scene.node_name):
+        for node, name in enumerate(trajectory.scene.node_name):
             counts[name] = counts.get(name, 0) + 1
             contact_times.setdefault(name, [])
             touching = active[:, (pairs == node).any(axis=1)].any(axis=1)
             if touching.any():
-                contact_times[name].append(float(np.argmax(touching)) * run.scene.dt)
-            if run.scene.actuated[node]:
+                contact_times[name].append(float(np.argmax(touching)) * trajectory.scene.dt)
+            if trajectory.scene.actuated[node]:
                 actuated.add(name)
     nodes = [
         TaskNode(
             name=name,
             actuated=name in actuated,
-            runs=counts[name],
-            active_runs=len(times),
+            trajectories=counts[name],
+            active_trajectories=len(times),
             first_contact_time=float(np.median(times)) if times else None,
         )
         for name, times in contact_times.items()
@@ -208,16 +207,16 @@ def _in_order(each: TaskNode) -> tuple[bool, bool, float]:
 
 
 def _check_everywhere(each: TaskNode, demonstrations: Dataset) -> None:
-    if not each.kept or each.runs == len(demonstrations):
+    if not each.kept or each.trajectories == len(demonstrations):
         return
-    for number, run in enumerate(demonstrations):
-        if each.name not in run.scene.node_name:
+    for number, trajectory in enumerate(demonstrations):
+        if each.name not in trajectory.scene.node_name:
             raise InvalidInputError(
-                f"run {number}: node_name must have {each.name!r}, which takes part in other runs; "
-                f"found {', '.join(run.scene.node_name)}"
+                f"demonstration {number}: node_name must have {each.name!r}, which takes part in "
+                f"others, found {', '.join(trajectory.scene.node_name)}"
             )
 
 
 @eqx.filter_jit
-def _filtered(model: StepModel, runs: TrajectoryBatch[Array]) -> FilteredTrajectory:
-    return jax.lax.map(lambda run: filter_trajectory(model, run, _EXACT), runs)
+def _filtered(model: StepModel, batch: TrajectoryBatch[Array]) -> FilteredTrajectory:
+    return jax.lax.map(lambda one: filter_trajectory(model, one, _EXACT), batch)

@@ -49,9 +49,9 @@ class TaskNode:
 
     name: str
     actuated: bool
-    runs: int
+    trajectories: int
     """Demonstrations in which the node exists."""
-    active_runs: int
+    active_trajectories: int
     """Those in which the model infers an active edge of it at some step."""
     first_contact_time: float | None
     """s, when its first edge becomes active; the median over those. None: never."""
@@ -59,18 +59,19 @@ class TaskNode:
     @property
     def kept(self) -> bool:
         """A node takes part if it is actuated or has an active edge in any demonstration."""
-        return self.actuated or self.active_runs > 0
+        return self.actuated or self.active_trajectories > 0
 
     @property
     def reason(self) -> str:
         """The reason to keep or drop it, for a user."""
-        if self.active_runs:
+        if self.active_trajectories:
             when = (
-                f"in contact in {self.active_runs} of {self.runs} runs, "
+                f"in contact in {self.active_trajectories} of {self.trajectories} trajectories, "
                 f"from {self.first_contact_time:g} s"
             )
             return f"actuated; {when}" if self.actuated else when
-        return "actuated" if self.actuated else f"no active edge in any of {self.runs} runs"
+        unused = f"no active edge in any of {self.trajectories} trajectories"
+        return "actuated" if self.actuated else unused
 
 
 class LearningHistory(eqx.Module):

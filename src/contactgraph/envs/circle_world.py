@@ -176,7 +176,7 @@ class CircleWorld:
         return np.array(tuple(self._bodies[second].position - self._bodies[first].position))
 
     def _group_velocity(self, group: set[int]) -> np.ndarray:
-        members = sorted(group)  # a sum's order is part of a bit-identical run
+        members = sorted(group)  # a sum's order is part of a bit-identical episode
         mass = self._mass[members]
         velocity = np.array([tuple(self._bodies[index].linearVelocity) for index in members])
         return mass @ velocity / mass.sum()

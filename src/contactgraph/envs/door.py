@@ -80,13 +80,13 @@ def sample_layout(
         gripper = rng.uniform(-HALF_WIDTH, HALF_WIDTH, 2)
         if fixed is not None:
             hinge, angle, goal_angle = fixed.hinge[0], float(fixed.angle[0]), fixed.goal_angle
-        way = middle(hinge, angle) - gripper
-        steep = abs(way @ _direction(angle)) > np.sin(STEEPEST) * np.linalg.norm(way)
+        path = middle(hinge, angle) - gripper
+        steep = abs(path @ _direction(angle)) > np.sin(STEEPEST) * np.linalg.norm(path)
         if steep or _distance(gripper[None], _bar(hinge, angle)) < REACH:
             continue
         low, high = sorted([angle, goal_angle])
         turns = np.arange(low - OVERSHOOT, high + OVERSHOOT, _SPACING / LENGTH)
-        taken = [_line(gripper, gripper + way), *(_bar(hinge, turn) for turn in turns)]
+        taken = [_line(gripper, gripper + path), *(_bar(hinge, turn) for turn in turns)]
         others = _place_distractors(rng, np.concatenate(taken), distractors)
         if others is not None:
             hinges, angles = np.vstack([hinge, others[:, :2]]), np.append(angle, others[:, 2])

@@ -64,7 +64,7 @@ class DoorWorld:
         self._reach = gripper_radius + _SKIN
         self._middle = 0.5 * length
         self._inner = np.array([0.5 * length - _SKIN, 0.5 * thickness - _SKIN])
-        # About one end: that of a box about its middle, and the middle's way to the hinge.
+        # About one end: that of a box about its middle, and the middle's distance to the hinge.
         self._door_inertia = door_mass * ((length**2 + thickness**2) / 12.0 + self._middle**2)
         self._hinge = np.asarray(hinge, dtype=np.float64)
         self._listener = TouchListener()  # Box2D does not keep it alive: we must
@@ -162,7 +162,7 @@ class DoorWorld:
         momentum = self._door_inertia * rate + self._gripper_mass * _cross(arm, velocity)
         common = momentum / inertia
         self._held, self._pin = held, _turned(arm, -angle)
-        # From here on the two are one body, so that no joint can give way.
+        # From here on the two are one body, so that no joint can yield.
         self._world.DestroyBody(self._gripper)
         self._gripper = None
         door.massData = Box2D.b2MassData(mass=door.mass, center=(0.0, 0.0), I=inertia)

@@ -32,7 +32,7 @@ def run_episode(
 
     ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
     it. If both task and policy support it, feedback acts within the steps, and controls are
-    their means. The scene's metadata gains the policy's class name and whether the run succeeded.
+    their means. The scene's metadata gains the policy's class name and the episode's success.
     A task that is `Renderable` has its link positions recorded at every state.
     """
     if seed < 0:
@@ -93,38 +93,37 @@ def collect(
     executor: Executor | None = None,
     recorded: Sequence[Trajectory] = (),
 ) -> list[Trajectory]:
-    """Records ``episodes`` runs; run ``i`` is by ``policies[i % len(policies)]``.
+    """Records ``episodes`` episodes; episode ``i`` is by ``policies[i % len(policies)]``.
 
-    Its task is by ``task_factories[i % len(task_factories)]``: one of them gives runs alike,
-    several take turns, and runs of different scenes come mixed.
+    Its task is by ``task_factories[i % len(task_factories)]``. A mix of policies is a longer list:
+    ``[expert] * 8 + [ExplorationPolicy(), RestPolicy()]`` explores in every tenth episode and rests
+    in every tenth.
 
-    A mix is a longer list: ``[expert] * 8 + [ExplorationPolicy(), RestPolicy()]`` explores in
-    every tenth run and rests in every tenth. Each run has a seed of its own, spawned from
-    ``seed``, so that run ``i`` is the same for any number of episodes and workers; its scene's
-    metadata names it, and `run_episode` with it gives that run again.
+    Each episode has a seed of its own, spawned from ``seed``, so that episode ``i`` is the same for
+    any number of episodes and workers. The scene's metadata names the seed; `run_episode` with it
+    repeats the episode.
 
-    ``on_episode`` is called with every run as it is done, in order. This process records, or, where
-    there is so much to do that starting them pays, an ``executor``'s workers; then factories and
-    policies must be what an `Executor` can send, which a lambda is not. ``recorded`` are the first
-    runs where an earlier call had come so far; they are not made again. Raises `InvalidInputError`
-    where a count or the seed is out of range.
+    ``on_episode`` receives the trajectories in order. The workers of ``executor`` record if that
+    saves time; factories and policies must then be picklable, which a lambda is not. ``recorded``
+    are the first trajectories, from an earlier call. Raises `InvalidInputError` where a count or
+    the seed is out of range.
     """
     if not policies:
         raise InvalidInputError("policies must name at least one policy, found none")
     if not task_factories:
         raise InvalidInputError("task_factories must name at least one task, found none")
-    wanted = _Runs(tuple(task_factories), tuple(policies), episode_seeds(episodes, seed))
-    runs = list(recorded[:episodes])
-    with closing(_made(wanted, range(len(runs), episodes), executor)) as made:
-        for run in made:
-            runs.append(run)
+    wanted = _Recording(tuple(task_factories), tuple(policies), episode_seeds(episodes, seed))
+    trajectories = list(recorded[:episodes])
+    with closing(_made(wanted, range(len(trajectories), episodes), executor)) as made:
+        for trajectory in made:
+            trajectories.append(trajectory)
             if on_episode is not None:
-                on_episode(run)
-    return runs
+                on_episode(trajectory)
+    return trajectories
 
 
 def episode_seeds(episodes: int, seed: int) -> list[int]:
-    """A seed for every episode; seed ``i`` is the same however many there are.
+    """A seed for every episode; seed ``i`` is the same for any number of episodes.
 
     Raises `InvalidInputError` where a count or the seed is out of range.
     """
@@ -142,7 +141,7 @@ def fixed_seed(seed: int) -> int:
 
 
 @dataclass(frozen=True)
-class _Runs:
+class _Recording:
     """The episodes to record."""
 
     task_factories: tuple[Callable[[], Task], ...]
@@ -161,15 +160,15 @@ class _Runs:
 
 
 def _made(
-    wanted: _Runs, numbers: range, executor: Executor | None
+    wanted: _Recording, indices: range, executor: Executor | None
 ) -> Generator[Trajectory, None, None]:
-    """The episodes of these numbers, in order."""
+    """The episodes of these indices, in order."""
     record, began = wanted.recorder(), time.perf_counter()
-    for done, index in enumerate(numbers):
-        spent, left = time.perf_counter() - began, len(numbers) - done
+    for done, index in enumerate(indices):
+        spent, left = time.perf_counter() - began, len(indices) - done
         if done and executor is not None and spent > _ALONE_S:
             alone = spent / done * left
             if alone * (1.0 - 1.0 / executor.workers) > _START_S:
-                yield from map_in_order(executor, wanted.recorder, numbers[done:])
+                yield from map_in_order(executor, wanted.recorder, indices[done:])
                 return
         yield record(index)

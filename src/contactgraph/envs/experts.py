@@ -45,7 +45,7 @@ class ExplorationPolicy:
 
     A spring (``stiffness`` N/m) to the mean start position of nodes and goal and a damper
     (``damping`` N s/m) keep it near the scene. The defaults are for 1 kg and steps of
-    0.05 s: its position spreads by 0.6 m on each axis, and it hits a lone target in one run of
+    0.05 s: its position spreads by 0.6 m on each axis, and it hits a lone target in one episode of
     three.
     """
 
@@ -93,29 +93,29 @@ class RestPolicy:
 
 
 STIFFNESS = 5.0
-"""Kp, N/m: per moving body on the way to a target, per grasped body on the way to the goal."""
+"""Kp, N/m: per moving body towards a target, per grasped body towards the goal."""
 FREE_DAMPING = 0.5 * np.sqrt(STIFFNESS)
-"""On the way to the first target, N s/m."""
+"""Towards the first target, N s/m."""
 HOLDING_DAMPING = 1.0 * np.sqrt(STIFFNESS)
-"""On the way to a further target, N s/m for every body that moves."""
+"""Towards a further target, N s/m for every body that moves."""
 GOAL_DAMPING = 4.0 * np.sqrt(STIFFNESS)
-"""On the way to the goal with one target, and across the way to a target, N s/m."""
+"""Towards the goal with one target, and across the direction to a target, N s/m."""
 
 
 class PickupExpert:
     """Picks up the targets without stopping: a PD controller with the paper's gains.
 
-    It is lightly damped on the way to the next target, meets it at speed, and makes for the one
-    after it, and in the end for the goal, from the moment of touch on. Motion *across* the way to
-    a target is damped as strongly as on the way to the goal: with the light damping alone one run
-    in ten swings past a target of 0.04 m under noise, and turns round.
+    Motion towards the next target is lightly damped, so that the gripper meets it at speed and
+    continues to the next one, and in the end to the goal. Motion *across* that direction is damped
+    as strongly as motion to the goal: with light damping alone one episode in ten swings past a
+    target of 0.04 m under noise and turns round.
 
-    Gains grow with what is held, as far as the control's bounds allow, so that five targets and
-    the way to the goal fit into one episode.
+    Gains grow with the grasped mass, within the control's bounds, so that five targets and the goal
+    fit into one episode.
 
-    ``noise`` N is the standard deviation of the force that is added on each axis, correlated over
-    ``correlation_steps`` steps: without it every force would be a function of the state, and a
-    mass could not be distinguished from a drag.
+    ``noise`` N is the standard deviation of a force added on each axis, correlated over
+    ``correlation_steps`` steps. Without it every force would be a function of the state, and mass
+    could not be distinguished from drag.
     """
 
     def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
@@ -139,26 +139,26 @@ class PickupExpert:
         carried = held(observation["contact"])
         due = [target for target in self._targets if target not in carried]
         if due:
-            way = position[due[0]] - position[GRIPPER]
-            along = way * (way @ velocity) / (way @ way)
+            offset = position[due[0]] - position[GRIPPER]
+            along = offset * (offset @ velocity) / (offset @ offset)
             across = velocity - along
             damping = HOLDING_DAMPING if carried else FREE_DAMPING
-            force = STIFFNESS * way - damping * along - GOAL_DAMPING * across
+            force = STIFFNESS * offset - damping * along - GOAL_DAMPING * across
             force = (1 + len(carried)) * force
         else:
             # The damping is 4 sqrt(Kp) for any Kp: with five held it nears the critical one.
-            way = observation["goal"] - position[self._targets[-1]]
-            force = len(carried) * STIFFNESS * way
+            offset = observation["goal"] - position[self._targets[-1]]
+            force = len(carried) * STIFFNESS * offset
             force = force - np.sqrt(len(carried)) * GOAL_DAMPING * velocity
         return force + self._noise()
 
 
 DOOR_STIFFNESS = 5.0
-"""Kp, N/m on the way to the door; while turning N m/rad per kg m^2."""
+"""Kp, N/m towards the door; while turning N m/rad per kg m^2."""
 DOOR_FREE_DAMPING = 1.0 * np.sqrt(DOOR_STIFFNESS)
-"""Along the way to the door, N s/m."""
+"""Along the direction to the door, N s/m."""
 ACROSS_DAMPING = 4.0 * np.sqrt(DOOR_STIFFNESS)
-"""Across the way to the door, N s/m."""
+"""Across the direction to the door, N s/m."""
 TURN_DAMPING = 2.0 * np.sqrt(DOOR_STIFFNESS)
 """N m s/rad per kg m^2: critical. The paper's 4 sqrt(Kp) would be too slow."""
 _LEAST_RADIUS = 0.1
@@ -199,10 +199,10 @@ class DoorExpert:
         if observation["contact"][GRIPPER, DOOR]:
             force = self._turn(position, velocity, observation["goal"])
         else:
-            way = position[DOOR] - position[GRIPPER]
-            along = way * (way @ velocity[GRIPPER]) / (way @ way)
+            offset = position[DOOR] - position[GRIPPER]
+            along = offset * (offset @ velocity[GRIPPER]) / (offset @ offset)
             across = velocity[GRIPPER] - along
-            force = DOOR_STIFFNESS * way - DOOR_FREE_DAMPING * along - ACROSS_DAMPING * across
+            force = DOOR_STIFFNESS * offset - DOOR_FREE_DAMPING * along - ACROSS_DAMPING * across
         return force + self._noise()
 
     def _turn(self, position: np.ndarray, velocity: np.ndarray, goal: np.ndarray) -> np.ndarray:

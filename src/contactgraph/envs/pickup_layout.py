@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 
-def distance_to_way(point: np.ndarray, start: np.ndarray, end: np.ndarray, beyond: float) -> float:
+def distance_to_path(point: np.ndarray, start: np.ndarray, end: np.ndarray, beyond: float) -> float:
     """Distance of a point from the path from start to end, all ``[2]`` m; m.
 
     The path continues straight for ``beyond`` m past its end, since no body stops at once.
     """
-    way = end - start
-    length = float(np.hypot(*way))
-    direction = way / length
+    path = end - start
+    length = float(np.hypot(*path))
+    direction = path / length
     along = np.clip(direction @ (point - start), 0.0, length + beyond)
     return float(np.hypot(*(point - (start + along * direction))))
 
@@ -83,21 +83,21 @@ def sample_layout(
             return PickupLayout(stops, others)
 
 
-def distance_to_ways(point: np.ndarray, stops: np.ndarray) -> float:
+def distance_to_paths(point: np.ndarray, stops: np.ndarray) -> float:
     """Distance of ``point`` ``[2]`` m from the paths between stops ``[S, 2]`` m; m.
 
     All paths continue straight for `OVERSHOOT` past their ends.
     """
-    return min(distance_to_way(point, start, end, OVERSHOOT) for start, end in _ways(stops))
+    return min(distance_to_path(point, start, end, OVERSHOOT) for start, end in _paths(stops))
 
 
 def _passable(stops: np.ndarray) -> bool:
     """Whether stops are far enough apart, and later targets are clear of earlier paths."""
-    if min(_distance(start, end) for start, end in _ways(stops)) < REACH:
+    if min(_distance(start, end) for start, end in _paths(stops)) < REACH:
         return False
     return all(
-        distance_to_way(stops[due], *way, OVERSHOOT) >= TARGET_CORRIDOR
-        for index, way in enumerate(_ways(stops))
+        distance_to_path(stops[due], *path, OVERSHOOT) >= TARGET_CORRIDOR
+        for index, path in enumerate(_paths(stops))
         for due in range(index + 2, len(stops) - 1)
     )
 
@@ -111,7 +111,7 @@ def _place_distractors(
         if len(placed) == count:
             break
         free = all(_distance(point, other) >= 2 * RADIUS + CLEARANCE for other in placed)
-        if free and distance_to_ways(point, stops) >= CORRIDOR:
+        if free and distance_to_paths(point, stops) >= CORRIDOR:
             placed.append(point)
     return np.reshape(placed, (count, 2)) if len(placed) == count else None
 
@@ -121,7 +121,7 @@ def _uniform(rng: np.random.Generator, count: int, half_width: float) -> np.ndar
     return rng.uniform(-inside, inside, (count, 2))
 
 
-def _ways(stops: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def _paths(stops: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     return list(itertools.pairwise(stops))
 
 

@@ -59,7 +59,7 @@ def model_diagnostics(
     Raises `InvalidInputError` where model and trajectory do not fit, or the trajectory has more
     nodes than ``node_capacity`` (default: no padding).
     """
-    check_fit(model, trajectory.scene, trajectory.control_size, "the run")
+    check_fit(model, trajectory.scene, trajectory.control_size, "the trajectory")
     batch = pad_trajectories((trajectory,), node_capacity, contacts=measured)
     count, edges = trajectory.scene.node_count, pair_indices(trajectory.scene.node_count)
     belief, parameters = _along(model, on_device(batch.at(0), dtype_of(model)), sensor)

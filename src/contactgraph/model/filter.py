@@ -97,13 +97,13 @@ class _Carry(eqx.Module):
 
 def filter_trajectory(
     model: StepModel,
-    run: TrajectoryBatch[Array],
+    trajectory: TrajectoryBatch[Array],
     sensor: ContactSensor,
     motion_noise: MotionNoise | None = None,
 ) -> FilteredTrajectory:
     """Predicts every step of a trajectory, then corrects the belief by the measured contacts.
 
-    ``run`` has no batch axis; contacts that are NaN, or left out, correct nothing. With a
+    ``trajectory`` has no batch axis; contacts that are NaN, or left out, correct nothing. With a
     ``motion_noise`` the motion corrects it, too: see `check_motion_model` for what that raises.
     """
 
@@ -120,31 +120,32 @@ def filter_trajectory(
                 log_odds,
                 carry.control,
                 (position, velocity),
-                run.nodes,
+                trajectory.nodes,
                 motion_noise,
             )
         state = ModelState(position, velocity, correct(predicted, contact, sensor))
         informed = with_control_displacement(state, carry.sensitivity, control)
-        linear, prior = model.linear_step(informed, run.nodes)
+        linear, prior = model.linear_step(informed, trajectory.nodes)
         prior = cast_like(prior, predicted)
         sensitivity = linear.control_sensitivity.astype(carry.sensitivity.dtype)
         after = _Carry(state, control, log_odds, prior, sensitivity)
         return after, FilteredTrajectory(state.belief, prior, linear)
 
-    initial = model.initial_belief(run.position[0], run.velocity[0], run.nodes)
-    first = ModelState(run.position[0], run.velocity[0], initial)
+    initial = model.initial_belief(trajectory.position[0], trajectory.velocity[0], trajectory.nodes)
+    first = ModelState(trajectory.position[0], trajectory.velocity[0], initial)
     # No control follows the last state.
-    control = jnp.concatenate([run.control, jnp.zeros_like(run.control[:1])])
-    contact = run.contact
+    control = jnp.concatenate([trajectory.control, jnp.zeros_like(trajectory.control[:1])])
+    contact = trajectory.contact
     if contact is None:
-        shape = len(run.position), *run.nodes.candidate.shape
-        contact = jnp.full(shape, jnp.nan, run.position.dtype)
+        shape = len(trajectory.position), *trajectory.nodes.candidate.shape
+        contact = jnp.full(shape, jnp.nan, trajectory.position.dtype)
     carry = _Carry(
         # No state was observed before the first.
         before=dataclasses.replace(first, velocity=jnp.full_like(first.velocity, jnp.nan)),
         control=control[0],
-        motion_log_odds=jnp.zeros(run.nodes.candidate.shape, first.velocity.dtype),
+        motion_log_odds=jnp.zeros(trajectory.nodes.candidate.shape, first.velocity.dtype),
         predicted=initial,
-        sensitivity=control_sensitivity(model, first, run.nodes),
+        sensitivity=control_sensitivity(model, first, trajectory.nodes),
     )
-    return jax.lax.scan(follow, carry, (run.position, run.velocity, contact, control))[1]
+    observed = trajectory.position, trajectory.velocity, contact, control
+    return jax.lax.scan(follow, carry, observed)[1]

@@ -85,7 +85,7 @@ class ReallocatingModel(Generic[_Model]):
             return
         if not isinstance(model.cutoff, SmoothCutoff):
             return
-        count = max(run.scene.node_count for run in dataset)
+        count = max(one.scene.node_count for one in dataset)
         if count < CELLS_FROM and _MAX_SHARE * pair_count(count) <= _MIN_SPARE:
             return  # A list would hold more, whatever is near.
         neighbor_list = _list_for(model, dataset, count)
@@ -169,11 +169,11 @@ def _outer(model: ContactDynamics) -> float:
 
 def _states(dataset: Dataset, count: int) -> Iterator[_State]:
     """States of the trajectories, padded to `count` nodes."""
-    every = [(run, step) for run in dataset for step in range(run.steps + 1)]
-    for run, step in every[:: -(-len(every) * count // _MAX_SAMPLED_NODES)]:
-        padding = ((0, count - run.scene.node_count), (0, 0))
+    every = [(one, step) for one in dataset for step in range(one.steps + 1)]
+    for one, step in every[:: -(-len(every) * count // _MAX_SAMPLED_NODES)]:
+        padding = ((0, count - one.scene.node_count), (0, 0))
         anchor = None
-        if run.scene.anchor is not None:
-            anchor = np.pad(run.scene.anchor, padding, constant_values=np.nan)
-        mask = np.arange(count) < run.scene.node_count
-        yield np.pad(run.position[step], padding), np.pad(run.velocity[step], padding), mask, anchor
+        if one.scene.anchor is not None:
+            anchor = np.pad(one.scene.anchor, padding, constant_values=np.nan)
+        mask = np.arange(count) < one.scene.node_count
+        yield np.pad(one.position[step], padding), np.pad(one.velocity[step], padding), mask, anchor

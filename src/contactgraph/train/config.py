@@ -83,7 +83,7 @@ def defaults_from_data(dataset: Dataset) -> DataDefaults:
     """Raises `InvalidInputError` where contact distances disagree or are not positive numbers."""
     given = {each.scene.metadata.get(_KEY) for each in dataset}
     if len(given) > 1:
-        raise InvalidInputError(f"{_KEY} must be the same in all runs' metadata, found {given}")
+        raise InvalidInputError(f"{_KEY} must be the same in all trajectories, found {given}")
     distance = given.pop()
     if distance is not None and not (
         isinstance(distance, int | float) and math.isfinite(distance) and distance > 0

@@ -9,7 +9,7 @@ from scipy.interpolate import BPoly
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
 from contactgraph.envs.experts import CorrelatedNoise
-from contactgraph.envs.pickup_layout import distance_to_way
+from contactgraph.envs.pickup_layout import distance_to_path
 from contactgraph_franka.envs.pickup import (
     APPARENT_MASS,
     EDGE,
@@ -231,7 +231,7 @@ def _recording_policy(
     while len(points) < _FREE_POINTS:
         point = _random_point(random, LOW[2] + EDGE)
         low = min(last[2], point[2]) < _SAFE_HEIGHT
-        if not low or distance_to_way(block[:2], last[:2], point[:2], 0.0) >= _BLOCK_CLEARANCE:
+        if not low or distance_to_path(block[:2], last[:2], point[:2], 0.0) >= _BLOCK_CLEARANCE:
             points.append(point)
             last = point
     return free_space_excitation(points, noise=_FREE_NOISE)

@@ -8,7 +8,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost
-from contactgraph.envs.pickup_layout import distance_to_way
+from contactgraph.envs.pickup_layout import distance_to_path
 
 HAND, TARGET = 0, 1
 """Nodes."""
@@ -201,7 +201,7 @@ def _distractors(rng: np.random.Generator, stops: np.ndarray, count: int) -> np.
         if len(chosen) == count:
             break
         clear = all(np.hypot(*(point - other[:2])) >= CLEARANCE for other in chosen)
-        gaps = [distance_to_way(point, *path, OVERSHOOT) for path in itertools.pairwise(stops)]
+        gaps = [distance_to_path(point, *path, OVERSHOOT) for path in itertools.pairwise(stops)]
         if clear and min(gaps) >= CORRIDOR:
             chosen.append(np.array([*point, BLOCK[2] / 2]))
     return np.reshape(chosen, (count, 3)) if len(chosen) == count else None
