@@ -80,8 +80,10 @@ def _shared(factory: pytest.TempPathFactory, name: str, create: Callable[[Path],
     folder = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent
-    path, finished = folder / name, folder / f"{name}.finished"
-    with (folder / f"{name}.lock").open("w") as lock:
+    path = folder / name
+    path.parent.mkdir(exist_ok=True)
+    finished = path.with_suffix(".finished")
+    with path.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not finished.exists():
             create(path)
@@ -93,14 +95,14 @@ def _shared(factory: pytest.TempPathFactory, name: str, create: Callable[[Path],
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """20 recorded pickups, to train on. Read only."""
     collect = ["collect", "pickup", "--episodes", "20", "--out"]
-    return _shared(tmp_path_factory, "recorded.h5", lambda path: _done([*collect, str(path)]))
+    return _shared(tmp_path_factory, "recorded/data.h5", lambda path: _done([*collect, str(path)]))
 
 
 @pytest.fixture(scope="session")
 def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """6 pickups of another seed, to test on. Read only."""
     collect = ["collect", "pickup", "--episodes", "6", "--seed", "1", "--out"]
-    return _shared(tmp_path_factory, "fresh.h5", lambda path: _done([*collect, str(path)]))
+    return _shared(tmp_path_factory, "fresh/data.h5", lambda path: _done([*collect, str(path)]))
 
 
 @pytest.fixture(scope="session")
@@ -112,7 +114,7 @@ def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             _check_every_4(patch)
             _done(["train", str(recorded), "--out", str(path), *SHORT])
 
-    return _shared(tmp_path_factory, "trained", train)
+    return _shared(tmp_path_factory, "trained/run", train)
 
 
 @pytest.fixture

@@ -193,21 +193,30 @@ def test_train_leaves_a_run_folder(trained: Path, recorded: Path) -> None:
     assert header["held_out_rmse_m"] == min(row["held_out_rmse_m"] for row in rows)
 
 
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("gim-non-temp", ("MemorylessEdges", "SpringMassDamperDynamics")),
+        ("full-ab", ("RecurrentEdges", "FreeLinearDynamics")),
+    ],
+)
 def test_training_interrupted_before_its_first_step_is_resumed(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, parts: tuple
 ) -> None:
-    inference = []
+    models = []
 
     def interrupted(state, *arguments: object) -> None:
-        inference.append(type(state.model.inference).__name__)
+        models.append(state.model)
         raise KeyboardInterrupt
 
     monkeypatch.setattr("contactgraph.train.fit", interrupted)
     run = tmp_path / "run"
-    assert cli.run(["train", str(recorded), "--out", str(run), "--model", "gim-non-temp"]) == 130
+    assert cli.run(["train", str(recorded), "--out", str(run), "--model", name]) == 130
     assert [path.name for path in run.glob("checkpoint-*")] == ["checkpoint-0000000000.safetensors"]
     assert cli.run(["train", str(recorded), "--out", str(run), "--resume"]) == 130
-    assert inference == ["MemorylessEdges"] * 2
+    built = [(type(each.inference).__name__, type(each.local_dynamics).__name__) for each in models]
+    assert built == [parts] * 2
+    assert json.loads((run / "config.json").read_text())["model"] == name
 
 
 def test_a_model_may_be_a_function_of_a_module(
@@ -244,6 +253,15 @@ def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     again = tmp_path / "again.json"
     done("evaluate", shipped_model("pickup"), fresh, "--json", again)
     assert {**json.loads(again.read_text()), "run": ""} == {**values, "run": ""}
+
+
+def test_evaluate_takes_a_run_folder(trained: Path, fresh: Path, tmp_path: Path) -> None:
+    path, results = tmp_path / "result.json", []
+    for model in (trained, trained / "model.safetensors"):
+        done("evaluate", model, fresh, "--json", path)
+        results.append(json.loads(path.read_text()))
+        assert results[-1].pop("run") == str(model)
+    assert results[0] == results[1] and results[0]["n_step_rmse_m"] > 0.0
 
 
 @pytest.mark.parametrize("real", [False, pytest.param(True, marks=pytest.mark.slow)])

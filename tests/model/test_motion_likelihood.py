@@ -27,7 +27,7 @@ _judge = eqx.filter_jit(contact_log_likelihood_ratio)
 
 def judged(state, control, observed, noise=NOISE, log_odds=0.0, model=None, nodes=None):
     nodes = nodes_of(len(state.position)) if nodes is None else nodes
-    log_odds = np.full(nodes.candidate.shape, log_odds, np.float32)
+    log_odds = np.full(nodes.candidate.shape, log_odds)
     # Python numbers would be constants of the program: one program for each noise.
     noise = jax.tree.map(np.asarray, noise)
     return _judge(model or rigid_world(), state, log_odds, control, observed, nodes, noise)
