@@ -262,11 +262,11 @@ def test_the_command_is_near_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
     ],
 )
-def test_a_wrong_direction_is_found(files: dict[str, str], wrong: str, tmp_path: Path) -> None:
+def test_a_wrong_direction_is_reported(files: dict[str, str], wrong: str, tmp_path: Path) -> None:
     assert wrong_directions(read_imports(written(tmp_path, files))) == [wrong]
 
 
-def test_cycles_importers_and_re_exports_are_found(tmp_path: Path) -> None:
+def test_cycles_importers_and_re_exports_are_reported(tmp_path: Path) -> None:
     root = written(
         tmp_path,
         {

@@ -102,7 +102,7 @@ def test_there_must_be_a_process():
         LocalExecutor(0)
 
 
-def test_cores_are_as_many_as_nproc_says(monkeypatch):
+def test_the_number_of_cores_is_that_of_nproc(monkeypatch):
     every = usable_cores()
     monkeypatch.setenv("NPROC", "1")
     assert usable_cores() == every[:1]
@@ -132,7 +132,7 @@ print(list(map_in_order(LocalExecutor(1), work, range(2))))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ballast", ["1", "1000000"])
-def test_a_script_that_is_not_guarded_ends_and_says_why(tmp_path, ballast):
+def test_an_unguarded_script_ends_with_the_reason(tmp_path, ballast):
     script = tmp_path / "script.py"
     script.write_text(UNGUARDED)
     finished = subprocess.run(

@@ -361,7 +361,7 @@ def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str])
             assert words in captured.out
 
 
-def test_info_of_a_checkpoint_says_what_it_is_not(
+def test_info_of_a_checkpoint_names_the_expected_format(
     trained: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = trained / "checkpoint-0000000012.safetensors"

@@ -85,7 +85,7 @@ def test_explicit_defaults_change_nothing(tmp_path: Path) -> None:
     assert not np.array_equal(first.scene.goal, second.scene.goal)
 
 
-def test_runs_of_one_goal_may_be_to_train_on(tmp_path: Path) -> None:
+def test_trajectories_of_one_goal_can_be_trained_on(tmp_path: Path) -> None:
     path = tmp_path / "data.h5"
     arguments = ["collect", "pickup", "--goal", "fixed", "--resting", "0.5", "--episodes", "2"]
     assert cli.run([*arguments, "--out", str(path)]) == 0

@@ -98,7 +98,7 @@ def own_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     sys.modules.pop("another_model", None)
 
 
-def test_learn_cost_takes_a_model_with_parts_of_ones_own(
+def test_learn_cost_takes_a_model_with_custom_parts(
     own_model: str, made_up_cost: Callable, fresh: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     models = []
@@ -112,7 +112,7 @@ def test_learn_cost_takes_a_model_with_parts_of_ones_own(
     assert [type(model.cutoff).__name__ for model in models] == ["OwnCutoff"]
 
 
-def test_report_takes_a_model_with_parts_of_ones_own(
+def test_report_takes_a_model_with_custom_parts(
     own_model: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The commands of its first test condition get the same argument."""

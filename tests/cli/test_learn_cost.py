@@ -102,7 +102,7 @@ def test_printed_and_written_output(
     assert {path.name for path in tmp_path.iterdir()} == {"cost.json", "cost.png"}
 
 
-def test_the_file_says_how_it_was_made(demos: Path, cost: Path, runs: list[Trajectory]) -> None:
+def test_the_file_records_how_it_was_made(demos: Path, cost: Path, runs: list[Trajectory]) -> None:
     summary = describe_cost(cost)
     assert summary.cost.kept_nodes == ("gripper", "target")
     assert np.allclose(summary.cost.goal, runs[0].scene.goal)
@@ -122,7 +122,7 @@ def asking(*arguments: object, **options: object) -> None:
     raise Asked(arguments, options)
 
 
-def test_the_flags_reach_the_learner(
+def test_the_flags_are_passed_to_the_learner(
     demos: Path, runs: list[Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("contactgraph.control.learn_cost", asking)
@@ -183,7 +183,7 @@ def test_the_largest_force_is_the_task_s_or_the_flag_s(
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_known_tasks_say_their_largest_force(name: str) -> None:
+def test_shipped_tasks_declare_their_largest_force(name: str) -> None:
     task = task_factory(name, TaskOptions())()
     assert (task.action_space.high == TASKS[name].max_force).all()
 
@@ -296,7 +296,7 @@ def in_space(run: Trajectory) -> Trajectory:
         ),
     ],
 )
-def test_runs_that_no_cost_can_be_learned_from(
+def test_trajectories_that_no_cost_can_be_learned_from(
     mistake,
     runs: list[Trajectory],
     tmp_path: Path,
@@ -308,7 +308,7 @@ def test_runs_that_no_cost_can_be_learned_from(
 
 
 @pytest.mark.slow
-def test_runs_in_which_nothing_touches(mistake, runs: list[Trajectory], tmp_path: Path) -> None:
+def test_trajectories_without_contact(mistake, runs: list[Trajectory], tmp_path: Path) -> None:
     rest = [cut(run) for run in collect([PickupTask], [RestPolicy()], 1, 0)]
     write_trajectories(tmp_path / "demos.h5", [*runs, *rest], METADATA)
     said = mistake(*learned(Path("demos.h5"), "--out", "a.json"))

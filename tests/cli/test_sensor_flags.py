@@ -34,7 +34,7 @@ def interrupting(calls: list[dict]) -> Callable:
     return called
 
 
-def test_the_flags_reach_their_work(pickups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_flags_are_passed_on(pickups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[dict] = []
     monkeypatch.setattr("contactgraph.evaluate.evaluate_open_loop", interrupting(calls))
     monkeypatch.setattr("contactgraph.evaluate.control_task", interrupting(calls))
@@ -59,7 +59,7 @@ def test_evaluate_echoes_the_sensor(fresh: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_control_says_what_was_planned(tmp_path: Path) -> None:
+def test_control_reports_the_sensor_and_the_plans(tmp_path: Path) -> None:
     command = ["control", "pickup", "pickup", "--episodes", 1, "--replan-every", 10]
     values = metrics_of([*command, "--misses", 0.1], tmp_path / "one.json")
     assert (values["misses"], values["unmeasured"], values["replan_every"]) == (0.1, False, 10)

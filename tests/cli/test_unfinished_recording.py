@@ -52,7 +52,7 @@ def contents(path: Path) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("every_s", [0.0, 1e9], ids=["file a run", "all in one file"])
-def test_twice_interrupted_it_is_the_same_file_and_no_run_is_made_twice(
+def test_twice_interrupted_it_is_the_same_file_and_no_episode_is_recorded_twice(
     tmp_path: Path,
     interrupter: Interrupter,
     monkeypatch: pytest.MonkeyPatch,

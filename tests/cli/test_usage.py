@@ -217,7 +217,7 @@ def test_a_model_and_a_task_that_do_not_fit(mistake, tmp_path: Path) -> None:
     assert said == "the model is for dimension D 3, but the task has 2; they must agree"
 
 
-def test_runs_too_few_or_too_short(mistake, recorded: Path, tmp_path: Path) -> None:
+def test_trajectories_too_few_or_too_short(mistake, recorded: Path, tmp_path: Path) -> None:
     write_trajectories(tmp_path / "one.h5", [run_of(2, 2, 0.05)])
     assert "needs at least 2 trajectories, found 1" in mistake("train", "one.h5", "--out", "run")
     said = mistake("train", recorded, "--out", "run", "--window-length", 500)
@@ -226,7 +226,7 @@ def test_runs_too_few_or_too_short(mistake, recorded: Path, tmp_path: Path) -> N
     assert said.startswith("held_out_fraction must lie between 0 and 1")
 
 
-def test_a_run_that_is_there_is_not_touched(mistake, trained: Path, recorded: Path) -> None:
+def test_an_existing_run_folder_is_not_changed(mistake, trained: Path, recorded: Path) -> None:
     before = {path.name: path.read_bytes() for path in trained.iterdir()}
     said = mistake("train", recorded, "--out", trained)
     assert said == f"{trained}: holds a run already; use --resume, or another folder"

@@ -75,7 +75,7 @@ def test_padding_has_no_bounds():
     assert missing([(0.0, 0.0)], swept=nowhere) == []
 
 
-def test_a_moving_node_may_come_nearer_and_push_others_as_far():
+def test_a_moving_node_may_approach_and_move_others_as_far():
     away = [(0.5, 0.3), (0.5, -0.3), (3.0, 3.0)]
     assert missing(away) == []
     assert missing(away, [(0.0, 0.0), (0.0, 0.0), (0.19, 0.0)]) == [5, 6]

@@ -178,7 +178,7 @@ def test_capacity_grows_once_and_is_logged(model, caplog):
     assert "up to 30 active nodes; so far there was room for 18" in message
 
 
-def test_with_a_limit_there_is_never_more_in_play(model):
+def test_the_active_set_never_exceeds_its_limit(model):
     mpc = ActiveSetMPC(model, ILQR(HORIZON, 5, LIMITS), max_active_nodes=2)
     nodes, near = nodes_of(11, CAPACITY), scene(11, others=[0.5 * (GRIPPER + TARGET)])
     state = mpc.reset(scene(11), nodes, cost())
@@ -266,7 +266,7 @@ def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
 
 
 @pytest.mark.slow
-def test_of_a_rejected_trial_only_the_steps_count_that_could_have_saved_it(model):
+def test_a_rejected_rollout_counts_until_its_cost_exceeds_the_best(model):
     far = np.array([1.5, 1.0])
     mpc = ActiveSetMPC(model, ILQR(HORIZON, 8, LIMITS))
     observed = scene(11)

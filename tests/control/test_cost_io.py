@@ -66,7 +66,7 @@ def test_a_written_cost_is_read_unchanged(path: Path) -> None:
     assert describe_cost(path).made == MADE
 
 
-def test_a_file_says_what_it_is_about_in_words(path: Path, tmp_path: Path) -> None:
+def test_a_file_describes_its_content(path: Path, tmp_path: Path) -> None:
     content = json.loads(path.read_text(encoding="utf-8"))
     assert (content["format"], content["format_version"]) == ("contactgraph-cost", 1)
     assert "mean of R's diagonal is 1/N^2" in content["in_words"]["scale"]

@@ -139,7 +139,7 @@ def test_it_finds_its_nodes_by_name_and_takes_the_scene_s_goal(runs, cost):
         cost.with_goal([0.0, np.nan])
 
 
-def test_a_goal_can_stand_in_for_the_runs_own(model, runs, cost):
+def test_a_given_goal_replaces_that_of_the_trajectories(model, runs, cost):
     bare = [replace(run, scene=replace(run.scene, goal=None)) for run in runs]
     learned = learn_cost(
         model, Dataset(tuple(bare)), RECIPE, goal=runs[0].scene.goal, limits=LIMITS
@@ -149,7 +149,7 @@ def test_a_goal_can_stand_in_for_the_runs_own(model, runs, cost):
         learn_cost(model, Dataset(tuple(bare)), RECIPE, goal=[1.0])
 
 
-def test_a_control_at_its_limit_is_held_in_the_plan(model, runs):
+def test_a_control_at_its_limit_is_fixed_in_the_plan(model, runs):
     run = runs[0]
     bound = float(np.abs(run.control).max())
     limits = ControlLimits(jnp.full(2, -bound), jnp.full(2, bound))

@@ -53,7 +53,7 @@ def test_pairs_of_few_nodes_are_a_prefix_of_those_of_many() -> None:
 
 
 @pytest.mark.parametrize("capacity", [None, 6])
-def test_padding_holds_the_runs_and_nothing_else(capacity: int | None) -> None:
+def test_padding_contains_the_trajectories_and_nothing_else(capacity: int | None) -> None:
     padded = pad_trajectories(RAGGED, capacity)
     nodes = capacity or 4
     assert padded.position.shape == (3, 8, nodes, 2)
@@ -115,12 +115,12 @@ def test_a_capacity_that_is_too_small() -> None:
         ({"dt": 0.1}, "trajectory 1: dt in s is 0.1, but 0.05 in trajectory 0"),
     ],
 )
-def test_runs_must_agree(changes: dict, message: str) -> None:
+def test_trajectories_must_agree(changes: dict, message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         Dataset((random_run(0, 3, 2), random_run(1, 3, 2, **changes)))
 
 
-def test_a_dataset_needs_a_run() -> None:
+def test_a_dataset_needs_a_trajectory() -> None:
     with pytest.raises(InvalidInputError, match="needs at least one trajectory"):
         Dataset(())
 

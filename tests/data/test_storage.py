@@ -131,7 +131,7 @@ def test_written_data_is_read_unchanged(
     assert_same(read_trajectories(path), dataset)
 
 
-def test_the_same_runs_make_the_same_bytes(tmp_path: Path) -> None:
+def test_the_same_trajectories_make_the_same_bytes(tmp_path: Path) -> None:
     for name in ("first.h5", "second.h5"):
         write_trajectories(tmp_path / name, [one_run(1.0)], {"seed": 0})
     assert (tmp_path / "first.h5").read_bytes() == (tmp_path / "second.h5").read_bytes()
@@ -173,7 +173,7 @@ def test_describe_file(tmp_path: Path) -> None:
     assert summary.size == path.stat().st_size
 
 
-def test_runs_written_by_hand_keep_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_trajectories_written_by_hand_keep_the_order_of_their_numbers(tmp_path: Path) -> None:
     write_trajectories(tmp_path / "a.h5", [one_run(float(i)) for i in range(11)])
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         for number in range(11):

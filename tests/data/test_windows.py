@@ -54,14 +54,14 @@ RUNS, IMPACTS = zip(*(pickup(seed) for seed in range(20)), strict=True)
 DATASET = Dataset(RUNS)
 
 
-def test_all_impacts_are_found_with_few_false_ones() -> None:
+def test_all_impacts_are_detected_with_few_false_ones() -> None:
     assert min(IMPACTS) >= 0, "every run has an impact"
     found = event_steps(pad_trajectories(DATASET))
     assert found[np.arange(20), IMPACTS].all()
     assert found.sum() <= 20 + 15, "20 impacts in 4000 steps"
 
 
-def test_impacts_are_found_in_noisy_velocities() -> None:
+def test_impacts_are_detected_in_noisy_velocities() -> None:
     rng = np.random.default_rng(0)
     noisy = (
         replace(run, velocity=run.velocity + 0.01 * rng.normal(size=run.velocity.shape))
@@ -103,7 +103,7 @@ def test_contacts_and_padding_decide_nothing() -> None:
     assert not wide[:20, 200:].any()
 
 
-def test_the_end_of_a_short_run_is_no_impact() -> None:
+def test_the_end_of_a_short_trajectory_is_no_impact() -> None:
     """Padding is zero: a body that speeds up to the end must not be compared with a stop."""
     steady = np.linspace(0.0, 2.0, 51)[:, None, None] * np.ones((51, 2, 2))
     hasty = steady[:49].copy()
@@ -138,7 +138,7 @@ def test_data_without_events(run: Trajectory) -> None:
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.25, 0.6, 1.0])
-def test_the_asked_fraction_of_windows_holds_an_event(fraction: float) -> None:
+def test_the_configured_fraction_of_windows_contains_an_event(fraction: float) -> None:
     padded = pad_trajectories(Dataset((*RUNS, still(steps=5), still(steps=30))))
     windows = window_weights(padded, 12, fraction)
     assert windows.probability.sum() == pytest.approx(1.0)
@@ -154,13 +154,13 @@ def test_the_asked_fraction_of_windows_holds_an_event(fraction: float) -> None:
         assert found[run, start : start + 12].any() == has_event
 
 
-def test_uniform_where_every_window_holds_an_event() -> None:
+def test_uniform_where_every_window_contains_an_event() -> None:
     windows = window_weights(pad_trajectories(DATASET), 200)
     np.testing.assert_allclose(windows.probability, 1 / 20)
 
 
 @pytest.mark.parametrize("length", [0, -1, 201])
-def test_a_window_that_fits_no_run(length: int) -> None:
+def test_a_window_longer_than_every_trajectory(length: int) -> None:
     with pytest.raises(InvalidInputError, match="window_length must be 1 to 200"):
         window_weights(pad_trajectories(DATASET), length)
 

@@ -150,7 +150,7 @@ def test_two_bodies_struck_at_once_go_on_together():
 
 
 @pytest.mark.parametrize(("offset", "hit"), [(0.0795, True), (0.0805, False)])
-def test_a_body_that_passes_is_not_held(offset, hit):
+def test_a_passing_body_is_not_grasped(offset, hit):
     world = make_world([[0.0, 0.0], [0.3, offset]])
     push(world, 0, [10.0, 0.0])
     for _ in range(30):
@@ -158,7 +158,7 @@ def test_a_body_that_passes_is_not_held(offset, hit):
     assert world.contact[0, 1] == hit
 
 
-def test_runs_repeat_to_the_last_bit():
+def test_episodes_repeat_bit_for_bit():
     for one, other in zip(dense_run(steps=80), dense_run(steps=80), strict=True):
         assert np.array_equal(one, other)
 

@@ -125,7 +125,7 @@ def test_an_episode_takes_120_steps_and_rest_is_no_success():
     assert not run.velocity.any() and np.array_equal(run.position[0], run.position[-1])
 
 
-def test_success_is_a_held_door_at_its_goal():
+def test_success_is_a_grasped_door_at_its_goal():
     task = DoorTask()
     task.reset(seed=0)
     position = np.array([[0.0, 0.0], task.scene.goal + np.array([0.0499, 0.0])])
@@ -172,7 +172,7 @@ def test_recorded_doors_stay_on_their_hinges_and_grippers_on_their_pins(expert_r
         assert np.ptp(apart) < 1e-4
 
 
-def test_exploration_strikes_the_door_in_many_places():
+def test_exploration_strikes_the_door_at_many_positions():
     runs = collect([DoorTask], [ExplorationPolicy()], 40, 0)
     places = []
     for run in runs:

@@ -143,7 +143,7 @@ def test_a_door_that_already_turns_is_struck_where_it_then_is():
     assert height == pytest.approx(RADIUS + THICKNESS / 2, abs=FLOAT32)
 
 
-def test_without_a_force_the_pair_keeps_its_angular_speed_and_the_pin_its_place():
+def test_without_a_force_the_pair_keeps_its_angular_speed_and_the_pin_its_position():
     world = thrown([0.6, 0.0], speed=3.0)
     coast_to_contact(world)
     started = rate(world)
@@ -181,7 +181,7 @@ def test_a_force_on_the_pinned_gripper_is_a_torque_about_the_hinge():
     assert abs(bar_angle(world) - angle) < 5 * FLOAT32
 
 
-def test_the_gripper_holds_one_door_and_passes_others():
+def test_the_gripper_grasps_one_door_and_passes_others():
     hinge = np.array([HINGE, HINGE + np.array([0.0, -0.3])])
     world = make_world(HINGE + np.array([0.5, 0.2]), np.zeros(2), hinge)
     lowest = np.inf
@@ -214,7 +214,7 @@ def test_a_free_gripper_moves_as_a_free_body():
         np.testing.assert_allclose(world.position[0], position, atol=FLOAT32)
 
 
-def test_runs_repeat_to_the_last_bit():
+def test_episodes_repeat_bit_for_bit():
     def run():
         world = thrown([0.4, 0.0], angle=0.3, speed=1.1)
         states = []

@@ -30,7 +30,7 @@ def test_the_expert_succeeds(expert_runs):
     assert sum(pickup_success(run) for run in expert_runs) >= 39
 
 
-def test_the_expert_never_stops_on_its_way_to_the_target(expert_runs):
+def test_the_expert_never_stops_before_the_target(expert_runs):
     at_contact = []
     for run in expert_runs:
         speed = np.linalg.norm(run.velocity[:, 0], axis=-1)[: first_contact(run)]
@@ -64,7 +64,7 @@ def test_momentum_through_the_pickup(expert_runs):
         np.testing.assert_allclose(np.diff(momentum, axis=0), 0.05 * run.control, atol=1e-5)
 
 
-def test_the_held_pair_has_one_velocity_and_one_distance(expert_runs):
+def test_a_grasped_pair_has_one_velocity_and_one_distance(expert_runs):
     for run in expert_runs:
         held = run.contact[:, 0, 1]
         offset = (run.position[:, 1] - run.position[:, 0])[held]
@@ -101,7 +101,7 @@ def test_rest_rests():
     assert np.array_equal(run.position[0], run.position[-1])
 
 
-def test_noise_has_the_deviation_and_correlation_that_were_asked_for():
+def test_noise_has_the_configured_deviation_and_correlation():
     noise = CorrelatedNoise(deviation=0.5, correlation_steps=2.0)
     noise.reset(4000, seed=0)
     values = np.stack([noise() for _ in range(5)])

@@ -51,7 +51,7 @@ def test_one_object_is_laid_out_as_a_pickup():
 
 @pytest.mark.parametrize("fixed_seed", [None, 3])
 @pytest.mark.parametrize(("objects", "distractors"), [(2, 3), (5, 10)])
-def test_stops_are_apart_and_the_ways_are_clear(objects, distractors, fixed_seed):
+def test_stops_are_apart_and_the_paths_are_clear(objects, distractors, fixed_seed):
     fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, objects, 20))
     for seed in SEEDS:
         layout = sample_layout(np.random.default_rng(seed), objects, distractors, fixed)
@@ -83,7 +83,7 @@ def test_the_scene_describes_its_nodes():
     assert (metadata["distractors"], metadata["substeps"]) == (1, 10)
 
 
-def test_held_includes_indirectly_grasped_nodes():
+def test_attached_includes_indirectly_grasped_nodes():
     contact = np.zeros((6, 6), dtype=np.int8)
     for one, other in [(0, 3), (3, 1), (2, 4)]:
         contact[one, other] = contact[other, one] = 1
@@ -91,7 +91,7 @@ def test_held_includes_indirectly_grasped_nodes():
     assert held(np.zeros((3, 3))) == set()
 
 
-def test_success_is_all_held_and_the_last_at_the_goal():
+def test_success_is_all_grasped_and_the_last_at_the_goal():
     task = MultiPickupTask(2)
     task.reset(seed=0)
     goal = task.scene.goal

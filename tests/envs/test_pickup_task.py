@@ -82,7 +82,7 @@ def test_everything_begins_apart_and_at_rest(distractors):
 
 
 @pytest.mark.parametrize("distractors", [3, 20])
-def test_no_distractor_lies_by_the_ways(distractors):
+def test_no_distractor_lies_near_the_paths(distractors):
     for seed in SEEDS:
         observation, _ = PickupTask(distractors).reset(seed=seed)
         position, goal = observation["position"], observation["goal"]

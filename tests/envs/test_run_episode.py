@@ -93,23 +93,23 @@ def test_metadata_names_the_policy_and_keeps_the_task():
     assert "policy" not in task.scene.metadata
 
 
-def test_a_run_does_not_depend_on_how_many_there_are():
+def test_a_trajectory_does_not_depend_on_their_number():
     few = collect([PickupTask], [PickupExpert()], 2, 3)
     many = collect([PickupTask], [PickupExpert()], 4, 3)
     assert all(same(one, other) for one, other in zip(few, many, strict=False))
     assert not same(many[0], many[1])
 
 
-def test_the_seed_in_the_metadata_gives_the_run_again():
+def test_the_seed_in_the_metadata_reproduces_the_trajectory():
     run = collect([PickupTask], [PickupExpert()], 3, 5)[2]
     assert same(run, run_episode(PickupTask(), PickupExpert(), run.scene.metadata["seed"]))
 
 
-def test_other_seeds_give_other_runs():
+def test_other_seeds_give_other_trajectories():
     assert not same(*(collect([PickupTask], [PickupExpert()], 1, seed)[0] for seed in (0, 1)))
 
 
-def test_policies_take_turns_and_every_run_is_reported():
+def test_policies_take_turns_and_every_trajectory_is_reported():
     done = []
     mix = [PickupExpert(), PickupExpert(), ExplorationPolicy(), RestPolicy()]
     runs = collect([PickupTask], mix, 6, 0, done.append)
@@ -124,7 +124,7 @@ def test_policies_take_turns_and_every_run_is_reported():
     assert len(done) == 6 and all(one is other for one, other in zip(done, runs, strict=True))
 
 
-def test_tasks_take_turns_and_a_run_is_the_one_its_task_gives_alone():
+def test_tasks_take_turns_and_each_trajectory_is_as_recorded_alone():
     factories = [lambda: PickupTask(0), lambda: PickupTask(2)]
     runs = collect(factories, [RestPolicy()], 3, 0)
     assert [run.scene.node_count for run in runs] == [2, 4, 2]

@@ -59,7 +59,7 @@ def test_rotations_do_not_grow_and_have_complex_eigenvalues() -> None:
     assert found.growth_free == pytest.approx(0.9, rel=1e-5)
 
 
-def test_control_is_felt_and_ends_with_the_run() -> None:
+def test_control_acts_and_ends_with_the_trajectory() -> None:
     model = Fixed(jnp.eye(2))
     found = rollout_growth(model, runs(force=1.0), 2 * STEPS)
     # Both components of the control push every velocity: 40 steps of 1, then nothing.

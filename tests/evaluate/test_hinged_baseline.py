@@ -53,7 +53,7 @@ def test_an_untouched_door_turns_evenly_and_the_gripper_flies_on():
 
 
 @pytest.mark.parametrize(("substeps", "tolerance"), [(None, 1e-4), (4, 1e-12)])
-def test_held_together_they_turn_as_one(substeps, tolerance):
+def test_attached_bodies_rotate_together(substeps, tolerance):
     """Against a loop: of the simulator's own substeps, or of very fine ones."""
     rng = np.random.default_rng(3)
     control = 20.0 * rng.normal(size=(8, 2)) + [10.0, -10.0]

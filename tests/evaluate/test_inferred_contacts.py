@@ -26,7 +26,7 @@ def runs() -> Dataset:
 
 
 @pytest.mark.slow
-def test_motion_finds_on_recorded_runs_what_distance_denies(model, runs) -> None:
+def test_motion_reveals_contacts_of_recorded_trajectories_that_distance_denies(model, runs) -> None:
     found = evaluate_open_loop(model, runs, motion_noise=MotionNoise())
     # Nearly all that measured contacts gain; no more, for the rollouts themselves forget.
     gain = found.edge_f1 - found.edge_f1_unmeasured
@@ -43,7 +43,7 @@ def test_motion_finds_on_recorded_runs_what_distance_denies(model, runs) -> None
 
 
 @pytest.mark.slow
-def test_motion_finds_in_closed_loop_what_distance_denies(model) -> None:
+def test_motion_reveals_contacts_in_closed_loop_that_distance_denies(model) -> None:
     without, _ = control_task(model, WIDER, 1, 7100, measured=False, replan_every=10)
     noise = MotionNoise()
     inferred, _ = control_task(

@@ -51,7 +51,7 @@ def sparse() -> Dataset:
     return Dataset((dataclasses.replace(run, position=0.3 * run.position + row),))
 
 
-def test_small_scenes_have_lists_where_few_pairs_are_near(model, apart, sparse) -> None:
+def test_small_scenes_use_neighbor_lists_where_few_pairs_are_near(model, apart, sparse) -> None:
     assert ReallocatingModel(model, apart).model is model
     lists = ReallocatingModel(model, sparse).model.neighbor_list
     assert lists.cell_capacity is None and lists.group_capacity is None
@@ -59,7 +59,9 @@ def test_small_scenes_have_lists_where_few_pairs_are_near(model, apart, sparse) 
 
 
 @pytest.mark.slow
-def test_small_scenes_with_lists_come_out_the_same(model, sparse, monkeypatch, caplog) -> None:
+def test_neighbor_lists_do_not_change_results_of_small_scenes(
+    model, sparse, monkeypatch, caplog
+) -> None:
     near = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
     monkeypatch.setattr(neighbor_allocation, "_MIN_SPARE", -5)
     monkeypatch.setattr(neighbor_allocation, "_SPARE", 0.3)
@@ -75,7 +77,7 @@ def test_small_scenes_with_lists_come_out_the_same(model, sparse, monkeypatch, c
 
 
 @pytest.mark.usefixtures("large")
-def test_models_with_lists_in_large_scenes(model, apart) -> None:
+def test_models_get_neighbor_lists_in_large_scenes(model, apart) -> None:
     lists = ReallocatingModel(model, apart)
     assert lists.given is model
     assert lists.model.neighbor_list is not None
@@ -135,7 +137,7 @@ def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, capl
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("large")
-def test_training_in_large_scenes_uses_lists(model, apart) -> None:
+def test_training_in_large_scenes_uses_neighbor_lists(model, apart) -> None:
     config = TrainConfig(steps=1, batch_size=2, window_length=2, rollout_from=1.0, bystanders=0)
     state = initial_state(model, config, 0)
     result = fit(state, apart, apart, config)

@@ -49,7 +49,7 @@ def test_a_mismatch_is_named_in_one_line(models, hinges, scene, message) -> None
     assert "\n" not in str(caught.value)
 
 
-def test_an_anchor_is_asked_for_wherever_models_meet_data(models) -> None:
+def test_a_missing_anchor_is_reported_wherever_a_model_reads_data(models) -> None:
     bare = random_run(2, 5, 0)
     hung = random_run(2, 5, 0, anchor=ANCHOR)
     for run, model in ((bare, models[1]), (hung, models[0])):

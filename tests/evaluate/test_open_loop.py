@@ -54,7 +54,7 @@ def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):
     assert glued.runs == 2 and glued.windows == 2 * 191 and glued.n_steps == 10
 
 
-def test_without_measured_contacts_it_never_knows_of_any(glued):
+def test_without_measured_contacts_it_predicts_none(glued):
     assert glued.edge_recall_unmeasured == 0.0 and glued.edge_precision_unmeasured is None
     assert glued.edge_recall > 0.9
     assert glued.n_step_rmse_unmeasured_m > 2 * glued.n_step_rmse_m
@@ -65,7 +65,7 @@ def test_a_missed_onset_costs_what_remains_of_its_window(glued):
     assert glued.switch_time_error_s == pytest.approx(5.5 * DT)
 
 
-def test_a_foreseen_touch_is_on_time(pickups, glued):
+def test_a_predicted_contact_is_on_time(pickups, glued):
     seer = evaluate_open_loop(GluedBodies(reach=0.081), pickups)
     assert seer.edge_on_time == 1.0 and seer.edge_on_time_unmeasured == 1.0
     assert seer.switch_time_error_s < glued.switch_time_error_s
@@ -166,7 +166,7 @@ def test_unrecorded_values_are_none_and_the_rest_is_the_same(untrained):
     assert found.frozen_contact_rmse_m is None and found.edge_f1 == full.edge_f1
 
 
-def test_metrics_of_ones_own(untrained):
+def test_custom_metrics(untrained):
     dataset = Dataset((random_run(2, 6, 0),))
 
     def last_error(detail: OpenLoopDetail) -> float:
@@ -185,7 +185,7 @@ def test_metrics_of_ones_own(untrained):
         evaluate_open_loop(untrained, dataset, horizon_s=3 * DT, metrics={"windows": last_error})
 
 
-def test_ragged_runs_are_as_each_alone(untrained):
+def test_trajectories_of_different_sizes_are_as_each_alone(untrained):
     runs = (random_run(2, 6, 0), random_run(4, 11, 1), random_run(3, 2, 2))
     together = evaluate_open_loop(untrained, Dataset(runs), horizon_s=3 * DT).detail
     assert together.trajectory.tolist() == [0] * 4 + [1] * 9  # the third is too short
@@ -259,6 +259,6 @@ def test_a_model_for_other_data(untrained):
 
 
 @pytest.mark.parametrize("horizon", [0.0, -1.0, 0.3, np.nan, np.inf])
-def test_a_horizon_that_no_run_has(untrained, horizon):
+def test_a_horizon_longer_than_every_trajectory(untrained, horizon):
     with pytest.raises(InvalidInputError, match=r"horizon_s must be 0.05 to 0.25 s"):
         evaluate_open_loop(untrained, Dataset((random_run(2, 5, 0),)), horizon_s=horizon)

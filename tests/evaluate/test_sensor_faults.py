@@ -19,7 +19,7 @@ def test_no_fault_is_the_truth():
     assert SensorFaults().sensor == ContactSensor()
 
 
-def test_rates_are_those_asked_for():
+def test_fault_rates_are_those_configured():
     reported = SensorFaults(0.2, 0.05, seed=1).reported(RUN.contact, RUN.scene, 0)
     assert np.array_equal(reported, reported.swapaxes(1, 2))
     assert not reported[:, ~OFF_DIAGONAL].any()
@@ -43,7 +43,7 @@ def test_a_late_sensor():
     assert np.array_equal(reported[3:], RUN.contact[:-3])
 
 
-def test_seeds_and_runs_differ_and_repeat():
+def test_seeds_and_trajectories_differ_and_repeat():
     def of(seed, number):
         return SensorFaults(0.1, 0.1, 1, seed).reported(RUN.contact, RUN.scene, number)
 
@@ -79,7 +79,7 @@ def test_open_loop_suffers_and_scores_against_the_truth(pickups):
     assert unmoved.n_step_rmse_m == pytest.approx(exact.n_step_rmse_unmeasured_m)
 
 
-def test_the_controller_sees_faults_and_the_record_the_truth():
+def test_the_controller_observes_faults_and_the_recording_is_exact():
     beliefs, runs = {}, {}
     for name, faults, measured in (
         ("exact", SensorFaults(), True),

@@ -64,7 +64,7 @@ def test_coverage_counted_over_all_coin_throws(count):
     assert found.coverage == pytest.approx(np.mean(holds))
 
 
-def test_few_values_give_their_range_and_say_so():
+def test_few_values_give_their_range_and_its_name():
     found = median_interval([3.0, 1.0, 2.0])
     assert (found.low, found.median, found.high) == (1.0, 2.0, 3.0)
     assert found.coverage == pytest.approx(0.75)

@@ -46,7 +46,7 @@ def test_an_edge_by_hand() -> None:
     assert found.fraction_after_impact == 0
 
 
-def test_the_nearest_is_the_closest_approach_within_the_step() -> None:
+def test_closest_approach_is_the_least_distance_within_the_step() -> None:
     """A body that passes by within the step is farther away at both of its ends."""
     passing = between([0.03, 0.04], [-1.2, 0.0])
     np.testing.assert_allclose(passing.closest_approach, [0.04], rtol=1e-5)
@@ -66,7 +66,7 @@ speed = st.floats(-4.0, 4.0)
     max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(x=coordinate, y=coordinate, v=speed, w=speed)
-def test_the_share_after_touch_is_that_of_a_numeric_root(x, y, v, w) -> None:
+def test_the_fraction_after_impact_is_that_of_a_numeric_root(x, y, v, w) -> None:
     r, u = np.array([x, y]), np.array([v, w])
     share = float(between(r, u).fraction_after_impact[0])
 
@@ -90,7 +90,7 @@ def test_the_share_after_touch_is_that_of_a_numeric_root(x, y, v, w) -> None:
 
 
 @pytest.mark.usefixtures("double_precision")
-def test_under_a_push_the_share_is_nearly_that_of_a_numeric_root() -> None:
+def test_under_a_control_displacement_the_fraction_is_nearly_that_of_a_numeric_root() -> None:
     """A constant force has done a part squared of its work: |r + v t + a t^2 / 2| = touch.
 
     Three refinements take the force's part at the last guess, so the root is met to a hundredth of
@@ -184,7 +184,7 @@ def test_values_and_gradients_are_finite_everywhere(displacement, velocity) -> N
         assert np.all(np.isfinite(leaf))
 
 
-def test_bodies_that_hold_together_have_no_impact() -> None:
+def test_attached_bodies_have_no_impact() -> None:
     assert between([0.0799, 0.0], [-1e-4, 0.0]).fraction_after_impact[0] < 1e-3
     assert between([0.0799, 0.0], [-1.0, 0.0]).fraction_after_impact[0] > 0.99
 
@@ -210,7 +210,7 @@ def test_the_papers_prior_is_a_setting_of_ours(distance: float) -> None:
 
 
 @pytest.mark.parametrize("touch", [0.08, 0.3])
-def test_the_touch_prior_is_sharp_at_the_distance_of_touch(touch: float) -> None:
+def test_the_closest_approach_prior_is_sharp_at_the_contact_distance(touch: float) -> None:
     prior, still = ClosestApproachPrior(), [0.0, 0.0]
 
     def at(distances_of_touch: float) -> float:
@@ -223,7 +223,7 @@ def test_the_touch_prior_is_sharp_at_the_distance_of_touch(touch: float) -> None
     assert at(0.2) == pytest.approx(0.99, abs=1e-6) and at(5.0) == pytest.approx(0.01, abs=1e-6)
 
 
-def test_the_touch_prior_looks_at_the_whole_coming_step() -> None:
+def test_the_closest_approach_prior_covers_the_whole_next_step() -> None:
     prior = ClosestApproachPrior()
     assert prior(between([0.2, 0.0], [-3.0, 0.0]), TOUCH)[0] > 0.9
     assert prior(between([0.2, 0.0], [3.0, 0.0]), TOUCH)[0] < 0.02
@@ -236,7 +236,7 @@ def test_the_touch_prior_looks_at_the_whole_coming_step() -> None:
     assert prior(between(*near, control_displacement=[-0.02, 0.0]), TOUCH)[0] > 0.8
 
 
-def test_reach_is_one_near_and_exactly_zero_far() -> None:
+def test_cutoff_is_one_near_and_exactly_zero_far() -> None:
     reach = SmoothCutoff(inner=0.15, outer=0.25)
     still = [0.0, 0.0]
     assert reach(between([0.15, 0.0], still))[0] == 1

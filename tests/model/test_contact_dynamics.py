@@ -292,7 +292,7 @@ def test_the_gradient_of_a_step_against_finite_differences() -> None:
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
 
 
-def test_a_linear_step_knows_the_control_displacement() -> None:
+def test_a_linear_step_uses_the_control_displacement() -> None:
     """Bodies at rest, 2 cm from touch: a push together changes the dynamics of the step."""
     model, nodes = preset("gim_temp", width=8), nodes_of(3)
     model = eqx.tree_at(lambda m: m.sample, model, SoftEdges())

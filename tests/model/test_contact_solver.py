@@ -214,7 +214,7 @@ def test_an_impact_in_the_middle_of_a_step_by_hand() -> None:
 
 
 @pytest.mark.parametrize("size", [1, 2])
-def test_a_held_pair_answers_the_control_as_one_body(size: int) -> None:
+def test_a_grasped_pair_responds_to_the_control_as_one_body(size: int) -> None:
     masses = (1.5, 2.5)
     still = np.zeros((2, 2))
     states = [[0.0, 0.0], [0.1, 0.0]], still

@@ -153,7 +153,7 @@ def test_momentum_is_kept_by_the_whole_of_the_scene() -> None:
     )
 
 
-def test_a_held_chain_answers_the_control_as_one_body() -> None:
+def test_a_grasped_chain_responds_to_the_control_as_one_body() -> None:
     head, (local, message) = without_ground(random_head()), inputs()
     # Message 0 is what the networks make of it; a large bias is an edge that holds all it can.
     head = eqx.tree_at(lambda head: head.edge.layers[-1].bias, head, jnp.array([60.0, -60.0, 0.0]))
@@ -187,7 +187,7 @@ def test_a_hinged_body_stays_on_its_circle() -> None:
     np.testing.assert_allclose(B[..., 1, :] / DT, motion.response, rtol=1e-6, atol=1e-9)
 
 
-def test_a_lone_bar_turns_as_bars_do() -> None:
+def test_a_lone_hinged_body_rotates_about_its_hinge() -> None:
     head, (local, message) = without_ground(random_head(node_types=4)), inputs(hinges=True)
     local = dataclasses.replace(local, weight=0 * local.weight)
     position, velocity = moved(parameters(head, local, message, 0.5), local, [0.0, 0.0], 0.5)

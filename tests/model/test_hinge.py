@@ -97,7 +97,7 @@ def test_a_node_on_its_own_hinge_is_finite() -> None:
         assert np.all(np.isfinite(leaf))
 
 
-def test_geometry_sees_a_bar_where_it_is_touched() -> None:
+def test_contact_with_a_hinged_bar_is_at_its_nearest_point() -> None:
     """A body that strikes the bar's side at three quarters of its length."""
     side = np.array([-0.8, 0.6])
     body = HINGE + 1.5 * ARM + 0.1 * side

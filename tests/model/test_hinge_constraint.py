@@ -48,7 +48,7 @@ def circles(hold, slip: float = 0.0) -> HingeConstraint:
 
 
 @pytest.mark.slow
-def test_a_bars_spring_pulls_as_hard_as_turning_needs() -> None:
+def test_a_hinge_spring_supplies_the_centripetal_force() -> None:
     position, velocity = scene()
     found = circles([0.0, 0.0, 0.0])
     for door in (1, 3):
@@ -60,7 +60,7 @@ def test_a_bars_spring_pulls_as_hard_as_turning_needs() -> None:
     np.testing.assert_allclose(found.stiffness_rate[jnp.array([1, 3])], SPIN**2)
 
 
-def test_a_free_node_that_is_not_held_has_no_spring() -> None:
+def test_a_free_unattached_node_has_no_spring() -> None:
     position, _ = scene()
     found = circles([0.0, 0.0, 0.0])
     assert not np.any(found.stiffness_rate[jnp.array([0, 2])])
@@ -78,7 +78,7 @@ def test_nodes_attached_to_a_door_turn_with_it() -> None:
     np.testing.assert_allclose(found.strength, [1.0, 1.0, 0.0, 1.0])
 
 
-def test_half_a_hold_is_half_a_spring() -> None:
+def test_half_a_coupling_is_half_a_spring() -> None:
     found = circles([0.5, 0.0, 0.0])
     np.testing.assert_allclose(found.stiffness_rate[0], 0.5 * SPIN[0] ** 2)
     np.testing.assert_allclose(found.strength[0], 0.5)
@@ -95,7 +95,7 @@ def test_a_node_just_struck_is_not_yet_projected() -> None:
     assert circles([1.0, 0.0, 0.0], slip=1e-3).strength[0] > 0.99
 
 
-def test_kept_puts_positions_back_onto_their_circles() -> None:
+def test_projection_returns_positions_to_their_circles() -> None:
     position, velocity = scene()
     found = circles([1.0, 0.0, 0.0])
     drifted = jnp.asarray(position + 0.05 * velocity)  # Straight on, off the circle.

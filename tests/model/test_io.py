@@ -202,7 +202,7 @@ def test_truncated_anywhere(good: Path, tmp_path: Path) -> None:
     ),
     front=st.booleans(),
 )
-def test_a_changed_byte_is_found_or_without_effect(
+def test_a_changed_byte_is_reported_or_without_effect(
     changes: list[tuple[float, int]],
     front: bool,
     good: Path,
@@ -409,7 +409,7 @@ def test_names_that_clash_and_keys_that_hide_are_refused() -> None:
         module_arrays({"key": jax.random.key(0)})
 
 
-def test_parts_that_do_not_fit_are_found_at_loading(tmp_path: Path) -> None:
+def test_incompatible_parts_are_refused_at_loading(tmp_path: Path) -> None:
     model, wide = preset("gim_temp"), preset("gim_temp", width=8)
     head = wide.local_dynamics.head
     mixed = eqx.tree_at(lambda model: model.local_dynamics.head, model, head)
@@ -439,7 +439,7 @@ def test_the_number_of_networks_must_be_that_of_the_active_types() -> None:
         )
 
 
-def test_a_model_with_parts_of_ones_own_is_rebuilt_by_its_preset(tmp_path: Path) -> None:
+def test_a_model_with_custom_parts_is_rebuilt_by_its_preset(tmp_path: Path) -> None:
     path, config = tmp_path / "model", ModelConfig(2, 2, DT, width=4)
     model = eqx.tree_at(
         lambda m: m.sample.share, firm(config, key=jax.random.key(0)), jnp.asarray(0.25)

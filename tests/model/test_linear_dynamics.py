@@ -102,7 +102,7 @@ def test_a_weightless_control_has_finite_physical_parameters() -> None:
 
 
 @pytest.mark.parametrize("size", [0, 1, 2])
-def test_inverse_masses_are_the_responses_to_ones_own_component(size) -> None:
+def test_inverse_masses_are_the_responses_to_the_same_component(size) -> None:
     inverse_mass = jnp.asarray(np.random.default_rng(0).uniform(1, 5, (4, 3, 2)))
     response = own_component(inverse_mass, size)
     assert response.shape == (4, 3, 2, size)

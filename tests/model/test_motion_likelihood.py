@@ -61,7 +61,7 @@ def test_an_impact_by_hand(right_off) -> None:
     assert past.corrected.probability[0] < 0.01
 
 
-def test_the_same_motion_says_nothing_to_the_bit() -> None:
+def test_equal_predictions_give_a_log_ratio_of_exactly_zero() -> None:
     state = in_a_row(2, [0.7, 0.7], 0.3)
     found = judged(state, REST, observed_after(state, [0.7, 0.7]))
     assert found.log_ratio[0] == 0.0
@@ -75,7 +75,7 @@ def test_the_same_motion_says_nothing_to_the_bit() -> None:
 
 
 @pytest.mark.parametrize(("velocity", "holds"), [([0.1, 0.1], True), ([0.2, 0.0], False)])
-def test_a_load_is_felt(velocity, holds) -> None:
+def test_a_load_is_evidence_of_contact(velocity, holds) -> None:
     # 4 N for 0.05 s on 1 kg, or on 2 kg.
     state = in_a_row(2, [0.0, 0.0], 0.5)
     found = judged(state, PUSH, observed_after(state, velocity))
@@ -153,7 +153,7 @@ def test_only_evidence_from_motion_is_remembered() -> None:
 
 
 @pytest.mark.parametrize("place", ["before", "after"])
-def test_a_step_with_a_bad_observation_is_not_judged(place) -> None:
+def test_a_step_with_an_invalid_observation_is_no_evidence(place) -> None:
     state = in_a_row(2, [1.0, 0.0], 0.4)
     position, velocity = observed_after(state, [0.5, 0.5])
     if place == "before":
@@ -188,7 +188,7 @@ def test_double_precision() -> None:
 
 
 @pytest.mark.parametrize("name", ["paper_literal", "gim_non_temp", "full_ab", "no_gim"])
-def test_every_model_of_ours_can_be_asked(name) -> None:
+def test_every_preset_gives_finite_evidence(name) -> None:
     state = in_a_row(3, [1.0, 0.0, 0.0], 0.3)
     found = judged(state, PUSH, observed_after(state, [0.6, 0.6, 0.0]), model=preset(name))
     assert np.all(np.isfinite(found.log_ratio))

@@ -166,7 +166,7 @@ def test_an_overflowing_list_predicts_nan() -> None:
         assert np.isnan(np.asarray(after.velocity)).all()
 
 
-def test_lists_are_allocated_for_a_scene() -> None:
+def test_neighbor_lists_are_allocated_for_a_scene() -> None:
     nodes = nodes_of(20, 23)
     model = dataclasses.replace(preset("gim_temp"), cutoff=SmoothCutoff(inner=0.1, outer=FAR))
     state = crowd(model, nodes, size=0.4)
@@ -215,7 +215,7 @@ def test_measured_contacts_are_those_of_all_pairs() -> None:
     np.testing.assert_array_equal(near.edge_id, edge)
 
 
-def test_a_reach_without_end_has_no_lists() -> None:
+def test_a_model_without_cutoff_has_no_neighbor_list() -> None:
     with pytest.raises(InvalidInputError, match=r"need a SmoothCutoff.*found NoCutoff"):
         dataclasses.replace(
             preset("no_gim"), neighbor_list=NeighborList(max_edges=1, cell_capacity=1)
@@ -227,7 +227,7 @@ def test_sizes_are_at_least_one() -> None:
         NeighborList(max_edges=4, cell_capacity=0)
 
 
-def test_motion_is_judged_over_all_pairs_alone() -> None:
+def test_contact_from_motion_needs_all_pairs() -> None:
     near = dataclasses.replace(
         preset("gim_temp"), neighbor_list=NeighborList(max_edges=9, cell_capacity=9)
     )
@@ -235,7 +235,7 @@ def test_motion_is_judged_over_all_pairs_alone() -> None:
         check_motion_model(near)
 
 
-def test_a_model_file_has_no_lists(tmp_path: Path) -> None:
+def test_a_model_file_has_no_neighbor_list(tmp_path: Path) -> None:
     model = preset("gim_temp")
     near = dataclasses.replace(model, neighbor_list=NeighborList(max_edges=5000, cell_capacity=9))
     listed, every = tmp_path / "listed.safetensors", tmp_path / "every.safetensors"

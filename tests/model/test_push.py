@@ -35,7 +35,7 @@ class Counts(eqx.Module):
         return LinearDynamics(still, B, still[..., 0]), state.belief
 
 
-def test_only_the_contacts_of_now_hold() -> None:
+def test_only_present_contacts_transmit_the_control() -> None:
     nodes = nodes_of(3, capacity=COUNT)
     probability = jnp.array([0.9, 0.4, 0.51, 0.9, 0.9, 0.9])  # The last three: with padding.
     state = ModelState(jnp.zeros((COUNT, 2)), jnp.ones((COUNT, 2)), two_type_belief(probability))
@@ -47,7 +47,7 @@ def test_only_the_contacts_of_now_hold() -> None:
     np.testing.assert_array_equal(linear.control_sensitivity, linear.B[..., 0, :])
 
 
-def test_a_push_is_the_response_times_the_control() -> None:
+def test_control_displacement_is_sensitivity_times_control() -> None:
     rng = np.random.default_rng(0)
     response, control = rng.normal(size=(COUNT, 2, 3)), rng.normal(size=3)
     still = jnp.zeros((COUNT, 2))
@@ -62,7 +62,7 @@ def test_a_push_is_the_response_times_the_control() -> None:
     assert state.control_displacement is None
 
 
-def test_the_contact_that_a_push_would_bring_does_not_push() -> None:
+def test_a_contact_that_the_control_would_make_does_not_transmit_it() -> None:
     """Two bodies just out of contact: the model couples them, the force acts on the first."""
     model, nodes = preset("no_gim"), nodes_of(2)
     position = jnp.array([[0.0, 0.0], [0.1, 0.0]])

@@ -58,7 +58,7 @@ def test_each_claim_can_be_false(changed: tuple, false: set[int]) -> None:
     assert None not in found.values()
 
 
-def test_without_measurements_no_claim_is_judged() -> None:
+def test_without_measurements_no_claim_is_evaluated() -> None:
     assert verdicts(Results({})) == dict.fromkeys(range(1, 8), None)
     for claim in claims(Results({}), TASKS, AMOUNTS):
         json.dumps(claim.to_json(), allow_nan=False)
@@ -85,12 +85,12 @@ def test_sentences_and_json_of_claims() -> None:
     json.dumps(entry, allow_nan=False)
 
 
-def test_the_third_claim_is_judged_on_tasks_with_samples_only() -> None:
+def test_the_third_claim_is_evaluated_on_tasks_with_samples_only() -> None:
     found = {claim.number: claim.holds for claim in claims(results(), [DOOR], AMOUNTS)}
     assert found == dict.fromkeys((1, 2, 4, 5, 6, 7), True)
 
 
-def test_claims_about_models_that_a_task_leaves_out_are_not_judged() -> None:
+def test_claims_about_models_that_a_task_omits_are_not_evaluated() -> None:
     found = {claim.number: claim.holds for claim in claims(results(), [FRANKA], AMOUNTS)}
     assert found == {**dict.fromkeys((1, 2, 4, 7), True), 5: None, 6: None}
 

@@ -76,7 +76,7 @@ def targets(results: Results) -> dict[str, ReportMetric]:
     return {number.name: number for number in cost_targets(results, [PICKUP], FULL_COST)}
 
 
-def test_targets_are_judged_by_all_episodes_together() -> None:
+def test_targets_are_compared_with_all_episodes_together() -> None:
     found = targets(cost_results())
     counted = "(297 of 300 episodes; each seed: 99, 99, 99 %)"
     unseen = found[f"pickup: success, unseen goals and objects, 40 demonstrations {counted}"]

@@ -48,7 +48,7 @@ def test_test_scenes_are_the_same_for_every_model_and_seed() -> None:
     assert all("--seed 1000" in job.command for job in tests)
 
 
-def test_half_a_second_and_a_run_are_other_numbers_of_steps_with_an_arm() -> None:
+def test_half_a_second_and_an_episode_have_other_numbers_of_steps_with_an_arm() -> None:
     found = measurements([FRANKA], QUICK)
     jobs = in_dependency_order(one.job for one in found)
 

@@ -95,7 +95,7 @@ def test_an_error_of_moving_bodies_is_not_known_if_nothing_moves() -> None:
     assert diverged["planned_moving_cm_median"] == "inf"
 
 
-def test_targets_are_judged_by_the_median_over_seeds() -> None:
+def test_targets_are_compared_with_the_median_over_seeds() -> None:
     condition = planned(DOOR, GIM_TEMP, DOOR.hardest)
     readings = [
         Reading(seed, {**by_the_paper(condition), ERROR: error}, "contactgraph control")

@@ -60,7 +60,7 @@ def test_the_amounts_are_the_papers() -> None:
     assert counts == (25, 5, 10.0) and FULL_SIM.episodes == 20
 
 
-def test_targets_are_judged_by_the_measured_numbers(folder: Path) -> None:
+def test_targets_are_compared_with_the_measured_numbers(folder: Path) -> None:
     found = SimulatedRobotStudy(FULL_SIM).result(folder)
     values = {number.name: number.value for number in found.targets}
     by_unit = [round(value, 6) for value in values.values() if value is not None]

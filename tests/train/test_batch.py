@@ -43,7 +43,7 @@ def test_windows_are_drawn_as_often_as_given(padded) -> None:
     assert found[windows.has_event].sum() == pytest.approx(0.6, abs=0.012)
 
 
-def test_a_window_is_a_stretch_of_its_run(padded) -> None:
+def test_a_window_is_a_section_of_its_trajectory(padded) -> None:
     windows = window_weights(padded, 3, 0.6)
     batch = take(window_source(padded, windows), np.arange(len(windows.trajectory)))
     for index, (number, start) in enumerate(zip(windows.trajectory, windows.start, strict=True)):
@@ -55,7 +55,7 @@ def test_a_window_is_a_stretch_of_its_run(padded) -> None:
         np.testing.assert_array_equal(batch.nodes.candidate[index], padded.nodes.candidate[number])
 
 
-def test_hinges_go_with_their_runs(padded) -> None:
+def test_hinges_go_with_their_trajectories(padded) -> None:
     free, hung = run(2, 5, 100.0), run(3, 8, 200.0)
     anchor = np.array([[np.nan, np.nan], [0.3, 0.4], [np.nan, np.nan]])
     hung = dataclasses.replace(hung, scene=dataclasses.replace(hung.scene, anchor=anchor))
@@ -68,7 +68,7 @@ def test_hinges_go_with_their_runs(padded) -> None:
     assert window_source(padded, window_weights(padded, 3, 0.6)).trajectories.nodes.anchor is None
 
 
-def test_training_sees_no_contact_labels() -> None:
+def test_training_reads_no_contact_labels() -> None:
     labelled = run(3, 8, 200.0)
     contact = np.ones((9, 3, 3), dtype=bool)
     padded = pad_trajectories((dataclasses.replace(labelled, contact=contact),))

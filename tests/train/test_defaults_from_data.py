@@ -48,6 +48,6 @@ def test_a_distance_that_is_none_is_refused(wrong) -> None:
         defaults_from_data(runs(scene(contact_distance=wrong)))
 
 
-def test_runs_must_not_contradict_each_other() -> None:
+def test_trajectories_must_not_contradict_each_other() -> None:
     with pytest.raises(InvalidInputError, match="the same in all trajectories"):
         defaults_from_data(runs(scene(contact_distance=0.02), scene(contact_distance=0.03)))

@@ -230,7 +230,7 @@ def test_a_step_follows_the_gradient_of_the_loss_plus_the_weighted_rollout(
 
 
 @pytest.mark.slow
-def test_a_file_of_ones_own_trains(tmp_path: Path) -> None:
+def test_a_user_written_file_trains(tmp_path: Path) -> None:
     """In space, without actuation, with other names, other numbers of nodes and steps."""
     rng = np.random.default_rng(0)
 

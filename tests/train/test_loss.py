@@ -94,7 +94,7 @@ def test_the_terms_by_hand() -> None:
     assert found == pytest.approx((0.1 / math.sqrt(2) + 0.0) / 2)
 
 
-def test_the_rollout_is_left_out_where_it_is_not_asked_for() -> None:
+def test_the_rollout_term_is_zero_unless_requested() -> None:
     terms = jitted_loss(Still(), by_hand(), jax.random.key(0), with_rollout=False)
     assert float(terms.rollout) == 0.0
 

@@ -88,7 +88,7 @@ def test_colours_are_the_same_for_both_signs_and_every_matrix() -> None:
     assert norms[0](0.01 * largest) - 0.5 > 0.1, "a hundredth of the largest is to be seen"
 
 
-def test_numbers_are_short_and_nothing_is_said_of_nearly_nothing() -> None:
+def test_numbers_are_short_and_negligible_ones_are_omitted() -> None:
     Q = np.diag([123.4, 12.34, 1.234, 0.1234, 0.0123, 0.001, 0.0, 9.97])
     cost = replace(a_cost(), Q=jnp.asarray(Q), R=jnp.eye(2))
     numbers = [text for text in texts(cost_figure(cost), 0) if text[:1].isdigit()]

@@ -74,7 +74,7 @@ def test_faces_of_a_box_are_those_turned_to_the_eye():
     assert np.allclose(view.half_extent(size), 0.5 * np.ptp(visible, axis=0))
 
 
-def test_the_ground_is_the_table_and_holds_everything(scene):
+def test_the_ground_is_the_table_below_everything(scene):
     ground = ground_of(scene)
     assert ground.level == pytest.approx(0.0), "where the blocks stand; the hand is never lower"
     assert ground.spacing == 0.1

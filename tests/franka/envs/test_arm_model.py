@@ -87,7 +87,7 @@ def test_inverse_kinematics_reach_every_start(arm):
 
 
 @pytest.mark.parametrize("point", [(1.1, 0.0, 0.2), (0.05, 0.0, 0.1), (0.6, 0.0, 0.9)])
-def test_points_out_of_reach_are_refused(arm, point):
+def test_unreachable_points_are_refused(arm, point):
     with pytest.raises(InvalidInputError) as refused:
         inverse_kinematics(arm, np.array(point), 0.0)
     assert str(refused.value) == (
@@ -182,7 +182,7 @@ def test_the_largest_forces_bring_the_arm_to_a_stop_within_its_limits(force):
     assert np.linalg.norm(world.velocity[0]) < 0.02
 
 
-def test_more_torque_than_there_is_is_not_asked_for():
+def test_no_torque_above_the_limit_is_requested():
     world = world_with_hand_at(POINTS[0])
     torque = world.impedance(np.array([900.0, 2000.0, 5000.0]))
     assert np.all(np.abs(torque) <= TORQUE) and np.any(np.abs(torque) == TORQUE)

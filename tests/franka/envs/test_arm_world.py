@@ -40,7 +40,7 @@ def in_hand(world):
     return frame.T @ (block.xpos - hand.xpos), frame.T @ block.xmat.reshape(3, 3)
 
 
-def test_a_block_is_held_by_friction_alone():
+def test_a_block_is_grasped_by_friction_alone():
     world = closed_on_block()
     place, turned = in_hand(world)
     for _ in range(30):

@@ -75,7 +75,7 @@ def test_it_ends_at_rest(sweeps):
 
 
 @pytest.mark.slow
-def test_the_orientation_is_held_through_every_sweep(sweeps):
+def test_the_orientation_is_kept_through_every_sweep(sweeps):
     assert max(max(watched.turn_angle) for _, _, watched in sweeps) < 0.5
 
 

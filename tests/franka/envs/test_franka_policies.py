@@ -157,7 +157,7 @@ def test_success_needs_the_grasped_block(hand: np.ndarray, block: np.ndarray, ye
         is_success(hand[None], HELD_AT)
 
 
-def test_a_sweep_must_end_within_reach_and_the_box() -> None:
+def test_a_sweep_must_end_within_the_workspace_and_the_box() -> None:
     hand, low, high = (
         np.array([0.4, 0.0, 0.2]),
         np.array([0.0, -1.0, 0.0]),

@@ -121,7 +121,7 @@ def test_scenes_are_as_the_layout_promises(distractors, fixed_seed):
                 assert np.linalg.norm(other - way, axis=-1).min() >= CORRIDOR - 1e-3
 
 
-def test_the_fingers_are_across_the_way_to_a_block_that_faces_them():
+def test_the_fingers_are_across_the_path_to_a_block_that_faces_them():
     task = FrankaTask()
     for seed in SEEDS:
         observation, _ = task.reset(seed=seed)
@@ -206,7 +206,7 @@ def test_feedback_receives_the_state_of_every_millisecond():
     assert all(np.array_equal(same[name], step[name]) for name in step)
 
 
-def test_success_is_the_block_held_at_the_goal():
+def test_success_is_the_block_grasped_at_the_goal():
     task = FrankaTask()
     task.reset(seed=0)
     scene, held = task.scene, np.array([[False, True], [True, False]])

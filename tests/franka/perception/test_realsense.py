@@ -139,7 +139,7 @@ def test_the_error_of_a_missing_stream_lists_the_others(device):
     assert str(error.value) == said
 
 
-def test_without_a_camera_one_line_says_so():
+def test_without_a_camera_there_is_one_line():
     if len(rs.context().query_devices()):
         pytest.skip("a RealSense camera is attached here")
     with pytest.raises(InvalidInputError, match=r"^no RealSense camera is attached: check"):

@@ -68,7 +68,7 @@ def test_edges_are_accurate_to_hundredths_of_a_pixel():
     assert np.abs(off).max() < 0.02
 
 
-def test_absent_edges_are_not_found():
+def test_absent_edges_are_not_detected():
     corners = drawn_corners(100, 70)
     assert not find_edges(drawn([]), corners[None]).found.any()
     for hidden_to in (128, 140):  # half of the upper and the lower edge, or most

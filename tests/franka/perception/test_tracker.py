@@ -38,7 +38,7 @@ def test_constant_velocity_is_learned_and_predicted_through_the_delay():
         assert estimate.tracked and estimate.time == last
 
 
-def test_errors_are_as_large_as_the_variance_says():
+def test_errors_agree_with_the_variance():
     rng = np.random.default_rng(0)
     ratios = []
     for _ in range(200):

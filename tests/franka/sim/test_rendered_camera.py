@@ -193,7 +193,7 @@ def test_depth_is_the_distance_along_the_axis(frames):
 
 
 @pytest.mark.slow
-def test_noise_is_as_large_as_asked(frames):
+def test_noise_has_the_configured_size(frames):
     exact, noisy = frames["exact"].astype(float), frames["noisy"].astype(float)
     inside = (exact > 20.0) & (exact < 235.0)
     assert (noisy - exact)[inside].std() == pytest.approx(2.0, rel=0.1)
