@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from html import escape
 
+from contactgraph.viz.metric_table import short
 from contactgraph.viz.report_data import NStepError, ReportData, ReportMetric
 
 _MISSING = "&ndash;"
@@ -83,16 +84,8 @@ def _seed(seed: int | tuple[int, ...] | None) -> str:
 
 
 def figure(value: float | None) -> str:
-    """A number in three significant digits, without an exponent if it stays readable."""
-    if value is None or not math.isfinite(value):
-        return _MISSING
-    if value == int(value) and abs(value) < 1e6:
-        return str(int(value))
-    if not 1e-4 <= abs(value) < 1e6:
-        return f"{value:.2e}"
-    digits = max(0, 2 - math.floor(math.log10(abs(value))))
-    text = f"{value:.{digits}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
+    """A number as `short` writes it, or a dash."""
+    return _MISSING if value is None or not math.isfinite(value) else short(value)
 
 
 def errors_table(errors: tuple[NStepError, ...]) -> str:
