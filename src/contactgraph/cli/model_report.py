@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 
 from contactgraph.cli.tasks import KnownTask, Target, TestCondition
-from contactgraph.viz import LossCurve, NStepError, ReportData, ReportMetric, SceneTrajectory
-
-_HORIZON_S = 0.5
-"""Horizon of the N-step errors, s."""
+from contactgraph.model.io import ModelSummary
+from contactgraph.viz import LossCurve, NStepError, ReportMetric
 
 
 @dataclass(frozen=True)
@@ -24,29 +22,14 @@ class ConditionResult:
     """Of ``contactgraph control``."""
     open_loop_command: str
     closed_loop_command: str
-    seed: int
-    """Of the test scenes."""
 
 
-@dataclass(frozen=True)
-class ModelResult:
-    """Results of one trained model under all test conditions of a task."""
-
-    task: KnownTask
-    seed: int
-    """Of the training."""
-    conditions: tuple[ConditionResult, ...]
-    """The one in distribution first, the hardest last."""
-    training_s: float
-    """Wall time of training, compilation included, s."""
-    model_bytes: int
-    training_command: str
-
-
-def report_metrics(result: ModelResult) -> tuple[ReportMetric, ...]:
-    """Every number of the report, in the order of its table."""
-    task, targets = result.task, result.task.targets
-    first, last = result.conditions[0], result.conditions[-1]
+def report_metrics(
+    task: KnownTask, results: Sequence[ConditionResult], model: ModelSummary
+) -> tuple[ReportMetric, ...]:
+    """Every number of the report, in the order of its table; the hardest condition comes last."""
+    targets, seed = task.targets, int(model.training.get("seed", 0))
+    first, last = results[0], results[-1]
     metrics: list[ReportMetric] = []
 
     def add(
@@ -58,7 +41,7 @@ def report_metrics(result: ModelResult) -> tuple[ReportMetric, ...]:
         **options: Any,
     ) -> None:
         limits = {} if target is None else {"at_least": target.at_least, "aim": target.aim}
-        fields = {"command": command, "seed": result.seed, **limits, **options}
+        fields = {"command": command, "seed": seed, **limits, **options}
         metrics.append(ReportMetric(name, value, unit, **fields))
 
     def add_error(name: str, one: ConditionResult, tile: bool = False) -> None:
@@ -71,7 +54,7 @@ def report_metrics(result: ModelResult) -> tuple[ReportMetric, ...]:
     ratio = _ratio(first.open_loop["n_step_rmse_m"], first.open_loop["frozen_contact_rmse_m"])
     name = "the same, share of the fixed-contact oracle's"
     add(name, "", ratio, first.open_loop_command, Target(0.25), lower_is_better=True)
-    for one in result.conditions[1:]:
+    for one in results[1:]:
         growth = _ratio(
             one.open_loop["n_step_rmse_moving_m"], first.open_loop["n_step_rmse_moving_m"]
         )
@@ -84,7 +67,7 @@ def report_metrics(result: ModelResult) -> tuple[ReportMetric, ...]:
         target = targets.edge_f1.get(one.condition.in_distribution)
         name, f1 = f"edge F1, {one.condition.name}", one.open_loop["edge_f1"]
         add(name, "", f1, one.open_loop_command, target, tile=one is last)
-    for one in result.conditions:
+    for one in results:
         low, high = one.closed_loop["success_interval"]
         add(
             f"success, {one.condition.name}",
@@ -100,14 +83,14 @@ def report_metrics(result: ModelResult) -> tuple[ReportMetric, ...]:
     target = targets.contact_speed
     add("speed at contact, median", "m/s", speed, command, target, tile=True)
     add("slowest on the way there, any episode", "m/s", slowest, command, None)
-    target = targets.training_s
-    add("training", "s", result.training_s, result.training_command, target, lower_is_better=True)
+    training_s = float(model.training.get("training_s", "nan"))
+    trained_by = str(model.training.get("command", ""))
+    add("training", "s", training_s, trained_by, targets.training_s, lower_is_better=True)
     name = f"control step, horizon {last.closed_loop['horizon']}, {last.condition.name}, 99 %"
     milliseconds, command = last.closed_loop["plan_ms_p99"], last.closed_loop_command
     target = targets.tick_ms
     add(name, "ms", milliseconds, command, target, lower_is_better=True, tile=True)
-    megabytes = result.model_bytes / 1e6
-    add("model file", "MB", megabytes, result.training_command, Target(1.0), lower_is_better=True)
+    add("model file", "MB", model.size / 1e6, trained_by, Target(1.0), lower_is_better=True)
     return tuple(metrics)
 
 
@@ -115,39 +98,15 @@ def _ratio(value: float | None, reference: float | None) -> float | None:
     return None if value is None or not reference else value / reference
 
 
-def model_report(
-    result: ModelResult,
-    metrics: Sequence[ReportMetric],
-    scenes: Sequence[SceneTrajectory],
-    history: Sequence[Mapping[str, float]],
-    versions: Mapping[str, str],
-    remake: Sequence[str],
-) -> ReportData:
-    """The page's data; ``history`` are the rows of the training's ``metrics.jsonl``."""
-    return ReportData(
-        title=result.task.title,
-        summary=(
-            "A model learned from recorded trajectories of a gripper when bodies touch and "
-            "how they move then; iLQR-MPC uses it to do the same in new scenes."
-        ),
-        metrics=tuple(metrics),
-        scenes=tuple(scenes),
-        errors=tuple(_errors(result.conditions)),
-        horizon_s=_HORIZON_S,
-        losses=tuple(_losses(history)),
-        versions=dict(versions),
-        remake=tuple(remake),
-    )
-
-
-def _errors(conditions: Sequence[ConditionResult]) -> list[NStepError]:
+def n_step_errors(results: Sequence[ConditionResult]) -> list[NStepError]:
+    """The errors of every condition, by kind of window."""
     errors = []
     for windows, key in (
         ("windows in which a contact changes", "contact"),
         ("windows without a change of contact", "free"),
         ("all windows", "all"),
     ):
-        for one in conditions:
+        for one in results:
             loop = one.open_loop
             own = "n_step_rmse_m" if key == "all" else f"n_step_rmse_{key}_m"
             suffix = "" if key == "all" else f"_{key}"
@@ -163,7 +122,8 @@ def _errors(conditions: Sequence[ConditionResult]) -> list[NStepError]:
     return errors
 
 
-def _losses(history: Sequence[Mapping[str, float]]) -> list[LossCurve]:
+def loss_curves(history: Sequence[Mapping[str, float]]) -> list[LossCurve]:
+    """The curves of a training; ``history`` are the rows of its ``metrics.jsonl``."""
     if not history:
         return []
     step = np.array([row["step"] for row in history])

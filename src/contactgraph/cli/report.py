@@ -13,9 +13,10 @@ from contactgraph.cli.evaluate import Evaluate
 from contactgraph.cli.options import ModelArgument
 
 if TYPE_CHECKING:
-    from contactgraph.cli.model_report import ConditionResult, ModelResult
+    from contactgraph.cli.model_report import ConditionResult
     from contactgraph.cli.tasks import KnownTask, TestCondition
     from contactgraph.evaluate import EpisodeRecord
+    from contactgraph.model.io import ModelSummary
     from contactgraph.viz import SceneTrajectory
 
 
@@ -43,7 +44,6 @@ class Report:
 
     def run(self) -> None:
         """Test, and write the page."""
-        from contactgraph.cli.model_report import ModelResult
         from contactgraph.cli.models import model_path, run_folder
         from contactgraph.cli.output import check_writable
         from contactgraph.cli.tasks import known_task
@@ -55,20 +55,11 @@ class Report:
         page = self.out or (run_folder(self.model) or Path()) / "report" / "index.html"
         if page.parent.exists():
             check_writable(page)
-        task = known_task(self.task)
-        model_file = model_path(self.model)
-        training = describe_model(model_file).training
+        task, summary = known_task(self.task), describe_model(model_path(self.model))
         cells = page.parent / "cells"
         cells.mkdir(parents=True, exist_ok=True)
-        result = ModelResult(
-            task=task,
-            seed=int(training.get("seed", 0)),
-            conditions=tuple(self._test(cells, condition) for condition in task.conditions),
-            training_s=float(training.get("training_s", "nan")),
-            model_bytes=model_file.stat().st_size,
-            training_command=str(training.get("command", "")),
-        )
-        self._write(page, result, task)
+        results = [self._test(cells, condition) for condition in task.conditions]
+        self._write(page, task, summary, results)
 
     def _test(self, folder: Path, condition: "TestCondition") -> "ConditionResult":
         """Runs the commands of one test condition; their files stay in the folder."""
@@ -98,26 +89,41 @@ class Report:
             open_loop_command=f"contactgraph evaluate {self.model} {data.name}",
             closed_loop_command=f"contactgraph control {self.model} {self.task} "
             f"--episodes {self.episodes} --seed {self.seed}{options}",
-            seed=self.seed,
         )
 
-    def _write(self, page: Path, result: "ModelResult", task: "KnownTask") -> None:
+    def _write(
+        self,
+        page: Path,
+        task: "KnownTask",
+        summary: "ModelSummary",
+        results: "list[ConditionResult]",
+    ) -> None:
         """The page, and beside it the table (Markdown, CSV, JSON) and a figure of one scene."""
-        from contactgraph.cli.model_report import model_report, report_metrics
+        from contactgraph.cli.model_report import loss_curves, n_step_errors, report_metrics
         from contactgraph.cli.models import run_folder
         from contactgraph.cli.output import provenance, write_json, write_text
         from contactgraph.train import RunFolder
-        from contactgraph.viz import write_report, write_summary_figure
+        from contactgraph.viz import ReportData, write_report, write_summary_figure
         from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
 
         command = f"contactgraph report {self.model} --task {self.task} --seed {self.seed}"
         training = run_folder(self.model)
-        history = [] if training is None else RunFolder(training).metrics()
-        metrics = report_metrics(result)
+        metrics = report_metrics(task, results, summary)
+        scenes = [self._scene(one.condition, task) for one in results]
+        data = ReportData(
+            title=task.title,
+            summary="A model learned from recorded trajectories of a gripper when bodies touch and "
+            "how they move then; iLQR-MPC uses it to do the same in new scenes.",
+            metrics=metrics,
+            scenes=tuple(scenes),
+            errors=tuple(n_step_errors(results)),
+            horizon_s=_HORIZON_S,
+            losses=() if training is None else tuple(loss_curves(RunFolder(training).metrics())),
+            versions=provenance()["versions"],
+            remake=(command,),
+        )
         folder = page.parent
-        scenes = [self._scene(one.condition, task) for one in result.conditions]
-        versions = provenance()["versions"]
-        write_report(page, model_report(result, metrics, scenes, history, versions, [command]))
+        write_report(page, data)
         figure = folder / f"{self.task.replace(':', '-')}.png"
         write_summary_figure(figure, scenes[min(1, len(scenes) - 1)])
         write_text(folder / "table.md", markdown_metrics(metrics))
@@ -129,7 +135,7 @@ class Report:
                     {"what": metric.name} | {key: getattr(metric, key) for key in _JSON_KEYS}
                     for metric in metrics
                 ],
-                "training_seed": result.seed,
+                "training_seed": int(summary.training.get("seed", 0)),
                 "remake": [command],
                 **provenance(),
             },
@@ -157,6 +163,8 @@ class Report:
         return scene_trajectory(model, condition.name, trajectories[0], records[0].plan)
 
 
+_HORIZON_S = 0.5
+"""Of the N-step errors."""
 _JSON_KEYS = ("unit", "value", "interval", "at_least", "aim", "reached", "command")
 
 
