@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from contactgraph.data import atomic_write, read_trajectories
 from contactgraph.model.io import load_model
 from contactgraph.viz import SceneTrajectory, scene_trajectory, write_summary_figure
-from contactgraph.viz.scene_picture import CONTACT_COLOUR, body_colour
+from contactgraph.viz.scene_picture import INK, SOFT, body_colour
 from contactgraph.viz.selection import focus_nodes, involved_nodes, leading_edges, shown_directions
+from contactgraph.viz.summary_figure import mark_contact, style_axes
 from contactgraph_studies.study import Picture
 
-INK, SOFT, RULE = "#1d2127", "#616872", "#e2ded5"
 TEXT: dict[str, Any] = {"color": SOFT, "fontsize": 9}
 LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
 _FOLDER = "figures"
@@ -35,19 +35,9 @@ def panel_row(
     figure = new_figure(width * len(tasks) + margin, height)
     panels = list(figure.subplots(1, len(tasks), squeeze=False, sharey=share_y)[0])
     for axes, task in zip(panels, tasks, strict=True):
-        style_axes(axes, task.name)
+        axes.set_title(task.name, fontsize=11, color=INK, loc="left")
+        style_axes(axes)
     return figure, panels
-
-
-def style_axes(axes: Axes, title: str = "") -> None:
-    """A frame in the background."""
-    axes.set_title(title, fontsize=11, color=INK, loc="left")
-    axes.tick_params(colors=SOFT, labelsize=9, length=3)
-    axes.grid(axis="y", color=RULE, lw=0.6)
-    axes.set_axisbelow(True)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(RULE)
 
 
 def svg(figure: Figure) -> bytes:
@@ -104,7 +94,7 @@ def parameter_figure(scene: SceneTrajectory) -> Figure:
     axes = figure.subplots(1 + len(shown), 1, sharex=True)
     time = scene.time
     for panel, name in zip(axes, ("belief", *(name for name, _ in shown)), strict=True):
-        _mark_contact(panel, scene, time)
+        mark_contact(panel, scene)
         style_axes(panel)
         panel.set_ylabel(name, **TEXT)
     for edge in leading_edges(scene):
@@ -124,22 +114,3 @@ def parameter_figure(scene: SceneTrajectory) -> Figure:
     axes[1].legend(**LEGEND, loc="upper right", ncols=len(nodes))
     axes[-1].set_xlabel("time, s", **TEXT)
     return figure
-
-
-def _mark_contact(axes: Axes, scene: SceneTrajectory, time: np.ndarray) -> None:
-    """A band while the first of the leading edges is in true contact."""
-    leading = leading_edges(scene, limit=1)
-    if scene.contact is None or not leading:
-        return
-    axes.fill_between(
-        time[:-1],
-        0.0,
-        1.0,
-        where=scene.contact[1:, leading[0]],
-        step="post",
-        color=CONTACT_COLOUR,
-        alpha=0.55,
-        lw=0,
-        transform=axes.get_xaxis_transform(),
-        zorder=0,
-    )

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize, SymLogNorm
 from matplotlib.figure import Figure
@@ -55,7 +54,7 @@ def write_cost_picture(path: str | Path, cost: LearnedCost, expert: Cost | None 
 
 
 def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:
-    """The picture as a matplotlib figure, drawn without a display.
+    """The picture as a matplotlib figure.
 
     ``expert``: the cost that generated the demonstrations, for the same scene, drawn as a
     second row. Raises `InvalidInputError` where its shapes do not fit, or vary over time.
@@ -75,7 +74,6 @@ def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:
     states, relatives, controls = _MARGIN, 2 * _MARGIN + side, 2 * _MARGIN + 2 * side + 0.45
     size = controls + _SMALL + _END, len(rows) * (_TOP + side) + 0.45
     figure = Figure(figsize=size, facecolor="white")
-    FigureCanvasAgg(figure)
     for place, (row, W) in enumerate(zip(rows, terms, strict=True)):
         top = place * (_TOP + side) + _TOP
         own = _panel(figure, states, top, side, side)

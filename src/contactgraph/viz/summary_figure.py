@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 
@@ -39,10 +38,9 @@ def write_summary_figure(path: str | Path, scene: SceneTrajectory) -> None:
 
 
 def summary_figure(scene: SceneTrajectory) -> Figure:
-    """The picture as a matplotlib figure, drawn without a display."""
+    """The picture as a matplotlib figure."""
     plots = 1 + (scene.inverse_mass is not None)
     figure = Figure(figsize=(11.0, 2.9 + 1.25 * plots), facecolor="white")
-    FigureCanvasAgg(figure)
     heights = [2.15] + [1.0] * plots
     grid = figure.add_gridspec(
         1 + plots,
@@ -149,25 +147,34 @@ def _draw_inverse_mass(axes: Axes, scene: SceneTrajectory, inverse_mass: np.ndar
 
 
 def _style(axes: Axes, scene: SceneTrajectory, name: str, limits: tuple[float, float]) -> None:
-    """A plain frame, and the leading edge's true contact as a band over the steps before it."""
     axes.set(xlim=(0, scene.steps * scene.dt), ylim=limits)
     axes.set_ylabel(name, color=SOFT, fontsize=9)
-    axes.tick_params(colors=SOFT, labelsize=8, length=3)
+    style_axes(axes)
+    mark_contact(axes, scene)
+
+
+def style_axes(axes: Axes) -> None:
+    """A plain frame in the background."""
+    axes.tick_params(colors=SOFT, labelsize=9, length=3)
     axes.grid(axis="y", color=RULE, lw=0.6)
     axes.set_axisbelow(True)
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(RULE)
+
+
+def mark_contact(axes: Axes, scene: SceneTrajectory) -> None:
+    """A band over the steps that lead to a state of true contact of the leading edge."""
     leading = leading_edges(scene, limit=1)
-    if scene.contact is not None and leading:
-        touching = scene.contact[1:, leading[0]].astype(float)
-        axes.stairs(
-            np.where(touching > 0, limits[1], limits[0]),
-            scene.time,
-            baseline=limits[0],
-            fill=True,
-            color=CONTACT_COLOUR,
-            alpha=0.55,
-            lw=0,
-            zorder=0,
-        )
+    if scene.contact is None or not leading:
+        return
+    axes.stairs(
+        scene.contact[1:, leading[0]].astype(float),
+        scene.time,
+        fill=True,
+        color=CONTACT_COLOUR,
+        alpha=0.55,
+        lw=0,
+        transform=axes.get_xaxis_transform(),
+        zorder=0,
+    )

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from contactgraph.control import read_cost
 from contactgraph.model import shipped_model
 from contactgraph.viz import cost_figure
-from contactgraph.viz.scene_picture import BODY_COLOURS
+from contactgraph.viz.scene_picture import BODY_COLOURS, SOFT
 from contactgraph_studies.cost.config import (
     CostAmounts,
     among_distractors,
@@ -21,7 +21,6 @@ from contactgraph_studies.cost.jobs import CostLabels, control, learning
 from contactgraph_studies.cost.known_answer import read_answers
 from contactgraph_studies.figures import (
     LEGEND,
-    SOFT,
     TEXT,
     first_episode,
     panel_row,

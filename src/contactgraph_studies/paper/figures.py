@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from contactgraph.viz.scene_picture import INK, SOFT
 from contactgraph_studies import figures
-from contactgraph_studies.figures import INK, LEGEND, SOFT, TEXT
+from contactgraph_studies.figures import LEGEND, TEXT
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper import jobs
 from contactgraph_studies.paper.claims import sample_errors
