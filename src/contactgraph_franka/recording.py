@@ -43,14 +43,11 @@ class TrajectoryRecorder:
             )
         cycles = math.ceil(seconds / period) + _SPARE_CYCLES
         self._period = period
-        self._sent_at = np.empty(cycles)
-        self._sent = np.empty((cycles, dimension))
-        self._read_at = np.empty(cycles)
-        self._position = np.empty((cycles, nodes, dimension))
-        self._velocity = np.empty((cycles, nodes, dimension))
-        self._time = np.empty((cycles, nodes))
-        self._tracked = np.empty((cycles, nodes), dtype=bool)
-        self._contact = np.empty((cycles, nodes, nodes))
+        each, pairs, vectors = (nodes,), (nodes, nodes), (nodes, dimension)
+        read: list[tuple] = [("at", "f8"), ("position", "f8", vectors), ("velocity", "f8", vectors)]
+        read += [("time", "f8", each), ("tracked", "?", each), ("contact", "f8", pairs)]
+        self._read = np.empty(cycles, np.dtype(read))
+        self._sent = np.empty(cycles, np.dtype([("at", "f8"), ("force", "f8", (dimension,))]))
         self.began = math.nan
         """s, on the loop's clock: the time of the first state of the last `trajectory`."""
         self.reset()
@@ -61,18 +58,18 @@ class TrajectoryRecorder:
 
     def __call__(self, now: float, reading: RobotReading | None, sent: np.ndarray | None) -> None:
         """Records a cycle. Readings beyond the capacity, or not finite, are left out."""
-        if reading is not None and self._reads < len(self._read_at) and self._fits(reading):
-            index = self._reads
-            self._read_at[index] = now
-            self._position[index] = reading.position
-            self._velocity[index] = reading.velocity
-            self._time[index] = reading.time
-            self._tracked[index] = reading.tracked
-            self._contact[index] = np.nan if reading.contact is None else reading.contact
+        if reading is not None and self._reads < len(self._read) and self._fits(reading):
+            self._read[self._reads] = (
+                now,
+                reading.position,
+                reading.velocity,
+                reading.time,
+                reading.tracked,
+                np.nan if reading.contact is None else reading.contact,
+            )
             self._reads += 1
-        if sent is not None and self._sends < len(self._sent_at):
-            self._sent_at[self._sends] = now
-            self._sent[self._sends] = sent
+        if sent is not None and self._sends < len(self._sent):
+            self._sent[self._sends] = now, sent
             self._sends += 1
 
     def trajectory(
@@ -86,56 +83,56 @@ class TrajectoryRecorder:
         None where there is no step. Raises `InvalidInputError` where an object was in no frame, or
         where the scene has other nodes.
         """
-        if scene.node_count != self._time.shape[1]:
-            raise InvalidInputError(
-                f"the scene must have {self._time.shape[1]} nodes, found {scene.node_count}"
-            )
+        nodes = self._read["time"].shape[1]
+        if scene.node_count != nodes:
+            raise InvalidInputError(f"the scene must have {nodes} nodes, found {scene.node_count}")
         if not (self._reads and self._sends):
             return None
-        self.began = first = float(max(self._sent_at[0], self._read_at[0]))
-        steps = round((self._sent_at[self._sends - 1] - first) / self._period)
+        read, sent = self._read[: self._reads], self._sent[: self._sends]
+        self.began = first = float(max(sent["at"][0], read["at"][0]))
+        steps = round((sent["at"][-1] - first) / self._period)
         if steps < 1:
             return None
         at = first + self._period * np.arange(steps + 1)
-        position, velocity = self._interpolated(scene, at)
+        position, velocity = _interpolated(scene, read, at)
         for node, track in (tracks or {}).items():
             position[:, node], velocity[:, node] = smooth_track(track, at)
         # The force sent in the cycle nearest to a state acts in the step from there.
-        sent = np.searchsorted(self._sent_at[: self._sends], at[:-1] + self._period / 2.0) - 1
-        last = np.searchsorted(self._read_at[: self._reads], at + self._period / 2.0) - 1
-        contact = self._contact[last]
+        acting = np.searchsorted(sent["at"], at[:-1] + self._period / 2.0) - 1
+        last = read[np.searchsorted(read["at"], at + self._period / 2.0) - 1]
+        contact = last["contact"]
         known = np.isfinite(contact[:, ~np.eye(scene.node_count, dtype=bool)]).all()
         return Trajectory(
             scene=replace(scene, dt=self._period),
             position=position,
             velocity=velocity,
-            control=self._sent[np.maximum(sent, 0)],
+            control=sent["force"][np.maximum(acting, 0)],
             contact=np.nan_to_num(contact) > 0.5 if known else None,
-            tracked=self._tracked[last],
-            measured_at=self._time[last] - first,
+            tracked=last["tracked"],
+            measured_at=last["time"] - first,
         )
 
-    def _interpolated(self, scene: Scene, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """[T+1, N, D] each, interpolated linearly between readings.
-
-        The time stamps of actuated nodes belong to their states. Those of other nodes are the times
-        of their last measurement, while their states are predicted to the time of the reading.
-        """
-        position = np.empty((len(at), *self._position.shape[1:]))
-        velocity = np.empty_like(position)
-        for node in range(scene.node_count):
-            actuated = bool(scene.actuated[node])
-            stamps = self._time[: self._reads, node] if actuated else self._read_at[: self._reads]
-            stamps, index = np.unique(stamps, return_index=True)
-            for axis in range(scene.dimension):
-                position[:, node, axis] = np.interp(at, stamps, self._position[index, node, axis])
-                velocity[:, node, axis] = np.interp(at, stamps, self._velocity[index, node, axis])
-        return position, velocity
-
     def _fits(self, reading: RobotReading) -> bool:
-        shape = self._position.shape[1:]
+        shape = self._read["position"].shape[1:]
         values = (reading.position, reading.velocity, reading.time)
         return reading.position.shape == shape and all(np.isfinite(v).all() for v in values)
+
+
+def _interpolated(scene: Scene, read: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[T+1, N, D] each, interpolated linearly between readings.
+
+    The time stamps of actuated nodes belong to their states. Those of other nodes are the times of
+    their last measurement, while their states are predicted to the time of the reading.
+    """
+    position = np.empty((len(at), *read["position"].shape[1:]))
+    velocity = np.empty_like(position)
+    for node in range(scene.node_count):
+        stamps = read["time"][:, node] if scene.actuated[node] else read["at"]
+        stamps, index = np.unique(stamps, return_index=True)
+        for axis in range(scene.dimension):
+            for name, values in (("position", position), ("velocity", velocity)):
+                values[:, node, axis] = np.interp(at, stamps, read[name][index, node, axis])
+    return position, velocity
 
 
 def smooth_track(track: "Track", at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

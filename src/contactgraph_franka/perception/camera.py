@@ -29,8 +29,7 @@ def pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 def inverse(motion: np.ndarray) -> np.ndarray:
     """[4, 4], the inverse of a pose."""
-    rotation = motion[:3, :3].T
-    return pose(rotation, -rotation @ motion[:3, 3])
+    return np.linalg.inv(motion)
 
 
 def transform(motion: np.ndarray, points: np.ndarray) -> np.ndarray:

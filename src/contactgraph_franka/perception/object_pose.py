@@ -55,21 +55,6 @@ class Observations:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseFit:
-    """A rigid motion fitted to `Observations`."""
-
-    pose: np.ndarray
-    """[4, 4]: object to camera."""
-    information: np.ndarray
-    """[6, 6]: inverse covariance of a small turn about the object's origin [rad] and a small move
-    [m], both along the camera's axes."""
-    loss: float
-    """The minimised sum; infinite if the object is behind the camera."""
-    residual: np.ndarray
-    """[M], in standard deviations."""
-
-
-@dataclass(frozen=True, eq=False)
 class ObjectPose:
     """Pose of an object in the camera's frame."""
 
@@ -85,6 +70,8 @@ class ObjectPose:
     tolerates edges of fingers."""
     explained: int
     """Number of corners and edge ends within three standard deviations."""
+    loss: float = 0.0
+    """The minimised sum; infinite if the object is behind the camera."""
 
 
 def object_poses(
@@ -112,10 +99,10 @@ def object_poses(
     largest = int(np.argmax([_area(each.corners) for each in own]))
     corners = rays[4 * largest : 4 * largest + 4]
     starts = initial_poses(tags[own[largest].id], corners)
-    best, other = sorted((fit_pose(start, observed) for start in starts), key=lambda f: f.loss)
+    ids = tuple(each.id for each in own)
+    best, other = sorted((fit_pose(start, observed, ids) for start in starts), key=lambda f: f.loss)
     same = np.abs(best.pose - other.pose).max() < _SAME
-    fits = [best] if same or other.loss > best.loss + _UNLIKELY else [best, other]
-    return [_object_pose(fit, tuple(each.id for each in own)) for fit in fits]
+    return [best] if same or other.loss > best.loss + _UNLIKELY else [best, other]
 
 
 def refined_pose(
@@ -142,12 +129,12 @@ def refined_pose(
             intrinsics.rays(edges.ends[found].reshape(-1, 2)),
             directions[found].repeat(2, axis=0),
         )
-        best = _object_pose(fit_pose(best.pose, observed), first.tags)
+        best = fit_pose(best.pose, observed, first.tags)
     return best
 
 
-def fit_pose(start: np.ndarray, observed: Observations) -> PoseFit:
-    """The motion [4, 4] near ``start`` [4, 4] that explains ``observed`` best."""
+def fit_pose(start: np.ndarray, observed: Observations, tags: tuple[int, ...]) -> ObjectPose:
+    """The pose near ``start`` [4, 4] that explains the observations of ``tags`` best."""
     turn, position = start[:3, :3], start[:3, 3]
     for _ in range(_ITERATIONS):
         residual, jacobian = _linearised(turn, position, observed)
@@ -165,11 +152,16 @@ def fit_pose(start: np.ndarray, observed: Observations) -> PoseFit:
     weight = _HUBER / np.maximum(length, _HUBER)
     loss = np.where(length < _HUBER, length**2, _HUBER * (2.0 * length - _HUBER)).sum()
     in_front = np.isfinite(loss) and position[2] > 0.0
-    return PoseFit(
+    error = float(np.median(length) / _MEDIAN)
+    information = jacobian.T @ (weight[:, None] * jacobian) + _PRIOR
+    return ObjectPose(
         pose(nearest_rotation(turn), position) if in_front else start,
-        jacobian.T @ (weight[:, None] * jacobian) + _PRIOR,
+        # A fit worse than the noise model (blur, bent prints, hidden edges) is less certain.
+        np.linalg.inv(information) * max(1.0, error**2),
+        tags,
+        error,
+        int((length < 3.0).sum()),
         float(loss) if in_front else np.inf,
-        residual,
     )
 
 
@@ -238,14 +230,6 @@ def _facing(estimate: ObjectPose, tagged: TaggedObject) -> list[int]:
         if -normal @ centre > _LEAST_FACING * np.linalg.norm(centre):
             facing.add(tag.id)
     return sorted(facing)
-
-
-def _object_pose(fit: PoseFit, tags: tuple[int, ...]) -> ObjectPose:
-    error = float(np.median(np.abs(fit.residual)) / _MEDIAN)
-    # A fit worse than the noise model (blur, bent prints, hidden edges) gets a larger covariance.
-    covariance = np.linalg.inv(fit.information) * max(1.0, error**2)
-    explained = int((np.abs(fit.residual) < 3.0).sum())
-    return ObjectPose(fit.pose, covariance, tags, error, explained)
 
 
 def _area(corners: np.ndarray) -> float:

@@ -34,19 +34,18 @@ class GraspOffsetHistory:
     """
 
     def __init__(self, count: int) -> None:
-        self._time = np.empty(_CAPACITY)
-        self._grasped = np.empty(_CAPACITY, dtype=int)
-        self._hand = np.empty((_CAPACITY, 2, 3))
-        self._sum = np.empty((_CAPACITY, count, 3))
+        fields: list[tuple] = [("time", "f8"), ("grasped", "i8")]
+        fields += [("hand", "f8", (2, 3)), ("sum", "f8", (count, 3))]
+        self._entries = np.empty(_CAPACITY, np.dtype(fields))
+        self._map()
         self._count = 0
         self._zero = np.zeros((count, 3))
 
     def begin(self) -> None:
         """Discards all but the last half second."""
-        first = max(0, self._count - _KEPT)
-        for each in (self._time, self._grasped, self._hand, self._sum):
-            each[: self._count - first] = each[first : self._count].copy()
-        self._count -= first
+        kept = self._entries[max(0, self._count - _KEPT) : self._count].copy()
+        self._entries[: len(kept)] = kept
+        self._count = len(kept)
 
     def append(
         self, hand: np.ndarray, speed: np.ndarray, stamp: float, held: int | None = None
@@ -59,8 +58,9 @@ class GraspOffsetHistory:
         last = self._count - 1
         if last >= 0 and not stamp > self._time[last]:
             return
-        if self._count == len(self._time):
-            self._grow()
+        if self._count == len(self._entries):
+            self._entries = np.concatenate([self._entries, np.empty_like(self._entries)])
+            self._map()
         now = self._count
         self._count += 1
         self._time[now], self._hand[now, 0], self._hand[now, 1] = stamp, hand, speed
@@ -120,10 +120,9 @@ class GraspOffsetHistory:
         """The last entry at ``time`` s; -1 before the first."""
         return int(np.searchsorted(self._time[: self._count], time, side="right")) - 1
 
-    def _grow(self) -> None:
+    def _map(self) -> None:
         self._time, self._grasped, self._hand, self._sum = (
-            np.concatenate([each, np.empty_like(each)])
-            for each in (self._time, self._grasped, self._hand, self._sum)
+            self._entries[name] for name in ("time", "grasped", "hand", "sum")
         )
 
 

@@ -53,13 +53,8 @@ def frozen_fault(start: int, end: int) -> Fault:
 
 def jump_fault(start: int, end: int) -> Fault:
     """The object's position is 0.1 m off on each axis."""
-
-    def jumped(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
-        position = past[-1].position.copy()
-        position[-1] += _JUMP
-        return replace(past[-1], position=position)
-
-    return Fault(start, end, jumped)
+    off = np.array([[0.0], [_JUMP]])
+    return Fault(start, end, lambda past, _: replace(past[-1], position=past[-1].position + off))
 
 
 def delay_fault(start: int, end: int) -> Fault:
@@ -69,13 +64,7 @@ def delay_fault(start: int, end: int) -> Fault:
 
 def lost_object_fault(start: int, end: int) -> Fault:
     """The object is no longer tracked."""
-
-    def untracked(past: Sequence[RobotReading], onset: RobotReading) -> RobotReading:
-        tracked = past[-1].tracked.copy()
-        tracked[-1] = False
-        return replace(past[-1], tracked=tracked)
-
-    return Fault(start, end, untracked)
+    return Fault(start, end, lambda past, _: replace(past[-1], tracked=np.array([True, False])))
 
 
 def lost_packet_fault(start: int, end: int) -> Fault:
