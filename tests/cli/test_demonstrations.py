@@ -39,39 +39,42 @@ def demonstrated(path: Path, task: str, *options: object) -> Dataset:
 def test_demonstrations_of_every_task(tmp_path: Path, task: str) -> None:
     task_class, expert_class, targets = PARTS[task]
     episodes = 2 if task == "franka" else 4
-    runs = demonstrated(tmp_path / "demos.h5", task, "--episodes", episodes, "--seed", 3)
-    assert runs.metadata == {
+    trajectories = demonstrated(tmp_path / "demos.h5", task, "--episodes", episodes, "--seed", 3)
+    assert trajectories.metadata == {
         "task": task,
         "seed": 3,
         "distractors": 0,
         "goal": "fixed",
         "expert": "demo",
     }
-    assert all(run.scene.metadata["success"] for run in runs)
-    assert len({run.scene.metadata["fixed_seed"] for run in runs}) == 1
-    begins = np.stack([run.position[0] for run in runs])
+    assert all(trajectory.scene.metadata["success"] for trajectory in trajectories)
+    assert len({trajectory.scene.metadata["fixed_seed"] for trajectory in trajectories}) == 1
+    begins = np.stack([trajectory.position[0] for trajectory in trajectories])
     assert np.array_equal(begins[:, 1:], np.broadcast_to(begins[0, 1:], begins[:, 1:].shape))
     assert begins.shape[1] == 1 + targets
-    assert len(np.unique(begins[:, 0], axis=0)) == len(runs)
-    assert len(np.unique([run.scene.goal for run in runs], axis=0)) == 1
-    *_, last = runs
+    assert len(np.unique(begins[:, 0], axis=0)) == len(trajectories)
+    assert len(np.unique([trajectory.scene.goal for trajectory in trajectories], axis=0)) == 1
+    *_, last = trajectories
     metadata = last.scene.metadata
     again = run_episode(
         task_class(fixed_seed=metadata["fixed_seed"]), expert_class(noise=0.0), metadata["seed"]
     )
     assert np.array_equal(again.control, last.control), "no noise, and to be had again"
     other = demonstrated(tmp_path / "other.h5", task, "--episodes", 1, "--seed", 4)
-    assert not np.array_equal(next(iter(other)).scene.goal, next(iter(runs)).scene.goal)
+    assert not np.array_equal(next(iter(other)).scene.goal, next(iter(trajectories)).scene.goal)
 
 
 def test_one_goal_for_any_number_of_distractors(tmp_path: Path) -> None:
     options = ["--distractors", 2, "--objects", 1, "--mixed"]
-    runs = demonstrated(tmp_path / "demos.h5", "multi-pickup", *options, "--episodes", 6)
+    trajectories = demonstrated(tmp_path / "demos.h5", "multi-pickup", *options, "--episodes", 6)
     fewer = demonstrated(tmp_path / "fewer.h5", "multi-pickup", *options, "--episodes", 2)
-    assert [run.scene.node_count for run in runs] == [2, 3, 4, 2, 3, 4]
-    assert len({(*run.scene.goal, *run.position[0, 1]) for run in runs}) == 1
-    assert len({tuple(run.position[0, 0]) for run in runs}) == 6
-    for one, again in zip(runs, fewer, strict=False):
+    assert [trajectory.scene.node_count for trajectory in trajectories] == [2, 3, 4, 2, 3, 4]
+    assert (
+        len({(*trajectory.scene.goal, *trajectory.position[0, 1]) for trajectory in trajectories})
+        == 1
+    )
+    assert len({tuple(trajectory.position[0, 0]) for trajectory in trajectories}) == 6
+    for one, again in zip(trajectories, fewer, strict=False):
         assert np.array_equal(one.position, again.position), "the same, however many are recorded"
 
 
@@ -89,6 +92,6 @@ def test_trajectories_of_one_goal_can_be_trained_on(tmp_path: Path) -> None:
     path = tmp_path / "data.h5"
     arguments = ["collect", "pickup", "--goal", "fixed", "--resting", "0.5", "--episodes", "2"]
     assert cli.run([*arguments, "--out", str(path)]) == 0
-    runs = read_trajectories(path)
-    assert "expert" not in runs.metadata and runs.metadata["goal"] == "fixed"
-    assert [bool(np.any(run.control)) for run in runs] == [True, False]
+    trajectories = read_trajectories(path)
+    assert "expert" not in trajectories.metadata and trajectories.metadata["goal"] == "fixed"
+    assert [bool(np.any(trajectory.control)) for trajectory in trajectories] == [True, False]

@@ -22,23 +22,25 @@ STEPS = 45
 METADATA = {"task": "pickup", "seed": 0}
 
 
-def cut(run: Trajectory, steps: int = STEPS) -> Trajectory:
-    assert run.contact is not None
-    states = {name: getattr(run, name)[: steps + 1] for name in ("position", "velocity", "contact")}
-    return replace(run, **states, control=run.control[:steps])
+def cut(trajectory: Trajectory, steps: int = STEPS) -> Trajectory:
+    assert trajectory.contact is not None
+    states = {
+        name: getattr(trajectory, name)[: steps + 1] for name in ("position", "velocity", "contact")
+    }
+    return replace(trajectory, **states, control=trajectory.control[:steps])
 
 
 @pytest.fixture(scope="module")
-def runs() -> list[Trajectory]:
+def trajectories() -> list[Trajectory]:
     """Three demonstrations of one goal, with distractors."""
     factory = partial(PickupTask, 2, fixed_seed=7)
-    return [cut(run) for run in collect([factory], [PickupExpert(noise=0.0)], 3, 0)]
+    return [cut(trajectory) for trajectory in collect([factory], [PickupExpert(noise=0.0)], 3, 0)]
 
 
 @pytest.fixture(scope="module")
-def demos(runs: list[Trajectory], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def demos(trajectories: list[Trajectory], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("demos") / "demos.h5"
-    write_trajectories(path, runs, METADATA)
+    write_trajectories(path, trajectories, METADATA)
     return path
 
 
@@ -102,10 +104,12 @@ def test_printed_and_written_output(
     assert {path.name for path in tmp_path.iterdir()} == {"cost.json", "cost.png"}
 
 
-def test_the_file_records_how_it_was_made(demos: Path, cost: Path, runs: list[Trajectory]) -> None:
+def test_the_file_records_how_it_was_made(
+    demos: Path, cost: Path, trajectories: list[Trajectory]
+) -> None:
     summary = describe_cost(cost)
     assert summary.cost.kept_nodes == ("gripper", "target")
-    assert np.allclose(summary.cost.goal, runs[0].scene.goal)
+    assert np.allclose(summary.cost.goal, trajectories[0].scene.goal)
     made = summary.made
     assert (made["model"], made["demonstrations"], made["runs"]) == ("pickup", str(demos), 3)
     assert (made["seed"], made["goal"], made["data"]) == (0, "the runs' own", METADATA)
@@ -123,7 +127,7 @@ def asking(*arguments: object, **options: object) -> None:
 
 
 def test_the_flags_are_passed_to_the_learner(
-    demos: Path, runs: list[Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    demos: Path, trajectories: list[Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("contactgraph.control.learn_cost", asking)
     flags = ["--runs", 2, "--goal", "-0.1", "0.2", "--prior-weight", "0", "--horizon", 12]
@@ -138,7 +142,7 @@ def test_the_flags_are_passed_to_the_learner(
 
 @pytest.mark.parametrize(("task", "horizon"), [("pickup", 20), ("franka", 50), ("juggling", 20)])
 def test_the_horizon_is_the_task_s(
-    runs: list[Trajectory],
+    trajectories: list[Trajectory],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     task: str,
@@ -146,7 +150,7 @@ def test_the_horizon_is_the_task_s(
 ) -> None:
     monkeypatch.setattr("contactgraph.control.learn_cost", asking)
     demos = tmp_path / "demos.h5"
-    write_trajectories(demos, runs, {"task": task})
+    write_trajectories(demos, trajectories, {"task": task})
     with pytest.raises(Asked) as asked:
         cli.run(learned(demos, "--out", tmp_path / "a.json"))
     assert asked.value.args[0][2].horizon == horizon
@@ -163,7 +167,7 @@ def test_the_horizon_is_the_task_s(
     ],
 )
 def test_the_largest_force_is_the_task_s_or_the_flag_s(
-    runs: list[Trajectory],
+    trajectories: list[Trajectory],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     task: str,
@@ -172,7 +176,7 @@ def test_the_largest_force_is_the_task_s_or_the_flag_s(
 ) -> None:
     monkeypatch.setattr("contactgraph.control.learn_cost", asking)
     demos = tmp_path / "demos.h5"
-    write_trajectories(demos, runs, {"task": task})
+    write_trajectories(demos, trajectories, {"task": task})
     with pytest.raises(Asked) as asked:
         cli.run(learned(demos, "--out", tmp_path / "a.json", *flags))
     limits = asked.value.args[1]["limits"]
@@ -259,21 +263,21 @@ def test_mistakes_in_the_flags(mistake, demos: Path, flags: str, said: str) -> N
     assert mistake("learn-cost", "pickup", demos, *flags.split()).startswith(said)
 
 
-def with_scene(run: Trajectory, **changes: object) -> Trajectory:
-    return replace(run, scene=replace(run.scene, **changes))
+def with_scene(trajectory: Trajectory, **changes: object) -> Trajectory:
+    return replace(trajectory, scene=replace(trajectory.scene, **changes))
 
 
-def in_space(run: Trajectory) -> Trajectory:
+def in_space(trajectory: Trajectory) -> Trajectory:
     state = np.zeros((STEPS + 1, 2, 3))
-    scene = Scene(("a", "b"), ("x", "x"), np.array([True, False]), run.scene.dt, 3)
-    return Trajectory(scene, state, state, run.control)
+    scene = Scene(("a", "b"), ("x", "x"), np.array([True, False]), trajectory.scene.dt, 3)
+    return Trajectory(scene, state, state, trajectory.control)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         (
-            lambda run: replace(run, control=run.control[:, :0]),
+            lambda trajectory: replace(trajectory, control=trajectory.control[:, :0]),
             "demos.h5: demonstration 0: control must have at least one axis, found none",
         ),
         (
@@ -281,16 +285,16 @@ def in_space(run: Trajectory) -> Trajectory:
             "demos.h5: the model is for dimension D 2, but demonstration 0 has 3; they must agree",
         ),
         (
-            lambda run: with_scene(run, dt=0.02),
+            lambda trajectory: with_scene(trajectory, dt=0.02),
             "demos.h5: the model is for dt 0.05 s, but demonstration 0 has 0.02 s; they must agree",
         ),
         pytest.param(
-            lambda run: with_scene(run, goal=None),
+            lambda trajectory: with_scene(trajectory, goal=None),
             "demos.h5: demonstration 0: goal is missing",
             marks=pytest.mark.slow,
         ),
         pytest.param(
-            lambda run: cut(run, 19),
+            lambda trajectory: cut(trajectory, 19),
             "demos.h5: demonstration 0: control must have at least the horizon's 20 steps",
             marks=pytest.mark.slow,
         ),
@@ -298,19 +302,23 @@ def in_space(run: Trajectory) -> Trajectory:
 )
 def test_trajectories_that_no_cost_can_be_learned_from(
     mistake,
-    runs: list[Trajectory],
+    trajectories: list[Trajectory],
     tmp_path: Path,
     change: Callable[[Trajectory], Trajectory],
     said: str,
 ) -> None:
-    write_trajectories(tmp_path / "demos.h5", [change(run) for run in runs], METADATA)
+    write_trajectories(
+        tmp_path / "demos.h5", [change(trajectory) for trajectory in trajectories], METADATA
+    )
     assert mistake(*learned(Path("demos.h5"), "--out", "a.json")) == said
 
 
 @pytest.mark.slow
-def test_trajectories_without_contact(mistake, runs: list[Trajectory], tmp_path: Path) -> None:
-    rest = [cut(run) for run in collect([PickupTask], [RestPolicy()], 1, 0)]
-    write_trajectories(tmp_path / "demos.h5", [*runs, *rest], METADATA)
+def test_trajectories_without_contact(
+    mistake, trajectories: list[Trajectory], tmp_path: Path
+) -> None:
+    rest = [cut(trajectory) for trajectory in collect([PickupTask], [RestPolicy()], 1, 0)]
+    write_trajectories(tmp_path / "demos.h5", [*trajectories, *rest], METADATA)
     said = mistake(*learned(Path("demos.h5"), "--out", "a.json"))
     assert said.startswith(
         "demos.h5: run 3: the model infers no contact in this demonstration; at least one"

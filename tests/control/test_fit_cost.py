@@ -12,7 +12,7 @@ from contactgraph.control.learned_cost import isotropic_axes
 from contactgraph.data import InvalidInputError
 
 RUNS, HORIZON, N, U = 24, 12, 4, 2
-STARTS = np.array([(run, 0) for run in range(RUNS)])
+STARTS = np.array([(trajectory, 0) for trajectory in range(RUNS)])
 
 
 @pytest.fixture
@@ -43,8 +43,8 @@ def hidden_expert(seed: int) -> tuple[Demonstrations, np.ndarray, np.ndarray]:
         problem = tracking_problem(A, B, offset, jnp.asarray(Q), jnp.asarray(R), goal)
         return lqr_trajectory(problem, start)
 
-    runs = optimal(A, B, offset, goal, start)
-    return Demonstrations(A, B, offset, runs.states, runs.controls, goal), Q, R
+    trajectories = optimal(A, B, offset, goal, start)
+    return Demonstrations(A, B, offset, trajectories.states, trajectories.controls, goal), Q, R
 
 
 @pytest.mark.parametrize(

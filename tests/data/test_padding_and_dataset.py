@@ -59,24 +59,30 @@ def test_padding_contains_the_trajectories_and_nothing_else(capacity: int | None
     assert padded.position.shape == (3, 8, nodes, 2)
     assert padded.nodes.candidate.shape == (3, nodes * (nodes - 1) // 2)
     total = {"position": 0.0, "velocity": 0.0, "control": 0.0}
-    for index, run in enumerate(RAGGED):
-        count, steps = run.scene.node_count, run.steps
+    for index, trajectory in enumerate(RAGGED):
+        count, steps = trajectory.scene.node_count, trajectory.steps
         real = padded.position[index, : steps + 1, :count]
-        np.testing.assert_array_equal(real, run.position)
-        np.testing.assert_array_equal(padded.velocity[index, : steps + 1, :count], run.velocity)
-        np.testing.assert_array_equal(padded.control[index, :steps], run.control)
+        np.testing.assert_array_equal(real, trajectory.position)
+        np.testing.assert_array_equal(
+            padded.velocity[index, : steps + 1, :count], trajectory.velocity
+        )
+        np.testing.assert_array_equal(padded.control[index, :steps], trajectory.control)
         np.testing.assert_array_equal(np.flatnonzero(padded.nodes.mask[index]), range(count))
         np.testing.assert_array_equal(np.flatnonzero(padded.step_mask[index]), range(steps))
-        np.testing.assert_array_equal(padded.nodes.actuated[index, :count], run.scene.actuated)
-        assert padded.nodes.actuated[index].sum() == run.scene.actuated.sum()
+        np.testing.assert_array_equal(
+            padded.nodes.actuated[index, :count], trajectory.scene.actuated
+        )
+        assert padded.nodes.actuated[index].sum() == trajectory.scene.actuated.sum()
         for edge, (first, second) in enumerate(pair_indices(nodes)):
             exists = first < count and second < count
             assert padded.nodes.candidate[index, edge] == exists
-            expected = run.contact[:, first, second] if exists else np.full(steps + 1, np.nan)
+            expected = (
+                trajectory.contact[:, first, second] if exists else np.full(steps + 1, np.nan)
+            )
             np.testing.assert_array_equal(padded.contact[index, : steps + 1, edge], expected)
             assert np.isnan(padded.contact[index, steps + 1 :, edge]).all()
         for name in total:
-            total[name] += np.abs(getattr(run, name)).sum()
+            total[name] += np.abs(getattr(trajectory, name)).sum()
     for name, expected in total.items():
         assert np.abs(getattr(padded, name)).sum() == pytest.approx(expected), "padding is zero"
 
@@ -91,7 +97,7 @@ def test_candidate_edges_count_in_either_direction() -> None:
 
 def test_contacts_that_are_not_recorded_are_not_known() -> None:
     unlabelled = strip_contacts(RAGGED)
-    assert all(run.contact is None for run in unlabelled)
+    assert all(trajectory.contact is None for trajectory in unlabelled)
     assert unlabelled.metadata == RAGGED.metadata
     mixed = Dataset((RAGGED.trajectories[0], unlabelled.trajectories[1]))
     first, second = pad_trajectories(mixed).contact
@@ -130,14 +136,15 @@ def test_split_by_trajectory() -> None:
     train, held_out = split_by_trajectory(dataset, 0.2, seed=1)
     assert (len(train), len(held_out)) == (8, 2)
     assert train.metadata == held_out.metadata == dataset.metadata
-    place = {id(run): i for i, run in enumerate(dataset)}
-    parts = [[place[id(run)] for run in part] for part in (train, held_out)]
+    place = {id(trajectory): i for i, trajectory in enumerate(dataset)}
+    parts = [[place[id(trajectory)] for trajectory in part] for part in (train, held_out)]
     assert sorted(parts[0] + parts[1]) == list(range(10))
     assert parts == [sorted(part) for part in parts]
     again = split_by_trajectory(dataset, 0.2, seed=1)[1]
-    assert [place[id(run)] for run in again] == parts[1]
+    assert [place[id(trajectory)] for trajectory in again] == parts[1]
     others = {
-        tuple(place[id(run)] for run in split_by_trajectory(dataset, 0.2, s)[1]) for s in range(9)
+        tuple(place[id(trajectory)] for trajectory in split_by_trajectory(dataset, 0.2, s)[1])
+        for s in range(9)
     }
     assert len(others) > 3, "the seed decides"
 

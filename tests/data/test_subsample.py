@@ -23,12 +23,12 @@ def thrown(steps: int, dt: float) -> Trajectory:
 
 
 def test_every_fifth_state_and_the_mean_control() -> None:
-    run = thrown(23, 0.001)
-    (longer,) = subsample(Dataset((run,), {"lab": "here"}), 5)
+    trajectory = thrown(23, 0.001)
+    (longer,) = subsample(Dataset((trajectory,), {"lab": "here"}), 5)
     assert longer.scene.dt == pytest.approx(0.005) and longer.steps == 4
-    np.testing.assert_array_equal(longer.position, run.position[[0, 5, 10, 15, 20]])
-    np.testing.assert_array_equal(longer.tracked, run.tracked[[0, 5, 10, 15, 20]])
-    np.testing.assert_array_equal(longer.measured_at, run.measured_at[[0, 5, 10, 15, 20]])
+    np.testing.assert_array_equal(longer.position, trajectory.position[[0, 5, 10, 15, 20]])
+    np.testing.assert_array_equal(longer.tracked, trajectory.tracked[[0, 5, 10, 15, 20]])
+    np.testing.assert_array_equal(longer.measured_at, trajectory.measured_at[[0, 5, 10, 15, 20]])
     # A mass of 1 kg: momentum is what the mean force gives in the longer step.
     gained = longer.velocity[1:, 0] - longer.velocity[:-1, 0]
     np.testing.assert_allclose(gained, longer.control * 0.005, atol=1e-12)

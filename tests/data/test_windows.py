@@ -64,8 +64,11 @@ def test_all_impacts_are_detected_with_few_false_ones() -> None:
 def test_impacts_are_detected_in_noisy_velocities() -> None:
     rng = np.random.default_rng(0)
     noisy = (
-        replace(run, velocity=run.velocity + 0.01 * rng.normal(size=run.velocity.shape))
-        for run in RUNS
+        replace(
+            trajectory,
+            velocity=trajectory.velocity + 0.01 * rng.normal(size=trajectory.velocity.shape),
+        )
+        for trajectory in RUNS
     )
     found = event_steps(pad_trajectories(Dataset(tuple(noisy))))
     assert found[np.arange(20), IMPACTS].sum() >= 19
@@ -79,9 +82,9 @@ def test_an_actuated_body_that_hits_a_hidden_wall() -> None:
     velocity[61:] -= velocity[61] + 1.0
     position = np.cumsum(velocity, axis=0) * DT
     scene = Scene(("finger",), ("g",), [True], DT, dimension=1)
-    run = Trajectory(scene, position[:, None], velocity[:, None], force)
+    trajectory = Trajectory(scene, position[:, None], velocity[:, None], force)
     np.testing.assert_array_equal(
-        np.flatnonzero(event_steps(pad_trajectories(Dataset((run,))))), [60]
+        np.flatnonzero(event_steps(pad_trajectories(Dataset((trajectory,))))), [60]
     )
 
 
@@ -89,8 +92,8 @@ def test_a_force_that_jumps_is_no_event_where_the_control_explains_it() -> None:
     force = np.where(np.arange(100) == 50, 30.0, np.sin(np.arange(100)))[:, None]
     velocity = np.cumsum(np.vstack([[[0.0]], force * DT]), axis=0)
     scene = Scene(("finger",), ("g",), [True], DT, dimension=1)
-    run = Trajectory(scene, velocity[:, None], velocity[:, None], force)
-    assert not event_steps(pad_trajectories(Dataset((run,)))).any()
+    trajectory = Trajectory(scene, velocity[:, None], velocity[:, None], force)
+    assert not event_steps(pad_trajectories(Dataset((trajectory,)))).any()
 
 
 def test_contacts_and_padding_decide_nothing() -> None:
@@ -109,8 +112,10 @@ def test_the_end_of_a_short_trajectory_is_no_impact() -> None:
     hasty = steady[:49].copy()
     hasty[-3:] += np.array([0.1, 0.4, 1.0])[:, None, None]
     scene = Scene(("a", "b"), ("o", "o"), [False, False], DT)
-    runs = (Trajectory(scene, each, each, np.zeros((len(each) - 1, 2))) for each in (steady, hasty))
-    assert not event_steps(pad_trajectories(Dataset(tuple(runs)))).any()
+    trajectories = (
+        Trajectory(scene, each, each, np.zeros((len(each) - 1, 2))) for each in (steady, hasty)
+    )
+    assert not event_steps(pad_trajectories(Dataset(tuple(trajectories)))).any()
 
 
 def still(steps: int = 6, nodes: int = 2, control_size: int = 2) -> Trajectory:
@@ -120,7 +125,7 @@ def still(steps: int = 6, nodes: int = 2, control_size: int = 2) -> Trajectory:
 
 
 @pytest.mark.parametrize(
-    "run",
+    "trajectory",
     [
         still(),
         still(control_size=0),
@@ -130,10 +135,10 @@ def still(steps: int = 6, nodes: int = 2, control_size: int = 2) -> Trajectory:
         replace(still(steps=1), velocity=np.arange(8.0).reshape(2, 2, 2)),
     ],
 )
-def test_data_without_events(run: Trajectory) -> None:
-    padded = pad_trajectories(Dataset((run,)))
+def test_data_without_events(trajectory: Trajectory) -> None:
+    padded = pad_trajectories(Dataset((trajectory,)))
     assert not event_steps(padded).any()
-    windows = window_weights(padded, run.steps)
+    windows = window_weights(padded, trajectory.steps)
     assert windows.probability.tolist() == [1.0]
 
 
@@ -148,10 +153,10 @@ def test_the_configured_fraction_of_windows_contains_an_event(fraction: float) -
     lengths = padded.step_mask.sum(axis=1)
     assert np.all(windows.start + 12 <= lengths[windows.trajectory])
     found = event_steps(padded)
-    for run, start, has_event in zip(
+    for trajectory, start, has_event in zip(
         windows.trajectory, windows.start, windows.has_event, strict=True
     ):
-        assert found[run, start : start + 12].any() == has_event
+        assert found[trajectory, start : start + 12].any() == has_event
 
 
 def test_uniform_where_every_window_contains_an_event() -> None:

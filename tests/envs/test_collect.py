@@ -32,19 +32,19 @@ def test_several_processes_record_the_same_bits_as_one():
     # Runs follow other runs than they would in one process: nothing may be left of those.
     mix = [PickupExpert(), ExplorationPolicy()]
     reported = []
-    runs = collect([Signed], mix, 7, 3, reported.append, executor=LocalExecutor(2))
+    trajectories = collect([Signed], mix, 7, 3, reported.append, executor=LocalExecutor(2))
     alone = collect([PickupTask], mix, 7, 3)
-    assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
-    assert all(one is other for one, other in zip(reported, runs, strict=True))
-    recorders = [run.scene.metadata["recorder"] for run in runs]
+    assert all(same(one, other) for one, other in zip(trajectories, alone, strict=True))
+    assert all(one is other for one, other in zip(reported, trajectories, strict=True))
+    recorders = [trajectory.scene.metadata["recorder"] for trajectory in trajectories]
     assert recorders[0] == os.getpid() and os.getpid() not in recorders[1:]
 
 
 @pytest.mark.usefixtures("at_once")
 def test_the_doors_expert_keeps_nothing_either():
-    runs = collect([DoorTask], [DoorExpert()], 4, 1, executor=LocalExecutor(2))
+    trajectories = collect([DoorTask], [DoorExpert()], 4, 1, executor=LocalExecutor(2))
     alone = collect([DoorTask], [DoorExpert()], 4, 1)
-    assert all(same(one, other) for one, other in zip(runs, alone, strict=True))
+    assert all(same(one, other) for one, other in zip(trajectories, alone, strict=True))
 
 
 def test_quick_episodes_start_no_workers(monkeypatch):

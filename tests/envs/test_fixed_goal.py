@@ -112,11 +112,13 @@ def test_several_processes_record_as_one_and_episodes_reproduce(monkeypatch):
 @pytest.mark.parametrize("task", EXPERTS)
 def test_experts_without_noise_succeed_and_give_the_same_force_in_the_same_state(task, seed):
     expert = EXPERTS[task](noise=0.0)
-    runs = collect([partial(task, fixed_seed=fixed_seed(seed))], [expert], 20, seed)
-    assert sum(bool(run.scene.metadata["success"]) for run in runs) >= 19
-    run = runs[0]
-    expert.reset(run.scene, seed=1234)
+    trajectories = collect([partial(task, fixed_seed=fixed_seed(seed))], [expert], 20, seed)
+    assert sum(bool(trajectory.scene.metadata["success"]) for trajectory in trajectories) >= 19
+    trajectory = trajectories[0]
+    expert.reset(trajectory.scene, seed=1234)
     for step in (0, 10, 30, 60):
-        now = {name: getattr(run, name)[step] for name in ("position", "velocity", "contact")}
-        force = np.clip(expert({**now, "goal": run.scene.goal}), -10.0, 10.0)
-        np.testing.assert_array_equal(force, run.control[step])
+        now = {
+            name: getattr(trajectory, name)[step] for name in ("position", "velocity", "contact")
+        }
+        force = np.clip(expert({**now, "goal": trajectory.scene.goal}), -10.0, 10.0)
+        np.testing.assert_array_equal(force, trajectory.control[step])

@@ -25,26 +25,26 @@ def same(one, other):
 
 def test_states_controls_and_contacts_are_recorded_as_they_were():
     task = PickupTask(2)
-    run = run_episode(task, PickupExpert(), 4)
-    assert run.position.shape == run.velocity.shape == (201, 4, 2)
-    assert run.control.shape == (200, 2) and run.contact.shape == (201, 4, 4)
+    trajectory = run_episode(task, PickupExpert(), 4)
+    assert trajectory.position.shape == trajectory.velocity.shape == (201, 4, 2)
+    assert trajectory.control.shape == (200, 2) and trajectory.contact.shape == (201, 4, 4)
     replay, _ = task.reset(seed=4)
-    for step, control in enumerate(run.control):
-        assert np.array_equal(run.position[step], replay["position"])
-        assert np.array_equal(run.velocity[step], replay["velocity"])
-        assert np.array_equal(run.contact[step], replay["contact"].astype(bool))
+    for step, control in enumerate(trajectory.control):
+        assert np.array_equal(trajectory.position[step], replay["position"])
+        assert np.array_equal(trajectory.velocity[step], replay["velocity"])
+        assert np.array_equal(trajectory.contact[step], replay["contact"].astype(bool))
         replay, *_ = task.step(control)
-    assert np.array_equal(run.position[-1], replay["position"])
+    assert np.array_equal(trajectory.position[-1], replay["position"])
 
 
 def test_the_recorded_control_is_the_clipped_one():
-    run = run_episode(PickupTask(), Pusher(), 0)
-    assert np.array_equal(np.unique(run.control, axis=0), [[10.0, -3.0]])
+    trajectory = run_episode(PickupTask(), Pusher(), 0)
+    assert np.array_equal(np.unique(trajectory.control, axis=0), [[10.0, -3.0]])
 
 
 def test_every_step_is_reported():
     observed = []
-    run = run_episode(
+    trajectory = run_episode(
         PickupTask(),
         PickupExpert(),
         1,
@@ -53,8 +53,10 @@ def test_every_step_is_reported():
         ),
     )
     assert [step for step, _, _ in observed] == list(range(200))
-    assert np.array_equal(np.stack([position for _, position, _ in observed]), run.position[:-1])
-    assert np.array_equal(np.stack([control for _, _, control in observed]), run.control)
+    assert np.array_equal(
+        np.stack([position for _, position, _ in observed]), trajectory.position[:-1]
+    )
+    assert np.array_equal(np.stack([control for _, _, control in observed]), trajectory.control)
 
 
 class Watched(PickupTask):
@@ -77,18 +79,21 @@ class Watched(PickupTask):
 
 
 def test_a_task_that_is_drawn_has_its_links_recorded_at_every_state():
-    run = run_episode(Watched(), PickupExpert(), 4)
-    assert run.link_positions.shape == (201, 2, 2)
-    assert np.array_equal(run.link_positions[:, 1], run.position[:, 0])
-    assert np.array_equal(run.link_positions[:, 0], np.tile([0.0, 2.0], (201, 1)))
+    trajectory = run_episode(Watched(), PickupExpert(), 4)
+    assert trajectory.link_positions.shape == (201, 2, 2)
+    assert np.array_equal(trajectory.link_positions[:, 1], trajectory.position[:, 0])
+    assert np.array_equal(trajectory.link_positions[:, 0], np.tile([0.0, 2.0], (201, 1)))
     assert run_episode(PickupTask(), PickupExpert(), 4).link_positions is None
 
 
 def test_metadata_names_the_policy_and_keeps_the_task():
     task = PickupTask()
-    run = run_episode(task, RestPolicy(), 9)
-    assert run.scene.metadata["policy"] == "RestPolicy" and run.scene.metadata["seed"] == 9
-    assert run.scene.metadata["success"] is False
+    trajectory = run_episode(task, RestPolicy(), 9)
+    assert (
+        trajectory.scene.metadata["policy"] == "RestPolicy"
+        and trajectory.scene.metadata["seed"] == 9
+    )
+    assert trajectory.scene.metadata["success"] is False
     assert run_episode(task, PickupExpert(), 9).scene.metadata["success"] is True
     assert "policy" not in task.scene.metadata
 
@@ -101,8 +106,10 @@ def test_a_trajectory_does_not_depend_on_their_number():
 
 
 def test_the_seed_in_the_metadata_reproduces_the_trajectory():
-    run = collect([PickupTask], [PickupExpert()], 3, 5)[2]
-    assert same(run, run_episode(PickupTask(), PickupExpert(), run.scene.metadata["seed"]))
+    trajectory = collect([PickupTask], [PickupExpert()], 3, 5)[2]
+    assert same(
+        trajectory, run_episode(PickupTask(), PickupExpert(), trajectory.scene.metadata["seed"])
+    )
 
 
 def test_other_seeds_give_other_trajectories():
@@ -112,8 +119,8 @@ def test_other_seeds_give_other_trajectories():
 def test_policies_take_turns_and_every_trajectory_is_reported():
     done = []
     mix = [PickupExpert(), PickupExpert(), ExplorationPolicy(), RestPolicy()]
-    runs = collect([PickupTask], mix, 6, 0, done.append)
-    assert [run.scene.metadata["policy"] for run in runs] == [
+    trajectories = collect([PickupTask], mix, 6, 0, done.append)
+    assert [trajectory.scene.metadata["policy"] for trajectory in trajectories] == [
         "PickupExpert",
         "PickupExpert",
         "ExplorationPolicy",
@@ -121,15 +128,17 @@ def test_policies_take_turns_and_every_trajectory_is_reported():
         "PickupExpert",
         "PickupExpert",
     ]
-    assert len(done) == 6 and all(one is other for one, other in zip(done, runs, strict=True))
+    assert len(done) == 6 and all(
+        one is other for one, other in zip(done, trajectories, strict=True)
+    )
 
 
 def test_tasks_take_turns_and_each_trajectory_is_as_recorded_alone():
     factories = [lambda: PickupTask(0), lambda: PickupTask(2)]
-    runs = collect(factories, [RestPolicy()], 3, 0)
-    assert [run.scene.node_count for run in runs] == [2, 4, 2]
+    trajectories = collect(factories, [RestPolicy()], 3, 0)
+    assert [trajectory.scene.node_count for trajectory in trajectories] == [2, 4, 2]
     alone = collect([lambda: PickupTask(2)], [RestPolicy()], 2, 0)
-    assert same(runs[1], alone[1])
+    assert same(trajectories[1], alone[1])
 
 
 def test_arguments_out_of_range():

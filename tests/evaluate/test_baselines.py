@@ -10,20 +10,20 @@ from contactgraph.evaluate import collect
 from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle, joined
 
 
-def rmse(predicted, run, windows):
+def rmse(predicted, trajectory, windows):
     steps = predicted.shape[1]
     errors = [
-        run.position[start + 1 : start + steps + 1] - predicted[start]
+        trajectory.position[start + 1 : start + steps + 1] - predicted[start]
         for start in np.flatnonzero(windows)
     ]
     return np.sqrt(np.mean(np.sum(np.square(errors), axis=-1)))
 
 
 def test_constant_velocity_by_hand():
-    run = random_run(2, 6, 0)
-    predicted = constant_velocity(run, 3)
+    trajectory = random_run(2, 6, 0)
+    predicted = constant_velocity(trajectory, 3)
     assert predicted.shape == (4, 3, 2, 2)
-    assert np.allclose(predicted[2, 1], run.position[2] + 2 * DT * run.velocity[2])
+    assert np.allclose(predicted[2, 1], trajectory.position[2] + 2 * DT * trajectory.velocity[2])
 
 
 def test_joined_through_others():
@@ -49,18 +49,18 @@ def test_frozen_contact_against_substeps_of_a_loop(substeps):
         contact[:, first, second] = contact[:, second, first] = True
     contact[4:] = False  # a change inside the window, which the floor does not know of
     rng = np.random.default_rng(1)
-    run = Trajectory(
+    trajectory = Trajectory(
         scene, rng.normal(size=(6, 4, 2)), rng.normal(size=(6, 4, 2)), rng.normal(size=(5, 2)),
         contact,
     )  # fmt: skip
-    position, velocity = run.position[1].copy(), run.velocity[1].copy()
+    position, velocity = trajectory.position[1].copy(), trajectory.velocity[1].copy()
     expected = []
-    for control in run.control[1:5]:
+    for control in trajectory.control[1:5]:
         for _ in range(substeps):
             velocity[:3] += DT / substeps * 2 * control / mass[:3].sum()
             position += DT / substeps * velocity
         expected.append(position.copy())
-    assert np.allclose(fixed_contact_oracle(run, 4)[1], expected, atol=1e-12)
+    assert np.allclose(fixed_contact_oracle(trajectory, 4)[1], expected, atol=1e-12)
 
 
 def test_weight_acts_on_carried_nodes_only():
@@ -81,56 +81,62 @@ def test_weight_acts_on_carried_nodes_only():
     rng = np.random.default_rng(2)
     velocity, force = rng.normal(size=(4, 5, 3)), rng.normal(size=(3, 3))
     velocity[:, 3] = 0.0
-    run = Trajectory(scene, rng.normal(size=(4, 5, 3)), velocity, force, contact)
-    moved = fixed_contact_oracle(run, 1) - constant_velocity(run, 1)
+    trajectory = Trajectory(scene, rng.normal(size=(4, 5, 3)), velocity, force, contact)
+    moved = fixed_contact_oracle(trajectory, 1) - constant_velocity(trajectory, 1)
     carried = (force + 3.0 * gravity) / 7.0 * DT**2 / 2
     np.testing.assert_allclose(moved[:, 0, :3], np.repeat(carried[:, None], 3, axis=1), atol=1e-14)
     assert not moved[:, 0, 3:].any()
-    planar = replace(run, scene=replace(scene, gravity=None))
+    planar = replace(trajectory, scene=replace(scene, gravity=None))
     light = fixed_contact_oracle(planar, 1) - constant_velocity(planar, 1)
     np.testing.assert_allclose(light[:, 0, 1], force / 7.0 * DT**2 / 2, atol=1e-14)
 
 
 def test_without_substeps_the_motion_is_the_exact_one():
-    run = Trajectory(
+    trajectory = Trajectory(
         replace(scene_of(1), mass=np.ones(1)),
         np.zeros((3, 1, 2)), np.zeros((3, 1, 2)), np.ones((2, 2)), np.zeros((3, 1, 1)),
     )  # fmt: skip
-    assert np.allclose(fixed_contact_oracle(run, 2)[0, :, 0, 0], [DT**2 / 2, (2 * DT) ** 2 / 2])
+    assert np.allclose(
+        fixed_contact_oracle(trajectory, 2)[0, :, 0, 0], [DT**2 / 2, (2 * DT) ** 2 / 2]
+    )
 
 
 def test_a_control_of_another_size_than_the_dimension():
-    run = random_run(2, 4, 0)
-    none = replace(run, control=np.zeros((4, 0)), contact=np.zeros((5, 2, 2)))
+    trajectory = random_run(2, 4, 0)
+    none = replace(trajectory, control=np.zeros((4, 0)), contact=np.zeros((5, 2, 2)))
     assert np.allclose(fixed_contact_oracle(none, 2), constant_velocity(none, 2))
-    more = replace(run, control=np.column_stack([run.control, np.ones(4)]))
-    assert np.array_equal(fixed_contact_oracle(more, 2), fixed_contact_oracle(run, 2))
+    more = replace(trajectory, control=np.column_stack([trajectory.control, np.ones(4)]))
+    assert np.array_equal(fixed_contact_oracle(more, 2), fixed_contact_oracle(trajectory, 2))
 
 
 def test_unknown_masses_contacts_or_hinges_in_space_give_none():
-    run = random_run(2, 4, 0)
-    assert fixed_contact_oracle(run, 2) is not None
-    assert fixed_contact_oracle(replace(run, contact=None), 2) is None
-    assert fixed_contact_oracle(replace(run, scene=replace(run.scene, mass=None)), 2) is None
-    deep = replace(run.scene, dimension=3, anchor=np.zeros((2, 3)), metadata={})
+    trajectory = random_run(2, 4, 0)
+    assert fixed_contact_oracle(trajectory, 2) is not None
+    assert fixed_contact_oracle(replace(trajectory, contact=None), 2) is None
+    assert (
+        fixed_contact_oracle(replace(trajectory, scene=replace(trajectory.scene, mass=None)), 2)
+        is None
+    )
+    deep = replace(trajectory.scene, dimension=3, anchor=np.zeros((2, 3)), metadata={})
     in_space = Trajectory(
-        deep, np.zeros((5, 2, 3)), np.zeros((5, 2, 3)), np.zeros((4, 2)), run.contact
+        deep, np.zeros((5, 2, 3)), np.zeros((5, 2, 3)), np.zeros((4, 2)), trajectory.contact
     )
     assert fixed_contact_oracle(in_space, 2) is None
-    nowhere = replace(run.scene, anchor=np.full((2, 2), np.nan))
+    nowhere = replace(trajectory.scene, anchor=np.full((2, 2), np.nan))
     assert np.array_equal(
-        fixed_contact_oracle(replace(run, scene=nowhere), 2), fixed_contact_oracle(run, 2)
+        fixed_contact_oracle(replace(trajectory, scene=nowhere), 2),
+        fixed_contact_oracle(trajectory, 2),
     )
 
 
 def test_on_real_pickups_only_changes_of_contact_are_hard():
-    for run in collect([PickupTask], [PickupExpert()], 2, 0):
-        starts = run.steps - 9
+    for trajectory in collect([PickupTask], [PickupExpert()], 2, 0):
+        starts = trajectory.steps - 9
         change = np.array(
-            [(run.contact[t : t + 11] != run.contact[t]).any() for t in range(starts)]
+            [(trajectory.contact[t : t + 11] != trajectory.contact[t]).any() for t in range(starts)]
         )
         assert change.any() and not change.all()
-        predicted = fixed_contact_oracle(run, 10)
-        assert rmse(predicted, run, ~change) < 1e-4
-        assert rmse(predicted, run, change) > 0.03
-        assert rmse(constant_velocity(run, 10), run, ~change) > 0.01
+        predicted = fixed_contact_oracle(trajectory, 10)
+        assert rmse(predicted, trajectory, ~change) < 1e-4
+        assert rmse(predicted, trajectory, change) > 0.03
+        assert rmse(constant_velocity(trajectory, 10), trajectory, ~change) > 0.01

@@ -39,8 +39,8 @@ def episode(speed, touch=None, distractor=None) -> Trajectory:
 
 def test_speeds_by_hand():
     #        state    0    1    2    3    4    5    6    7    8    9
-    run = episode([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.6, 0.8, 0.2], touch=9)
-    found = approach(run, (0, 1))
+    trajectory = episode([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.6, 0.8, 0.2], touch=9)
+    found = approach(trajectory, (0, 1))
     assert found.contact_speed == pytest.approx(0.8)  # before contact, not after it
     assert found.slowest == pytest.approx(0.5)  # not in start-up, not after contact
     slowing = approach(episode([0, 1, 1, 1, 1, 1, 0.02, 1, 0], touch=8), (0, 1))
@@ -48,10 +48,10 @@ def test_speeds_by_hand():
 
 
 def test_start_up_is_a_time_not_a_number_of_steps():
-    run = episode([*np.linspace(0.0, 0.5, 26), 0.7, 0.6, 0.0], touch=28)
-    quick = replace(run, scene=replace(run.scene, dt=0.01))
+    trajectory = episode([*np.linspace(0.0, 0.5, 26), 0.7, 0.6, 0.0], touch=28)
+    quick = replace(trajectory, scene=replace(trajectory.scene, dt=0.01))
     assert approach(quick, (0, 1)).slowest == pytest.approx(0.5)
-    assert approach(run, (0, 1)).slowest == pytest.approx(0.1)
+    assert approach(trajectory, (0, 1)).slowest == pytest.approx(0.1)
 
 
 def test_contact_in_start_up_or_never_or_from_the_start():
@@ -64,13 +64,15 @@ def test_contact_in_start_up_or_never_or_from_the_start():
 
 
 def test_over_episodes():
-    runs = [
+    trajectories = [
         episode([1.0] * 8, touch=7),
         episode([1.0] * 6 + [0.5, 0.9], touch=7, distractor=7),
         episode([2.0] * 8, touch=7),
         episode([3.0] * 8),
     ]
-    found = closed_loop_metrics(runs, [True, False, True, True], (0, 1), 7, np.arange(101.0))
+    found = closed_loop_metrics(
+        trajectories, [True, False, True, True], (0, 1), 7, np.arange(101.0)
+    )
     assert found.episodes == 4 and found.seed == 7
     assert found.success_rate == 0.75 and found.success_interval == wilson_interval(3, 4)
     assert found.contact_speed_m_s == pytest.approx(1.0)  # of 1, 0.5 and 2
@@ -81,31 +83,31 @@ def test_over_episodes():
 
 
 def test_a_longer_chain_knows_its_own():
-    run = episode([1.0] * 8, touch=6, distractor=7)
-    assert closed_loop_metrics([run], [True], (0, 1), 0).touched_bystanders == 1
-    assert closed_loop_metrics([run], [True], (0, 1, 2), 0).touched_bystanders == 0
+    trajectory = episode([1.0] * 8, touch=6, distractor=7)
+    assert closed_loop_metrics([trajectory], [True], (0, 1), 0).touched_bystanders == 1
+    assert closed_loop_metrics([trajectory], [True], (0, 1, 2), 0).touched_bystanders == 0
 
 
 def test_unmeasured_values_are_none():
-    run = replace(episode([1.0] * 8, touch=7), contact=None)
-    found = closed_loop_metrics([run], [False], (0, 1), 0)
+    trajectory = replace(episode([1.0] * 8, touch=7), contact=None)
+    found = closed_loop_metrics([trajectory], [False], (0, 1), 0)
     assert found.touched_bystanders is found.contact_speed_m_s is found.plan_ms_p99 is None
     assert found.slowest_before_contact_m_s is found.slowest_before_contact_min_m_s is None
     assert found.success_rate == 0.0
 
 
 def test_json_keys():
-    run = episode([1.0] * 8, touch=7)
-    numbers = closed_loop_metrics([run], [True], (0, 1), 3, [1.0]).to_json()
+    trajectory = episode([1.0] * 8, touch=7)
+    numbers = closed_loop_metrics([trajectory], [True], (0, 1), 3, [1.0]).to_json()
     assert set(numbers) == JSON_KEYS
     assert json.loads(json.dumps(numbers)) == numbers
 
 
 def test_arguments():
-    run = episode([1.0, 1.0])
+    trajectory = episode([1.0, 1.0])
     with pytest.raises(InvalidInputError, match="one entry an episode, at least one, found 0"):
         closed_loop_metrics([], [], (0, 1), 0)
     with pytest.raises(InvalidInputError, match="found 2 for 1 episodes"):
-        closed_loop_metrics([run], [True, True], (0, 1), 0)
+        closed_loop_metrics([trajectory], [True, True], (0, 1), 0)
     with pytest.raises(InvalidInputError, match=r"chain must name nodes 0 to 2, found \(0, 3\)"):
-        closed_loop_metrics([run], [True], (0, 3), 0)
+        closed_loop_metrics([trajectory], [True], (0, 3), 0)

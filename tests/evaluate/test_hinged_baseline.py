@@ -38,17 +38,17 @@ def around(radius, angle):
 
 def test_an_untouched_door_turns_evenly_and_the_gripper_flies_on():
     rate = 2.0
-    run = doors(
+    trajectory = doors(
         [[1.0, 1.0], around(0.5, 0.4)],
         [[0.3, 0.1], 0.5 * rate * np.array([-np.sin(0.4), np.cos(0.4)])],
         np.ones((6, 2)),
         [],
     )
-    found = fixed_contact_oracle(run, 6)[0]
+    found = fixed_contact_oracle(trajectory, 6)[0]
     expected = [around(0.5, 0.4 + rate * DT * step) for step in range(1, 7)]
     assert np.allclose(found[:, 1], expected, atol=1e-12)
-    assert np.linalg.norm(constant_velocity(run, 6)[0, -1, 1] - expected[-1]) > 0.05
-    free = replace(run, scene=replace(run.scene, anchor=None))
+    assert np.linalg.norm(constant_velocity(trajectory, 6)[0, -1, 1] - expected[-1]) > 0.05
+    free = replace(trajectory, scene=replace(trajectory.scene, anchor=None))
     assert np.array_equal(found[:, 0], fixed_contact_oracle(free, 6)[0, :, 0])
 
 
@@ -60,7 +60,7 @@ def test_attached_bodies_rotate_together(substeps, tolerance):
     fields = {} if substeps is None else {"metadata": {"substeps": substeps}}
     places = [around(0.8, 0.9), around(0.5, 1.0)]
     speeds = np.array([[0.4, -0.2], [-0.1, 0.3]])
-    run = doors(places, speeds, control, [(0, 1)], **fields)
+    trajectory = doors(places, speeds, control, [(0, 1)], **fields)
     arms = np.array(places) - HINGE
     # A bar of length 1 about its end, and the gripper's mass at its arm.
     inertia = 4.0 * 1.0**2 / 3.0 + 1.0 * 0.8**2
@@ -75,7 +75,7 @@ def test_attached_bodies_rotate_together(substeps, tolerance):
             angle += DT / fine * rate
         expected.append([around(0.8, 0.9 + angle), around(0.5, 1.0 + angle)])
     assert abs(angle) > 0.1
-    assert np.allclose(fixed_contact_oracle(run, 8)[0], expected, atol=tolerance)
+    assert np.allclose(fixed_contact_oracle(trajectory, 8)[0], expected, atol=tolerance)
 
 
 def test_two_hinges_lock_and_one_shared_hinge_does_not():
@@ -101,16 +101,18 @@ def test_a_body_in_its_own_hinge_stays():
 
 
 def test_on_real_doors_only_changes_of_contact_are_hard():
-    (run,) = collect([DoorTask], [DoorExpert()], 1, 0)
-    starts = run.steps - 9
-    change = np.array([(run.contact[t : t + 11] != run.contact[t]).any() for t in range(starts)])
+    (trajectory,) = collect([DoorTask], [DoorExpert()], 1, 0)
+    starts = trajectory.steps - 9
+    change = np.array(
+        [(trajectory.contact[t : t + 11] != trajectory.contact[t]).any() for t in range(starts)]
+    )
     assert change.any() and not change.all()
-    truth = np.stack([run.position[t + 1 : t + 11] for t in range(starts)])
+    truth = np.stack([trajectory.position[t + 1 : t + 11] for t in range(starts)])
 
     def rmse(predicted, windows):
         return np.sqrt(np.mean(np.sum((predicted - truth)[windows] ** 2, axis=-1)))
 
-    frozen = fixed_contact_oracle(run, 10)
+    frozen = fixed_contact_oracle(trajectory, 10)
     assert rmse(frozen, ~change) < 1e-3
-    assert rmse(constant_velocity(run, 10), ~change) > 0.01
+    assert rmse(constant_velocity(trajectory, 10), ~change) > 0.01
     assert rmse(frozen, change) > 0.01

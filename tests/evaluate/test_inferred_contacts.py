@@ -21,23 +21,25 @@ def model():
 
 
 @pytest.fixture(scope="module")
-def runs() -> Dataset:
+def trajectories() -> Dataset:
     return Dataset(tuple(collect([WIDER], [PickupExpert()], 2, 7100)))
 
 
 @pytest.mark.slow
-def test_motion_reveals_contacts_of_recorded_trajectories_that_distance_denies(model, runs) -> None:
-    found = evaluate_open_loop(model, runs, motion_noise=MotionNoise())
+def test_motion_reveals_contacts_of_recorded_trajectories_that_distance_denies(
+    model, trajectories
+) -> None:
+    found = evaluate_open_loop(model, trajectories, motion_noise=MotionNoise())
     # Nearly all that measured contacts gain; no more, for the rollouts themselves forget.
     gain = found.edge_f1 - found.edge_f1_unmeasured
     assert gain > 0.05 and found.edge_f1_inferred - found.edge_f1_unmeasured > 0.5 * gain
     assert found.n_step_rmse_inferred_m != found.n_step_rmse_unmeasured_m
     # Contacts that were recorded have no part in it.
-    bare = Dataset(tuple(replace(run, contact=None) for run in runs))
+    bare = Dataset(tuple(replace(trajectory, contact=None) for trajectory in trajectories))
     again = evaluate_open_loop(model, bare, motion_noise=MotionNoise())
     assert again.n_step_rmse_inferred_m == found.n_step_rmse_inferred_m
     assert again.edge_f1_inferred is None
-    unasked = evaluate_open_loop(model, runs)
+    unasked = evaluate_open_loop(model, trajectories)
     assert unasked.edge_f1_inferred is unasked.n_step_rmse_inferred_m is None
     assert unasked.edge_f1_unmeasured == found.edge_f1_unmeasured
 
@@ -66,14 +68,16 @@ def test_policies_receive_the_applied_control() -> None:
         def applied(self, control):
             applied_controls.append(control)
 
-    run = run_episode(PickupTask(), Strong(), 0)
+    trajectory = run_episode(PickupTask(), Strong(), 0)
     # The task's limit is 10 N.
-    assert np.array_equal(applied_controls, run.control) and np.all(run.control == [10.0, -1.0])
+    assert np.array_equal(applied_controls, trajectory.control) and np.all(
+        trajectory.control == [10.0, -1.0]
+    )
     assert hasattr(MPCPolicy, "applied")
 
 
-def test_arguments(runs) -> None:
+def test_arguments(trajectories) -> None:
     with pytest.raises(InvalidInputError, match=r"only a ContactDynamics.*found GluedBodies"):
-        evaluate_open_loop(GluedBodies(), runs, motion_noise=MotionNoise())
+        evaluate_open_loop(GluedBodies(), trajectories, motion_noise=MotionNoise())
     with pytest.raises(InvalidInputError, match=r"radius must be above 0, to 0.06 m, found 0.1"):
         PickupTask(radius=0.1)

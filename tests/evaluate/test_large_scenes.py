@@ -27,9 +27,9 @@ COUNT = 6
 @pytest.fixture(scope="module")
 def apart() -> Dataset:
     """A row of bodies, of which only neighbours are in reach of each other."""
-    run = random_run(COUNT, 4, 0)
+    trajectory = random_run(COUNT, 4, 0)
     row = 0.15 * np.arange(COUNT)[:, None] * np.array([1.0, 0.2])
-    return Dataset((dataclasses.replace(run, position=0.3 * run.position + row),))
+    return Dataset((dataclasses.replace(trajectory, position=0.3 * trajectory.position + row),))
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +46,9 @@ def large(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def sparse() -> Dataset:
     """A longer row."""
-    run = random_run(14, 4, 0)
+    trajectory = random_run(14, 4, 0)
     row = 0.15 * np.arange(14)[:, None] * np.array([1.0, 0.2])
-    return Dataset((dataclasses.replace(run, position=0.3 * run.position + row),))
+    return Dataset((dataclasses.replace(trajectory, position=0.3 * trajectory.position + row),))
 
 
 def test_small_scenes_use_neighbor_lists_where_few_pairs_are_near(model, apart, sparse) -> None:

@@ -52,11 +52,11 @@ def test_a_mismatch_is_named_in_one_line(models, hinges, scene, message) -> None
 def test_a_missing_anchor_is_reported_wherever_a_model_reads_data(models) -> None:
     bare = random_run(2, 5, 0)
     hung = random_run(2, 5, 0, anchor=ANCHOR)
-    for run, model in ((bare, models[1]), (hung, models[0])):
+    for trajectory, model in ((bare, models[1]), (hung, models[0])):
         with pytest.raises(InvalidInputError, match=r"the data has (no|an) anchor"):
-            evaluate_open_loop(model, Dataset((run,)), horizon_s=2 * DT)
+            evaluate_open_loop(model, Dataset((trajectory,)), horizon_s=2 * DT)
         with pytest.raises(InvalidInputError, match=r"has (no|an) anchor"):
-            model_diagnostics(model, run)
+            model_diagnostics(model, trajectory)
     for task, model in ((PickupTask, models[1]), (DoorTask, models[0])):
         with pytest.raises(InvalidInputError, match=r"the task has (no|an) anchor"):
             control_task(model, task, 1, 0)

@@ -22,18 +22,18 @@ HORIZON, STEPS = 12, 10  # 0.5 s are 10 steps
 RUN = random_run(3, 45, 4)
 
 
-def record_of(run, every, offset=0.0):
+def record_of(trajectory, every, offset=0.0):
     """Plans, made every few steps, that place node 1 ``offset`` [m] off its later position."""
-    step_index = np.arange(run.steps)
-    ahead = np.minimum(step_index[:, None] + np.arange(HORIZON + 1), run.steps)
-    plan = run.position[ahead]
+    step_index = np.arange(trajectory.steps)
+    ahead = np.minimum(step_index[:, None] + np.arange(HORIZON + 1), trajectory.steps)
+    plan = trajectory.position[ahead]
     plan[:, 1:, 1, 0] += offset
-    first, second = pair_indices(run.scene.node_count).T
+    first, second = pair_indices(trajectory.scene.node_count).T
     status = np.where(step_index % every == 0, PlanStatus.ITERATION_LIMIT, PlanStatus.PLAN_REUSED)
     # What is kept of a plan while it is followed must not count as one.
     plan[step_index % every != 0] += 7.0
-    belief = np.where(run.contact[ahead[:, 1:]][:, :, first, second], 0.9, 0.1)
-    return EpisodeRecord(np.ones(run.steps), status, plan, belief, belief[:, 0])
+    belief = np.where(trajectory.contact[ahead[:, 1:]][:, :, first, second], 0.9, 0.1)
+    return EpisodeRecord(np.ones(trajectory.steps), status, plan, belief, belief[:, 0])
 
 
 def test_against_a_loop_over_windows():

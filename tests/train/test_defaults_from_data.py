@@ -9,7 +9,7 @@ from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
 from contactgraph.train import defaults_from_data
 
 
-def runs(*scenes: Scene) -> Dataset:
+def trajectories(*scenes: Scene) -> Dataset:
     def still(scene: Scene) -> Trajectory:
         shape = 3, scene.node_count, scene.dimension
         return Trajectory(scene, np.zeros(shape), np.zeros(shape), np.zeros((2, scene.dimension)))
@@ -24,30 +24,32 @@ def scene(**metadata: float) -> Scene:
 
 
 def test_the_contact_distance_is_learned_without_a_given_one() -> None:
-    found = defaults_from_data(runs(scene()))
+    found = defaults_from_data(trajectories(scene()))
     assert (found.contact_distance, found.learned_contact_distance) == (0.085, True)
     assert (found.hinges, found.weight, found.rollout_from) == (False, False, 0.5)
 
 
 def test_a_given_distance_is_kept() -> None:
-    found = defaults_from_data(runs(scene(contact_distance=0.02), scene(contact_distance=0.02)))
+    found = defaults_from_data(
+        trajectories(scene(contact_distance=0.02), scene(contact_distance=0.02))
+    )
     assert (found.contact_distance, found.learned_contact_distance) == (0.02, False)
 
 
 def test_weight_and_hinges_are_detected_in_any_trajectory() -> None:
     heavy = replace(scene(), gravity=np.array([0.0, -9.81]))
     hinged = replace(scene(), anchor=np.array([[np.nan, np.nan], [0.0, 0.0]]))
-    found = defaults_from_data(runs(scene(), heavy, hinged))
+    found = defaults_from_data(trajectories(scene(), heavy, hinged))
     assert found.weight and found.hinges and found.rollout_from == 0.0
-    assert not defaults_from_data(runs(replace(scene(), gravity=np.zeros(2)))).weight
+    assert not defaults_from_data(trajectories(replace(scene(), gravity=np.zeros(2)))).weight
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, float("inf"), "near"])
 def test_a_distance_that_is_none_is_refused(wrong) -> None:
     with pytest.raises(InvalidInputError, match="contact_distance must be positive metres"):
-        defaults_from_data(runs(scene(contact_distance=wrong)))
+        defaults_from_data(trajectories(scene(contact_distance=wrong)))
 
 
 def test_trajectories_must_not_contradict_each_other() -> None:
     with pytest.raises(InvalidInputError, match="the same in all trajectories"):
-        defaults_from_data(runs(scene(contact_distance=0.02), scene(contact_distance=0.03)))
+        defaults_from_data(trajectories(scene(contact_distance=0.02), scene(contact_distance=0.03)))

@@ -86,8 +86,8 @@ def resting(actuated: list[bool], speed: list[float], mask_out: bool = False) ->
     scene = Scene(tuple("abc"[:count]), ("x",) * count, np.array(actuated), 0.1)
     velocity = np.zeros((4, count, 2))
     velocity[..., 0] = speed
-    run = Trajectory(scene, np.zeros((4, count, 2)), velocity, np.zeros((3, 1)))
-    runs = (run,)
+    trajectory = Trajectory(scene, np.zeros((4, count, 2)), velocity, np.zeros((3, 1)))
+    trajectories = (trajectory,)
     if mask_out:
         longer = Trajectory(
             Scene(("a", "b", "c"), ("x",) * 3, np.zeros(3, bool), 0.1),
@@ -95,8 +95,8 @@ def resting(actuated: list[bool], speed: list[float], mask_out: bool = False) ->
             np.ones((9, 3, 2)),
             np.zeros((8, 1)),
         )
-        runs = (run, longer)
-    return has_resting_bodies(pad_trajectories(Dataset(runs)))
+        trajectories = (trajectory, longer)
+    return has_resting_bodies(pad_trajectories(Dataset(trajectories)))
 
 
 def test_whether_bodies_ever_rest() -> None:

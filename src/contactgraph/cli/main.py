@@ -174,7 +174,7 @@ _TYPES = {"int()": "an integer", "float": "a number"}
 
 
 def _one_line(message: str, name: str) -> str:
-    """The parser's message, drawn as a box, as one line that says what would be valid."""
+    """The parser's message, drawn as a box, as one line with the valid values."""
     text = " ".join(_BOX.sub(" ", _STYLE.sub("", message)).split())
     pointer = _POINTER.search(text)
     command = pointer["command"] if pointer else name

@@ -29,15 +29,15 @@ def check_writable(path: Path | None) -> None:
 
 
 def check_suffix(flag: str, path: Path | None, suffix: str) -> None:
-    """Refuse a file whose name says it is of another kind."""
+    """Refuse a path with another suffix."""
     if path is not None and path.suffix.lower() != suffix:
         raise InvalidInputError(f"{flag} must name a file that ends in {suffix}, found {path}")
 
 
 def write_json(path: Path | None, values: Mapping[str, Any]) -> None:
-    """Write a JSON object to a file, whole or not at all; nothing where no file is named.
+    """Write a JSON object to a file, atomically; nothing without a path.
 
-    What is not finite is null: JSON has no word for it.
+    Numbers that are not finite become null, since JSON has none.
     """
     if path is None:
         return
@@ -45,7 +45,7 @@ def write_json(path: Path | None, values: Mapping[str, Any]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file, whole or not at all."""
+    """Write a text file, atomically."""
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

@@ -51,7 +51,7 @@ class TaskOptions:
 
 @dataclass(frozen=True)
 class TestCondition:
-    """One kind of scene that models are tested in."""
+    """Scenes that models are tested in."""
 
     __test__ = False  # pytest collects every class whose name begins with Test
 

@@ -147,7 +147,7 @@ class ILQR(eqx.Module):
 
         improvement = self._improve(reference, part, damping)
         enough = self.tolerance * jnp.abs(lowest) + self.absolute_tolerance
-        # A damped step promises little because it is damped: only the full one may say "done".
+        # A damped step always predicts a small decrease, so only an undamped one can converge.
         converged = (damping == 0) & (improvement.expected_decrease <= enough)
         nothing_rolls = ~jnp.isfinite(lowest)
         status = jnp.where(damping > _LAST_DAMPING, PlanStatus.NO_DESCENT, _RUNNING)

@@ -15,7 +15,7 @@ def pair_count(node_count: Any) -> Any:
 def pair_indices(node_count: int) -> np.ndarray:
     """[E, 2] the unordered pairs ``(i, j)``, ``i < j``, of ``N`` nodes; row e is the edge of id e.
 
-    Contact is symmetric, so an edge carries one belief; messages pass along it both ways.
+    Contact is symmetric, so an edge carries one belief; messages pass along it in both directions.
     Ordered by the larger index first, so that a scene's edges are a prefix of those of any
     larger capacity.
     """

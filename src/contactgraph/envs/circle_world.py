@@ -163,14 +163,14 @@ class CircleWorld:
         if speed_squared == 0.0:
             return 0.0
         along = float(offset @ closing)
-        reach = float(self._radius[first] + self._radius[second])
-        gap_squared = reach**2 - float(offset @ offset)
+        distance = float(self._radius[first] + self._radius[second])
+        gap_squared = distance**2 - float(offset @ offset)
         root = np.sqrt(max(along**2 + speed_squared * gap_squared, 0.0))
         return float(np.clip((along + root) / speed_squared, 0.0, self._substep_time))
 
     def _overlap(self, first: int, second: int) -> float:
-        reach = float(self._radius[first] + self._radius[second])
-        return reach - float(np.linalg.norm(self._offset(first, second)))
+        distance = float(self._radius[first] + self._radius[second])
+        return distance - float(np.linalg.norm(self._offset(first, second)))
 
     def _offset(self, first: int, second: int) -> np.ndarray:
         return np.array(tuple(self._bodies[second].position - self._bodies[first].position))

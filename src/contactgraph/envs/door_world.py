@@ -80,8 +80,8 @@ class DoorWorld:
         self._gripper.massData = Box2D.b2MassData(mass=gripper_mass, center=(0.0, 0.0), I=0.0)
         self._gripper.userData = GRIPPER
         self._doors = [
-            self._door(index + 1, place, float(turned), door_mass)
-            for index, (place, turned) in enumerate(zip(self._hinge, angle, strict=True))
+            self._door(index + 1, hinge, float(turned), door_mass)
+            for index, (hinge, turned) in enumerate(zip(self._hinge, angle, strict=True))
         ]
         self._held = 0
         """The door that the gripper is pinned to; 0: none."""

@@ -70,8 +70,8 @@ class ExplorationPolicy:
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[D]`` N."""
         if self._home is None:
-            places = np.concatenate([observation["position"], observation["goal"][None]])
-            self._home = (places.min(axis=0) + places.max(axis=0)) / 2.0
+            positions = np.concatenate([observation["position"], observation["goal"][None]])
+            self._home = (positions.min(axis=0) + positions.max(axis=0)) / 2.0
         away = observation["position"][self._actuated] - self._home
         velocity = observation["velocity"][self._actuated]
         return self._noise() - self._stiffness * away - self._damping * velocity
@@ -136,20 +136,20 @@ class PickupExpert:
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[2]`` N."""
         position, velocity = observation["position"], observation["velocity"][GRIPPER]
-        carried = held(observation["contact"])
-        due = [target for target in self._targets if target not in carried]
+        grasped = held(observation["contact"])
+        due = [target for target in self._targets if target not in grasped]
         if due:
             offset = position[due[0]] - position[GRIPPER]
             along = offset * (offset @ velocity) / (offset @ offset)
             across = velocity - along
-            damping = HOLDING_DAMPING if carried else FREE_DAMPING
+            damping = HOLDING_DAMPING if grasped else FREE_DAMPING
             force = STIFFNESS * offset - damping * along - GOAL_DAMPING * across
-            force = (1 + len(carried)) * force
+            force = (1 + len(grasped)) * force
         else:
             # The damping is 4 sqrt(Kp) for any Kp: with five held it nears the critical one.
             offset = observation["goal"] - position[self._targets[-1]]
-            force = len(carried) * STIFFNESS * offset
-            force = force - np.sqrt(len(carried)) * GOAL_DAMPING * velocity
+            force = len(grasped) * STIFFNESS * offset
+            force = force - np.sqrt(len(grasped)) * GOAL_DAMPING * velocity
         return force + self._noise()
 
 
@@ -215,7 +215,6 @@ class DoorExpert:
         missing = np.arctan2(left @ aim, bar @ aim)
         rate = (left @ velocity[DOOR]) / (bar @ bar)
         torque = inertia * (DOOR_STIFFNESS * missing - TURN_DAMPING * rate)
-        arm = float(np.linalg.norm(radius_vector))
-        return (
-            torque / max(arm, _LEAST_RADIUS) * np.array([-radius_vector[1], radius_vector[0]]) / arm
-        )
+        radius = float(np.linalg.norm(radius_vector))
+        across = np.array([-radius_vector[1], radius_vector[0]])
+        return torque / max(radius, _LEAST_RADIUS) * across / radius

@@ -112,7 +112,7 @@ def hinged_positions(
     symplectic; None: the exact motion. Entries of nodes in no such group mean nothing.
 
     A group begins with its members' angular momentum about the hinge. A group on hinges at two
-    positions cannot turn and stands still.
+    positions cannot turn and stays at rest.
     """
     anchor, mass = scene.anchor, scene.mass
     if anchor is None or mass is None:

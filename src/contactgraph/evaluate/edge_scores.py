@@ -169,24 +169,24 @@ def estimated_contacts(trajectory: Trajectory, belief: np.ndarray) -> EstimatedC
         return EstimatedContacts()
     first, second = pair_indices(trajectory.scene.node_count).T
     true = trajectory.contact[: len(belief), first, second].astype(bool)
-    believed = belief > 0.5
+    estimated = belief > 0.5
     exists = np.ones((1, len(first)), dtype=bool)
     dt = trajectory.scene.dt
     return EstimatedContacts(
-        edges=edge_counts(believed[None], true[None], exists),
-        onset_delays=_delays(believed, true, dt),
-        break_delays=_delays(~believed, ~true, dt),
+        edges=edge_counts(estimated[None], true[None], exists),
+        onset_delays=_delays(estimated, true, dt),
+        break_delays=_delays(~estimated, ~true, dt),
     )
 
 
-def _delays(believed: np.ndarray, true: np.ndarray, dt: float) -> tuple[float, ...]:
+def _delays(active: np.ndarray, true: np.ndarray, dt: float) -> tuple[float, ...]:
     """s; of every interval of ``true`` [S, E] that begins after the first observation."""
     delays = []
     for last_without, edge in np.argwhere(true[1:] & ~true[:-1]):
         begin = last_without + 1
         after = true[begin:, edge]
         lasts = len(after) if after.all() else int(np.argmin(after))
-        estimated = believed[begin : begin + lasts, edge]
+        estimated = active[begin : begin + lasts, edge]
         delays.append(dt * int(np.argmax(estimated)) if estimated.any() else math.inf)
     return tuple(delays)
 

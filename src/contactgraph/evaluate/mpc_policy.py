@@ -135,7 +135,7 @@ class MPCPolicy:
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode in ``scene``; ``seed`` is that of sensor faults and noise.
 
-        Raises `InvalidInputError` where cost and scene do not fit, because a goal is missing, say.
+        Raises `InvalidInputError` where cost and scene do not fit, for example without a goal.
         """
         self._scene_cost = self._cost.in_scene(scene)
         self._chain = self._order = self._scene_cost.order

@@ -86,7 +86,7 @@ def predict_trajectory(
 
 @dataclass(frozen=True, eq=False)
 class WindowPredictions:
-    """The predictions of all windows by one kind of belief."""
+    """The predictions of all windows from one source of beliefs."""
 
     squared_error: np.ndarray
     """[W, H, N] m^2: squared distance between predicted and recorded position, 0 in padding."""

@@ -49,7 +49,7 @@ class SensorFaults:
 
     @property
     def exact(self) -> bool:
-        """Whether the sensor has no fault at all."""
+        """Whether the sensor has no fault."""
         return not (self.false_alarm_rate or self.miss_rate or self.delay_steps)
 
     def begin(self, scene: Scene, number: int) -> "FaultySensor":

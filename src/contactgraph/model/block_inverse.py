@@ -1,6 +1,6 @@
 r"""Solves with the mass matrix of a scene, $H = M + J^T \Lambda J$, dense or block by block.
 
-Both ways give the same numbers. `solve_dense` inverts one matrix, for scenes of any shape.
+Both methods give the same result. `solve_dense` inverts one matrix, for scenes of any shape.
 `solve_block_diagonal` inverts one block for each group of coupled nodes; all other blocks are zero.
 Its derivatives are still those of the whole matrix, including edges without stiffness between two
 groups, because a model learns contact from the effect that such edges would have.

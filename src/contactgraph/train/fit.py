@@ -111,7 +111,7 @@ def fit(
 
     Large scenes are trained with neighbor lists: see `ReallocatingModel`. Contact labels in the
     data are not read. `on_check` is called at every check and may save its state; an exception
-    from it (Ctrl-C, say) ends the training there. Each of several `devices` takes an equal part of
+    from it (as Ctrl-C does) ends the training. Each of several `devices` takes an equal part of
     every batch, with the same result up to rounding. Raises `InvalidInputError` where trajectories
     are shorter than a window, or a batch cannot be split.
     """

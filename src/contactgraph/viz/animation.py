@@ -22,7 +22,7 @@ _SIDE_INCHES, _HEAD_INCHES, _DOTS_PER_INCH = 4.8, 0.4, 100
 
 
 def write_animation(path: str | Path, scene: SceneTrajectory) -> None:
-    """Write ``scene`` in real time to a ``.gif`` or ``.mp4`` file, whole or not at all.
+    """Write ``scene`` in real time to a ``.gif`` or ``.mp4`` file, atomically.
 
     Raises `InvalidInputError` as `check_animation` does.
     """

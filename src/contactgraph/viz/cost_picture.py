@@ -47,7 +47,7 @@ class _Weights:
 
 
 def write_cost_picture(path: str | Path, cost: LearnedCost, expert: Cost | None = None) -> None:
-    """Write `cost_figure` as a PNG, whole or not at all."""
+    """Write `cost_figure` as a PNG, atomically."""
     figure = cost_figure(cost, expert)
     with atomic_write(Path(path)) as temporary:
         figure.savefig(temporary, dpi=150, format="png")
@@ -74,8 +74,8 @@ def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:
     states, relatives, controls = _MARGIN, 2 * _MARGIN + side, 2 * _MARGIN + 2 * side + 0.45
     size = controls + _SMALL + _END, len(rows) * (_TOP + side) + 0.45
     figure = Figure(figsize=size, facecolor="white")
-    for place, (row, W) in enumerate(zip(rows, terms, strict=True)):
-        top = place * (_TOP + side) + _TOP
+    for index, (row, W) in enumerate(zip(rows, terms, strict=True)):
+        top = index * (_TOP + side) + _TOP
         own = _panel(figure, states, top, side, side)
         _draw_state(own, side, row.Q, names, norm)
         _title(own, f"Q {row.whose}, in the nodes' own coordinates")
@@ -116,8 +116,8 @@ def _of_expert(cost: LearnedCost, expert: Cost) -> _Weights:
 def _panel(figure: Figure, left: float, top: float, across: float, down: float) -> Axes:
     """A plot; inches from the figure's left and upper edge, and its size."""
     width, height = figure.get_size_inches()
-    place = left / width, 1.0 - (top + down) / height, across / width, down / height
-    return figure.add_axes(place)
+    box = left / width, 1.0 - (top + down) / height, across / width, down / height
+    return figure.add_axes(box)
 
 
 def _title(axes: Axes, text: str) -> None:
@@ -140,18 +140,18 @@ def _draw_state(
     """A matrix with as many positions as velocities in every block; ``side`` in inches."""
     _draw(axes, side, matrix, norm)
     half = len(matrix) / (2 * len(blocks))
-    for place in range(1, 2 * len(blocks)):
-        colour, width = (INK, 1.2) if place % 2 == 0 else (SOFT, 0.6)
-        axes.axhline(place * half - 0.5, color=colour, lw=width)
-        axes.axvline(place * half - 0.5, color=colour, lw=width)
-    room = 72 * side / len(blocks)
-    for place, name in enumerate(blocks):
-        size = float(np.clip(room / (_LETTER * len(name)), _SMALLEST, 10.0))
-        fits = round(room / (_LETTER * size))
+    for index in range(1, 2 * len(blocks)):
+        colour, width = (INK, 1.2) if index % 2 == 0 else (SOFT, 0.6)
+        axes.axhline(index * half - 0.5, color=colour, lw=width)
+        axes.axvline(index * half - 0.5, color=colour, lw=width)
+    width_pt = 72 * side / len(blocks)
+    for index, name in enumerate(blocks):
+        size = float(np.clip(width_pt / (_LETTER * len(name)), _SMALLEST, 10.0))
+        fits = round(width_pt / (_LETTER * size))
         shown = name if len(name) <= fits else name[: fits - 1] + "…"
-        _label(axes, (2 * place + 1) * half - 0.5, shown, INK, size, 20.0)
+        _label(axes, (2 * index + 1) * half - 0.5, shown, INK, size, 20.0)
         for part, kind in enumerate(("position", "velocity")):
-            _label(axes, (2 * place + part + 0.5) * half - 0.5, kind, SOFT, 8.0, 6.0)
+            _label(axes, (2 * index + part + 0.5) * half - 0.5, kind, SOFT, 8.0, 6.0)
 
 
 def _label(axes: Axes, at: float, text: str, colour: str, size: float, away: float) -> None:

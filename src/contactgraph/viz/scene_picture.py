@@ -20,8 +20,8 @@ INK, SOFT, RULE = "#1d2127", "#616872", "#e2ded5"
 
 def body_colour(node: int, involved: list[int]) -> str:
     """One colour for each task body, one muted colour for distractors."""
-    place = involved.index(node) if node in involved else len(BODY_COLOURS)
-    return BODY_COLOURS[place] if place < len(BODY_COLOURS) else OTHER_COLOUR
+    index = involved.index(node) if node in involved else len(BODY_COLOURS)
+    return BODY_COLOURS[index] if index < len(BODY_COLOURS) else OTHER_COLOUR
 
 
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
@@ -32,7 +32,7 @@ _LINK_WIDTH = 0.018
 def draw_bodies(axes: Axes, scene: SceneTrajectory, state: int, involved: list[int]) -> None:
     """Every node; far ones first, distractors first among those equally far away."""
     position = scene.position[state]
-    place, depth = scene.projection(position), scene.projection.depth(position)
+    projected, depth = scene.projection(position), scene.projection.depth(position)
 
     def order(node: int) -> tuple[bool, float, bool]:
         # An actuated node is never hidden by the objects that it holds.
@@ -48,7 +48,7 @@ def draw_bodies(axes: Axes, scene: SceneTrajectory, state: int, involved: list[i
             faces = scene.projection.box_faces(position[node], box)
             _draw_box(axes, faces, colour, width)
         else:
-            x, y = place[node]
+            x, y = projected[node]
             # In 2D nodes are opaque, so that trails and plans end at their outline.
             fill = _pale(colour) if scene.dimension < 3 else (*to_rgb(colour), 0.3)
             circle = Circle((x, y), scene.radius[node], fc=fill, ec=colour, lw=width, zorder=3)
@@ -120,8 +120,8 @@ _FAINTEST = 0.02
 
 def scene_limits(scene: SceneTrajectory) -> tuple[np.ndarray, np.ndarray]:
     """Lower left and upper right corner, m in the picture, of a square that holds everything."""
-    place, reach = scene.projection(scene.position), scene.half_picture
-    lows, highs = [(place - reach).reshape(-1, 2)], [(place + reach).reshape(-1, 2)]
+    projected, extent = scene.projection(scene.position), scene.half_picture
+    lows, highs = [(projected - extent).reshape(-1, 2)], [(projected + extent).reshape(-1, 2)]
     if scene.goal is not None:
         goal = scene.projection(scene.goal)[None]
         lows.append(goal - scene.goal_radius)

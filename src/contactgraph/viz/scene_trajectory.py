@@ -194,12 +194,14 @@ def scene_trajectory(
 
     ``plan`` [T, H+1, N, D] m holds the positions that a controller planned at each step.
     """
-    insight = model_diagnostics(model, trajectory)
+    diagnostics = model_diagnostics(model, trajectory)
     learned = {}
-    if insight.parameters is not None:
+    if diagnostics.parameters is not None:
         learned = {
-            "inverse_mass": np.asarray(insight.parameters.inverse_mass),
-            "stiffness": np.asarray(insight.parameters.stiffness_rate),
-            "damping": np.asarray(insight.parameters.damping_rate),
+            "inverse_mass": np.asarray(diagnostics.parameters.inverse_mass),
+            "stiffness": np.asarray(diagnostics.parameters.stiffness_rate),
+            "damping": np.asarray(diagnostics.parameters.damping_rate),
         }
-    return SceneTrajectory(name, trajectory, insight.edges, insight.belief, plan=plan, **learned)
+    return SceneTrajectory(
+        name, trajectory, diagnostics.edges, diagnostics.belief, plan=plan, **learned
+    )

@@ -33,15 +33,15 @@ class Ground:
         ends = []
         for axis in range(2):
             count = round((self.high[axis] - self.low[axis]) / self.spacing)
-            for place in np.linspace(self.low[axis], self.high[axis], count + 1):
+            for position in np.linspace(self.low[axis], self.high[axis], count + 1):
                 end = np.stack([self.low, self.high])
-                end[:, axis] = place
+                end[:, axis] = position
                 ends.append(self.at(end))
         return np.stack(ends)
 
-    def at(self, places: np.ndarray) -> np.ndarray:
-        """[..., 3] m: points of the ground at ``places`` [..., 2] m."""
-        return np.concatenate([places, np.full((*places.shape[:-1], 1), self.level)], axis=-1)
+    def at(self, points_2d: np.ndarray) -> np.ndarray:
+        """[..., 3] m: points of the ground at ``points_2d`` [..., 2] m."""
+        return np.concatenate([points_2d, np.full((*points_2d.shape[:-1], 1), self.level)], axis=-1)
 
 
 def ground_of(scene: SceneTrajectory) -> Ground | None:
@@ -52,8 +52,8 @@ def ground_of(scene: SceneTrajectory) -> Ground | None:
     passive = bottom[:, ~scene.actuated] if not scene.actuated.all() else bottom
     points = [scene.position - scene.half_size, scene.position + scene.half_size]
     points += [each for each in (scene.link_positions, scene.goal) if each is not None]
-    places = np.concatenate([each[..., :2].reshape(-1, 2) for each in points])
-    low, high = places.min(axis=0), places.max(axis=0)
+    points_2d = np.concatenate([each[..., :2].reshape(-1, 2) for each in points])
+    low, high = points_2d.min(axis=0), points_2d.max(axis=0)
     widest = float(np.max(high - low))
     spacing = next((s for s in _SPACINGS if s * _MOST_SQUARES >= widest), _SPACINGS[-1])
     # Slightly inwards: a point on a line up to rounding needs no further row of squares.

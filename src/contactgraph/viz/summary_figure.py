@@ -59,8 +59,8 @@ def summary_figure(scene: SceneTrajectory) -> Figure:
         _draw_inverse_mass(axes[1], scene, scene.inverse_mass)
         axes[0].tick_params(labelbottom=False)
     axes[-1].set_xlabel("time, s", color=SOFT, fontsize=9, loc="right", labelpad=1)
-    for place, state in enumerate(summary_states(scene)):
-        moment = figure.add_subplot(grid[0, place])
+    for index, state in enumerate(summary_states(scene)):
+        moment = figure.add_subplot(grid[0, index])
         draw_scene(moment, scene, state)
         time = state * scene.dt
         moment.set_title(f"{time:.2f} s", fontsize=10, color=INK, pad=5)
@@ -95,8 +95,8 @@ def summary_states(scene: SceneTrajectory) -> list[int]:
 def _draw_belief(axes: Axes, scene: SceneTrajectory) -> None:
     time = scene.time
     leading = leading_edges(scene)
-    for place, edge in enumerate(leading):
-        strength = 1.0 if place == 0 else 0.4
+    for index, edge in enumerate(leading):
+        strength = 1.0 if index == 0 else 0.4
         axes.stairs(
             scene.belief[:, edge], time, baseline=None, color=BELIEF_COLOUR, lw=1.6, alpha=strength
         )
@@ -118,13 +118,13 @@ def _draw_inverse_mass(axes: Axes, scene: SceneTrajectory, inverse_mass: np.ndar
     time = scene.time
     involved, focus = involved_nodes(scene), focus_nodes(scene)
     directions = shown_directions(inverse_mass)
-    for place, node in enumerate(focus):
+    for index, node in enumerate(focus):
         colour = body_colour(node, involved)
         for values, style in zip(directions, ("-", "--"), strict=False):
             axes.stairs(values[:, node], time, baseline=None, color=colour, lw=1.6, ls=style)
         axes.text(
             0.99,
-            0.8 - 0.17 * place,
+            0.8 - 0.17 * index,
             scene.node_name[node],
             color=colour,
             fontsize=9,
