@@ -118,8 +118,8 @@ def _summary(fields: JsonFields) -> CostSummary:
     steps = imitation.shape
     return CostSummary(
         cost=LearnedCost(
-            Q=jnp.asarray(semidefinite(fields, "Q", 2 * dimension * len(names))),
-            R=jnp.asarray(definite(fields, "R")),
+            Q=jnp.asarray(_definite(fields, "Q", 2 * dimension * len(names), semi=True)),
+            R=jnp.asarray(_definite(fields, "R", fields.rows("R"))),
             goal=jnp.asarray(goal),
             nodes=jnp.asarray(fields.indices("nodes", len(names)), jnp.int32),
             kept_nodes=names,
@@ -170,31 +170,12 @@ def _line(value: Any) -> str:
     return json.dumps(value, allow_nan=False, ensure_ascii=False)
 
 
-def semidefinite(fields: JsonFields, name: str, size: int) -> np.ndarray:
-    """[size, size] symmetric, without eigenvalues below zero, but for rounding.
+def _definite(fields: JsonFields, name: str, size: int, semi: bool = False) -> np.ndarray:
+    """[size, size] symmetric, with eigenvalues above zero; ``semi``: none below, but for rounding.
 
     Raises `InvalidInputError` where the field is not so.
     """
-    matrix, eigenvalues = _symmetric(fields, name, fields.numbers(name, (size, size)))
-    if eigenvalues[0] < -ROUNDING * max(eigenvalues[-1], 0.0):
-        raise _indefinite(fields, name, "positive semi-definite", eigenvalues[0])
-    return matrix
-
-
-def definite(fields: JsonFields, name: str) -> np.ndarray:
-    """[any, any] symmetric, with eigenvalues above zero.
-
-    Raises `InvalidInputError` where the field is not so.
-    """
-    size = fields.rows(name)
-    matrix, eigenvalues = _symmetric(fields, name, fields.numbers(name, (size, size)))
-    if not eigenvalues[0] > 0.0:
-        raise _indefinite(fields, name, "positive definite", eigenvalues[0])
-    return matrix
-
-
-def _symmetric(fields: JsonFields, name: str, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix, exactly symmetric, and its eigenvalues, ascending."""
+    matrix = fields.numbers(name, (size, size))
     apart = np.abs(matrix - matrix.T)
     if apart.max() > ROUNDING * np.abs(matrix).max():
         row, column = np.unravel_index(np.argmax(apart), apart.shape)
@@ -203,11 +184,10 @@ def _symmetric(fields: JsonFields, name: str, matrix: np.ndarray) -> tuple[np.nd
             f"row {row}, column {column} and {matrix[column, row]:g} the other way round"
         )
     matrix = 0.5 * (matrix + matrix.T)
-    return matrix, np.linalg.eigvalsh(matrix)
-
-
-def _indefinite(fields: JsonFields, name: str, wanted: str, smallest: float) -> InvalidInputError:
-    return InvalidInputError(
-        f"{fields.where}: field {name!r} must be {wanted}, but its smallest eigenvalue is "
-        f"{smallest:.3g}"
-    )
+    smallest, largest = np.linalg.eigvalsh(matrix)[[0, -1]]
+    if smallest < -ROUNDING * max(largest, 0.0) if semi else not smallest > 0.0:
+        raise InvalidInputError(
+            f"{fields.where}: field {name!r} must be positive {'semi-' if semi else ''}definite, "
+            f"but its smallest eigenvalue is {smallest:.3g}"
+        )
+    return matrix

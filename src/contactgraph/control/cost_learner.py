@@ -24,7 +24,6 @@ Source: the paper's cost learning (its section of that name), which follows Amos
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -69,11 +68,7 @@ class FreeCost(eqx.Module):
     Lu: Float[Array, "U U"]
 
 
-class LearnerState(eqx.Module):
-    """Parameters and optimiser state."""
-
-    free: FreeCost
-    optimiser: optax.OptState
+LearnerState = tuple[FreeCost, optax.OptState]
 
 
 class CostLearner(eqx.Module):
@@ -93,7 +88,7 @@ class CostLearner(eqx.Module):
         m, U = self.basis.shape[0], self.control_weight.shape[1]
         dtype = self.basis.dtype
         free = FreeCost(jnp.eye(m, dtype=dtype), jnp.eye(U, dtype=dtype))
-        return LearnerState(free, self.optimiser().init(free))
+        return free, self.optimiser().init(free)
 
     def optimiser(self) -> optax.GradientTransformation:
         """Adam, with a rate that falls to zero."""
@@ -113,12 +108,16 @@ class CostLearner(eqx.Module):
         Q, R, W = self.cost(free)
 
         def one(window: Int[Array, " 2"]) -> Array:
-            done = data.window(window[0], window[1], self.config.horizon)
-            problem = tracking_problem(done.A, done.B, done.offset, Q, R, done.goal)
-            planned = lqr_trajectory(problem, done.states[0])
-            states = jnp.sum(self.state_weight * (planned.states - done.states) ** 2)
-            controls = jnp.sum(self.control_weight * (planned.controls - done.controls) ** 2)
-            return states + controls
+            run, begin = window
+            steps = begin + jnp.arange(self.config.horizon + 1)
+            A, B, offset, controls = (
+                each[run, steps[:-1]] for each in (data.A, data.B, data.offset, data.controls)
+            )
+            states = data.states[run, steps]
+            problem = tracking_problem(A, B, offset, Q, R, data.goal[run])
+            planned = lqr_trajectory(problem, states[0])
+            of_states = jnp.sum(self.state_weight * (planned.states - states) ** 2)
+            return of_states + jnp.sum(self.control_weight * (planned.controls - controls) ** 2)
 
         imitation = jnp.mean(jax.vmap(one)(windows))
         tied = jnp.sum((W - independent_part(W, self.isotropy)) ** 2) / jnp.sum(W**2)
@@ -174,25 +173,17 @@ def advance_learner(
     optimiser = learner.optimiser()
 
     def step(state: LearnerState, batch: Array) -> tuple[LearnerState, LearningHistory]:
-        gradient, (imitation, prior) = jax.grad(learner.loss, has_aux=True)(state.free, data, batch)
-        change, inner = optimiser.update(gradient, state.optimiser)
-        free = optax.apply_updates(state.free, change)
+        free, inner = state
+        gradient, (imitation, prior) = jax.grad(learner.loss, has_aux=True)(free, data, batch)
+        change, inner = optimiser.update(gradient, inner)
+        free = optax.apply_updates(free, change)
         Q, R, _ = learner.cost(free)
         q, r = jnp.linalg.eigvalsh(Q), jnp.linalg.eigvalsh(R)
         # Below zero by rounding alone is zero.
         rounded = jnp.where(q[0] > -ROUNDING * q[-1], jnp.maximum(q[0], 0.0), q[0])
-        return LearnerState(free, inner), LearningHistory(imitation, prior, rounded, r[0])
+        return (free, inner), LearningHistory(imitation, prior, rounded, r[0])
 
     return jax.lax.scan(step, state, windows)
-
-
-@dataclass(frozen=True, eq=False)
-class FittedCost:
-    """The result of `fit_cost`."""
-
-    Q: Float[Array, "m m"]
-    R: Float[Array, "U U"]
-    history: LearningHistory
 
 
 def fit_cost(
@@ -202,8 +193,8 @@ def fit_cost(
     config: CostLearningConfig,
     seed: int = 0,
     on_step: Callable[[int, float], None] = lambda step, loss: None,
-) -> FittedCost:
-    """Q and R whose optimal plans from the states ``starts`` [W, 2] are the data.
+) -> tuple[Array, Array, LearningHistory]:
+    """Q [m, m] and R [U, U] whose optimal plans from the states ``starts`` [W, 2] are the data.
 
     ``isotropy`` [D, D]: `isotropic_axes`. ``seed``: of the order of windows. ``on_step`` receives,
     every 50 steps, the steps done and the imitation loss. Raises `InvalidInputError` where Q or R
@@ -219,9 +210,9 @@ def fit_cost(
         _check_definite(history, begin)
         parts.append(history)
         on_step(begin + len(windows), float(np.mean(history.imitation)))
-    Q, R, _ = learner.cost(state.free)
+    Q, R, _ = learner.cost(state[0])
     history = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-    return FittedCost(0.5 * (Q + Q.T), 0.5 * (R + R.T), history)
+    return 0.5 * (Q + Q.T), 0.5 * (R + R.T), history
 
 
 def _check_definite(history: LearningHistory, begin: int) -> None:
@@ -269,13 +260,13 @@ def learn_cost(
     kept = tuple(each.name for each in nodes if each.kept)
     data = demonstrations_of(demonstrations, filtered, kept, target, limits)
     isotropy = isotropic_axes(scene.gravity, scene.dimension)
-    fitted = fit_cost(data, starts, isotropy, config, seed, on_step)
+    Q, R, history = fit_cost(data, starts, isotropy, config, seed, on_step)
     return LearnedCost(
-        Q=fitted.Q,
-        R=fitted.R,
+        Q=Q,
+        R=R,
         goal=data.goal[0, : scene.dimension],
         nodes=jnp.asarray([scene.node_name.index(name) for name in kept], jnp.int32),
         kept_nodes=kept,
-        history=fitted.history,
+        history=history,
         task_nodes=nodes,
     )

@@ -31,17 +31,6 @@ _AT_LIMIT = 1e-4
 """Part of the range of a control within which it counts as at a limit."""
 
 
-class DemonstrationWindow(eqx.Module):
-    """``H`` steps of one demonstration, linear along what was done."""
-
-    A: Float[Array, "H m m"]
-    B: Float[Array, "H m U"]
-    offset: Float[Array, "H m"]
-    states: Float[Array, "H+1 m"]
-    controls: Float[Array, "H U"]
-    goal: Float[Array, " m"]
-
-
 class Demonstrations(eqx.Module):
     """Trajectories of the ``M`` kept nodes, padded to the longest; ``m = 2MD`` as `stack_state`."""
 
@@ -53,21 +42,6 @@ class Demonstrations(eqx.Module):
     """The free controls; 0 where a control was at a limit, whose effect is in ``offset``."""
     goal: Float[Array, "K m"]
     """Of every node, at rest."""
-
-    def window(self, index: Array, start: Array, horizon: int) -> DemonstrationWindow:
-        """``H`` steps of demonstration ``index`` from one of its states on."""
-
-        def cut(values: Array, count: int) -> Array:
-            return jax.lax.dynamic_slice_in_dim(values[index], start, count)
-
-        return DemonstrationWindow(
-            A=cut(self.A, horizon),
-            B=cut(self.B, horizon),
-            offset=cut(self.offset, horizon),
-            states=cut(self.states, horizon + 1),
-            controls=cut(self.controls, horizon),
-            goal=self.goal[index],
-        )
 
 
 def demonstrations_of(
@@ -104,7 +78,7 @@ def demonstrations_of(
         lambda block: jax.vmap(lambda one, chosen: one[:-1, chosen])(block, nodes),
         filtered.dynamics,
     )
-    A, B, offset = _stacked(kept)
+    A, B, offset = jax.jit(LinearDynamics.stacked)(kept)
     held = jnp.asarray(controls * (1.0 - free), dtype)
     return Demonstrations(
         A=A,
@@ -137,11 +111,6 @@ def _within(controls: np.ndarray, limits: ControlLimits) -> np.ndarray:
     lower, upper = np.asarray(limits.lower, float), np.asarray(limits.upper, float)
     margin = _AT_LIMIT * (upper - lower)
     return ((controls > lower + margin) & (controls < upper - margin)).astype(float)
-
-
-@jax.jit
-def _stacked(dynamics: LinearDynamics) -> tuple[Array, Array, Array]:
-    return dynamics.stacked()
 
 
 def filter_demonstrations(model: StepModel, demonstrations: Dataset) -> FilteredTrajectory:
