@@ -19,7 +19,6 @@ from contactgraph.control.learned_cost import LearnedCost as LearnedCost
 from contactgraph.control.learned_cost import LearningHistory as LearningHistory
 from contactgraph.control.learned_cost import TaskNode as TaskNode
 from contactgraph.control.learned_cost import cost_terms as cost_terms
-from contactgraph.control.lqr import LQRProblem as LQRProblem
 from contactgraph.control.lqr import QuadraticValue as QuadraticValue
 from contactgraph.control.lqr import solve_lqr as solve_lqr
 from contactgraph.control.lqr import tracking_problem as tracking_problem
@@ -31,4 +30,5 @@ from contactgraph.control.plan import Plan as Plan
 from contactgraph.control.plan import Planner as Planner
 from contactgraph.control.plan import PlanStatus as PlanStatus
 from contactgraph.control.plan import shift_plan as shift_plan
+from contactgraph.control.riccati import LQRProblem as LQRProblem
 from contactgraph.control.subproblem import ActiveSetState as ActiveSetState

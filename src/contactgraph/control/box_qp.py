@@ -9,9 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from contactgraph.feedback import feedback_control
+
 _UNROLLED_SIZE = 6
 _ENUMERATED_SIZE = 4
 _SWEEPS = 50
+SUMMED_SIZE = 16
 
 
 class ControlLimits(eqx.Module):
@@ -122,7 +125,7 @@ class AffinePolicy(eqx.Module):
         self, x: Float[Array, "..."], limits: ControlLimits | None = None
     ) -> Float[Array, "*H U"]:
         """The control [N] at states [*H, *state]; within ``limits``, where these are given."""
-        control = _product(self.K, x, self.K.ndim - self.k.ndim) + self.k
+        control = _control(self.k, self.K, x)
         return control if limits is None else limits(control)
 
     @classmethod
@@ -130,10 +133,17 @@ class AffinePolicy(eqx.Module):
         cls, K: Float[Array, "..."], x: Float[Array, "..."], control: Float[Array, "*H U"]
     ) -> "AffinePolicy":
         """The policy with gains ``K`` that gives ``control`` [N] at ``x`` [*H, *state]."""
-        return cls(K, control - _product(K, x, K.ndim - control.ndim))
+        return cls(K, _control(control, K, -x))
 
 
-def _product(K: Any, x: Any, axes: int) -> Any:
-    # A sum rather than a matrix product: in a compiled scan it fuses with what is around it.
-    begin = x.ndim - axes
-    return (K * x.reshape(*x.shape[:begin], 1, *x.shape[begin:])).sum(tuple(range(-axes, 0)))
+def _control(nominal: Any, gains: Any, deviation: Any) -> Any:
+    """`feedback_control` [*H, U] N for states of any number of axes."""
+    K, x = gains.reshape(*nominal.shape, -1), deviation.reshape(*nominal.shape[:-1], -1)
+    return feedback_control(nominal, K, x, _product)
+
+
+def _product(K: Any, x: Any) -> Any:
+    # In a compiled scan a sum fuses with the operations around it, but a long one is slow.
+    if x.shape[-1] <= SUMMED_SIZE:
+        return (K * x[..., None, :]).sum(-1)
+    return (K @ x[..., None])[..., 0]

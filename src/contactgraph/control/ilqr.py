@@ -11,7 +11,6 @@ from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.lqr import (
     Improvement,
-    LQRProblem,
     block_cost,
     block_dynamics,
     block_gains,
@@ -19,7 +18,7 @@ from contactgraph.control.lqr import (
     node_gains,
 )
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.riccati import block_operator
+from contactgraph.control.riccati import LQRProblem, block_operator
 from contactgraph.control.rollout import Rollout, roll_out
 from contactgraph.control.swept_bounds import SweptBounds
 from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity

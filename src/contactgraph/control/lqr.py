@@ -1,26 +1,9 @@
-"""Affine time-varying LQR: one Riccati pass, backwards in one scan.
+"""Affine time-varying LQR: one Riccati recursion, `riccati_pass`, for all problems and operators.
 
-Notation, at one step (t is left out; a dash marks the step after)::
-
-    x, u      state [n], control [U]
-    x' = A x + B u + offset
-    cost      x^T Q x + 2 q^T x + u^T R u + 2 r^T u, and at the end x^T Q x + 2 q^T x
-    V(x)      x^T P x + 2 p^T x + constant, the least cost from here on
-    w         P' offset + p'
-    S         R + B^T P' B          curvature of the cost-to-go along u
-    G         B^T P' A              how its slope along u moves with x
-    g         r + B^T w             its slope along u at x = 0, u = 0
-    K, k      -S^-1 G, -S^-1 g      the best control is u = K x + k
-    P         Q + A^T P' A + G^T K
-    p         q + A^T w + G^T k
-
-With controls held at a limit, their rows of K are zero and the same two last lines hold, since
-``K^T (S K + G) = 0`` and ``K^T (S k + g) = 0`` still do.
-
-A `DynamicsOperator` multiplies by A: one function argument makes the recursion dense or block
-diagonal.
+The notation is that of `contactgraph.control.riccati`.
 """
 
+import functools
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -39,14 +22,18 @@ from contactgraph.control.box_qp import (
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.riccati import (
     DynamicsOperator,
+    LQRProblem,
     Operator,
     Products,
     dense_operator,
-    dense_product,
 )
 from contactgraph.model import LinearDynamics
 
-_Arrays = TypeVar("_Arrays")
+_Made = TypeVar("_Made")
+_Stage = TypeVar("_Stage")
+_Value = TypeVar("_Value")
+Value = tuple[Array, Array]
+"""P [n, n] and p [n]."""
 
 
 class QuadraticValue(eqx.Module):
@@ -59,19 +46,6 @@ class QuadraticValue(eqx.Module):
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, ""]:
         """The least cost from this state to the end."""
         return x @ self.P @ x + 2.0 * self.p @ x + self.constant
-
-
-class LQRProblem(eqx.Module):
-    """Dynamics and cost of all steps, in the notation at the head of this file."""
-
-    A: Float[Array, "H ..."]
-    """[H, n, n], or as the `DynamicsOperator` stores it."""
-    B: Float[Array, "H n U"]
-    offset: Float[Array, "H n"]
-    Q: Float[Array, "H+1 n n"]
-    R: Float[Array, "H U U"]
-    q: Float[Array, "H+1 n"]
-    r: Float[Array, "H U"]
 
 
 def tracking_problem(
@@ -110,14 +84,6 @@ class Improvement(eqx.Module):
     """Decrease of the cost if the dynamics stay as they are; never negative."""
 
 
-class _ControlProblem(eqx.Module):
-    """Cost-to-go of one step as a function of u and x."""
-
-    S: Float[Array, "U U"]
-    g: Float[Array, " U"]
-    products: Products
-
-
 def solve_lqr(
     problem: LQRProblem, operator: Operator = dense_operator, which: tuple[Int[Array, ""], ...] = ()
 ) -> tuple[AffinePolicy, QuadraticValue]:
@@ -127,23 +93,15 @@ def solve_lqr(
     an index each problem is read where it is, while a map over problems would copy it first.
     """
     horizon, size = problem.B.shape[len(which) : len(which) + 2]
-    riccati = operator(size)
 
-    def back(carry: tuple, stage: LQRProblem, step: Array) -> tuple[tuple, tuple]:
-        P, p, constant = carry
-        now = _control_problem(P, p, stage, riccati)
-        both = -solve_small(now.S, jnp.concatenate([now.products.G, now.g[:, None]], axis=1))
-        policy = AffinePolicy(both[:, :-1], both[:, -1])
-        constant = constant + stage.offset @ (now.products.w + p) + now.g @ policy.k
-        P, p = _before(now, stage, policy, step, riccati)
-        return (P, p, constant), (policy, QuadraticValue(P, p, constant))
+    def choose(now: Products, step: Array) -> tuple[AffinePolicy, tuple]:
+        policy = AffinePolicy(*_minimum(now.S, now.G, now.g))
+        return policy, (policy, now.constant + now.g @ policy.k)
 
-    Q, q = _at((problem.Q, problem.q), (*which, horizon))
-    final = QuadraticValue(Q, q, jnp.zeros((), Q.dtype))
-    carry = (final.P, final.p, final.constant)
-    policy, values = _backwards(back, carry, problem, riccati, horizon, which)
-    appended = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), values, final)
-    return policy, appended
+    final = read_stage((problem.Q, problem.q), which, horizon)
+    (P, p), (policy, added) = riccati_pass(choose, final, problem, operator(size), which)
+    constant = jnp.append(jax.lax.cumsum(added, reverse=True), 0)
+    return policy, QuadraticValue(P, p, constant)
 
 
 def improve_policy(
@@ -160,91 +118,106 @@ def improve_policy(
     ``damping * trace(S)/U * |u - reference|^2`` to each step's cost, so that a larger one answers
     with a smaller step and the reference itself costs what it did.
     """
-    riccati = operator(problem.B.shape[1])
 
-    def back(carry: tuple, stage: LQRProblem, index: Array) -> tuple[tuple, tuple]:
-        P, p = carry
-        x, u = _at((states, controls), (index,))
-        now = _control_problem(P, p, stage, riccati)
-        G = now.products.G
+    def choose(now: Products, step: Array) -> tuple[AffinePolicy, tuple]:
+        x, u = read_stage((states, controls), (), step)
         weight = damping * jnp.trace(now.S) / u.shape[0]
         S = now.S + weight * jnp.eye(u.shape[0], dtype=u.dtype)
-        slope = G @ x + now.g - weight * u
+        slope = now.G @ x + now.g - weight * u
         if limits is None:
-            both = -solve_small(S, jnp.concatenate([G, slope[:, None]], axis=1))
-            K, target = both[:, :-1], both[:, -1]
+            K, target = _minimum(S, now.G, slope)
         else:
             target, free = solve_box_qp(S, slope, limits)
-            K = -solve_small(free_part(S, free), jnp.where(free[:, None], G, 0.0))
+            K = -solve_small(free_part(S, free), jnp.where(free[:, None], now.G, 0.0))
         policy = AffinePolicy.around(K, x, target)
-        step = target - u
+        change = target - u
         # V(reference) - V(target) of a quadratic with curvature S and slope at the target.
         half_slope = jnp.sum(S * target, axis=-1) + slope
-        decrease = jnp.sum(step * (jnp.sum(S * step, axis=-1) - 2.0 * half_slope))
-        return _before(now, stage, policy, index, riccati), (policy, step, decrease)
+        decrease = jnp.sum(change * (jnp.sum(S * change, axis=-1) - 2.0 * half_slope))
+        return policy, (policy, change, decrease)
 
-    carry = (problem.Q[-1], problem.q[-1])
-    policy, step, decrease = _backwards(back, carry, problem, riccati, len(controls))
-    return Improvement(policy, step, jnp.maximum(jnp.sum(decrease), 0.0))
+    final = problem.Q[-1], problem.q[-1]
+    _, (policy, change, decrease) = riccati_pass(
+        choose, final, problem, operator(problem.B.shape[1])
+    )
+    return Improvement(policy, change, jnp.maximum(jnp.sum(decrease), 0.0))
 
 
-def _backwards(
-    back: Callable[[tuple, LQRProblem, Array], tuple[tuple, tuple]],
-    carry: tuple,
+def _minimum(S: Array, G: Array, slope: Array) -> tuple[Array, Array]:
+    """``-S^-1 G`` and ``-S^-1 slope``."""
+    both = -solve_small(S, jnp.concatenate([G, slope[:, None]], axis=1))
+    return both[:, :-1], both[:, -1]
+
+
+def riccati_pass(
+    choose: Callable[[Products, Int[Array, ""]], tuple[AffinePolicy, _Made]],
+    final: Value,
     problem: LQRProblem,
     operator: DynamicsOperator,
-    horizon: int,
     which: tuple[Array, ...] = (),
-) -> tuple:
-    """``back`` from the last step to the first; its other results, [H, …].
+) -> tuple[Value, _Made]:
+    """The values under the policy that ``choose`` gives each step, [H+1, …], and its other result.
 
-    The carry begins with P, which is made symmetric after every few steps: in a loop of its own,
-    since a conditional around P would copy it in every step. Steps are read out of the problem's
-    own arrays, of which a slice without the last state's cost would be a copy.
+    P is made symmetric after every few steps: in a loop of its own, since a conditional around P
+    would copy it in every step. Steps are read out of the problem's own arrays, of which a slice
+    without the last state's cost would be a copy.
     """
-    few = max(size for size in range(1, operator.symmetric_every + 1) if horizon % size == 0)
+    horizon = problem.B.shape[len(which)]
+    sizes = [n for n in range(1, horizon + 1) if horizon % n == 0 and n <= operator.symmetric_every]
 
-    def step(carry: tuple, index: Array) -> tuple[tuple, tuple]:
-        return back(carry, _at(problem, (*which, index)), index)
+    def back(after: Value, stage: LQRProblem, step: Array) -> tuple[Value, tuple]:
+        now = operator.products(*after, stage)
+        policy, made = choose(now, step)
+        P = operator.update(now, stage, policy.K, step)
+        p = stage.q + now.slope + jnp.sum(now.G * policy.k[:, None], axis=0)
+        return (P, p), (after, made)
 
-    def steps(carry: tuple, indices: Array) -> tuple[tuple, tuple]:
-        (P, *rest), made = jax.lax.scan(step, carry, indices, reverse=True)
-        return (0.5 * (P + P.T), *rest), made
+    def few(after: Value, steps: Array) -> tuple[Value, tuple]:
+        read = functools.partial(read_stage, problem, which)
+        (P, p), made = scan_stages(back, after, read, steps, True, operator.reads_ahead)
+        return (0.5 * (P + P.swapaxes(0, 1)), p), made
 
-    indices = jnp.arange(horizon).reshape(-1, few)
-    made = jax.lax.scan(steps, carry, indices, reverse=True)[1]
-    return jax.tree.map(lambda leaf: leaf.reshape(horizon, *leaf.shape[2:]), made)
+    steps = jnp.arange(horizon).reshape(-1, max(sizes))
+    first, made = jax.lax.scan(few, final, steps, reverse=True)
+    after, made = jax.tree.map(lambda leaf: leaf.reshape(horizon, *leaf.shape[2:]), made)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after), made
 
 
-def _at(arrays: _Arrays, index: tuple[Array | int, ...]) -> _Arrays:
+def scan_stages(
+    step: Callable[[_Value, _Stage, Array], tuple[_Value, _Made]],
+    value: _Value,
+    read: Callable[[Array], _Stage],
+    indices: Int[Array, " H"],
+    reverse: bool,
+    reads_ahead: bool,
+) -> tuple[_Value, _Made]:
+    """``value, made = step(value, read(index), index)`` along the indices, in one scan.
+
+    XLA fuses the read of a stage into each kernel that uses it. Where that keeps it from
+    vectorising these kernels, the loop carries its next stage (``reads_ahead``); for large stages
+    the copy costs more.
+    """
+
+    def body(carry: tuple, index: Array) -> tuple[tuple, _Made]:
+        value, ahead = carry
+        value, made = step(value, ahead if reads_ahead else read(index), index)
+        # Past the end some valid stage is read, and not used.
+        return (value, read(index - 1 if reverse else index + 1) if reads_ahead else None), made
+
+    first = read(indices[-1 if reverse else 0]) if reads_ahead else None
+    (value, _), made = jax.lax.scan(body, (value, first), indices, reverse=reverse)
+    return value, made
+
+
+def read_stage(arrays: _Stage, which: tuple[Array, ...], index: Array | int) -> _Stage:
     """The part of every array at these indices of its first axes."""
 
     def part(leaf: Array) -> Array:
-        rest = leaf.shape[len(index) :]
-        begin = (*index, *[0] * len(rest))
-        return jax.lax.dynamic_slice(leaf, begin, (*[1] * len(index), *rest)).reshape(rest)
+        rest = leaf.shape[len(which) + 1 :]
+        begin = (*which, index, *[0] * len(rest))
+        return jax.lax.dynamic_slice(leaf, begin, (*[1] * (len(which) + 1), *rest)).reshape(rest)
 
     return jax.tree.map(part, arrays)
-
-
-def _control_problem(
-    P: Array, p: Array, stage: LQRProblem, operator: DynamicsOperator
-) -> _ControlProblem:
-    products = operator.products(P, p, stage.A, stage.B, stage.offset)
-    slopes = dense_product(stage.B, jnp.concatenate([products.PB, products.w[:, None]], axis=1))
-    return _ControlProblem(stage.R + slopes[:, :-1], stage.r + slopes[:, -1], products)
-
-
-def _before(
-    now: _ControlProblem,
-    stage: LQRProblem,
-    policy: AffinePolicy,
-    step: Int[Array, ""],
-    operator: DynamicsOperator,
-) -> tuple[Array, Array]:
-    """P and p of this step."""
-    P = operator.update(now.products, stage.A, stage.Q, policy.K, step)
-    return P, stage.q + now.products.slope + jnp.sum(now.products.G * policy.k[:, None], axis=0)
 
 
 def block_state(

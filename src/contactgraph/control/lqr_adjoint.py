@@ -1,19 +1,14 @@
 """The optimal trajectory of an affine LQR problem, and its derivatives by one adjoint solve.
 
-The notation is that of `contactgraph.control.lqr`. The optimal ``x, u`` and the costates ``l``
+The notation is that of `contactgraph.control.riccati`. The optimal ``x, u`` and the costates ``l``
 satisfy the KKT conditions (a dash marks the step after)::
 
     Q x + q + A^T l'    =  l        at the end  Q x + q = l
     R u + r + B^T l'    =  0
     A x + B u + offset  =  x'       x_0 = start
 
-`factor_kkt` computes the part that depends on ``A, B, Q, R`` alone::
-
-    S  = R + B^T P' B        K = -S^-1 B^T P' A        M = A + B K
-    P  = Q + K^T R K + M^T P' M
-
-(the last one, Joseph's form, damps rounding errors, an asymmetry of P among them), so that
-`solve_kkt` for any ``q, r, offset, start`` is two scans of one vector::
+`factor_kkt` computes the part that depends on ``A, B, Q, R`` alone: ``S``, ``K``, ``P`` and
+``M = A + B K``. Then `solve_kkt` for any ``q, r, offset, start`` is two scans of one vector::
 
     backwards   p  = q + K^T r + M^T (P' offset + p')        k = -S^-1 (r + B^T (P' offset + p'))
     forwards    x' = M x + B k + offset                      u = K x + k,  l' = P' x' + p'
@@ -29,21 +24,24 @@ al. 2018, "Differentiable MPC for End-to-end Planning and Control"). With the so
     dL/doffset         dl'
     dL/dstart          dl_0
 
-The recursion is another one than `solve_lqr`'s, for speed on a CPU with batches of small problems:
+`_BatchLastOperator` makes the Riccati recursion fast on a CPU for batches of small problems:
 
 - A batch is the *last* axis of every array, and a product is a sum over its inner index of
   elementwise products, which XLA makes one vectorised kernel along the batch. The batched small
   products of `jnp.matmul` are five times slower.
-- A loop carries its *next* inputs (`_values`). XLA would otherwise fuse the read of a step's
-  inputs into each kernel that uses them, and such a kernel is not vectorised.
+- The loops read ahead (`scan_stages`).
 - A product whose result enters another product on the left, entry by entry (`_inner`), is used too
   often for XLA to compute it again at each use.
+
+Its P is that of Joseph's form, ``Q + K^T R K + M^T P' M``, which damps rounding errors, an
+asymmetry of P among them.
 """
 
 import functools
+import math
 import operator
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -51,8 +49,9 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
-from contactgraph.control.box_qp import solve_small
-from contactgraph.control.lqr import LQRProblem
+from contactgraph.control.box_qp import AffinePolicy, solve_small
+from contactgraph.control.lqr import read_stage, riccati_pass, scan_stages
+from contactgraph.control.riccati import LQRProblem, Products
 
 
 class KKTFactors(eqx.Module):
@@ -82,18 +81,46 @@ def factor_kkt(A: Array, B: Array, Q: Array, R: Array) -> KKTFactors:
 
     Each may have a last axis more, the batch; one of length 1 is shared.
     """
+    # Linear terms do not enter the factors: of all that depends on them, XLA computes nothing.
+    problem = LQRProblem(
+        A, B, jnp.zeros_like(B[:, :, 0]), Q, R, jnp.zeros_like(Q[:, :, 0]), jnp.zeros_like(R[:, 0])
+    )
 
-    def before(P: Array, stage: tuple) -> Array:
-        A, B, Q, R = stage
-        _, K, M = _gain(P, A, B, R)
-        return Q + _inner((_product(P, M), M), (_product(R, K), K))
+    def choose(now: Products, step: Array) -> tuple[AffinePolicy, tuple[Array, Array]]:
+        K = -solve_small(now.S, now.G)
+        return AffinePolicy(K, jnp.zeros_like(now.g)), (now.S, K)
 
     batch = jnp.broadcast_shapes(*(leaf.shape[3:] for leaf in (A, B, Q, R)))
     final = jnp.broadcast_to(Q[-1], (*Q.shape[1:3], *batch))
-    P, _ = _values(before, final, (A, B, Q[:-1], R), reverse=True)
-    # All steps at once, which is faster than to store them from within the loop.
-    S, K, M = jax.vmap(_gain)(P, A, B, R)
-    return KKTFactors(B, P, S, K, M)
+    value = final, jnp.zeros_like(final[0])
+    (P, _), (S, K) = riccati_pass(choose, value, problem, _BatchLastOperator())
+    return KKTFactors(B, P[1:], S, K, jax.vmap(_closed_loop)(A, B, K))
+
+
+class _BatchLastOperator(eqx.Module):
+    """A `DynamicsOperator`; every array has the batch as its last axis."""
+
+    symmetric_every: ClassVar[float] = math.inf
+    reads_ahead: ClassVar[bool] = True
+
+    def products(self, P: Array, p: Array, stage: LQRProblem) -> Products:
+        PB, w = _product(P, stage.B), _step_times(P, stage.offset) + p
+        return Products(
+            S=stage.R + _inner((PB, stage.B)),
+            G=_inner((PB, stage.A)),
+            g=stage.r + _step_transpose_times(stage.B, w),
+            slope=_step_transpose_times(stage.A, w),
+            constant=jnp.sum(stage.offset * (w + p), axis=0),
+            P=P,
+        )
+
+    def update(self, now: Products, stage: LQRProblem, K: Array, step: Array) -> Array:
+        M = _closed_loop(stage.A, stage.B, K)
+        return stage.Q + _inner((_product(now.P, M), M), (_product(stage.R, K), K))
+
+
+def _closed_loop(A: Array, B: Array, K: Array) -> Array:
+    return A + _product(B, K)
 
 
 def solve_kkt(
@@ -124,41 +151,18 @@ def solve_kkt(
     )
 
 
-def _gain(P: Array, A: Array, B: Array, R: Array) -> tuple[Array, Array, Array]:
-    """S, K and M of one step."""
-    PB = _product(P, B)
-    S = R + _inner((PB, B))
-    K = -solve_small(S, _inner((PB, A)))
-    return S, K, A + _product(B, K)
-
-
 def _recursion(
     times: Callable, M: Array, added: Array, first: Array, reverse: bool
 ) -> tuple[Array, Array]:
-    """``y <- M y + added``; see `_values`."""
+    """``y <- M y + added``: the y that enters each step, and the last."""
     batch = jnp.broadcast_shapes(M.shape[3:], added.shape[2:], first.shape[1:])
     first = jnp.broadcast_to(first, (first.shape[0], *batch))
-    return _values(lambda y, stage: times(stage[0], y) + stage[1], first, (M, added), reverse)
 
+    def step(y: Array, stage: tuple[Array, Array], index: Array) -> tuple[Array, Array]:
+        return times(stage[0], y) + stage[1], y
 
-def _values(
-    step: Callable[[Array, tuple], Array], first: Array, inputs: tuple, reverse: bool
-) -> tuple[Array, Array]:
-    """``value <- step(value, inputs of a time)``: the value that enters each time, and the last."""
-    horizon = inputs[0].shape[0]
-
-    def at(t: Array | int) -> tuple:
-        return jax.tree.map(
-            lambda leaf: jax.lax.dynamic_index_in_dim(leaf, t, keepdims=False), inputs
-        )
-
-    def body(carry: tuple, t: Array) -> tuple[tuple, Array]:
-        value, now = carry
-        # Past the end some valid stage is read, and not used.
-        return (step(value, now), at(t - 1 if reverse else t + 1)), value
-
-    start = (first, at(horizon - 1 if reverse else 0))
-    (last, _), entering = jax.lax.scan(body, start, jnp.arange(horizon), reverse=reverse)
+    read = functools.partial(read_stage, (M, added), ())
+    last, entering = scan_stages(step, first, read, jnp.arange(len(M)), reverse, reads_ahead=True)
     return entering, last
 
 

@@ -1,11 +1,30 @@
-"""The products of a Riccati step with its dynamics, in the notation of `contactgraph.control.lqr`.
+"""The products of a Riccati step with its dynamics.
 
-Three operators give the same products, each the fastest somewhere:
+Notation, at one step (t is left out; a dash marks the step after)::
 
-- `SummedOperator`, for few states and any A: products written as sums, of which XLA makes few
+    x, u      state [n], control [U]
+    x' = A x + B u + offset
+    cost      x^T Q x + 2 q^T x + u^T R u + 2 r^T u, and at the end x^T Q x + 2 q^T x
+    V(x)      x^T P x + 2 p^T x + constant, the least cost from here on
+    w         P' offset + p'
+    S         R + B^T P' B          curvature of the cost-to-go along u
+    G         B^T P' A              how its slope along u moves with x
+    g         r + B^T w             its slope along u at x = 0, u = 0
+    K, k      -S^-1 G, -S^-1 g      the best control is u = K x + k
+    P         Q + A^T P' A + G^T K
+    p         q + A^T w + G^T k
+
+With controls held at a limit, their rows of K are zero and the same two last lines hold, since
+``K^T (S K + G) = 0`` and ``K^T (S k + g) = 0`` still do.
+
+A `DynamicsOperator` makes the products with A and B. Three are here, each the fastest somewhere:
+
+- `_SummedOperator`, for few states and any A: products written as sums, of which XLA makes few
   kernels inside a scan, while a call of a matrix product costs more than all the rest of a step.
-- `DenseOperator`, for many states and a dense A: two products of the size of A a step.
-- `BlockOperator`, for many states and the model's A: n^2 instead of n^3 operations.
+- `_DenseOperator`, for many states and a dense A: two products of the size of A a step.
+- `_BlockOperator`, for many states and the model's A: n^2 instead of n^3 operations.
+
+A fourth, for batches of small problems, is in `contactgraph.control.lqr_adjoint`.
 
 P must stay symmetric: rounding errors in its antisymmetric part grow with ``A^T (.) A``, which no
 feedback holds. Reading a large P along its columns costs as much as the rest of a step, so the
@@ -13,49 +32,56 @@ large operators ask for it only after several steps.
 """
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-_SUMMED_SIZE = 16
-_LARGE_EVERY = 8
+from contactgraph.control.box_qp import SUMMED_SIZE
+
+
+class LQRProblem(eqx.Module):
+    """Dynamics and cost of all steps, in the notation at the head of this file."""
+
+    A: Float[Array, "H ..."]
+    """[H, n, n], or as the `DynamicsOperator` stores it."""
+    B: Float[Array, "H n U"]
+    offset: Float[Array, "H n"]
+    Q: Float[Array, "H+1 n n"]
+    R: Float[Array, "H U U"]
+    q: Float[Array, "H+1 n"]
+    r: Float[Array, "H U"]
 
 
 class Products(eqx.Module):
     """Riccati intermediates: the cost-to-go of the step after, through one step's dynamics."""
 
-    PB: Float[Array, "n U"]
-    """``P' B``"""
-    w: Float[Array, " n"]
-    """``P' offset + p'``"""
-    G: Float[Array, "U n"]
-    """``B^T P' A``"""
-    slope: Float[Array, " n"]
+    S: Float[Array, "U U *batch"]
+    G: Float[Array, "U n *batch"]
+    g: Float[Array, " U *batch"]
+    slope: Float[Array, " n *batch"]
     """``A^T w``"""
-    P: Float[Array, "n n"]
+    constant: Float[Array, "*batch"]
+    """``offset^T (w + p')``"""
+    P: Float[Array, "n n *batch"]
     """``P'``, or ``A^T P'``, as `DynamicsOperator.update` needs it."""
 
 
 class DynamicsOperator(Protocol):
-    """The products that the Riccati recursion needs of one step's A, however that is stored."""
+    """The products that the Riccati recursion needs of one step, however its A is stored."""
 
-    @property
-    def symmetric_every(self) -> int:
-        """P is made symmetric after at most so many steps."""
+    symmetric_every: ClassVar[float]
+    """P is made symmetric after at most so many steps."""
+    reads_ahead: ClassVar[bool]
+    """See `contactgraph.control.lqr.scan_stages`."""
+
+    def products(self, P: Array, p: Array, stage: LQRProblem) -> Products:
+        """All products with P' and p' that the control's problem needs."""
         ...
 
-    def products(
-        self, P: Float[Array, "n n"], p: Array, A: Array, B: Array, offset: Array
-    ) -> Products:
-        """All products with P' and A that the control's problem needs."""
-        ...
-
-    def update(
-        self, products: Products, A: Array, Q: Float[Array, "n n"], K: Array, step: Int[Array, ""]
-    ) -> Float[Array, "n n"]:
+    def update(self, now: Products, stage: LQRProblem, K: Array, step: Array) -> Array:
         """``Q + A^T P' A + G^T K``."""
         ...
 
@@ -66,7 +92,7 @@ Operator = Callable[[int], DynamicsOperator]
 
 def dense_operator(size: int) -> DynamicsOperator:
     """For a dense A [n, n]."""
-    return DenseOperator() if size > _SUMMED_SIZE else SummedOperator(dense_product)
+    return _DenseOperator() if size > SUMMED_SIZE else _SummedOperator(dense_product)
 
 
 def block_operator(size: int) -> DynamicsOperator:
@@ -74,12 +100,12 @@ def block_operator(size: int) -> DynamicsOperator:
 
     ``A[i, j]`` is the diagonal of the quadrant in row i and column j.
     """
-    return BlockOperator() if size > _SUMMED_SIZE else SummedOperator(block_product)
+    return _BlockOperator() if size > SUMMED_SIZE else _SummedOperator(block_product)
 
 
 def dense_product(A: Float[Array, "n n"], X: Float[Array, "n c"]) -> Float[Array, "n c"]:
     """``A^T X`` for a dense A."""
-    if A.shape[0] > _SUMMED_SIZE:
+    if A.shape[0] > SUMMED_SIZE:
         return A.T @ X
     return jnp.sum(A[:, :, None] * X[:, None, :], axis=0)
 
@@ -90,7 +116,7 @@ def block_product(A: Float[Array, "2 2 m"], X: Float[Array, "n c"]) -> Float[Arr
     return (A[0, :, :, None] * rows[0] + A[1, :, :, None] * rows[1]).reshape(X.shape)
 
 
-class SummedOperator(eqx.Module):
+class _SummedOperator(eqx.Module):
     """Sums of products instead of matrix products.
 
     In a scan of small steps the number of operations costs, not their size: products with the same
@@ -98,58 +124,53 @@ class SummedOperator(eqx.Module):
     """
 
     transpose_product: Callable[[Array, Array], Array] = eqx.field(static=True)
-    symmetric_every: int = eqx.field(static=True, default=1)
+    symmetric_every: ClassVar[float] = 1
+    reads_ahead: ClassVar[bool] = False
 
-    def products(self, P: Array, p: Array, A: Array, B: Array, offset: Array) -> Products:
-        """See `DynamicsOperator`."""
+    def products(self, P: Array, p: Array, stage: LQRProblem) -> Products:
         size = P.shape[0]
-        X = jnp.concatenate([B, offset[:, None]], axis=1)
+        X = jnp.concatenate([stage.B, stage.offset[:, None]], axis=1)
         onward = jnp.sum(P[:, :, None] * X, axis=1)
         PB, w = onward[:, :-1], onward[:, -1] + p
-        pulled = self.transpose_product(A, jnp.concatenate([P, PB, w[:, None]], axis=1))
-        return Products(PB, w, pulled[:, size:-1].T, pulled[:, -1], pulled[:, :size])
+        pulled = self.transpose_product(stage.A, jnp.concatenate([P, PB, w[:, None]], axis=1))
+        return _products(stage, p, PB, w, pulled[:, size:].T, pulled[:, :size])
 
-    def update(self, products: Products, A: Array, Q: Array, K: Array, step: Array) -> Array:
-        """See `DynamicsOperator`."""
-        P = Q + self.transpose_product(A, products.P.T)
-        return P + jnp.sum(products.G[:, :, None] * K[:, None, :], axis=0)
+    def update(self, now: Products, stage: LQRProblem, K: Array, step: Array) -> Array:
+        P = stage.Q + self.transpose_product(stage.A, now.P.T)
+        return P + jnp.sum(now.G[:, :, None] * K[:, None, :], axis=0)
 
 
-class DenseOperator(eqx.Module):
+class _DenseOperator(eqx.Module):
     """Thin products from the left: P is symmetric, and its rows lie in one piece."""
 
-    symmetric_every: int = eqx.field(static=True, default=_LARGE_EVERY)
+    symmetric_every: ClassVar[float] = 8
+    reads_ahead: ClassVar[bool] = False
 
-    def products(self, P: Array, p: Array, A: Array, B: Array, offset: Array) -> Products:
-        """See `DynamicsOperator`."""
-        onward = (jnp.concatenate([B.T, offset[None]]) @ P).at[-1].add(p)
-        pulled = onward @ A
-        return Products(onward[:-1].T, onward[-1], pulled[:-1], pulled[-1], P)
+    def products(self, P: Array, p: Array, stage: LQRProblem) -> Products:
+        onward = (jnp.concatenate([stage.B.T, stage.offset[None]]) @ P).at[-1].add(p)
+        return _products(stage, p, onward[:-1].T, onward[-1], onward @ stage.A, P)
 
-    def update(self, products: Products, A: Array, Q: Array, K: Array, step: Array) -> Array:
-        """See `DynamicsOperator`."""
-        return Q + A.T @ (products.P @ A) + _outer(products.G, K)
+    def update(self, now: Products, stage: LQRProblem, K: Array, step: Array) -> Array:
+        return stage.Q + stage.A.T @ (now.P @ stage.A) + _outer(now.G, K)
 
 
-class BlockOperator(eqx.Module):
-    """As `DenseOperator`; A's quadrants are diagonal, so that products with A are elementwise."""
+class _BlockOperator(eqx.Module):
+    """As `_DenseOperator`; A's quadrants are diagonal, so that products with A are elementwise."""
 
-    symmetric_every: int = eqx.field(static=True, default=_LARGE_EVERY)
+    symmetric_every: ClassVar[float] = 8
+    reads_ahead: ClassVar[bool] = False
 
-    def products(self, P: Array, p: Array, A: Array, B: Array, offset: Array) -> Products:
-        """See `DynamicsOperator`."""
-        onward = (jnp.concatenate([B.T, offset[None]]) @ P).at[-1].add(p).T
-        pulled = block_product(A, onward)
-        return Products(onward[:, :-1], onward[:, -1], pulled[:, :-1].T, pulled[:, -1], P)
+    def products(self, P: Array, p: Array, stage: LQRProblem) -> Products:
+        onward = (jnp.concatenate([stage.B.T, stage.offset[None]]) @ P).at[-1].add(p).T
+        pulled = block_product(stage.A, onward).T
+        return _products(stage, p, onward[:, :-1], onward[:, -1], pulled, P)
 
-    def update(self, products: Products, A: Array, Q: Array, K: Array, step: Array) -> Array:
-        """See `DynamicsOperator`.
-
-        XLA does not fuse across a conditional's bounds, which is this one's only purpose: within
-        it, neither this step's inputs are read out of the arrays of all steps nor is P written
-        over, either of which keeps XLA from vectorising. It makes the step three times faster.
-        """
-        return Q + jax.lax.cond(step >= 0, _moved, _moved, products.P, A, products.G, K)
+    def update(self, now: Products, stage: LQRProblem, K: Array, step: Array) -> Array:
+        # XLA does not fuse across a conditional's bounds, which is this one's only purpose: within
+        # it, neither this step's inputs are read out of the arrays of all steps nor is P written
+        # over, either of which keeps XLA from vectorising. It makes the step three times faster.
+        arguments = now.P, stage.A, now.G, K
+        return stage.Q + jax.lax.cond(step >= 0, _moved, _moved, *arguments)
 
 
 def _moved(
@@ -175,3 +196,12 @@ def _outer(G: Float[Array, "U ..."], K: Float[Array, "U m"]) -> Float[Array, "..
     for row in range(1, G.shape[0]):
         total = total + G[row][..., None] * K[row]
     return total
+
+
+def _products(
+    stage: LQRProblem, p: Array, PB: Array, w: Array, pulled: Float[Array, "U+1 n"], P: Array
+) -> Products:
+    """``pulled`` is the transpose of ``A^T [P' B, w]``."""
+    slopes = dense_product(stage.B, jnp.concatenate([PB, w[:, None]], axis=1))
+    S, g = stage.R + slopes[:, :-1], stage.r + slopes[:, -1]
+    return Products(S, pulled[:-1], g, pulled[-1], stage.offset @ (w + p), P)

@@ -8,10 +8,10 @@ import numpy as np
 
 from contactgraph.control import Plan, PlanStatus
 from contactgraph.data import Trajectory, edge_id, pair_indices
-from contactgraph.envs.feedback import PlanFeedback
 from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
 from contactgraph.evaluate.prediction_windows import MOVES_M
+from contactgraph.feedback import PlanFeedback
 from contactgraph.model import ContactBelief
 
 _HORIZON_S = 0.5

@@ -1,6 +1,6 @@
 """The control loop at 1 kHz, and planners beside it that never block it."""
 
-from contactgraph.envs.feedback import PlanFeedback as PlanFeedback
+from contactgraph.feedback import PlanFeedback as PlanFeedback
 from contactgraph_franka.loop.control_loop import ControlLoop as ControlLoop
 from contactgraph_franka.loop.control_loop import CycleCallback as CycleCallback
 from contactgraph_franka.loop.planner import AsyncPlanner as AsyncPlanner

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs.feedback import PlanFeedback
+from contactgraph.feedback import PlanFeedback
 from contactgraph_franka.loop.planner import (
     AsyncPlanner,
     EpisodeStart,

@@ -1,11 +1,26 @@
-"""Feedback along a plan, in NumPy alone.
+"""The feedback law of all policies and plans, for arrays of NumPy and of JAX.
 
-A robot's loop receives it from a planning process, so its module must not import JAX.
+A robot's loop receives a `PlanFeedback` from a planning process, so this module must not import
+JAX.
 """
 
+import operator
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+
+def feedback_control(
+    nominal: Any, gains: Any, deviation: Any, product: Callable[[Any, Any], Any] = operator.matmul
+) -> Any:
+    r"""The control :math:`u = \bar u + K (x - \bar x)`, N, of arrays of any library.
+
+    ``nominal`` is :math:`\bar u` [U] N, ``gains`` is K [U, n] N/m and N s/m, and ``deviation`` is
+    :math:`x - \bar x` [n] m and m/s; or what ``product`` multiplies, such as one of each a step.
+    """
+    return nominal + product(gains, deviation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,4 +64,5 @@ class PlanFeedback:
         state[: len(position), 0], state[: len(position), 1] = position, velocity
         begin, end = self.states[step], self.states[step + 1]
         deviation = state - (begin + part * (end - begin))
-        return self.controls[step] + self.gains[step].reshape(-1, state.size) @ deviation.ravel()
+        gains = self.gains[step].reshape(-1, deviation.size)
+        return feedback_control(self.controls[step], gains, deviation.ravel())
