@@ -77,7 +77,7 @@ def test_policies_receive_the_applied_control() -> None:
 
 
 def test_arguments(trajectories) -> None:
-    with pytest.raises(InvalidInputError, match=r"only a ContactDynamics.*found GluedBodies"):
+    with pytest.raises(InvalidInputError, match=r"must be a ContactDynamics.*found GluedBodies"):
         evaluate_open_loop(GluedBodies(), trajectories, motion_noise=MotionNoise())
     with pytest.raises(InvalidInputError, match=r"radius must be above 0, to 0.06 m, found 0.1"):
         PickupTask(radius=0.1)

@@ -37,8 +37,8 @@ def test_models_fit_their_own_kind(models) -> None:
 @pytest.mark.parametrize(
     ("hinges", "scene", "message"),
     [
-        (1, FREE, "the model is for bodies on hinges, but the data has no anchor; it must say "),
-        (0, HINGED, "the model knows no hinges, but the data has an anchor; train one on data "),
+        (1, FREE, "the model is for bodies on hinges, but the data has no anchor, the position "),
+        (0, HINGED, "the model has no hinges, but the data has an anchor; train a model on such "),
         (0, replace(FREE, dt=0.1), "the model is for dt 0.05 s, but the data has 0.1 s; "),
     ],
 )

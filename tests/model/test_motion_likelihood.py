@@ -200,5 +200,5 @@ def test_arguments() -> None:
         MotionNoise(velocity=-0.1)
     with pytest.raises(InvalidInputError, match="position and model_position must not both be 0"):
         MotionNoise(model_position=0.0)
-    with pytest.raises(InvalidInputError, match=r"only a ContactDynamics.*found Keeps"):
+    with pytest.raises(InvalidInputError, match=r"must be a ContactDynamics.*found Keeps"):
         check_motion_model(Keeps())

@@ -68,7 +68,7 @@ class Control:
     velocity_noise: Annotated[float, arg(metavar="M/S")] = 0.0
     """Standard deviation of the noise on every observed velocity, m/s."""
     infer_contacts: bool = False
-    """Correct the contact beliefs by the observed motion, too."""
+    """Also correct the contact beliefs by the observed motion."""
     json: OutputFile = None
     """Write the measurements to this file."""
     video: OutputFile = None

@@ -23,7 +23,7 @@ class Evaluate:
     misses: Misses = 0.0
     delay: Delay = 0
     infer_contacts: bool = False
-    """Measure beliefs that are corrected by the observed motion alone, too."""
+    """Also measure beliefs that are corrected by the observed motion alone."""
     growth_steps: Annotated[int | None, arg(metavar="STEPS", help_behavior_hint="(optional)")] = (
         None
     )

@@ -1,8 +1,8 @@
 """Model predictive control about the active nodes of a scene alone.
 
-A node is active wherever it is, if the control acts on it, the cost is about it, it hangs on a
-hinge (its body is longer than its node says), or it moves so fast that it may come from anywhere.
-Other nodes become active where a plan's trial rollouts came near them (`SweptBounds`).
+A node is always active if the control acts on it, the cost depends on it, it is hinged (its body
+extends beyond the node), or it is fast enough to arrive from any distance. Other nodes become
+active if a trial rollout of a plan comes near them (`SweptBounds`).
 """
 
 import logging
@@ -48,9 +48,9 @@ class ActiveSetMPC:
     """`MPC` in scenes of many nodes: the same answers, from a plan about the active nodes alone.
 
     It applies to models whose edges have a cutoff (`interaction_cutoff`); with others all nodes
-    are active. After a control step whose trials came near inactive nodes, these become active and
-    the step is made again from where it began. So the answer is that of `MPC`. Nodes leave one step
-    later, since a step that shows that they may has perhaps been made twice already.
+    are active. If the trials of a control step come near inactive nodes, these become active and
+    the step is repeated from its start, so the answer is that of `MPC`. Nodes leave one step after
+    they may, since the present step may already have run twice.
 
     `reset` compiles for up to 18 active nodes. More of them recompile once for up to 54, 162, …
     nodes, which is logged. With ``max_active_nodes`` a step never compiles: one that would need
@@ -227,7 +227,7 @@ class ActiveSetMPC:
         return replace(part, carry=first.carry)
 
     def _compile(self, part: ActiveSetState) -> None:
-        """Compiles a step about such a part, where that has not been done."""
+        """Compiles the step for these shapes, unless that was done before."""
         leaves = jax.tree.leaves((part.nodes, part.cost))
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         if shapes in self._compiled:

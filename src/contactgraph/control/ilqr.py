@@ -48,7 +48,7 @@ class ILQR(eqx.Module):
     horizon: int = eqx.field(static=True)
     """H, steps."""
     iterations: int = eqx.field(static=True, default=10)
-    """Most rollouts of the model in one solve, rejected ones included: it bounds the time."""
+    """Most rollouts of the model in one solve, including rejected ones; this bounds the time."""
     limits: ControlLimits | None = None
     """Bounds on every control, N. None: unbounded."""
     tolerance: float = eqx.field(static=True, default=1e-4)

@@ -52,7 +52,7 @@ class MPCCarry(eqx.Module):
     steps_since_plan: Int[Array, ""]
     last: LastObservation
     is_first: Bool[Array, ""]
-    """True until the first step: the plan starts at the coming observation, not before it."""
+    """True until the first step, whose plan starts at its own observation, not before."""
 
 
 class MPCConfig(eqx.Module):

@@ -1,6 +1,6 @@
-"""The part of a scene about its active nodes, and what is carried from one part to another.
+"""The subproblem of a scene's active nodes, and the state that one passes to the next.
 
-Everything runs on the host and gives NumPy arrays, which a compiled step takes as they are.
+Everything runs on the host, in NumPy.
 """
 
 from dataclasses import dataclass, replace
@@ -20,12 +20,14 @@ from contactgraph.model import ContactBelief, Nodes
 _SMALLEST, _TIMES = 2, 3
 _HARDLY_MORE = 1.5
 _SMALL = 4
-"""Scenes of up to so many nodes are planned as a whole."""
+"""Largest number of nodes of a scene that is planned as a whole."""
 
 
 def bucket_size(count: int, capacity: int) -> int:
-    """Nodes that a step about ``count`` of them is compiled for: 2, 6, 18, …, or the capacity where
-    that is hardly more. Every size is a program."""
+    """The number of nodes that a step about ``count`` of them is compiled for.
+
+    It is 2, 6, 18, … or the capacity, if that is hardly larger. Each size compiles one program.
+    """
     size = _SMALLEST
     while size < count:
         size *= _TIMES

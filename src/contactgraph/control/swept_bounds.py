@@ -1,10 +1,9 @@
-"""Bounds of the trial rollouts of a plan, and the nodes that they show to matter.
+"""Bounds of the trial rollouts of a plan, and the nodes that may affect it.
 
 A node that no moving node approaches in any rollout stays at rest and does not affect the plan. A
-rejected rollout counts only up to the step at which its cost exceeds the best one's: nothing that
-comes after can change the rejection. Nodes outside a plan have no prediction of their own. They are
-taken to travel no farther than the fastest of them would: the ground slows them down, and nothing
-but each other pushes them.
+rejected rollout counts only up to the step at which its cost exceeds the best one's, since later
+steps cannot change the rejection. Nodes outside a plan are not predicted. Their travel is bounded
+by that of the fastest of them, because the ground slows them down and only they touch each other.
 """
 
 from dataclasses import dataclass
@@ -24,15 +23,14 @@ _STILL = 0.005
 _SLACK = 0.05
 """Part of the cutoff, added to it: springs and controls hardly move nodes without a contact."""
 _LEAVES = 0.5
-"""Part of the cutoff, beyond it, at which a node leaves the active set: it must not flicker."""
+"""Part of the cutoff, beyond it, at which a node leaves the active set; it prevents flicker."""
 
 
 class SweptBounds(eqx.Module):
     """Boxes around all positions of a node in a step of a rollout, one each of ``R`` rollouts.
 
-    They hold the positions that `contactgraph.model.collision` looks at: from the node's position
-    to the one that it would reach in the step unhindered; and the one that it reaches. Those of a
-    body on a hinge are of the whole bar.
+    They contain the positions that `contactgraph.model.collision` uses: the start of the step, its
+    end without contact, and its predicted end. The box of a hinged body contains the whole bar.
     """
 
     lower: Float[Array, "R H N D"]

@@ -24,7 +24,7 @@ from contactgraph.envs.circle_world import (
 GRIPPER = 0
 
 _SKIN = 0.01
-"""Box2D surrounds every polygon by a skin of this radius, m: it is the door's own surface here."""
+"""Box2D surrounds every polygon by a skin of this radius, m; here it is the door's surface."""
 _HALVINGS = 40
 """Bisection steps for the time of impact in a substep: beyond double precision."""
 

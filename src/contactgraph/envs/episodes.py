@@ -79,7 +79,7 @@ def run_episode(
 
 
 _ALONE_S = 1.0
-"""Time for which one process records in any case: it measures an episode's duration."""
+"""Time, s, for which one process always records, to measure an episode's duration."""
 _START_S = 1.0
 """Measured time to start the workers."""
 

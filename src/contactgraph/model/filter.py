@@ -27,8 +27,8 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
         return
     if model.neighbor_list is not None:
         raise InvalidInputError(
-            f"beliefs about {other} are asked for over all pairs, so the model must have no "
-            "neighbor list (neighbor_list=None)"
+            f"beliefs about {other} are over all pairs, so the model must have no neighbor list "
+            "(neighbor_list=None)"
         )
     for what, found, wanted in (
         ("dimension D", scene.dimension, model.dimension),
@@ -44,12 +44,12 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
         )
     if model.features.hinges and not scene.has_hinges:
         raise InvalidInputError(
-            f"the model is for bodies on hinges, but {other} has no anchor; it must say where a "
-            "hinge is"
+            f"the model is for bodies on hinges, but {other} has no anchor, the position of "
+            "each hinge"
         )
     if scene.has_hinges and not model.features.hinges:
         raise InvalidInputError(
-            f"the model knows no hinges, but {other} has an anchor; train one on data that has"
+            f"the model has no hinges, but {other} has an anchor; train a model on such data"
         )
 
 

@@ -88,7 +88,7 @@ class MotionNoise(eqx.Module):
             both = getattr(self, name), getattr(self, f"model_{name}")
             if not any(isinstance(one, Array) for one in both) and not any(both):
                 raise InvalidInputError(
-                    f"{name} and model_{name} must not both be 0: nothing would ever fit"
+                    f"{name} and model_{name} must not both be 0, since no motion would fit"
                 )
 
     def log_ratio(
@@ -140,8 +140,8 @@ def check_motion_model(model: object) -> ContactDynamics:
     """The model, if motion can be judged by it; else raises `InvalidInputError`."""
     if not isinstance(model, ContactDynamics):
         raise InvalidInputError(
-            "motion_noise: only a ContactDynamics says how things would move with an edge active "
-            f"and without; found {type(model).__name__}"
+            "motion_noise: the model must be a ContactDynamics, which predicts the motion with and "
+            f"without each contact, found {type(model).__name__}"
         )
     if model.neighbor_list is not None:
         raise InvalidInputError(
