@@ -98,14 +98,12 @@ def hinged(nodes: Nodes, *anchors: tuple[float, ...]) -> Nodes:
 
 def crowd(model: ContactDynamics, nodes: Nodes, seed: int = 0, size: float = 0.15) -> ModelState:
     """Nodes close enough that most edges matter, with the prior as belief."""
-    position_key, velocity_key = jax.random.split(jax.random.PRNGKey(seed))
+    rng = np.random.default_rng(seed)
     shape = (len(nodes.mask), model.dimension)
-    position = jax.random.uniform(position_key, shape, minval=-size, maxval=size)
-    velocity = jax.random.normal(velocity_key, shape)
-    exists = nodes.mask[:, None]
-    return state_at(
-        model, jnp.where(exists, position, 0.0), jnp.where(exists, velocity, 0.0), nodes
-    )
+    exists, kind = np.asarray(nodes.mask)[:, None], jnp.zeros(()).dtype
+    drawn = rng.uniform(-size, size, shape), rng.normal(size=shape)
+    position, velocity = (jax.device_put((exists * each).astype(kind)) for each in drawn)
+    return state_at(model, position, velocity, nodes)
 
 
 _initial_belief = eqx.filter_jit(ContactDynamics.initial_belief)

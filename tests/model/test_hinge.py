@@ -1,10 +1,11 @@
 """Hinged bodies: Jacobians against rigid rotation, closest points, and their geometry."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from model_scenes import jitted_geometry
 
-from contactgraph.model.collision import geometry
 from contactgraph.model.hinge import HingedBodies
 
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -18,8 +19,12 @@ def bars() -> HingedBodies:
     return HingedBodies(jnp.asarray(POSITION), jnp.asarray(ANCHOR))
 
 
+contact_jacobian = jax.jit(HingedBodies.contact_jacobian)
+closest_point = jax.jit(HingedBodies.closest_point)
+
+
 def jacobian(point, node=BAR) -> np.ndarray:
-    return np.asarray(bars().contact_jacobian(node, jnp.asarray(point)[None])[0])
+    return np.asarray(contact_jacobian(bars(), node, np.asarray(point)[None]))[0]
 
 
 def turned(vector, angle) -> np.ndarray:
@@ -42,7 +47,7 @@ def test_a_lever_in_space_is_that_of_a_rigid_rotation() -> None:
     spin -= (spin @ arm) / (arm @ arm) * arm
     reach -= (reach @ spin) / (spin @ spin) * spin
     one = HingedBodies(jnp.asarray(hinge + arm)[None], jnp.asarray(hinge)[None])
-    found = np.asarray(one.contact_jacobian(jnp.array([0]), jnp.asarray(hinge + reach)[None])[0])
+    found = np.asarray(contact_jacobian(one, FREE, (hinge + reach)[None]))[0]
     np.testing.assert_allclose(found @ np.cross(spin, arm), np.cross(spin, reach), atol=1e-12)
 
 
@@ -59,7 +64,7 @@ def test_the_hinge_bears_forces_along_the_radius() -> None:
 
 def test_without_a_hinge_a_node_is_its_only_point() -> None:
     np.testing.assert_array_equal(jacobian([5.0, 3.0], FREE), np.eye(2))
-    place, slides = bars().closest_point(FREE, jnp.array([[5.0, 3.0]]))
+    place, slides = map(np.asarray, closest_point(bars(), FREE, np.array([[5.0, 3.0]])))
     np.testing.assert_array_equal(place[0], POSITION[0])
     assert not np.any(slides)
 
@@ -76,7 +81,7 @@ def test_without_a_hinge_a_node_is_its_only_point() -> None:
 def test_the_nearest_point_of_a_bar(along, across, expected) -> None:
     side = np.array([-0.8, 0.6])
     point = HINGE + along * ARM + across * side
-    place, slides = bars().closest_point(BAR, jnp.asarray(point)[None])
+    place, slides = map(np.asarray, closest_point(bars(), BAR, point[None]))
     np.testing.assert_allclose(place[0], HINGE + expected * ARM, atol=1e-12)
     inside = along == expected
     np.testing.assert_allclose(slides[0], inside * ARM / 0.5, atol=1e-12)
@@ -90,8 +95,8 @@ def test_a_node_on_its_own_hinge_is_finite() -> None:
     degenerate = HingedBodies(jnp.asarray([[0.2, -0.1]]), jnp.asarray([HINGE]))
     point = jnp.array([[0.3, 0.1]])
     found = (
-        degenerate.contact_jacobian(jnp.array([0]), point),
-        *degenerate.closest_point(jnp.array([0]), point),
+        contact_jacobian(degenerate, FREE, point),
+        *closest_point(degenerate, FREE, point),
     )
     for leaf in found:
         assert np.all(np.isfinite(leaf))
@@ -104,7 +109,7 @@ def test_contact_with_a_hinged_bar_is_at_its_nearest_point() -> None:
     spin = 0.8  # rad/s
     velocity = np.stack([-1.0 * side, spin * np.array([-ARM[1], ARM[0]])])
     states = jnp.asarray([body, HINGE + ARM]), jnp.asarray(velocity)
-    edges = geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    edges = jitted_geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
     np.testing.assert_allclose(edges.distance, [0.1], rtol=1e-6)
     np.testing.assert_allclose(edges.direction, [-side], atol=1e-6)
     # The material at the point turns with the bar, at 0.75 m from the hinge (and 0.1 beside it).
@@ -121,6 +126,6 @@ def test_sliding_along_a_bar_brings_nothing_nearer() -> None:
     body = HINGE + 1.0 * ARM + 0.1 * side
     velocity = np.stack([3.0 * ARM, 0 * ARM])
     states = jnp.asarray([body, HINGE + ARM]), jnp.asarray(velocity)
-    edges = geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
+    edges = jitted_geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, None, jnp.asarray(ANCHOR))
     np.testing.assert_allclose(edges.predicted_distance, edges.distance, rtol=1e-9)
     assert edges.fraction_after_impact[0] == 0

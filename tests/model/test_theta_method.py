@@ -1,5 +1,7 @@
 """The theta method: stable for theta >= 1/2, the paper's own step at 0, and of the right order."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -149,11 +151,15 @@ def test_a_constant_force_moves_a_body_as_that_many_symplectic_substeps_do(subst
     np.testing.assert_allclose(np.ravel(moved), [x, v], rtol=0, atol=1e-15)
 
 
+@partial(jax.jit, static_argnums=0)
+def body_step(theta: float, unit, k, c):
+    return step(theta, from_physical(unit, k, c, 0 * unit))
+
+
 def blocks(theta: float, stiffness_rate: np.ndarray, damping_rate: np.ndarray) -> np.ndarray:
     """A [n, 2, 2] of n bodies of 1 kg."""
-    unit = jnp.ones((len(stiffness_rate), 1))
-    k, c = (jnp.asarray(rate)[:, None] for rate in (stiffness_rate, damping_rate))
-    return np.asarray(step(theta, from_physical(unit, k, c, 0 * unit)).A)[:, 0]
+    k, c = stiffness_rate[:, None], damping_rate[:, None]
+    return np.asarray(body_step(theta, np.ones(k.shape), k, c).A)[:, 0]
 
 
 def product_radii(theta: float, draw_stiffness, draw_damping, count: int = 1000) -> np.ndarray:
@@ -168,7 +174,7 @@ def test_products_shrink_in_energy_while_the_stiffness_rate_stays() -> None:
     rng = np.random.default_rng(0)
     rate = log_uniform(rng, (1000,), -2, 3)
     product = np.tile(np.eye(2), (1000, 1, 1))
-    for theta in rng.uniform(0.5, 1.0, 50):
+    for theta in rng.choice([0.5, 0.6, 0.8, 1.0], 50):
         product = blocks(float(theta), rate, log_uniform(rng, (1000,))) @ product
         assert energy_norm(product, rate).max() <= 1 + 1e-9
 
