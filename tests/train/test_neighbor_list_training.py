@@ -36,20 +36,32 @@ def windows() -> Window:
     )
 
 
+@eqx.filter_jit
+@eqx.filter_value_and_grad
+def loss_and_gradient(
+    model: ContactDynamics, drawn: Window, devices: int = 1, edges: int | None = None
+) -> jax.Array:
+    """`edges`, set by a test in `contactgraph.train.loss`, makes it another program."""
+    terms = window_loss(model, drawn, jax.random.key(0), True, devices)
+    return terms.total(LossTerms())
+
+
+@pytest.fixture(scope="module")
+def of_all_pairs() -> tuple:
+    """A model, four windows, and their loss and gradient."""
+    model = gim_temp(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(1))
+    drawn = jax.tree.map(
+        lambda leaf: jnp.concatenate([leaf, 0.9 * leaf]).astype(leaf.dtype), windows()
+    )
+    return model, drawn, loss_and_gradient(model, drawn)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("lists", [NeighborList(9, 5, 5), NeighborList(9, None, None)])
-def test_loss_and_gradient_are_those_of_all_pairs(lists: NeighborList) -> None:
-    model = gim_temp(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(1))
+def test_loss_and_gradient_are_those_of_all_pairs(lists: NeighborList, of_all_pairs: tuple) -> None:
+    model, drawn, (value, gradient) = of_all_pairs
     near = dataclasses.replace(model, neighbor_list=lists)
-    drawn, key = windows(), jax.random.key(0)
-
-    @eqx.filter_jit
-    @eqx.filter_value_and_grad
-    def loss(model: ContactDynamics):
-        return window_loss(model, drawn, key, with_rollout=True).total(LossTerms())
-
-    value, gradient = loss(model)
-    near_value, near_gradient = loss(near)
+    near_value, near_gradient = loss_and_gradient(near, drawn)
     assert np.isfinite(value)
     np.testing.assert_allclose(near_value, value, rtol=1e-5)
     for found, expected in zip(
@@ -60,24 +72,13 @@ def test_loss_and_gradient_are_those_of_all_pairs(lists: NeighborList) -> None:
 
 
 @pytest.mark.slow
-def test_chunk_after_chunk_is_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = gim_temp(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(1))
-    pair = windows()
-    drawn = jax.tree.map(lambda leaf: jnp.concatenate([leaf, 0.9 * leaf]).astype(leaf.dtype), pair)
-
-    def loss(devices: int) -> tuple[jax.Array, ContactDynamics]:
-        @eqx.filter_jit
-        @eqx.filter_value_and_grad
-        def total(model: ContactDynamics) -> jax.Array:
-            terms = window_loss(model, drawn, jax.random.key(0), True, devices)
-            return terms.total(LossTerms())
-
-        return total(model)
-
-    at_once, gradient = loss(1)
+def test_chunk_after_chunk_is_all_at_once(
+    monkeypatch: pytest.MonkeyPatch, of_all_pairs: tuple
+) -> None:
+    model, drawn, (at_once, gradient) = of_all_pairs
     monkeypatch.setattr(chunked_vmap, "_EDGES", 30)  # chunks that do not come out even
     for devices in (1, 2):
-        value, found = loss(devices)
+        value, found = loss_and_gradient(model, drawn, devices, 30)
         np.testing.assert_allclose(value, at_once, rtol=1e-5)
         for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(gradient), strict=True):
             scale = float(np.abs(other).max())

@@ -130,7 +130,7 @@ def test_recorded_steps_are_subsampled_for_training(
     arguments = ["--out", path, "--seconds", 1.2, "--runs", 2]
     assert repeated(capsys, "robot", "record", "fake", *arguments)[0] == 0
     # Recorded in steps of 0.001 s, trained in steps of 0.01 s.
-    out = ["--out", tmp_path / "run", "--steps", 2]
+    out = ["--out", tmp_path / "run", "--steps", 2, "--rollout-from", 1]
     assert run("train", path, "--every", 10, *out) == 0
     assert run("evaluate", tmp_path / "run", path) == 0
     assert "every 10th step is taken" in capsys.readouterr().out
