@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from contactgraph_franka.cli.options import FAKE, NO_BLOCK, ArmOptions, RobotFau
 from contactgraph_franka.driver.readings import AssumedBlock
 from contactgraph_franka.envs.pickup import ArmLayout
 from contactgraph_franka.loop import WallClock
-from contactgraph_franka.perception import Camera, CameraCalibration, read_calibration
+from contactgraph_franka.perception import Camera, CameraCalibration, CameraFrame, read_calibration
 from contactgraph_franka.safety import FakeRobot, Robot, SafetyLimits
 from contactgraph_franka.safety.fake_robot import RealtimeFakeRobot
 
@@ -218,6 +218,17 @@ def _camera(
     return RealSenseCamera, calibration
 
 
+def frames(camera: Camera, seconds: float) -> Iterator[CameraFrame]:
+    """The next frames of ``camera``, for up to ``seconds`` of wall time."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        frame = camera.read()
+        if frame is None:
+            time.sleep(0.01)
+        else:
+            yield frame
+
+
 def _block_yaw(open_camera: Callable[[], Camera], calibration: CameraCalibration) -> float:
     """rad: orientation of the block about the vertical, in the first frame that shows it.
 
@@ -225,16 +236,11 @@ def _block_yaw(open_camera: Callable[[], Camera], calibration: CameraCalibration
     """
     from contactgraph_franka.perception.detector import ObjectDetector
 
-    camera = open_camera()
-    try:
-        detector, until = ObjectDetector(calibration), time.monotonic() + _DETECTION_TIMEOUT
-        while time.monotonic() < until:
-            frame = camera.read()
-            detected = {} if frame is None else detector.detect(frame)
+    with closing(open_camera()) as camera:
+        detector = ObjectDetector(calibration)
+        for frame in frames(camera, _DETECTION_TIMEOUT):
+            detected = detector.detect(frame)
             if _BLOCK in detected:
                 rotation = detected[_BLOCK].pose[:3, :3]
                 return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-            time.sleep(0.01)
-    finally:
-        camera.close()
     raise RobotFault(f"the camera does not see the {_BLOCK}: {NO_BLOCK}")

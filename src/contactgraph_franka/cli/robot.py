@@ -1,6 +1,7 @@
 """``contactgraph robot``: the group of commands, with ``check``, ``calibrate`` and ``rehearse``."""
 
 import time
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +12,7 @@ from tyro.conf import Positional, arg, subcommand
 from contactgraph.cli.options import check_range
 from contactgraph.cli.output import check_suffix, check_writable, write_json
 from contactgraph.data import InvalidInputError
-from contactgraph_franka.cli.arms import open_arm
+from contactgraph_franka.cli.arms import frames, open_arm
 from contactgraph_franka.cli.control import ControlSimulated, Run
 from contactgraph_franka.cli.options import FAKE, ArmOptions, RobotFault, check_seconds, point
 from contactgraph_franka.cli.record import Record, RecordSimulated
@@ -115,24 +116,20 @@ class Calibrate:
 
         hand_poses: list[np.ndarray] = []
         marker_poses: list[ObjectPose] = []
-        camera = RealSenseCamera()
-        try:
-            with FrankaRobot(self.address) as robot:
-                while len(hand_poses) < self.poses:
-                    pose = f"pose {len(hand_poses) + 1} of {self.poses}"
-                    input(f"{pose}: guide the hand there, hold it still, then Enter ")
-                    marker_pose = _marker_pose(camera, marker)
-                    if marker_pose is None:
-                        print(f"the camera does not see tag {self.tag}: turn it towards the camera")
-                        continue
-                    hand_poses.append(robot.hand_pose())
-                    marker_poses.append(marker_pose)
-            solved = calibrate(np.stack(hand_poses), marker_poses, marker, camera.intrinsics)
-            calibration = CameraCalibration(
-                camera.intrinsics, solved.camera_pose, blocks, residuals=solved.residuals
-            )
-        finally:
-            camera.close()
+        with closing(RealSenseCamera()) as camera, FrankaRobot(self.address) as robot:
+            while len(hand_poses) < self.poses:
+                pose = f"pose {len(hand_poses) + 1} of {self.poses}"
+                input(f"{pose}: guide the hand there, hold it still, then Enter ")
+                marker_pose = _marker_pose(camera, marker)
+                if marker_pose is None:
+                    print(f"the camera does not see tag {self.tag}: turn it towards the camera")
+                    continue
+                hand_poses.append(robot.hand_pose())
+                marker_poses.append(marker_pose)
+        solved = calibrate(np.stack(hand_poses), marker_poses, marker, camera.intrinsics)
+        calibration = CameraCalibration(
+            camera.intrinsics, solved.camera_pose, blocks, residuals=solved.residuals
+        )
         write_calibration(self.out, calibration)
         error = solved.residuals
         at = point(solved.camera_pose[:3, 3], 3)
@@ -150,12 +147,8 @@ def _marker_pose(camera: "Camera", marker: "TaggedObject") -> "ObjectPose | None
 
     detector = TagDetector([tuple(marker.by_id)])
     camera.read()  # discards a frame exposed while the hand still moved
-    until = time.monotonic() + _FRAME_TIMEOUT
-    while time.monotonic() < until:
-        frame = camera.read()
-        if frame is not None:
-            return estimate_pose(frame, detector.detect(frame.image), marker, camera.intrinsics)
-        time.sleep(0.01)
+    for frame in frames(camera, _FRAME_TIMEOUT):
+        return estimate_pose(frame, detector.detect(frame.image), marker, camera.intrinsics)
     return None
 
 

@@ -28,7 +28,7 @@ def pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def inverse(motion: np.ndarray) -> np.ndarray:
-    """[4, 4], the inverse of a pose."""
+    """[..., 4, 4], the inverse of poses."""
     return np.linalg.inv(motion)
 
 
@@ -45,11 +45,6 @@ def perturbed(motion: np.ndarray, step: np.ndarray) -> np.ndarray:
 def rotation_of(vector: np.ndarray) -> np.ndarray:
     """[3, 3]: the rotation by ``|vector|`` rad about ``vector`` [3]."""
     return Rotation.from_rotvec(vector).as_matrix()
-
-
-def rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    """[3] rad, of length 0 to pi: the inverse of `rotation_of`."""
-    return Rotation.from_matrix(rotation).as_rotvec()
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:

@@ -7,12 +7,12 @@ and Martin, IEEE Transactions on Robotics and Automation, 1994). Then the reproj
 marker's corners is minimised over :math:`X` and :math:`Z`.
 """
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception.calibration import CalibrationResiduals, TaggedObject
@@ -23,7 +23,6 @@ from contactgraph_franka.perception.camera import (
     nearest_rotation,
     perturbed,
     pose,
-    rotation_vector,
     transform,
 )
 from contactgraph_franka.perception.object_pose import ObjectPose
@@ -61,11 +60,9 @@ def calibrate(
     about one axis only.
     """
     hands = _checked(hand_poses, sightings)
-    marker_pose = _initial_marker(hands, [each.pose for each in sightings])
-    mean = np.mean(
-        [hand @ marker_pose @ inverse(s.pose) for hand, s in zip(hands, sightings, strict=True)],
-        axis=0,
-    )
+    markers = np.stack([each.pose for each in sightings])
+    marker_pose = _initial_marker(hands, markers)
+    mean = np.mean(hands @ marker_pose @ inverse(markers), axis=0)
     camera = pose(nearest_rotation(mean[:3, :3]), mean[:3, 3])
     problem = _Problem(hands, sightings, marker, intrinsics)
     everything = np.arange(len(hands))
@@ -162,9 +159,7 @@ def _checked(hand_poses: np.ndarray, sightings: Sequence[ObjectPose]) -> np.ndar
         )
     for number, each in enumerate(hands):
         check_pose(f"hand pose {number}", each)
-    turns = np.array(
-        [rotation_vector((inverse(a) @ b)[:3, :3]) for a, b in itertools.combinations(hands, 2)]
-    )
+    turns = _rotation_vectors(_between_pairs(hands))
     second = float(np.linalg.svd(turns, compute_uv=False)[1] / np.sqrt(len(turns)))
     if second < LEAST_TURN:
         raise InvalidInputError(
@@ -175,17 +170,22 @@ def _checked(hand_poses: np.ndarray, sightings: Sequence[ObjectPose]) -> np.ndar
     return hands
 
 
-def _initial_marker(hands: np.ndarray, markers: Sequence[np.ndarray]) -> np.ndarray:
+def _initial_marker(hands: np.ndarray, markers: np.ndarray) -> np.ndarray:
     """[4, 4]: the marker in the hand, from all pairs of poses."""
-    pairs = [
-        (inverse(hands[j]) @ hands[i], inverse(markers[j]) @ markers[i])
-        for i, j in itertools.combinations(range(len(hands)), 2)
-    ]
+    a, b = _between_pairs(hands), _between_pairs(markers)
     # A and B turn by the same angle; X aligns their rotation vectors.
-    together = sum(
-        np.outer(rotation_vector(a[:3, :3]), rotation_vector(b[:3, :3])) for a, b in pairs
-    )
-    turn = nearest_rotation(np.asarray(together))
-    rows = np.concatenate([a[:3, :3] - np.eye(3) for a, _ in pairs])
-    right = np.concatenate([turn @ b[:3, 3] - a[:3, 3] for a, b in pairs])
+    turn = Rotation.align_vectors(_rotation_vectors(a), _rotation_vectors(b))[0].as_matrix()
+    rows = (a[:, :3, :3] - np.eye(3)).reshape(-1, 3)
+    right = (b[:, :3, 3] @ turn.T - a[:, :3, 3]).ravel()
     return pose(turn, np.linalg.lstsq(rows, right, rcond=None)[0])
+
+
+def _between_pairs(poses: np.ndarray) -> np.ndarray:
+    """[P, 4, 4]: from each of ``poses`` [K, 4, 4] to each later one."""
+    first, second = np.triu_indices(len(poses), 1)
+    return inverse(poses[second]) @ poses[first]
+
+
+def _rotation_vectors(poses: np.ndarray) -> np.ndarray:
+    """[P, 3] rad."""
+    return Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()

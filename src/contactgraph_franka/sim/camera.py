@@ -9,20 +9,7 @@ import numpy as np
 from contactgraph_franka.perception.camera import CameraFrame, Intrinsics, pose
 from contactgraph_franka.shared_ring import RingReader, RingWriter
 
-_EYE = np.array([1.3, 0.0, 0.4])
-_LOOK_AT = np.array([0.45, 0.0, 0.15])
-"""m, in the frame of the arm's base. From higher up the hand hides the block before it grasps it
-(0.4 s in one sweep of fourteen from 0.55 m); from lower, a grasped block shows a single tag, whose
-tilt is uncertain (1 cm of error, and more)."""
 _SLOTS = 4  # A reader has three frames' time to copy one
-
-
-def look_at(eye: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """[4, 4]: the pose of an upright camera at ``eye`` [3] m towards ``point`` [3] m."""
-    forward = (point - eye) / np.linalg.norm(point - eye)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    return pose(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
 
 
 @dataclass(frozen=True)
@@ -30,10 +17,12 @@ class CameraSettings:
     """A camera on a stand opposite the arm, with the lens and pixels of a RealSense D435."""
 
     intrinsics: Intrinsics = Intrinsics(1386.0, 1386.0, 959.5, 539.5, 1920, 1080)  # noqa: RUF009
-    place: tuple[tuple[float, ...], ...] = tuple(
-        tuple(row) for row in look_at(_EYE, _LOOK_AT).tolist()
-    )
-    """[4, 4]: its pose in the frame of the arm's base."""
+    eye: tuple[float, ...] = (1.3, 0.0, 0.4)
+    """m, in the frame of the arm's base. From higher up the hand hides the block before it grasps
+    it (0.4 s in one sweep of fourteen from 0.55 m); from lower, a grasped block shows a single tag,
+    whose tilt is uncertain (1 cm of error, and more)."""
+    look_at: tuple[float, ...] = (0.45, 0.0, 0.15)
+    """m: the point in the middle of the frame."""
     rate: float = 30.0
     """Frames a simulated second."""
     delay: float = 0.03
@@ -45,17 +34,20 @@ class CameraSettings:
 
     @property
     def pose(self) -> np.ndarray:
-        """[4, 4] of `place`."""
-        return np.array(self.place)
+        """[4, 4]: that of an upright camera, in the frame of the arm's base."""
+        forward = np.subtract(self.look_at, self.eye)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, (0.0, 0.0, 1.0))
+        right /= np.linalg.norm(right)
+        down = np.cross(forward, right)
+        return pose(np.stack([right, down, forward], axis=1), np.array(self.eye))
 
     @staticmethod
     def from_dict(fields: dict[str, Any]) -> "CameraSettings":
-        """The settings of `dataclasses.asdict`."""
-        lens = dict(fields["intrinsics"])
-        if lens["distortion"] is not None:
-            lens["distortion"] = tuple(lens["distortion"])
-        place = tuple(tuple(row) for row in fields["place"])
-        return CameraSettings(**{**fields, "intrinsics": Intrinsics(**lens), "place": place})
+        """The settings of `dataclasses.asdict`, also from JSON."""
+        points = {name: tuple(fields[name]) for name in ("eye", "look_at")}
+        lens = Intrinsics(**fields["intrinsics"])
+        return CameraSettings(**{**fields, **points, "intrinsics": lens})
 
 
 def frame_ring(folder: Path, lens: Intrinsics) -> RingWriter:
