@@ -147,7 +147,6 @@ def test_derivatives_against_finite_differences() -> None:
     control_displacement = jnp.array([[0.004, 0.001], [-0.006, 0.002], [0.0, 0.0], [0.003, -0.002]])
     shares = scene_quantities(position, velocity, TOUCH, control_displacement)[3]
     assert np.sum((shares > 0.05) & (shares < 0.95)) >= 1
-    # Compiled, because check_grads calls with numpy arrays, which the annotations refuse.
     for values in ((position, velocity, TOUCH), (position, velocity, TOUCH, control_displacement)):
         check_grads(jax.jit(scene_quantities), values, order=1, eps=1e-6)
 
