@@ -5,12 +5,12 @@ import json
 import shutil
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 from tyro.conf import arg
 
@@ -89,14 +89,15 @@ class Collect:
         policies = [expert() for _ in range(experts)]
         policies += [task.explorer() for _ in range(explorations)]
         policies += [RestPolicy() for _ in range(rests)]
-        unfinished = UnfinishedRecording(self.out, self._inputs())
+        inputs = {key: each for key, each in asdict(self).items() if key not in ("out", "cluster")}
+        unfinished = UnfinishedRecording(self.out, inputs)
         if unfinished.recorded:
             done = len(unfinished.recorded)
             print(f"{self.out}: goes on after {done} of {self.episodes} episodes")
         with (
             open_executor(self.cluster) as executor,
             progress("collecting", self.episodes) as bar,
-            unfinished,
+            unfinished.kept_on_failure(),
         ):
             trajectories = collect(
                 factories,
@@ -119,12 +120,6 @@ class Collect:
             successes = sum(bool(each.scene.metadata["success"]) for each in trajectories[:experts])
             print(f"the expert succeeded in {successes} of {experts} episodes")
 
-    def _inputs(self) -> dict[str, Any]:
-        """The options that the trajectories depend on."""
-        inputs = asdict(self)
-        del inputs["out"], inputs["cluster"]
-        return inputs
-
 
 _SAVE_INTERVAL_S = 10.0
 """Recording time that a killed process may lose."""
@@ -135,8 +130,6 @@ class UnfinishedRecording:
 
     The folder's name depends on everything that shapes the trajectories, so that only the same
     recording continues. It holds files of some trajectories each, named by the index of the first.
-    As a context manager, it saves all trajectories if the block ends with an exception, such as
-    Ctrl-C, and reports that.
     """
 
     def __init__(self, path: Path, inputs: Mapping[str, Any]) -> None:
@@ -149,23 +142,19 @@ class UnfinishedRecording:
         self._saved, self._new = len(self.recorded), list[Trajectory]()
         self._saved_s = time.monotonic()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if error is None:
-            return
-        self._save()
-        if self._saved:
-            print(
-                f"{self.folder}: {self._saved} episodes are kept; the same command continues",
-                file=sys.stderr,
-            )
+    @contextmanager
+    def kept_on_failure(self) -> Iterator[None]:
+        """If the block ends with an exception, such as Ctrl-C: saves all trajectories, says so."""
+        try:
+            yield
+        except BaseException:
+            self._save()
+            if self._saved:
+                print(
+                    f"{self.folder}: {self._saved} episodes are kept; the same command continues",
+                    file=sys.stderr,
+                )
+            raise
 
     def add(self, trajectory: Trajectory) -> int:
         """Adds the next trajectory, saved after some seconds; the number that there are now."""

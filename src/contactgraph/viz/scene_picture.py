@@ -90,8 +90,8 @@ def draw_links(axes: Axes, scene: SceneTrajectory, state: int) -> None:
     if scene.link_positions is None:
         return
     points = scene.projection(scene.link_positions[state])
-    inches = axes.bbox.transformed(axes.figure.dpi_scale_trans.inverted()).width
-    thickness = 72.0 * inches * _LINK_WIDTH
+    left, right = axes.get_xlim()
+    thickness = _points(axes, _LINK_WIDTH * (right - left))
     axes.plot(
         *points.T,
         color=LINK_COLOUR,

@@ -1,6 +1,7 @@
 """One picture of a trajectory: moments of the scene, the belief and the learned masses."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -93,57 +94,42 @@ def summary_states(scene: SceneTrajectory) -> list[int]:
 
 
 def _draw_belief(axes: Axes, scene: SceneTrajectory) -> None:
-    time = scene.time
     leading = leading_edges(scene)
     for index, edge in enumerate(leading):
-        strength = 1.0 if index == 0 else 0.4
-        axes.stairs(
-            scene.belief[:, edge], time, baseline=None, color=BELIEF_COLOUR, lw=1.6, alpha=strength
-        )
+        belief, strength = scene.belief[:, edge], 1.0 if index == 0 else 0.4
+        line: dict[str, Any] = {"color": BELIEF_COLOUR, "lw": 1.6, "alpha": strength}
+        axes.stairs(belief, scene.time, baseline=None, **line)
     _style(axes, scene, "belief", (-0.06, 1.08))
     if leading:
-        axes.text(
-            0.99,
-            0.7,
-            scene.edge_name(leading[0]),
-            color=BELIEF_COLOUR,
-            fontsize=9,
-            ha="right",
-            transform=axes.transAxes,
-            parse_math=False,
-        )
+        _note(axes, 0.7, scene.edge_name(leading[0]), BELIEF_COLOUR)
 
 
 def _draw_inverse_mass(axes: Axes, scene: SceneTrajectory, inverse_mass: np.ndarray) -> None:
-    time = scene.time
     involved, focus = involved_nodes(scene), focus_nodes(scene)
     directions = shown_directions(inverse_mass)
     for index, node in enumerate(focus):
         colour = body_colour(node, involved)
         for values, style in zip(directions, ("-", "--"), strict=False):
-            axes.stairs(values[:, node], time, baseline=None, color=colour, lw=1.6, ls=style)
-        axes.text(
-            0.99,
-            0.8 - 0.17 * index,
-            scene.node_name[node],
-            color=colour,
-            fontsize=9,
-            ha="right",
-            transform=axes.transAxes,
-            parse_math=False,
-        )
-    largest = np.nanmax(np.append([values[:, focus] for values in directions], 0.1))
-    _style(axes, scene, "1/m, 1/kg", (-0.06 * float(largest), 1.08 * float(largest)))
+            axes.stairs(values[:, node], scene.time, baseline=None, color=colour, lw=1.6, ls=style)
+        _note(axes, 0.8 - 0.17 * index, scene.node_name[node], colour)
+    largest = float(np.nanmax(np.append([values[:, focus] for values in directions], 0.1)))
+    _style(axes, scene, "1/m, 1/kg", (-0.06 * largest, 1.08 * largest))
     if len(directions) > 1:
-        axes.text(
-            0.99,
-            0.8 - 0.17 * len(focus),
-            "vertical: dashed",
-            color=SOFT,
-            fontsize=9,
-            ha="right",
-            transform=axes.transAxes,
-        )
+        _note(axes, 0.8 - 0.17 * len(focus), "vertical: dashed", SOFT)
+
+
+def _note(axes: Axes, height: float, text: str, colour: str) -> None:
+    """Text at the right edge; ``height`` is a share of the plot's."""
+    axes.text(
+        0.99,
+        height,
+        text,
+        color=colour,
+        fontsize=9,
+        ha="right",
+        transform=axes.transAxes,
+        parse_math=False,
+    )
 
 
 def _style(axes: Axes, scene: SceneTrajectory, name: str, limits: tuple[float, float]) -> None:
