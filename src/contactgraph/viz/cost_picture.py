@@ -6,7 +6,6 @@ All of it is scaled so that the mean of R's diagonal is 1/N^2: costs are known u
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -32,20 +31,6 @@ _LETTER, _SMALLEST = 0.6, 5.0
 """Width of a letter against its size; smallest readable size, points."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Weights:
-    """One cost in the picture's units."""
-
-    whose: str
-    Q: np.ndarray
-    R: np.ndarray
-
-    @classmethod
-    def scaled(cls, whose: str, Q: np.ndarray, R: np.ndarray) -> "_Weights":
-        factor = 1.0 / np.mean(np.diagonal(R).astype(np.float64))
-        return cls(whose, factor * Q.astype(np.float64), factor * R.astype(np.float64))
-
-
 def write_cost_picture(path: str | Path, cost: LearnedCost, expert: Cost | None = None) -> None:
     """Write `cost_figure` as a PNG, atomically."""
     figure = cost_figure(cost, expert)
@@ -60,30 +45,27 @@ def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:
     second row. Raises `InvalidInputError` where its shapes do not fit, or vary over time.
     """
     D, names = cost.goal.shape[0], cost.kept_nodes
-    rows = [_Weights.scaled("as learned", np.asarray(cost.Q), np.asarray(cost.R))]
+    rows = [("as learned", *_scaled(np.asarray(cost.Q), np.asarray(cost.R)))]
     if expert is not None:
-        rows.append(_of_expert(cost, expert))
-    terms = [relative_terms(row.Q, D) for row in rows]
-    largest = max(
-        float(np.abs(matrix).max())
-        for row, W in zip(rows, terms, strict=True)
-        for matrix in (row.Q, W, row.R)
-    )
+        rows.append(("of the expert", *_of_expert(cost, expert)))
+    terms = [relative_terms(Q, D) for _, Q, _ in rows]
+    matrices = [each for (_, Q, R), W in zip(rows, terms, strict=True) for each in (Q, W, R)]
+    largest = max(float(np.abs(matrix).max()) for matrix in matrices)
     norm = SymLogNorm(largest * 10**-_DECADES, vmin=-largest, vmax=largest)
     side = max(_SIDE, _BLOCK * len(names))
     states, relatives, controls = _MARGIN, 2 * _MARGIN + side, 2 * _MARGIN + 2 * side + 0.45
     size = controls + _SMALL + _END, len(rows) * (_TOP + side) + 0.45
     figure = Figure(figsize=size, facecolor="white")
-    for index, (row, W) in enumerate(zip(rows, terms, strict=True)):
+    for index, ((whose, Q, R), W) in enumerate(zip(rows, terms, strict=True)):
         top = index * (_TOP + side) + _TOP
         own = _panel(figure, states, top, side, side)
-        _draw_state(own, side, row.Q, names, norm)
-        _title(own, f"Q {row.whose}, in the nodes' own coordinates")
+        _draw_state(own, side, Q, names, norm)
+        _title(own, f"Q {whose}, in the nodes' own coordinates")
         relative = _panel(figure, relatives, top, side, side)
         _draw_state(relative, side, W, relative_names(names), norm)
         _title(relative, "the same in relative coordinates")
         control = _panel(figure, controls, top, _SMALL, _SMALL)
-        _draw(control, _SMALL, row.R, norm)
+        _draw(control, _SMALL, R, norm)
         _title(control, "R")
     below = _TOP + _SMALL + 0.5
     scale = _panel(figure, controls, below, 0.16, _TOP + side - below)
@@ -99,7 +81,13 @@ def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:
     return figure
 
 
-def _of_expert(cost: LearnedCost, expert: Cost) -> _Weights:
+def _scaled(Q: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same cost with a mean of 1 on R's diagonal."""
+    factor = 1.0 / np.mean(np.diagonal(R).astype(np.float64))
+    return factor * Q.astype(np.float64), factor * R.astype(np.float64)
+
+
+def _of_expert(cost: LearnedCost, expert: Cost) -> tuple[np.ndarray, np.ndarray]:
     """The expert's Q and R of the learned cost's nodes."""
     part, last = 2 * cost.goal.shape[0], max(cost.order)
     own = expert.quadratic(last + 1)
@@ -110,7 +98,7 @@ def _of_expert(cost: LearnedCost, expert: Cost) -> _Weights:
             f"{cost.R.shape}; found shapes {Q.shape} and {R.shape}"
         )
     kept = (part * np.asarray(cost.order)[:, None] + np.arange(part)).reshape(-1)
-    return _Weights.scaled("of the expert", Q[np.ix_(kept, kept)], R)
+    return _scaled(Q[np.ix_(kept, kept)], R)
 
 
 def _panel(figure: Figure, left: float, top: float, across: float, down: float) -> Axes:
