@@ -295,7 +295,8 @@ def in_space(trajectory: Trajectory) -> Trajectory:
         ),
         pytest.param(
             lambda trajectory: cut(trajectory, 19),
-            "demos.h5: demonstration 0: control must have at least the horizon's 20 steps",
+            "demos.h5: demonstration 0: control must have at least the horizon's 20 steps, "
+            "found 19",
             marks=pytest.mark.slow,
         ),
     ],
