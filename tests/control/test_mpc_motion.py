@@ -129,5 +129,7 @@ def test_arguments(inferring) -> None:
     state = inferring.reset(observed([0.0, 0.0]), nodes_of(2, 2), COST)
     with pytest.raises(InvalidInputError, match=r"applied must have shape \(2,\).*found \(3,\)"):
         inferring.step(observed([0.0, 0.0]), None, state, np.zeros(3))
-    with pytest.raises(InvalidInputError, match=r"motion_noise: only a Contact.*StickyBodies"):
+    with pytest.raises(
+        InvalidInputError, match=r"motion_noise: the model must be a ContactDynamics.*StickyBodies"
+    ):
         MPC(StickyBodies(), ILQR(3, 1), motion_noise=MotionNoise())
