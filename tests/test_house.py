@@ -48,7 +48,7 @@ LONGEST_FILE = 300
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 18,  # a prediction step
     "contactgraph.train.fit": 28,  # a training step
-    "contactgraph.control.active_set": 33,  # a control step
+    "contactgraph.control.active_set": 32,  # a control step
 }
 FRAMES = 14
 """Calls from the command `contactgraph control` to the first one in the model, in a plan."""

@@ -6,8 +6,14 @@ import pytest
 from control_models import nodes_of
 
 from contactgraph.control import chain_cost
-from contactgraph.control.subproblem import active_part, bucket_size, padded, required_nodes
-from contactgraph.control.swept_bounds import ActiveBounds, SweptBounds
+from contactgraph.control.rollout import SweptBounds
+from contactgraph.control.subproblem import (
+    ActiveBounds,
+    active_part,
+    bucket_size,
+    padded,
+    required_nodes,
+)
 from contactgraph.data import pair_indices
 from contactgraph.model import InteractionCutoff, Nodes
 

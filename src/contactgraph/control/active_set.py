@@ -19,7 +19,9 @@ from contactgraph.control.host import Motion, Observation
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.mpc import MPC
 from contactgraph.control.plan import Plan, PlanStatus
+from contactgraph.control.rollout import SweptBounds
 from contactgraph.control.subproblem import (
+    ActiveBounds,
     ActiveSetState,
     active_part,
     bucket_size,
@@ -27,7 +29,6 @@ from contactgraph.control.subproblem import (
     padded,
     required_nodes,
 )
-from contactgraph.control.swept_bounds import ActiveBounds, SweptBounds
 from contactgraph.data import InvalidInputError
 from contactgraph.model import (
     ContactSensor,

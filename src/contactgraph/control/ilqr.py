@@ -19,8 +19,7 @@ from contactgraph.control.lqr import (
 )
 from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.riccati import LQRProblem, block_operator
-from contactgraph.control.rollout import Rollout, roll_out
-from contactgraph.control.swept_bounds import SweptBounds
+from contactgraph.control.rollout import Rollout, SweptBounds, roll_out
 from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity
 
 _RUNNING = -1

@@ -18,7 +18,7 @@ from contactgraph.control.host import (
 )
 from contactgraph.control.mpc_step import LastObservation, MPCCarry, MPCConfig, jit_step
 from contactgraph.control.plan import Plan, Planner, PlanStatus
-from contactgraph.control.swept_bounds import SweptBounds
+from contactgraph.control.rollout import SweptBounds
 from contactgraph.data import InvalidInputError
 from contactgraph.model import (
     ContactBelief,

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from contactgraph.control.box_qp import AffinePolicy
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.plan import Plan, Planner, PlanStatus, shift_plan
-from contactgraph.control.swept_bounds import SweptBounds
+from contactgraph.control.rollout import SweptBounds
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.swept_bounds import SweptBounds
+from contactgraph.control.rollout import SweptBounds
 from contactgraph.model import ContactBelief, ModelState, Nodes, StepModel
 
 

@@ -1,9 +1,12 @@
-"""Rollouts of a policy through a model, with the linearisation along them."""
+"""Rollouts of a policy through a model, with the linearisation and bounds of the motion."""
+
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.lqr import block_state
@@ -78,3 +81,66 @@ def roll_out(
         control_displacement=steps.control_displacement,
         dynamics=steps.dynamics,
     )
+
+
+class SweptBounds(eqx.Module):
+    """Boxes around all positions of a node in a step of a rollout, one each of ``R`` rollouts.
+
+    They contain the positions that `contactgraph.model.collision` uses: the start of the step, its
+    end without contact, and its predicted end. The box of a hinged body contains the whole bar.
+    """
+
+    lower: Float[Array, "R H N D"]
+    """m"""
+    upper: Float[Array, "R H N D"]
+    """m"""
+
+    @classmethod
+    def empty(cls, rollouts: int, horizon: int, like: Float[Array, "N D"]) -> "SweptBounds":
+        """Boxes that contain nothing yet."""
+        nothing = jnp.full((rollouts, horizon, *like.shape), jnp.inf, like.dtype)
+        return cls(nothing, -nothing)
+
+    def with_rollout(
+        self,
+        index: Int[Array, ""],
+        rollout: Rollout,
+        counts: Bool[Array, " H"],
+        nodes: Nodes,
+        dt: float,
+    ) -> "SweptBounds":
+        """With the rollout of this index, in those steps of ``dt`` [s] that count."""
+        position = rollout.position[:-1]
+        # A parabola lies within its ends and the point where its tangents meet.
+        middle = position + 0.5 * dt * rollout.velocity[:-1]
+        unhindered = position + dt * rollout.velocity[:-1] + rollout.control_displacement
+        lower, upper = _boxes([position, middle, unhindered, rollout.position[1:]], nodes)
+        counts = counts[:, None, None]
+        lower, upper = jnp.where(counts, lower, jnp.inf), jnp.where(counts, upper, -jnp.inf)
+        return SweptBounds(
+            self.lower.at[index].set(lower.astype(self.lower.dtype)),
+            self.upper.at[index].set(upper.astype(self.upper.dtype)),
+        )
+
+    def including(self, positions: list[np.ndarray], nodes: Nodes) -> "SweptBounds":
+        """With these positions [N, D] m in all boxes, on the host."""
+        lower, upper = _boxes(positions, nodes, np)
+        return SweptBounds(
+            np.minimum(self.lower, lower).astype(self.lower.dtype),
+            np.maximum(self.upper, upper).astype(self.upper.dtype),
+        )
+
+
+def _boxes(positions: list[Any], nodes: Nodes, xp: Any = jnp) -> tuple[Any, Any]:
+    """Bounds [*H, N, D] of those positions [*H, N, D] m that are finite; ``xp``: jnp or np."""
+    if nodes.anchor is not None:
+        anchor = xp.nan_to_num(xp.asarray(nodes.anchor))
+        hinged = xp.asarray(nodes.hinged)[:, None]
+        positions = [
+            *[xp.where(hinged, 2.0 * position - anchor, position) for position in positions],
+            xp.where(hinged, anchor, positions[0]),
+        ]
+    stacked = xp.stack(positions)
+    known = xp.isfinite(stacked)
+    lower = xp.min(xp.where(known, stacked, xp.inf), axis=0)
+    return lower, xp.max(xp.where(known, stacked, -xp.inf), axis=0)

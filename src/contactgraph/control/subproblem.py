@@ -1,4 +1,9 @@
-"""The subproblem of a scene's active nodes, and the state that one passes to the next.
+"""The active nodes of a plan, their subproblem, and the state that one passes to the next.
+
+A node that no moving node approaches in any rollout stays at rest and does not affect the plan. A
+rejected rollout counts only up to the step at which its cost exceeds the best one's, since later
+steps cannot change the rejection. Nodes outside a plan are not predicted. Their travel is bounded
+by that of the fastest of them, because the ground slows them down and only they touch each other.
 
 Everything runs on the host, in NumPy.
 """
@@ -13,14 +18,20 @@ from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.host import Motion
 from contactgraph.control.mpc import MPCState
 from contactgraph.control.mpc_step import LastObservation
-from contactgraph.control.swept_bounds import SweptBounds
+from contactgraph.control.rollout import SweptBounds
 from contactgraph.data import edge_id, pair_indices
-from contactgraph.model import ContactBelief, Nodes
+from contactgraph.model import ContactBelief, InteractionCutoff, Nodes
 
 _SMALLEST, _TIMES = 2, 3
 _HARDLY_MORE = 1.5
 _SMALL = 4
 """Largest number of nodes of a scene that is planned as a whole."""
+_STILL = 0.005
+"""Part of the cutoff: a node that moves by less in every rollout has not been struck."""
+_SLACK = 0.05
+"""Part of the cutoff, added to it: springs and controls hardly move nodes without a contact."""
+_LEAVES = 0.5
+"""Part of the cutoff, beyond it, at which a node leaves the active set; it prevents flicker."""
 
 
 def bucket_size(count: int, capacity: int) -> int:
@@ -178,3 +189,72 @@ def _chosen(known: np.ndarray, index: np.ndarray, new: np.ndarray, axis: int) ->
     kept = np.take(known, np.maximum(index, 0), axis)
     stays = (index >= 0).reshape(-1, *[1] * (-1 - axis))
     return np.where(stays, kept, new).astype(known.dtype)
+
+
+@dataclass(frozen=True, eq=False)
+class ActiveBounds:
+    """The swept bounds of the active nodes, on the host."""
+
+    swept: SweptBounds
+    node_ids: np.ndarray
+    """[n] of the active nodes; -1 for padding."""
+    required: np.ndarray
+    """[n] bool: nodes that are active wherever they are."""
+    cutoff: InteractionCutoff
+
+    def nodes_to_add(self, others: np.ndarray, motion: Motion, cutoffs: float = 1.0) -> np.ndarray:
+        """Those of the inactive nodes ``others`` [r] that should have been active, nearest first.
+
+        ``motion`` is of all nodes. With more ``cutoffs`` than one, those follow that are as many
+        cutoffs away, and may matter to the next plan.
+        """
+        position, speed = motion[0][others], _norm(motion[1][others])
+        lower, upper = np.asarray(self.swept.lower), np.asarray(self.swept.upper)
+        horizon = lower.shape[1]
+        fast = self._is_fast(speed)
+        radius = cutoffs * (1.0 + _SLACK) * self.cutoff.distance
+        drift = self.cutoff.dt * np.max(speed, where=~fast, initial=0.0)
+        # Most nodes are far from everything: one box around all bounds excludes them.
+        margin = radius + drift * horizon
+        low, high = lower.min(axis=(0, 1, 2)) - margin, upper.max(axis=(0, 1, 2)) + margin
+        near = np.all((position > low) & (position < high), axis=1) & ~fast
+        if not near.any():
+            return others[fast]
+        movers = np.flatnonzero(self._movers())
+        point = position[near, None, None, None]
+        outside = np.maximum(lower[..., movers, :] - point, point - upper[..., movers, :])
+        radii = radius + drift * np.arange(1, horizon + 1)[:, None]
+        margins = np.full(len(others), np.inf)
+        margins[near] = np.min(_norm(np.maximum(outside, 0.0)) - radii, axis=(1, 2, 3))
+        margins[fast] = -np.inf
+        added = np.flatnonzero(margins < 0.0)
+        return others[added[np.argsort(margins[added], kind="stable")]]
+
+    def nodes_to_keep(self, motion: Motion) -> np.ndarray:
+        """Those of the active nodes that a moving one came near; ``motion`` is of all nodes."""
+        lower, upper = np.asarray(self.swept.lower), np.asarray(self.swept.upper)
+        one_sided = lower[..., :, None, :] - upper[..., None, :, :]
+        gap = np.maximum(np.maximum(one_sided, np.swapaxes(one_sided, -3, -2)), 0.0)
+        near = np.any(_norm(gap) < (1.0 + _LEAVES) * self.cutoff.distance, axis=(0, 1))
+        movers, exists = self._movers(), self.node_ids >= 0
+        kept = (self.required | self._is_fast(_norm(motion[1][self.node_ids]))) & exists
+        for _ in self.node_ids:
+            kept = kept | (near[kept & movers].any(axis=0) & exists)
+        return self.node_ids[kept]
+
+    def _movers(self) -> np.ndarray:
+        """[n] All but the nodes that are active for being near, and at rest in every rollout."""
+        lower, upper = np.asarray(self.swept.lower), np.asarray(self.swept.upper)
+        extent = upper.max(axis=(0, 1)) - lower.min(axis=(0, 1))
+        moves = np.max(extent, axis=-1) > _STILL * self.cutoff.distance
+        return (moves | self.required) & (self.node_ids >= 0)
+
+    def _is_fast(self, speed: np.ndarray) -> np.ndarray:
+        """Whether nodes of such a speed, m/s, travel farther in a plan than the cutoff."""
+        horizon = np.asarray(self.swept.lower).shape[1]
+        return speed * self.cutoff.dt * horizon > self.cutoff.distance
+
+
+def _norm(vector: np.ndarray) -> np.ndarray:
+    # Observations may be huge: unlike a power, this overflows without a warning.
+    return np.sqrt(np.einsum("...d,...d->...", vector, vector))
