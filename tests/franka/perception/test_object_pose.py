@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from contactgraph.data import InvalidInputError
@@ -161,7 +162,7 @@ def test_turns_and_their_vectors():
         vector = angle * axis / np.linalg.norm(axis)
         turn = rotation_of(vector)
         np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
-        np.testing.assert_allclose()
+        np.testing.assert_allclose(turn, expm(np.cross(vector, np.eye(3)).T), atol=1e-12)
         np.testing.assert_allclose(nearest_rotation(3.0 * turn), turn, atol=1e-12)
     motion = pose(rotation_of(np.array([0.3, 0.2, -1.0])), np.array([1.0, 2.0, 3.0]))
     np.testing.assert_allclose(inverse(motion) @ motion, np.eye(4), atol=1e-12)
