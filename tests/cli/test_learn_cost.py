@@ -321,9 +321,7 @@ def test_trajectories_without_contact(
     rest = [cut(trajectory) for trajectory in collect([PickupTask], [RestPolicy()], 1, 0)]
     write_trajectories(tmp_path / "demos.h5", [*trajectories, *rest], METADATA)
     said = mistake(*learned(Path("demos.h5"), "--out", "a.json"))
-    assert said.startswith(
-        "demos.h5: run 3: the model infers no contact in this demonstration; at least one"
-    )
+    assert said.startswith("demos.h5: demonstration 3: the model infers no contact; at least one")
 
 
 def test_files_that_are_no_good(mistake, demos: Path, tmp_path: Path) -> None:
