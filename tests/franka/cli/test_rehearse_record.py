@@ -30,6 +30,7 @@ def record(path: Path) -> dict:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_recording_agrees_with_the_ground_truth(
     tmp_path: Path, server_turn: None, capfd: pytest.CaptureFixture[str]
 ) -> None:
