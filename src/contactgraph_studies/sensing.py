@@ -29,7 +29,7 @@ class SensingTask:
 
 @dataclass(frozen=True)
 class SensingAmounts:
-    """Metric of seeds and episodes."""
+    """Numbers of seeds and episodes."""
 
     seeds: tuple[int, ...]
     """Of scenes, above `SCENE_SEED`."""

@@ -17,7 +17,7 @@ from contactgraph_studies.tables import StudyTable
 
 @dataclass(frozen=True)
 class SimAmounts:
-    """ReportMetric of trajectories and episodes."""
+    """Numbers of trajectories and episodes."""
 
     training_runs: int
     validation_runs: int

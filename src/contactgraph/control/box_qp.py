@@ -15,6 +15,7 @@ _UNROLLED_SIZE = 6
 _ENUMERATED_SIZE = 4
 _SWEEPS = 50
 SUMMED_SIZE = 16
+"""Up to this many states a sum of products is faster inside a scan than a matrix product."""
 
 
 class ControlLimits(eqx.Module):

@@ -108,13 +108,14 @@ class CostLearner(eqx.Module):
         Q, R, W = self.cost(free)
 
         def one(window: Int[Array, " 2"]) -> Array:
-            run, begin = window
+            demonstration, begin = window
             steps = begin + jnp.arange(self.config.horizon + 1)
             A, B, offset, controls = (
-                each[run, steps[:-1]] for each in (data.A, data.B, data.offset, data.controls)
+                each[demonstration, steps[:-1]]
+                for each in (data.A, data.B, data.offset, data.controls)
             )
-            states = data.states[run, steps]
-            problem = tracking_problem(A, B, offset, Q, R, data.goal[run])
+            states = data.states[demonstration, steps]
+            problem = tracking_problem(A, B, offset, Q, R, data.goal[demonstration])
             planned = lqr_trajectory(problem, states[0])
             of_states = jnp.sum(self.state_weight * (planned.states - states) ** 2)
             return of_states + jnp.sum(self.control_weight * (planned.controls - controls) ** 2)

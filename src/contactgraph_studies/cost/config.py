@@ -45,7 +45,7 @@ class CostTest:
 
 @dataclass(frozen=True)
 class CostAmounts:
-    """Metric of seeds, demonstrations and episodes."""
+    """Numbers of seeds, demonstrations and episodes."""
 
     seeds: tuple[int, ...]
     """Of demonstrations; each seed has its own goal and objects."""

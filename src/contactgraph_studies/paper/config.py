@@ -72,7 +72,7 @@ class StudyTask:
 
 @dataclass(frozen=True)
 class Amounts:
-    """Metric of seeds, trajectories and episodes."""
+    """Numbers of seeds, trajectories and episodes."""
 
     seeds: tuple[int, ...]
     """Of training data and training."""
