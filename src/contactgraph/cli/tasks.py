@@ -113,6 +113,8 @@ class KnownTask:
     """Makes the policy to train on: noise on its force distinguishes mass from damping."""
     demonstrator: Callable[[], Policy]
     """Makes the same policy without noise."""
+    fixed_start: Callable[[], Policy] | None = None
+    """Makes the scripted controller without model or search that plans are compared with."""
     explorer: Callable[[], Policy] = ExplorationPolicy
     horizon: int = 20
     """Default planning horizon, steps."""
@@ -240,6 +242,7 @@ def _task_of_class(name: str) -> KnownTask:
         partial(_factory_of_class, name, task_class),
         expert,
         getattr(task_class, "demonstrator", expert),
+        getattr(task_class, "fixed_start", None),
         horizon=getattr(task_class, "horizon", 20),
         max_force=None,
     )
