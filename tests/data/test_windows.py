@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from contactgraph.data import (
     Scene,
     Trajectory,
     event_steps,
+    moving_bodies,
     pad_trajectories,
     strip_contacts,
     window_weights,
@@ -174,3 +176,14 @@ def test_a_window_longer_than_every_trajectory(length: int) -> None:
 def test_a_fraction_that_is_none(fraction: float) -> None:
     with pytest.raises(InvalidInputError, match="event_fraction must be 0 to 1"):
         window_weights(pad_trajectories(DATASET), 12, fraction)
+
+
+def test_a_body_that_leaves_and_comes_back_moves():
+    position = np.zeros((2, 4, 3, 2))
+    position[0, 2, 0] = 0.0008, -0.0008  # 1.13 mm away in one state only
+    position[0, 1:, 1, 0] = 0.0009
+    position[1, :, 2] = 5.0  # far from the origin, and at rest
+    position[1, 3, 1, 1] = -0.002
+    expected = [[True, False, False], [False, True, False]]
+    assert moving_bodies(position).tolist() == expected
+    assert np.asarray(moving_bodies(jnp.asarray(position))).tolist() == expected

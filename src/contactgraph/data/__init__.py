@@ -23,7 +23,9 @@ from contactgraph.data.trajectory import Trajectory as Trajectory
 from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import TrajectoryBatch as TrajectoryBatch
 from contactgraph.data.trajectory_batch import pad_trajectories as pad_trajectories
+from contactgraph.data.windows import MOVES_M as MOVES_M
 from contactgraph.data.windows import Windows as Windows
 from contactgraph.data.windows import check_window_length as check_window_length
 from contactgraph.data.windows import event_steps as event_steps
+from contactgraph.data.windows import moving_bodies as moving_bodies
 from contactgraph.data.windows import window_weights as window_weights

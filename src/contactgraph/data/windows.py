@@ -7,12 +7,15 @@ the noise of such remainders over all data and with a small part of the occurrin
 """
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.trajectory_batch import TrajectoryBatch
+from contactgraph.data.trajectory_batch import Array, TrajectoryBatch
 
+MOVES_M = 1e-3
+"""Distance from its first position, m, above which a body counts as moving in a window."""
 _NEIGHBOURHOOD = 5
 """Steps whose median counts as smooth motion; odd, and more than twice the length of an impact."""
 _NOISE_MULTIPLE = 8.0
@@ -62,6 +65,16 @@ def window_weights(
     else:
         probability = np.full(len(trajectory), 1.0 / len(trajectory))
     return Windows(trajectory, start, probability, has_event, window_length)
+
+
+def moving_bodies(position: Array) -> Array:
+    """[..., N] bool: the bodies that get more than `MOVES_M` away from their first position.
+
+    ``position``: [..., H+1, N, D] m, the states of windows, NumPy or JAX.
+    """
+    window = cast(Any, position)
+    squared_distance = ((window - window[..., :1, :, :]) ** 2).sum(-1)
+    return squared_distance.max(-2) > MOVES_M**2
 
 
 def check_window_length(window_length: int, longest: int) -> None:

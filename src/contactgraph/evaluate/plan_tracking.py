@@ -7,10 +7,9 @@ from typing import TypeVar
 import numpy as np
 
 from contactgraph.control import Plan, PlanStatus
-from contactgraph.data import Trajectory, edge_id, pair_indices
+from contactgraph.data import Trajectory, edge_id, moving_bodies, pair_indices
 from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
-from contactgraph.evaluate.prediction_windows import MOVES_M
 from contactgraph.feedback import PlanFeedback
 from contactgraph.model import ContactBelief
 
@@ -128,7 +127,7 @@ def plan_tracking_error(trajectory: Trajectory, record: EpisodeRecord) -> PlanTr
         )
     ahead = starts[:, None] + np.arange(1, steps + 1)
     executed = trajectory.position[ahead]
-    travel = np.linalg.norm(executed - trajectory.position[starts, None], axis=-1).max(axis=1)
+    moves = moving_bodies(trajectory.position[starts[:, None] + np.arange(steps + 1)])
 
     def error(predicted: np.ndarray, chosen: np.ndarray) -> SquaredError:
         """``predicted``: [W, H, N, D] m. ``chosen``: [W, N] bool."""
@@ -138,12 +137,12 @@ def plan_tracking_error(trajectory: Trajectory, record: EpisodeRecord) -> PlanTr
         return SquaredError(float(np.sum(squared.sum(axis=1), where=chosen)), count)
 
     planned = record.plan[starts, 1 : steps + 1]
-    every = np.ones(travel.shape, dtype=bool)
+    every = np.ones(moves.shape, dtype=bool)
     oracle = fixed_contact_oracle(trajectory, steps)
     return PlanTrackingError(
         windows=len(starts),
         planned=error(planned, every),
-        planned_moving=error(planned, travel > MOVES_M),
+        planned_moving=error(planned, moves),
         constant_velocity=error(constant_velocity(trajectory, steps)[starts], every),
         fixed_contact=None if oracle is None else error(oracle[starts], every),
         edges=_edges(trajectory, record.plan_belief[starts, :steps], ahead),

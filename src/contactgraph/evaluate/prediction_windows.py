@@ -10,7 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.data import Dataset, Trajectory, TrajectoryBatch, pad_trajectories, pair_indices
+from contactgraph.data import (
+    Dataset,
+    Trajectory,
+    TrajectoryBatch,
+    moving_bodies,
+    pad_trajectories,
+    pair_indices,
+)
 from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 from contactgraph.model import (
     ContactBelief,
@@ -26,8 +33,6 @@ from contactgraph.model import (
 from contactgraph.model.filter import dtype_of, filter_trajectory, on_device
 from contactgraph.model.neighbor_list import edge_count
 
-MOVES_M = 1e-3
-"""Distance from its first position, m, above which a node counts as moving in a window."""
 _SMALL_GRAPH = 28
 """Edges up to which batched rollouts are faster on a CPU than sequential ones (at 66 edges the
 batch is twice as slow, by measurement)."""
@@ -229,14 +234,13 @@ def trajectory_detail(
 
     unmeasured = by_lists(None)
     exists = np.broadcast_to(np.arange(capacity) < count, (starts, capacity))
-    travel = np.linalg.norm(recorded - recorded[:, :1], axis=-1).max(axis=1)
     oracle = fixed_contact_oracle(trajectory, steps) if reported is not None else None
     return OpenLoopDetail(
         dt=dataset.dt,
         trajectory=np.full(starts, index),
         start=np.arange(starts),
         exists=exists,
-        moves=np.pad(travel > MOVES_M, ((0, 0), (0, capacity - count))),
+        moves=np.pad(moving_bodies(recorded), ((0, 0), (0, capacity - count))),
         contact=None if contact is None else _windows(contact, steps),
         edge_exists=np.logical_and(exists[:, pairs[:, 0]], exists[:, pairs[:, 1]]),
         measured=unmeasured if reported is None else by_lists(reported),
