@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from contactgraph.cli.tasks import Target
+from contactgraph.cli.task_types import Target
 from contactgraph.viz import ReportMetric
 from contactgraph_studies.job import Job, Measurement, Variant
 from contactgraph_studies.paper.config import DOOR, FRANKA, MULTI_PICKUP, PICKUP

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from contactgraph.cli.tasks import Target
+from contactgraph.cli.task_types import Target
 from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.job import Job, Measurement, Options, Variant

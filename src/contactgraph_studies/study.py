@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from contactgraph.cli.tasks import Target
+from contactgraph.cli.task_types import Target
 from contactgraph.viz import ReportMetric
 from contactgraph_studies.job import Job, Measurement, in_dependency_order
 from contactgraph_studies.results import Quantity, Results, SeedStatistic

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from contactgraph.cli import main as cli
-from contactgraph.cli.tasks import TASKS, TaskOptions, task_factory
+from contactgraph.cli.known_tasks import TASKS
+from contactgraph.cli.task_types import TaskOptions
+from contactgraph.cli.tasks import task_factory
 from contactgraph.control import LearnedCost, describe_cost, read_cost
 from contactgraph.data import Scene, Trajectory, write_trajectories
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from contactgraph.cli import main as cli
-from contactgraph.cli.tasks import TASKS, TaskOptions, known_task, task_factory, task_names
+from contactgraph.cli.known_tasks import TASKS
+from contactgraph.cli.task_types import TaskOptions
+from contactgraph.cli.tasks import known_task, task_factory, task_names
 from contactgraph.data import InvalidInputError, read_trajectories
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

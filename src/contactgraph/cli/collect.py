@@ -58,7 +58,8 @@ class Collect:
             open_executor,
         )
         from contactgraph.cli.output import check_writable, progress
-        from contactgraph.cli.tasks import TaskOptions, known_task, mixed_factories, task_factory
+        from contactgraph.cli.task_types import TaskOptions
+        from contactgraph.cli.tasks import known_task, mixed_factories, task_factory
         from contactgraph.envs import RestPolicy
         from contactgraph.envs.episodes import collect, fixed_seed
 

@@ -81,7 +81,8 @@ class Control:
         from contactgraph.cli.models import stored_model
         from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
         from contactgraph.cli.output import check_writable, progress, write_json
-        from contactgraph.cli.tasks import TaskOptions, known_task, task_factory
+        from contactgraph.cli.task_types import TaskOptions
+        from contactgraph.cli.tasks import known_task, task_factory
         from contactgraph.control import read_cost
         from contactgraph.data import (
             Dataset,

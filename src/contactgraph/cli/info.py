@@ -47,7 +47,8 @@ class Info:
 
 
 def _print_names() -> None:
-    from contactgraph.cli.tasks import TaskOptions, known_task, task_factory, task_names
+    from contactgraph.cli.task_types import TaskOptions
+    from contactgraph.cli.tasks import known_task, task_factory, task_names
     from contactgraph.data import InvalidInputError
     from contactgraph.model import shipped_model, shipped_models
     from contactgraph.model.io import describe_model

@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from contactgraph.cli.options import ModelArgument, OutputFile
 
 if TYPE_CHECKING:
-    from contactgraph.cli.tasks import KnownTask
+    from contactgraph.cli.task_types import KnownTask
     from contactgraph.data import Dataset
 
 

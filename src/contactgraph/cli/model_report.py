@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from contactgraph.cli.tasks import KnownTask, Target, TestCondition
+from contactgraph.cli.task_types import KnownTask, Target, TestCondition
 from contactgraph.model.io import ModelSummary
 from contactgraph.viz import LossCurve, NStepError, ReportMetric
 

@@ -14,7 +14,7 @@ from contactgraph.cli.options import ModelArgument
 
 if TYPE_CHECKING:
     from contactgraph.cli.model_report import ConditionResult
-    from contactgraph.cli.tasks import KnownTask, TestCondition
+    from contactgraph.cli.task_types import KnownTask, TestCondition
     from contactgraph.evaluate import EpisodeRecord
     from contactgraph.model.io import ModelSummary
     from contactgraph.viz import SceneTrajectory
@@ -146,7 +146,8 @@ class Report:
     def _scene(self, condition: "TestCondition", task: "KnownTask") -> "SceneTrajectory":
         """The first closed-loop episode of a condition, with its plans."""
         from contactgraph.cli.models import stored_model
-        from contactgraph.cli.tasks import TaskOptions, task_factory
+        from contactgraph.cli.task_types import TaskOptions
+        from contactgraph.cli.tasks import task_factory
         from contactgraph.evaluate import control_task
         from contactgraph.viz import scene_trajectory
 

@@ -3,7 +3,7 @@
 from functools import partial
 
 from contactgraph.cli.options import choice
-from contactgraph.cli.tasks import (
+from contactgraph.cli.task_types import (
     KnownTask,
     Target,
     TaskFactory,

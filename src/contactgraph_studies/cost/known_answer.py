@@ -9,7 +9,7 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.cli.tasks import TaskOptions
+from contactgraph.cli.task_types import TaskOptions
 from contactgraph.control import LearnedCost, LearningHistory, cost_terms, read_cost
 from contactgraph.data import read_trajectories
 from contactgraph.evaluate import TaskCost

@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from contactgraph.cli.tasks import Target
+from contactgraph.cli.task_types import Target
 from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.cost.config import (

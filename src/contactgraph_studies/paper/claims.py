@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from contactgraph.cli.tasks import TestCondition
+from contactgraph.cli.task_types import TestCondition
 from contactgraph.viz.metric_table import short, with_unit
 from contactgraph_studies.paper import jobs, statements
 from contactgraph_studies.paper.config import (

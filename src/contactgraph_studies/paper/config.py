@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from contactgraph.cli.tasks import TASKS as LIBRARY_TASKS
-from contactgraph.cli.tasks import KnownTask, TestCondition
+from contactgraph.cli.known_tasks import TASKS as LIBRARY_TASKS
+from contactgraph.cli.task_types import KnownTask, TestCondition
 from contactgraph_franka.envs.task_entry import FRANKA as FRANKA_TASK
 from contactgraph_studies.job import Options, Variant
 

@@ -7,7 +7,7 @@ from enum import StrEnum, auto
 from functools import cached_property, partial
 from typing import Any
 
-from contactgraph.cli.tasks import TestCondition
+from contactgraph.cli.task_types import TestCondition
 from contactgraph_studies.job import Job, Measurement, Options
 from contactgraph_studies.paper.config import (
     FAULTS,

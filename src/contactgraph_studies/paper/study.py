@@ -7,7 +7,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from contactgraph.cli.tasks import TestCondition
+from contactgraph.cli.task_types import TestCondition
 from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.job import Measurement

@@ -1,0 +1,92 @@
+"""The table of the library's own tasks."""
+
+from functools import partial
+
+from contactgraph.cli.task_types import (
+    KnownTask,
+    Target,
+    TaskFactory,
+    TaskOptions,
+    TaskTargets,
+    TestCondition,
+    refuse_option,
+)
+from contactgraph.envs import (
+    DoorExpert,
+    DoorTask,
+    MultiPickupTask,
+    PickupExpert,
+    PickupTask,
+)
+
+
+def _pickup(options: TaskOptions) -> TaskFactory:
+    refuse_option("pickup", "--grasp", options.grasp, "has no fingers to close")
+    if options.objects != 1:
+        refuse_option("pickup", "--objects", options.objects, "has 1 object")
+    task = partial(PickupTask, options.distractors, fixed_seed=options.fixed_seed)
+    return task if options.radius is None else partial(task, radius=options.radius)
+
+
+def _multi_pickup(options: TaskOptions) -> TaskFactory:
+    refuse_option("multi-pickup", "--grasp", options.grasp, "has no fingers to close")
+    task = MultiPickupTask if options.objects is None else partial(MultiPickupTask, options.objects)
+    return partial(task, distractors=options.distractors, fixed_seed=options.fixed_seed)
+
+
+def _door(options: TaskOptions) -> TaskFactory:
+    refuse_option("door", "--grasp", options.grasp, "has no fingers to close")
+    refuse_option("door", "--objects", options.objects, "has no objects to count")
+    return partial(DoorTask, options.distractors, fixed_seed=options.fixed_seed)
+
+
+def _planar_targets(error_cm: Target, error_cm_elsewhere: Target) -> TaskTargets:
+    return TaskTargets(
+        error_cm={True: error_cm, False: error_cm_elsewhere},
+        edge_f1={True: Target(0.97, 0.995), False: Target(0.95, 0.995)},
+        success_percent={True: Target(98.0, 100.0), False: Target(95.0, 100.0)},
+        contact_speed=Target(0.3),
+        training_s=Target(120.0, 30.0),
+        tick_ms=Target(10.0, 3.0),
+    )
+
+
+TASKS = {
+    "pickup": KnownTask(
+        _pickup,
+        PickupExpert,
+        partial(PickupExpert, noise=0.0),
+        summary="a gripper picks up an object and takes it to a goal",
+        title="A contact graph that picks things up",
+        conditions=(
+            TestCondition("as-trained", "as trained", True),
+            TestCondition("3-distractors", "3 distractors", False, distractors=3, extra=True),
+            TestCondition("10-distractors", "10 distractors", False, distractors=10),
+        ),
+        targets=_planar_targets(Target(0.4, 0.2), Target(0.3, 0.1)),
+    ),
+    "multi-pickup": KnownTask(
+        _multi_pickup,
+        PickupExpert,
+        partial(PickupExpert, noise=0.0),
+        summary="a gripper picks up objects in turn and takes them to a goal",
+        title="A contact graph that picks up one thing after another",
+        conditions=(
+            TestCondition("as-trained", "as trained, 2 picks", True),
+            TestCondition("5-picks", "5 picks", False, objects=5),
+        ),
+        targets=_planar_targets(Target(1.0, 0.3), Target(1.5, 0.5)),
+    ),
+    "door": KnownTask(
+        _door,
+        DoorExpert,
+        partial(DoorExpert, noise=0.0),
+        summary="a gripper opens a hinged door to an angle",
+        title="A contact graph that opens doors",
+        conditions=(
+            TestCondition("as-trained", "as trained", True),
+            TestCondition("10-doors", "10 more doors", False, distractors=10),
+        ),
+        targets=_planar_targets(Target(1.0, 0.3), Target(1.2, 0.3)),
+    ),
+}

@@ -1,0 +1,123 @@
+"""The entry of a task: options of its scenes, factory, policies, test conditions and targets."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from contactgraph.data import InvalidInputError
+from contactgraph.envs import ExplorationPolicy
+from contactgraph.envs.contract import Policy, Task
+from contactgraph.envs.gripper_task import MAX_FORCE
+
+
+@dataclass(frozen=True)
+class TaskOptions:
+    """Options of a task's scenes, as given on the command line. None: the task's default."""
+
+    distractors: int = 0
+    objects: int | None = None
+    grasp: str | None = None
+    fixed_seed: int | None = None
+    """Seed of the scene whose targets and goal all episodes share."""
+    radius: float | None = None
+    """Radius of every body, m."""
+
+    @property
+    def metadata(self) -> dict[str, str | int | float]:
+        """The given options, for the metadata of written files."""
+        goal = None if self.fixed_seed is None else "fixed"
+        names = ("objects", "grasp", "goal", "radius")
+        options = zip(names, (self.objects, self.grasp, goal, self.radius), strict=True)
+        given = {name: value for name, value in options if value is not None}
+        return {"distractors": self.distractors, **given}
+
+
+@dataclass(frozen=True)
+class TestCondition:
+    """Scenes that models are tested in."""
+
+    __test__ = False  # pytest collects every class whose name begins with Test
+
+    slug: str
+    """Part of file names."""
+    name: str
+    in_distribution: bool
+    """Whether models are trained on such scenes."""
+    distractors: int = 0
+    objects: int | None = None
+    """None: the task's default."""
+    extra: bool = False
+    """Whether a quick study leaves the condition out."""
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """The options of ``collect`` and ``control`` for these scenes."""
+        distractors = ("--distractors", str(self.distractors)) if self.distractors else ()
+        objects = () if self.objects is None else ("--objects", str(self.objects))
+        return (*distractors, *objects)
+
+
+@dataclass(frozen=True)
+class Target:
+    """Required and desired value of one measured number."""
+
+    at_least: float
+    aim: float | None = None
+
+
+TargetByScene = dict[bool, Target]
+"""The target of a number by whether the scenes are like those of training."""
+
+
+@dataclass(frozen=True)
+class TaskTargets:
+    """Targets of the numbers that are measured on one task."""
+
+    error_cm: TargetByScene = field(default_factory=dict)
+    """Of the N-step error."""
+    edge_f1: TargetByScene = field(default_factory=dict)
+    success_percent: TargetByScene = field(default_factory=dict)
+    contact_speed: Target | None = None
+    """Median, m/s."""
+    training_s: Target | None = None
+    tick_ms: Target | None = None
+    """99 % of the control steps, in the hardest scenes."""
+
+
+TaskFactory = Callable[[], Task]
+
+
+@dataclass(frozen=True)
+class KnownTask:
+    """A task that has a name on the command line."""
+
+    factory: Callable[[TaskOptions], TaskFactory]
+    expert: Callable[[], Policy]
+    """Makes the policy to train on: noise on its force distinguishes mass from damping."""
+    demonstrator: Callable[[], Policy]
+    """Makes the same policy without noise."""
+    fixed_start: Callable[[], Policy] | None = None
+    """Makes the scripted controller without model or search that plans are compared with."""
+    explorer: Callable[[], Policy] = ExplorationPolicy
+    horizon: int = 20
+    """Default planning horizon, steps."""
+    max_force: float | None = MAX_FORCE
+    """Bound of the control on each axis, N."""
+    summary: str = ""
+    """One line for the list of tasks."""
+    title: str = "A contact graph learned from recorded trajectories"
+    """Title of the report page."""
+    conditions: tuple[TestCondition, ...] = (TestCondition("as-trained", "as trained", True),)
+    """Test conditions: the one in distribution first, the hardest last."""
+    targets: TaskTargets = TaskTargets()
+
+    def error_target_cm(self, condition: TestCondition) -> Target | None:
+        """Target of the N-step error; None for conditions without one."""
+        if condition not in (self.conditions[0], self.conditions[-1]):
+            return None
+        return self.targets.error_cm.get(condition.in_distribution)
+
+
+def refuse_option(task: str, flag: str, value: object, reason: str) -> None:
+    """Raises `InvalidInputError` where an option that the task does not take is given."""
+    if value is not None:
+        raise InvalidInputError(f"{flag}: {task} {reason}, found {value!r}")
