@@ -39,12 +39,25 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
         radius=np.ones(NODES),
         size=np.array([[np.nan, np.nan], [0.1, 0.2], [0.3, 0.1]]),
         candidate_edges=np.array([[0, 1], [0, 2]]),
+        static=np.array([False, False, True]),
+        control_kind=("force", "switch"),
+        control_of=np.array([[True, True], [False, False], [False, False]]),
+        planes=np.array([[0.6, 0.8, -1.0], [0.0, 1.0, 0.0]]),
+        polygons=(np.array([[0, 0], [1, 0], [0, 1]]), np.array([[0, 0], [1, 0], [1, 1], [0, 1]])),
+        polygon_of=np.array([2, 2]),
         metadata={"seed": 3},
     )
     state = rng.normal(size=(2, STEPS + 1, NODES, 2))
     contact = np.zeros((STEPS + 1, NODES, NODES), dtype=bool)
     control, link_positions = rng.normal(size=(STEPS, 2)), rng.normal(size=(STEPS + 1, 4, 2))
-    run = Trajectory(scene, state[0], state[1], control, contact, link_positions)
+    contact[2, 0, 1] = contact[2, 1, 0] = True
+    run = Trajectory(
+        scene,
+        *(state[0], state[1], control, contact, link_positions),
+        holding=contact,
+        orientation=rng.normal(size=(STEPS + 1, NODES, 1)),
+        angular_velocity=rng.normal(size=(STEPS + 1, NODES, 1)),
+    )
     write_trajectories(path, [run, run], {"task": "push"})
     return path
 
@@ -70,6 +83,9 @@ def assert_same_or_refused(path: Path, original: Path) -> None:
             for ours, theirs in zip(found, read_trajectories(original), strict=True):
                 np.testing.assert_array_equal(ours.position, theirs.position)
                 np.testing.assert_array_equal(ours.contact, theirs.contact)
+                np.testing.assert_array_equal(ours.orientation, theirs.orientation)
+                np.testing.assert_array_equal(ours.scene.planes, theirs.scene.planes)
+                assert ours.scene.control_kind == theirs.scene.control_kind
                 assert ours.scene.node_name == theirs.scene.node_name
                 assert ours.scene.node_type == theirs.scene.node_type
                 assert ours.scene.metadata == theirs.scene.metadata
@@ -99,7 +115,7 @@ def test_everything_written_is_under_a_checksum(good: Path) -> None:
         assert good.read_bytes()[8] == 3, "superblock version"
         check("/", file)
         file.visititems(check)
-    assert len(arrays) == 2 * 14
+    assert len(arrays) == 2 * 24
 
 
 @settings(max_examples=300, deadline=None)
@@ -169,8 +185,16 @@ def with_nan(name: str) -> Callable[[h5py.File], None]:
     return change
 
 
+def with_other_control(file: h5py.File) -> None:
+    put("control", np.zeros((4, 3)))(file)
+    for name in ("control_kind", "control_of"):
+        del file[f"trajectories/000001/{name}"]
+
+
 RUN = "trajectories/000001"
 STATE = np.zeros((STEPS + 1, NODES, 2))
+HOLDING_WITHOUT_CONTACT = np.zeros((STEPS + 1, NODES, NODES), bool)
+HOLDING_WITHOUT_CONTACT[3, [1, 2], [2, 1]] = True
 
 
 @pytest.mark.parametrize(
@@ -183,10 +207,8 @@ STATE = np.zeros((STEPS + 1, NODES, 2))
         (put("position", STATE[:1]), f"{RUN}: position must have shape (T+1, N, D) with T >= 1"),
         (put("velocity", STATE[1:]), f"{RUN}: velocity must have shape (T+1, N, D) = (5, 3, 2)"),
         (put("control", np.zeros((9, 2))), f"{RUN}: control must have shape (T, U) with T = 4"),
-        (
-            put("control", np.zeros((4, 3))),
-            "trajectory 1: control size U is 3, but 2 in trajectory 0",
-        ),
+        (put("control", np.zeros((4, 3))), "one entry a component of the control (3), found 2"),
+        (with_other_control, "trajectory 1: control size U is 3, but 2 in trajectory 0"),
         (put("position", STATE.astype("S3")), f"{RUN}/position: must have shape (T+1, N, D) of"),
         (put("mass", [1.0]), f"{RUN}: mass must have shape (3,)"),
         (put("mass", [1.0, np.inf, 1.0]), f"{RUN}: mass must be finite"),
@@ -204,6 +226,49 @@ STATE = np.zeros((STEPS + 1, NODES, 2))
         (put("skeleton", STATE[0]), f"{RUN}/skeleton: must have shape (T+1, P, D) of floats"),
         (put("contact", np.full((5, 3, 3), 2)), f"{RUN}/contact: must hold only 0 and 1"),
         (put("contact", np.tri(3)[None].repeat(5, 0) > 0), f"{RUN}: contact must be symmetric"),
+        (put("holding", np.zeros((5, 3, 2), bool)), f"{RUN}: holding must have shape (T+1, N, N)"),
+        (put("holding", np.full((5, 3, 3), 3)), f"{RUN}/holding: must hold only 0 and 1"),
+        (put("holding", np.tri(3)[None].repeat(5, 0) > 0), f"{RUN}: holding must be symmetric"),
+        (
+            put("holding", HOLDING_WITHOUT_CONTACT),
+            f"{RUN}: holding must imply contact, found 'käse' holding '盒子' without contact at "
+            "step 3",
+        ),
+        (put("orientation", STATE), f"{RUN}: orientation must have shape (T+1, N, 1) = (5, 3, 1)"),
+        (put("orientation", STATE[:, :, 0]), "orientation: must have shape (T+1, N, 1 or 4) of"),
+        (
+            put("orientation", np.full((5, 3, 1), np.inf)),
+            f"{RUN}: orientation must be finite, or NaN throughout where it is not known, found "
+            "[inf] for 'gripper' at step 0",
+        ),
+        (put("angular_velocity", STATE), f"{RUN}: angular_velocity must have shape (T+1, N, 1)"),
+        (put("static", [0, 1]), f"{RUN}: static must have shape (3,), found (2,)"),
+        (put("static", [1, 0, 0]), "static must name nodes that are not actuated, found 'gripper'"),
+        (put("control_kind", np.array([b"force", b"pull"])), "found 'pull'"),
+        (put("control_kind", np.array([b"force"])), "one entry a component of the control (2)"),
+        (put("control_kind", [1, 2]), f"{RUN}/control_kind: must be UTF-8 texts"),
+        (put("control_of", np.ones((2, 2), bool)), f"{RUN}: control_of must have shape (N, U)"),
+        (
+            put("control_of", np.ones((3, 3), bool)),
+            f"{RUN}: control_of must have shape (N, U) =",
+        ),
+        (put("planes", np.ones((1, 4))), f"{RUN}: planes must have shape (P, D+1) = (P, 3)"),
+        (put("planes", [[1, 0, 0], [0.6, 0.9, 1]]), "found [0.6, 0.9, 1.0] in row 1"),
+        (put("planes", [[1, 0, np.inf]]), f"{RUN}: planes must be a normal of length 1 and a fin"),
+        (put("polygons", np.ones((7, 2))), f"{RUN}: polygons must be finite and convex"),
+        (put("polygons", np.full((7, 2), np.nan)), f"{RUN}: polygons must be finite and convex"),
+        (put("polygons", np.ones((7, 3))), f"{RUN}: polygons must have shape (V, 2) with V >= 3"),
+        (put("polygon_size", [3, 3]), "at least 3, 7 in total, found [3, 3]"),
+        (
+            put("polygon_size", [2, 5]),
+            f"{RUN}: polygon_size must be numbers of corners",
+        ),
+        (put("polygon_size", [-(2**62), 2**62 + 7]), f"{RUN}: polygon_size must be numbers"),
+        (put("polygon_of", [2, 3]), f"{RUN}: polygon_of must name nodes 0 to 2"),
+        (put("polygon_of", [2]), f"{RUN}: polygon_of must have one entry a polygon, shape (2,)"),
+        (remove(f"{RUN}/polygon_of"), f"{RUN}: polygons and polygon_of must be given together"),
+        (remove(f"{RUN}/polygon_size"), f"{RUN}: polygons and polygon_size must be given toget"),
+        (remove(f"{RUN}/polygons"), f"{RUN}: polygons and polygon_size must be given together"),
         (put("actuated", [1.0, 0.0, 0.0]), f"{RUN}/actuated: must have shape (N,) of bools"),
         (put("candidate_edges", [[0, 3]]), f"{RUN}: candidate_edges must name nodes 0 to 2"),
         (put("candidate_edges", [[1, 1]]), f"{RUN}: candidate_edges must join two different"),
@@ -222,8 +287,10 @@ STATE = np.zeros((STEPS + 1, NODES, 2))
         (attribute(RUN, "dt", np.bytes_("1")), f"{RUN}: dt must be a number of seconds"),
         (attribute(RUN, "dt", [0.05]), f"{RUN}: attribute 'dt': must be one int, float"),
         (attribute(RUN, "dt", 0.1), "trajectory 1: dt in s is 0.1, but 0.05 in trajectory 0"),
-        (attribute("/", "format_version", 2), "'format_version' must be 1, found 2"),
-        (attribute("/", "format_version", True), "'format_version' must be 1, found True"),
+        (attribute("/", "format_version", 3), "'format_version' must be 1 to 2, found 3"),
+        (attribute("/", "format_version", 0), "'format_version' must be 1 to 2, found 0"),
+        (attribute("/", "format_version", True), "'format_version' must be 1 to 2, found True"),
+        (attribute("/", "format_version", 1.5), "'format_version' must be 1 to 2, found 1.5"),
         (attribute("/", "format", np.bytes_("other")), "'format' must be 'contactgraph-dataset'"),
         (attribute("metadata", "list", [1, 2]), "metadata: attribute 'list': must be one int"),
         (

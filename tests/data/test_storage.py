@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 
 from contactgraph.data import (
+    CONTROL_KINDS,
     Dataset,
     InvalidInputError,
     Scene,
@@ -24,7 +25,8 @@ from contactgraph.data import (
     write_trajectories,
 )
 
-MEASURING = ("tracked", "measured_at")
+RECORDED = ("position", "velocity", "control", "contact", "link_positions", "tracked")
+OTHERS = ("measured_at", "holding", "orientation", "angular_velocity")
 
 text = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=8)
 metadata = st.dictionaries(
@@ -32,6 +34,12 @@ metadata = st.dictionaries(
     st.one_of(text, st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False), st.booleans()),
     max_size=4,
 )
+
+
+def regular(corners: int) -> np.ndarray:
+    """[V, 2] a regular polygon."""
+    angle = 2.0 * np.pi * np.arange(corners) / corners
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 @st.composite
@@ -64,10 +72,32 @@ def datasets(draw: st.DrawFn) -> Dataset:
             draw(st.lists(edges.filter(lambda e: e[0] != e[1]), max_size=4)) if nodes > 1 else []
         )
         contact = draw(hnp.arrays(bool, (steps + 1, nodes, nodes)))
+        contact |= contact.swapaxes(1, 2)
+        actuated = draw(hnp.arrays(bool, nodes))
+        kinds = st.lists(
+            st.sampled_from(CONTROL_KINDS), min_size=control_size, max_size=control_size
+        )
+        angle = draw(hnp.arrays(np.float64, (steps + 1, nodes), elements=st.floats(-10.0, 10.0)))
+        angle[0, 0] = np.nan
+        quaternion = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle, 0.0 * angle], axis=2)
+        turning = {
+            "holding": contact & draw(hnp.arrays(bool, (steps + 1, 1, 1))),
+            "orientation": quaternion if dimension == 3 else angle[..., None],
+            "angular_velocity": quaternion[..., 1:] if dimension == 3 else angle[..., None],
+        }
+        outlines = draw(st.none() | st.lists(st.integers(3, 6), max_size=3))
+        if dimension != 2:
+            outlines = None
         scene = Scene(
+            static=~actuated if draw(st.booleans()) else None,
+            control_kind=tuple(draw(kinds)) if draw(st.booleans()) else None,
+            control_of=draw(hnp.arrays(bool, (nodes, control_size))),
+            planes=np.eye(dimension, dimension + 1) if draw(st.booleans()) else None,
+            polygons=None if outlines is None else tuple(regular(each) for each in outlines),
+            polygon_of=None if outlines is None else np.zeros(len(outlines), dtype=np.int64),
             node_name=tuple(draw(st.lists(text, min_size=nodes, max_size=nodes, unique=True))),
             node_type=tuple(draw(st.lists(text, min_size=nodes, max_size=nodes))),
-            actuated=draw(hnp.arrays(bool, nodes)),
+            actuated=actuated,
             dt=dt,
             dimension=dimension,
             candidate_edges=np.array(pairs).reshape(-1, 2) if draw(st.booleans()) else None,
@@ -80,10 +110,11 @@ def datasets(draw: st.DrawFn) -> Dataset:
             numbers(steps + 1, nodes, dimension),
             numbers(steps + 1, nodes, dimension),
             numbers(steps, control_size),
-            contact | contact.swapaxes(1, 2) if draw(st.booleans()) else None,
+            contact if draw(st.booleans()) else None,
             numbers(steps + 1, draw(st.integers(2, 4)), dimension) if draw(st.booleans()) else None,
             draw(hnp.arrays(bool, (steps + 1, nodes))) if draw(st.booleans()) else None,
             numbers(steps + 1, nodes) if draw(st.booleans()) else None,
+            **{name: value for name, value in turning.items() if draw(st.booleans())},
         )
 
     return Dataset(tuple(run() for _ in range(draw(st.integers(1, 3)))), draw(metadata))
@@ -96,11 +127,17 @@ def assert_same(found: Dataset, expected: Dataset) -> None:
     }
     assert len(found) == len(expected)
     for ours, theirs in zip(found, expected, strict=True):
-        for name in ("position", "velocity", "control", "contact", "link_positions", *MEASURING):
+        for name in (*RECORDED, *OTHERS):
             assert_same_array(getattr(ours, name), getattr(theirs, name))
         for name in ("actuated", "anchor", "goal", "mass", "radius", "size", "candidate_edges"):
             assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
-        for name in ("node_name", "node_type", "dt", "dimension", "metadata"):
+        for name in ("static", "control_of", "planes", "polygon_of"):
+            assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
+        polygons = ours.scene.polygons, theirs.scene.polygons
+        assert (polygons[0] is None) == (polygons[1] is None)
+        for pair in zip(*(each or () for each in polygons), strict=True):
+            assert_same_array(*pair)
+        for name in ("node_name", "node_type", "dt", "dimension", "metadata", "control_kind"):
             assert getattr(ours.scene, name) == getattr(theirs.scene, name)
 
 
@@ -163,12 +200,14 @@ def test_describe_file(tmp_path: Path) -> None:
     runs = [one_run(steps=3, nodes=2), one_run(steps=4, nodes=3)]
     write_trajectories(path, runs, {"task": "push"})
     summary = describe_file(path)
-    assert summary.format_version == 1
+    assert summary.format_version == 2
     assert summary.trajectory_name == ("000000", "000001")
     assert summary.steps == (3, 4)
     assert summary.node_name == tuple(run.scene.node_name for run in runs)
     assert (summary.dt, summary.dimension, summary.control_size) == ((0.05,) * 2, (2, 2), (2, 2))
-    assert summary.has_contact == (False, False)
+    assert summary.has_contact == summary.has_holding == (False, False)
+    assert summary.has_orientation == (False, False)
+    assert (summary.control_kind, summary.static_count) == ((None, None), (0, 0))
     assert summary.metadata == {"task": "push"}
     assert summary.size == path.stat().st_size
 
@@ -180,6 +219,60 @@ def test_trajectories_written_by_hand_keep_the_order_of_their_numbers(tmp_path: 
             file.move(f"trajectories/{number:06d}", f"trajectories/{number}")
     values = [run.position[0, 0, 0] for run in read_trajectories(tmp_path / "a.h5")]
     assert values == list(range(11))
+
+
+def test_a_file_of_version_1_is_read_and_its_other_arrays_are_ignored(tmp_path: Path) -> None:
+    path = tmp_path / "version-1.h5"
+    state = np.arange(12.0).reshape(3, 2, 2)
+    with h5py.File(path, "w", libver=("v110", "v110")) as file:
+        file.attrs["format"] = np.bytes_("contactgraph-dataset")
+        file.attrs["format_version"] = 1
+        file.create_group("metadata").attrs["task"] = np.bytes_("pickup")
+        group = file.create_group("trajectories/000000")
+        group.attrs["dt"] = 0.05
+        group["position"] = state
+        group["position"].attrs["unit"] = np.bytes_("m")
+        group["velocity"] = -state
+        group["control"] = np.ones((2, 2))
+        group["control"].attrs["unit"] = np.bytes_("N")
+        group["node_name"] = np.array([b"gripper", b"object-0"])
+        group["node_type"] = np.array([b"gripper", b"object"])
+        group["actuated"] = np.array([1, 0], np.uint8)
+        group["contact"] = np.ones((3, 2, 2), np.uint8)
+        group["goal"] = np.array([1.0, 2.0])
+        for name in ("holding", "static", "polygons", "control_kind"):
+            group[name] = np.zeros(7)
+    found = read_trajectories(path)
+    run = found.trajectories[0]
+    np.testing.assert_array_equal(run.position, state)
+    np.testing.assert_array_equal(run.velocity, -state)
+    assert run.contact is not None and run.contact.all()
+    assert run.holding is None and run.orientation is None and run.angular_velocity is None
+    assert run.scene.goal is not None and run.scene.goal.tolist() == [1.0, 2.0]
+    assert run.scene.static is None and run.scene.polygons is None
+    assert run.scene.control_kind is None
+    summary = describe_file(path)
+    assert (summary.format_version, summary.has_holding, summary.static_count) == (
+        1,
+        (False,),
+        (0,),
+    )
+    write_trajectories(tmp_path / "version-2.h5", found.trajectories, found.metadata)
+    assert describe_file(tmp_path / "version-2.h5").format_version == 2
+    assert_same(read_trajectories(tmp_path / "version-2.h5"), found)
+
+
+def test_the_unit_of_a_control_is_stored_where_all_of_it_is_force(tmp_path: Path) -> None:
+    for kinds, unit in (
+        (None, b"N"),
+        (("force", "force"), b"N"),
+        (("force", "switch"), None),
+        (("position", "position"), None),
+    ):
+        write_trajectories(tmp_path / "a.h5", [one_run(control_kind=kinds)])
+        with h5py.File(tmp_path / "a.h5") as file:
+            assert file["trajectories/000000/control"].attrs.get("unit") == unit
+        assert describe_file(tmp_path / "a.h5").control_kind == (kinds,)
 
 
 def test_the_examples_of_the_documentation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

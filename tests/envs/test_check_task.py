@@ -162,8 +162,86 @@ class DrawnLongerAndLonger(Renderable):
         return super().step(action)
 
 
+class Turning(PickupTask):
+    """A pickup that observes holding and orientation as well, each passed through `alter`."""
+
+    def __init__(self):
+        super().__init__()
+        angle = gymnasium.spaces.Box(-10.0, 10.0, (2, 1), np.float64)
+        self.observation_space = gymnasium.spaces.Dict(
+            {
+                **self.observation_space,
+                "holding": self.observation_space["contact"],
+                "orientation": angle,
+                "angular_velocity": angle,
+            }
+        )
+
+    def reset(self, **arguments):
+        observation, info = super().reset(**arguments)
+        return self.turned(observation), info
+
+    def step(self, action):
+        observation, *rest = super().step(action)
+        return self.turned(observation), *rest
+
+    def turned(self, observation):
+        turned = {"holding": observation["contact"].copy(), "orientation": np.full((2, 1), 0.5)}
+        return self.alter({**observation, **turned, "angular_velocity": np.full((2, 1), -2.0)})
+
+    def alter(self, observation):
+        return observation
+
+
+class HoldsFromAfar(Turning):
+    def alter(self, observation):
+        return {**observation, "holding": np.array([[0, 1], [1, 0]], np.int8)}
+
+
+class HoldsAsFloat(Turning):
+    def alter(self, observation):
+        return {**observation, "holding": np.zeros((2, 2))}
+
+
+class OneHoldsTheOther(Turning):
+    def alter(self, observation):
+        return {**observation, "holding": np.array([[0, 1], [0, 0]], np.int8)}
+
+
+class TurnsInSpace(Turning):
+    def alter(self, observation):
+        return {**observation, "orientation": np.ones((2, 4))}
+
+
+class TurnsUnknown(Turning):
+    def alter(self, observation):
+        return {**observation, "angular_velocity": np.full((2, 1), np.nan)}
+
+
+class TurnsUndeclared(Turning):
+    def __init__(self):
+        super().__init__()
+        self.observation_space = PickupTask().observation_space
+
+
+class OtherKinds(PickupTask):
+    @property
+    def scene(self):
+        return replace(super().scene, control_kind=("force", "force", "switch"))
+
+
+class OtherComponents(PickupTask):
+    @property
+    def scene(self):
+        return replace(super().scene, control_of=np.ones((2, 1), dtype=bool))
+
+
 def test_a_task_may_be_drawn():
     check_task(Renderable)
+
+
+def test_a_task_may_observe_holding_and_orientation():
+    check_task(Turning)
 
 
 @pytest.mark.parametrize(
@@ -195,6 +273,14 @@ def test_a_task_may_be_drawn():
         (DrawnInSpace, r"link_positions\(\) must have shape \(P, 2\) .* found \(4, 3\) at reset"),
         (DrawnNowhere, r"link_positions\(\) must be finite, found .*nan.* at reset"),
         (DrawnLongerAndLonger, r"keep its 2 points, found 202 at the end of an episode"),
+        (HoldsFromAfar, "holding must imply contact, violated at reset"),
+        (HoldsAsFloat, "holding must be int8, 0 or 1, found float64 at reset"),
+        (OneHoldsTheOther, "holding must be symmetric with a zero diagonal, violated at reset"),
+        (TurnsInSpace, r"orientation must have the scene's shape \(2, 1\), found \(2, 4\)"),
+        (TurnsUnknown, "angular_velocity must be finite, found .*nan.* at reset"),
+        (TurnsUndeclared, "an observation must lie in observation_space, violated at reset"),
+        (OtherKinds, "scene.control_kind must be of 2 components, found 3"),
+        (OtherComponents, "scene.control_of must be of 2 components, found 1"),
         (object, "a task must be a gymnasium.Env, found object"),
     ],
 )

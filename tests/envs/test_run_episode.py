@@ -37,6 +37,38 @@ def test_states_controls_and_contacts_are_recorded_as_they_were():
     assert np.array_equal(trajectory.position[-1], replay["position"])
 
 
+class TurningTask(PickupTask):
+    """A pickup that counts its steps in the observed turn, and whose pairs in contact hold."""
+
+    def reset(self, **arguments):
+        self.count = 0
+        observation, info = super().reset(**arguments)
+        return self.turned(observation), info
+
+    def step(self, action):
+        self.count += 1
+        observation, *rest = super().step(action)
+        return self.turned(observation), *rest
+
+    def turned(self, observation):
+        angle = np.array([[1.0], [10.0]]) * self.count
+        turned = {"holding": observation["contact"], "orientation": angle}
+        return {**observation, **turned, "angular_velocity": -angle}
+
+
+def test_what_a_task_observes_of_holding_and_turning_is_recorded():
+    trajectory = run_episode(TurningTask(), PickupExpert(), 4)
+    assert trajectory.holding.dtype == bool
+    assert np.array_equal(trajectory.holding, trajectory.contact)
+    assert np.array_equal(trajectory.orientation[:, 1, 0], 10.0 * np.arange(201))
+    assert np.array_equal(trajectory.angular_velocity[:, 0, 0], -np.arange(201))
+
+
+def test_a_task_that_does_not_observe_them_has_none_recorded():
+    trajectory = run_episode(PickupTask(), PickupExpert(), 4)
+    assert trajectory.holding is trajectory.orientation is trajectory.angular_velocity is None
+
+
 def test_the_recorded_control_is_the_clipped_one():
     trajectory = run_episode(PickupTask(), Pusher(), 0)
     assert np.array_equal(np.unique(trajectory.control, axis=0), [[10.0, -3.0]])

@@ -92,14 +92,15 @@ def split_by_trajectory(
 
 def strip_contacts(dataset: Dataset) -> Dataset:
     """The same trajectories without contact labels, as recorded without contact sensors."""
-    return replace(dataset, trajectories=tuple(replace(each, contact=None) for each in dataset))
+    stripped = tuple(replace(each, contact=None, holding=None) for each in dataset)
+    return replace(dataset, trajectories=stripped)
 
 
 def subsample(dataset: Dataset, every: int) -> Dataset:
     """The same trajectories with every ``every``-th state, and controls averaged in between.
 
-    Two nodes touch in a step if they touch at any of the states within it. States after the last
-    whole step are dropped.
+    Two nodes touch, or hold each other, in a step if they do at any of the states within it.
+    States after the last whole step are dropped.
     Raises `InvalidInputError` where ``every`` is below 1, or a trajectory has fewer steps.
     """
     if every < 1:
@@ -120,10 +121,12 @@ def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
     def chosen(value: np.ndarray | None) -> np.ndarray | None:
         return None if value is None else value[states]
 
-    contact = trajectory.contact
-    if contact is not None:
-        within = contact[1 : steps * every + 1].reshape(steps, every, *contact.shape[1:])
-        contact = np.concatenate([contact[:1], within.any(axis=1)])
+    def any_within(pairs: np.ndarray | None) -> np.ndarray | None:
+        if pairs is None:
+            return None
+        within = pairs[1 : steps * every + 1].reshape(steps, every, *pairs.shape[1:])
+        return np.concatenate([pairs[:1], within.any(axis=1)])
+
     control = trajectory.control[: steps * every]
     return replace(
         trajectory,
@@ -131,10 +134,13 @@ def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
         position=trajectory.position[states],
         velocity=trajectory.velocity[states],
         control=control.reshape(steps, every, trajectory.control_size).mean(axis=1),
-        contact=contact,
+        contact=any_within(trajectory.contact),
         link_positions=chosen(trajectory.link_positions),
         tracked=chosen(trajectory.tracked),
         measured_at=chosen(trajectory.measured_at),
+        holding=any_within(trajectory.holding),
+        orientation=chosen(trajectory.orientation),
+        angular_velocity=chosen(trajectory.angular_velocity),
     )
 
 

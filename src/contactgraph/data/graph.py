@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from contactgraph.data.trajectory import Scene
+from contactgraph.data.scene import Scene
 
 
 def pair_count(node_count: Any) -> Any:

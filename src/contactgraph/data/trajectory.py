@@ -1,125 +1,14 @@
-"""A recorded trajectory and its scene."""
+"""A recorded trajectory."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.scene import Scene
 
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """The properties of a scene that stay constant along a trajectory.
-
-    Raises `InvalidInputError` where a field has the wrong shape, a value that is not finite,
-    or names that are not unique.
-    """
-
-    node_name: tuple[str, ...]
-    """[N] unique names, e.g. ``("gripper", "object-0")``."""
-    node_type: tuple[str, ...]
-    """[N] types of node, e.g. ``("gripper", "object")``."""
-    actuated: np.ndarray
-    """[N] bool: whether the control acts on the node itself."""
-    dt: float
-    """Time between two steps, s."""
-    dimension: int = 2
-    """D, degrees of freedom a node."""
-    anchor: np.ndarray | None = None
-    """[N, D] hinge position, m; NaN where a node has none. None: no node has one."""
-    goal: np.ndarray | None = None
-    """[D] goal position, m. None: there is no goal."""
-    gravity: np.ndarray | None = None
-    """[D] m/s^2: acceleration of bodies without support or actuation. They rest on a support until
-    they are lifted. None: bodies have no weight, or lie on a plane that supports it."""
-    mass: np.ndarray | None = None
-    """[N] true mass, kg, where it is known. Serves evaluation only; training never reads it."""
-    radius: np.ndarray | None = None
-    """[N] radius, m, where it is known. Serves drawing only; training never reads it."""
-    size: np.ndarray | None = None
-    """[N, D] side lengths of a box around each node's position, along the axes, m; NaN throughout
-    for a node that is no box. None: no node is. Serves drawing only; training never reads it."""
-    candidate_edges: np.ndarray | None = None
-    """[E, 2] int: pairs of nodes that could touch. None: every pair."""
-    metadata: dict[str, str | int | float | bool] = field(default_factory=dict)
-    """Free-form: task, seed, simulator version, substeps, …"""
-
-    def __post_init__(self) -> None:
-        count, dimension = len(self.node_name), self.dimension
-        _set(self, "actuated", np.asarray(self.actuated, dtype=bool))
-        if len(set(self.node_name)) != count:
-            raise InvalidInputError(f"node_name must be unique, found {list(self.node_name)}")
-        if not (np.isfinite(self.dt) and self.dt > 0):
-            raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
-        shapes = {
-            "actuated": (count,),
-            "anchor": (count, dimension),
-            "goal": (dimension,),
-            "gravity": (dimension,),
-            "mass": (count,),
-            "radius": (count,),
-            "size": (count, dimension),
-        }
-        if len(self.node_type) != count:
-            raise InvalidInputError(
-                f"node_type must have one entry a node ({count}), found {len(self.node_type)}"
-            )
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value is None:
-                continue
-            if name != "actuated":
-                value = np.asarray(value, dtype=np.float64)
-                _set(self, name, value)
-            if value.shape != shape:
-                raise InvalidInputError(f"{name} must have shape {shape}, found {value.shape}")
-        for name in ("goal", "gravity", "mass", "radius"):
-            value = getattr(self, name)
-            if value is not None and not np.all(np.isfinite(value)):
-                raise InvalidInputError(f"{name} must be finite, found {value.tolist()}")
-        if self.size is not None:
-            _check_size(self.size, self.node_name)
-        if self.candidate_edges is not None:
-            _set(self, "candidate_edges", _checked_edges(self.candidate_edges, count))
-
-    @property
-    def node_count(self) -> int:
-        """N, the number of nodes."""
-        return len(self.node_name)
-
-    @property
-    def has_weight(self) -> bool:
-        """Whether bodies have weight."""
-        return self.gravity is not None and bool(np.any(self.gravity != 0.0))
-
-    @property
-    def has_hinges(self) -> bool:
-        """Whether some node hangs on a hinge."""
-        return self.anchor is not None and bool(np.any(np.isfinite(self.anchor)))
-
-
-def _check_size(size: np.ndarray, names: tuple[str, ...]) -> None:
-    box = np.all(np.isfinite(size) & (size > 0.0), axis=1)
-    for node in np.flatnonzero(~(box | np.all(np.isnan(size), axis=1))):
-        raise InvalidInputError(
-            f"size must be positive, or NaN throughout for a node that is no box, "
-            f"found {size[node].tolist()} for {names[node]!r}"
-        )
-
-
-def _checked_edges(edges: np.ndarray, count: int) -> np.ndarray:
-    edges = np.asarray(edges, dtype=np.int64)
-    if edges.ndim != 2 or edges.shape[1] != 2:
-        raise InvalidInputError(f"candidate_edges must have shape (E, 2), found {edges.shape}")
-    if edges.size and (edges.min() < 0 or edges.max() >= count):
-        raise InvalidInputError(f"candidate_edges must name nodes 0 to {count - 1}")
-    if np.any(edges[:, 0] == edges[:, 1]):
-        raise InvalidInputError("candidate_edges must join two different nodes")
-    return edges
-
-
-def _set(instance: object, name: str, value: object) -> None:
-    object.__setattr__(instance, name, value)
+_UNIT_TOLERANCE = 1e-3
+"""Largest error of a quaternion's length, which leaves room for 16-bit floats."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +25,10 @@ class Trajectory:
     velocity: np.ndarray
     """[T+1, N, D] m/s."""
     control: np.ndarray
-    """[T, U] N; U may be 0."""
+    """[T, U] N, or in the units of `Scene.control_kind`; U may be 0."""
     contact: np.ndarray | None = None
-    """[T+1, N, N] bool, symmetric: whether two nodes touch at a step. None: not recorded."""
+    """[T+1, N, N] bool, symmetric: whether two nodes touch or hold each other at a step. None: not
+    recorded."""
     link_positions: np.ndarray | None = None
     """[T+1, P, D] m: joints, joined by lines in their order, of a drawn body that is no node,
     such as an arm from base to hand. None: there is none. Training never reads it."""
@@ -148,6 +38,15 @@ class Trajectory:
     measured_at: np.ndarray | None = None
     """[T+1, N] s from the first state on: when each node was last measured, as known at that step.
     None: at that very time. Training never reads it."""
+    holding: np.ndarray | None = None
+    """[T+1, N, N] bool, symmetric: whether two nodes are tied together at a step, by a grasp, a
+    joint or suction; nodes that hold each other are in contact. None: not recorded."""
+    orientation: np.ndarray | None = None
+    """[T+1, N, 4] unit quaternions (w, x, y, z) in space (D = 3), else [T+1, N, 1] rad; NaN
+    throughout for a node at a step where it is not known. None: not recorded."""
+    angular_velocity: np.ndarray | None = None
+    """[T+1, N, 3] rad/s in the world's axes in space (D = 3), else [T+1, N, 1]; NaN throughout
+    for a node at a step where it is not known. None: not recorded."""
 
     def __post_init__(self) -> None:
         scene = self.scene
@@ -179,9 +78,15 @@ class Trajectory:
                 raise InvalidInputError(
                     f"{name} must be finite, found {value[tuple(where)]} at {where}"
                 )
-        if self.contact is not None:
-            self._check_contact(steps)
+        self._check_control()
+        for name in ("contact", "holding"):
+            self._check_pairs(name, steps)
+        if self.contact is not None and self.holding is not None:
+            self._check_holding(self.contact, self.holding)
         self._check_measuring(state_shape[:2])
+        turning = (1, 1) if scene.dimension != 3 else (4, 3)
+        self._check_turning("orientation", (*state_shape[:2], turning[0]))
+        self._check_turning("angular_velocity", (*state_shape[:2], turning[1]))
 
     def _check_link_positions(self, state_shape: tuple[int, ...]) -> None:
         link_positions = np.asarray(self.link_positions, dtype=np.float64)
@@ -194,16 +99,64 @@ class Trajectory:
                 f"P >= 2, found {link_positions.shape}"
             )
 
-    def _check_contact(self, steps: int) -> None:
-        contact = np.asarray(self.contact, dtype=bool)
-        object.__setattr__(self, "contact", contact)
-        shape = (steps + 1, self.scene.node_count, self.scene.node_count)
-        if contact.shape != shape:
+    def _check_control(self) -> None:
+        kinds, acting = self.scene.control_kind, self.scene.control_of
+        if kinds is not None and len(kinds) != self.control_size:
             raise InvalidInputError(
-                f"contact must have shape (T+1, N, N) = {shape}, found {contact.shape}"
+                f"control_kind must have one entry a component of the control "
+                f"({self.control_size}), found {len(kinds)}"
             )
-        if not np.array_equal(contact, contact.swapaxes(1, 2)):
-            raise InvalidInputError("contact must be symmetric in its two node axes")
+        if acting is not None and acting.shape[1] != self.control_size:
+            raise InvalidInputError(
+                f"control_of must have shape (N, U) = ({self.scene.node_count}, "
+                f"{self.control_size}), found {acting.shape}"
+            )
+
+    def _check_pairs(self, name: str, steps: int) -> None:
+        if getattr(self, name) is None:
+            return
+        value = np.asarray(getattr(self, name), dtype=bool)
+        object.__setattr__(self, name, value)
+        shape = (steps + 1, self.scene.node_count, self.scene.node_count)
+        if value.shape != shape:
+            raise InvalidInputError(
+                f"{name} must have shape (T+1, N, N) = {shape}, found {value.shape}"
+            )
+        if not np.array_equal(value, value.swapaxes(1, 2)):
+            raise InvalidInputError(f"{name} must be symmetric in its two node axes")
+
+    def _check_holding(self, contact: np.ndarray, holding: np.ndarray) -> None:
+        for step, first, second in np.argwhere(holding & ~contact):
+            names = self.scene.node_name
+            raise InvalidInputError(
+                f"holding must imply contact, found {names[first]!r} holding {names[second]!r} "
+                f"without contact at step {step}"
+            )
+
+    def _check_turning(self, name: str, shape: tuple[int, ...]) -> None:
+        """Checks an orientation or angular velocity of this shape, where there is one."""
+        if getattr(self, name) is None:
+            return
+        value = np.asarray(getattr(self, name), dtype=np.float64)
+        object.__setattr__(self, name, value)
+        if value.shape != shape:
+            raise InvalidInputError(
+                f"{name} must have shape (T+1, N, {shape[2]}) = {shape}, found {value.shape}"
+            )
+        known = np.isfinite(value).all(axis=2)
+        for step, node in np.argwhere(~known & ~np.isnan(value).all(axis=2)):
+            raise InvalidInputError(
+                f"{name} must be finite, or NaN throughout where it is not known, "
+                f"found {value[step, node].tolist()} for {self.scene.node_name[node]!r} at "
+                f"step {step}"
+            )
+        if shape[2] == 4:
+            length = np.linalg.norm(value, axis=2)
+            for step, node in np.argwhere(known & ~(np.abs(length - 1.0) <= _UNIT_TOLERANCE)):
+                raise InvalidInputError(
+                    f"{name} must be quaternions of length 1, found {value[step, node].tolist()} "
+                    f"for {self.scene.node_name[node]!r} at step {step}"
+                )
 
     def _check_measuring(self, shape: tuple[int, ...]) -> None:
         for name, kind in (("tracked", bool), ("measured_at", np.float64)):

@@ -10,7 +10,8 @@ import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import candidate_pairs, pair_indices
-from contactgraph.data.trajectory import Scene, Trajectory
+from contactgraph.data.scene import Scene
+from contactgraph.data.trajectory import Trajectory
 
 Array = TypeVar("Array")
 

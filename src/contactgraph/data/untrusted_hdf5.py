@@ -1,10 +1,10 @@
-"""The layout of dataset files, and safe reading of HDF5 files that may be damaged or hostile.
+"""Safe reading of HDF5 files that may be damaged or hostile.
 
-The layout is described in docs/file-format.md. Every h5py error becomes one `InvalidInputError`
-with the location. No link to another file is followed, nothing is executed, and no array is read
-that is larger than the file can contain. Texts of variable length are refused: libhdf5 hangs,
-allocates gigabytes or crashes on damage to the heap that contains them (about 1 in 300 files with
-random bytes flipped; without such texts none of 20,000).
+Every h5py error becomes one `InvalidInputError` with the location. No link to another file is
+followed, nothing is executed, and no array is read that is larger than the file can contain. Texts
+of variable length are refused: libhdf5 hangs, allocates gigabytes or crashes on damage to the heap
+that contains them (about 1 in 300 files with random bytes flipped; without such texts none of
+20,000).
 """
 
 from collections.abc import Iterator
@@ -16,51 +16,7 @@ import h5py
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-
-FORMAT = "contactgraph-dataset"
-VERSION = 1
-TRAJECTORIES = "trajectories"
-METADATA = "metadata"
-
-
-@dataclass(frozen=True)
-class Field:
-    """One array of a trajectory group."""
-
-    shape: tuple[str, ...]
-    """Letters of the axes; ``T+1`` counts states, ``T`` steps."""
-    kinds: str
-    """numpy's letters for the types that are read: b bool, i and u integer, f float."""
-    unit: str | None = None
-
-    @property
-    def meaning(self) -> str:
-        """The required shape and type in words, for error messages."""
-        words = {"fiu": "floats or integers", "biu": "bools, or integers 0 and 1", "iu": "integers"}
-        axes = ", ".join(self.shape) + ("," if len(self.shape) == 1 else "")
-        return f"({axes}) of {words[self.kinds]}"
-
-
-ARRAYS = {
-    "position": Field(("T+1", "N", "D"), "fiu", "m"),
-    "velocity": Field(("T+1", "N", "D"), "fiu", "m/s"),
-    "control": Field(("T", "U"), "fiu", "N"),
-    "skeleton": Field(("T+1", "P", "D"), "fiu", "m"),
-    "actuated": Field(("N",), "biu"),
-    "contact": Field(("T+1", "N", "N"), "biu"),
-    "tracked": Field(("T+1", "N"), "biu"),
-    "measured_at": Field(("T+1", "N"), "fiu", "s"),
-    "anchor": Field(("N", "D"), "fiu", "m"),
-    "goal": Field(("D",), "fiu", "m"),
-    "gravity": Field(("D",), "fiu", "m/s^2"),
-    "mass": Field(("N",), "fiu", "kg"),
-    "radius": Field(("N",), "fiu", "m"),
-    "size": Field(("N", "D"), "fiu", "m"),
-    "candidate_edges": Field(("E", "2"), "iu"),
-}
-OPTIONAL = set(ARRAYS) - {"position", "velocity", "control", "actuated"}
-NAMES = ("node_name", "node_type")
-
+from contactgraph.data.file_layout import Field
 
 _DEFLATE_LIMIT = 1100
 """One byte stored by deflate never expands to more than this many."""

@@ -1,7 +1,7 @@
 """The test of the task contract, for any task."""
 
 from collections.abc import Callable
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import gymnasium
 import numpy as np
@@ -13,6 +13,8 @@ _SEEDS = (0, 1, 12345)
 _CONTROL_HOLD = 10
 """Steps for which a random control is held: enough to move far and to collide."""
 _KEYS = {"position", "velocity", "contact", "goal"}
+_OPTIONAL_KEYS = {"holding", "orientation", "angular_velocity"}
+_QUATERNION_TOLERANCE = 1e-3
 
 
 def check_task(task_factory: Callable[[], Task]) -> None:
@@ -28,7 +30,7 @@ def check_task(task_factory: Callable[[], Task]) -> None:
         _check_members(task)
         first, _ = task.reset(seed=seed)
         _check_observation(task, first, "reset")
-        _check_scene(task.scene, first)
+        _check_scene(task, first)
         points = _check_link_positions(task, None, "reset")
         _check_cost(task)
         _check_start(task.scene, first)
@@ -53,9 +55,14 @@ def _check_members(task: Task) -> None:
         _fail(f"action_space must be a bounded Box of shape (U,), found {box}")
 
 
-def _check_scene(scene: Scene, observation: Observation) -> None:
-    if not scene.actuated.any():
+def _check_scene(task: Task, observation: Observation) -> None:
+    scene, (control_size,) = task.scene, cast(tuple[int], task.action_space.shape)
+    if control_size and not scene.actuated.any():
         _fail("scene.actuated must name at least one node that the control acts on")
+    for name, found in (("control_kind", scene.control_kind), ("control_of", scene.control_of)):
+        size = None if found is None else np.shape(found)[-1]
+        if size not in (None, control_size):
+            _fail(f"scene.{name} must be of {control_size} components, found {size}")
     if scene.goal is None or not np.array_equal(scene.goal, observation["goal"]):
         _fail(f"scene.goal must be the observed goal, found {scene.goal}")
 
@@ -121,28 +128,46 @@ def _check_episode(task: Task, twin: Task, first: Observation, rng: np.random.Ge
 def _check_observation(task: Task, observation: Observation, when: str) -> None:
     if not isinstance(task.scene, Scene):
         _fail(f"scene must be a contactgraph.data.Scene, found {type(task.scene).__name__}")
-    if set(observation) != _KEYS:
-        _fail(f"an observation must have the keys {sorted(_KEYS)}, found {sorted(observation)}")
+    if not _KEYS <= set(observation) <= _KEYS | _OPTIONAL_KEYS:
+        _fail(
+            f"an observation must have the keys {sorted(_KEYS)}, may have "
+            f"{sorted(_OPTIONAL_KEYS)}, found {sorted(observation)}"
+        )
     count, dimension = task.scene.node_count, task.scene.dimension
     shapes = {
         "position": (count, dimension),
         "velocity": (count, dimension),
         "contact": (count, count),
         "goal": (dimension,),
+        "holding": (count, count),
+        "orientation": (count, 4 if dimension == 3 else 1),
+        "angular_velocity": (count, 3 if dimension == 3 else 1),
     }
-    for name, shape in shapes.items():
-        value = observation[name]
+    for name, value in observation.items():
+        shape = shapes[name]
         if value.shape != shape:
             _fail(f"{name} must have the scene's shape {shape}, found {value.shape} at {when}")
         if not np.all(np.isfinite(value)):
             _fail(f"{name} must be finite, found {value.tolist()} at {when}")
-    contact = observation["contact"]
-    if contact.dtype != np.int8 or not np.all((contact == 0) | (contact == 1)):
-        _fail(f"contact must be int8, 0 or 1, found {contact.dtype} at {when}")
-    if not np.array_equal(contact, contact.T) or contact.diagonal().any():
-        _fail(f"contact must be symmetric with a zero diagonal, violated at {when}")
+    for name in ("contact", "holding"):
+        _check_pairs(name, observation.get(name), when)
+    if np.any(observation.get("holding", 0) > observation["contact"]):
+        _fail(f"holding must imply contact, violated at {when}")
+    if "orientation" in observation and dimension == 3:
+        length = np.linalg.norm(observation["orientation"], axis=1)
+        if np.any(np.abs(length - 1.0) > _QUATERNION_TOLERANCE):
+            _fail(f"orientation must be unit quaternions, found length {length} at {when}")
     if not task.observation_space.contains(observation):
         _fail(f"an observation must lie in observation_space, violated at {when}")
+
+
+def _check_pairs(name: str, value: np.ndarray | None, when: str) -> None:
+    if value is None:
+        return
+    if value.dtype != np.int8 or not np.all((value == 0) | (value == 1)):
+        _fail(f"{name} must be int8, 0 or 1, found {value.dtype} at {when}")
+    if not np.array_equal(value, value.T) or value.diagonal().any():
+        _fail(f"{name} must be symmetric with a zero diagonal, violated at {when}")
 
 
 def _check_link_positions(task: Task, points: int | None, when: str) -> int | None:

@@ -17,9 +17,19 @@ key            shape       unit
 =============  ==========  ========  ====================================================
 ``position``   ``[N, D]``  m
 ``velocity``   ``[N, D]``  m/s
-``contact``    ``[N, N]``  0 or 1    int8, symmetric, zero diagonal: whether two nodes touch
+``contact``    ``[N, N]``  0 or 1    int8, symmetric, zero diagonal: touching or holding
 ``goal``       ``[D]``     m
 =============  ==========  ========  ====================================================
+
+A task may observe more, and then does so at every step:
+
+====================  =============  ========  ==================================================
+key                   shape          unit
+====================  =============  ========  ==================================================
+``holding``           ``[N, N]``     0 or 1    as ``contact``, which it implies: tied together
+``orientation``       ``[N, 1]``     rad       in space ``[N, 4]``, unit quaternions (w, x, y, z)
+``angular_velocity``  ``[N, 1]``     rad/s     in space ``[N, 3]``, in the world's axes
+====================  =============  ========  ==================================================
 """
 
 

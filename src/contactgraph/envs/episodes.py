@@ -33,7 +33,8 @@ def run_episode(
     ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
     it. If both task and policy support it, feedback acts within the steps, and controls are
     their means. The scene's metadata gains the policy's class name and the episode's success.
-    A task that is `Renderable` has its link positions recorded at every state.
+    A task that is `Renderable` has its link positions recorded at every state, and what a task
+    observes of holding and of orientation is recorded.
     """
     if seed < 0:
         raise InvalidInputError(f"seed must be at least 0, found {seed}")
@@ -68,6 +69,10 @@ def run_episode(
         "policy": type(policy).__name__,
         "success": task.success(),
     }
+
+    def recorded(name: str) -> np.ndarray | None:
+        return np.stack([each[name] for each in observations]) if name in observation else None
+
     return Trajectory(
         scene=replace(task.scene, metadata=metadata),
         position=np.stack([each["position"] for each in observations]),
@@ -75,6 +80,9 @@ def run_episode(
         control=np.stack(controls),
         contact=np.stack([each["contact"] for each in observations]).astype(bool),
         link_positions=np.stack(link_positions) if link_positions else None,
+        holding=recorded("holding"),
+        orientation=recorded("orientation"),
+        angular_velocity=recorded("angular_velocity"),
     )
 
 

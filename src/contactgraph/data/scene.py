@@ -1,0 +1,241 @@
+"""The constants of a recorded scene."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from contactgraph.data.errors import InvalidInputError
+
+CONTROL_KINDS = ("force", "position", "displacement", "velocity", "switch", "other")
+"""Meanings of a component of the control, by `Scene.control_kind`."""
+_UNIT_TOLERANCE = 1e-6
+"""Largest error of the length of a plane's normal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The properties of a scene that stay constant along a trajectory.
+
+    Raises `InvalidInputError` where a field has the wrong shape, a value that is not finite,
+    or names that are not unique.
+    """
+
+    node_name: tuple[str, ...]
+    """[N] unique names, e.g. ``("gripper", "object-0")``."""
+    node_type: tuple[str, ...]
+    """[N] types of node, e.g. ``("gripper", "object")``."""
+    actuated: np.ndarray
+    """[N] bool: whether the control acts on the node itself."""
+    dt: float
+    """Time between two steps, s."""
+    dimension: int = 2
+    """D, degrees of freedom a node."""
+    anchor: np.ndarray | None = None
+    """[N, D] hinge position, m; NaN where a node has none. None: no node has one."""
+    goal: np.ndarray | None = None
+    """[D] goal position, m. None: there is no goal."""
+    gravity: np.ndarray | None = None
+    """[D] m/s^2: acceleration of bodies without support or actuation. They rest on a support until
+    they are lifted. None: bodies have no weight, or lie on a plane that supports it."""
+    mass: np.ndarray | None = None
+    """[N] true mass, kg, where it is known. Serves evaluation only; training never reads it."""
+    radius: np.ndarray | None = None
+    """[N] radius, m, where it is known. Serves drawing only; training never reads it."""
+    size: np.ndarray | None = None
+    """[N, D] side lengths of a box around each node's position, along the axes, m; NaN throughout
+    for a node that is no box. None: no node is. Serves drawing only; training never reads it."""
+    candidate_edges: np.ndarray | None = None
+    """[E, 2] int: pairs of nodes that could touch. None: every pair."""
+    static: np.ndarray | None = None
+    """[N] bool: bodies that never move, such as pillars and walls. None: not known."""
+    control_kind: tuple[str, ...] | None = None
+    """[U] the meaning of each component of the control: ``force`` (N), ``position`` (a target in
+    the world, m), ``displacement`` (a target relative to the body, m), ``velocity`` (m/s),
+    ``switch`` (0 off to 1 on, moves nothing by itself) or ``other``. None: all are forces."""
+    control_of: np.ndarray | None = None
+    """[N, U] bool: the components that act on each node. None: component d moves degree of freedom
+    d of every actuated node, and further components move nothing."""
+    planes: np.ndarray | None = None
+    """[P, D+1] rows of a unit normal n and an offset o, m: space is free where n·x >= o. None: not
+    known."""
+    polygons: tuple[np.ndarray, ...] | None = None
+    """[P] convex outlines [V, 2] of nodes in the plane, in the body's frame, m. None: not known."""
+    polygon_of: np.ndarray | None = None
+    """[P] int: the node of each polygon; several may belong to one. Given with ``polygons``."""
+    metadata: dict[str, str | int | float | bool] = field(default_factory=dict)
+    """Free-form: task, seed, simulator version, substeps, …"""
+
+    def __post_init__(self) -> None:
+        count, dimension = len(self.node_name), self.dimension
+        _set(self, "actuated", np.asarray(self.actuated, dtype=bool))
+        if len(set(self.node_name)) != count:
+            raise InvalidInputError(f"node_name must be unique, found {list(self.node_name)}")
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
+        shapes = {
+            "actuated": (count,),
+            "anchor": (count, dimension),
+            "goal": (dimension,),
+            "gravity": (dimension,),
+            "mass": (count,),
+            "radius": (count,),
+            "size": (count, dimension),
+        }
+        if len(self.node_type) != count:
+            raise InvalidInputError(
+                f"node_type must have one entry a node ({count}), found {len(self.node_type)}"
+            )
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if name != "actuated":
+                value = np.asarray(value, dtype=np.float64)
+                _set(self, name, value)
+            if value.shape != shape:
+                raise InvalidInputError(f"{name} must have shape {shape}, found {value.shape}")
+        for name in ("goal", "gravity", "mass", "radius"):
+            value = getattr(self, name)
+            if value is not None and not np.all(np.isfinite(value)):
+                raise InvalidInputError(f"{name} must be finite, found {value.tolist()}")
+        if self.size is not None:
+            _check_size(self.size, self.node_name)
+        if self.candidate_edges is not None:
+            _set(self, "candidate_edges", _checked_edges(self.candidate_edges, count))
+        if self.static is not None:
+            _set(self, "static", _checked_static(self.static, self.actuated, self.node_name))
+        if self.control_kind is not None:
+            _set(self, "control_kind", _checked_kinds(self.control_kind))
+        if self.control_of is not None:
+            _set(self, "control_of", _checked_control_of(self.control_of, count))
+        if self.planes is not None:
+            _set(self, "planes", _checked_planes(self.planes, dimension))
+        if self.polygons is not None or self.polygon_of is not None:
+            polygons, nodes = _checked_polygons(self.polygons, self.polygon_of, count, dimension)
+            _set(self, "polygons", polygons)
+            _set(self, "polygon_of", nodes)
+
+    @property
+    def node_count(self) -> int:
+        """N, the number of nodes."""
+        return len(self.node_name)
+
+    @property
+    def has_weight(self) -> bool:
+        """Whether bodies have weight."""
+        return self.gravity is not None and bool(np.any(self.gravity != 0.0))
+
+    @property
+    def has_hinges(self) -> bool:
+        """Whether some node hangs on a hinge."""
+        return self.anchor is not None and bool(np.any(np.isfinite(self.anchor)))
+
+
+def _check_size(size: np.ndarray, names: tuple[str, ...]) -> None:
+    box = np.all(np.isfinite(size) & (size > 0.0), axis=1)
+    for node in np.flatnonzero(~(box | np.all(np.isnan(size), axis=1))):
+        raise InvalidInputError(
+            f"size must be positive, or NaN throughout for a node that is no box, "
+            f"found {size[node].tolist()} for {names[node]!r}"
+        )
+
+
+def _checked_edges(edges: np.ndarray, count: int) -> np.ndarray:
+    edges = np.asarray(edges, dtype=np.int64)
+    if edges.ndim != 2 or edges.shape[1] != 2:
+        raise InvalidInputError(f"candidate_edges must have shape (E, 2), found {edges.shape}")
+    if edges.size and (edges.min() < 0 or edges.max() >= count):
+        raise InvalidInputError(f"candidate_edges must name nodes 0 to {count - 1}")
+    if np.any(edges[:, 0] == edges[:, 1]):
+        raise InvalidInputError("candidate_edges must join two different nodes")
+    return edges
+
+
+def _checked_static(static: np.ndarray, actuated: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+    static = np.asarray(static, dtype=bool)
+    if static.shape != actuated.shape:
+        raise InvalidInputError(f"static must have shape {actuated.shape}, found {static.shape}")
+    for node in np.flatnonzero(static & actuated):
+        raise InvalidInputError(
+            f"static must name nodes that are not actuated, found {names[node]!r}"
+        )
+    return static
+
+
+def _checked_kinds(kinds: tuple[str, ...]) -> tuple[str, ...]:
+    kinds = tuple(str(each) for each in kinds)
+    for each in kinds:
+        if each not in CONTROL_KINDS:
+            raise InvalidInputError(
+                f"control_kind must name {', '.join(CONTROL_KINDS)}, found {each!r}"
+            )
+    return kinds
+
+
+def _checked_control_of(control_of: np.ndarray, count: int) -> np.ndarray:
+    control_of = np.asarray(control_of, dtype=bool)
+    if control_of.ndim != 2 or len(control_of) != count:
+        raise InvalidInputError(
+            f"control_of must have shape (N, U) with N = {count}, found {control_of.shape}"
+        )
+    return control_of
+
+
+def _checked_planes(planes: np.ndarray, dimension: int) -> np.ndarray:
+    planes = np.asarray(planes, dtype=np.float64)
+    if planes.ndim != 2 or planes.shape[1] != dimension + 1:
+        raise InvalidInputError(
+            f"planes must have shape (P, D+1) = (P, {dimension + 1}), found {planes.shape}"
+        )
+    length = np.linalg.norm(planes[:, :-1], axis=1)
+    wrong = ~np.isfinite(planes).all(axis=1) | ~(np.abs(length - 1.0) <= _UNIT_TOLERANCE)
+    for plane in np.flatnonzero(wrong):
+        raise InvalidInputError(
+            f"planes must be a normal of length 1 and a finite offset, "
+            f"found {planes[plane].tolist()} in row {plane}"
+        )
+    return planes
+
+
+def _checked_polygons(
+    polygons: tuple[np.ndarray, ...] | None,
+    polygon_of: np.ndarray | None,
+    count: int,
+    dimension: int,
+) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    if polygons is None or polygon_of is None:
+        raise InvalidInputError("polygons and polygon_of must be given together")
+    if dimension != 2:
+        raise InvalidInputError(f"polygons must belong to a scene of 2 dimensions, not {dimension}")
+    checked = tuple(np.asarray(each, dtype=np.float64) for each in polygons)
+    nodes = np.asarray(polygon_of, dtype=np.int64)
+    if nodes.shape != (len(checked),):
+        raise InvalidInputError(
+            f"polygon_of must have one entry a polygon, shape ({len(checked)},), "
+            f"found {nodes.shape}"
+        )
+    if nodes.size and (nodes.min() < 0 or nodes.max() >= count):
+        raise InvalidInputError(f"polygon_of must name nodes 0 to {count - 1}")
+    for index, outline in enumerate(checked):
+        if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
+            raise InvalidInputError(
+                f"polygons must have shape (V, 2) with V >= 3, found {outline.shape} in polygon "
+                f"{index}"
+            )
+        if not (np.isfinite(outline).all() and _is_convex(outline)):
+            raise InvalidInputError(
+                f"polygons must be finite and convex, found {outline.tolist()} in polygon {index}"
+            )
+    return checked, nodes
+
+
+def _is_convex(outline: np.ndarray) -> bool:
+    """Whether all corners turn the same way; [V, 2]."""
+    side = np.roll(outline, -1, axis=0) - outline
+    following = np.roll(side, -1, axis=0)
+    turn = side[:, 0] * following[:, 1] - side[:, 1] * following[:, 0]
+    return bool(turn.any() and (np.all(turn >= 0.0) or np.all(turn <= 0.0)))
+
+
+def _set(instance: object, name: str, value: object) -> None:
+    object.__setattr__(instance, name, value)
