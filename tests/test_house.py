@@ -48,9 +48,9 @@ FILES = {"contactgraph": 140, "contactgraph_franka": 60, "contactgraph_studies":
 LINES = {"contactgraph": 22_600, "contactgraph_franka": 9_000, "contactgraph_studies": 4_200}
 LONGEST_FILE = 300
 MODULES_BEHIND = {
-    "contactgraph.model.contact_dynamics": 18,  # a prediction step
+    "contactgraph.model.contact_dynamics": 19,  # a prediction step
     "contactgraph.train.fit": 28,  # a training step
-    "contactgraph.control.active_set": 32,  # a control step
+    "contactgraph.control.active_set": 33,  # a control step
 }
 FRAMES = 14
 """Calls from the command `contactgraph control` to the first one in the model, in a plan."""
