@@ -17,15 +17,18 @@ def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of a training of 12 steps with a check every 4. Read only."""
     import jax.numpy as jnp
 
-    from contactgraph.train import FitProgress, FitStatus
-    from contactgraph.train.fit import FitResult
+    from contactgraph.train import FitProgress, FitResult, FitStatus, HeldOutBaselines
+
+    baselines = HeldOutBaselines(
+        constant_velocity_rmse_m=0.375, standing_still_rmse_m=0.5, moving=True
+    )
 
     def fit(state, train, held_out, config, on_check, devices):
         for step, error in ((4, 0.5), (8, 0.25), (12, 0.125)):
             state = replace(state, step=jnp.asarray(step), best_error=jnp.asarray(error))
             terms = {"prediction": 2.0, "squared": 1.0, "rollout": step / 12 // 1, "prior": 0.5}
-            on_check(FitProgress(step, config.steps, terms, error, 0.1 * step, state))
-        return FitResult(state.best_model, error, FitStatus.finished, state)
+            on_check(FitProgress(step, config.steps, terms, error, 0.1 * step, state, baselines))
+        return FitResult(state.best_model, error, FitStatus.finished, state, 1.25, baselines)
 
     path = tmp_path_factory.mktemp("trained") / "run"
     with pytest.MonkeyPatch.context() as patch:

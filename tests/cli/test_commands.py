@@ -20,7 +20,7 @@ from contactgraph.data import describe_file, read_trajectories
 from contactgraph.envs import PickupExpert
 from contactgraph.evaluate import closed_loop_metrics, collect
 from contactgraph.model import ModelConfig, gim_temp, shipped_model
-from contactgraph.model.io import describe_model, save_model
+from contactgraph.model.io import describe_model, load_model, save_model
 
 OPEN_LOOP = {
     "n_step_rmse_m",
@@ -191,6 +191,9 @@ def test_train_leaves_a_run_folder(trained: Path, recorded: Path) -> None:
     assert (header["seed"], header["runs"], header["held_out_runs"]) == (0, 17, 3)
     assert header["data_sha256"] == config["data_sha256"]
     assert header["held_out_rmse_m"] == min(row["held_out_rmse_m"] for row in rows)
+    assert header["held_out_constant_velocity_rmse_m"] == 0.375
+    assert header["held_out_standing_still_rmse_m"] == 0.5
+    assert header["held_out_moving"] is True and header["training_s"] == 1.2
 
 
 @pytest.mark.parametrize(
@@ -245,6 +248,9 @@ def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert captured.err == ""
     values = json.loads(path.read_text())
     assert values.keys() >= OPEN_LOOP | {"run", "data", "episodes", "seed"}
+    distance = values["contact_distance_m"]
+    assert distance == float(load_model(shipped_model("pickup")).model.features.contact_distance)
+    assert f"contact distance                  {distance:.4g} m, learned" in captured.out
     assert (values["run"], values["data"]) == ("pickup", str(fresh))
     assert (values["n_steps"], values["episodes"], values["seed"]) == (10, 2, 1)
     assert all(isinstance(values[name], int | float) for name in OPEN_LOOP)
@@ -344,8 +350,11 @@ def test_control_in_space(tmp_path: Path) -> None:
 
 def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for what, said in {
-        trained: ["run folder, gim-temp, seed 0", "12 of 12 steps", "held-out"],
-        trained / "model.safetensors": ["model, ", "2 a node, control 2", "0.05 s", "data_sha256"],
+        trained: ["gim-temp, seed 0", "12 of 12 steps in 1 s", "held-out    12.500 cm, last 12.5"],
+        trained / "model.safetensors": [
+            *("model, ", "2 a node, control 2", "0.05 s", "data_sha256"),
+            "contact distance    0.085 m, learned",
+        ],
         recorded: [
             "dataset, 20 trajectories",
             "200 of 0.05 s",

@@ -18,7 +18,9 @@ import dataclasses
 from pathlib import Path
 import jax, numpy as np
 from contactgraph.model import ModelConfig, gim_temp
-from contactgraph.train import FitProgress, TrainConfig, RunFolder, initial_state
+from contactgraph.train import (
+    FitProgress, HeldOutBaselines, TrainConfig, RunFolder, initial_state
+)
 
 folder = RunFolder(Path(sys.argv[1]))
 state = initial_state(gim_temp(ModelConfig(2, 2, 0.05), key=jax.random.key(0)), TrainConfig(), 0)
@@ -32,7 +34,8 @@ def save_for_ever():
         now = dataclasses.replace(
             state, step=np.asarray(step, np.int32), key=np.full((2,), step, np.uint32)
         )
-        folder.save(FitProgress(step, 1_000_000, {}, float(step), 0.0, now))
+        baselines = HeldOutBaselines(1.0, 1.0, True)
+        folder.save(FitProgress(step, 1_000_000, {}, float(step), 0.0, now, baselines))
 
 for pause in sys.stdin:
     child = os.fork()

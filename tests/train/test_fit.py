@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import safetensors.numpy
 from training import (
+    BASELINES,
     CONFIG,
     Enough,
     assert_bit_equal,
@@ -51,7 +52,8 @@ from contactgraph.train import (
     load_checkpoint,
     save_checkpoint,
 )
-from contactgraph.train.batch import Window, WindowSource
+from contactgraph.train.batch import WindowSource
+from contactgraph.train.held_out import HeldOutWindows
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "short_training.json"
 
@@ -185,8 +187,8 @@ def test_training_draws_from_its_own_part_and_checks_on_the_other(
         assert options == {"contacts": False}
         return pad_trajectories(trajectories, **options)
 
-    def stop(state: object, source: WindowSource, checked: Window, *rest: object) -> None:
-        given.extend([source, checked])
+    def stop(state: object, source: WindowSource, checked: HeldOutWindows, *rest: object) -> None:
+        given.extend([source, checked.windows])
         raise Enough
 
     monkeypatch.setattr(FIT, "pad_trajectories", spy)
@@ -312,7 +314,7 @@ def test_the_latest_checkpoint_of_a_folder_holds_the_whole_state(tmp_path: Path)
 
     states = [jax.tree.map(shifted, first_state()) for _ in range(2)]
     for step, state in enumerate(states, start=1):
-        folder.save(FitProgress(step, 2, {}, 1.0, 0.0, state))
+        folder.save(FitProgress(step, 2, {}, 1.0, 0.0, state, BASELINES))
     restored = folder.latest(first_state(1))
     assert_bit_equal(restored.optimiser, states[-1].optimiser)
     assert_bit_equal(restored, states[-1])

@@ -13,7 +13,8 @@ import pytest
 from contactgraph.model import LinearDynamics, ModelConfig, Nodes, gim_temp, two_type_belief
 from contactgraph.train import LossTerms
 from contactgraph.train.batch import Window
-from contactgraph.train.loss import rollout_rmse, window_loss
+from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
+from contactgraph.train.loss import window_loss
 
 DT = 0.05
 jitted_loss = eqx.filter_jit(window_loss)
@@ -89,9 +90,14 @@ def test_the_terms_by_hand() -> None:
     weights = LossTerms(prediction=1.0, squared=10.0, rollout=100.0, prior=1000.0)
     expected = 1.25 + 32.5 + 100.0 + 1000 * 0.6 * math.log(4)
     assert float(terms.total(weights)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_the_held_out_error_is_that_of_rollouts_over_the_counted_bodies() -> None:
+    first = HeldOutWindows(by_hand(), jnp.array([[True, False], [False, False]]), True)
+    assert float(jitted_rmse(Still(), first)) == pytest.approx(0.1)
     # The mean over windows of each one's root: 0.1 m of one node of two, and nothing.
-    found = float(jitted_rmse(Still(), by_hand()))
-    assert found == pytest.approx((0.1 / math.sqrt(2) + 0.0) / 2)
+    everybody = dataclasses.replace(first, counted=jnp.ones((2, 2), bool))
+    assert float(jitted_rmse(Still(), everybody)) == pytest.approx((0.1 / math.sqrt(2) + 0.0) / 2)
 
 
 def test_the_rollout_term_is_zero_unless_requested() -> None:
@@ -107,7 +113,6 @@ def test_nodes_and_edges_that_do_not_exist_do_not_count() -> None:
     assert float(terms.prior) == 0.0, "no edge, and no division by none"
     # The rollout misses by (2 m/s) / 2 in one window and not at all in the other.
     assert float(terms.rollout) == pytest.approx((1 + 0) / 2, abs=2e-3)
-    assert float(jitted_rmse(Still(), masked)) == pytest.approx((0.1 + 0.0) / 2)
 
 
 class Pushed(Still):

@@ -13,12 +13,22 @@ import numpy as np
 from contactgraph.data import Dataset, read_trajectories, split_by_trajectory
 from contactgraph.model import ModelConfig, gim_temp
 from contactgraph.model.serialization import module_arrays
-from contactgraph.train import FitProgress, FitResult, FitState, TrainConfig, fit, initial_state
+from contactgraph.train import (
+    FitProgress,
+    FitResult,
+    FitState,
+    HeldOutBaselines,
+    TrainConfig,
+    fit,
+    initial_state,
+)
 
 CONFIG = TrainConfig(
     steps=12, batch_size=4, window_length=3, rollout_from=0.6, check_every=4, patience=12
 )
 """Checks at 4, 8 and 12 steps, the last of them with the rollout term."""
+
+BASELINES = HeldOutBaselines(constant_velocity_rmse_m=2.0, standing_still_rmse_m=3.0, moving=True)
 
 
 class Enough(Exception):

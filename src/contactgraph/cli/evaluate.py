@@ -31,7 +31,12 @@ class Evaluate:
 
     def run(self) -> None:
         """Evaluate, and print a summary."""
-        from contactgraph.cli.models import in_steps_of, stored_model
+        from contactgraph.cli.models import (
+            contact_distance,
+            contact_distance_text,
+            in_steps_of,
+            stored_model,
+        )
         from contactgraph.cli.options import check_range, sensor_faults
         from contactgraph.cli.output import check_writable, write_json
         from contactgraph.data import read_trajectories
@@ -58,11 +63,13 @@ class Evaluate:
             "misses": self.misses,
             "delay": self.delay,
             "infer_contacts": self.infer_contacts,
+            "contact_distance_m": contact_distance(model),
             **metrics.to_json(),
             **({} if growth is None else growth.to_json()),
         }
         write_json(self.json, values)
         _print_summary(values)
+        print(f"contact distance                  {contact_distance_text(model)}")
         if growth is not None:
             print(
                 f"over {self.growth_steps} steps the state grows {_times(growth.growth_free)} "

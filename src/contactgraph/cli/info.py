@@ -76,8 +76,12 @@ def _print_run_folder(path: Path) -> None:
     print(f"{path}: run folder, {config.get('model')}, seed {config.get('seed')}")
     print(f"  data        {config.get('data')}")
     if rows:
-        print(f"  trained     {rows[-1]['step']:.0f} of {config.get('steps')} steps")
-        print(f"  held-out    {100 * min(row['held_out_rmse_m'] for row in rows):.3f} cm")
+        print(
+            f"  trained     {rows[-1]['step']:.0f} of {config.get('steps')} steps "
+            f"in {rows[-1]['seconds']:.0f} s"
+        )
+        best = min(row["held_out_rmse_m"] for row in rows)
+        print(f"  held-out    {100 * best:.3f} cm, last {100 * rows[-1]['held_out_rmse_m']:.3f} cm")
     else:
         print("  trained     no checkpoint yet")
     for checkpoint in folder.checkpoints():
@@ -85,13 +89,19 @@ def _print_run_folder(path: Path) -> None:
 
 
 def _print_model(name: str) -> None:
-    from contactgraph.cli.models import model_path
+    from contactgraph.cli.models import contact_distance_text, model_path, stored_model
+    from contactgraph.data import InvalidInputError
     from contactgraph.model.io import describe_model
 
     summary = describe_model(model_path(name))
+    try:
+        distance = contact_distance_text(stored_model(name))
+    except InvalidInputError as error:  # parts of the user's own, without their preset
+        distance = f"unknown ({error})"
     print(f"{name}: model, {summary.parameter_count} parameters, {summary.size} bytes")
     print(f"  degrees of freedom  {summary.dimension} a node, control {summary.control_size}")
     print(f"  dt                  {summary.dt} s")
+    print(f"  contact distance    {distance}")
     for key, value in summary.training.items():
         print(f"  {key:<19} {_text(value)}")
     print(f"  parts               {_text(summary.model)}")

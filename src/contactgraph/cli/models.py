@@ -7,6 +7,7 @@ from contactgraph.cli.options import choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
     ContactDynamics,
+    DistancePrior,
     Preset,
     full_ab,
     gim_non_temp,
@@ -76,6 +77,25 @@ def stored_model(name: str) -> ContactDynamics:
     """
     preset, _ = _split(name)
     return load_model(model_path(name), model_preset(preset) if preset else None).model
+
+
+def contact_distance_text(model: ContactDynamics) -> str:
+    """The distance of touching bodies' centres that the model assumes, for users."""
+    distance = contact_distance(model)
+    learned = getattr(model.features, "learned", False)
+    origin = "learned" if learned else "given"
+    return "unknown" if distance is None else f"{distance:.4g} m, {origin}"
+
+
+def contact_distance(model: ContactDynamics) -> float | None:
+    """The distance of touching bodies' centres in the contact prior, m, learned where it may be.
+
+    None for parts of the user's own without one.
+    """
+    if isinstance(model.prior, DistancePrior):
+        return model.prior.threshold
+    distance = getattr(model.features, "contact_distance", None)
+    return None if distance is None else float(distance)
 
 
 def _split(name: str) -> tuple[str, str]:

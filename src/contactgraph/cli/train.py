@@ -4,9 +4,12 @@ import math
 import sys
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from contactgraph.train import HeldOutBaselines
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,8 @@ class Train:
         """Train, saving checkpoints on the way."""
         import jax
 
-        from contactgraph.cli.models import model_preset
+        from contactgraph.cli import CommandError
+        from contactgraph.cli.models import contact_distance_text, model_preset
         from contactgraph.cli.options import check_range, check_seed, check_weight
         from contactgraph.cli.output import progress, provenance, sha256
         from contactgraph.data import (
@@ -150,17 +154,21 @@ class Train:
             **provenance(),
         }
 
-        def keep_best(state: FitState, seconds: float) -> None:
+        def keep_best(
+            state: FitState, seconds: float, baselines: "HeldOutBaselines | None" = None
+        ) -> None:
             result = {
                 "step": int(state.step),
                 "held_out_rmse_m": float(state.best_error),
                 "training_s": round(seconds, 1),
             }
+            if baselines is not None:
+                result |= {f"held_out_{name}": value for name, value in asdict(baselines).items()}
             save_model(folder.model_path, state.best_model, {**summary, **result}, made_by)
 
         warning = velocity_warning(dataset)
         if warning is not None:
-            print(f"contactgraph: warning: {self.data}: {warning}", file=sys.stderr)
+            _warn(f"{self.data}: {warning}")
         with progress("training", config.steps) as bar:
             if math.isfinite(float(state.best_error)):
                 # A process killed between the two has a newer checkpoint than model.
@@ -169,17 +177,40 @@ class Train:
             def on_check(check: FitProgress) -> None:
                 check = replace(check, seconds=spent + check.seconds)
                 folder.save(check)
-                keep_best(check.state, check.seconds)
+                keep_best(check.state, check.seconds, check.baselines)
                 best = float(check.state.best_error)
-                bar.advance(check.step, f"held-out error {100 * best:.3f} cm")
+                bar.advance(check.step, _errors(check.held_out_rmse_m, check.baselines, best))
 
             result = fit(state, train, held_out, config, on_check, devices)
+        seconds = spent + result.seconds
+        if math.isfinite(result.held_out_rmse_m):
+            keep_best(result.state, seconds, result.baselines)
         if result.status is FitStatus.not_finite:
             raise InvalidInputError(f"{self.out}: {result.status.value}")
+        if result.status in (FitStatus.dead_units, FitStatus.constant_velocity):
+            raise CommandError(
+                f"{self.out}: {result.status.value}; try another --seed, a lower --learning-rate, "
+                f"more data or another --model"
+            )
+        error = result.held_out_rmse_m
         print(
-            f"{folder.model_path}: held-out error {100 * result.held_out_rmse_m:.3f} cm over "
-            f"{config.window_length} steps; {result.status.value}"
+            f"{folder.model_path}: {_errors(error, result.baselines)} over {config.window_length} "
+            f"steps; {result.status.value}"
         )
+        print(
+            f"trained for {seconds:.0f} s, compilation included; contact distance "
+            f"{contact_distance_text(result.model)}"
+        )
+        if not result.baselines.moving:
+            _warn(
+                f"{self.data}: no body moves more than 1 mm in the held-out windows; the error is "
+                "over all bodies"
+            )
+        if not result.is_better:
+            _warn(
+                f"{self.out}: the model is no better than constant velocity or standing still on "
+                "the held-out trajectories; try more data, more steps or another --model"
+            )
 
     def _devices(self, there: int, batch_size: int) -> int:
         """The number of devices that share a batch."""
@@ -214,6 +245,21 @@ class Train:
                 )
             options[option.name] = value
         return Train(data=self.data, out=self.out, **options)
+
+
+def _errors(error: float, baselines: "HeldOutBaselines", best: float | None = None) -> str:
+    """The held-out error, the best so far if given, and the baselines, for users."""
+    bodies = "moving bodies" if baselines.moving else "all bodies"
+    return (
+        f"held-out error {100 * error:.3f} cm"
+        + ("" if best is None else f" (best {100 * best:.3f})")
+        + f", constant velocity {100 * baselines.constant_velocity_rmse_m:.3f}, "
+        f"standing still {100 * baselines.standing_still_rmse_m:.3f}, {bodies}"
+    )
+
+
+def _warn(text: str) -> None:
+    print(f"contactgraph: warning: {text}", file=sys.stderr)
 
 
 _CONFIG = (

@@ -3,12 +3,13 @@
 from contactgraph.train.config import DataDefaults as DataDefaults
 from contactgraph.train.config import TrainConfig as TrainConfig
 from contactgraph.train.config import defaults_from_data as defaults_from_data
-from contactgraph.train.fit import FitProgress as FitProgress
-from contactgraph.train.fit import FitResult as FitResult
-from contactgraph.train.fit import FitState as FitState
-from contactgraph.train.fit import FitStatus as FitStatus
 from contactgraph.train.fit import fit as fit
 from contactgraph.train.fit import initial_state as initial_state
+from contactgraph.train.fit_state import FitProgress as FitProgress
+from contactgraph.train.fit_state import FitResult as FitResult
+from contactgraph.train.fit_state import FitState as FitState
+from contactgraph.train.fit_state import FitStatus as FitStatus
+from contactgraph.train.held_out import HeldOutBaselines as HeldOutBaselines
 from contactgraph.train.loss import LossTerms as LossTerms
 from contactgraph.train.run_folder import RunFolder as RunFolder
 from contactgraph.train.run_folder import load_checkpoint as load_checkpoint

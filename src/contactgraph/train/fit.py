@@ -1,22 +1,21 @@
 """The training loop: many optimiser steps in one compiled call, then a held-out check."""
 
 import dataclasses
-import enum
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, PRNGKeyArray
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.neighbor_allocation import ReallocatingModel
 from contactgraph.model.neighbor_list import NeighborList
 from contactgraph.train.batch import (
@@ -29,60 +28,15 @@ from contactgraph.train.batch import (
     window_source,
 )
 from contactgraph.train.config import TrainConfig
-from contactgraph.train.loss import LossTerms, rollout_loss, rollout_rmse, window_loss
+from contactgraph.train.dead_network import equals_constant_velocity, has_dead_units
+from contactgraph.train.fit_state import FitProgress, FitResult, FitState, FitStatus
+from contactgraph.train.held_out import HeldOutWindows, held_out_windows, rollout_rmse
+from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
 
-_HELD_OUT_WINDOWS = 256
 _CLEARANCE = 1.03
 """Least distance of a distractor, in learned contact distances."""
-
-
-class FitStatus(enum.Enum):
-    """The end of training; the value is the text for users."""
-
-    finished = "all steps done"
-    stopped_early = "the held-out error no longer fell"
-    not_finite = "the loss became infinite or not a number; a lower learning rate may help"
-
-
-class FitState(eqx.Module):
-    """All that training carries from step to step.
-
-    Training continues bit for bit from a saved and restored state.
-    """
-
-    model: ContactDynamics
-    optimiser: optax.OptState
-    key: PRNGKeyArray
-    step: Int[Array, ""]
-    best_model: ContactDynamics
-    best_error: Float[Array, ""]
-    """m; held-out position error over a window of `best_model`."""
-    checks_without_gain: Int[Array, ""]
-
-
-@dataclass(frozen=True)
-class FitProgress:
-    """The state of training at one check."""
-
-    step: int
-    steps: int
-    terms: dict[str, float]
-    """Loss terms by name, means since the last check."""
-    held_out_rmse_m: float
-    """Position error over windows of held-out trajectories, predicted from their first states."""
-    seconds: float
-    """Since this call of `fit` began, compilation included."""
-    state: FitState
-
-
-@dataclass(frozen=True)
-class FitResult:
-    """The model with the least error on the held-out trajectories."""
-
-    model: ContactDynamics
-    held_out_rmse_m: float
-    status: FitStatus
-    state: FitState
+_SHORTEST = 0.1
+"""Least learned contact distance, in first guesses."""
 
 
 def initial_state(model: ContactDynamics, config: TrainConfig, seed: int) -> FitState:
@@ -109,19 +63,19 @@ def fit(
 ) -> FitResult:
     """Train from `state` to the last step of `config`, or until the held-out error stops falling.
 
+    A dead network ends the training, too: see `has_dead_units` and `equals_constant_velocity`.
     Large scenes are trained with neighbor lists: see `ReallocatingModel`. Contact labels in the
     data are not read. `on_check` is called at every check and may save its state; an exception
     from it (as Ctrl-C does) ends the training. Each of several `devices` takes an equal part of
     every batch, with the same result up to rounding. Raises `InvalidInputError` where trajectories
     are shorter than a window, or a batch cannot be split.
     """
+    began = time.monotonic()
     split = batch_split(devices, config.batch_size)
     batch = pad_trajectories(train, contacts=False)
     source = _window_source(batch, config)
-    # A fixed set of held-out windows, balanced over events as those of training are.
-    checked = _window_source(pad_trajectories(held_out, contacts=False), config).draw(
-        _HELD_OUT_WINDOWS, jax.random.key(0)
-    )
+    checked = held_out_windows(_window_source(pad_trajectories(held_out, contacts=False), config))
+    baselines = checked.baselines(train.dt)
     if split is not None:
         state, source, checked = split.replicate((state, source, checked))
     distractors = config.bystanders if has_resting_bodies(batch) else 0
@@ -140,7 +94,6 @@ def fit(
         )
         return _with_lists(after, lists.given.neighbor_list), arrays
 
-    began = time.monotonic()
     status = FitStatus.finished
     while int(state.step) < config.steps:
         if int(state.checks_without_gain) >= config.patience:
@@ -160,9 +113,19 @@ def fit(
                 held_out_rmse_m=terms["held_out"],
                 seconds=time.monotonic() - began,
                 state=state,
+                baselines=baselines,
             )
         )
-    return FitResult(state.best_model, float(state.best_error), status, state)
+        if has_dead_units(state.model, checked.windows):
+            status = FitStatus.dead_units
+            break
+        best, done = float(state.best_error), int(state.step) / config.steps
+        if equals_constant_velocity(terms["held_out"], best, baselines, done):
+            status = FitStatus.constant_velocity
+            break
+    seconds = time.monotonic() - began
+    best = float(state.best_error)
+    return FitResult(state.best_model, best, status, state, seconds, baselines)
 
 
 def _with_lists(state: FitState, lists: NeighborList | None) -> FitState:
@@ -197,11 +160,24 @@ def _optimiser(config: TrainConfig) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
 
 
+def with_positive_distance(model: ContactDynamics) -> ContactDynamics:
+    """The model with a learned contact distance of at least a tenth of its first guess.
+
+    A negative one would turn the sign of the contact prior. A bound and not a softplus, because
+    model files hold the distance itself.
+    """
+    features = model.features
+    if not (isinstance(features, InvariantFeatures) and features.learned):
+        return model
+    bounded = jnp.maximum(features.contact_distance, _SHORTEST * features.length)
+    return eqx.tree_at(lambda each: each.features.contact_distance, model, bounded)
+
+
 @eqx.filter_jit
 def _advance(
     state: FitState,
     source: WindowSource,
-    checked: Window,
+    checked: HeldOutWindows,
     config: TrainConfig,
     count: int,
     distractors: int,
@@ -256,7 +232,8 @@ def _advance(
                 lambda one, other: one + config.weights.rollout * other, gradient, slope
             )
         updates, optimiser_state = optimiser.update(gradient, optimiser_state, params)
-        return (optax.apply_updates(params, updates), optimiser_state, key), terms
+        params = with_positive_distance(optax.apply_updates(params, updates))
+        return (params, optimiser_state, key), terms
 
     carry = (params, state.optimiser, jax.random.wrap_key_data(state.key))
     (params, optimiser_state, key), terms = jax.lax.scan(step, carry, length=count)

@@ -220,19 +220,3 @@ def _rollout_error(model: ContactDynamics, window: Window) -> Float[Array, "L N"
     position_error = _ROLLOUT_POSITION * (states.position - window.position[1:]) / model.dt
     velocity_error = states.velocity - window.velocity[1:]
     return jnp.sqrt(jnp.sum(position_error**2 + velocity_error**2, axis=-1) + _SMALLEST)
-
-
-def rollout_rmse(model: ContactDynamics, windows: Window) -> Float[Array, ""]:
-    """Mean over windows, each predicted from its first state, of its RMS position error [m].
-
-    The mean is over roots, so that one grazing contact predicted wrongly does not determine which
-    model is best.
-    """
-
-    def rmse(window: Window) -> Float[Array, ""]:
-        states = predict_window(model, window)
-        squared = jnp.sum((states.position - window.position[1:]) ** 2, axis=-1)
-        return jnp.sqrt(_mean(squared, jnp.broadcast_to(window.nodes.mask, squared.shape)))
-
-    edges = edge_count(model.neighbor_list, windows.position.shape[-2])
-    return jnp.mean(chunked_vmap(rmse, (windows,), edges))

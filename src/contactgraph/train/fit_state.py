@@ -1,0 +1,75 @@
+"""The state of a training, its progress, and its result with a status."""
+
+import enum
+from dataclasses import dataclass
+
+import equinox as eqx
+import optax
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.train.held_out import HeldOutBaselines
+
+
+class FitStatus(enum.Enum):
+    """The end of training; the value is the text for users."""
+
+    finished = "all steps done"
+    stopped_early = "the held-out error no longer fell"
+    not_finite = "the loss became infinite or not a number; a lower learning rate may help"
+    dead_units = "the network is dead: its messages are the same for every pair of bodies"
+    constant_velocity = "the network is dead: its error equals that of constant velocity"
+
+
+class FitState(eqx.Module):
+    """All that training carries from step to step.
+
+    Training continues bit for bit from a saved and restored state.
+    """
+
+    model: ContactDynamics
+    optimiser: optax.OptState
+    key: PRNGKeyArray
+    step: Int[Array, ""]
+    best_model: ContactDynamics
+    best_error: Float[Array, ""]
+    """m; held-out error of `best_model`, see `rollout_rmse`."""
+    checks_without_gain: Int[Array, ""]
+
+
+@dataclass(frozen=True)
+class FitProgress:
+    """The state of training at one check."""
+
+    step: int
+    steps: int
+    terms: dict[str, float]
+    """Loss terms by name, means since the last check."""
+    held_out_rmse_m: float
+    """Position error of the bodies that move, over windows of held-out trajectories that are
+    predicted from their first states, at this check."""
+    seconds: float
+    """Since this call of `fit` began, compilation included."""
+    state: FitState
+    baselines: HeldOutBaselines
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """The model with the least error on the held-out trajectories."""
+
+    model: ContactDynamics
+    held_out_rmse_m: float
+    status: FitStatus
+    state: FitState
+    seconds: float
+    """Of this call of `fit`, compilation included."""
+    baselines: HeldOutBaselines
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the model predicts better than constant velocity and than standing still."""
+        baselines = self.baselines
+        return self.held_out_rmse_m < min(
+            baselines.constant_velocity_rmse_m, baselines.standing_still_rmse_m
+        )
