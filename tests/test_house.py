@@ -49,7 +49,7 @@ LINES = {"contactgraph": 22_600, "contactgraph_franka": 9_000, "contactgraph_stu
 LONGEST_FILE = 300
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 19,  # a prediction step
-    "contactgraph.train.fit": 28,  # a training step
+    "contactgraph.train.fit": 29,  # a training step, its held-out error and signs of a dead network
     "contactgraph.control.active_set": 33,  # a control step
 }
 FRAMES = 14
