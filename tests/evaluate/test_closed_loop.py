@@ -12,7 +12,8 @@ from contactgraph.evaluate.closed_loop import approach
 JSON_KEYS = {
     *("episodes", "seed", "success_rate", "success_interval", "contact_speed_m_s"),
     *("slowest_before_contact_m_s", "slowest_before_contact_min_m_s", "touched_bystanders"),
-    *("plan_ms_p50", "plan_ms_p99", "planned_windows"),
+    *("scenes", "goal_distance_m_median", "goal_distance_m_mean"),
+    *("plan_ms_p50", "plan_ms_p99", "planned_windows", "planned_moved_objects"),
     *("n_step_rmse_planned_m", "n_step_rmse_planned_moving_m"),
     *("constant_velocity_planned_rmse_m", "frozen_contact_planned_rmse_m"),
     *("edge_precision_planned", "edge_recall_planned", "edge_f1_planned"),
@@ -82,6 +83,36 @@ def test_over_episodes():
     assert found.plan_ms_p50 == 50.0 and found.plan_ms_p99 == 99.0
 
 
+def test_a_repeated_scene_is_no_further_scene():
+    trajectories = [episode([1.0] * 8)] * 6
+    succeeded = [True, True, False, True, True, False]
+    once = closed_loop_metrics(trajectories, succeeded, (0, 1), 0)
+    assert once.scenes == 6 and once.success_interval == wilson_interval(4, 6)
+    # Scene 3 succeeds twice, scene 5 once in two, scene 8 once, scene 9 never: 2.5 of 4.
+    seeds = [3, 5, 5, 3, 8, 9]
+    found = closed_loop_metrics(trajectories, succeeded, (0, 1), 0, scene_seeds=seeds)
+    assert (found.scenes, found.episodes) == (4, 6)
+    assert found.success_rate == pytest.approx(4 / 6)
+    assert found.success_interval == wilson_interval(2, 4)
+    twice = closed_loop_metrics(trajectories, [True] * 6, (0, 1), 0, scene_seeds=[1, 2, 3, 1, 2, 3])
+    assert twice.success_interval == wilson_interval(3, 3), "no narrower than of three scenes"
+
+
+def test_the_last_node_ends_at_a_distance_from_the_goal():
+    def ending(point, goal=(1.0, 1.0)):
+        trajectory = episode([1.0, 1.0])
+        trajectory.position[-1, 1] = point
+        trajectory.position[0, 1] = (50.0, 50.0)  # only the end counts
+        return replace(trajectory, scene=replace(trajectory.scene, goal=goal))
+
+    ends = [ending((1.0, 1.5)), ending((4.0, 5.0)), ending((1.0, 1.1))]
+    found = closed_loop_metrics(ends, [True] * 3, (0, 2, 1), 0)
+    assert found.goal_distance_m_median == pytest.approx(0.5)
+    assert found.goal_distance_m_mean == pytest.approx((0.5 + 5.0 + 0.1) / 3)
+    aimless = closed_loop_metrics([episode([1.0, 1.0])], [True], (0, 1), 0)
+    assert aimless.goal_distance_m_median is aimless.goal_distance_m_mean is None
+
+
 def test_a_longer_chain_knows_its_own():
     trajectory = episode([1.0] * 8, touch=6, distractor=7)
     assert closed_loop_metrics([trajectory], [True], (0, 1), 0).touched_bystanders == 1
@@ -109,5 +140,7 @@ def test_arguments():
         closed_loop_metrics([], [], (0, 1), 0)
     with pytest.raises(InvalidInputError, match="found 2 for 1 episodes"):
         closed_loop_metrics([trajectory], [True, True], (0, 1), 0)
+    with pytest.raises(InvalidInputError, match="one entry an episode, found 2 for 1 episodes"):
+        closed_loop_metrics([trajectory], [True], (0, 1), 0, scene_seeds=[1, 2])
     with pytest.raises(InvalidInputError, match=r"chain must name nodes 0 to 2, found \(0, 3\)"):
         closed_loop_metrics([trajectory], [True], (0, 3), 0)

@@ -67,6 +67,34 @@ def test_only_bodies_that_move_are_moving():
     assert found.planned_moving.rmse == pytest.approx(0.03 / np.sqrt(2))
 
 
+def test_a_controller_that_moves_no_object_gets_no_error():
+    """The gripper moves, and all is planned well: no credit for objects that rest."""
+    position = RUN.position.copy()
+    position[:, 1:] = position[0, 1:]
+    still = replace(RUN, position=position)
+    found = plan_tracking_error(still, record_of(still, 15, 0.03))
+    assert found.windows == 3 and found.moved_objects == 0
+    assert found.planned.rmse == pytest.approx(0.03 / np.sqrt(3))
+    values = found.to_json()
+    assert values["n_step_rmse_planned_m"] is values["n_step_rmse_planned_moving_m"] is None
+    assert values["planned_windows"] == 3 and values["planned_moved_objects"] == 0
+    assert values["constant_velocity_planned_rmse_m"] > 0
+    # One object that moves in one window of another episode is enough, and all windows count.
+    pushed = position.copy()
+    pushed[5:, 2, 0] += 2e-3
+    pushed = replace(RUN, position=pushed)
+    other = plan_tracking_error(pushed, record_of(pushed, 15, 0.03))
+    assert other.moved_objects == 1
+    both = found + other
+    assert both.moved_objects == 1 and both.rmse == pytest.approx(0.03 / np.sqrt(3))
+    assert both.to_json()["n_step_rmse_planned_m"] == both.rmse
+
+
+def test_the_error_of_moving_bodies_comes_first():
+    errors = [name for name in PlanTrackingError().to_json() if name.startswith("n_step")]
+    assert errors == ["n_step_rmse_planned_moving_m", "n_step_rmse_planned_m"]
+
+
 @pytest.mark.parametrize("every", [1, 5, 9])
 def test_plans_replaced_too_soon_do_not_count(every):
     found = plan_tracking_error(RUN, record_of(RUN, every))

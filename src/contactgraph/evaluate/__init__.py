@@ -5,7 +5,8 @@ from contactgraph.envs.episodes import episode_seeds as episode_seeds
 from contactgraph.envs.episodes import run_episode as run_episode
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics as ClosedLoopMetrics
 from contactgraph.evaluate.closed_loop import closed_loop_metrics as closed_loop_metrics
-from contactgraph.evaluate.closed_loop import control_task as control_task
+from contactgraph.evaluate.control_task import control_by_policy as control_by_policy
+from contactgraph.evaluate.control_task import control_task as control_task
 from contactgraph.evaluate.edge_scores import EstimatedContacts as EstimatedContacts
 from contactgraph.evaluate.edge_scores import estimated_contacts as estimated_contacts
 from contactgraph.evaluate.model_diagnostics import ModelDiagnostics as ModelDiagnostics

@@ -1,29 +1,15 @@
-"""A model in closed loop with a task, and the metrics of the executed episodes."""
+"""Metrics of episodes that a controller has executed."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import cast
 
-import gymnasium
-import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits
 from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.envs.contract import Task
-from contactgraph.envs.episodes import episode_seeds, run_episode
-from contactgraph.evaluate.edge_scores import EstimatedContacts, estimated_contacts
-from contactgraph.evaluate.mpc_policy import MPCPolicy, SceneCost, TaskCost
-from contactgraph.evaluate.plan_tracking import (
-    EpisodeRecord,
-    PlanTrackingError,
-    plan_tracking_error,
-)
-from contactgraph.evaluate.sensor_faults import ObservationNoise, SensorFaults
+from contactgraph.evaluate.edge_scores import EstimatedContacts
+from contactgraph.evaluate.plan_tracking import PlanTrackingError
 from contactgraph.evaluate.statistics import wilson_interval
-from contactgraph.model import ContactSensor, MotionNoise, StepModel
-from contactgraph.model.filter import check_fit
 
 _NO_TRACKING = PlanTrackingError()
 _NO_ESTIMATES = EstimatedContacts()
@@ -42,9 +28,14 @@ class ClosedLoopMetrics:
     episodes: int
     seed: int
     """Seed of the sequence of the episodes' seeds."""
+    scenes: int
+    """Distinct scenes among the episodes."""
     success_rate: float
     success_interval: tuple[float, float]
-    """95 %, Wilson."""
+    """95 %, Wilson, over distinct scenes."""
+    goal_distance_m_median: float | None
+    """From the chain's last node to the goal at the end of an episode, m."""
+    goal_distance_m_mean: float | None
     contact_speed_m_s: float | None
     """Median speed in the last state before the first contact, m/s."""
     slowest_before_contact_m_s: float | None
@@ -88,15 +79,17 @@ def closed_loop_metrics(
     plan_ms: Sequence[float] | np.ndarray = (),
     planned: PlanTrackingError = _NO_TRACKING,
     estimated: EstimatedContacts = _NO_ESTIMATES,
+    scene_seeds: Sequence[int] | None = None,
 ) -> ClosedLoopMetrics:
     """Metrics of executed episodes.
 
     ``succeeded``: the task's own result for each. ``chain``: the task's nodes in order, gripper
     first. ``plan_ms``: the times of all control steps of all episodes, ms; none: not measured.
     ``planned`` and ``estimated``: the sums of the episodes' `plan_tracking_error` and
-    `estimated_contacts`; none: not measured.
-    Raises `InvalidInputError` where there is no episode, ``succeeded`` has another length, or
-    an episode lacks a node of the chain.
+    `estimated_contacts`; none: not measured. ``scene_seeds``: one for each episode, equal in equal
+    scenes; None: no scene is repeated.
+    Raises `InvalidInputError` where there is no episode, ``succeeded`` or ``scene_seeds`` has
+    another length, or an episode lacks a node of the chain.
     """
     if not trajectories or len(succeeded) != len(trajectories):
         raise InvalidInputError(
@@ -106,7 +99,15 @@ def closed_loop_metrics(
     fewest = min(each.scene.node_count for each in trajectories)
     if not chain or not 0 <= min(chain) <= max(chain) < fewest:
         raise InvalidInputError(f"chain must name nodes 0 to {fewest - 1}, found {tuple(chain)}")
-    successes = sum(bool(each) for each in succeeded)
+    if scene_seeds is not None and len(scene_seeds) != len(trajectories):
+        raise InvalidInputError(
+            f"scene_seeds must have one entry an episode, found {len(scene_seeds)} for "
+            f"{len(trajectories)} episodes"
+        )
+    numbers = range(len(trajectories)) if scene_seeds is None else scene_seeds
+    distances = [
+        found for each in trajectories if (found := goal_distance(each, chain)) is not None
+    ]
     approaches = [found for each in trajectories if (found := approach(each, chain)) is not None]
     slowest = [each.slowest for each in approaches if each.slowest is not None]
     touched = [_touched_distractor(each, chain) for each in trajectories]
@@ -114,8 +115,11 @@ def closed_loop_metrics(
     return ClosedLoopMetrics(
         episodes=len(trajectories),
         seed=seed,
-        success_rate=successes / len(trajectories),
-        success_interval=wilson_interval(successes, len(trajectories)),
+        scenes=len(set(numbers)),
+        success_rate=sum(bool(each) for each in succeeded) / len(trajectories),
+        success_interval=_success_interval(succeeded, numbers),
+        goal_distance_m_median=_median(distances),
+        goal_distance_m_mean=float(np.mean(distances)) if distances else None,
         contact_speed_m_s=_median([each.contact_speed for each in approaches]),
         slowest_before_contact_m_s=_median(slowest),
         slowest_before_contact_min_m_s=min(slowest, default=None),
@@ -145,6 +149,23 @@ def approach(trajectory: Trajectory, chain: Sequence[int]) -> Approach | None:
     return Approach(float(speed[-1]), slowest if first > start_up else None)
 
 
+def goal_distance(trajectory: Trajectory, chain: Sequence[int]) -> float | None:
+    """m, from the chain's last node to the goal in the last state. None without a goal."""
+    goal = trajectory.scene.goal
+    if goal is None:
+        return None
+    return float(np.linalg.norm(trajectory.position[-1, chain[-1]] - goal))
+
+
+def _success_interval(succeeded: Sequence[bool], scenes: Sequence[int]) -> tuple[float, float]:
+    """A scene that is repeated is one trial, with the share of its successes."""
+    results: dict[int, list[bool]] = {}
+    for scene, each in zip(scenes, succeeded, strict=True):
+        results.setdefault(scene, []).append(bool(each))
+    successes = sum(sum(each) / len(each) for each in results.values())
+    return wilson_interval(round(successes), len(results))
+
+
 def _touched_distractor(trajectory: Trajectory, chain: Sequence[int]) -> bool | None:
     if trajectory.contact is None:
         return None
@@ -154,92 +175,3 @@ def _touched_distractor(trajectory: Trajectory, chain: Sequence[int]) -> bool | 
 
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
-
-
-_EXACT = SensorFaults()
-_NOISELESS = ObservationNoise()
-
-
-def control_task(
-    model: StepModel,
-    task_factory: Callable[[], Task],
-    episodes: int,
-    seed: int,
-    *,
-    cost: SceneCost | None = None,
-    horizon: int = 20,
-    iterations: int = 5,
-    replan_every: int = 1,
-    deadline: float | None = None,
-    sensor: ContactSensor | None = None,
-    faults: SensorFaults = _EXACT,
-    measured: bool = True,
-    noise: ObservationNoise = _NOISELESS,
-    motion_noise: MotionNoise | None = None,
-    node_capacity: int = 0,
-    on_episode: Callable[[Trajectory, EpisodeRecord], None] | None = None,
-) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
-    """Runs ``episodes`` episodes under `MPC` with this model, and measures them.
-
-    ``cost`` None is the task's own; the force limits are its action space's. Episode ``i`` has the
-    seed `collect` would give it. ``horizon``, ``iterations`` and ``replan_every`` are `ILQR`'s
-    and `MPC`'s, ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s. ``on_episode`` is
-    called after each episode with the trajectory and the controller's record.
-
-    ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
-    them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
-    assumes, by default those of ``faults``. ``motion_noise`` is `MPC`'s: with it, beliefs are also
-    corrected by the observed motion, to which ``noise`` is added.
-
-    Raises `InvalidInputError` where model and task do not fit, the task has no goal, or a number
-    is out of range.
-    """
-    seeds = episode_seeds(episodes, seed)
-    task = task_factory()
-    # The scene, and with it the cost's chain, is known after a reset.
-    task.reset(seed=seeds[0])
-    box = cast(gymnasium.spaces.Box, task.action_space)
-    control_size = int(np.prod(box.shape))
-    check_fit(model, task.scene, control_size, "the task")
-    terms = task.cost_terms()
-    limits = ControlLimits(jnp.asarray(box.low), jnp.asarray(box.high))
-    ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
-    mpc = ActiveSetMPC(
-        model,
-        ilqr,
-        sensor or faults.sensor,
-        replan_every,
-        deadline,
-        motion_noise=motion_noise,
-    )
-    scene_cost = TaskCost.of(terms, control_size) if cost is None else cost
-    _check_cost(scene_cost, task, control_size)
-    policy = MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise)
-
-    trajectories: list[Trajectory] = []
-    succeeded: list[bool] = []
-    plan_ms: list[np.ndarray] = []
-    planned, estimated = PlanTrackingError(), EstimatedContacts()
-    for episode_seed in seeds:
-        trajectories.append(run_episode(task, policy, episode_seed))
-        succeeded.append(task.success())
-        record = policy.record()
-        plan_ms.append(record.plan_ms)
-        planned += plan_tracking_error(trajectories[-1], record)
-        estimated += estimated_contacts(trajectories[-1], record.estimated)
-        if on_episode is not None:
-            on_episode(trajectories[-1], record)
-    metrics = closed_loop_metrics(
-        trajectories, succeeded, terms.chain, seed, np.concatenate(plan_ms), planned, estimated
-    )
-    return metrics, trajectories
-
-
-def _check_cost(cost: SceneCost, task: Task, control_size: int) -> None:
-    """Raises `InvalidInputError`, before compilation, where cost and task do not fit."""
-    size = cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
-    if size != control_size:
-        raise InvalidInputError(
-            f"the cost is for control size U {size}, but the task has {control_size}; they must "
-            "agree"
-        )

@@ -65,13 +65,17 @@ class PlanTrackingError:
 
     A window begins with every plan that was made from an observation and then followed by its
     feedback, without another plan, for ``n_steps`` steps, 0.5 s. None: unknown in an episode.
+    A controller that moves no object has no error.
     """
 
     windows: int = 0
-    planned: SquaredError = field(default_factory=SquaredError)
-    """Planned against executed positions, over windows, steps and nodes."""
+    moved_objects: int = 0
+    """Nodes without actuation that get more than 1 mm away from their first position in a window,
+    added up over the windows."""
     planned_moving: SquaredError = field(default_factory=SquaredError)
-    """The same for nodes that get more than 1 mm away from their first position."""
+    """Planned against executed positions of the nodes that move as far, over windows and steps."""
+    planned: SquaredError = field(default_factory=SquaredError)
+    """The same for all nodes."""
     constant_velocity: SquaredError = field(default_factory=SquaredError)
     """Baseline without forces, from the windows' first states: see `constant_velocity`."""
     fixed_contact: SquaredError | None = field(default_factory=SquaredError)
@@ -82,19 +86,30 @@ class PlanTrackingError:
     def __add__(self, other: "PlanTrackingError") -> "PlanTrackingError":
         return PlanTrackingError(
             windows=self.windows + other.windows,
-            planned=self.planned + other.planned,
+            moved_objects=self.moved_objects + other.moved_objects,
             planned_moving=self.planned_moving + other.planned_moving,
+            planned=self.planned + other.planned,
             constant_velocity=self.constant_velocity + other.constant_velocity,
             fixed_contact=_sum(self.fixed_contact, other.fixed_contact),
             edges=_sum(self.edges, other.edges),
         )
 
+    @property
+    def rmse_moving(self) -> float | None:
+        """m, of the nodes that move. None where no object does: resting ones are easy to plan."""
+        return self.planned_moving.rmse if self.moved_objects else None
+
+    @property
+    def rmse(self) -> float | None:
+        """m, of all nodes. None as `rmse_moving`."""
+        return self.planned.rmse if self.moved_objects else None
+
     def to_json(self) -> dict[str, float | int | None]:
         """All numbers by name; None for those that are not known or not finite."""
         fixed, edges = self.fixed_contact, self.edges
         numbers = {
-            "n_step_rmse_planned_m": self.planned.rmse,
-            "n_step_rmse_planned_moving_m": self.planned_moving.rmse,
+            "n_step_rmse_planned_moving_m": self.rmse_moving,
+            "n_step_rmse_planned_m": self.rmse,
             "constant_velocity_planned_rmse_m": self.constant_velocity.rmse,
             "frozen_contact_planned_rmse_m": None if fixed is None else fixed.rmse,
             "edge_precision_planned": None if edges is None else edges.precision,
@@ -104,6 +119,7 @@ class PlanTrackingError:
         }
         return {
             "planned_windows": self.windows,
+            "planned_moved_objects": self.moved_objects,
             **{
                 name: value if value is not None and math.isfinite(value) else None
                 for name, value in numbers.items()
@@ -141,8 +157,9 @@ def plan_tracking_error(trajectory: Trajectory, record: EpisodeRecord) -> PlanTr
     oracle = fixed_contact_oracle(trajectory, steps)
     return PlanTrackingError(
         windows=len(starts),
-        planned=error(planned, every),
+        moved_objects=int(moves[:, ~trajectory.scene.actuated].sum()),
         planned_moving=error(planned, moves),
+        planned=error(planned, every),
         constant_velocity=error(constant_velocity(trajectory, steps)[starts], every),
         fixed_contact=None if oracle is None else error(oracle[starts], every),
         edges=_edges(trajectory, record.plan_belief[starts, :steps], ahead),

@@ -1,0 +1,149 @@
+"""Controllers in closed loop with a task: a model under MPC, or a scripted policy."""
+
+from collections.abc import Callable
+from typing import cast
+
+import gymnasium
+import jax.numpy as jnp
+import numpy as np
+
+from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits
+from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.envs.contract import Policy, Task
+from contactgraph.envs.episodes import episode_seeds, run_episode
+from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
+from contactgraph.evaluate.edge_scores import EstimatedContacts, estimated_contacts
+from contactgraph.evaluate.mpc_policy import MPCPolicy, SceneCost, TaskCost
+from contactgraph.evaluate.plan_tracking import (
+    EpisodeRecord,
+    PlanTrackingError,
+    plan_tracking_error,
+)
+from contactgraph.evaluate.sensor_faults import ObservationNoise, SensorFaults
+from contactgraph.model import ContactSensor, MotionNoise, StepModel
+from contactgraph.model.filter import check_fit
+
+_EXACT = SensorFaults()
+_NOISELESS = ObservationNoise()
+
+
+def control_task(
+    model: StepModel,
+    task_factory: Callable[[], Task],
+    episodes: int,
+    seed: int,
+    *,
+    cost: SceneCost | None = None,
+    horizon: int = 20,
+    iterations: int = 5,
+    replan_every: int = 1,
+    deadline: float | None = None,
+    sensor: ContactSensor | None = None,
+    faults: SensorFaults = _EXACT,
+    measured: bool = True,
+    noise: ObservationNoise = _NOISELESS,
+    motion_noise: MotionNoise | None = None,
+    node_capacity: int = 0,
+    on_episode: Callable[[Trajectory, EpisodeRecord], None] | None = None,
+) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
+    """Runs ``episodes`` episodes under `MPC` with this model, and measures them.
+
+    ``cost`` None is the task's own; the limits of each component of the control are those of the
+    task's action space. Episode ``i`` has the seed `collect` would give it. An episode that the
+    task ends early is a failure unless the task calls it a success. ``horizon``, ``iterations``
+    and ``replan_every`` are `ILQR`'s and `MPC`'s, ``deadline`` is in seconds; ``node_capacity`` is
+    `MPCPolicy`'s. ``on_episode`` is called after each episode with the trajectory and the
+    controller's record.
+
+    ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
+    them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
+    assumes, by default those of ``faults``. ``motion_noise`` is `MPC`'s: with it, beliefs are also
+    corrected by the observed motion, to which ``noise`` is added.
+
+    Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
+    control, or a number is out of range.
+    """
+    seeds = episode_seeds(episodes, seed)
+    task, limits = _first_scene(task_factory, seeds[0])
+    control_size = len(limits.lower)
+    check_fit(model, task.scene, control_size, "the task")
+    terms = task.cost_terms()
+    ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
+    mpc = ActiveSetMPC(
+        model,
+        ilqr,
+        sensor or faults.sensor,
+        replan_every,
+        deadline,
+        motion_noise=motion_noise,
+    )
+    scene_cost = TaskCost.of(terms, control_size) if cost is None else cost
+    _check_cost(scene_cost, task, control_size)
+    policy = MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise)
+
+    trajectories: list[Trajectory] = []
+    succeeded: list[bool] = []
+    plan_ms: list[np.ndarray] = []
+    planned, estimated = PlanTrackingError(), EstimatedContacts()
+    for episode_seed in seeds:
+        trajectories.append(run_episode(task, policy, episode_seed))
+        succeeded.append(task.success())
+        record = policy.record()
+        plan_ms.append(record.plan_ms)
+        planned += plan_tracking_error(trajectories[-1], record)
+        estimated += estimated_contacts(trajectories[-1], record.estimated)
+        if on_episode is not None:
+            on_episode(trajectories[-1], record)
+    times = np.concatenate(plan_ms)
+    metrics = closed_loop_metrics(
+        trajectories, succeeded, terms.chain, seed, times, planned, estimated, seeds
+    )
+    return metrics, trajectories
+
+
+def control_by_policy(
+    policy: Policy,
+    task_factory: Callable[[], Task],
+    episodes: int,
+    seed: int,
+    on_episode: Callable[[Trajectory], None] | None = None,
+) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
+    """Runs a policy that neither predicts nor plans in the scenes of `control_task`.
+
+    It is the baseline beside a model's success. Times of control steps, plans and estimates are
+    not measured. Raises `InvalidInputError` where the task takes no control, or a number is out of
+    range.
+    """
+    seeds = episode_seeds(episodes, seed)
+    task, _ = _first_scene(task_factory, seeds[0])
+    chain = task.cost_terms().chain
+    trajectories: list[Trajectory] = []
+    succeeded: list[bool] = []
+    for episode_seed in seeds:
+        trajectories.append(run_episode(task, policy, episode_seed))
+        succeeded.append(task.success())
+        if on_episode is not None:
+            on_episode(trajectories[-1])
+    return closed_loop_metrics(
+        trajectories, succeeded, chain, seed, scene_seeds=seeds
+    ), trajectories
+
+
+def _first_scene(task_factory: Callable[[], Task], seed: int) -> tuple[Task, ControlLimits]:
+    """The task after a reset, from which on it knows its scene and cost, and its limits [U]."""
+    task = task_factory()
+    task.reset(seed=seed)
+    box = cast(gymnasium.spaces.Box, task.action_space)
+    if not np.size(box.low):
+        raise InvalidInputError("the task takes no control (U = 0), so nothing can control it")
+    return task, ControlLimits(jnp.asarray(box.low.ravel()), jnp.asarray(box.high.ravel()))
+
+
+def _check_cost(cost: SceneCost, task: Task, control_size: int) -> None:
+    """Raises `InvalidInputError`, before compilation, where cost and task do not fit."""
+    size = cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
+    if size != control_size:
+        raise InvalidInputError(
+            f"the cost is for control size U {size}, but the task has {control_size}; they must "
+            "agree"
+        )
