@@ -1,11 +1,12 @@
-"""``contactgraph control``: a model in closed loop with a task."""
+"""``contactgraph control``: a model, or a scripted policy, in closed loop with a task."""
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from contactgraph.cli.options import (
     Delay,
@@ -13,14 +14,28 @@ from contactgraph.cli.options import (
     FalseAlarms,
     Grasp,
     Misses,
-    ModelArgument,
     Objects,
     OutputFile,
     TaskArgument,
 )
 
 if TYPE_CHECKING:
-    from contactgraph.evaluate import ClosedLoopMetrics, OpenLoopMetrics
+    from contactgraph.cli.task_types import TaskOptions
+    from contactgraph.data import Trajectory
+    from contactgraph.evaluate import ClosedLoopMetrics, EpisodeRecord
+    from contactgraph.viz import SceneTrajectory
+
+ControllerArgument = Positional[
+    Annotated[
+        str,
+        arg(
+            metavar="MODEL",
+            help="A run folder of train, a model file, a shipped model (door, franka, multi-pickup "
+            "or pickup), or module:factory@MODEL. In its place, expert is the task's scripted "
+            "demonstrator, and fixed-start its controller without model or search.",
+        ),
+    ]
+]
 
 _LEARNED_COST_HORIZON = 2
 """Factor of the default horizon with a learned cost. Such a cost does not demand the contacts that
@@ -30,14 +45,35 @@ _RECORDED = (
     *("cost", "horizon", "replan_every", "false_alarms", "misses", "delay", "unmeasured"),
     *("position_noise", "velocity_noise", "infer_contacts"),
 )
-"""Options that the JSON file repeats."""
+"""Options that only a model takes; the JSON file repeats them."""
+_SCRIPTED = ("expert", "fixed-start")
+"""Names in place of a MODEL; a file or folder of such a name is given as a path, ``./expert``."""
+_PREDICTED_S = 0.5
+"""Length of the predictions of executed episodes."""
+
+
+@dataclass(frozen=True)
+class _Controlled:
+    """The episodes of a controller, and their numbers by JSON key."""
+
+    trajectories: "Sequence[Trajectory]"
+    metrics: "ClosedLoopMetrics"
+    settings: Mapping[str, Any]
+    predicted: Mapping[str, Any]
+    """Predictions of the episodes."""
+    measured: Mapping[str, Any]
+    scene: "Callable[[str], SceneTrajectory]"
+    """The first episode, to be drawn under a name."""
 
 
 @dataclass(frozen=True)
 class Control:
-    """Control a task through contact by iLQR-MPC with a learned model, episode after episode."""
+    """Control a task through contact by iLQR-MPC with a learned model, episode after episode.
 
-    model: ModelArgument
+    A scripted policy in the model's place (expert, fixed-start) is the baseline in the same scenes.
+    """
+
+    model: ControllerArgument
     task: TaskArgument
     episodes: int = 100
     """Number of episodes."""
@@ -78,27 +114,17 @@ class Control:
 
     def run(self) -> None:
         """Run the episodes, write the files that are asked for, and print a summary."""
+        from contactgraph.cli.control_output import not_predicted
         from contactgraph.cli.models import stored_model
         from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
-        from contactgraph.cli.output import check_writable, progress, write_json
+        from contactgraph.cli.output import check_writable, progress
         from contactgraph.cli.task_types import TaskOptions
         from contactgraph.cli.tasks import known_task, task_factory
         from contactgraph.control import read_cost
-        from contactgraph.data import (
-            Dataset,
-            InvalidInputError,
-            Metadata,
-            Trajectory,
-            write_trajectories,
-        )
-        from contactgraph.evaluate import (
-            EpisodeRecord,
-            ObservationNoise,
-            control_task,
-            evaluate_open_loop,
-        )
+        from contactgraph.data import Dataset, InvalidInputError
+        from contactgraph.evaluate import ObservationNoise, control_task, evaluate_open_loop
         from contactgraph.model import MotionNoise
-        from contactgraph.viz import check_animation, scene_trajectory, write_animation
+        from contactgraph.viz import check_animation, scene_trajectory
 
         for path in (self.json, self.video, self.save):
             check_writable(path)
@@ -106,6 +132,10 @@ class Control:
             check_animation(self.video)
         check_episodes(self.episodes)
         check_seed(self.seed)
+        options = TaskOptions(self.distractors, self.objects, self.grasp, radius=self.radius)
+        if self.model in _SCRIPTED:
+            self._write(self._by_policy(options), options)
+            return
         horizon = known_task(self.task).horizon
         if self.cost is not None:
             horizon *= _LEARNED_COST_HORIZON
@@ -120,7 +150,6 @@ class Control:
             )
         noise = ObservationNoise(self.position_noise, self.velocity_noise, self.seed)
         motion_noise = MotionNoise(noise.position, noise.velocity) if self.infer_contacts else None
-        options = TaskOptions(self.distractors, self.objects, self.grasp, radius=self.radius)
         factory = task_factory(self.task, options)
         cost = None if self.cost is None else read_cost(self.cost)
         model = stored_model(self.model)
@@ -128,7 +157,7 @@ class Control:
         finished = itertools.count(1)
         with progress("controlling", self.episodes) as bar:
 
-            def on_episode(trajectory: Trajectory, record: EpisodeRecord) -> None:
+            def on_episode(trajectory: "Trajectory", record: "EpisodeRecord") -> None:
                 first[:] = first or [record]
                 bar.advance(next(finished))
 
@@ -147,43 +176,78 @@ class Control:
                 motion_noise=motion_noise,
                 on_episode=on_episode,
             )
-        metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
-        dataset = Dataset(tuple(trajectories), metadata)
-        predicted = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)
-        values = {
-            "run": self.model,
-            **metadata,
+        predicted: Mapping[str, Any] = not_predicted()
+        if any(each.steps >= round(_PREDICTED_S / each.scene.dt) for each in trajectories):
+            predicted = evaluate_open_loop(
+                model, Dataset(tuple(trajectories)), faults=faults, motion_noise=motion_noise
+            ).to_json()
+        settings = {
             **{name: getattr(self, name) for name in _RECORDED},
             "cost": None if self.cost is None else str(self.cost),
             "horizon": horizon,
-            **predicted.to_json(),
-            **metrics.to_json(),
         }
+        controlled = _Controlled(
+            trajectories,
+            metrics,
+            settings,
+            predicted,
+            metrics.to_json(),
+            lambda name: scene_trajectory(model, name, trajectories[0], first[0].plan),
+        )
+        self._write(controlled, options)
+
+    def _by_policy(self, options: "TaskOptions") -> _Controlled:
+        """By a scripted policy, which predicts, plans and estimates nothing."""
+        from contactgraph.cli.control_output import not_planned, not_predicted
+        from contactgraph.cli.output import progress
+        from contactgraph.cli.tasks import known_task, task_factory
+        from contactgraph.data import InvalidInputError
+        from contactgraph.evaluate import control_by_policy
+        from contactgraph.viz import recorded_scene
+
+        defaults = {each.name: each.default for each in fields(self)}
+        names = (*_RECORDED, "deadline_ms")
+        given = [name for name in names if getattr(self, name) != defaults[name]]
+        if given:
+            flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+            raise InvalidInputError(
+                f"{flags}: for a model only; {self.model} is a scripted policy, which neither "
+                "plans nor estimates"
+            )
+        known = known_task(self.task)
+        fixed_start = self.model == "fixed-start" and known.fixed_start
+        factory = task_factory(self.task, options)
+        finished = itertools.count(1)
+        with progress("controlling", self.episodes) as bar:
+            metrics, trajectories = control_by_policy(
+                (fixed_start or known.demonstrator)(),
+                factory,
+                self.episodes,
+                self.seed,
+                on_episode=lambda trajectory: bar.advance(next(finished)),
+            )
+        return _Controlled(
+            trajectories,
+            metrics,
+            dict.fromkeys(_RECORDED),
+            not_predicted(),
+            {**metrics.to_json(), **not_planned()},
+            lambda name: recorded_scene(name, trajectories[0]),
+        )
+
+    def _write(self, controlled: _Controlled, options: "TaskOptions") -> None:
+        """The files that are asked for, and the summary."""
+        from contactgraph.cli.control_output import print_summary
+        from contactgraph.cli.output import write_json
+        from contactgraph.data import Metadata, write_trajectories
+        from contactgraph.viz import write_animation
+
+        metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
         if self.save is not None:
-            write_trajectories(self.save, trajectories, metadata)
+            write_trajectories(self.save, controlled.trajectories, metadata)
         if self.video is not None:
             name = f"{self.task}, {self.distractors} distractors"
-            scene = scene_trajectory(model, name, trajectories[0], first[0].plan)
-            write_animation(self.video, scene)
-        write_json(self.json, values)
-        _print_summary(metrics, predicted)
-
-
-def _print_summary(metrics: "ClosedLoopMetrics", predicted: "OpenLoopMetrics") -> None:
-    low, high = metrics.success_interval
-    speed, f1 = metrics.contact_speed_m_s, metrics.estimated.edges.f1
-    planned = metrics.planned.planned.rmse
-    print(
-        f"success                    {100 * metrics.success_rate:.0f} % of "
-        f"{metrics.episodes} episodes (95 %: {100 * low:.0f} to {100 * high:.0f})"
-    )
-    print(f"speed at contact, median   {'no contact' if speed is None else f'{speed:.2f} m/s'}")
-    print(f"touched a distractor       {metrics.touched_bystanders} episodes")
-    print(
-        f"control step               {metrics.plan_ms_p50:.2f} ms median, "
-        f"{metrics.plan_ms_p99:.2f} ms 99 %"
-    )
-    print(f"contact estimate, F1       {'no contact' if f1 is None else f'{f1:.4f}'}")
-    print(f"predicted, over {predicted.n_steps} steps   {100 * predicted.n_step_rmse_m:.3f} cm")
-    if planned is not None:
-        print(f"planned, over {predicted.n_steps} steps     {100 * planned:.3f} cm")
+            write_animation(self.video, controlled.scene(name))
+        values = {**controlled.settings, **controlled.predicted, **controlled.measured}
+        write_json(self.json, {"run": self.model, **metadata, **values})
+        print_summary(controlled.metrics, controlled.predicted)

@@ -10,5 +10,6 @@ from contactgraph.viz.report_data import NStepError as NStepError
 from contactgraph.viz.report_data import ReportData as ReportData
 from contactgraph.viz.report_data import ReportMetric as ReportMetric
 from contactgraph.viz.scene_trajectory import SceneTrajectory as SceneTrajectory
+from contactgraph.viz.scene_trajectory import recorded_scene as recorded_scene
 from contactgraph.viz.scene_trajectory import scene_trajectory as scene_trajectory
 from contactgraph.viz.summary_figure import write_summary_figure as write_summary_figure

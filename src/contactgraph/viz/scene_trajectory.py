@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.data import InvalidInputError, Trajectory, pair_indices
 from contactgraph.evaluate import model_diagnostics
 from contactgraph.model import ContactDynamics
 from contactgraph.viz.projection import Projection, projection_of
@@ -205,3 +205,12 @@ def scene_trajectory(
     return SceneTrajectory(
         name, trajectory, diagnostics.edges, diagnostics.belief, plan=plan, **learned
     )
+
+
+def recorded_scene(name: str, trajectory: Trajectory) -> SceneTrajectory:
+    """A trajectory with its recorded contacts in place of a model's beliefs."""
+    edges = pair_indices(trajectory.scene.node_count)
+    belief = np.zeros((trajectory.steps, len(edges)))
+    if trajectory.contact is not None:
+        belief = trajectory.contact[1:, edges[:, 0], edges[:, 1]].astype(np.float64)
+    return SceneTrajectory(name, trajectory, edges, belief)

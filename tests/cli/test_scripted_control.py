@@ -1,0 +1,162 @@
+"""Scripted policies in place of a model: the same scenes, numbers and files."""
+
+import json
+import shutil
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_commands import CLOSED_LOOP, OPEN_LOOP, by_the_expert
+
+from contactgraph.cli import main as cli
+from contactgraph.cli.tasks import TASKS
+from contactgraph.data import read_trajectories
+from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
+from contactgraph.evaluate import collect, episode_seeds
+from contactgraph.model import shipped_model
+
+SCENES = ["pickup", "--distractors", "1", "--episodes", "2", "--seed", "5"]
+
+
+def control(name: str, *options: object) -> int:
+    return cli.run(["control", name, *SCENES, *(str(each) for each in options)])
+
+
+@pytest.fixture
+def with_fixed_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pickup whose fixed start does nothing."""
+    monkeypatch.setitem(TASKS, "pickup", replace(TASKS["pickup"], fixed_start=RestPolicy))
+
+
+def test_the_expert_controls_the_scenes_of_a_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = []
+    monkeypatch.setattr("contactgraph.viz.write_animation", lambda *drawing: drawn.append(drawing))
+    result, video, episodes = (tmp_path / name for name in ("out.json", "out.gif", "out.h5"))
+    assert control("expert", "--json", result, "--video", video, "--save", episodes) == 0
+    captured = capsys.readouterr()
+    assert captured.err.splitlines()[-1] == "controlling: 2 of 2"
+    values = json.loads(result.read_text())
+    assert values.keys() >= OPEN_LOOP | CLOSED_LOOP | {"run", "task", "distractors", "horizon"}
+    assert (values["run"], values["task"], values["distractors"]) == ("expert", "pickup", 1)
+    assert (values["success_rate"], values["episodes"], values["seed"]) == (1.0, 2, 5)
+    assert values["touched_bystanders"] == 0 and values["contact_speed_m_s"] > 0.3
+    saved = read_trajectories(episodes)
+    assert saved.metadata == {"task": "pickup", "seed": 5, "distractors": 1}
+    assert [each.scene.metadata["seed"] for each in saved] == episode_seeds(2, 5)
+    task = partial(PickupTask, 1)
+    for one, other in zip(saved, collect([task], [PickupExpert(0.0)], 2, 5), strict=True):
+        assert np.array_equal(one.control, other.control), "the demonstrator, without noise"
+    ends = [np.linalg.norm(each.position[-1, 1] - each.scene.goal) for each in saved]
+    assert values["goal_distance_m_mean"] == pytest.approx(np.mean(ends))
+    assert f"end to goal, median        {100 * np.median(ends):.2f} cm" in captured.out
+    ((path, scene),) = drawn
+    first = saved.trajectories[0]
+    assert path == video and scene.name == "pickup, 1 distractors" and scene.plan is None
+    # Recorded contacts stand for beliefs: that of step t is the contact in state t + 1.
+    assert scene.edges.tolist() == [[0, 1], [0, 2], [1, 2]]
+    assert np.array_equal(scene.belief[:, 0], first.contact[1:, 0, 1]) and scene.belief[-1, 0] == 1
+    assert not scene.belief[:, 1:].any() and np.array_equal(
+        scene.trajectory.position, first.position
+    )
+
+
+def test_what_needs_a_model_is_null(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every number of a model's JSON file that a policy does not have is there, and null."""
+    paths = [tmp_path / "model.json", tmp_path / "expert.json"]
+    assert control("expert", "--json", paths[1]) == 0
+    monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
+    assert control("pickup", "--json", paths[0]) == 0
+    by_model, scripted = (json.loads(path.read_text()) for path in paths)
+    null = {name for name, value in scripted.items() if value is None}
+    assert null >= OPEN_LOOP | {"plan_ms_p50", "n_step_rmse_planned_m", "edge_f1_found", "onsets"}
+    assert null >= {"horizon", "replan_every", "unmeasured", "infer_contacts", "planned_windows"}
+    assert scripted.keys() - null == {
+        *("run", "task", "seed", "distractors", "episodes", "scenes"),
+        *("success_rate", "success_interval", "goal_distance_m_median", "goal_distance_m_mean"),
+        *("contact_speed_m_s", "slowest_before_contact_m_s", "slowest_before_contact_min_m_s"),
+        "touched_bystanders",
+    }
+    assert scripted.keys() - null <= by_model.keys()
+
+
+def test_the_fixed_start_is_the_tasks_own(
+    tmp_path: Path, with_fixed_start: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = tmp_path / "out.json"
+    assert control("fixed-start", "--json", result) == 0
+    values = json.loads(result.read_text())
+    assert (values["run"], values["success_rate"], values["contact_speed_m_s"]) == (
+        *("fixed-start", 0.0),
+        None,
+    )
+    assert "speed at contact, median   no contact" in capsys.readouterr().out
+    assert control("expert", "--json", result) == 0
+    assert json.loads(result.read_text())["success_rate"] == 1.0
+
+
+def test_without_a_fixed_start_the_demonstrator_takes_its_place(tmp_path: Path) -> None:
+    assert TASKS["door"].fixed_start is None
+    paths = [tmp_path / "expert.json", tmp_path / "fixed.json"]
+    for name, path in zip(("expert", "fixed-start"), paths, strict=True):
+        assert cli.run(["control", name, "door", "--episodes", "1", "--json", str(path)]) == 0
+    one, other = (json.loads(path.read_text()) for path in paths)
+    assert {**one, "run": ""} == {**other, "run": ""}
+
+
+@pytest.mark.parametrize(
+    ("options", "flags"),
+    [
+        (["--horizon", "9"], "--horizon"),
+        (["--infer-contacts"], "--infer-contacts"),
+        (["--deadline-ms", "5"], "--deadline-ms"),
+        (["--misses", "0.1", "--unmeasured"], "--misses, --unmeasured"),
+        (["--cost", "cost.json", "--position-noise", "1"], "--cost, --position-noise"),
+    ],
+)
+def test_options_of_a_model_are_refused(
+    options: list[str], flags: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert control("expert", *options) == 2
+    assert capsys.readouterr().err == (
+        f"contactgraph: {flags}: for a model only; expert is a scripted policy, which neither "
+        "plans nor estimates\n"
+    )
+
+
+def test_a_model_of_that_name_is_given_as_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(shipped_model("pickup"), tmp_path / "expert")
+    monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
+    assert control("./expert", "--json", "out.json") == 0
+    values = json.loads((tmp_path / "out.json").read_text())
+    assert values["run"] == "./expert" and values["n_step_rmse_m"] is not None
+
+
+def test_episodes_too_short_to_predict_are_measured_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def ended_early(model, factory, episodes, seed, *, on_episode, **options):
+        metrics, trajectories = by_the_expert(
+            model, factory, episodes, seed, on_episode=on_episode, **options
+        )
+        states = ("position", "velocity", "contact")
+        cut = {name: 10 for name in states} | {"control": 9}
+        short = [
+            replace(each, **{name: getattr(each, name)[:end] for name, end in cut.items()})
+            for each in trajectories
+        ]
+        return metrics, short
+
+    monkeypatch.setattr("contactgraph.evaluate.control_task", ended_early)
+    result = tmp_path / "out.json"
+    assert control("pickup", "--json", result) == 0
+    values = json.loads(result.read_text())
+    assert values["n_step_rmse_m"] is values["n_steps"] is None
+    assert values["success_rate"] == 0.5
+    assert "predicted" not in capsys.readouterr().out
