@@ -13,6 +13,7 @@ from contactgraph.data import (
     Trajectory,
     strip_contacts,
     subsample,
+    with_edge_labels,
 )
 
 STEPS, NODES = 4, 3
@@ -161,3 +162,29 @@ def test_labels_of_holding_are_stripped_with_those_of_contact() -> None:
     (stripped,) = strip_contacts(Dataset((run,)))
     assert stripped.contact is None and stripped.holding is None
     assert stripped.orientation is run.orientation
+
+
+def labels(*recorded: tuple[np.ndarray | None, np.ndarray | None]) -> list[np.ndarray | None]:
+    """The edge labels of trajectories with these contacts and this holding."""
+    runs = (trajectory(scene(), contact=touch, holding=hold) for touch, hold in recorded)
+    return [each.contact for each in with_edge_labels(Dataset(tuple(runs)))]
+
+
+def test_an_edge_is_labelled_by_holding_where_some_pair_of_the_dataset_holds() -> None:
+    first, second = labels((pairs(1, 2), pairs(2)), (pairs(1), pairs()))
+    assert np.array_equal(first, pairs(2)) and np.array_equal(second, pairs())
+
+
+def test_an_edge_is_labelled_by_contact_where_nothing_ever_holds() -> None:
+    first, second = labels((pairs(1, 2), pairs()), (pairs(1), pairs()))
+    assert np.array_equal(first, pairs(1, 2)) and np.array_equal(second, pairs(1))
+
+
+def test_an_edge_is_labelled_by_contact_where_a_trajectory_lacks_holding() -> None:
+    first, second = labels((pairs(1, 2), pairs(2)), (None, None))
+    assert np.array_equal(first, pairs(1, 2)) and second is None
+
+
+def test_an_edge_is_labelled_by_holding_where_contact_is_not_recorded() -> None:
+    (only,) = labels((None, pairs(3)))
+    assert np.array_equal(only, pairs(3))

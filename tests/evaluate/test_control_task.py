@@ -112,8 +112,11 @@ TASK_CHAIN = (0, 3, 1)
 WEIGHTS = np.array([3.0, 3.0, 0.2, 0.2]), np.array([50.0, 50.0, 1.0, 1.0]), 0.01
 
 
-def planned_for(contacts, chain=TASK_CHAIN) -> list[QuadraticCost]:
-    """The cost at each step, given the contacts of the step before."""
+def planned_for(contacts, chain=TASK_CHAIN, holding=False) -> list[QuadraticCost]:
+    """The cost at each step, given the contacts of the step before.
+
+    With ``holding`` the pairs hold each other, and all nodes touch.
+    """
     watcher = Watcher()
     policy = MPCPolicy(watcher, TaskCost.of(ChainCost(chain, *WEIGHTS), 2))
     policy.reset(scene_of(4, goal=np.ones(2)), 0)
@@ -121,7 +124,9 @@ def planned_for(contacts, chain=TASK_CHAIN) -> list[QuadraticCost]:
         contact = np.zeros((4, 4), np.int8)
         for first, second in pairs:
             contact[first, second] = contact[second, first] = 1
-        policy({"position": np.zeros((4, 2)), "velocity": np.zeros((4, 2)), "contact": contact})
+        state = {"position": np.zeros((4, 2)), "velocity": np.zeros((4, 2))}
+        pairs = {"holding": contact, "contact": 1 - np.eye(4)} if holding else {"contact": contact}
+        policy({**state, **pairs})
     return watcher.costs
 
 
@@ -142,6 +147,12 @@ def test_the_chain_follows_the_grasped_nodes(held, expected):
         wanted = chain_cost(chain, *WEIGHTS, np.ones(2), 4)
         assert np.array_equal(cost.Q, wanted.Q) and np.array_equal(cost.goal, wanted.goal)
         assert cost.cost_node_ids.tolist() == list(chain)
+
+
+def test_nodes_that_touch_are_not_grasped_where_holding_is_observed():
+    for held, expected in (([(0, 1)], (0, 1, 3)), ([], TASK_CHAIN)):
+        after = planned_for([held, []], holding=True)[1]
+        assert after.cost_node_ids.tolist() == list(expected)
 
 
 def test_with_nothing_further_to_pick_up_the_chain_stays():

@@ -54,6 +54,13 @@ def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):
     assert glued.runs == 2 and glued.windows == 2 * 191 and glued.n_steps == 10
 
 
+def test_edges_are_labelled_by_holding_where_it_is_recorded(pickups, glued):
+    touching = [
+        replace(each, contact=np.ones_like(each.contact), holding=each.contact) for each in pickups
+    ]
+    assert evaluate_open_loop(GluedBodies(), Dataset(tuple(touching))).to_json() == glued.to_json()
+
+
 def test_without_measured_contacts_it_predicts_none(glued):
     assert glued.edge_recall_unmeasured == 0.0 and glued.edge_precision_unmeasured is None
     assert glued.edge_recall > 0.9

@@ -39,7 +39,7 @@ class Evaluate:
         )
         from contactgraph.cli.options import check_range, sensor_faults
         from contactgraph.cli.output import check_writable, write_json
-        from contactgraph.data import read_trajectories
+        from contactgraph.data import read_trajectories, with_edge_labels
         from contactgraph.evaluate import evaluate_open_loop, rollout_growth
         from contactgraph.model import MotionNoise
 
@@ -75,7 +75,7 @@ class Evaluate:
                 f"over {self.growth_steps} steps the state grows {_times(growth.growth_free)} "
                 f"without control, {_times(growth.growth_driven)} with it"
             )
-        unlabelled = sum(trajectory.contact is None for trajectory in dataset)
+        unlabelled = sum(each.contact is None for each in with_edge_labels(dataset))
         if unlabelled:
             print(
                 f"edges were not scored: {unlabelled} of {len(dataset)} trajectories in "

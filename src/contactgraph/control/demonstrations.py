@@ -16,6 +16,7 @@ from contactgraph.data import (
     TrajectoryBatch,
     pad_trajectories,
     pair_indices,
+    with_edge_labels,
 )
 from contactgraph.model import ContactSensor, LinearDynamics, StepModel
 from contactgraph.model.filter import (
@@ -125,7 +126,8 @@ def filter_demonstrations(model: StepModel, demonstrations: Dataset) -> Filtered
                 f"demonstration {number}: control must have at least one axis, found none"
             )
         check_fit(model, trajectory.scene, trajectory.control_size, f"demonstration {number}")
-    return _filtered(model, on_device(pad_trajectories(demonstrations), dtype_of(model)))
+    batch = pad_trajectories(with_edge_labels(demonstrations))
+    return _filtered(model, on_device(batch, dtype_of(model)))
 
 
 def task_nodes(demonstrations: Dataset, filtered: FilteredTrajectory) -> tuple[TaskNode, ...]:

@@ -8,6 +8,7 @@ from contactgraph.data.dataset import strip_contacts as strip_contacts
 from contactgraph.data.dataset import subsample as subsample
 from contactgraph.data.dataset import velocity_mismatch as velocity_mismatch
 from contactgraph.data.dataset import velocity_warning as velocity_warning
+from contactgraph.data.dataset import with_edge_labels as with_edge_labels
 from contactgraph.data.errors import InvalidInputError as InvalidInputError
 from contactgraph.data.file_reading import FileSummary as FileSummary
 from contactgraph.data.file_reading import describe_file as describe_file

@@ -96,6 +96,18 @@ def strip_contacts(dataset: Dataset) -> Dataset:
     return replace(dataset, trajectories=stripped)
 
 
+def with_edge_labels(dataset: Dataset) -> Dataset:
+    """The same trajectories with the labels of the contact graph's edges as their contacts.
+
+    An edge joins two nodes that move together: those that hold each other, where every trajectory
+    records it and some pair holds somewhere; else those in contact.
+    """
+    holding = [each.holding for each in dataset]
+    if any(each is None for each in holding) or not any(np.any(each) for each in holding):
+        return dataset
+    return replace(dataset, trajectories=tuple(replace(e, contact=e.holding) for e in dataset))
+
+
 def subsample(dataset: Dataset, every: int) -> Dataset:
     """The same trajectories with every ``every``-th state, and controls averaged in between.
 

@@ -1,6 +1,7 @@
 """Controllers in closed loop with a task: a model under MPC, or a scripted policy."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import cast
 
 import gymnasium
@@ -90,8 +91,9 @@ def control_task(
         succeeded.append(task.success())
         record = policy.record()
         plan_ms.append(record.plan_ms)
-        planned += plan_tracking_error(trajectories[-1], record)
-        estimated += estimated_contacts(trajectories[-1], record.estimated)
+        labelled = _labelled(trajectories[-1])
+        planned += plan_tracking_error(labelled, record)
+        estimated += estimated_contacts(labelled, record.estimated)
         if on_episode is not None:
             on_episode(trajectories[-1], record)
     times = np.concatenate(plan_ms)
@@ -137,6 +139,12 @@ def _first_scene(task_factory: Callable[[], Task], seed: int) -> tuple[Task, Con
     if not np.size(box.low):
         raise InvalidInputError("the task takes no control (U = 0), so nothing can control it")
     return task, ControlLimits(jnp.asarray(box.low.ravel()), jnp.asarray(box.high.ravel()))
+
+
+def _labelled(trajectory: Trajectory) -> Trajectory:
+    """The trajectory with the contacts that the policy's sensor reports: see `MPCPolicy`."""
+    holding = trajectory.holding
+    return trajectory if holding is None else replace(trajectory, contact=holding)
 
 
 def _check_cost(cost: SceneCost, task: Task, control_size: int) -> None:

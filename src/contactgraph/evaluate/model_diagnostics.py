@@ -16,6 +16,7 @@ from contactgraph.data import (
     TrajectoryBatch,
     pad_trajectories,
     pair_indices,
+    with_edge_labels,
 )
 from contactgraph.model import (
     ContactDynamics,
@@ -60,7 +61,8 @@ def model_diagnostics(
     nodes than ``node_capacity`` (default: no padding).
     """
     check_fit(model, trajectory.scene, trajectory.control_size, "the trajectory")
-    batch = pad_trajectories((trajectory,), node_capacity, contacts=measured)
+    labelled = with_edge_labels(Dataset((trajectory,)))
+    batch = pad_trajectories(labelled, node_capacity, contacts=measured)
     count, edges = trajectory.scene.node_count, pair_indices(trajectory.scene.node_count)
     belief, parameters = _along(model, on_device(batch.at(0), dtype_of(model)), sensor)
     if parameters is not None:

@@ -113,9 +113,11 @@ class MPCPolicy:
     ) -> None:
         """``node_capacity``: 0 for the first scene's.
 
-        ``faults`` corrupts the contacts that the controller observes; without ``measured`` it
-        observes none. ``noise`` is added to the motion that it plans from, not to the motion that
-        feedback within a step uses.
+        Where a task observes holding, the contacts that the controller observes are the pairs that
+        hold each other, since an edge of the model joins nodes that move together. ``faults``
+        corrupts the contacts that the controller observes; without ``measured`` it observes none.
+        ``noise`` is added to the motion that it plans from, not to the motion that feedback within
+        a step uses.
         """
         self._mpc = mpc
         self._cost = cost
@@ -209,7 +211,7 @@ class MPCPolicy:
     def _contacts(self, observation: Observation) -> np.ndarray | None:
         if not self._measured or self._sensor is None:
             return None
-        return self._sensor(observation["contact"])
+        return self._sensor(observation.get("holding", observation["contact"]))
 
     def _reordered(self, state: MPCState) -> SceneCost | None:
         """The cost with the grasped nodes before those still to be picked up; None: no change.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from contactgraph.data import Dataset, InvalidInputError, Trajectory
+from contactgraph.data import Dataset, InvalidInputError, Trajectory, with_edge_labels
 from contactgraph.evaluate.edge_scores import edge_scores
 from contactgraph.evaluate.prediction_windows import (
     OpenLoopDetail,
@@ -129,6 +129,7 @@ def evaluate_open_loop(
     motion alone are evaluated, too. ``metrics``: further metrics by name, each a function of the
     `OpenLoopDetail`.
 
+    Contacts are `with_edge_labels` here: pairs that hold each other, where that is recorded.
     The trajectories may differ in steps and nodes. Where one lacks contacts, none are used.
     Raises `InvalidInputError` where the horizon is shorter than half a step or longer than every
     trajectory, where model and data do not fit, where there are no contacts for faults to corrupt,
@@ -143,6 +144,7 @@ def evaluate_open_loop(
     if taken:
         raise InvalidInputError(f"metrics must have new names, found {taken[0]!r}")
     steps = _steps(dataset, horizon_s)
+    dataset = with_edge_labels(dataset)
     known = all(each.contact is not None for each in dataset)
     if not (known or faults.exact):
         lacking = sum(each.contact is None for each in dataset)

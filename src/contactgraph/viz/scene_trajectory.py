@@ -5,7 +5,13 @@ from functools import cached_property
 
 import numpy as np
 
-from contactgraph.data import InvalidInputError, Trajectory, pair_indices
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    Trajectory,
+    pair_indices,
+    with_edge_labels,
+)
 from contactgraph.evaluate import model_diagnostics
 from contactgraph.model import ContactDynamics
 from contactgraph.viz.projection import Projection, projection_of
@@ -119,7 +125,7 @@ class SceneTrajectory:
 
     @cached_property
     def contact(self) -> np.ndarray | None:
-        """[T+1, E] bool: true contact at each state. None: not known."""
+        """[T+1, E] bool: true label of each edge at each state. None: not known."""
         contact = self.trajectory.contact
         return None if contact is None else contact[:, self.edges[:, 0], self.edges[:, 1]]
 
@@ -190,10 +196,11 @@ class SceneTrajectory:
 def scene_trajectory(
     model: ContactDynamics, name: str, trajectory: Trajectory, plan: np.ndarray | None = None
 ) -> SceneTrajectory:
-    """A trajectory with the model's beliefs, corrected by measured contacts, and parameters.
+    """A trajectory `with_edge_labels`, the model's beliefs, corrected by them, and parameters.
 
     ``plan`` [T, H+1, N, D] m holds the positions that a controller planned at each step.
     """
+    (trajectory,) = with_edge_labels(Dataset((trajectory,)))
     diagnostics = model_diagnostics(model, trajectory)
     learned = {}
     if diagnostics.parameters is not None:
