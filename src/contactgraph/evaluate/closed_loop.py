@@ -106,7 +106,7 @@ def closed_loop_metrics(
         )
     numbers = range(len(trajectories)) if scene_seeds is None else scene_seeds
     distances = [
-        found for each in trajectories if (found := goal_distance(each, chain)) is not None
+        distance for each in trajectories if (distance := goal_distance(each, chain)) is not None
     ]
     approaches = [near for each in trajectories if (near := approach(each, chain)) is not None]
     slowest = [each.slowest for each in approaches if each.slowest is not None]
