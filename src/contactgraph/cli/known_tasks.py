@@ -2,6 +2,7 @@
 
 from functools import partial
 
+from contactgraph.cli.adapted_tasks import ADAPTED_TASKS
 from contactgraph.cli.task_types import (
     KnownTask,
     Target,
@@ -89,4 +90,5 @@ TASKS = {
         ),
         targets=_planar_targets(Target(1.0, 0.3), Target(1.2, 0.3)),
     ),
+    **ADAPTED_TASKS,
 }

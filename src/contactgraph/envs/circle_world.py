@@ -6,11 +6,18 @@ a root of a quadratic. The bodies are moved back to it and continue together, wi
 mass as their common velocity, so a touching pair stays at exactly the sum of its radii.
 """
 
+import warnings
+
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.envs.planar_world import SIMULATOR as SIMULATOR
-from contactgraph.envs.planar_world import Box2D as Box2D
+
+with warnings.catch_warnings():
+    # Its wrapper warns of a deprecation on import and crashes if warnings are errors.
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import Box2D as Box2D
+
+SIMULATOR = f"box2d {Box2D.__version__}"
 
 VELOCITY_ITERATIONS = 20
 POSITION_ITERATIONS = 5

@@ -78,18 +78,27 @@ class ExplorationPolicy:
 
 
 class RestPolicy:
-    """Does nothing: zero force."""
+    """Does nothing: zero force, or the target where the actuated body is."""
 
     def __init__(self) -> None:
-        self._size = 0
+        self._scene: Scene | None = None
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode."""
-        self._size = scene.dimension
+        self._scene = scene
 
     def __call__(self, observation: Observation) -> np.ndarray:
-        """Zeros ``[D]`` N."""
-        return np.zeros(self._size)
+        """Zeros ``[U]``, but for targets in the world: there the position of their node, m."""
+        assert self._scene is not None, "call reset() first"
+        kinds, acts = self._scene.control_kind, self._scene.control_of
+        if kinds is None:
+            return np.zeros(self._scene.dimension)
+        control = np.zeros(len(kinds))
+        if "position" in kinds:
+            targets = [index for index, kind in enumerate(kinds) if kind == "position"]
+            moved = self._scene.actuated if acts is None else acts[:, targets].any(axis=1)
+            control[targets] = observation["position"][int(moved.argmax())][: len(targets)]
+        return control
 
 
 STIFFNESS = 5.0

@@ -108,7 +108,7 @@ def closed_loop_metrics(
     distances = [
         distance for each in trajectories if (distance := goal_distance(each, chain)) is not None
     ]
-    approaches = [near for each in trajectories if (near := approach(each, chain)) is not None]
+    approaches = [found for each in trajectories if (found := approach(each, chain)) is not None]
     slowest = [each.slowest for each in approaches if each.slowest is not None]
     touched = [_touched_distractor(each, chain) for each in trajectories]
     times = np.asarray(plan_ms, dtype=np.float64)
