@@ -88,25 +88,58 @@ class SeedStatistic:
 
 @dataclass(frozen=True)
 class Success:
-    """Successful episodes of all seeds together."""
+    """Successful episodes of every seed of a condition.
 
-    successes: int
-    episodes: int
+    Seeds with scenes of their own add up. Seeds that are tested in the same scenes, such as several
+    trainings, are no further trials: they stand side by side, and rate and interval are those of
+    the median one, with as many trials as there are scenes.
+    """
+
+    successes: tuple[int, ...]
+    episodes: tuple[int, ...]
+    scene_seeds: tuple[int | None, ...]
+    """Of the episodes of each seed; None: not recorded, which counts as the same scenes."""
+
+    @property
+    def shares_scenes(self) -> bool:
+        """Whether several seeds are tested in the same scenes."""
+        return len(set(self.scene_seeds)) < len(self.scene_seeds)
+
+    @property
+    def trials(self) -> tuple[int, int]:
+        """Successes and episodes behind the rate and its interval."""
+        if not self.shares_scenes:
+            return sum(self.successes), sum(self.episodes)
+        counts = sorted(zip(self.successes, self.episodes, strict=True), key=_share)
+        return counts[(len(counts) - 1) // 2]
 
     @property
     def rate(self) -> float:
         """Successes over episodes."""
-        return self.successes / self.episodes
+        return _share(self.trials)
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 % Wilson interval of the rate."""
-        return wilson_interval(self.successes, self.episodes)
+        return wilson_interval(*self.trials)
+
+    @property
+    def each_percent(self) -> tuple[float, ...]:
+        """%, of each seed."""
+        counts = zip(self.successes, self.episodes, strict=True)
+        return tuple(100.0 * _share(each) for each in counts)
 
     def __str__(self) -> str:
         """Per cent, with the interval."""
-        percent, low, high = (short(100.0 * rate) for rate in (self.rate, *self.interval))
-        return f"{percent} % of {self.episodes} ({low} to {high})"
+        low, high = (short(100.0 * end) for end in self.interval)
+        if self.shares_scenes:
+            each = ", ".join(short(percent) for percent in self.each_percent)
+            return f"{each} % of the same {self.trials[1]} (median: {low} to {high})"
+        return f"{short(100.0 * self.rate)} % of {self.trials[1]} ({low} to {high})"
+
+
+def _share(counts: tuple[int, int]) -> float:
+    return counts[0] / counts[1]
 
 
 class Results:
@@ -143,9 +176,10 @@ class Results:
         readings = self.readings(condition)
         if not readings:
             return None
-        counts = [(one.values["success_rate"], int(one.values["episodes"])) for one in readings]
-        successes = sum(round(rate * episodes) for rate, episodes in counts)
-        return Success(successes, sum(episodes for _, episodes in counts))
+        episodes = tuple(int(one.values["episodes"]) for one in readings)
+        rates = [one.values["success_rate"] for one in readings]
+        successes = tuple(round(r * count) for r, count in zip(rates, episodes, strict=True))
+        return Success(successes, episodes, tuple(one.values.get("seed") for one in readings))
 
     def to_json(self, seed_key: str = "seed", omit: Sequence[str] = ()) -> list[dict[str, Any]]:
         """Labels, seed, command and values of every reading, for ``results.json``."""

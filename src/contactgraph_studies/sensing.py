@@ -177,11 +177,11 @@ def sensing_table(results: Results, conditions: Sequence[SensorCondition]) -> St
     return StudyTable(
         slug="table",
         title="Every sensor",
-        caption="Median over seeds of scenes, with their range; success of all episodes together. "
-        "Edge F1: beliefs about the last step, corrected by all observations, against "
-        "contacts. Delay: from the first observation at which a contact holds to the first at "
-        "which it is believed. Planned: over 0.5 s, planned against executed positions. An "
-        "infinite delay is a contact that was never detected.",
+        caption="Median over seeds of scenes, with their range; success of all episodes together, "
+        "each in a scene of its own. Edge F1: beliefs about the last step, corrected by all "
+        "observations, against contacts. Delay: from the first observation at which a contact "
+        "holds to the first at which it is believed. Planned: over 0.5 s, planned against executed "
+        "positions. An infinite delay is a contact that was never detected.",
         headings={
             **{name: name for name in labels},
             "_success": "success (95 %)",

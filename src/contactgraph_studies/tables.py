@@ -6,6 +6,7 @@ from html import escape
 from typing import Any
 
 from contactgraph.data import InvalidInputError
+from contactgraph.viz.metric_table import short
 from contactgraph_studies.results import SeedStatistic, Success, with_range
 
 try:
@@ -86,10 +87,15 @@ class StudyTable:
         )
 
 
-def counts(success: Success | None, suffix: str = "") -> dict[str, int | None]:
-    """Successes and episodes, as columns of ``table.csv``."""
-    names = ("successes", "episodes")
-    return {f"{name}{suffix}": getattr(success, name, None) for name in names}
+def counts(success: Success | None, suffix: str = "") -> dict[str, int | str | None]:
+    """Successes and episodes of `Success.trials`, and each seed's rate, as columns of
+    ``table.csv``."""
+    values: list[int | str | None] = [None, None, None]
+    if success is not None:
+        each = " ".join(short(percent) for percent in success.each_percent)
+        values = [*success.trials, each]
+    names = ("successes", "episodes", "percent_of_each_seed")
+    return {f"{name}{suffix}": value for name, value in zip(names, values, strict=True)}
 
 
 def _csv_columns(cells: pd.Series, separator: str) -> pd.DataFrame:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from contactgraph_studies.cost.config import COST_TASKS, FULL_COST, CostTest
+from contactgraph_studies.cost.config import COST_TASKS, FULL_COST, SCENE_SEED, CostTest
 from contactgraph_studies.cost.jobs import cost_measurements
 from contactgraph_studies.paper.config import (
     EVERY_TASK,
@@ -13,6 +13,7 @@ from contactgraph_studies.paper.config import (
     NO_GIM_AUG,
     NO_KL,
     QUICK,
+    TEST_SEED,
     Amounts,
     StudyModel,
     TestCondition,
@@ -51,6 +52,7 @@ def by_the_paper(condition: ModelCondition) -> dict[str, Any]:
         "edge_false_alarm_rate": stray,
         "success_rate": 0.1 if unstable else 1.0,
         "episodes": 20,
+        "seed": TEST_SEED,
         "plan_ms_p99": 3.0,
         "growth_driven": None if unstable else 2.0,
         "growth_free": 500.0 if unstable else 1.0,
@@ -98,6 +100,7 @@ def cost_results(
         values: dict[str, Any] = {
             "success_rate": 0.99,
             "episodes": 100,
+            "seed": SCENE_SEED + one.seed,
             "contact_speed_m_s": 1.5,
             "touched_bystanders": 2,
         }

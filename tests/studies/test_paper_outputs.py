@@ -10,6 +10,7 @@ import pytest
 from made_up import AMOUNTS, by_the_paper, results
 from matplotlib.figure import Figure
 
+from contactgraph.evaluate import wilson_interval
 from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
 from contactgraph_studies.figures import new_figure, svg, write_figure
 from contactgraph_studies.page import study_page
@@ -32,7 +33,14 @@ from contactgraph_studies.paper.figures import (
 )
 from contactgraph_studies.paper.jobs import planned
 from contactgraph_studies.paper.study import model_table, model_targets
-from contactgraph_studies.results import Reading, Results, SeedStatistic, joined, with_range
+from contactgraph_studies.results import (
+    Reading,
+    Results,
+    SeedStatistic,
+    Success,
+    joined,
+    with_range,
+)
 from contactgraph_studies.study import Picture, StudyResult
 from contactgraph_studies.tables import StudyTable
 
@@ -53,20 +61,23 @@ def test_one_row_for_each_task_condition_and_model() -> None:
     first, free = rows[0], next(row for row in rows if row["model"] == FULL_AB.name)
     assert list(first)[:6] == [
         *("task", "scenes", "in_distribution", "model", "seeds"),
-        "planned_cm_median",
+        "planned_moving_cm_median",
     ]
-    assert list(first.values())[:8] == [
+    assert list(first.values())[:11] == [
         *("pickup", "as trained", "True", "GIM-Temp", "3"),
+        *("1.6", "1.6", "1.6"),
         *("0.8", "0.8", "0.8"),
     ]
+    # Three trainings in the same 20 scenes: n is 20.
     assert (first["successes"], first["episodes"], first["episodes_every_step"]) == (
-        *("60", "60"),
-        "60",
+        *("20", "20"),
+        "20",
     )
+    assert first["percent_of_each_seed"] == "100 100 100"
     folder = "cells/pickup/seed-0/gim-temp-40/run"
     assert first["command_closed_loop"].startswith(f"contactgraph control {folder} ")
     assert first["command_open_loop"].startswith("contactgraph evaluate ")
-    assert (free["successes"], free["successes_every_step"]) == ("6", "")
+    assert (free["successes"], free["successes_every_step"]) == ("2", "")
 
 
 def test_markdown_and_csv_agree() -> None:
@@ -74,10 +85,11 @@ def test_markdown_and_csv_agree() -> None:
     markdown = table.markdown().splitlines()
     assert len(markdown) == 2 + len(read_csv(table))
     assert markdown[1] == "|" + 12 * "---|"
-    assert markdown[2].startswith("| pickup | as trained | GIM-Temp | 0.8 (0.8 to 0.8) | 1.6 ")
-    assert markdown[2].endswith("| 100 % of 60 (94 to 100) | 100 % of 60 (94 to 100) |")
-    assert "| Full-AB | not finite (not finite to not finite) |" in markdown[6]
-    assert markdown[6].endswith("| 10 % of 60 (4.66 to 20.1) |  |")
+    assert markdown[2].startswith("| pickup | as trained | GIM-Temp | 1.6 (1.6 to 1.6) | 0.8 ")
+    same = "100, 100, 100 % of the same 20 (median: 83.9 to 100)"
+    assert markdown[2].endswith(f"| {same} | {same} |")
+    assert "| Full-AB | 1.6 (1.6 to 1.6) | not finite (not finite to not finite) |" in markdown[6]
+    assert markdown[6].endswith("| 10, 10, 10 % of the same 20 (median: 2.79 to 30.1) |  |")
     assert read_csv(table)[4]["planned_cm_median"] == "inf"
 
 
@@ -90,7 +102,10 @@ def test_missing_measurements_are_empty_cells() -> None:
 def test_an_error_of_moving_bodies_is_not_known_if_nothing_moves() -> None:
     moving = "n_step_rmse_planned_moving_m"
     still = read_csv(table_of(results({moving: None}, FULL_AB)))[4]
-    assert still["planned_moving_cm_median"] == ""
+    assert (still["planned_moving_cm_median"], still["planned_cm_median"]) == ("", "0.8")
+    resting = {moving: None, ERROR: None, "planned_windows": 8, "planned_moved_objects": 0}
+    unmoved = read_csv(table_of(results(resting, FULL_AB)))[4]
+    assert unmoved["planned_moving_cm_median"] == unmoved["planned_cm_median"] == ""
     diverged = read_csv(table_of(results({moving: None, ERROR: None}, FULL_AB)))[4]
     assert diverged["planned_moving_cm_median"] == "inf"
 
@@ -175,6 +190,21 @@ def test_both_files_of_a_figure_are_written(tmp_path: Path) -> None:
     files = sorted((tmp_path / "figures").iterdir())
     assert [path.name for path in files] == ["edges.png", "edges.svg"]
     assert picture.image == files[1].read_bytes()
+
+
+def test_trainings_in_the_same_scenes_are_not_pooled() -> None:
+    each, episodes = (100, 97, 98), (100, 100, 100)
+    same = Success(each, episodes, (2000, 2000, 2000))
+    assert same.trials == (98, 100) and same.rate == 0.98
+    assert same.interval == wilson_interval(98, 100)
+    assert str(same) == "100, 97, 98 % of the same 100 (median: 93 to 99.4)"
+    assert Success((9, 4), (10, 10), (5, 5)).trials == (4, 10), "of two, the worse"
+    assert Success(each, episodes, (None,) * 3).trials == (98, 100), "not recorded: the same"
+    apart = Success(each, episodes, (1, 2, 3))
+    assert apart.trials == (295, 300) and apart.interval == wilson_interval(295, 300)
+    assert str(apart) == "98.3 % of 300 (96.2 to 99.3)"
+    one = Success((9,), (10,), (5,))
+    assert one.trials == (9, 10) and str(one) == "90 % of 10 (59.6 to 98.2)"
 
 
 def test_text_of_numbers() -> None:

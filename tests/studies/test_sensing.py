@@ -15,6 +15,7 @@ from contactgraph_studies.sensing import (
     MEASURED,
     ONSET_DELAY_P95,
     PICKUP_SENSING,
+    SCENE_SEED,
     UNMEASURED,
     WIDER,
     SensingStudy,
@@ -74,10 +75,10 @@ def test_result_from_the_existing_outputs(tmp_path: Path) -> None:
         **{"onset_delay_ms_p50": 0.0, "onset_delay_ms_p95": 50.0, ERROR: 0.04},
         **{"edge_f1_planned": 0.9, "plan_ms_p50": 1.0},
     }
-    for job in STUDY.jobs[:15]:  # pickup, wider: five sensors, three seeds
-        path = tmp_path / job.output
+    for one in STUDY.measurements[:15]:  # pickup, wider: five sensors, three seeds
+        path = tmp_path / one.job.output
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(said))
+        path.write_text(json.dumps({**said, "seed": SCENE_SEED + one.seed}))
     found = STUDY.result(tmp_path)
     reached = {number.name: number.reached for number in found.targets if number.value is not None}
     label = f"{PICKUP_SENSING.name}, {WIDER.name}, by motion alone"

@@ -208,9 +208,8 @@ def _success_target(
         name += f" by the {test.learned.name}, {test.distractors} distractors in view"
     if success is None:
         return judged(name, each, target, amounts.seeds)
-    name += (
-        f" ({success.successes} of {success.episodes} episodes; each seed: {_each_seed(each)} %)"
-    )
+    successes, episodes = success.trials
+    name += f" ({successes} of {episodes} episodes; each seed: {_each_seed(each)} %)"
     low, high = success.interval
     number = judged(name, each, target, amounts.seeds)
     return replace(number, value=100.0 * success.rate, interval=(100.0 * low, 100.0 * high))

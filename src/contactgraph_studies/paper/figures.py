@@ -47,9 +47,8 @@ def figure_pictures(
             "n-step-error",
             "N-step error in and out of distribution",
             "Planned against executed positions, 0.5 s ahead, all bodies; median and range over "
-            "training seeds. The dotted line at 1 cm is the paper's bound in distribution. The "
-            "error must be read together with the success: a controller that does nothing is "
-            "predicted well.",
+            "training seeds. The dotted line at 1 cm is the paper's bound in distribution. A "
+            "controller that moves no object has no error; bodies at rest lower it.",
             error_figure(results, tasks),
         ),
         (

@@ -19,7 +19,7 @@ from contactgraph_studies.paper.config import (
     StudyModel,
     StudyTask,
 )
-from contactgraph_studies.results import Quantity
+from contactgraph_studies.results import Quantity, Values
 
 
 class Source(StrEnum):
@@ -54,7 +54,16 @@ class ModelCondition:
     """For `Source.samples`."""
 
 
-PLANNED_ERROR = Quantity("n_step_rmse_planned_m", "cm", 100.0, null=math.inf)
+def _planned_cm(values: Values) -> float:
+    """NaN where the controller moves no object, infinite where a plan diverged."""
+    error = values["n_step_rmse_planned_m"]
+    if error is not None:
+        return 100.0 * error
+    still = values.get("planned_windows") and values.get("planned_moved_objects") == 0
+    return math.nan if still else math.inf
+
+
+PLANNED_ERROR = Quantity("n_step_rmse_planned_m", "cm", derived=_planned_cm)
 """Planned against executed positions: the paper's metric."""
 RECORDED_ERROR = Quantity("n_step_rmse_m", "cm", 100.0, null=math.inf)
 """Open loop."""
