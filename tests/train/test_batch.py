@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from contactgraph.data import Dataset, Scene, Trajectory, pad_trajectories, window_weights
-from contactgraph.train.batch import WindowSource, window_source
+from contactgraph.train.batch import (
+    WindowSource,
+    add_distractor,
+    has_resting_bodies,
+    static_bodies,
+    window_source,
+)
 
 draw = eqx.filter_jit(WindowSource.draw)
 take = eqx.filter_jit(WindowSource.take)
@@ -66,6 +72,41 @@ def test_hinges_go_with_their_trajectories(padded) -> None:
     np.testing.assert_array_equal(hinged, (windows.trajectory == 1)[:, None] & [False, True, False])
     np.testing.assert_allclose(nodes.anchor[hinged], np.tile(anchor[1], (hinged.sum(), 1)))
     assert window_source(padded, window_weights(padded, 3, 0.6)).trajectories.nodes.anchor is None
+
+
+def test_static_bodies_go_with_their_trajectories(padded) -> None:
+    scene = dataclasses.replace(run(3, 8, 200.0).scene, static=np.array([False, False, True]))
+    pillar = dataclasses.replace(run(3, 8, 200.0), scene=scene)
+    dataset = Dataset((run(2, 5, 100.0), pillar))
+    static = static_bodies(dataset, 4)
+    np.testing.assert_array_equal(static, [[False] * 4, [False, False, True, False]])
+    assert static_bodies(Dataset((run(2, 5, 100.0),)), 4) is None
+    windows = window_weights(padded, 3, 0.6)
+    source = window_source(padded, windows, static_bodies(dataset, 3))
+    taken = take(source, np.arange(len(windows.trajectory)))
+    second = (windows.trajectory == 1)[:, None]
+    np.testing.assert_array_equal(taken.static, second & [False, False, True])
+    two_bodies, with_pillar = [True, True, False], [True, True, False]
+    np.testing.assert_array_equal(taken.learned, [two_bodies] * 3 + [with_pillar] * 6)
+    plain = take(window_source(padded, windows), np.arange(len(windows.trajectory)))
+    assert plain.static is None
+    np.testing.assert_array_equal(plain.learned, padded.nodes.mask[windows.trajectory])
+    among = eqx.filter_jit(add_distractor)(taken, 1e6, 2e6, jax.random.key(0))
+    np.testing.assert_array_equal(among.learned[:, :3], taken.learned)
+    assert np.all(among.learned[:, 3]), "the added body rests, but could move"
+
+
+def test_a_static_body_is_no_resting_body() -> None:
+    moving = run(3, 8, 200.0)
+    moving = dataclasses.replace(moving, velocity=moving.velocity + np.array([1.0, 0.0]))
+    rests = moving.velocity.copy()
+    rests[:, 2] = 0.0
+    rests = dataclasses.replace(moving, velocity=rests)
+    assert not has_resting_bodies(pad_trajectories((moving,)))
+    batch = pad_trajectories((rests,))
+    assert has_resting_bodies(batch)
+    assert not has_resting_bodies(batch, np.array([[False, False, True]]))
+    assert has_resting_bodies(batch, np.array([[False, True, False]]))
 
 
 def test_training_reads_no_contact_labels() -> None:

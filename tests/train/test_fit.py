@@ -53,6 +53,7 @@ from contactgraph.train import (
     save_checkpoint,
 )
 from contactgraph.train.batch import WindowSource
+from contactgraph.train.fit import with_positive_distance
 from contactgraph.train.held_out import HeldOutWindows
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "short_training.json"
@@ -229,6 +230,33 @@ def test_a_step_follows_the_gradient_of_the_loss_plus_the_weighted_rollout(
     moment = state.optimiser[1][0].mu
     for found, expected in zip(jax.tree.leaves(moment), jax.tree.leaves(clipped), strict=True):
         np.testing.assert_allclose(found, 0.1 * expected, rtol=1e-5)
+
+
+def test_a_learned_contact_distance_stays_positive(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loss that pulls it down would take it below zero within the 40 steps."""
+
+    def pull(model: object, *rest: object) -> LossTerms:
+        return LossTerms(model.features.contact_distance, 0, 0, 0)
+
+    monkeypatch.setattr(FIT, "window_loss", pull)
+    monkeypatch.setattr(FIT, "rollout_rmse", lambda *rest: jnp.ones(()))
+    config = TrainConfig(
+        steps=40, check_every=20, rollout_from=1.0, bystanders=0, learning_rate=0.01
+    )
+    result = fit(initial_state(first_state().model, config, 0), *split(recorded), config)
+    distance = float(result.state.model.features.contact_distance)
+    assert distance == pytest.approx(0.1 * first_state().model.features.length)
+
+
+def test_a_given_contact_distance_and_other_weights_are_not_bounded() -> None:
+    given = gim_temp(
+        ModelConfig(2, 2, 0.05, 0.02, learned_contact_distance=False), key=jax.random.key(0)
+    )
+    assert with_positive_distance(given) is given
+    model = first_state().model
+    assert_bit_equal(with_positive_distance(model), model)
 
 
 @pytest.mark.slow

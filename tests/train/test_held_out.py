@@ -14,7 +14,9 @@ from contactgraph.train.held_out import HeldOutWindows, held_out_windows, mean_r
 DT = 0.1
 
 
-def held_out(*positions: np.ndarray, velocity: float = 0.0) -> HeldOutWindows:
+def held_out(
+    *positions: np.ndarray, velocity: float = 0.0, static: np.ndarray | None = None
+) -> HeldOutWindows:
     """One window a trajectory [T+1, N, 1], all of one length, drawn many times."""
 
     def trajectory(position: np.ndarray) -> Trajectory:
@@ -25,7 +27,7 @@ def held_out(*positions: np.ndarray, velocity: float = 0.0) -> HeldOutWindows:
 
     batch = pad_trajectories(Dataset(tuple(map(trajectory, positions))), contacts=False)
     windows = window_weights(batch, len(positions[0]) - 1, 0.0)
-    return held_out_windows(window_source(batch, windows))
+    return held_out_windows(window_source(batch, windows, static))
 
 
 def path(*bodies: list[float]) -> np.ndarray:
@@ -50,6 +52,16 @@ def test_padding_never_counts() -> None:
         (True, True),
         (True, False),
     }
+
+
+def test_static_bodies_never_count() -> None:
+    shaken, moves = [0.0, 0.1, 0.0], [1.0, 1.5, 1.0]
+    static = np.array([[True, False]])
+    found = held_out(path(shaken, moves), static=static)
+    np.testing.assert_array_equal(found.counted, [[False, True]] * len(found.counted))
+    found = held_out(path([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), static=static)
+    assert not found.moving
+    np.testing.assert_array_equal(found.counted, [[False, True]] * len(found.counted))
 
 
 def test_the_baselines_by_hand() -> None:

@@ -115,6 +115,16 @@ def test_nodes_and_edges_that_do_not_exist_do_not_count() -> None:
     assert float(terms.rollout) == pytest.approx((1 + 0) / 2, abs=2e-3)
 
 
+def test_static_bodies_keep_their_edges_but_their_motion_does_not_count() -> None:
+    pillar = jnp.array([[False, True], [False, True]])
+    windows = dataclasses.replace(by_hand(), static=pillar)
+    terms = jitted_loss(Still(), windows, jax.random.key(0), with_rollout=True)
+    assert float(terms.prediction) == pytest.approx((2 + 0) / 2, abs=2e-3)
+    assert float(terms.squared) == pytest.approx((4 + 0) / 2)
+    assert float(terms.rollout) == pytest.approx((1 + 0) / 2, abs=2e-3)
+    assert float(terms.prior) == pytest.approx(0.2 * math.log(0.25) + 0.8 * math.log(4))
+
+
 class Pushed(Still):
     """Velocities become the control displacement given; 1 N moves a node by `gain` [m]."""
 

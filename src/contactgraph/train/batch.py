@@ -10,8 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import Windows
@@ -39,6 +40,14 @@ class Window(eqx.Module):
     control: Float[Array, "*B L U"]
     """N"""
     nodes: Nodes
+    static: Bool[Array, "*B N"] | None = None
+    """Bodies that never move, so that there is nothing to learn from their motion. None: none."""
+
+    @property
+    def learned(self) -> Bool[Array, "*B N"]:
+        """The bodies whose motion is learned: those that exist and are not static."""
+        exists = jnp.asarray(self.nodes.mask)
+        return exists if self.static is None else exists & ~self.static
 
 
 class WindowSource(eqx.Module):
@@ -52,6 +61,8 @@ class WindowSource(eqx.Module):
     """Sum of the probabilities up to this window's."""
     length: int = eqx.field(static=True)
     """L, steps in a window."""
+    static: Bool[Array, "R N"] | None = None
+    """Bodies of each trajectory that never move. None: none."""
 
     def draw(self, count: int, key: PRNGKeyArray) -> Window:
         """`count` windows drawn with the windows' probabilities."""
@@ -69,11 +80,23 @@ class WindowSource(eqx.Module):
             velocity=every.velocity[index[:, None], states],
             control=every.control[index[:, None], states[:, :-1]],
             nodes=jax.tree.map(lambda leaf: leaf[index], every.nodes),
+            static=None if self.static is None else self.static[index],
         )
 
 
-def window_source(batch: TrajectoryBatch[np.ndarray], windows: Windows) -> WindowSource:
-    """Put trajectories and windows on the device.
+def static_bodies(dataset: Dataset, node_capacity: int) -> np.ndarray | None:
+    """[R, N] bool: the bodies that never move, padded to the capacity; None: there are none."""
+    static = np.zeros((len(dataset), node_capacity), bool)
+    for index, each in enumerate(dataset):
+        if each.scene.static is not None:
+            static[index, : each.scene.node_count] = each.scene.static
+    return static if static.any() else None
+
+
+def window_source(
+    batch: TrajectoryBatch[np.ndarray], windows: Windows, static: np.ndarray | None = None
+) -> WindowSource:
+    """Put trajectories and windows on the device; ``static`` as `static_bodies` returns it.
 
     The batch is padded to a multiple of `_BATCH_MULTIPLE` trajectories, and the windows as if
     every trajectory were the longest, so that another number of trajectories recompiles nothing.
@@ -97,6 +120,7 @@ def window_source(batch: TrajectoryBatch[np.ndarray], windows: Windows) -> Windo
         start=jnp.asarray(windows.start[drawn]),
         cumulative=jnp.asarray(cumulative, jnp.float32),
         length=windows.length,
+        static=None if static is None else repeated(static),
     )
 
 
@@ -129,8 +153,10 @@ def batch_split(devices: Sequence[jax.Device], batch_size: int) -> BatchSplit | 
     return BatchSplit(Mesh(np.asarray(devices), (_WINDOW_AXIS,)))
 
 
-def has_resting_bodies(batch: TrajectoryBatch[np.ndarray]) -> bool:
-    """Whether a free body without actuation is at rest in any recorded state.
+def has_resting_bodies(
+    batch: TrajectoryBatch[np.ndarray], static: np.ndarray | None = None
+) -> bool:
+    """Whether a free body without actuation is at rest in any recorded state, but for static ones.
 
     A resting distractor would contradict data in which such bodies never rest, because they fall,
     slide or hang on hinges.
@@ -138,8 +164,10 @@ def has_resting_bodies(batch: TrajectoryBatch[np.ndarray]) -> bool:
     if batch.nodes.anchor is not None:
         return False
     speed = np.linalg.norm(batch.velocity[:, :-1], axis=-1)
-    exists = batch.nodes.mask[:, None, :] & batch.step_mask[:, :, None]
-    return bool(np.any((speed < _REST) & exists & ~batch.nodes.actuated[:, None, :]))
+    free = batch.nodes.mask & ~batch.nodes.actuated
+    if static is not None:
+        free = free & ~static
+    return bool(np.any((speed < _REST) & free[:, None, :] & batch.step_mask[:, :, None]))
 
 
 def add_distractor(
@@ -174,6 +202,9 @@ def add_distractor(
             # `pair_indices` lists the pairs of a new last node after all others.
             candidate=jnp.concatenate([windows.nodes.candidate, edges], axis=1),
         ),
+        static=None
+        if windows.static is None
+        else jnp.concatenate([windows.static, jnp.zeros((batch, 1), bool)], axis=1),
     )
 
 

@@ -25,6 +25,7 @@ from contactgraph.train.batch import (
     add_distractor,
     batch_split,
     has_resting_bodies,
+    static_bodies,
     window_source,
 )
 from contactgraph.train.config import TrainConfig
@@ -73,12 +74,15 @@ def fit(
     began = time.monotonic()
     split = batch_split(devices, config.batch_size)
     batch = pad_trajectories(train, contacts=False)
-    source = _window_source(batch, config)
-    checked = held_out_windows(_window_source(pad_trajectories(held_out, contacts=False), config))
+    static = static_bodies(train, batch.nodes.mask.shape[1])
+    source = _window_source(batch, config, static)
+    other = pad_trajectories(held_out, contacts=False)
+    still = static_bodies(held_out, other.nodes.mask.shape[1])
+    checked = held_out_windows(_window_source(other, config, still))
     baselines = checked.baselines(train.dt)
     if split is not None:
         state, source, checked = split.replicate((state, source, checked))
-    distractors = config.bystanders if has_resting_bodies(batch) else 0
+    distractors = config.bystanders if has_resting_bodies(batch, static) else 0
     lists = ReallocatingModel(state.model, train)
 
     def advance(state: FitState, count: int) -> tuple[FitState, dict[str, Array]]:
@@ -145,8 +149,11 @@ def _finite(terms: dict[str, Array]) -> bool:
     return all(np.isfinite(value) for value in terms.values())
 
 
-def _window_source(batch: TrajectoryBatch[np.ndarray], config: TrainConfig) -> WindowSource:
-    return window_source(batch, window_weights(batch, config.window_length, config.event_fraction))
+def _window_source(
+    batch: TrajectoryBatch[np.ndarray], config: TrainConfig, static: np.ndarray | None
+) -> WindowSource:
+    windows = window_weights(batch, config.window_length, config.event_fraction)
+    return window_source(batch, windows, static)
 
 
 def _optimiser(config: TrainConfig) -> optax.GradientTransformation:

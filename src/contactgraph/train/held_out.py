@@ -62,10 +62,10 @@ def held_out_windows(source: WindowSource) -> HeldOutWindows:
     """Windows balanced over events as those of training are, the same in every training.
 
     Bodies that get more than `MOVES_M` away from their first position in a window are counted,
-    padding is not. Where no body moves in any window, all are.
+    static ones and padding are not. Where no body moves in any window, all are.
     """
     windows = source.draw(_WINDOWS, jax.random.key(0))
-    exists = np.asarray(windows.nodes.mask)
+    exists = np.asarray(windows.learned)
     moves = exists & moving_bodies(np.asarray(windows.position))
     moving = bool(moves.any())
     return HeldOutWindows(windows, jnp.asarray(moves if moving else exists), moving)

@@ -93,11 +93,12 @@ def window_loss(
     """Loss terms over a batch of windows (every leaf of `windows` has a leading axis B).
 
     One-step prediction from every recorded state and KL to the prior: paper, eq. (3). Position
-    errors are divided by dt, so that both halves of a state weigh alike. The rollout term costs a
-    pass through time; without it the term is 0. The windows are split over ``devices``.
+    errors are divided by dt, so that both halves of a state weigh alike; static bodies do not
+    count. The rollout term costs a pass through time; without it the term is 0. The windows are
+    split over ``devices``.
     """
     error, divergence, weight = _teacher_forced(_Steps(model, windows, devices), key)
-    nodes = jnp.broadcast_to(windows.nodes.mask[:, None], error.shape)
+    nodes = jnp.broadcast_to(windows.learned[:, None], error.shape)
     return LossTerms(
         prediction=_mean(jnp.sqrt(error + _SMALLEST), nodes),
         squared=_mean(error, nodes),
@@ -110,7 +111,7 @@ def rollout_loss(model: ContactDynamics, windows: Window, devices: int = 1) -> F
     """`LossTerms.rollout` over a batch of windows, the only term that depends on whole rollouts."""
     edges = edge_count(model.neighbor_list, windows.position.shape[-2])
     error = chunked_vmap(partial(_rollout_error, model), (windows,), edges, devices)
-    return _mean(error, jnp.broadcast_to(windows.nodes.mask[:, None], error.shape))
+    return _mean(error, jnp.broadcast_to(windows.learned[:, None], error.shape))
 
 
 def _mean(values: Array, mask: Array) -> Array:
