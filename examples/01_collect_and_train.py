@@ -50,9 +50,11 @@ def on_check(check: FitProgress) -> None:
 result = fit(initial_state(model, config, seed=0), train, held_out, config, on_check)
 
 metrics = evaluate_open_loop(result.model, with_distractors)
-print(f"half a second ahead, with distractors: {100 * metrics.n_step_rmse_m:.2f} cm")
-print(f"  without a model (constant velocity): {100 * metrics.constant_velocity_rmse_m:.2f} cm")
-print(f"  contact edges (F1): {metrics.edge_f1 or 0.0:.2f}")
+own, unmoved = metrics["n_step_rmse_moving_m"], metrics["constant_velocity_rmse_moving_m"]
+print(f"half a second ahead, with distractors, bodies that move: {100 * own:.2f} cm")
+print(f"  without a model (constant velocity): {100 * unmoved:.2f} cm")
+print(f"  the verdict: {metrics.verdict}")
+print(f"  contact edges (F1): {metrics['edge_f1'] or 0.0:.2f}")
 
 save_model(folder / "model.safetensors", result.model, {"seed": 0, "steps": config.steps})
 print(f"wrote {folder / 'model.safetensors'}")

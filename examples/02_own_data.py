@@ -64,5 +64,5 @@ model = gim_temp(ModelConfig(3, 3, DT, contact_distance=DIAMETER, width=16), key
 config = TrainConfig(steps=400, check_every=400, batch_size=16, window_length=4, rollout_from=1.0)
 result = fit(initial_state(model, config, seed=0), train, test, config)
 metrics = evaluate_open_loop(result.model, test, horizon_s=0.2)
-print(f"0.2 s ahead: {1000 * metrics.n_step_rmse_m:.1f} mm")
-print(f"  constant velocity: {1000 * metrics.constant_velocity_rmse_m:.1f} mm")
+print(f"0.2 s ahead: {1000 * metrics['n_step_rmse_moving_m']:.1f} mm")
+print(f"  constant velocity: {1000 * metrics['constant_velocity_rmse_moving_m']:.1f} mm")

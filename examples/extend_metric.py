@@ -32,6 +32,6 @@ metrics = evaluate_open_loop(
     metrics={"final_error_p95_m": final_error_p95, "late_touches": late_touches},
 )
 numbers = metrics.to_json()
-print(f"RMSE {1e3 * metrics.n_step_rmse_m:.3f} mm over {metrics.windows} windows")
+print(f"RMSE {1e3 * metrics['n_step_rmse_moving_m']:.3f} mm over {metrics.windows} windows")
 print(f"95 % of the final errors are below {1e3 * numbers['final_error_p95_m']:.3f} mm")
 print(f"touches not predicted on time: {100 * numbers['late_touches']:.0f} %")

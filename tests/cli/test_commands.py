@@ -23,6 +23,9 @@ from contactgraph.model import ModelConfig, gim_temp, shipped_model
 from contactgraph.model.io import describe_model, load_model, save_model
 
 OPEN_LOOP = {
+    "constant_velocity_rmse_moving_m",
+    "standing_still_rmse_moving_m",
+    "edge_f1_now",
     "n_step_rmse_m",
     "n_step_rmse_moving_m",
     "n_step_rmse_free_m",
@@ -250,12 +253,19 @@ def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert values.keys() >= OPEN_LOOP | {"run", "data", "episodes", "seed"}
     distance = values["contact_distance_m"]
     assert distance == float(load_model(shipped_model("pickup")).model.features.contact_distance)
-    assert f"contact distance                  {distance:.4g} m, learned" in captured.out
+    assert f"contact distance: {distance:.4g} m, learned" in captured.out
     assert (values["run"], values["data"]) == ("pickup", str(fresh))
     assert (values["n_steps"], values["episodes"], values["seed"]) == (10, 2, 1)
     assert all(isinstance(values[name], int | float) for name in OPEN_LOOP)
-    assert f"error over 10 steps             {100 * values['n_step_rmse_m']:.3f} cm" in captured.out
-    assert f"F1 {values['edge_f1']:.4f}" in captured.out
+    lines = captured.out.splitlines()
+    assert lines[0].startswith("error over 10 steps ")
+    for text, name in (("the model", "n_step"), ("constant velocity", "constant_velocity")):
+        errors = [100 * values[f"{name}_rmse{chosen}_m"] for chosen in ("_moving", "")]
+        (line,) = (each for each in lines if each.startswith(text))
+        assert line.split()[-4:] == [f"{errors[0]:.3f}", "cm", f"{errors[1]:.3f}", "cm"]
+    assert f"verdict: {values['verdict']}" in lines
+    now, coming = values["edge_f1_now"], values["edge_f1"]
+    assert f"F1 {now:.4f} (step just made), {coming:.4f} (steps to come)" in captured.out
     again = tmp_path / "again.json"
     done("evaluate", shipped_model("pickup"), fresh, "--json", again)
     assert {**json.loads(again.read_text()), "run": ""} == {**values, "run": ""}

@@ -7,7 +7,12 @@ from evaluation_worlds import DT, random_run, scene_of
 from contactgraph.data import Scene, Trajectory
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect
-from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle, joined
+from contactgraph.evaluate.baselines import (
+    constant_velocity,
+    fixed_contact_oracle,
+    joined,
+    standing_still,
+)
 
 
 def rmse(predicted, trajectory, windows):
@@ -24,6 +29,15 @@ def test_constant_velocity_by_hand():
     predicted = constant_velocity(trajectory, 3)
     assert predicted.shape == (4, 3, 2, 2)
     assert np.allclose(predicted[2, 1], trajectory.position[2] + 2 * DT * trajectory.velocity[2])
+
+
+def test_standing_still_by_hand():
+    trajectory = random_run(2, 6, 0)
+    predicted = standing_still(trajectory, 3)
+    assert predicted.shape == (4, 3, 2, 2)
+    for start in range(4):
+        assert np.array_equal(predicted[start, 0], trajectory.position[start])
+        assert np.array_equal(predicted[start, 2], trajectory.position[start])
 
 
 def test_joined_through_others():

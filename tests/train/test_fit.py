@@ -291,11 +291,11 @@ def test_a_short_training_learns(recorded: Path, fresh: Path, tmp_path: Path) ->
     assert cli.run(["train", str(recorded), "--out", str(learned), "--steps", "800"]) == 0
     model = load_model(learned / "model.safetensors").model
     metrics = evaluate_open_loop(model, read_trajectories(fresh))
-    assert metrics.n_step_rmse_m < 0.005
-    assert metrics.frozen_contact_rmse_m is not None
-    assert metrics.n_step_rmse_m < metrics.frozen_contact_rmse_m / 4
-    assert metrics.edge_f1 is not None
-    assert metrics.edge_f1 > 0.97
+    assert metrics["n_step_rmse_m"] < 0.005
+    assert metrics["frozen_contact_rmse_m"] is not None
+    assert metrics["n_step_rmse_m"] < metrics["frozen_contact_rmse_m"] / 4
+    assert metrics["edge_f1"] is not None
+    assert metrics["edge_f1"] > 0.97
 
 
 @pytest.mark.slow

@@ -12,13 +12,18 @@ from contactgraph.cli.options import Delay, FalseAlarms, Misses, ModelArgument, 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Predict recorded trajectories 0.5 s ahead from every state, and measure the errors."""
+    """Predict recorded trajectories from every state, and measure the errors beside baselines."""
 
     model: ModelArgument
     data: Positional[Annotated[Path, arg(metavar="DATA")]]
     """A dataset file (HDF5)."""
     json: OutputFile = None
     """Write the measurements to this file."""
+    horizon: Annotated[
+        float | None,
+        arg(metavar="SECONDS", help_behavior_hint="(default: 0.5, or one step if that is longer)"),
+    ] = None
+    """Time ahead of each state, a multiple of the time step, s."""
     false_alarms: FalseAlarms = 0.0
     misses: Misses = 0.0
     delay: Delay = 0
@@ -50,7 +55,9 @@ class Evaluate:
         model = stored_model(self.model)
         dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
         motion_noise = MotionNoise() if self.infer_contacts else None
-        metrics = evaluate_open_loop(model, dataset, faults=faults, motion_noise=motion_noise)
+        metrics = evaluate_open_loop(
+            model, dataset, horizon_s=self.horizon, faults=faults, motion_noise=motion_noise
+        )
         growth = None
         if self.growth_steps is not None:
             growth = rollout_growth(model, dataset, self.growth_steps)
@@ -68,8 +75,8 @@ class Evaluate:
             **({} if growth is None else growth.to_json()),
         }
         write_json(self.json, values)
-        _print_summary(values)
-        print(f"contact distance                  {contact_distance_text(model)}")
+        _print_summary(values, metrics.unbeaten)
+        print(f"contact distance: {contact_distance_text(model)}")
         if growth is not None:
             print(
                 f"over {self.growth_steps} steps the state grows {_times(growth.growth_free)} "
@@ -83,31 +90,48 @@ class Evaluate:
             )
 
 
-def _print_summary(values: dict[str, Any]) -> None:
-    def centimetres(name: str) -> str:
-        value = values.get(name)
-        return "unknown" if value is None else f"{100 * value:.3f} cm"
+_PREDICTIONS = {
+    "the model": ("n_step", ""),
+    "  nothing measured": ("n_step", "_unmeasured"),
+    "  contacts inferred": ("n_step", "_inferred"),
+    "constant velocity": ("constant_velocity", ""),
+    "standing still": ("standing_still", ""),
+    "least squares": ("least_squares", ""),
+    "interaction network": ("gnn", ""),
+    "fixed contact (oracle)": ("frozen_contact", ""),
+}
+_BODIES = ("_moving", "")
+_CONTACTS = {"": "measured", "_unmeasured": "not measured", "_inferred": "inferred from motion"}
+
+
+def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
+    def centimetres(prediction: tuple[str, str], chosen: str) -> str:
+        name, beliefs = prediction
+        value = values[f"{name}_rmse{chosen}{beliefs}_m"]
+        return f"{'unknown' if value is None else f'{100 * value:.3f} cm':>16}"
 
     def score(name: str) -> str:
-        value = values.get(name)
+        value = values[name]
         return "unknown" if value is None else f"{value:.4f}"
 
-    print(f"error over {values['n_steps']} steps             {centimetres('n_step_rmse_m')}")
-    print(f"  bodies that move                {centimetres('n_step_rmse_moving_m')}")
-    print(f"  contact changes                 {centimetres('n_step_rmse_contact_m')}")
-    print(f"  contact does not change         {centimetres('n_step_rmse_free_m')}")
-    print(f"baseline: fixed contact           {centimetres('frozen_contact_rmse_m')}")
-    print(f"baseline: constant velocity       {centimetres('constant_velocity_rmse_m')}")
-    print(
-        f"edges: precision {score('edge_precision')}, recall {score('edge_recall')}, "
-        f"F1 {score('edge_f1')}"
-    )
-    print(f"edges without measured contacts: F1 {score('edge_f1_unmeasured')}")
-    if values["infer_contacts"]:
-        print(f"edges inferred from motion: F1 {score('edge_f1_inferred')}")
-    switch = values.get("switch_time_error_s")
+    title = f"error over {values['n_steps']} steps"
+    print(f"{title:<23}{'bodies that move':>16}  {'all bodies':>16}")
+    for text, prediction in _PREDICTIONS.items():
+        if any(values[f"{prediction[0]}_rmse{c}{prediction[1]}_m"] is not None for c in _BODIES):
+            columns = "  ".join(centimetres(prediction, chosen) for chosen in _BODIES)
+            print(f"{text:<23}{columns}")
+    print(f"verdict: {values['verdict'] or 'none, since nothing moves'}")
+    if unbeaten:
+        worse = ", ".join(text for text, (name, _) in _PREDICTIONS.items() if name in unbeaten)
+        print(f"  by the error of bodies that move it is not better than {worse}")
+    print(f"where a contact changes, all bodies: {centimetres(('n_step', ''), '_contact').strip()}")
+    for beliefs, text in _CONTACTS.items():
+        if beliefs != "_inferred" or values["infer_contacts"]:
+            now, coming = score(f"edge_f1_now{beliefs}"), score(f"edge_f1{beliefs}")
+            print(f"edges, contacts {text}: F1 {now} (step just made), {coming} (steps to come)")
+    switch = values["switch_time_error_s"]
     error = "unknown" if switch is None else f"{1000 * switch:.1f} ms, mean"
-    print(f"error of the start of contact     {error}")
+    print(f"error of the start of contact: {error}")
 
 
 def _times(growth: float) -> str:

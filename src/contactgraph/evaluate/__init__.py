@@ -3,6 +3,7 @@
 from contactgraph.envs.episodes import collect as collect
 from contactgraph.envs.episodes import episode_seeds as episode_seeds
 from contactgraph.envs.episodes import run_episode as run_episode
+from contactgraph.evaluate.baselines import Baseline as Baseline
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics as ClosedLoopMetrics
 from contactgraph.evaluate.closed_loop import closed_loop_metrics as closed_loop_metrics
 from contactgraph.evaluate.control_task import control_by_policy as control_by_policy
@@ -17,8 +18,9 @@ from contactgraph.evaluate.mpc_policy import MPCPolicy as MPCPolicy
 from contactgraph.evaluate.mpc_policy import SceneCost as SceneCost
 from contactgraph.evaluate.mpc_policy import TaskCost as TaskCost
 from contactgraph.evaluate.open_loop import Metric as Metric
-from contactgraph.evaluate.open_loop import OpenLoopMetrics as OpenLoopMetrics
 from contactgraph.evaluate.open_loop import evaluate_open_loop as evaluate_open_loop
+from contactgraph.evaluate.open_loop_metrics import OpenLoopMetrics as OpenLoopMetrics
+from contactgraph.evaluate.open_loop_metrics import Verdict as Verdict
 from contactgraph.evaluate.plan_tracking import EpisodeRecord as EpisodeRecord
 from contactgraph.evaluate.plan_tracking import PlanTrackingError as PlanTrackingError
 from contactgraph.evaluate.plan_tracking import plan_tracking_error as plan_tracking_error

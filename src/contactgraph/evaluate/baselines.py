@@ -6,9 +6,21 @@ hinged bar (whose middle is at r_n), its angular acceleration is (sum of r_n x u
 members) / (sum of I_n).
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from contactgraph.data import Scene, Trajectory, joined
+
+Baseline = Callable[[Trajectory, int], np.ndarray | None]
+"""[S, H, N, D] m: positions ``H`` steps ahead from each of the S states of a trajectory that has
+so many after it. None: not known for this trajectory."""
+
+
+def standing_still(trajectory: Trajectory, steps: int) -> np.ndarray:
+    """[S, H, N, D] m: the positions of every start, for ``H = steps`` steps."""
+    starts = trajectory.steps - steps + 1
+    return np.repeat(trajectory.position[:starts, None], steps, axis=1)
 
 
 def constant_velocity(trajectory: Trajectory, steps: int) -> np.ndarray:

@@ -2,15 +2,26 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import replace
 
 import numpy as np
 
 from contactgraph.data import Dataset, InvalidInputError, Trajectory, with_edge_labels
-from contactgraph.evaluate.edge_scores import edge_scores
+from contactgraph.evaluate.baselines import (
+    Baseline,
+    constant_velocity,
+    fixed_contact_oracle,
+    standing_still,
+)
+from contactgraph.evaluate.open_loop_metrics import (
+    ORACLE,
+    OpenLoopMetrics,
+    edge_numbers,
+    error_numbers,
+    unbeaten_baselines,
+)
 from contactgraph.evaluate.prediction_windows import (
     OpenLoopDetail,
-    WindowPredictions,
     concatenated_details,
     trajectory_detail,
 )
@@ -29,95 +40,38 @@ _EXACT = SensorFaults()
 Metric = Callable[[OpenLoopDetail], float | None]
 """A metric of one's own: a number computed from all windows, None where it is not known."""
 
+_USUAL_HORIZON_S = 0.5
+_TOLERANCE = 1e-6
+"""Relative difference of a horizon from a whole number of steps that counts as none."""
 
-@dataclass(frozen=True)
-class OpenLoopMetrics:
-    """The results of `evaluate_open_loop`. None: the data do not determine a number.
 
-    Errors are over the same windows: from every start of every trajectory, ``n_steps`` ahead. The
-    names are the keys of `to_json`. ``…_unmeasured`` is the same prediction by beliefs that no
-    measured contact has corrected, equal to the first where contacts were not recorded.
-    ``…_inferred`` is the same by beliefs that only the observed motion has corrected; None unless
-    requested.
-    """
+def _not_fitted(trajectory: Trajectory, steps: int) -> None:
+    return None
 
-    runs: int
-    """Number of trajectories."""
-    windows: int
-    n_steps: int
-    """Steps in a window."""
-    diverged_windows: int
-    """Windows with a prediction that is not finite; one of them makes the errors infinite."""
 
-    n_step_rmse_m: float
-    """Root mean square position error over windows, steps and nodes, m."""
-    n_step_rmse_moving_m: float | None
-    """Only nodes that get more than 1 mm away from their position at the window's start."""
-    n_step_rmse_free_m: float | None
-    """Only windows in which no contact changes."""
-    n_step_rmse_contact_m: float | None
-    """Only windows in which a contact changes."""
-    n_step_rmse_unmeasured_m: float
-    constant_velocity_rmse_m: float
-    """Baseline without forces: see `constant_velocity`."""
-    frozen_contact_rmse_m: float | None
-    """Fixed-contact oracle: see `fixed_contact_oracle`."""
-    constant_velocity_rmse_free_m: float | None
-    constant_velocity_rmse_contact_m: float | None
-    frozen_contact_rmse_free_m: float | None
-    frozen_contact_rmse_contact_m: float | None
-    """The baselines over the windows without and with a change of contact, as above."""
-
-    edge_precision: float | None
-    edge_recall: float | None
-    edge_f1: float | None
-    edge_accuracy: float | None
-    edge_false_alarm_rate: float | None
-    """Share of edges without contact that are predicted active."""
-    switch_time_error_s: float | None
-    """Mean time between the predicted and the true onset of contact: see `switch_time_errors`."""
-    edge_on_time: float | None
-    """Share of touches whose edge is predicted active, one step before, for their very step."""
-    edge_precision_unmeasured: float | None
-    edge_recall_unmeasured: float | None
-    edge_f1_unmeasured: float | None
-    edge_accuracy_unmeasured: float | None
-    switch_time_error_unmeasured_s: float | None
-    edge_on_time_unmeasured: float | None
-    n_step_rmse_inferred_m: float | None
-    edge_precision_inferred: float | None
-    edge_recall_inferred: float | None
-    edge_f1_inferred: float | None
-    edge_accuracy_inferred: float | None
-    switch_time_error_inferred_s: float | None
-    edge_on_time_inferred: float | None
-
-    extra: dict[str, float | None] = field(repr=False, compare=False)
-    """Metrics of the caller's own, by name; in `to_json` beside the others."""
-    detail: OpenLoopDetail = field(repr=False, compare=False)
-    """Every window on its own; not part of `to_json`."""
-
-    def to_json(self) -> dict[str, float | int | None]:
-        """All numbers by name; None for those that are not known or not finite."""
-        numbers = {each.name: getattr(self, each.name) for each in fields(self)}
-        del numbers["detail"], numbers["extra"]
-        return {
-            name: value if value is None or math.isfinite(value) else None
-            for name, value in {**numbers, **self.extra}.items()
-        }
+_BASELINES: dict[str, Baseline] = {
+    "constant_velocity": constant_velocity,
+    "standing_still": standing_still,
+    ORACLE: fixed_contact_oracle,
+    "least_squares": _not_fitted,
+    "gnn": _not_fitted,
+}
 
 
 def evaluate_open_loop(
     model: StepModel,
     dataset: Dataset,
     *,
-    horizon_s: float = 0.5,
+    horizon_s: float | None = None,
     sensor: ContactSensor | None = None,
     faults: SensorFaults = _EXACT,
     motion_noise: MotionNoise | None = None,
+    baselines: Mapping[str, Baseline] | None = None,
     metrics: Mapping[str, Metric] | None = None,
 ) -> OpenLoopMetrics:
     """Predicts ``horizon_s`` [s] ahead from every state of every trajectory that is long enough.
+
+    The horizon is a multiple of the time step; by default 0.5 s, in whole steps, at least one.
 
     Up to a window's start the belief is filtered along the recorded history: predicted for every
     step, then corrected by the contacts measured after it (with ``sensor``'s error rates, where
@@ -126,12 +80,13 @@ def evaluate_open_loop(
 
     ``faults`` corrupts the contacts that correct the belief; scores are against the recorded truth.
     ``sensor`` has the same error rates by default. With ``motion_noise``, contacts inferred from
-    motion alone are evaluated, too. ``metrics``: further metrics by name, each a function of the
-    `OpenLoopDetail`.
+    motion alone are evaluated, too. ``baselines``: predictions beside those without fitting, by
+    name (``least_squares`` and ``gnn`` are null otherwise). ``metrics``: further metrics by name,
+    each a function of the `OpenLoopDetail`.
 
     Contacts are `with_edge_labels` here: pairs that hold each other, where that is recorded.
     The trajectories may differ in steps and nodes. Where one lacks contacts, none are used.
-    Raises `InvalidInputError` where the horizon is shorter than half a step or longer than every
+    Raises `InvalidInputError` where the horizon is no multiple of the step or longer than every
     trajectory, where model and data do not fit, where there are no contacts for faults to corrupt,
     or where a metric has the name of a built-in one.
     """
@@ -139,10 +94,6 @@ def evaluate_open_loop(
         check_fit(model, each.scene, each.control_size, "the data")
     if motion_noise is not None:
         check_motion_model(model)
-    metrics = metrics or {}
-    taken = [each.name for each in fields(OpenLoopMetrics) if each.name in metrics]
-    if taken:
-        raise InvalidInputError(f"metrics must have new names, found {taken[0]!r}")
     steps = _steps(dataset, horizon_s)
     dataset = with_edge_labels(dataset)
     known = all(each.contact is not None for each in dataset)
@@ -162,48 +113,44 @@ def evaluate_open_loop(
                 steps,
                 sensor or faults.sensor,
                 _reported(each, faults, index) if known else None,
+                {**_BASELINES, **(baselines or {})},
                 motion_noise,
             )
             for index, each in enumerate(dataset)
             if each.steps >= steps
         ]
     )
-    measured, inferred = detail.measured, detail.inferred
-    still = _by_contact_change(detail, detail.constant_velocity)
-    fixed = _by_contact_change(detail, detail.fixed_contact)
-    free = _by_contact_change(detail, measured.squared_error)
-    return OpenLoopMetrics(
+    errors = error_numbers(detail)
+    diverged = ~np.isfinite(detail.measured.squared_error).all(axis=(1, 2))
+    found = OpenLoopMetrics(
         runs=len(dataset),
         windows=len(detail.start),
         n_steps=steps,
-        diverged_windows=int(np.sum(~np.isfinite(measured.squared_error).all(axis=(1, 2)))),
-        n_step_rmse_m=_required(detail.rmse(measured.squared_error)),
-        n_step_rmse_moving_m=detail.rmse(measured.squared_error, detail.moves),
-        n_step_rmse_free_m=free[0],
-        n_step_rmse_contact_m=free[1],
-        n_step_rmse_unmeasured_m=_required(detail.rmse(detail.unmeasured.squared_error)),
-        n_step_rmse_inferred_m=_rmse(detail, None if inferred is None else inferred.squared_error),
-        constant_velocity_rmse_m=_required(detail.rmse(detail.constant_velocity)),
-        constant_velocity_rmse_free_m=still[0],
-        constant_velocity_rmse_contact_m=still[1],
-        frozen_contact_rmse_m=_rmse(detail, detail.fixed_contact),
-        frozen_contact_rmse_free_m=fixed[0],
-        frozen_contact_rmse_contact_m=fixed[1],
-        extra={name: metric(detail) for name, metric in metrics.items()},
+        diverged_windows=int(diverged.sum()),
+        numbers={**errors, **edge_numbers(detail)},
+        unbeaten=unbeaten_baselines(
+            {name: errors[f"{name}_rmse_moving_m"] for name in ("n_step", *detail.baselines)}
+        ),
         detail=detail,
-        **_scores(detail, measured, "", ("false_alarm_rate",)),
-        **_scores(detail, detail.unmeasured, "_unmeasured"),
-        **_scores(detail, inferred, "_inferred"),
     )
+    taken = sorted(found.to_json().keys() & (metrics or {}))
+    if taken:
+        raise InvalidInputError(f"metrics must have new names, found {taken[0]!r}")
+    return replace(found, extra={name: of(detail) for name, of in (metrics or {}).items()})
 
 
-def _steps(dataset: Dataset, horizon_s: float) -> int:
-    longest = max(each.steps for each in dataset)
-    steps = round(horizon_s / dataset.dt) if math.isfinite(horizon_s) else 0
+def _steps(dataset: Dataset, horizon_s: float | None) -> int:
+    dt, longest = dataset.dt, max(each.steps for each in dataset)
+    asked = _USUAL_HORIZON_S if horizon_s is None else horizon_s
+    steps = round(asked / dt) if math.isfinite(asked) else 0
+    if horizon_s is None:
+        steps = max(1, steps)
+    elif abs(steps * dt - horizon_s) > _TOLERANCE * dt:
+        steps = 0
     if not 1 <= steps <= longest:
         raise InvalidInputError(
-            f"horizon_s must be {dataset.dt:g} to {longest * dataset.dt:g} s, from one step to "
-            f"the longest trajectory, found {horizon_s}"
+            f"the horizon must be a multiple of the time step, {dt:g} s, up to {longest * dt:g} s, "
+            f"the longest trajectory, found {asked:g} s"
         )
     return steps
 
@@ -212,47 +159,3 @@ def _reported(trajectory: Trajectory, faults: SensorFaults, index: int) -> np.nd
     if trajectory.contact is None:
         return None
     return faults.reported(trajectory.contact, trajectory.scene, index)
-
-
-def _rmse(detail: OpenLoopDetail, squared: np.ndarray | None) -> float | None:
-    return None if squared is None else detail.rmse(squared)
-
-
-def _by_contact_change(
-    detail: OpenLoopDetail, squared: np.ndarray | None
-) -> tuple[float | None, float | None]:
-    """RMSE over the windows in which no contact changes, and over those in which one does."""
-    changes = detail.contact_changes
-    if squared is None or changes is None:
-        return None, None
-    return detail.rmse(squared, ~changes), detail.rmse(squared, changes)
-
-
-def _scores(
-    detail: OpenLoopDetail,
-    windows: WindowPredictions | None,
-    suffix: str,
-    more: tuple[str, ...] = (),
-) -> dict[str, float | None]:
-    """Edge scores by their names in `OpenLoopMetrics`; None where they are not known."""
-    scores = None
-    if detail.contact is not None and windows is not None:
-        scores = edge_scores(
-            windows.edge_active,
-            detail.contact,
-            detail.edge_exists,
-            windows.touch_on_time,
-            detail.dt,
-        )
-    counts = None if scores is None else scores.counts
-    names = ("precision", "recall", "f1", "accuracy", *more)
-    return {
-        **{f"edge_{name}{suffix}": getattr(counts, name, None) for name in names},
-        f"edge_on_time{suffix}": None if scores is None else scores.on_time,
-        f"switch_time_error{suffix}_s": None if scores is None else scores.switch_time_error_s,
-    }
-
-
-def _required(value: float | None) -> float:
-    """There is at least one window, and each has a node that is compared."""
-    return math.nan if value is None else value

@@ -1,6 +1,6 @@
 """Predictions from every recorded state, beside the recorded trajectories, window by window."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -18,7 +18,8 @@ from contactgraph.data import (
     pad_trajectories,
     pair_indices,
 )
-from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
+from contactgraph.evaluate.baselines import Baseline
+from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
@@ -46,6 +47,8 @@ class TrajectoryPrediction(eqx.Module):
     """m"""
     edge_active: Bool[Array, "S H E"]
     """Whether each edge is more likely active than not; entry h is about step h of the window."""
+    now_active: Bool[Array, "T+1 E"]
+    """The same for the step that led to each state, corrected by what was observed there."""
     next_active: Bool[Array, "T+1 E"]
     """The same for the step after each state, predicted from that state."""
 
@@ -85,7 +88,10 @@ def predict_trajectory(
     padded = jnp.pad(starts, (0, -count % batch), mode="edge")
     position, active = jax.lax.map(from_state, padded, batch_size=batch if batch > 1 else None)
     return TrajectoryPrediction(
-        position[:count], active[:count], jax.lax.map(likely, filtered.prior)
+        position[:count],
+        active[:count],
+        jax.lax.map(likely, filtered.posterior),
+        jax.lax.map(likely, filtered.prior),
     )
 
 
@@ -99,6 +105,9 @@ class WindowPredictions:
     """[W, H, E] bool: predicted contacts of each step."""
     touch_on_time: np.ndarray
     """[touches] bool: whether each recorded touch was predicted for its very step."""
+    now: EdgeCounts
+    """Beliefs about the step just made against the label of the state reached, over the steps of
+    whole trajectories; empty where contacts were not recorded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +135,8 @@ class OpenLoopDetail:
     inferred: WindowPredictions | None
     """By beliefs that the observed motion has corrected, without measured contacts. None: not
     requested."""
-    constant_velocity: np.ndarray
-    """[W, H, N] m^2: squared error without forces."""
-    fixed_contact: np.ndarray | None
-    """[W, H, N] m^2: squared error with the true masses and the contacts of the first state."""
+    baselines: Mapping[str, np.ndarray | None]
+    """[W, H, N] m^2: squared error of each baseline; None where one is not known."""
 
     @property
     def contact_changes(self) -> np.ndarray | None:
@@ -184,13 +191,15 @@ def trajectory_detail(
     steps: int,
     sensor: ContactSensor,
     reported: np.ndarray | None,
+    baselines: Mapping[str, Baseline],
     motion_noise: MotionNoise | None = None,
 ) -> OpenLoopDetail:
     """The windows of trajectory ``index``, which must have at least ``steps`` steps.
 
     ``reported``: [T+1, N, N] bool, reports of a contact sensor; None: contacts were not recorded
-    in every trajectory. ``motion_noise``: contacts are also inferred from motion. Arrays are padded
-    to the dataset's largest trajectory, so that all share one compiled function.
+    in every trajectory. ``baselines`` are compared with the same windows. ``motion_noise``:
+    contacts are also inferred from motion. Arrays are padded to the dataset's largest trajectory,
+    so that all share one compiled function.
     """
     trajectory = dataset.trajectories[index]
     count, starts = trajectory.scene.node_count, trajectory.steps - steps + 1
@@ -221,20 +230,31 @@ def trajectory_detail(
     def finite(prediction: TrajectoryPrediction) -> bool:
         return bool(jnp.all(jnp.isfinite(prediction.position[:starts, :, :count])))
 
+    def now(active: Array) -> EdgeCounts:
+        if contact is None:
+            return EdgeCounts()
+        made = np.asarray(active)[1 : trajectory.steps + 1]
+        return edge_counts(made[None], contact[None, 1:], edge_exists[:1])
+
     def windows(prediction: TrajectoryPrediction) -> WindowPredictions:
         return WindowPredictions(
             squared_error=error(np.asarray(prediction.position, np.float64)),
             edge_active=np.asarray(prediction.edge_active)[:starts],
             touch_on_time=np.asarray(prediction.next_active)[: trajectory.steps][touches],
+            now=now(prediction.now_active),
         )
 
     def by_lists(contacts: np.ndarray | None) -> WindowPredictions:
         function = lists.reallocate_on_overflow
         return windows(function(lambda model: predicted(model, contacts), finite))
 
-    unmeasured = by_lists(None)
+    def compared(baseline: Baseline) -> np.ndarray | None:
+        positions = baseline(trajectory, steps)
+        return None if positions is None else error(positions)
+
     exists = np.broadcast_to(np.arange(capacity) < count, (starts, capacity))
-    oracle = fixed_contact_oracle(trajectory, steps) if reported is not None else None
+    edge_exists = np.logical_and(exists[:, pairs[:, 0]], exists[:, pairs[:, 1]])
+    unmeasured = by_lists(None)
     return OpenLoopDetail(
         dt=dataset.dt,
         trajectory=np.full(starts, index),
@@ -242,15 +262,14 @@ def trajectory_detail(
         exists=exists,
         moves=np.pad(moving_bodies(recorded), ((0, 0), (0, capacity - count))),
         contact=None if contact is None else _windows(contact, steps),
-        edge_exists=np.logical_and(exists[:, pairs[:, 0]], exists[:, pairs[:, 1]]),
+        edge_exists=edge_exists,
         measured=unmeasured if reported is None else by_lists(reported),
         unmeasured=unmeasured,
         # The likelihood of motion is computed over all pairs, without neighbor lists.
         inferred=None
         if motion_noise is None
         else windows(predicted(lists.given, None, motion_noise)),
-        constant_velocity=error(constant_velocity(trajectory, steps)),
-        fixed_contact=None if oracle is None else error(oracle),
+        baselines={name: compared(baseline) for name, baseline in baselines.items()},
     )
 
 
@@ -260,12 +279,16 @@ def concatenated_details(parts: Sequence[OpenLoopDetail]) -> OpenLoopDetail:
 
 
 def _concatenated(parts: Sequence[Any]) -> Any:
-    """Arrays one after the other, field by field; None where any part has None."""
+    """Arrays one after the other, counts added, field by field; None where any part has None."""
     first = parts[0]
     if any(each is None for each in parts):
         return None
     if isinstance(first, np.ndarray):
         return np.concatenate(parts)
+    if isinstance(first, EdgeCounts):
+        return sum(parts, EdgeCounts())
+    if isinstance(first, dict):
+        return {name: _concatenated([each[name] for each in parts]) for name in first}
     if not isinstance(first, OpenLoopDetail | WindowPredictions):
         return first
     names = [each.name for each in fields(first)]

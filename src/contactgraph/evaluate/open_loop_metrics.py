@@ -1,0 +1,143 @@
+"""Numbers of an open-loop evaluation by their JSON keys, and the verdict on the model."""
+
+import enum
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from contactgraph.evaluate.edge_scores import edge_scores
+from contactgraph.evaluate.prediction_windows import OpenLoopDetail
+
+ORACLE = "frozen_contact"
+"""The baseline that knows masses and contacts; no verdict depends on it."""
+_TIE = 1e-3
+"""Relative difference of two errors up to which neither is better; rounding is far below it."""
+
+
+class Verdict(enum.StrEnum):
+    """A model's error over moving bodies against the baselines known there, without the oracle."""
+
+    better_than_all = "better than all"
+    better_than_constant_velocity = "better than constant velocity"
+    no_better = "no better"
+
+
+@dataclass(frozen=True)
+class OpenLoopMetrics:
+    """The results of `evaluate_open_loop`."""
+
+    runs: int
+    """Number of trajectories."""
+    windows: int
+    n_steps: int
+    """Steps in a window."""
+    diverged_windows: int
+    """Windows with a prediction that is not finite; one of them makes the errors infinite."""
+    numbers: Mapping[str, float | None]
+    """Errors and scores by their JSON keys: see `error_numbers` and `edge_numbers`. None: the data
+    do not determine a number."""
+    unbeaten: tuple[str, ...]
+    """Baselines that the model is not better than: see `unbeaten_baselines`."""
+    detail: OpenLoopDetail = field(repr=False, compare=False)
+    """Every window on its own; not part of `to_json`."""
+    extra: Mapping[str, float | None] = field(default_factory=dict, repr=False, compare=False)
+    """Metrics of the caller's own, by name."""
+
+    def __getitem__(self, name: str) -> float | None:
+        """The error or score with this JSON key."""
+        return self.numbers[name]
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """None: nothing moves."""
+        if self.numbers["n_step_rmse_moving_m"] is None:
+            return None
+        if "constant_velocity" in self.unbeaten:
+            return Verdict.no_better
+        return Verdict.better_than_constant_velocity if self.unbeaten else Verdict.better_than_all
+
+    def to_json(self) -> dict[str, float | int | str | None]:
+        """All results by name; None for those that are not known or not finite."""
+        finite = {
+            name: value if value is None or math.isfinite(value) else None
+            for name, value in {**self.numbers, **self.extra}.items()
+        }
+        counts = ("runs", "windows", "n_steps", "diverged_windows")
+        verdict = None if self.verdict is None else self.verdict.value
+        return {**finite, "verdict": verdict, **{name: getattr(self, name) for name in counts}}
+
+
+def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
+    """Root mean square position errors over windows, steps and bodies, m.
+
+    The keys are ``{prediction}_rmse{bodies and windows}{beliefs}_m``. Predictions are ``n_step``,
+    the model's, and the baselines'. Over all bodies by default; ``_moving``: over those that move
+    in a window; ``_free``, ``_contact``: over windows without and with a change of contact. By
+    beliefs that measured contacts have corrected, where contacts were recorded, by default;
+    ``_unmeasured``: not corrected; ``_inferred``: corrected by the observed motion alone.
+    """
+    changes = detail.contact_changes
+    chosen = {
+        "_moving": detail.moves,
+        "": detail.exists,
+        "_free": None if changes is None else ~changes,
+        "_contact": changes,
+    }
+    inferred = None if detail.inferred is None else detail.inferred.squared_error
+    squared = {
+        ("n_step", ""): detail.measured.squared_error,
+        **{(name, ""): error for name, error in detail.baselines.items()},
+        ("n_step", "_unmeasured"): detail.unmeasured.squared_error,
+        ("n_step", "_inferred"): inferred,
+    }
+    return {
+        f"{name}_rmse{subset}{beliefs}_m": None
+        if error is None or windows is None
+        else detail.rmse(error, windows)
+        for subset, windows in chosen.items()
+        for (name, beliefs), error in squared.items()
+    }
+
+
+def edge_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
+    """Scores of predicted edges over the steps of all windows, see `EdgeScores`.
+
+    ``edge_…_now`` are of the beliefs about the step just made, corrected by what was observed after
+    it, against the label of the state that it reached, in every state but a trajectory's first.
+    ``_unmeasured`` and ``_inferred`` as in `error_numbers`.
+    """
+    numbers: dict[str, float | None] = {}
+    for beliefs in ("", "_unmeasured", "_inferred"):
+        found = getattr(detail, beliefs.removeprefix("_") or "measured")
+        scores = now = None
+        if detail.contact is not None and found is not None:
+            exists, now = detail.edge_exists, found.now
+            scores = edge_scores(
+                found.edge_active, detail.contact, exists, found.touch_on_time, detail.dt
+            )
+        counts = None if scores is None else scores.counts
+        for name in ("precision", "recall", "f1", "accuracy", "false_alarm_rate"):
+            numbers[f"edge_{name}{beliefs}"] = getattr(counts, name, None)
+        for name in ("precision", "recall", "f1"):
+            numbers[f"edge_{name}_now{beliefs}"] = getattr(now, name, None)
+        on_time = None if scores is None else scores.on_time
+        late = None if scores is None else scores.switch_time_error_s
+        numbers |= {f"edge_on_time{beliefs}": on_time, f"switch_time_error{beliefs}_s": late}
+    return numbers
+
+
+def unbeaten_baselines(errors: Mapping[str, float | None]) -> tuple[str, ...]:
+    """The baselines whose error over moving bodies the model's is not below.
+
+    ``errors``: m by prediction; the model's own is ``n_step``. An error that is not known is beaten
+    by none and beats none; `ORACLE` is left out.
+    """
+    own = errors["n_step"]
+    return tuple(
+        name
+        for name, error in errors.items()
+        if name not in ("n_step", ORACLE)
+        and own is not None
+        and error is not None
+        and not own < (1.0 - _TIE) * error
+    )
