@@ -48,6 +48,15 @@ def test_padding_never_moves():
     assert both.moves[both.trajectory == 0][:, 0].all()
 
 
+def test_a_static_body_never_moves():
+    run = sliding()
+    measured = replace(run, position=run.position + 0.02 * np.arange(9)[:, None, None])
+    fixed = replace(measured, scene=replace(run.scene, static=np.array([False, True])))
+    for each, expected in ((measured, True), (fixed, False)):
+        moves = evaluate_open_loop(GluedBodies(), Dataset((each,)), horizon_s=2 * DT).detail.moves
+        assert moves[:, 0].all() and moves[:, 1].all() == moves[:, 1].any() == expected
+
+
 def test_edges_of_the_step_just_made_by_hand():
     """The sensor is one step late, and these beliefs are what it says."""
     run = sliding(labels([1, 1, 1, 0, 0, 1, 1, 0, 0]))
