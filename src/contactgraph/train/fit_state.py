@@ -10,6 +10,9 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.train.held_out import HeldOutBaselines
 
+_TIE = 1e-3
+"""Relative difference of errors up to which neither is better."""
+
 
 class FitStatus(enum.Enum):
     """The end of training; the value is the text for users."""
@@ -68,8 +71,10 @@ class FitResult:
 
     @property
     def is_better(self) -> bool:
-        """Whether the model predicts better than constant velocity and than standing still."""
+        """Whether the model predicts better than constant velocity and than standing still.
+
+        Errors that differ by less than 0.1 % are equal.
+        """
         baselines = self.baselines
-        return self.held_out_rmse_m < min(
-            baselines.constant_velocity_rmse_m, baselines.standing_still_rmse_m
-        )
+        least = min(baselines.constant_velocity_rmse_m, baselines.standing_still_rmse_m)
+        return self.held_out_rmse_m < (1.0 - _TIE) * least
