@@ -16,7 +16,13 @@ import safetensors
 from contactgraph.cli import main as cli
 from contactgraph.cli.models import model_preset
 from contactgraph.cli.tasks import known_task
-from contactgraph.data import describe_file, read_trajectories
+from contactgraph.data import (
+    Scene,
+    Trajectory,
+    describe_file,
+    read_trajectories,
+    write_trajectories,
+)
 from contactgraph.envs import PickupExpert
 from contactgraph.evaluate import closed_loop_metrics, collect
 from contactgraph.model import ModelConfig, gim_temp, shipped_model
@@ -378,6 +384,32 @@ def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str])
         assert captured.err == ""
         for words in said:
             assert words in captured.out
+
+
+def test_info_of_a_dataset_names_what_is_recorded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state, pairs = np.zeros((4, 3, 2)), np.zeros((4, 3, 3), bool)
+    names = ("hand", "box", "wall")
+    scene = Scene(
+        *(names, names, np.array([True, False, False]), 0.05),
+        static=np.array([False, False, True]),
+        control_kind=("force", "force", "switch"),
+    )
+    plain = Trajectory(scene, state, state, np.zeros((3, 3)), pairs)
+    turning = dataclasses.replace(plain, holding=pairs, orientation=np.zeros((4, 3, 1)))
+    write_trajectories(tmp_path / "data.h5", [plain, turning])
+    done("info", tmp_path / "data.h5")
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()[1:]]
+    assert lines == [
+        "steps 3 of 0.05 s",
+        "nodes 3: hand, box, wall",
+        "control 3: force, force, switch",
+        "contacts in 2 of 2 trajectories",
+        "holding in 1 of 2 trajectories",
+        "orientation in 1 of 2 trajectories",
+        "static 1",
+    ]
 
 
 def test_info_of_a_checkpoint_names_the_expected_format(

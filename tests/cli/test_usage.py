@@ -219,6 +219,12 @@ def test_a_model_and_a_task_that_do_not_fit(mistake, tmp_path: Path) -> None:
     assert said == "the model is for dimension D 3, but the task has 2; they must agree"
 
 
+def test_a_control_that_does_not_reach_an_actuated_body(mistake, tmp_path: Path) -> None:
+    write_trajectories(tmp_path / "axis.h5", [run_of(2, 1, 0.05)] * 2)
+    said = mistake("train", "axis.h5", "--out", "run", "--window-length", 5)
+    assert said.startswith("axis.h5 has actuated nodes, but control size U 1; it must be at least")
+
+
 def test_trajectories_too_few_or_too_short(mistake, recorded: Path, tmp_path: Path) -> None:
     write_trajectories(tmp_path / "one.h5", [run_of(2, 2, 0.05)])
     assert "needs at least 2 trajectories, found 1" in mistake("train", "one.h5", "--out", "run")

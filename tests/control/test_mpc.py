@@ -337,3 +337,29 @@ def test_mistakes_are_named(mpc, start):
 
 def test_every_status_has_a_message():
     assert all(status.message.endswith(".") for status in PlanStatus)
+
+
+class WithSwitch(StickyBodies):
+    """A third component of the control moves nothing."""
+
+    def linear_step(self, state, nodes):
+        linear, belief = super().linear_step(state, nodes)
+        B = jnp.concatenate([linear.B, jnp.zeros_like(linear.B[..., :1])], axis=-1)
+        return dataclasses.replace(linear, B=B), belief
+
+
+@pytest.mark.parametrize("lowest", [0.0, 0.25])
+def test_a_switch_stays_at_the_limit_nearest_to_off_and_changes_no_force(mpc, lowest):
+    limits = ControlLimits(
+        jnp.array([-LARGEST, -LARGEST, lowest]), jnp.array([LARGEST, LARGEST, 1.0])
+    )
+    cost = chain_cost(
+        (0, 1), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, (0.5, 0.4), CAPACITY, control_size=3
+    )
+    switched = MPC(WithSwitch(), ILQR(HORIZON, 12, limits), clock=lambda: 0.0)
+    plan, _ = switched.step(scene(), None, switched.reset(scene(), nodes_of(3, CAPACITY), cost))
+    forces, _ = mpc.step(scene(), None, mpc.reset(scene(), nodes_of(3, CAPACITY), cost_to()))
+    assert plan.outcome.solved and forces.outcome.solved
+    np.testing.assert_array_equal(plan.controls[:, 2], lowest)
+    np.testing.assert_allclose(plan.controls[:, :2], forces.controls, atol=1e-3)
+    assert np.abs(forces.controls).max() > 1.0

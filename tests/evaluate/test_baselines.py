@@ -123,6 +123,21 @@ def test_a_control_of_another_size_than_the_dimension():
     assert np.array_equal(fixed_contact_oracle(more, 2), fixed_contact_oracle(trajectory, 2))
 
 
+def test_a_control_that_is_no_force_gives_none():
+    trajectory = random_run(2, 4, 0)
+    control = np.column_stack([trajectory.control, np.ones(4)])
+    for kinds, known in (
+        (("force", "force", "switch"), True),
+        (("force", "position", "switch"), False),
+        (("displacement", "displacement", "other"), False),
+    ):
+        scene = replace(trajectory.scene, control_kind=kinds)
+        found = fixed_contact_oracle(replace(trajectory, scene=scene, control=control), 2)
+        assert (found is not None) == known
+    passive = replace(scene, actuated=np.zeros(2, bool))
+    assert fixed_contact_oracle(replace(trajectory, scene=passive, control=control), 2) is not None
+
+
 def test_unknown_masses_contacts_or_hinges_in_space_give_none():
     trajectory = random_run(2, 4, 0)
     assert fixed_contact_oracle(trajectory, 2) is not None

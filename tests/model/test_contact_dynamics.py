@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from model_scenes import DT, PRESETS, preset, with_random_weights
 
-from contactgraph.data import InvalidInputError
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
     ArgmaxSample,
@@ -466,17 +465,6 @@ def test_a_single_body_without_edges_is_predicted(name: str) -> None:
     assert alone[2].shape == (1, 0, 2)
     assert_same([part[:, :1] for part in alone[:2]], [part[:, :1] for part in padded[:2]])
     assert np.all(np.isfinite(alone[0])) and np.abs(alone[1][0, 0] - velocity).max() > 1e-3
-
-
-@pytest.mark.parametrize("name", [name for name in PRESETS if name != "full_ab"])
-def test_components_of_the_control_that_act_on_nothing_are_refused(name: str) -> None:
-    with pytest.raises(InvalidInputError, match="U must be at most the dimension D = 2, found 3"):
-        PRESETS[name](ModelConfig(2, 3, DT), key=jax.random.PRNGKey(0))
-    model = dataclasses.replace(preset(name, width=8), control_size=3)
-    nodes, still = nodes_of(2), jnp.zeros((2, 2))
-    state = ModelState(still, still, ContactBelief(jnp.full((1, 2), 0.5)))
-    with pytest.raises(InvalidInputError, match="component d of the control acts on degree of"):
-        eqx.filter_eval_shape(ContactDynamics.linear_step, model, state, nodes)
 
 
 def test_free_matrices_use_every_component_of_the_control() -> None:

@@ -92,6 +92,25 @@ def test_the_terms_by_hand() -> None:
     assert float(terms.total(weights)) == pytest.approx(expected, rel=1e-3)
 
 
+def test_a_switch_and_the_lack_of_a_control_change_no_term() -> None:
+    model = gim_temp(ModelConfig(2, 2, DT, width=4), key=jax.random.key(0))
+    rng = np.random.default_rng(0)
+    states = [jnp.asarray(0.1 * rng.normal(size=(2, 3, 2, 2)), jnp.float32) for _ in range(2)]
+    window = Window(*states, jnp.zeros((2, 2, 2)), nodes(2, [True] * 2))
+
+    def terms(size: int, control: jax.Array) -> list[float]:
+        sized = dataclasses.replace(model, control_size=size)
+        windows = dataclasses.replace(window, control=control)
+        found = jitted_loss(sized, windows, jax.random.key(0), with_rollout=True)
+        return [float(each) for each in jax.tree.leaves(found)]
+
+    still = terms(2, jnp.zeros((2, 2, 2)))
+    np.testing.assert_allclose(terms(0, jnp.zeros((2, 2, 0))), still, rtol=1e-5)
+    switched = jnp.zeros((2, 2, 3)).at[..., 2].set(1.0)
+    np.testing.assert_allclose(terms(3, switched), still, rtol=1e-5)
+    assert not np.allclose(terms(2, 5.0 + jnp.zeros((2, 2, 2))), still, rtol=1e-2)
+
+
 def test_the_held_out_error_is_that_of_rollouts_over_the_counted_bodies() -> None:
     first = HeldOutWindows(by_hand(), jnp.array([[True, False], [False, False]]), True)
     assert float(jitted_rmse(Still(), first)) == pytest.approx(0.1)

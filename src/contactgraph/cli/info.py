@@ -150,13 +150,22 @@ def _print_dataset(path: Path) -> None:
     summary = describe_file(path)
     nodes = [len(names) for names in summary.node_name]
     print(f"{path}: dataset, {len(summary.steps)} trajectories, {summary.size} bytes")
-    print(f"  steps     {_span(summary.steps)} of {summary.dt[0]} s")
-    print(f"  nodes     {_span(nodes)}: {', '.join(summary.node_name[0])}")
-    print(f"  control   {_span(summary.control_size)}")
-    labelled = sum(bool(has) for has in summary.has_contact)
-    print(f"  contacts  in {labelled} of {len(summary.steps)} trajectories")
-    for name, value in summary.metadata.items():
-        print(f"  {name:<9} {_text(value)}")
+    kinds = " or ".join(sorted({", ".join(each) for each in summary.control_kind if each}))
+    recorded = {
+        "contacts": summary.has_contact,
+        "holding": summary.has_holding,
+        "orientation": summary.has_orientation,
+    }
+    rows = {
+        "steps": f"{_span(summary.steps)} of {summary.dt[0]} s",
+        "nodes": f"{_span(nodes)}: {', '.join(summary.node_name[0])}",
+        "control": f"{_span(summary.control_size)}{f': {kinds}' if kinds else ''}",
+        **{name: f"in {sum(has)} of {len(has)} trajectories" for name, has in recorded.items()},
+        "static": _span(summary.static_count),
+        **{name: _text(value) for name, value in summary.metadata.items()},
+    }
+    for name, text in rows.items():
+        print(f"  {name:<11} {text}")
 
 
 def _span(values: Any) -> str:

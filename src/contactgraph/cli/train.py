@@ -81,6 +81,7 @@ class Train:
             velocity_warning,
         )
         from contactgraph.model import ModelConfig
+        from contactgraph.model.filter import check_controls
         from contactgraph.model.io import save_model
         from contactgraph.train import (
             FitProgress,
@@ -127,6 +128,8 @@ class Train:
             learned_contact_distance=defaults.learned_contact_distance or distance is not None,
         )
         model = build(model_config, key=jax.random.key(options.seed))
+        for each in dataset:
+            check_controls(model, each.scene, each.control_size, str(self.data))
         made_by = (options.model, model_config) if ":" in options.model else None
         state = initial_state(model, config, options.seed)
         spent = 0.0

@@ -48,9 +48,13 @@ def fixed_contact_oracle(trajectory: Trajectory, steps: int) -> np.ndarray | Non
 
     A group with a body on a hinge turns about it instead: see `hinged_positions`.
 
-    None where masses or contacts are unknown, or where there are hinges not in the plane.
+    None where masses, contacts or forces (`Scene.control_kind`) are unknown, or where there are
+    hinges not in the plane.
     """
     scene = trajectory.scene
+    kinds = () if scene.control_kind is None else scene.control_kind[: scene.dimension]
+    if scene.actuated.any() and set(kinds) - {"force"}:
+        return None
     if trajectory.contact is None or scene.mass is None or not np.all(scene.mass > 0):
         return None
     hinged = scene.anchor is not None and bool(np.any(np.isfinite(scene.anchor)))

@@ -7,7 +7,6 @@ from jaxtyping import Array, Float
 
 from contactgraph.model.block_inverse import MassMatrix, solve_block_diagonal, solve_dense, to_nodes
 from contactgraph.model.collision import Geometry
-from contactgraph.model.types import check_control_size
 
 
 class ContactSolution(eqx.Module):
@@ -70,11 +69,10 @@ class ContactSolver(eqx.Module):
         """One step of `dt` [s].
 
         `gain` is the force on a node for each newton of control, `weight` [N] a constant force.
-        `group_capacity`: most nodes that are coupled; None: all are solved as one group. Raises
-        `InvalidInputError` where the control has more components than D.
+        `group_capacity`: most nodes that are coupled; None: all are solved as one group. Component
+        d of the control acts on degree of freedom d; components beyond those move nothing.
         """
         count, dimension = velocity.shape
-        check_control_size(control_size, dimension)
         stiffness = self.damper + self.spring
         matrix = MassMatrix(self.mass + self.ground_damper, stiffness, geometry)
         size = matrix.size

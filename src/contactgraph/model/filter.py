@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from contactgraph.data import InvalidInputError, Scene, TrajectoryBatch
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast_like, correct
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.local_dynamics import FreeLinearDynamics
 from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
 from contactgraph.model.rollout import control_sensitivity, with_control_displacement
 from contactgraph.model.types import LinearDynamics, ModelState, StepModel
@@ -42,6 +43,7 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
         raise InvalidInputError(
             f"the model is for dt {model.dt:g} s, but {other} has {scene.dt:g} s; they must agree"
         )
+    check_controls(model, scene, control_size, other)
     if model.features.hinges and not scene.has_hinges:
         raise InvalidInputError(
             f"the model is for bodies on hinges, but {other} has no anchor, the position of "
@@ -50,6 +52,23 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
     if scene.has_hinges and not model.features.hinges:
         raise InvalidInputError(
             f"the model has no hinges, but {other} has an anchor; train a model on such data"
+        )
+
+
+def check_controls(model: object, scene: Scene, control_size: int, other: str) -> None:
+    """Raises `InvalidInputError` where the model's control does not reach a degree of freedom.
+
+    Component d of the control moves degree of freedom d of every actuated node, and further ones
+    move nothing. Free matrices (`FreeLinearDynamics`) map any control to any motion.
+    """
+    if not isinstance(model, ContactDynamics):
+        return
+    free = isinstance(model.local_dynamics, FreeLinearDynamics)
+    if control_size < scene.dimension and scene.actuated.any() and not free:
+        raise InvalidInputError(
+            f"{other} has actuated nodes, but control size U {control_size}; it must be at least "
+            f"D = {scene.dimension}, because component d of the control moves degree of freedom d "
+            "(zeros where there is no drive), or no node may be actuated"
         )
 
 

@@ -28,7 +28,6 @@ from contactgraph.model.local_dynamics import (
     ThetaMethod,
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
-from contactgraph.model.types import check_control_size
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,8 @@ class ModelConfig:
     dimension: int
     """D, degrees of freedom per node."""
     control_size: int
-    """U, components of the control; at most D but for `full_ab`."""
+    """U, components of the control. Component d moves degree of freedom d of actuated nodes, and
+    further ones move nothing, except in `full_ab`."""
     dt: float
     """Length of a step, s."""
     contact_distance: float = 0.085
@@ -64,7 +64,6 @@ class Preset(Protocol):
 
 def gim_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     """Recurrent edges with a cutoff, coupled bodies solved as groups, invariant features."""
-    check_control_size(config.control_size, config.dimension)
     distance, width = config.contact_distance, config.width or 32
     features = InvariantFeatures(
         distance, hinges=config.hinges, learned=config.learned_contact_distance
@@ -112,25 +111,22 @@ def no_gim(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
 def full_ab(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     """Recurrent edges with a cutoff, as in `gim_temp`, but free matrices of absolute positions."""
     config = dataclasses.replace(config, width=config.width or 32)
-    dimension, control_size = config.dimension, config.control_size
-    model = paper_literal(dataclasses.replace(config, control_size=dimension), key=key)
+    model = paper_literal(config, key=key)
     return dataclasses.replace(
         model,
         local_dynamics=FreeLinearDynamics(
             model.local_dynamics.message_passing,
-            dimension=dimension,
-            control_size=control_size,
+            dimension=config.dimension,
+            control_size=config.control_size,
             key=jax.random.fold_in(key, 1),
         ),
         prior=ClosestApproachPrior(),
         cutoff=_cutoff(config),
-        control_size=control_size,
     )
 
 
 def paper_literal(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     """The paper's own form: all pairs, absolute positions, distance only, explicit Euler."""
-    check_control_size(config.control_size, config.dimension)
     dimension, width = config.dimension, config.width or 64
     inference_key, cell_key, dynamics_key, head_key = jax.random.split(key, 4)
     features = AbsoluteFeatures(hinges=config.hinges)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from contactgraph.data import InvalidInputError, Scene
+from contactgraph.data import Scene
 from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model.collision import Geometry
@@ -171,21 +171,10 @@ def own_component(
 ) -> Float[Array, "*T N D U"]:
     """The response of degrees of freedom of which component d of the control moves the d-th only.
 
-    Raises `InvalidInputError` where the control has more components than there are degrees of
-    freedom.
+    Components beyond the degrees of freedom move nothing.
     """
     dimension = inverse_mass.shape[-1]
-    check_control_size(control_size, dimension)
     return inverse_mass[..., None] * jnp.eye(dimension, control_size, dtype=inverse_mass.dtype)
-
-
-def check_control_size(control_size: int, dimension: int) -> None:
-    """Raises `InvalidInputError` where components of the control would act on nothing."""
-    if control_size > dimension:
-        raise InvalidInputError(
-            f"control size U must be at most the dimension D = {dimension}, found {control_size}: "
-            "component d of the control acts on degree of freedom d"
-        )
 
 
 class LocalInput(eqx.Module):
