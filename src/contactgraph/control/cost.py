@@ -122,7 +122,7 @@ def chain_cost(
     target[list(chain), :dimension] = point
     return QuadraticCost(
         Q=jnp.asarray(Q.reshape(node_count * size, node_count * size)),
-        R=jnp.asarray(control_weight * np.eye(control_size or dimension)),
+        R=jnp.asarray(control_weight * np.eye(dimension if control_size is None else control_size)),
         goal=jnp.asarray(target.reshape(-1)),
         cost_node_ids=jnp.asarray(np.asarray(chain, dtype=np.int32)),
     )
