@@ -26,7 +26,16 @@ def in_examples(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.metadata.EntryPoint.load", lambda entry: pytest.fail("loaded"))
-    assert task_names() == ("pickup", "multi-pickup", "door", "pusht", "franka")
+    assert task_names() == (
+        "pickup",
+        "multi-pickup",
+        "door",
+        "pusht",
+        "fetch-push",
+        "fetch-slide",
+        "fetch-pick-and-place",
+        "franka",
+    )
 
 
 def test_a_task_of_another_package_comes_by_its_entry_point() -> None:

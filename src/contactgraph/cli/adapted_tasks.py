@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import partial
 
 from contactgraph.cli.task_types import KnownTask, TaskFactory, TaskOptions, refuse_option
+from contactgraph.envs import fetch
 from contactgraph.envs.adapter import AdaptedTask
 from contactgraph.envs.pusht import pusht_expert, pusht_explorer, pusht_fixed_start, pusht_task
 
@@ -27,5 +28,35 @@ ADAPTED_TASKS = {
         max_force=None,
         summary="an agent pushes a T to a goal (gym-pusht; success by position, at any angle)",
         title="A contact graph that pushes a T",
+    ),
+    "fetch-push": KnownTask(
+        partial(_factory, "fetch-push", partial(fetch.fetch_task, fetch.PUSH)),
+        fetch.push_expert,
+        fetch.push_fixed_start,
+        fetch.push_fixed_start,
+        fetch.push_explorer,
+        max_force=fetch.MAX_DISPLACEMENT,
+        summary="an arm pushes a block to a goal (gymnasium-robotics, MuJoCo)",
+        title="A contact graph that pushes a block with an arm",
+    ),
+    "fetch-slide": KnownTask(
+        partial(_factory, "fetch-slide", partial(fetch.fetch_task, fetch.SLIDE)),
+        fetch.slide_expert,
+        fetch.slide_fixed_start,
+        fetch.slide_fixed_start,
+        fetch.slide_explorer,
+        max_force=fetch.MAX_DISPLACEMENT,
+        summary="an arm strikes a puck that slides to a goal beyond its reach (MuJoCo)",
+        title="A contact graph that strikes a puck",
+    ),
+    "fetch-pick-and-place": KnownTask(
+        partial(_factory, "fetch-pick-and-place", partial(fetch.fetch_task, fetch.PICK_AND_PLACE)),
+        fetch.pick_expert,
+        fetch.pick_fixed_start,
+        fetch.pick_fixed_start,
+        fetch.pick_explorer,
+        max_force=None,
+        summary="an arm grasps a block, lifts it and takes it to a goal in the air (MuJoCo)",
+        title="A contact graph that grasps with fingers",
     ),
 }

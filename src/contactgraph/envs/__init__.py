@@ -16,6 +16,7 @@ from contactgraph.envs.experts import DoorExpert as DoorExpert
 from contactgraph.envs.experts import ExplorationPolicy as ExplorationPolicy
 from contactgraph.envs.experts import PickupExpert as PickupExpert
 from contactgraph.envs.experts import RestPolicy as RestPolicy
+from contactgraph.envs.pick_policy import PickPolicy as PickPolicy
 from contactgraph.envs.pickup import MultiPickupTask as MultiPickupTask
 from contactgraph.envs.pickup import PickupTask as PickupTask
 from contactgraph.envs.pickup import pickup_success as pickup_success

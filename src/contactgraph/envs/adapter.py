@@ -196,6 +196,7 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
             gravity=None if mapped.gravity is None else np.array(mapped.gravity),
             mass=known["mass"],
             radius=known["radius"],
+            size=_box_sizes(mapped),
             control_kind=mapped.control.kind,
             control_of=np.array(
                 [[name == body.name for name in mapped.control.body] for body in bodies]
@@ -205,6 +206,13 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
             polygon_of=np.array([index for index, _ in outlines]) if outlines else None,
             metadata={"task": mapped.name, "seed": seed, **mapped.metadata},
         )
+
+
+def _box_sizes(environment_map: EnvironmentMap) -> np.ndarray | None:
+    """[N, D] m, NaN where a body is no box; None where none is."""
+    sizes = [body.size for body in environment_map.bodies]
+    none = (np.nan,) * environment_map.dimension
+    return np.array([size or none for size in sizes]) if any(sizes) else None
 
 
 def _control_space(

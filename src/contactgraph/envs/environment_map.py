@@ -67,6 +67,8 @@ class MappedBody:
     """kg."""
     radius: float | None = None
     """m."""
+    size: tuple[float, ...] | None = None
+    """[D] m: sides of a box."""
     polygons: tuple[np.ndarray, ...] = ()
     """Convex outlines ``[V, 2]`` m about ``reference``."""
 

@@ -16,7 +16,7 @@ _ROUND = np.deg2rad(40.0)
 """Angle by which it aims ahead on its way round the object."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PushStyle:
     """The lengths and speeds of a pushing hand."""
 
@@ -34,6 +34,8 @@ class PushStyle:
     """1/s: wanted velocity for each metre to a point, and of a push for each metre to the goal."""
     height: float = 0.0
     """m in space: of the hand above the object's centre at the start."""
+    reach: np.ndarray | None = None
+    """[2, 2] m: corners of the area that the hand does not leave. None: there is no limit."""
 
 
 class PushPolicy:
@@ -85,6 +87,9 @@ class PushPolicy:
         hand, at = position[self._hand], position[self._object]
         wanted = np.zeros(len(hand))
         wanted[:2] = self._velocity(hand[:2], at[:2], goal[:2])
+        if self._style.reach is not None:
+            low, high = (self._style.reach - hand[:2]) * self._style.approach
+            wanted[:2] = np.clip(wanted[:2], low, high)
         if len(hand) == 3:
             if self._level is None:
                 self._level = float(at[2]) + self._style.height

@@ -1,0 +1,181 @@
+"""The tasks ``fetch-push``, ``fetch-slide`` and ``fetch-pick-and-place`` of gymnasium-robotics."""
+
+from contextlib import redirect_stderr
+from dataclasses import dataclass
+from functools import partial
+from io import StringIO
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.envs.adapter import AdaptedTask
+from contactgraph.envs.contract import ChainCost
+from contactgraph.envs.environment_map import Entries, EnvironmentMap, MappedBody, MappedControl
+from contactgraph.envs.pick_policy import PickPolicy
+from contactgraph.envs.push_policy import PushPolicy, PushStyle, RandomPushes
+
+DT = 0.04
+MAX_DISPLACEMENT = 0.05
+"""m: what the action 1 asks of the hand in one step. It moves by some 0.65 of that."""
+_HAND_BODIES = ("gripper_link", "r_gripper_finger_link", "l_gripper_finger_link")
+_DOWN = (float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)), 0.0)
+"""The orientation (w, x, y, z) at which the environments keep the gripper."""
+
+
+@dataclass(frozen=True, eq=False)
+class FetchEnvironment:
+    """The differences between the environments."""
+
+    task: str
+    identifier: str
+    table: np.ndarray
+    """[2, 3] m: corners of the space above the table, in which the object's centre stays."""
+    reach: np.ndarray
+    """[2, 3] m: corners of the space in which the arm follows its commands."""
+    size: tuple[float, ...] | None
+    """[3] m: sides of a box."""
+    grips: bool = False
+    """Whether the control also moves the fingers."""
+
+
+_LOW, _HIGH = 0.4, 1.0
+"""m: heights of the tables' tops and of the highest goals' reach."""
+PUSH = FetchEnvironment(
+    "fetch-push",
+    "FetchPush-v4",
+    table=np.array([[1.05, 0.4, _LOW], [1.55, 1.1, _HIGH]]),
+    reach=np.array([[0.95, 0.3, 0.38], [1.6, 1.2, _HIGH]]),
+    size=(0.05, 0.05, 0.05),
+)
+SLIDE = FetchEnvironment(
+    "fetch-slide",
+    "FetchSlide-v4",
+    table=np.array([[0.7, 0.3, _LOW], [1.95, 1.2, _HIGH]]),
+    reach=np.array([[0.6, 0.3, 0.38], [1.25, 1.2, _HIGH]]),
+    size=None,
+)
+PICK_AND_PLACE = FetchEnvironment(
+    "fetch-pick-and-place",
+    "FetchPickAndPlace-v4",
+    table=PUSH.table,
+    reach=PUSH.reach,
+    size=PUSH.size,
+    grips=True,
+)
+
+
+def fetch_task(which: FetchEnvironment) -> AdaptedTask:
+    """An environment of the Fetch arm; raises `InvalidInputError` without gymnasium-robotics.
+
+    Nodes are the gripper and the object, in space. The control ``[3]`` m is a displacement of the
+    gripper; for pick-and-place a fourth component opens (1) or closes (-1) the fingers. Velocities
+    are backward differences: the environment's own are those of the joints at the end of a step,
+    times its duration, the object's relative to the hand. Success is the environment's own: the
+    object within 5 cm of the goal at the end.
+    """
+    return AdaptedTask(partial(_make_environment, which.task, which.identifier), _fetch_map(which))
+
+
+def _make_environment(task: str, identifier: str) -> gymnasium.Env[Any, Any]:
+    try:
+        with redirect_stderr(StringIO()):  # its import prints a note on other environments
+            import gymnasium_robotics
+    except ImportError as error:
+        raise InvalidInputError(
+            f"{task} needs gymnasium-robotics ({error}): pip install 'contactgraph[fetch]'"
+        ) from error
+    gymnasium.register_envs(gymnasium_robotics)
+    return gymnasium.make(identifier, disable_env_checker=True)
+
+
+def _fetch_map(which: FetchEnvironment) -> EnvironmentMap:
+    axes, fingers = 3, int(which.grips)
+    return EnvironmentMap(
+        name=which.task,
+        dt=DT,
+        dimension=3,
+        bodies=(
+            MappedBody(
+                name="gripper",
+                type="gripper",
+                position=Entries(0, 3, "observation"),
+                orientation=_DOWN,
+                actuated=True,
+                bounds=which.reach,
+            ),
+            MappedBody(
+                name="object",
+                type="object",
+                position=Entries(3, 6, "observation"),
+                orientation=Entries(11, 14, "observation"),
+                euler="XYZ",
+                bounds=which.table,
+                size=which.size,
+            ),
+        ),
+        control=MappedControl(
+            kind=("displacement",) * axes + ("other",) * fingers,
+            body=("gripper",) * (axes + fingers),
+            entries=tuple(range(axes + fingers)),
+            scale=(MAX_DISPLACEMENT,) * axes + (1.0,) * fingers,
+        ),
+        goal=Entries(0, 3, "desired_goal"),
+        cost=ChainCost(
+            (0, 1),
+            np.array([3.0, 3.0, 3.0, 0.2, 0.2, 0.2]),
+            np.array([50.0, 50.0, 50.0, 1.0, 1.0, 1.0]),
+            0.01,
+        ),
+        max_steps=50,
+        success_key="is_success",
+        contact=_touching,
+        planes=np.array([[0.0, 0.0, 1.0, _LOW]]),
+        gravity=(0.0, 0.0, -9.81),
+        metadata={"environment": which.identifier},
+    )
+
+
+def _touching(environment: gymnasium.Env[Any, Any]) -> np.ndarray:
+    """[2, 2] bool: whether MuJoCo has a contact between the gripper and the object."""
+    inner: Any = environment.unwrapped
+    model, contacts = inner.model, inner.data.contact
+    hand = [model.body(f"robot0:{name}").id for name in _HAND_BODIES]
+    bodies = model.geom_bodyid[contacts.geom]
+    of_hand, of_object = np.isin(bodies, hand), bodies == model.body("object0").id
+    touches = bool(np.any(of_hand[:, 0] & of_object[:, 1] | of_hand[:, 1] & of_object[:, 0]))
+    return np.array([[False, touches], [touches, False]])
+
+
+LEAD = DT / 0.65
+"""s: the hand covers 0.65 of the displacement that it is told, in a step."""
+_SPEED = 0.6
+
+
+def _style(which: FetchEnvironment, approach: float) -> PushStyle:
+    margin = 0.02  # m: noise must not take the hand out of its reach
+    return PushStyle(
+        clearance=0.09,
+        speed=_SPEED,
+        lead=LEAD,
+        near_enough=0.01,
+        steering=5.0,
+        approach=approach,
+        height=0.005,  # the closed fingers' tips are 2 cm below the hand, and the table 2.5 cm
+        reach=which.reach[:, :2] + np.array([[margin], [-margin]]),
+    )
+
+
+PUSH_STYLE = _style(PUSH, approach=5.0)
+SLIDE_STYLE = _style(SLIDE, approach=2.0)
+push_fixed_start = partial(PushPolicy, PUSH_STYLE)
+push_expert = partial(PushPolicy, PUSH_STYLE, noise=0.004, variety=0.4)
+push_explorer = partial(RandomPushes, PUSH_STYLE, noise=0.01, seconds=1.0)
+slide_fixed_start = partial(PushPolicy, SLIDE_STYLE)
+slide_expert = partial(PushPolicy, SLIDE_STYLE, noise=0.004, variety=0.4)
+slide_explorer = partial(RandomPushes, SLIDE_STYLE, noise=0.01, seconds=1.0)
+pick_fixed_start = partial(PickPolicy, _SPEED, LEAD)
+pick_expert = partial(PickPolicy, _SPEED, LEAD, noise=0.003, variety=0.3)
+pick_explorer = partial(PickPolicy, _SPEED, LEAD, noise=0.02, variety=0.5)
+"""Noise as large as this misses many grasps, and pushes and drops the object."""

@@ -1,0 +1,184 @@
+"""The Fetch environments as tasks: poses, contacts, the table's edge, and the scripted policies."""
+
+import sys
+import warnings
+from functools import partial
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from scipy.spatial.transform import Rotation
+
+from contactgraph.data import InvalidInputError
+from contactgraph.envs import AdaptedTask, RestPolicy, check_task, fetch
+from contactgraph.envs.episodes import episode_seeds, run_episode
+
+pytest.importorskip(
+    "gymnasium_robotics", reason="gymnasium-robotics is missing", exc_type=ImportError
+)
+
+GRIPPER, OBJECT = 0, 1
+ALL = {"push": fetch.PUSH, "slide": fetch.SLIDE, "pick": fetch.PICK_AND_PLACE}
+SCRIPTED = {
+    "push": (fetch.push_fixed_start, fetch.push_expert, fetch.push_explorer),
+    "slide": (fetch.slide_fixed_start, fetch.slide_expert, fetch.slide_explorer),
+    "pick": (fetch.pick_fixed_start, fetch.pick_expert, fetch.pick_explorer),
+}
+
+
+@pytest.fixture(scope="module")
+def tasks() -> dict[str, AdaptedTask]:
+    return {name: fetch.fetch_task(which) for name, which in ALL.items()}
+
+
+@pytest.fixture(scope="module")
+def episodes(tasks: dict[str, AdaptedTask]) -> dict[str, list[list]]:
+    """By task, for each of its policies two episodes."""
+    seeds = episode_seeds(2, 0)
+    return {
+        name: [[run_episode(task, make(), seed) for seed in seeds] for make in SCRIPTED[name]]
+        for name, task in tasks.items()
+    }
+
+
+@pytest.fixture(params=list(ALL))
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def test_the_contract_is_kept(name: str, tasks: dict[str, AdaptedTask]) -> None:
+    pair = [tasks[name], fetch.fetch_task(ALL[name])]
+
+    def alternating() -> AdaptedTask:
+        pair.reverse()
+        return pair[0]
+
+    check_task(alternating)
+
+
+def test_gymnasium_finds_nothing_to_warn_of(name: str, tasks: dict[str, AdaptedTask]) -> None:
+    with warnings.catch_warnings():
+        # The control is a displacement in metres: that it is not scaled to [-1, 1] is meant.
+        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
+        warnings.filterwarnings("ignore", message=".*not different from the unwrapped version")
+        check_env(tasks[name], skip_render_check=True)
+
+
+def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)
+    with pytest.raises(InvalidInputError, match=r"pip install 'contactgraph\[fetch\]'$"):
+        fetch.fetch_task(fetch.PUSH)
+
+
+@pytest.mark.parametrize("name", ["push", "pick"])
+def test_the_fixed_start_succeeds(name: str, episodes: dict[str, list[list]]) -> None:
+    for trajectory in episodes[name][0]:
+        missing = trajectory.position[-1, OBJECT] - trajectory.scene.goal
+        assert trajectory.scene.metadata["success"] is True
+        assert np.linalg.norm(missing) < 0.025
+
+
+def test_the_same_seed_repeats_an_episode_to_the_last_bit(
+    name: str, tasks: dict[str, AdaptedTask], episodes: dict[str, list[list]]
+) -> None:
+    first = episodes[name][1][1]
+    again = run_episode(tasks[name], SCRIPTED[name][1](), int(first.scene.metadata["seed"]))
+    for field in ("position", "velocity", "control", "contact", "orientation"):
+        np.testing.assert_array_equal(getattr(again, field), getattr(first, field))
+
+
+def test_velocities_are_differences_of_poses(episodes: dict[str, list[list]]) -> None:
+    for trajectory in (each for made in episodes.values() for some in made for each in some):
+        position, velocity = trajectory.position, trajectory.velocity
+        np.testing.assert_allclose(position[:-1] + 0.04 * velocity[1:], position[1:], atol=1e-12)
+        rotation = Rotation.from_quat(np.roll(trajectory.orientation[:, OBJECT], -1, axis=1))
+        step = Rotation.from_rotvec(0.04 * trajectory.angular_velocity[1:, OBJECT])
+        assert (step * rotation[:-1] * rotation[1:].inv()).magnitude().max() < 1e-6
+
+
+def test_the_pose_and_the_contact_are_the_simulators_own(tasks: dict[str, AdaptedTask]) -> None:
+    task, policy = tasks["push"], fetch.push_fixed_start()
+    observation, _ = task.reset(seed=4)
+    policy.reset(task.scene, 0)
+    inner, touches = task.environment.unwrapped, set()
+    fingers = [inner.model.body(f"robot0:{side}_gripper_finger_link").id for side in "lr"]
+    for _ in range(40):
+        observation, *_ = task.step(policy(observation))
+        body = inner.data.body("object0")
+        np.testing.assert_allclose(observation["position"][OBJECT], body.xpos, atol=1e-12)
+        pair = np.roll([observation["orientation"][OBJECT], body.xquat], -1, axis=1)
+        one, other = Rotation.from_quat(pair)
+        assert (one * other.inv()).magnitude() < 1e-6
+        # Half diagonals and least half sides of a finger (7.7 by 1.4 by 2.7 cm) and of the block.
+        distance = min(
+            np.linalg.norm(inner.data.geom_xpos[geom] - body.xpos)
+            for geom in range(inner.model.ngeom)
+            if inner.model.geom_bodyid[geom] in fingers
+        )
+        if observation["contact"][GRIPPER, OBJECT]:
+            assert distance < 0.0415 + 0.0434
+        else:
+            assert distance > 0.007 + 0.025
+        touches.add(int(observation["contact"][GRIPPER, OBJECT]))
+    assert touches == {0, 1}
+
+
+def test_the_hand_keeps_its_orientation(tasks: dict[str, AdaptedTask]) -> None:
+    task = tasks["push"]
+    observation, _ = task.reset(seed=0)
+    hand = task.environment.unwrapped.data.body("robot0:gripper_link").xquat
+    assert abs(observation["orientation"][GRIPPER] @ hand) > 0.9999
+
+
+def test_a_trajectory_ends_where_the_block_leaves_the_table(tasks: dict[str, AdaptedTask]) -> None:
+    task, edge = tasks["push"], fetch.PUSH.table[1, 0]
+
+    class Away:
+        """Pushes the block over the far edge."""
+
+        def reset(self, scene, seed) -> None:
+            self.push = fetch.push_fixed_start()
+            self.push.reset(scene, seed)
+
+        def __call__(self, observation) -> np.ndarray:
+            beyond = observation["position"][OBJECT] + np.array([0.3, 0.0, 0.0])
+            return self.push.towards(observation["position"], beyond)
+
+    trajectory = run_episode(task, Away(), 0)
+    x = trajectory.position[:, OBJECT, 0]
+    assert trajectory.steps < 50 and x[-1] > edge and np.all(x[:-1] <= edge)
+    assert trajectory.scene.metadata["success"] is False
+
+
+def test_a_rest_moves_nothing_and_opens_no_fingers(tasks: dict[str, AdaptedTask]) -> None:
+    trajectory = run_episode(tasks["pick"], RestPolicy(), 1)
+    assert trajectory.control.shape == (50, 4) and not trajectory.control.any()
+    # The simulator's hand sinks by some 0.1 mm a step.
+    assert np.ptp(trajectory.position[5:], axis=0).max() < 0.01
+    assert np.ptp(trajectory.position[5:, OBJECT], axis=0).max() < 1e-5
+
+
+def test_the_fingers_close_on_the_block_and_lift_it(episodes: dict[str, list[list]]) -> None:
+    for trajectory in episodes["pick"][0]:
+        held = trajectory.contact[:, GRIPPER, OBJECT]
+        first = int(held.argmax())
+        assert np.all(trajectory.control[: first - 4, 3] == 1.0) and np.all(held[first:])
+        assert np.all(trajectory.control[first:, 3] == -1.0)
+        assert trajectory.scene.control_kind == ("displacement",) * 3 + ("other",)
+
+
+def test_a_slide_lets_go_of_the_puck(episodes: dict[str, list[list]]) -> None:
+    reach = fetch.SLIDE.reach[1, 0]
+    ends = [each.position[-1] for each in episodes["slide"][0]]
+    assert all(end[GRIPPER, 0] < reach for end in ends)
+    assert sum(end[OBJECT, 0] > reach for end in ends) >= 1
+
+
+def test_experts_draw_their_speed(tasks: dict[str, AdaptedTask]) -> None:
+    gentle_to_rough = partial(fetch.push_expert, noise=0.0)
+    speeds = [
+        np.linalg.norm(run_episode(tasks["push"], gentle_to_rough(), seed).velocity[:, 0], axis=1)
+        for seed in (2, 3, 4)
+    ]
+    most = [float(np.percentile(speed, 90)) for speed in speeds]
+    assert max(most) > 1.1 * min(most) and max(most) < 0.7
