@@ -5,11 +5,12 @@ from typing import Any
 
 from contactgraph.evaluate import ClosedLoopMetrics, EstimatedContacts, PlanTrackingError
 
+_PREDICTIONS = ("n_step", "constant_velocity", "standing_still", "frozen_contact")
+_SCORES = ("precision", "recall", "f1", "accuracy")
 _PREDICTED = (
-    *("n_step_rmse_moving_m", "n_step_rmse_m", "n_step_rmse_free_m", "n_step_rmse_contact_m"),
-    *("constant_velocity_rmse_m", "frozen_contact_rmse_m", "standing_still_rmse_m", "n_steps"),
-    *("edge_precision", "edge_recall", "edge_f1", "edge_accuracy", "switch_time_error_s"),
-    "verdict",
+    *(f"{name}_rmse{of}_m" for of in ("_moving", "", "_free", "_contact") for name in _PREDICTIONS),
+    *(f"edge_{score}" for score in _SCORES),
+    *("edge_f1_now", "switch_time_error_s", "verdict", "n_steps"),
 )
 """Keys of the predictions of executed episodes, which need a model."""
 
