@@ -60,6 +60,31 @@ def test_the_known_world_is_picked_up_in_one_sweep():
         assert held.any() and np.sum(believed != held) <= 3
 
 
+class Touching(PickupTask):
+    """A pickup in which all nodes touch at every step, and those in contact before hold."""
+
+    def reset(self, **arguments):
+        observation, info = super().reset(**arguments)
+        return self.touching(observation), info
+
+    def step(self, action):
+        observation, *rest = super().step(action)
+        return self.touching(observation), *rest
+
+    def touching(self, observation):
+        all_pairs = np.ones((2, 2), np.int8) - np.eye(2, dtype=np.int8)
+        return {**observation, "contact": all_pairs, "holding": observation["contact"]}
+
+
+def test_estimates_and_plans_are_scored_against_holding_where_it_is_observed():
+    (touching, (run,)), (usual, _) = (
+        control_task(SEER, task, 1, 0) for task in (Touching, PickupTask)
+    )
+    assert run.contact[:, 0, 1].all() and not run.holding[:, 0, 1].all()
+    assert touching.estimated == usual.estimated and touching.planned == usual.planned
+    assert usual.estimated.edges.hits > 0
+
+
 def test_other_numbers_of_objects_do_not_recompile():
     policy = policy_of(Counted(reach=0.081), capacity=5)
     traces = []

@@ -92,6 +92,7 @@ def test_the_terms_by_hand() -> None:
     assert float(terms.total(weights)) == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_switch_and_the_lack_of_a_control_change_no_term() -> None:
     model = gim_temp(ModelConfig(2, 2, DT, width=4), key=jax.random.key(0))
     rng = np.random.default_rng(0)

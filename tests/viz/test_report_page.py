@@ -169,6 +169,16 @@ def test_works_without_contacts_and_parameters(scene, nodes):
     assert first["focus"] == list(range(nodes))
 
 
+@pytest.mark.parametrize(
+    ("kinds", "size"), [(None, 2), (("force", "force"), 2), (("force", "position"), 0)]
+)
+def test_a_control_that_is_no_force_is_not_drawn(scene, kinds, size):
+    static = dataclasses.replace(scene.trajectory.scene, control_kind=kinds)
+    trajectory = dataclasses.replace(scene.trajectory, scene=static)
+    shown = ReportData("t", "s", scenes=(dataclasses.replace(scene, trajectory=trajectory),))
+    assert payload(page(shown))["scenes"][0]["controlSize"] == size
+
+
 def test_parts_without_data_are_left_out():
     text = page(ReportData("Only a title", "and a sentence"))
     assert "<canvas" not in text

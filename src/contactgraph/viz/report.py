@@ -139,7 +139,7 @@ def _scene(scene: SceneTrajectory) -> dict[str, object]:
         "dimension": scene.dimension,
         "axes": scene.projection.axes.tolist(),
         "ground": _ground(scene),
-        "controlSize": scene.trajectory.control.shape[1],
+        "controlSize": scene.force_size,
         "nodeName": list(scene.node_name),
         "nodeType": list(static.node_type),
         "actuated": scene.actuated.tolist(),

@@ -32,7 +32,8 @@ class SceneTrajectory:
     name: str
     """The label, e.g. ``"3 distractors"``."""
     trajectory: Trajectory
-    """D >= 2. Its control is drawn as an arrow at actuated nodes, where U >= 2."""
+    """D >= 2. Its control is drawn as an arrow at actuated nodes, where it is a force: see
+    `force_size`."""
     edges: np.ndarray
     """[E, 2] int: the two nodes of each edge."""
     belief: np.ndarray
@@ -122,6 +123,13 @@ class SceneTrajectory:
     def edge_count(self) -> int:
         """E, the number of edges."""
         return self.edges.shape[0]
+
+    @property
+    def force_size(self) -> int:
+        """U where the first D components of the control are forces, else 0."""
+        kinds = self.trajectory.scene.control_kind
+        other = set(kinds[: self.dimension]) - {"force"} if kinds else set()
+        return 0 if other else self.trajectory.control_size
 
     @cached_property
     def contact(self) -> np.ndarray | None:
