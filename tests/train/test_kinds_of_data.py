@@ -91,9 +91,16 @@ def in_space(seed: int) -> Trajectory:
     return servo(seed, 3, ("displacement", "displacement", "displacement"), 0.04)
 
 
+def with_a_switch(seed: int) -> Trajectory:
+    """A component of the control, beyond the degrees of freedom, that moves nothing."""
+    return servo(seed, 3, ("displacement", "displacement", "displacement", "switch"), 0.04)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "record", [discs, pillar, single, at_10_hz, in_space], ids=lambda record: record.__name__
+    "record",
+    [discs, pillar, single, at_10_hz, in_space, with_a_switch],
+    ids=lambda record: record.__name__,
 )
 def test_it_trains_by_the_defaults(record: Callable[[int], Trajectory], tmp_path: Path) -> None:
     data, run = tmp_path / "data.h5", tmp_path / "run"
