@@ -12,8 +12,10 @@ import numpy as np
 
 from contactgraph.data import Scene
 from contactgraph.envs import ChainCost, PickupExpert, check_task
-from contactgraph.envs.circle_world import CircleWorld
 from contactgraph.envs.gripper_task import DT, GRIPPER, GripperTask
+from contactgraph.envs.hold_rules import HoldAtTouch
+from contactgraph.envs.planar_body import PlanarBody
+from contactgraph.envs.planar_world import PlanarWorld
 from contactgraph.evaluate import run_episode
 
 TARGET, RADIUS = 1, 0.04  # m
@@ -33,7 +35,7 @@ class Line(GripperTask):
         super().__init__(count=2 + distractors, max_steps=120, extent=1.0)
         self.distractors = distractors
 
-    def begin(self, seed: int) -> tuple[Scene, CircleWorld]:
+    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         rng = np.random.default_rng(seed)
         x = np.cumsum(rng.uniform(0.3, 0.6, 3)) - 0.9  # gripper, target, goal
         beside = [(0.3 * index, 0.5) for index in range(self.distractors)]
@@ -48,7 +50,8 @@ class Line(GripperTask):
             radius=np.full(count, RADIUS),
             metadata={"task": "line", "seed": seed},
         )
-        return scene, CircleWorld(position, np.ones(count), np.full(count, RADIUS), DT)
+        bodies = [PlanarBody(place, mass=1.0, radius=RADIUS) for place in position]
+        return scene, PlanarWorld(bodies, DT, hold=HoldAtTouch())
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         return bool(np.linalg.norm(position[TARGET] - scene.goal) < 0.1)

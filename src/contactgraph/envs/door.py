@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.circle_world import SIMULATOR
 from contactgraph.envs.contract import ChainCost
-from contactgraph.envs.door_world import DoorWorld
 from contactgraph.envs.gripper_task import (
     DT,
     GRIPPER,
@@ -16,6 +14,9 @@ from contactgraph.envs.gripper_task import (
     fixed_layout,
     fixed_metadata,
 )
+from contactgraph.envs.hold_rules import HoldAtTouch
+from contactgraph.envs.planar_body import PlanarBody
+from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
 
 LENGTH = 1.0
 """Of every door, m."""
@@ -139,14 +140,26 @@ GOAL_RADIUS = 0.05
 """The door's middle must end within this distance of the goal, m: 0.1 rad."""
 
 
+def _door(hinge: np.ndarray, angle: float) -> PlanarBody:
+    return PlanarBody(
+        middle(hinge, angle),
+        DOOR_MASS,
+        half_size=np.array([LENGTH, THICKNESS]) / 2.0,
+        angle=angle,
+        anchor=hinge,
+        group=-1,
+    )
+
+
 class DoorTask(GripperTask):
     """The paper's third Box2D task; a `contactgraph.envs.Task`.
 
     Nodes are the gripper (0), the target door (1) and ``distractors`` further doors. A door is a
     bar, 4 kg, 0.05 x 1.0 m, that turns freely about a hinge at one end (``scene.anchor``); its
-    node is its middle. The gripper is pinned to the first door that it touches, where it touches
-    it. The control ``[2]`` N is a force on the gripper. The reward is the negative distance of the
-    door's middle from where it is at the goal angle, m. An episode always runs for 120 steps.
+    node is its middle. The gripper is pinned to every door that it touches, where it touches it;
+    doors pass through one another. The control ``[2]`` N is a force on the gripper. The reward is
+    the negative distance of the door's middle from where it is at the goal angle, m. An episode
+    always runs for 120 steps.
 
     ``fixed_seed`` is the seed of a scene whose target door (hinge, angle) and goal every episode
     shares, so that only the start of the gripper and the other doors vary; None: each has its own.
@@ -169,21 +182,12 @@ class DoorTask(GripperTask):
         self._fixed_seed = fixed_seed
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_DISTRACTORS))
 
-    def begin(self, seed: int) -> tuple[Scene, DoorWorld]:
+    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed, with everything at rest."""
         layout = sample_layout(np.random.default_rng(seed), self._distractors, self._fixed)
-        world = DoorWorld(
-            layout.gripper,
-            layout.hinge,
-            layout.angle,
-            gripper_mass=MASS,
-            gripper_radius=GRIPPER_RADIUS,
-            door_mass=DOOR_MASS,
-            length=LENGTH,
-            thickness=THICKNESS,
-            dt=DT,
-            substeps=self._substeps,
-        )
+        gripper = PlanarBody(layout.gripper, MASS, radius=GRIPPER_RADIUS)
+        bars = [_door(*each) for each in zip(layout.hinge, layout.angle, strict=True)]
+        world = PlanarWorld([gripper, *bars], DT, self._substeps, HoldAtTouch())
         doors = 1 + self._distractors
         scene = Scene(
             node_name=("gripper", "door", *(f"distractor-{i}" for i in range(self._distractors))),

@@ -3,7 +3,6 @@
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory, joined
-from contactgraph.envs.circle_world import SIMULATOR, CircleWorld
 from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.gripper_task import (
     DT,
@@ -13,7 +12,10 @@ from contactgraph.envs.gripper_task import (
     fixed_layout,
     fixed_metadata,
 )
+from contactgraph.envs.hold_rules import HoldAtTouch
 from contactgraph.envs.pickup_layout import HALF_WIDTH, RADIUS, PickupLayout, extent, sample_layout
+from contactgraph.envs.planar_body import PlanarBody
+from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
 
 TARGET = 1
 MAX_STEPS = 200
@@ -58,7 +60,7 @@ class PickupTask(GripperTask):
         self._radius = radius
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, 1, MAX_DISTRACTORS))
 
-    def begin(self, seed: int) -> tuple[Scene, CircleWorld]:
+    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed, with everything at rest."""
         rng = np.random.default_rng(seed)
         layout = sample_layout(rng, 1, self._distractors, self._fixed)
@@ -70,8 +72,8 @@ class PickupTask(GripperTask):
             "substeps": self._substeps,
             **fixed_metadata(self._fixed_seed),
         }
-        scene = circle_scene(layout, ("target",), metadata, self._radius)
-        return scene, circle_world(layout, self._substeps, self._radius)
+        scene = disc_scene(layout, ("target",), metadata, self._radius)
+        return scene, disc_world(layout, self._substeps, self._radius)
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the target is within 0.1 m of the goal."""
@@ -90,7 +92,7 @@ def check_counts(distractors: int, substeps: int) -> None:
         raise InvalidInputError(f"substeps must be at least 1, found {substeps}")
 
 
-def circle_scene(
+def disc_scene(
     layout: PickupLayout,
     targets: tuple[str, ...],
     metadata: dict[str, str | int | float | bool],
@@ -111,11 +113,10 @@ def circle_scene(
     )
 
 
-def circle_world(layout: PickupLayout, substeps: int, size: float = RADIUS) -> CircleWorld:
+def disc_world(layout: PickupLayout, substeps: int, size: float = RADIUS) -> PlanarWorld:
     """The world of a layout; ``size`` m is the radius of every body."""
-    count = len(layout.position)
-    mass, radius = np.full(count, MASS), np.full(count, size)
-    return CircleWorld(layout.position, mass, radius, DT, substeps)
+    bodies = [PlanarBody(position, MASS, radius=size) for position in layout.position]
+    return PlanarWorld(bodies, DT, substeps, HoldAtTouch())
 
 
 def at_goal(position: np.ndarray, scene: Scene) -> bool:
@@ -174,7 +175,7 @@ class MultiPickupTask(GripperTask):
             fixed_seed, lambda rng: sample_layout(rng, objects, MAX_DISTRACTORS)
         )
 
-    def begin(self, seed: int) -> tuple[Scene, CircleWorld]:
+    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed, with everything at rest."""
         rng = np.random.default_rng(seed)
         layout = sample_layout(rng, self._objects, self._distractors, self._fixed)
@@ -188,7 +189,7 @@ class MultiPickupTask(GripperTask):
             "substeps": self._substeps,
             **fixed_metadata(self._fixed_seed),
         }
-        return circle_scene(layout, names, metadata), circle_world(layout, self._substeps)
+        return disc_scene(layout, names, metadata), disc_world(layout, self._substeps)
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether every target is joined to the gripper and the last within 0.1 m of the goal."""
