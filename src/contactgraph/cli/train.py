@@ -125,6 +125,7 @@ class Train:
             defaults.contact_distance if distance is None else distance,
             hinges=defaults.hinges,
             weight=defaults.weight,
+            control_gain=defaults.control_gain,
             learned_contact_distance=defaults.learned_contact_distance or distance is not None,
         )
         model = build(model_config, key=jax.random.key(options.seed))

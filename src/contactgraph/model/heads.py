@@ -120,6 +120,12 @@ class CoupledHead(eqx.Module):
         self.node_types = node_types
         self.length = length
 
+    def with_gain(self, gain: float) -> "CoupledHead":
+        """The same with this gain of actuated nodes, in newtons for each unit of control."""
+        # Types of actuated nodes have odd numbers: see `InvariantFeatures.node_type`.
+        gain_root = self.gain_root.at[1::2].set(gain**0.5 / _PACE)
+        return eqx.tree_at(lambda head: head.gain_root, self, gain_root)
+
     @property
     def free_response(self) -> np.ndarray:
         """[node_types] Acceleration of a free node for each newton of control, 1/kg."""

@@ -50,8 +50,11 @@ class ModelConfig:
     weight: bool = False
     """Whether bodies have weight and rest on the ground until lifted; see `GroundSupport`."""
     learned_contact_distance: bool = True
-    """Whether `contact_distance` is only the start of a learned one. This and `weight` apply to
-    `gim_temp`, `gim_non_temp` and `no_gim`."""
+    """Whether `contact_distance` is only the start of a learned one. This, `weight` and
+    `control_gain` apply to `gim_temp`, `gim_non_temp` and `no_gim`."""
+    control_gain: float = 1.0
+    """Start of the learned acceleration of actuated nodes for each unit of control, m/s^2; 1 where
+    the control is a force on about 1 kg."""
 
 
 class Preset(Protocol):
@@ -80,7 +83,7 @@ def gim_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
             message_passing=TypedMessagePassing([messages]),
             head=CoupledHead(
                 width, features.node_types, length=distance, support=support, key=head_key
-            ),
+            ).with_gain(config.control_gain),
             discretization=ThetaMethod(),
         ),
         features=features,
