@@ -138,6 +138,50 @@ def test_a_control_that_is_no_force_gives_none():
     assert fixed_contact_oracle(replace(trajectory, scene=passive, control=control), 2) is not None
 
 
+def test_a_static_body_stays_and_holds_its_group():
+    """A pillar of no known mass holds the second body; the first is pushed past them."""
+    scene = replace(
+        scene_of(4),
+        mass=np.array([2.0, 1.0, 0.0, 3.0]),
+        static=np.array([False, False, True, False]),
+        actuated=np.array([True, True, False, False]),
+    )
+    contact = np.zeros((3, 4, 4), dtype=bool)
+    contact[:, 1, 2] = contact[:, 2, 1] = True
+    velocity = np.full((3, 4, 2), 0.1)
+    run = Trajectory(scene, np.zeros((3, 4, 2)), velocity, np.full((2, 2), 6.0), contact)
+    found = fixed_contact_oracle(run, 2)[0, 1]
+    free = 2 * DT * 0.1
+    assert np.allclose(found[0], free + 3.0 * (2 * DT) ** 2 / 2)
+    assert np.allclose(found[1], free) and np.allclose(found[3], free)
+    assert not found[2].any()
+
+
+def test_only_components_that_are_forces_push():
+    trajectory = random_run(2, 4, 0)
+    scene = trajectory.scene
+    control = np.column_stack([np.full(4, 9.0), trajectory.control, np.ones(4)])
+    kinds = ("switch", "force", "force", "force")
+
+    def pushed(**fields):
+        given = replace(trajectory, control=control, scene=replace(scene, **fields))
+        return fixed_contact_oracle(given, 2)
+
+    expected = fixed_contact_oracle(trajectory, 2)
+    own = np.array([[True, True, True, False], [False] * 4])
+    assert np.allclose(pushed(control_kind=kinds, control_of=own), expected)
+    # Without `control_of` component 0, the switch, is that of the first degree of freedom.
+    shifted = replace(trajectory, control=np.column_stack([np.zeros(4), control[:, 1]]))
+    assert np.allclose(pushed(control_kind=kinds), fixed_contact_oracle(shifted, 2))
+    other = own[::-1]
+    swapped = replace(trajectory, scene=replace(scene, actuated=np.array([False, True])))
+    assert np.allclose(
+        pushed(control_kind=kinds, control_of=other), fixed_contact_oracle(swapped, 2)
+    )
+    for kind in ("position", "displacement", "velocity", "other"):
+        assert pushed(control_kind=(*kinds[:3], kind), control_of=own) is None
+
+
 def test_unknown_masses_contacts_or_hinges_in_space_give_none():
     trajectory = random_run(2, 4, 0)
     assert fixed_contact_oracle(trajectory, 2) is not None

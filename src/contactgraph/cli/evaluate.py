@@ -3,11 +3,16 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
 from contactgraph.cli.options import Delay, FalseAlarms, Misses, ModelArgument, OutputFile
+
+if TYPE_CHECKING:
+    from contactgraph.data import Dataset
+    from contactgraph.evaluate.fitted_baselines import FittedBaselines
+    from contactgraph.model import ContactDynamics
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,9 @@ class Evaluate:
         arg(metavar="SECONDS", help_behavior_hint="(default: 0.5, or one step if that is longer)"),
     ] = None
     """Time ahead of each state, a multiple of the time step, s."""
+    baselines: Annotated[Path | None, arg(metavar="TRAIN", help_behavior_hint="(optional)")] = None
+    """Dataset file to fit least squares and an interaction network to, for as long as the model's
+    own training took."""
     false_alarms: FalseAlarms = 0.0
     misses: Misses = 0.0
     delay: Delay = 0
@@ -45,7 +53,7 @@ class Evaluate:
         from contactgraph.cli.options import check_range, sensor_faults
         from contactgraph.cli.output import check_writable, write_json
         from contactgraph.data import read_trajectories, with_edge_labels
-        from contactgraph.evaluate import evaluate_open_loop, rollout_growth
+        from contactgraph.evaluate import evaluate_open_loop, horizon_steps, rollout_growth
         from contactgraph.model import MotionNoise
 
         check_writable(self.json)
@@ -55,8 +63,17 @@ class Evaluate:
         model = stored_model(self.model)
         dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
         motion_noise = MotionNoise() if self.infer_contacts else None
+        horizon_steps(dataset, self.horizon)  # a mistake is told before minutes of fitting
+        fitted = None
+        if self.baselines is not None:
+            fitted = self._fitted(self.baselines, model, dataset)
         metrics = evaluate_open_loop(
-            model, dataset, horizon_s=self.horizon, faults=faults, motion_noise=motion_noise
+            model,
+            dataset,
+            horizon_s=self.horizon,
+            faults=faults,
+            motion_noise=motion_noise,
+            baselines={} if fitted is None else fitted.predictions,
         )
         growth = None
         if self.growth_steps is not None:
@@ -72,10 +89,13 @@ class Evaluate:
             "infer_contacts": self.infer_contacts,
             "contact_distance_m": contact_distance(model),
             **metrics.to_json(),
+            **({} if fitted is None else fitted.to_json()),
             **({} if growth is None else growth.to_json()),
         }
         write_json(self.json, values)
         _print_summary(values, metrics.unbeaten)
+        if fitted is not None and fitted.least_squares_missing is not None:
+            print(f"least squares: {fitted.least_squares_missing}")
         print(f"contact distance: {contact_distance_text(model)}")
         if growth is not None:
             print(
@@ -89,7 +109,27 @@ class Evaluate:
                 f"{self.data} have no contact field"
             )
 
+    def _fitted(self, path: Path, model: "ContactDynamics", test: "Dataset") -> "FittedBaselines":
+        """The baselines fitted to a dataset file, the network for as long as the model."""
+        from contactgraph.cli.models import in_steps_of, model_path
+        from contactgraph.data import read_trajectories
+        from contactgraph.evaluate.fitted_baselines import fit_baselines
+        from contactgraph.model.io import describe_model
 
+        train = in_steps_of(model, read_trajectories(path), str(path))
+        took = describe_model(model_path(self.model)).training.get("training_s")
+        seconds = float(took) if isinstance(took, int | float) and took > 0 else _TRAINING_S
+        fitted = fit_baselines(train, test, seconds)
+        network = fitted.network
+        print(
+            f"interaction network: {network.steps} steps of training in {network.seconds:.0f} s; "
+            f"the model had {'an unknown time' if took is None else f'{seconds:.0f} s'}"
+        )
+        return fitted
+
+
+_TRAINING_S = 60.0
+"""Time for the network where the model's own is not known, s."""
 _PREDICTIONS = {
     "the model": ("n_step", ""),
     "  nothing measured": ("n_step", "_unmeasured"),

@@ -19,6 +19,7 @@ from contactgraph.evaluate.mpc_policy import SceneCost as SceneCost
 from contactgraph.evaluate.mpc_policy import TaskCost as TaskCost
 from contactgraph.evaluate.open_loop import Metric as Metric
 from contactgraph.evaluate.open_loop import evaluate_open_loop as evaluate_open_loop
+from contactgraph.evaluate.open_loop import horizon_steps as horizon_steps
 from contactgraph.evaluate.open_loop_metrics import OpenLoopMetrics as OpenLoopMetrics
 from contactgraph.evaluate.open_loop_metrics import Verdict as Verdict
 from contactgraph.evaluate.plan_tracking import EpisodeRecord as EpisodeRecord

@@ -34,9 +34,9 @@ def fixed_contact_oracle(trajectory: Trajectory, steps: int) -> np.ndarray | Non
     """[S, H, N, D] m: positions with the true masses and the contacts of each window's first state.
 
     Nodes that contacts connect there, directly or through others, stay one group for the whole
-    window. All its members have one acceleration, the sum of the control on its actuated members
-    over the sum of its masses, and start with their own velocities. Component d of the control is
-    the force on degree of freedom d, as in the model.
+    window. All its members have one acceleration, the sum of the forces on them over the sum of
+    their masses, and start with their own velocities. A group with a static member is not
+    accelerated, and static bodies stay. The forces are components of the control: see `node_force`.
 
     A step of n symplectic substeps moves a body under constant force by
     ``v dt + theta a dt^2`` with ``theta = (n+1)/2n``; n is ``substeps`` of the scene's metadata,
@@ -48,34 +48,36 @@ def fixed_contact_oracle(trajectory: Trajectory, steps: int) -> np.ndarray | Non
 
     A group with a body on a hinge turns about it instead: see `hinged_positions`.
 
-    None where masses, contacts or forces (`Scene.control_kind`) are unknown, or where there are
+    None where masses or contacts are unknown, where the control is not a force, or where there are
     hinges not in the plane.
     """
     scene = trajectory.scene
-    kinds = () if scene.control_kind is None else scene.control_kind[: scene.dimension]
-    if scene.actuated.any() and set(kinds) - {"force"}:
+    static = np.zeros(scene.node_count, bool) if scene.static is None else scene.static
+    applied = node_force(trajectory)
+    if trajectory.contact is None or scene.mass is None or applied is None:
         return None
-    if trajectory.contact is None or scene.mass is None or not np.all(scene.mass > 0):
+    if not np.all(scene.mass[~static] > 0):
         return None
     hinged = scene.anchor is not None and bool(np.any(np.isfinite(scene.anchor)))
     if hinged and scene.dimension != 2:
         return None
     starts = trajectory.steps - steps + 1
     group = joined(trajectory.contact[:starts])
-    inverse_mass = group @ scene.actuated / (group @ scene.mass)
-    force = _windows(_force(trajectory), steps)
-    acceleration = inverse_mass[:, None, :, None] * force[:, :, None, :]
+    # A static body has no mass of its own: its groups are not accelerated.
+    mass = group @ np.where(static, 1.0, scene.mass)
+    inverse_mass = np.where(group @ static > 0.0, 0.0, 1.0 / mass)[:, None, :, None]
+    force = _windows(applied, steps)
+    acceleration = inverse_mass * (group[:, None] @ force)
     if scene.gravity is not None:
-        hanging = (
-            (inverse_mass > 0.0) * (group @ (scene.mass * ~scene.actuated)) / (group @ scene.mass)
-        )
-        acceleration = acceleration + hanging[:, None, :, None] * scene.gravity
+        carried = (group @ scene.actuated > 0.0) * (group @ (scene.mass * ~scene.actuated))
+        acceleration = acceleration + inverse_mass * carried[:, None, :, None] * scene.gravity
     dt = scene.dt
     gained = dt * np.cumsum(acceleration, axis=1)
     # Velocity gained in earlier steps moves the body for the whole of this one.
     before = gained - dt * acceleration
     moved = np.cumsum(dt * before + _theta(_substeps(trajectory)) * dt**2 * acceleration, axis=1)
     straight = constant_velocity(trajectory, steps) + moved
+    straight[:, :, static] = trajectory.position[:starts, None, static]
     if not hinged:
         return straight
     position, velocity = trajectory.position[:starts], trajectory.velocity[:starts]
@@ -83,11 +85,28 @@ def fixed_contact_oracle(trajectory: Trajectory, steps: int) -> np.ndarray | Non
     return np.where(turns[:, None, :, None], turned, straight)
 
 
-def _force(trajectory: Trajectory) -> np.ndarray:
-    """[T, D] N: components beyond the control's size are zero."""
-    force = np.zeros((trajectory.steps, trajectory.scene.dimension))
-    used = min(trajectory.control_size, trajectory.scene.dimension)
-    force[:, :used] = trajectory.control[:, :used]
+def node_force(trajectory: Trajectory) -> np.ndarray | None:
+    """[T, N, D] N: the force of the control on each node.
+
+    Component d is the force on degree of freedom d of every actuated node, or where
+    `Scene.control_of` is given, the d-th of the components that are forces on a node. Further
+    components move nothing. None where something is actuated, and not by forces and switches alone.
+    """
+    scene, control = trajectory.scene, trajectory.control
+    force = np.zeros((trajectory.steps, scene.node_count, scene.dimension))
+    if not scene.actuated.any():
+        return force
+    kinds = scene.control_kind or ("force",) * trajectory.control_size
+    if not set(kinds) <= {"force", "switch"}:
+        return None
+    is_force = np.array([kind == "force" for kind in kinds], dtype=bool)
+    used = min(len(kinds), scene.dimension)
+    if scene.control_of is None:
+        force[:, scene.actuated, :used] = (control * is_force)[:, None, :used]
+        return force
+    for node, acts in enumerate(scene.control_of):
+        own = np.flatnonzero(acts & is_force)[: scene.dimension]
+        force[:, node, : len(own)] = control[:, own]
     return force
 
 
@@ -123,9 +142,9 @@ def hinged_positions(
     """Positions of groups with a hinge, [S, H, N, 2] m, and whether a node is in one, [S, N] bool.
 
     ``group``: [S, N, N] 0 or 1, whether two nodes move together. ``position`` and ``velocity``:
-    [S, N, 2] m and m/s, at the start. ``force``: [S, H, 2] N, on every actuated node. ``scene``
-    must have masses and anchors, in the plane. ``substeps``: the simulator's own a step,
-    symplectic; None: the exact motion. Entries of nodes in no such group mean nothing.
+    [S, N, 2] m and m/s, at the start. ``force``: [S, H, N, 2] N, on each node. ``scene`` must have
+    masses and anchors, in the plane. ``substeps``: the simulator's own a step, symplectic; None:
+    the exact motion. Entries of nodes in no such group mean nothing.
 
     A group begins with its members' angular momentum about the hinge. A group on hinges at two
     positions cannot turn and stays at rest.
@@ -160,7 +179,7 @@ def hinged_positions(
     for step in range(force.shape[1]):
         for _ in range(count):
             angle = angle + before * speed
-            moment = scene.actuated * _cross(_turned(radius, angle), force[:, step, None])
+            moment = _cross(_turned(radius, angle), force[:, step])
             speed = speed + small * inverse * _summed(group, moment)
             angle = angle + (small - before) * speed
         positions.append(pivot + _turned(radius, angle))

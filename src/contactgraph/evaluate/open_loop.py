@@ -94,7 +94,7 @@ def evaluate_open_loop(
         check_fit(model, each.scene, each.control_size, "the data")
     if motion_noise is not None:
         check_motion_model(model)
-    steps = _steps(dataset, horizon_s)
+    steps = horizon_steps(dataset, horizon_s)
     dataset = with_edge_labels(dataset)
     known = all(each.contact is not None for each in dataset)
     if not (known or faults.exact):
@@ -139,7 +139,8 @@ def evaluate_open_loop(
     return replace(found, extra={name: of(detail) for name, of in (metrics or {}).items()})
 
 
-def _steps(dataset: Dataset, horizon_s: float | None) -> int:
+def horizon_steps(dataset: Dataset, horizon_s: float | None) -> int:
+    """Steps of a horizon, s; None: 0.5 s. Raises as `evaluate_open_loop` does."""
     dt, longest = dataset.dt, max(each.steps for each in dataset)
     asked = _USUAL_HORIZON_S if horizon_s is None else horizon_s
     steps = round(asked / dt) if math.isfinite(asked) else 0

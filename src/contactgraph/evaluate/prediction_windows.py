@@ -148,7 +148,8 @@ def trajectory_detail(
         touches = contact[1:] & ~contact[:-1]
 
     def error(predicted: np.ndarray) -> np.ndarray:
-        squared = np.sum((predicted[:starts, :, :count] - recorded[:, 1:]) ** 2, axis=-1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            squared = np.sum((predicted[:starts, :, :count] - recorded[:, 1:]) ** 2, axis=-1)
         squared = np.where(np.isfinite(squared), squared, np.inf)
         return np.pad(squared, ((0, 0), (0, 0), (0, capacity - count)))
 

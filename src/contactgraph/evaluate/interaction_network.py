@@ -1,0 +1,121 @@
+"""A small interaction network: the learned baseline without contacts, beliefs or linear dynamics.
+
+After Battaglia et al., Interaction Networks for Learning about Objects, Relations and Physics
+(NeurIPS 2016): every ordered pair of bodies sends a message, each body adds up those that it
+receives, and the sums give the change of its velocity and position over a step.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from contactgraph.evaluate.network_inputs import InputScales, SceneInputs
+
+_WIDTH = 64
+_ROUNDS = 2
+
+
+class MessageRound(eqx.Module):
+    """One exchange of messages along all links."""
+
+    receiver: eqx.nn.Linear
+    sender: eqx.nn.Linear
+    relation: eqx.nn.Linear
+    message: eqx.nn.Linear
+    update: eqx.nn.MLP
+
+    def __init__(self, relation_size: int, key: PRNGKeyArray) -> None:
+        keys = jax.random.split(key, 5)
+        self.receiver = eqx.nn.Linear(_WIDTH, _WIDTH, key=keys[0])
+        self.sender = eqx.nn.Linear(_WIDTH, _WIDTH, key=keys[1])
+        self.relation = eqx.nn.Linear(relation_size, _WIDTH, key=keys[2])
+        self.message = eqx.nn.Linear(_WIDTH, _WIDTH, key=keys[3])
+        self.update = eqx.nn.MLP(2 * _WIDTH, _WIDTH, _WIDTH, 1, key=keys[4])
+
+    def __call__(
+        self, body: Float[Array, "N W"], relation: Float[Array, "N N R"], linked: Array
+    ) -> Float[Array, "N W"]:
+        """The bodies after the messages; axis 0 of ``relation`` receives."""
+        # The first layer of each pair, with its parts computed once a body.
+        receiver, sender = jax.vmap(self.receiver)(body), jax.vmap(self.sender)(body)
+        pair = jax.vmap(jax.vmap(self.relation))(relation) + receiver[:, None] + sender[None]
+        sent = jax.nn.relu(jax.vmap(jax.vmap(self.message))(jax.nn.relu(pair)))
+        received = jnp.sum(jnp.where(linked[..., None], sent, 0.0), axis=1)
+        return body + jax.vmap(self.update)(jnp.concatenate([body, received], axis=-1))
+
+
+class InteractionNetwork(eqx.Module):
+    """Predicts the next positions and velocities of all bodies."""
+
+    encoder: eqx.nn.MLP
+    rounds: tuple[MessageRound, ...]
+    decoder: eqx.nn.Linear
+    scales: InputScales = eqx.field(static=True)
+
+    def __init__(
+        self,
+        dimension: int,
+        control_size: int,
+        feature_count: int,
+        scales: InputScales,
+        key: PRNGKeyArray,
+    ) -> None:
+        encoder, decoder, *rounds = jax.random.split(key, 2 + _ROUNDS)
+        inputs = 3 * dimension + control_size + feature_count
+        self.encoder = eqx.nn.MLP(inputs, _WIDTH, _WIDTH, 1, key=encoder)
+        self.rounds = tuple(MessageRound(2 * dimension + 2, each) for each in rounds)
+        last = eqx.nn.Linear(_WIDTH, 2 * dimension, key=decoder)
+        # It starts as constant velocity.
+        self.decoder = jax.tree.map(lambda leaf: 0.01 * leaf, last)
+        self.scales = scales
+
+    def step(
+        self,
+        scene: SceneInputs,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        control: Float[Array, " U"],
+    ) -> tuple[Float[Array, "N D"], Float[Array, "N D"]]:
+        """The position m and velocity m/s of each body after a step."""
+        scales = self.scales
+        hinged = scene.features[:, -1:]
+        body = [
+            velocity / scales.speed,
+            position / scales.position,
+            hinged * (scene.anchor - position) / scales.position,
+            scene.acts * control / jnp.asarray(scales.control),
+            scene.features,
+        ]
+        hidden = jax.vmap(self.encoder)(jnp.concatenate(body, axis=-1))
+        offset = (position[None] - position[:, None]) / scales.contact_distance
+        closing = velocity[None] - velocity[:, None]
+        coming = offset + scales.dt * closing / scales.contact_distance
+        relation = jnp.concatenate(
+            [offset, closing / scales.speed, _length(offset), _length(coming)], axis=-1
+        )
+        for messages in self.rounds:
+            hidden = messages(hidden, relation, scene.linked)
+        change = jax.vmap(self.decoder)(hidden) * scales.speed_change
+        faster, farther = jnp.split(jnp.where(scene.movable[:, None], change, 0.0), 2, axis=-1)
+        return position + scales.dt * (velocity + farther), velocity + faster
+
+    def rollout(
+        self,
+        scene: SceneInputs,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        controls: Float[Array, "H U"],
+    ) -> tuple[Float[Array, "H N D"], Float[Array, "H N D"]]:
+        """The positions and velocities after each of the steps under ``controls``."""
+
+        def advance(state: tuple[Array, Array], control: Array) -> tuple[tuple, tuple]:
+            after = self.step(scene, *state, control)
+            return after, after
+
+        return jax.lax.scan(advance, (position, velocity), controls)[1]
+
+
+def _length(offset: Array) -> Array:
+    # The square root has no gradient at 0, where a body meets itself.
+    return jnp.sqrt(jnp.sum(offset**2, axis=-1, keepdims=True) + 1e-12)
