@@ -197,3 +197,11 @@ def test_a_body_at_rest_contradicts_nothing() -> None:
     still = moving(0.0)
     at_rest = dataclasses.replace(still, position=np.zeros_like(still.position))
     assert velocity_mismatch(at_rest) == 0.0
+
+
+def test_backward_differences_of_rough_motion_do_not_contradict_it() -> None:
+    rough = random_run(0, 40, 2)
+    position = np.cumsum(rough.velocity, axis=0) * rough.scene.dt
+    assert velocity_mismatch(dataclasses.replace(rough, position=position)) < 1e-9
+    halved = dataclasses.replace(rough, position=position, velocity=0.5 * rough.velocity)
+    assert velocity_mismatch(halved) > 0.3

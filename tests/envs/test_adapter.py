@@ -31,7 +31,7 @@ class Carousel(gymnasium.Env):
     """A hand (cm) that goes where it is told, and a box that turns beside it in space."""
 
     observation_space = gymnasium.spaces.Dict(
-        state=gymnasium.spaces.Box(-1e4, 1e4, (12,), np.float64),
+        state=gymnasium.spaces.Box(-1e4, 1e4, (16,), np.float64),
         target=gymnasium.spaces.Box(-1e4, 1e4, (3,), np.float64),
     )
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (4,), np.float32)
@@ -39,6 +39,7 @@ class Carousel(gymnasium.Env):
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.hand = self.np_random.uniform(-10.0, 10.0, 3)
+        self.sign = 1.0
         self.box, self.angles = self.hand + np.array([8.0, 0.0, 0.0]), np.array([3.1, 0.2, -0.1])
         return self._observation(), {}
 
@@ -50,7 +51,10 @@ class Carousel(gymnasium.Env):
 
     def _observation(self):
         rates = 7.0 * np.ones(3)  # wrong on purpose
-        state = np.concatenate([self.hand, self.box - self.hand, self.angles, rates])
+        pose = np.roll(Rotation.from_euler(ORDER, self.angles).as_quat(), 1)
+        self.sign = -self.sign  # both signs are the same pose
+        relative = self.box - self.hand
+        state = np.concatenate([self.hand, relative, self.angles, rates, self.sign * pose])
         return {"state": state, "target": np.array([30.0, 0.0, 0.0])}
 
 
@@ -151,7 +155,6 @@ def test_orientations_are_the_environments_and_turn_at_their_rate() -> None:
     last = np.roll(trajectory.orientation[-1, 1], -1)
     expected = Rotation.from_euler(ORDER, carousel.environment.angles)
     assert (Rotation.from_quat(last) * expected.inv()).magnitude() < 1e-9
-    # The sign of a quaternion does not jump where an angle passes pi.
     products = np.sum(trajectory.orientation[1:, 1] * trajectory.orientation[:-1, 1], axis=1)
     assert products.min() > 0.9
     # The first of the intrinsic angles turns about the world's first axis.
@@ -159,6 +162,15 @@ def test_orientations_are_the_environments_and_turn_at_their_rate() -> None:
         trajectory.angular_velocity[1:, 1], [[0.5, 0.0, 0.0]] * 20, atol=1e-9
     )
     np.testing.assert_allclose(trajectory.orientation[:, 0], [[1.0, 0.0, 0.0, 0.0]] * 21)
+
+
+def test_the_sign_of_a_quaternion_does_not_jump() -> None:
+    euler = run_episode(task(), Steady([0.0] * 3), 0).orientation
+    jumping = with_box(orientation=state(12, 16), euler=None)
+    orientation = run_episode(task(**jumping), Steady([0.0] * 3), 0).orientation
+    assert orientation is not None and euler is not None
+    assert np.sum(orientation[1:, 1] * orientation[:-1, 1], axis=1).min() > 0.9
+    np.testing.assert_allclose(np.abs(orientation), np.abs(euler), atol=1e-12)
 
 
 def test_a_reference_is_a_point_of_the_turned_body() -> None:
@@ -221,7 +233,7 @@ def test_success_may_be_the_environments_own_word() -> None:
     ("changes", "message"),
     [
         (with_box(position=state(3, 5)), "box.position must have 3 entries, found 2"),
-        (with_box(position=state(10, 13)), "box.position: entries 10 to 12 must lie in 0 to 11"),
+        (with_box(position=state(14, 17)), "box.position: entries 14 to 16 must lie in 0 to 15"),
         (
             with_box(position=Entries(0, 3, "pose")),
             "box.position: key must be one of state, target; found 'pose'",

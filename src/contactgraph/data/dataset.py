@@ -159,15 +159,21 @@ def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
 def velocity_mismatch(trajectory: Trajectory) -> float:
     """Share of the motion in which velocities and positions disagree; 0 where nothing moves.
 
-    The displacement over every 10 steps is compared with the integral of the velocities (trapezoid
-    rule): the sum of the differences' norms over the larger of the two sums of norms. Wrong units
-    or a wrong time step give values near 1; impacts and noise of single positions hardly count.
+    The displacement over every 10 steps is compared with the integral of the velocities by the
+    trapezoid rule or, where that fits better, of those at the ends of the steps, which backward
+    differences are: the sum of the differences' norms over the larger of the two sums of norms.
+    Wrong units or a wrong time step give values near 1; impacts and noise of single positions
+    hardly count.
     """
-    steps = min(_MISMATCH_STEPS, trajectory.steps)
-    moved = trajectory.position[steps:] - trajectory.position[:-steps]
     velocity, dt = trajectory.velocity, trajectory.scene.dt
-    path = np.cumsum(0.5 * dt * (velocity[1:] + velocity[:-1]), axis=0)
-    path = np.concatenate([np.zeros_like(path[:1]), path])
+    paths = (0.5 * dt * (velocity[1:] + velocity[:-1]), dt * velocity[1:])
+    return min(_mismatch(trajectory.position, path) for path in paths)
+
+
+def _mismatch(position: np.ndarray, displacement: np.ndarray) -> float:
+    steps = min(_MISMATCH_STEPS, len(displacement))
+    moved = position[steps:] - position[:-steps]
+    path = np.concatenate([np.zeros_like(position[:1]), np.cumsum(displacement, axis=0)])
     integral = path[steps:] - path[:-steps]
     total = max(float(np.linalg.norm(each, axis=-1).sum()) for each in (moved, integral))
     difference = float(np.linalg.norm(moved - integral, axis=-1).sum())
