@@ -30,6 +30,7 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "pickup",
         "multi-pickup",
         "door",
+        "billiards",
         "pusht",
         "fetch-push",
         "fetch-slide",
@@ -85,6 +86,29 @@ def test_options_that_a_class_does_not_take(
 ) -> None:
     with pytest.raises(InvalidInputError, match=f"^{message}"):
         task_factory(LINE, options)
+
+
+def test_collect_without_a_cue(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "passive.h5"
+    command = ["collect", "billiards", "--passive", "--objects", "4", "--out", str(path)]
+    assert cli.run([*command, "--episodes", "2"]) == 0
+    assert "expert" not in capsys.readouterr().out
+    dataset = read_trajectories(path)
+    assert dataset.metadata["passive"] is True
+    for each in dataset:
+        assert each.control.shape == (80, 0) and each.scene.metadata["policy"] == "RestPolicy"
+        assert each.scene.static is not None and each.scene.planes is not None
+    for wrong in (["--exploration", "0.2"], ["--expert", "demo"]):
+        assert cli.run([*command, *wrong]) == 2
+        assert "--passive: nothing is driven" in capsys.readouterr().err
+
+
+def test_only_billiards_is_passive() -> None:
+    message = r"^--passive: only billiards moves without a control, found door"
+    with pytest.raises(InvalidInputError, match=message):
+        task_factory("door", TaskOptions(passive=True))
+    with pytest.raises(InvalidInputError, match=r"^--distractors: billiards counts its discs"):
+        task_factory("billiards", TaskOptions(distractors=2))
 
 
 def test_a_class_without_an_expert_is_explored(

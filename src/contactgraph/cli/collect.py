@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
-from contactgraph.cli.options import Distractors, Grasp, Objects, TaskArgument
+from contactgraph.cli.options import Distractors, Grasp, Objects, Passive, TaskArgument
 from contactgraph.data import InvalidInputError, Trajectory, read_trajectories, write_trajectories
 
 
@@ -35,6 +35,7 @@ class Collect:
     distractors: Distractors = 0
     objects: Objects = None
     grasp: Grasp = None
+    passive: Passive = False
     mixed: bool = False
     """Alternate scenes with 0 to DISTRACTORS distractors, and with 1 to OBJECTS objects."""
     goal: Annotated[str, arg(metavar="NAME")] = "sampled"
@@ -66,7 +67,9 @@ class Collect:
         check_episodes(self.episodes)
         check_seed(self.seed)
         shared = choice("--goal", self.goal, {"sampled": None, "fixed": fixed_seed(self.seed)})
-        options = TaskOptions(self.distractors, self.objects, self.grasp, shared)
+        options = TaskOptions(
+            self.distractors, self.objects, self.grasp, shared, passive=self.passive
+        )
         if self.mixed:
             factories = mixed_factories(self.task, options)
         else:
@@ -83,9 +86,13 @@ class Collect:
                 "--expert demo: every episode is a demonstration, so --exploration and --resting "
                 "must be left out"
             )
+        if self.passive and (demonstrates or self.exploration > 0.0):
+            raise InvalidInputError(
+                "--passive: nothing is driven, so --expert demo and --exploration must be left out"
+            )
         check_writable(self.out)
         explorations = round(self.exploration * self.episodes)
-        rests = round(self.resting * self.episodes)
+        rests = self.episodes if self.passive else round(self.resting * self.episodes)
         experts = self.episodes - explorations - rests
         policies = [expert() for _ in range(experts)]
         policies += [task.explorer() for _ in range(explorations)]

@@ -13,11 +13,14 @@ from contactgraph.cli.task_types import (
     refuse_option,
 )
 from contactgraph.envs import (
+    BilliardsExpert,
+    BilliardsTask,
     DoorExpert,
     DoorTask,
     MultiPickupTask,
     PickupExpert,
     PickupTask,
+    StrikingPolicy,
 )
 
 
@@ -39,6 +42,14 @@ def _door(options: TaskOptions) -> TaskFactory:
     refuse_option("door", "--grasp", options.grasp, "has no fingers to close")
     refuse_option("door", "--objects", options.objects, "has no objects to count")
     return partial(DoorTask, options.distractors, fixed_seed=options.fixed_seed)
+
+
+def _billiards(options: TaskOptions) -> TaskFactory:
+    refuse_option("billiards", "--grasp", options.grasp, "has no fingers to close")
+    distractors = options.distractors or None
+    refuse_option("billiards", "--distractors", distractors, "counts its discs by --objects")
+    task = BilliardsTask if options.objects is None else partial(BilliardsTask, options.objects)
+    return partial(task, passive=options.passive, fixed_seed=options.fixed_seed)
 
 
 def _planar_targets(error_cm: Target, error_cm_elsewhere: Target) -> TaskTargets:
@@ -89,6 +100,19 @@ TASKS = {
             TestCondition("10-doors", "10 more doors", False, distractors=10),
         ),
         targets=_planar_targets(Target(1.0, 0.3), Target(1.2, 0.3)),
+    ),
+    "billiards": KnownTask(
+        _billiards,
+        BilliardsExpert,
+        partial(BilliardsExpert, noise=0.0),
+        partial(BilliardsExpert, noise=0.0),
+        StrikingPolicy,
+        summary="a cue strikes a disc to a goal, on a table with walls, pillars and other discs",
+        title="A contact graph that plays billiards",
+        conditions=(
+            TestCondition("as-trained", "as trained", True),
+            TestCondition("6-objects", "6 objects", False, objects=6),
+        ),
     ),
     **ADAPTED_TASKS,
 }

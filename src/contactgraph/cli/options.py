@@ -45,8 +45,8 @@ Objects = Annotated[
     int | None,
     arg(
         metavar="INT",
-        help="Objects to pick up, 1 to 5, for tasks with a choice.",
-        help_behavior_hint="(multi-pickup: 2)",
+        help="Objects to pick up, 1 to 5, or to strike, 1 to 8, for tasks with a choice.",
+        help_behavior_hint="(multi-pickup: 2, billiards: 3)",
     ),
 ]
 Grasp = Annotated[
@@ -56,6 +56,10 @@ Grasp = Annotated[
         help="Contact model of the fingers, for tasks with fingers: friction or weld.",
         help_behavior_hint="(franka: friction)",
     ),
+]
+Passive = Annotated[
+    bool,
+    arg(help="Billiards without the cue: nothing is driven, and the discs start with velocities."),
 ]
 FalseAlarms = Annotated[
     float,

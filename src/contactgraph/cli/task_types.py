@@ -20,6 +20,8 @@ class TaskOptions:
     """Seed of the scene whose targets and goal all episodes share."""
     radius: float | None = None
     """Radius of every body, m."""
+    passive: bool = False
+    """Whether nothing is driven, so that the control is empty."""
 
     @property
     def metadata(self) -> dict[str, str | int | float]:
@@ -28,6 +30,8 @@ class TaskOptions:
         names = ("objects", "grasp", "goal", "radius")
         options = zip(names, (self.objects, self.grasp, goal, self.radius), strict=True)
         given = {name: value for name, value in options if value is not None}
+        if self.passive:
+            given["passive"] = True
         return {"distractors": self.distractors, **given}
 
 

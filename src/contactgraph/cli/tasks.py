@@ -68,6 +68,7 @@ def _factory_of_class(
         "grasp": options.grasp,
         "fixed_seed": options.fixed_seed,
         "radius": options.radius,
+        "passive": options.passive or None,
     }
     given = {key: value for key, value in given.items() if value is not None}
     for key, value in given.items():
@@ -85,6 +86,9 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
     if options.radius is not None and name != "pickup" and ":" not in name:
         known_task(name)
         raise InvalidInputError(f"--radius: only pickup has bodies of another size, found {name}")
+    if options.passive and name != "billiards" and ":" not in name:
+        known_task(name)
+        raise InvalidInputError(f"--passive: only billiards moves without a control, found {name}")
     factory = known_task(name).factory(options)
     factory()  # an invalid count is refused before any work is done
     return factory

@@ -1,6 +1,9 @@
 """Simulated tasks and the scripted experts that record them."""
 
 from contactgraph.envs.adapter import AdaptedTask as AdaptedTask
+from contactgraph.envs.billiards import BilliardsTask as BilliardsTask
+from contactgraph.envs.billiards_policies import BilliardsExpert as BilliardsExpert
+from contactgraph.envs.billiards_policies import StrikingPolicy as StrikingPolicy
 from contactgraph.envs.check_task import check_task as check_task
 from contactgraph.envs.contract import ChainCost as ChainCost
 from contactgraph.envs.contract import Observation as Observation
