@@ -341,7 +341,7 @@ def test_report(
     measured = json.loads(open_loop.read_text())
     numbers = json.loads((page.parent / "results.json").read_text())["numbers"]
     errors = {number["value"] for number in numbers if number["unit"] == "cm"}
-    assert any(error == pytest.approx(100 * measured["n_step_rmse_m"]) for error in errors)
+    assert any(error == pytest.approx(100 * measured["n_step_rmse_moving_m"]) for error in errors)
     table = (page.parent / "table.csv").read_text().splitlines()
     assert len(table) == 1 + len(numbers)
     assert "pickup" in page.read_text(encoding="utf-8")

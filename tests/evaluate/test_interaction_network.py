@@ -123,7 +123,7 @@ def fitted():
         patch.setattr("contactgraph.evaluate.fitted_baselines.fit_interaction_network", fit)
         patch.setattr("contactgraph.evaluate.network_fit._BATCH", 8)
         patch.setattr("contactgraph.evaluate.network_fit._CHECKED", 8)
-        return fit_baselines(data, Dataset((random_run(3, 8, 0),)), 5.0)
+        return fit_baselines(data, Dataset((random_run(3, 8, 0),)), 3.0)
 
 
 def test_it_learns_a_spring_between_two_bodies(fitted):
@@ -138,8 +138,8 @@ def test_it_learns_a_spring_between_two_bodies(fitted):
 
 def test_the_effort_of_training_and_the_reason_of_a_null_are_told(fitted):
     assert fitted.to_json() == {
-        "gnn_training_s": 5.0,
-        "gnn_training_steps": 250,
+        "gnn_training_s": 3.0,
+        "gnn_training_steps": 150,
         "least_squares_missing": "no scene of the training data has 3 nodes, as the test data "
         "has; they have 2",
     }

@@ -92,16 +92,26 @@ def errors_table(errors: tuple[NStepError, ...]) -> str:
     """The N-step errors as a table, an alternative to the chart; cm."""
     if not errors:
         return ""
-    head = "".join(
-        f'<th scope="col">{name}</th>'
-        for name in ("Windows", "Condition", "Model", "Frozen contact", "Constant velocity")
+    names = (
+        "Windows",
+        "Condition",
+        "Model",
+        "Frozen contact",
+        "Constant velocity",
+        "Standing still",
     )
+    head = "".join(f'<th scope="col">{name}</th>' for name in names)
     rows = []
     for error in errors:
-        values = (error.model_m, error.frozen_contact_m, error.constant_velocity_m)
+        values = (
+            error.model_m,
+            error.frozen_contact_m,
+            error.constant_velocity_m,
+            error.standing_still_m,
+        )
         cells = "".join(f'<td class="figure">{_centimetres(value)}</td>' for value in values)
-        names = f'<td>{escape(error.windows)}</td><th scope="row">{escape(error.condition)}</th>'
-        rows.append(f"<tr>{names}{cells}</tr>")
+        labels = f'<td>{escape(error.windows)}</td><th scope="row">{escape(error.condition)}</th>'
+        rows.append(f"<tr>{labels}{cells}</tr>")
     return (
         "<details><summary>The same as figures (cm)</summary>"
         f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'

@@ -112,6 +112,7 @@ def embedded_json(data: ReportData) -> str:
                 "model": _number(error.model_m),
                 "frozenContact": _number(error.frozen_contact_m),
                 "constantVelocity": _number(error.constant_velocity_m),
+                "standingStill": _number(error.standing_still_m),
                 "interval": _pair(error.model_interval_m),
             }
             for error in data.errors

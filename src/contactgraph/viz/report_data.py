@@ -56,6 +56,8 @@ class NStepError:
     """m: true masses, with the contact of the window's first step kept."""
     constant_velocity_m: float | None = None
     """m: no forces."""
+    standing_still_m: float | None = None
+    """m: nothing moves."""
     model_interval_m: tuple[float, float] | None = None
     """95 % interval or range over seeds, m."""
 

@@ -1,6 +1,7 @@
 // N-step errors as points on a logarithmic axis: a bar has no honest foot there.
 
 const PREDICTORS = [
+  { key: "standingStill", name: "standing still", shape: "diamond" },
   { key: "constantVelocity", name: "constant velocity", shape: "square" },
   { key: "frozenContact", name: "frozen contact", shape: "ring" },
   { key: "model", name: "this model", shape: "dot" },
@@ -9,6 +10,7 @@ const PREDICTORS = [
 function predictorMark(svg, shape, x, y) {
   const quiet = { fill: "var(--page)", stroke: "var(--soft)", "stroke-width": 1.6 };
   if (shape === "square") return element("rect", { x: x - 4, y: y - 4, width: 8, height: 8, ...quiet }, svg);
+  if (shape === "diamond") return element("path", { d: `M ${x - 5} ${y} L ${x} ${y - 5} L ${x + 5} ${y} L ${x} ${y + 5} Z`, ...quiet }, svg);
   if (shape === "ring") return element("circle", { cx: x, cy: y, r: 4.5, ...quiet }, svg);
   return element("circle", { cx: x, cy: y, r: 5.5, fill: "var(--body-0)" }, svg);
 }
