@@ -254,6 +254,15 @@ class PlanarWorld:
             return 0.0
         return float(joint.GetReactionForce(1.0 / self._substep_time).length) / SCALE
 
+    def joint_tension(self, first: int, second: int) -> float:
+        """The part of that force along the line between the middles, N: above 0 if pulled apart."""
+        pair = min(first, second), max(first, second)
+        if pair not in self._joints:
+            return 0.0
+        force = self._joints[pair].GetReactionForce(1.0 / self._substep_time)
+        apart = self.position[pair[0]] - self.position[pair[1]]
+        return float(apart @ force / np.linalg.norm(apart)) / SCALE
+
     def _push(self, force: np.ndarray) -> None:
         """Applies forces, and the friction with the ground, for one substep."""
         for index, (x, y) in enumerate(force.tolist()):
