@@ -14,7 +14,14 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
-from contactgraph.cli.options import Distractors, Grasp, Objects, Passive, TaskArgument
+from contactgraph.cli.options import (
+    Distractors,
+    Grasp,
+    HiddenSwitch,
+    Objects,
+    Passive,
+    TaskArgument,
+)
 from contactgraph.data import InvalidInputError, Trajectory, read_trajectories, write_trajectories
 
 
@@ -36,6 +43,7 @@ class Collect:
     objects: Objects = None
     grasp: Grasp = None
     passive: Passive = False
+    hidden_switch: HiddenSwitch = False
     mixed: bool = False
     """Alternate scenes with 0 to DISTRACTORS distractors, and with 1 to OBJECTS objects."""
     goal: Annotated[str, arg(metavar="NAME")] = "sampled"
@@ -68,7 +76,12 @@ class Collect:
         check_seed(self.seed)
         shared = choice("--goal", self.goal, {"sampled": None, "fixed": fixed_seed(self.seed)})
         options = TaskOptions(
-            self.distractors, self.objects, self.grasp, shared, passive=self.passive
+            self.distractors,
+            self.objects,
+            self.grasp,
+            shared,
+            passive=self.passive,
+            hidden_switch=self.hidden_switch,
         )
         if self.mixed:
             factories = mixed_factories(self.task, options)

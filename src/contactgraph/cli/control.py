@@ -13,6 +13,7 @@ from contactgraph.cli.options import (
     Distractors,
     FalseAlarms,
     Grasp,
+    HiddenSwitch,
     Misses,
     Objects,
     OutputFile,
@@ -82,6 +83,7 @@ class Control:
     distractors: Distractors = 0
     objects: Objects = None
     grasp: Grasp = None
+    hidden_switch: HiddenSwitch = False
     radius: Annotated[float | None, arg(metavar="M", help_behavior_hint="(pickup: 0.04)")] = None
     """Radius of every body of pickup, m."""
     cost: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(the task's cost)")] = None
@@ -132,7 +134,13 @@ class Control:
             check_animation(self.video)
         check_episodes(self.episodes)
         check_seed(self.seed)
-        options = TaskOptions(self.distractors, self.objects, self.grasp, radius=self.radius)
+        options = TaskOptions(
+            self.distractors,
+            self.objects,
+            self.grasp,
+            radius=self.radius,
+            hidden_switch=self.hidden_switch,
+        )
         if self.model in _SCRIPTED:
             self._write(self._by_policy(options), options)
             return

@@ -3,6 +3,7 @@
 from functools import partial
 
 from contactgraph.cli.adapted_tasks import ADAPTED_TASKS
+from contactgraph.cli.hidden_contact_tasks import HIDDEN_CONTACT_TASKS
 from contactgraph.cli.task_types import (
     KnownTask,
     Target,
@@ -114,5 +115,6 @@ TASKS = {
             TestCondition("6-objects", "6 objects", False, objects=6),
         ),
     ),
+    **HIDDEN_CONTACT_TASKS,
     **ADAPTED_TASKS,
 }

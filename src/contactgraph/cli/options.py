@@ -39,15 +39,24 @@ TaskArgument = Positional[
     ]
 ]
 Distractors = Annotated[
-    int, arg(help="Further bodies: pickups 0 to 20, door 0 to 10, franka 0 to 5.")
+    int,
+    arg(
+        help="Further bodies: pickups, suction, release, delay and sticky 0 to 20, door 0 to 10, "
+        "franka 0 to 5."
+    ),
 ]
 Objects = Annotated[
     int | None,
     arg(
         metavar="INT",
-        help="Objects to pick up, 1 to 5, or to strike, 1 to 8, for tasks with a choice.",
-        help_behavior_hint="(multi-pickup: 2, billiards: 3)",
+        help="Objects to pick up, 1 to 5, to try, 2 to 5, or to strike, 1 to 8, for tasks with a "
+        "choice.",
+        help_behavior_hint="(multi-pickup: 2, sticky: 3, billiards: 3)",
     ),
+]
+HiddenSwitch = Annotated[
+    bool,
+    arg(help="suction: a random process that nothing records operates the switch."),
 ]
 Grasp = Annotated[
     str | None,

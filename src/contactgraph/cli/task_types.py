@@ -22,6 +22,8 @@ class TaskOptions:
     """Radius of every body, m."""
     passive: bool = False
     """Whether nothing is driven, so that the control is empty."""
+    hidden_switch: bool = False
+    """Whether a random process, which nothing records, operates the gripper's switch."""
 
     @property
     def metadata(self) -> dict[str, str | int | float]:
@@ -32,6 +34,8 @@ class TaskOptions:
         given = {name: value for name, value in options if value is not None}
         if self.passive:
             given["passive"] = True
+        if self.hidden_switch:
+            given["hidden_switch"] = True
         return {"distractors": self.distractors, **given}
 
 

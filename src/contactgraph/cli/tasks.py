@@ -69,11 +69,13 @@ def _factory_of_class(
         "fixed_seed": options.fixed_seed,
         "radius": options.radius,
         "passive": options.passive or None,
+        "hidden_switch": options.hidden_switch or None,
     }
     given = {key: value for key, value in given.items() if value is not None}
     for key, value in given.items():
         if key not in parameters:
-            flag, found = (f"--{key}", value) if key != "fixed_seed" else ("--goal", "fixed")
+            flag = f"--{key.replace('_', '-')}"
+            flag, found = (flag, value) if key != "fixed_seed" else ("--goal", "fixed")
             refuse_option(name, flag, found, f"takes no argument {key!r}")
     return partial(task_class, **given)
 
@@ -89,6 +91,9 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
     if options.passive and name != "billiards" and ":" not in name:
         known_task(name)
         raise InvalidInputError(f"--passive: only billiards moves without a control, found {name}")
+    if options.hidden_switch and name != "suction" and ":" not in name:
+        known_task(name)
+        raise InvalidInputError(f"--hidden-switch: only suction has a switch, found {name}")
     factory = known_task(name).factory(options)
     factory()  # an invalid count is refused before any work is done
     return factory

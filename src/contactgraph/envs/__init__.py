@@ -4,6 +4,9 @@ from contactgraph.envs.adapter import AdaptedTask as AdaptedTask
 from contactgraph.envs.billiards import BilliardsTask as BilliardsTask
 from contactgraph.envs.billiards_policies import BilliardsExpert as BilliardsExpert
 from contactgraph.envs.billiards_policies import StrikingPolicy as StrikingPolicy
+from contactgraph.envs.carry_expert import CarryExpert as CarryExpert
+from contactgraph.envs.carry_expert import StickyExpert as StickyExpert
+from contactgraph.envs.carry_expert import SuctionExpert as SuctionExpert
 from contactgraph.envs.check_task import check_task as check_task
 from contactgraph.envs.contract import ChainCost as ChainCost
 from contactgraph.envs.contract import Observation as Observation
@@ -19,6 +22,11 @@ from contactgraph.envs.experts import DoorExpert as DoorExpert
 from contactgraph.envs.experts import ExplorationPolicy as ExplorationPolicy
 from contactgraph.envs.experts import PickupExpert as PickupExpert
 from contactgraph.envs.experts import RestPolicy as RestPolicy
+from contactgraph.envs.handling import HandlingPolicy as HandlingPolicy
+from contactgraph.envs.hidden_contact import DelayTask as DelayTask
+from contactgraph.envs.hidden_contact import ReleaseTask as ReleaseTask
+from contactgraph.envs.hidden_contact import StickyTask as StickyTask
+from contactgraph.envs.hidden_contact import SuctionTask as SuctionTask
 from contactgraph.envs.pick_policy import PickPolicy as PickPolicy
 from contactgraph.envs.pickup import MultiPickupTask as MultiPickupTask
 from contactgraph.envs.pickup import PickupTask as PickupTask

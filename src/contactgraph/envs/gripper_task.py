@@ -63,14 +63,14 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         mass: float = MASS,
     ) -> None:
         self.max_steps = max_steps
-        bounds = gymnasium.spaces.Box(-max_force, max_force, (dimension,), np.float64)
-        self.action_space = bounds
+        self.action_space: gymnasium.spaces.Box = gymnasium.spaces.Box(
+            -max_force, max_force, (dimension,), np.float64
+        )
         # The largest distance and speed that the largest force gives a body in one episode.
         speed = max_force / mass * max_steps * dt
         distance = extent + speed * max_steps * dt
         self.observation_space = _observation_space(count, dimension, extent, distance, speed)
         self._shape = count, dimension
-        self._max_force = max_force
         self._steps = 0
         self._episode: tuple[Scene, World] | None = None
 
@@ -113,13 +113,15 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advances by ``scene.dt`` under the force ``action`` ``[D]`` N, clipped to its bounds."""
         force = np.zeros(self._shape)
-        force[GRIPPER] = self.bounded(action)
+        # A further component, such as a switch, moves nothing by itself.
+        force[GRIPPER] = self.bounded(action)[: self._shape[1]]
         self.running().step(force)
         return self.stepped({})
 
     def bounded(self, action: np.ndarray) -> np.ndarray:
-        """The control ``[D]`` N within its bounds; raises `InvalidInputError` for no number."""
-        force = np.clip(action, -self._max_force, self._max_force)
+        """The control ``[U]`` within its bounds; raises `InvalidInputError` for no number."""
+        box = self.action_space
+        force = np.clip(action, box.low, box.high)
         if not np.all(np.isfinite(force)):
             raise InvalidInputError(f"action must be finite, found {np.asarray(action).tolist()}")
         return force

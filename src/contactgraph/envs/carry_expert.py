@@ -1,0 +1,230 @@
+"""Scripted experts of the tasks in which geometry does not tell holding; they see it."""
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs.contract import Observation
+from contactgraph.envs.experts import CorrelatedNoise
+from contactgraph.envs.gripper_motion import GripperForces
+from contactgraph.envs.gripper_task import GRIPPER
+
+_CALM = 0.15
+"""Distance from the goal within which the noise on the force fades, m."""
+
+
+_TEAR_SPEED = 0.025
+"""Speed, m/s, that a torn-off body loses: half the force, for one substep."""
+
+
+class _Expert:
+    """What the experts share: targets, a random stream, and noise that fades at the goal."""
+
+    def __init__(self, noise: float, correlation_steps: float) -> None:
+        self._noise = CorrelatedNoise(noise, correlation_steps)
+        self.noisy = noise > 0.0
+        self.rng = np.random.default_rng(0)
+        self.targets: list[int] = []
+        self.dt = 0.0
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode; raises `InvalidInputError` where nothing is to be carried."""
+        targets = [i for i, name in enumerate(scene.node_name) if name.startswith("target")]
+        if scene.goal is None or not targets or not scene.actuated[GRIPPER]:
+            raise InvalidInputError(
+                "a carrying expert needs a goal, an actuated node 0 and nodes named target..., "
+                f"found nodes {list(scene.node_name)}"
+            )
+        self.targets, self.dt = targets, scene.dt
+        self.rng = np.random.default_rng(seed)
+        self._noise.reset(scene.dimension, int(self.rng.integers(2**31)))
+
+    def faded_noise(self, hand: GripperForces) -> np.ndarray:
+        """The next value, [2] N."""
+        share = min(float(np.linalg.norm(hand.to_goal)) / _CALM, 1.0) ** 2
+        if hand.touches and not hand.holds:  # else it would end the touch
+            share *= 0.5
+        return share * self._noise()
+
+    def time(self, shortest: float, longest: float) -> float:
+        """A random time, s."""
+        return float(self.rng.uniform(shortest, longest))
+
+
+_PLACED = 0.005
+"""Distance from the goal at which the target is put down, m."""
+_STILL = 0.002
+"""Speed below which it is put down, m/s."""
+_ASTRAY = 0.012
+"""Distance from the goal at which a target that was put down is taken again, m."""
+_ERRING = 0.3
+"""Distance from the goal above which a noisy switch errs, m."""
+
+
+class SuctionExpert:
+    """Takes the target by suction, carries it to the goal, and puts it down.
+
+    It presses the target for 0.4 to 1.2 s before the switch goes on. At the goal, with the target
+    at rest, it switches off, and backs away after 0.5 to 2 s. It takes a target again that does not
+    stay there. Where the switch is hidden it is a `CarryExpert` that stays near the target.
+
+    ``noise`` N is the standard deviation of a force added on each axis, correlated over
+    ``correlation_steps`` steps, which fades at the goal. With noise on the force the switch errs,
+    too: more than 0.3 m from the goal it goes off for 0.5 to 1.5 s, after 0.3 to 1.2 s, while the
+    expert presses on.
+    """
+
+    def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
+        self._force_noise = noise, correlation_steps
+        self._expert = _Expert(noise, correlation_steps)
+        self._on, self._left, self._placed = False, 0.0, False
+        self._without_switch: CarryExpert | None = None
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode; raises `InvalidInputError` where nothing is to be carried."""
+        self._expert.reset(scene, seed)
+        self._without_switch = None
+        if "switch" not in (scene.control_kind or ()):
+            # No hold comes back by touching again: it stays near until the switch is on.
+            self._without_switch = CarryExpert(*self._force_noise, patience=60.0)
+            self._without_switch.reset(scene, seed)
+        self._on, self._left, self._placed = False, self._expert.time(0.4, 1.2), False
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[3]``: force, N, and switch; ``[2]`` N where the switch is hidden."""
+        if self._without_switch is not None:
+            return self._without_switch(observation)
+        hand = GripperForces(observation, self._expert.targets[0])
+        away = float(np.linalg.norm(hand.to_goal))
+        if self._placed and away > _ASTRAY:
+            self._placed, self._left = False, 0.0
+        if hand.holds and away < _PLACED and np.linalg.norm(hand.body_velocity) < _STILL:
+            self._placed, self._on, self._left = True, False, self._expert.time(0.5, 2.0)
+        if hand.touches:
+            self._left -= self._expert.dt
+        if hand.touches and not self._placed and self._left <= 0.0:
+            self._change_switch(away)
+        if self._placed:
+            leaves = hand.touches and not hand.holds and self._left <= 0.0
+            force = hand.back_off() if leaves else hand.stop()
+        elif not hand.touches:
+            force = hand.approach()
+        else:
+            force = hand.carry() if self._on else hand.press()
+        return np.append(force + self._expert.faded_noise(hand), float(self._on))
+
+    def _change_switch(self, away: float) -> None:
+        errs = self._expert.noisy and away > _ERRING
+        self._on = not (self._on and errs)
+        self._left = self._expert.time(0.3, 1.2) if self._on else self._expert.time(0.5, 1.5)
+
+
+class CarryExpert:
+    """Carries the target to the goal with a grip that begins and ends by itself.
+
+    It presses a target that it touches but does not hold. Where that does not help, it notices
+    after 0.2 to ``patience`` s, backs off, and touches again. At the goal it rests. ``noise`` and
+    ``correlation_steps`` are as in `SuctionExpert`.
+    """
+
+    def __init__(
+        self, noise: float = 0.5, correlation_steps: float = 2.0, patience: float = 0.6
+    ) -> None:
+        self._expert = _Expert(noise, correlation_steps)
+        self._patience = patience
+        self._pressing, self._backing = 0.0, 0.0
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode; raises `InvalidInputError` where nothing is to be carried."""
+        self._expert.reset(scene, seed)
+        self._pressing, self._backing = self._expert.time(0.2, self._patience), 0.0
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[2]`` N."""
+        hand = GripperForces(observation, self._expert.targets[0])
+        return self._force(hand) + self._expert.faded_noise(hand)
+
+    def _force(self, hand: GripperForces) -> np.ndarray:
+        if hand.holds:
+            self._pressing = self._expert.time(0.2, self._patience)
+            return hand.carry()
+        if self._backing > 0.0:
+            self._backing -= self._expert.dt
+            return hand.back_off()
+        if hand.placed:
+            return hand.stop()
+        if not hand.touches:
+            return hand.approach()
+        if not hand.helps:
+            self._pressing -= self._expert.dt
+            if self._pressing <= 0.0:
+                self._backing = self._expert.time(0.1, 0.15)
+                self._pressing = self._expert.time(0.2, self._patience)
+            return hand.accompany()
+        return hand.press()
+
+
+_TRIAL_SPEED = 0.15
+"""Of a body that is tried, m/s."""
+
+
+class StickyExpert:
+    """Tries the targets in random order until one holds, and carries that one to the goal.
+
+    It tries a target by pressing it for 1 to 2 s and pulling back. At the goal it tears itself
+    off. ``noise`` and ``correlation_steps`` are as in `SuctionExpert`.
+    """
+
+    def __init__(self, noise: float = 0.3, correlation_steps: float = 2.0) -> None:
+        self._expert = _Expert(noise, correlation_steps)
+        self._due: list[int] = []
+        self._pressing, self._pulling = 0.0, 0.0
+        self._found = False
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode; raises `InvalidInputError` where nothing is to be carried."""
+        self._expert.reset(scene, seed)
+        self._begin_round()
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[2]`` N."""
+        hand = GripperForces(observation, self._due[0])
+        return self._force(hand) + self._expert.faded_noise(hand)
+
+    def _begin_round(self) -> None:
+        self._due = [int(node) for node in self._expert.rng.permutation(self._expert.targets)]
+        self._begin_trial()
+
+    def _begin_trial(self) -> None:
+        self._pressing, self._pulling = self._expert.time(1.0, 2.0), 0.2
+        self._found = False
+
+    def _force(self, hand: GripperForces) -> np.ndarray:
+        if self._found:
+            return self._bring(hand)
+        if self._pressing > 0.0:
+            if not hand.touches:
+                return hand.approach(least_missing=0.1, touch_speed=_TRIAL_SPEED)
+            self._pressing -= self._expert.dt
+            slow = float(hand.body_velocity @ hand.normal) < _TRIAL_SPEED
+            return hand.press() if slow else hand.accompany()
+        if self._pulling > 0.0:
+            self._pulling -= self._expert.dt
+            return hand.back_off()
+        if hand.touches:
+            self._found = True
+            return hand.carry()
+        self._due.pop(0)
+        if self._due:
+            self._begin_trial()
+        else:
+            self._begin_round()
+        return hand.back_off()
+
+    def _bring(self, hand: GripperForces) -> np.ndarray:
+        away = float(np.linalg.norm(hand.to_goal))
+        if not hand.holds:
+            return hand.stop() if away < 0.07 else hand.approach()
+        if away > 0.03:
+            return hand.carry()
+        error = hand.body_velocity - _TEAR_SPEED * hand.normal
+        return hand.tear() if np.linalg.norm(error) < 0.01 else hand.move(_TEAR_SPEED * hand.normal)

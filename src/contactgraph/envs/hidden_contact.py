@@ -1,0 +1,172 @@
+"""Tasks in which geometry does not tell holding: suction, release, delay and sticky."""
+
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs.carry_task import CarryTask, Metadata
+from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.grip import (
+    HOLD_TIME,
+    SWITCH_ON,
+    BreakingHold,
+    DelayedHold,
+    HiddenSwitchHold,
+    SwitchedHold,
+)
+from contactgraph.envs.gripper_task import GRIPPER, MAX_FORCE
+from contactgraph.envs.pickup import MAX_OBJECTS, TARGET, at_goal
+from contactgraph.envs.planar_world import HoldRule, PlanarWorld
+
+PUT_DOWN_RADIUS = 0.02
+"""The target must lie within this distance of the goal, m."""
+HOLD_SHARE = 0.25
+"""Probability that a body of `StickyTask` holds."""
+_SUCTION_STEPS = 240
+"""Steps of an episode that ends with putting down."""
+_STICKY_STEPS = 300
+"""Steps of an episode in which bodies must be tried first."""
+REST_SPEED = 0.02
+"""The target must be slower than this, m/s."""
+
+
+class SuctionTask(CarryTask):
+    """A gripper that holds what it touches while its switch is on; a `contactgraph.envs.Task`.
+
+    The control ``[3]`` is a force on the gripper, N, and the switch, 0 to 1, on above 0.5. The
+    target is to be put down: in the end it lies within 2 cm of the goal and is slower than 2 cm/s,
+    the gripper does not hold it, and the switch is off.
+
+    With ``hidden_switch`` the control ``[2]`` is the force alone: a random process that nothing
+    records operates the switch, and the target must end within 0.1 m of the goal.
+
+    Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
+    """
+
+    name = "suction"
+
+    def __init__(
+        self,
+        distractors: int = 0,
+        substeps: int = 10,
+        fixed_seed: int | None = None,
+        hidden_switch: bool = False,
+    ) -> None:
+        super().__init__(distractors, substeps, fixed_seed, max_steps=_SUCTION_STEPS)
+        self._hidden_switch = hidden_switch
+        if not hidden_switch:
+            high = np.array([MAX_FORCE, MAX_FORCE, 1.0])
+            self.action_space = gymnasium.spaces.Box(np.append(-high[:2], 0.0), high, dtype=float)
+
+    def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
+        """The rule of the switch, and whether it is hidden."""
+        rule = HiddenSwitchHold(seed) if self._hidden_switch else SwitchedHold()
+        return rule, {"hidden_switch": self._hidden_switch}
+
+    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
+        """Samples the scene of a seed, with everything at rest."""
+        scene, world = super().begin(seed)
+        if self._hidden_switch:
+            return scene, world
+        control_of = np.repeat(scene.actuated[:, None], 3, axis=1)
+        kind = ("force", "force", "switch")
+        return replace(scene, control_kind=kind, control_of=control_of), world
+
+    def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Advances by ``scene.dt`` under force and switch, each clipped to its bounds."""
+        if not self._hidden_switch:
+            self.carrying().switch = float(self.bounded(action)[-1])
+        return super().step(action)
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether the target is within 2 cm of the goal; with a hidden switch, within 0.1 m."""
+        if self._hidden_switch:
+            return super().solved(scene, position, contact)
+        return bool(np.linalg.norm(position[TARGET] - scene.goal) <= PUT_DOWN_RADIUS)
+
+    def success(self) -> bool:
+        """Whether the episode is over and has ended as the task demands."""
+        if not super().success() or self._hidden_switch:
+            return super().success()
+        world = self.carrying()
+        released = not world.holding[GRIPPER, TARGET] and world.switch <= SWITCH_ON
+        return bool(released and np.linalg.norm(world.velocity[TARGET]) <= REST_SPEED)
+
+
+class ReleaseTask(CarryTask):
+    """A gripper whose holds end after a hidden 0.5 to 2 s; a `contactgraph.envs.Task`.
+
+    It holds at touch; a joint force above 5 N ends a hold, too. The pair can be held again only
+    after it has parted. The control ``[2]`` N is a force on the gripper. The target must end within
+    0.1 m of the goal. Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
+    """
+
+    name = "release"
+
+    def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
+        """Holds of random durations."""
+        return BreakingHold(seed, HOLD_TIME), {}
+
+
+class DelayTask(CarryTask):
+    """A gripper that holds after 0.4 s of touching; a `contactgraph.envs.Task`.
+
+    The touch must not be interrupted; a hold lasts to the end. The control ``[2]`` N is a force on
+    the gripper. The target must end within 0.1 m of the goal. Raises `InvalidInputError` where
+    ``distractors`` is not in 0 to 20.
+    """
+
+    name = "delay"
+
+    def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
+        """Holds after a time."""
+        return DelayedHold(), {}
+
+
+class StickyTask(CarryTask):
+    """Look-alike bodies, of which some hold and some do not; a `contactgraph.envs.Task`.
+
+    Of ``objects`` targets and of the distractors, each holds with probability 1/4, drawn for each
+    episode, but at least one target does and one does not. A body that holds does so from touch to
+    the end. The control ``[2]`` N is a force on the gripper. A body that holds must end within
+    0.1 m of the goal.
+
+    Raises `InvalidInputError` where ``objects`` is not in 2 to 5 or ``distractors`` in 0 to 20.
+    """
+
+    name = "sticky"
+
+    def __init__(
+        self,
+        objects: int = 3,
+        distractors: int = 0,
+        substeps: int = 10,
+        fixed_seed: int | None = None,
+    ) -> None:
+        if not 2 <= objects <= MAX_OBJECTS:
+            raise InvalidInputError(f"objects must be 2 to {MAX_OBJECTS}, found {objects}")
+        super().__init__(distractors, substeps, fixed_seed, objects, _STICKY_STEPS)
+        self._holders = frozenset({TARGET})
+
+    def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
+        """Holds of drawn bodies; their nodes, as text, are metadata."""
+        rng = np.random.default_rng(seed)
+        holds = np.zeros(self.targets, dtype=bool)
+        while holds.all() or not holds.any():
+            holds = rng.random(self.targets) < HOLD_SHARE
+        holds = np.concatenate([holds, rng.random(self.distractors) < HOLD_SHARE])
+        self._holders = frozenset(int(node) for node in 1 + np.flatnonzero(holds))
+        return BreakingHold(nodes=self._holders), {
+            "holders": " ".join(map(str, sorted(self._holders)))
+        }
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether a body that holds is within 0.1 m of the goal."""
+        return any(at_goal(position[node], scene) for node in self._holders)
+
+    def cost_terms(self) -> ChainCost:
+        """The weights of pickup, along the first target that holds in this episode."""
+        return replace(super().cost_terms(), chain=(GRIPPER, min(self._holders)))
