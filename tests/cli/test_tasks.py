@@ -31,6 +31,10 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "multi-pickup",
         "door",
         "billiards",
+        "suction",
+        "release",
+        "delay",
+        "sticky",
         "pusht",
         "fetch-push",
         "fetch-slide",
@@ -121,6 +125,28 @@ def test_a_class_without_an_expert_is_explored(
     assert type(task.expert()).__name__ == "ExplorationPolicy"
     assert task.max_force is None and task.error_target_cm(task.conditions[0]) is None
     sys.modules.pop("plain_task")
+
+
+def test_the_hidden_switch_is_of_suction(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match=r"^--hidden-switch: only suction has a switch, f"):
+        task_factory("release", TaskOptions(hidden_switch=True))
+    path = tmp_path / "hidden.h5"
+    options = ["--episodes", "2", "--exploration", "0.5", "--hidden-switch", "--out", str(path)]
+    assert cli.run(["collect", "suction", *options]) == 0
+    dataset = read_trajectories(path)
+    assert dataset.metadata["hidden_switch"] is True
+    assert [each.control.shape[1] for each in dataset] == [2, 2]
+    assert [each.holding is not None for each in dataset] == [True, True]
+    policies = [each.scene.metadata["policy"] for each in dataset]
+    assert policies == ["SuctionExpert", "HandlingPolicy"]
+
+
+@pytest.mark.parametrize("name", ["suction", "release", "delay"])
+def test_tasks_with_one_object_refuse_more(name: str) -> None:
+    with pytest.raises(InvalidInputError, match=f"^--objects: {name} has 1 object, found 2"):
+        task_factory(name, TaskOptions(objects=2))
+    with pytest.raises(InvalidInputError, match=f"^--grasp: {name} has no fingers"):
+        task_factory(name, TaskOptions(grasp="weld"))
 
 
 def test_radius_is_pickup_s() -> None:

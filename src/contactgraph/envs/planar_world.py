@@ -250,15 +250,12 @@ class PlanarWorld:
     def joint_force(self, first: int, second: int) -> float:
         """The force that the joint of a pair has carried in the last substep, N; 0: no joint."""
         joint = self._joints.get((min(first, second), max(first, second)))
-        if joint is None:
-            return 0.0
-        return float(joint.GetReactionForce(1.0 / self._substep_time).length) / SCALE
+        force = 0.0 if joint is None else joint.GetReactionForce(1.0 / self._substep_time).length
+        return float(force) / SCALE
 
     def joint_tension(self, first: int, second: int) -> float:
-        """The part of that force along the line between the middles, N: above 0 if pulled apart."""
+        """That force along the line between the middles of a joined pair, N; pulling: above 0."""
         pair = min(first, second), max(first, second)
-        if pair not in self._joints:
-            return 0.0
         force = self._joints[pair].GetReactionForce(1.0 / self._substep_time)
         apart = self.position[pair[0]] - self.position[pair[1]]
         return float(apart @ force / np.linalg.norm(apart)) / SCALE
