@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, cast
 
 import gymnasium
 import numpy as np
@@ -63,9 +63,8 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         mass: float = MASS,
     ) -> None:
         self.max_steps = max_steps
-        self.action_space: gymnasium.spaces.Box = gymnasium.spaces.Box(
-            -max_force, max_force, (dimension,), np.float64
-        )
+        bounds = gymnasium.spaces.Box(-max_force, max_force, (dimension,), np.float64)
+        self.action_space = bounds
         # The largest distance and speed that the largest force gives a body in one episode.
         speed = max_force / mass * max_steps * dt
         distance = extent + speed * max_steps * dt
@@ -120,7 +119,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
 
     def bounded(self, action: np.ndarray) -> np.ndarray:
         """The control ``[U]`` within its bounds; raises `InvalidInputError` for no number."""
-        box = self.action_space
+        box = cast(gymnasium.spaces.Box, self.action_space)
         force = np.clip(action, box.low, box.high)
         if not np.all(np.isfinite(force)):
             raise InvalidInputError(f"action must be finite, found {np.asarray(action).tolist()}")
