@@ -102,8 +102,9 @@ class CarryTask(GripperTask):
         self, info: dict[str, Any]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """The return value of `step` once the world has advanced; ``info`` is added to it."""
-        observation, *rest = super().stepped(info)
-        return {**observation, "holding": self.carrying().holding.astype(np.int8)}, *rest
+        observation, reward, terminated, truncated, info = super().stepped(info)
+        holding = self.carrying().holding.astype(np.int8)
+        return {**observation, "holding": holding}, reward, terminated, truncated, info
 
     def carrying(self) -> PlanarWorld:
         """The current episode's world."""
