@@ -15,7 +15,7 @@ from contactgraph.cli.known_tasks import TASKS
 from contactgraph.cli.task_types import TaskOptions
 from contactgraph.cli.tasks import task_factory
 from contactgraph.control import LearnedCost, describe_cost, read_cost
-from contactgraph.data import Scene, Trajectory, write_trajectories
+from contactgraph.data import InvalidInputError, Scene, Trajectory, write_trajectories
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
 from contactgraph.evaluate import collect
 
@@ -190,8 +190,13 @@ def test_the_largest_force_is_the_task_s_or_the_flag_s(
 
 @pytest.mark.parametrize("name", TASKS)
 def test_shipped_tasks_declare_their_largest_force(name: str) -> None:
-    task = task_factory(name, TaskOptions())()
-    assert (task.action_space.high == TASKS[name].max_force).all()
+    try:
+        box = task_factory(name, TaskOptions())().action_space
+    except InvalidInputError as error:
+        pytest.skip(str(error))  # its package is missing
+    # Only a bound that is the same for all components and both directions is one number.
+    alike = (box.high == box.high[0]).all() and (box.low == -box.high).all()
+    assert TASKS[name].max_force == (box.high[0] if alike else None)
 
 
 def test_control_plans_with_it(cost: Path, monkeypatch: pytest.MonkeyPatch) -> None:
