@@ -1,5 +1,6 @@
 """The command ``contactgraph reproduce``: a study, from nothing to a page of verdicts."""
 
+import shlex
 import sys
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -17,17 +18,19 @@ if TYPE_CHECKING:
 class Reproduce:
     """Record, train and test every model of the paper, and judge the paper's claims.
 
-    With cost: learn costs from demonstrations, and control in scenes without demonstrations. With
-    sensing: control without a contact sensor. With rehearsal: record, train and control through an
-    arm's protocol and a camera. The same command continues an interrupted study; finished jobs are
-    kept.
+    With worlds: train on every task, and compare with baselines. With cost: learn costs from
+    demonstrations, and control in scenes without demonstrations. With sensing: control without a
+    contact sensor. With rehearsal: record, train and control through an arm's protocol and a
+    camera. The same command continues an interrupted study; finished jobs are kept.
     """
 
     study: Positional[Annotated[str, arg(metavar="STUDY")]] = "all"
-    """The study: pickup, multi-pickup, door, all of these (all), franka (an arm), cost, sensing, or
-    rehearsal."""
+    """The study: pickup, multi-pickup, door, all of these (all), franka (an arm), worlds, cost,
+    sensing, or rehearsal."""
     quick: bool = False
     """One seed and few test scenes: half an hour on two cores for all tasks."""
+    only: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(worlds: all)")] = None
+    """Tasks of worlds to measure, separated by commas; the others are shown as they are."""
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """The folder to write; results/study for all, results/STUDY for another, if not given."""
     cluster: Annotated[str, arg(metavar="WHERE")] = "local"
@@ -39,15 +42,24 @@ class Reproduce:
         from contactgraph.data import InvalidInputError
         from contactgraph_studies.page import write_study
         from contactgraph_studies.runner import run_study
+        from contactgraph_studies.world_study import WorldStudy
 
         study = choice("study", self.study, _studies(self.quick))
+        if self.only is not None:
+            if not isinstance(study, WorldStudy):
+                raise InvalidInputError(f"--only: the study must be worlds, found {self.study}")
+            study = study.restricted(self.only)
         folder = self.out or Path("results") / ("study" if self.study == "all" else self.study)
         if folder.exists() and not folder.is_dir():
             raise InvalidInputError(f"--out: {folder} must be a folder, found a file")
+        for reason in study.left_out:
+            print(f"left out: {reason}", file=sys.stderr)
         with self._executor() as executor:
             failures = run_study(study, folder, executor)
             cores = executor.workers
-        command = f"contactgraph reproduce {self.study}{' --quick' if self.quick else ''}"
+        quick = " --quick" if self.quick else ""
+        only = "" if self.only is None else f" --only {shlex.quote(self.only)}"
+        command = f"contactgraph reproduce {self.study}{quick}{only}"
         write_study(study, folder, command, failures, cores)
         if failures:
             sys.exit(1)  # the page is written, but incomplete
@@ -74,10 +86,13 @@ def _studies(quick: bool) -> "dict[str, Study]":
     from contactgraph_studies.paper.study import ModelStudy
     from contactgraph_studies.sensing import FULL_SENSING, QUICK_SENSING, SensingStudy
     from contactgraph_studies.simulated_robot import FULL_SIM, QUICK_SIM, SimulatedRobotStudy
+    from contactgraph_studies.world_study import WorldStudy
+    from contactgraph_studies.worlds import FULL_WORLDS, QUICK_WORLDS
 
     amounts = QUICK if quick else FULL
     return {
         **{task.name: ModelStudy((task,), amounts) for task in EVERY_TASK},
+        "worlds": WorldStudy(QUICK_WORLDS if quick else FULL_WORLDS),
         "cost": CostStudy(COST_TASKS, QUICK_COST if quick else FULL_COST),
         "sensing": SensingStudy(QUICK_SENSING if quick else FULL_SENSING),
         "rehearsal": SimulatedRobotStudy(QUICK_SIM if quick else FULL_SIM),

@@ -5,6 +5,7 @@ import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,17 @@ class Quantity:
             return self.derived(values)
         value = values[self.key]
         return self.null if value is None else self.scale * float(value)
+
+
+def moving_error(key: str, of_all: Quantity) -> Quantity:
+    """An error of moving bodies; null is infinite only if the error ``of_all`` bodies is."""
+    return Quantity(key, "cm", derived=partial(_moving_cm, key=key, of_all=of_all))
+
+
+def _moving_cm(values: Values, key: str, of_all: Quantity) -> float:
+    if values[key] is None:
+        return math.inf if math.isinf(of_all.read(values)) else math.nan
+    return 100.0 * values[key]
 
 
 SUCCESS_PERCENT = Quantity("success_rate", "%", 100.0)

@@ -109,14 +109,15 @@ def _store(job: Job, records: JobRecords, outcome: Outcome) -> tuple[float, Fail
         log.write_text(result.log)
     if result is None or result.exit_code != 0:
         reason = outcome.lost or f"exit code {result.exit_code}"
-        return 0.0, Failure(job, f"{reason}; {_last_line(log)}")
+        return 0.0, Failure(job, f"{reason}; {last_line(log)}")
     write_bundle(result.files, records.folder)
     records.finish(job, result.seconds)
     log.unlink(missing_ok=True)
     return result.seconds, None
 
 
-def _last_line(log: Path) -> str:
+def last_line(log: Path) -> str:
+    """The last line that a command printed."""
     lines = log.read_text(errors="replace").split("\n") if log.exists() else []
     printed = [line.strip() for line in lines if line.strip()]
     return printed[-1] if printed else f"it printed nothing to {log}"

@@ -137,6 +137,11 @@ class Study(ABC):
         """All jobs in dependency order."""
         return in_dependency_order(one.job for one in self.measurements)
 
+    @property
+    def left_out(self) -> Sequence[str]:
+        """Reasons why something cannot be measured on this machine, one line each."""
+        return ()
+
     @abstractmethod
     def result(self, folder: Path) -> StudyResult:
         """From the outputs in the folder; figures are written to it."""

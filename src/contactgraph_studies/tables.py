@@ -1,6 +1,6 @@
 """Tables of a study: one data frame each, written as CSV, Markdown and HTML."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import Any
@@ -42,11 +42,14 @@ class StudyTable:
     """Texts, numbers, `SeedStatistic` or `Success` by name of the column.
 
     All are columns of ``table.csv``, a `SeedStatistic` three, but for names with an underscore.
+    ``_bold`` of a row holds the names of its bold cells.
     """
     texts: Mapping[str, Callable[[Any], str]] = field(default_factory=dict)
     """Format on the page, by name of the column; `cell_text` for others."""
     separator: str = "_"
     """Between the name of a statistic and median, low or high in ``table.csv``."""
+    notes: Sequence[str] = ()
+    """Sentences below the table."""
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -67,24 +70,39 @@ class StudyTable:
 
     def markdown(self) -> str:
         """The cells of the page as Markdown."""
-        rows = (self.headings.values(), *self.page_cells().to_numpy())
-        lines = [f"| {' | '.join(cells)} |" for cells in rows]
-        return "\n".join([lines[0], f"|{'---|' * len(self.headings)}", *lines[1:], ""])
+        lines = [_markdown_row(self.headings.values()), f"|{'---|' * len(self.headings)}"]
+        for row, texts in self._shown_rows():
+            bold = row.get("_bold", ())
+            cells = (f"**{text}**" if name in bold else text for name, text in texts.items())
+            lines.append(_markdown_row(cells))
+        notes = ["", *(f"- {note}" for note in self.notes)] if self.notes else []
+        return "\n".join([*lines, *notes, ""])
 
     def html(self) -> str:
         """The cells of the page as a section; a row's commands show as its tooltip."""
         heads = "".join(f"<th>{escape(head)}</th>" for head in self.headings.values())
         rows = []
-        for row, texts in zip(self.rows, self.page_cells().to_dict("records"), strict=True):
+        for row, texts in self._shown_rows():
             commands = [row[name] for name in row if name.startswith("command")]
-            cells = (_html_cell(row[name], text) for name, text in texts.items())
+            bold = row.get("_bold", ())
+            cells = (_html_cell(row[name], text, name in bold) for name, text in texts.items())
             rows.append(f'<tr title="{escape(chr(10).join(commands))}">{"".join(cells)}</tr>')
+        items = "".join(f"<li>{escape(note)}</li>" for note in self.notes)
+        notes = f'<ul class="caption">{items}</ul>\n' if items else ""
         return (
             f'<section id="{escape(self.slug)}"><h2>{escape(self.title)}</h2>\n'
             f'<p class="caption text">{escape(self.caption)}</p>\n'
             f'<div class="wide"><table class="plain"><thead><tr>{heads}</tr></thead>'
-            f"<tbody>{''.join(rows)}</tbody></table></div>\n</section>\n"
+            f"<tbody>{''.join(rows)}</tbody></table></div>\n{notes}</section>\n"
         )
+
+    def _shown_rows(self) -> Iterable[tuple[Mapping[str, Any], dict[Any, str]]]:
+        """Each row, and the texts of its cells on the page by name of the column."""
+        return zip(self.rows, self.page_cells().to_dict("records"), strict=True)
+
+
+def _markdown_row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 def counts(success: Success | None, suffix: str = "") -> dict[str, int | str | None]:
@@ -107,7 +125,7 @@ def _csv_columns(cells: pd.Series, separator: str) -> pd.DataFrame:
     )
 
 
-def _html_cell(value: Any, text: str) -> str:
+def _html_cell(value: Any, text: str, bold: bool) -> str:
     is_number = isinstance(value, SeedStatistic | Success | float)
     tag = '<td class="figure">' if is_number else "<td>"
-    return f"{tag}{escape(text)}</td>"
+    return f"{tag}<b>{escape(text)}</b></td>" if bold else f"{tag}{escape(text)}</td>"

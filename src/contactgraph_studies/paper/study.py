@@ -1,9 +1,8 @@
 """The study of models: its table, its targets and its result."""
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ from contactgraph_studies.results import (
     SUCCESS_PERCENT,
     Quantity,
     Results,
-    Values,
+    moving_error,
 )
 from contactgraph_studies.study import Study, StudyResult, judged
 from contactgraph_studies.tables import StudyTable, counts
@@ -79,17 +78,6 @@ class ModelStudy(Study):
         )
 
 
-def _moving_cm(values: Values, key: str, of_all: Quantity) -> float:
-    """An error of moving bodies; null is infinite only if the error of all bodies is."""
-    if values[key] is None:
-        return math.inf if math.isinf(of_all.read(values)) else math.nan
-    return 100.0 * values[key]
-
-
-def _moving(key: str, of_all: Quantity) -> Quantity:
-    return Quantity(key, derived=partial(_moving_cm, key=key, of_all=of_all))
-
-
 _HEADINGS = {
     "task": "task",
     "scenes": "scenes",
@@ -109,8 +97,8 @@ _HEADINGS = {
 
 def model_table(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> StudyTable:
     """Every model on every task under every test condition."""
-    moving = _moving("n_step_rmse_planned_moving_m", PLANNED_ERROR)
-    moving_recorded = _moving("n_step_rmse_moving_m", RECORDED_ERROR)
+    moving = moving_error("n_step_rmse_planned_moving_m", PLANNED_ERROR)
+    moving_recorded = moving_error("n_step_rmse_moving_m", RECORDED_ERROR)
     get = results.statistic
 
     def row(task: StudyTask, scenes: TestCondition, model: StudyModel) -> dict[str, Any]:

@@ -1,0 +1,172 @@
+"""The study of all tasks beside baselines: one model for each task and seed."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from contactgraph.cli.options import choice
+from contactgraph.cli.task_types import Target
+from contactgraph.data import InvalidInputError
+from contactgraph.viz import ReportMetric
+from contactgraph.viz.scene_picture import INK, RULE, SOFT
+from contactgraph.viz.summary_figure import style_axes
+from contactgraph_studies.figures import LEGEND, TEXT, new_figure, write_figure
+from contactgraph_studies.job import JobRecords, Measurement
+from contactgraph_studies.results import SUCCESS_PERCENT, Results
+from contactgraph_studies.study import Study, StudyResult, judged
+from contactgraph_studies.world_row import INFERRED, MEASURED, WorldRow
+from contactgraph_studies.world_table import world_table
+from contactgraph_studies.worlds import WORLDS, Source, World, WorldAmounts, world_measurements
+
+_ERROR_TARGETS = {True: Target(0.5, 0.2), False: Target(0.6, 0.25)}
+_SUCCESS_TARGETS = {True: Target(98.0, 100.0), False: Target(95.0, 99.0)}
+"""Of the tasks that the paper has, by whether the scenes are like those of training."""
+
+
+@dataclass(frozen=True)
+class WorldStudy(Study):
+    """All rows of the table are shown; those of ``only`` are measured."""
+
+    amounts: WorldAmounts
+    worlds: Sequence[World] = WORLDS
+    only: tuple[str, ...] = ()
+    """Slugs; empty: all."""
+
+    def restricted(self, names: str) -> "WorldStudy":
+        """To a comma-separated list of worlds.
+
+        Raises `InvalidInputError` for an unknown name, and if every named world lacks a package.
+        """
+        known = {world.slug: world for world in self.worlds}
+        chosen = [choice("--only", name.strip(), known) for name in names.split(",")]
+        missing = [world.missing for world in chosen if world.missing is not None]
+        if len(missing) == len(chosen):
+            raise InvalidInputError(f"--only: {missing[0]}")
+        return replace(self, only=tuple(world.slug for world in chosen))
+
+    @cached_property
+    def measurements(self) -> list[Measurement]:
+        """Of the chosen worlds whose packages are installed."""
+        chosen = [world for world in self.worlds if not self.only or world.slug in self.only]
+        return world_measurements([one for one in chosen if one.missing is None], self.amounts)
+
+    @property
+    def left_out(self) -> Sequence[str]:
+        """The worlds that lack a package, each with the extra that installs it."""
+        return [world.missing for world in self.worlds if world.missing is not None]
+
+    def result(self, folder: Path) -> StudyResult:
+        """Table, figure and targets."""
+        amounts, rows = self.amounts, self.rows(folder)
+        summary = (
+            "Every task, predicted and controlled with models of one method and one set of "
+            f"defaults, beside baselines: {len(amounts.seeds)} training seed(s), "
+            f"{amounts.training_runs} trajectories each, {amounts.test_runs} to test on. "
+            f"{amounts.fast_episodes} controlled scenes of pickup, multi-pickup and door, "
+            f"{amounts.episodes} of the others."
+        )
+        warning = " Quick: trainings are cut short, so these numbers are worth nothing."
+        figure = world_figure(rows)
+        return StudyResult(
+            title="Every task beside its baselines",
+            summary=summary + (warning if amounts.quick else ""),
+            targets_heading="Targets of the paper's tasks",
+            targets=world_targets(rows, amounts),
+            tables=[world_table(rows)],
+            figures=[write_figure(folder, "errors", "Errors of every task", _CAPTION, figure)],
+            amounts={
+                "training_seeds": list(amounts.seeds),
+                "training_runs": amounts.training_runs,
+                "test_runs": amounts.test_runs,
+                "episodes": amounts.episodes,
+                "fast_episodes": amounts.fast_episodes,
+                "quick": amounts.quick,
+                "training_s": {row.name: list(row.training_s.values) for row in rows},
+            },
+            readings=rows[0].results.to_json(),
+        )
+
+    def rows(self, folder: Path) -> list[WorldRow]:
+        """All rows of the table, from the jobs that were done by the same command and version.
+
+        Others are not shown, because with ``only`` they are not repeated.
+        """
+        amounts, records = self.amounts, JobRecords(folder, version("contactgraph"))
+        known = [world for world in self.worlds if world.missing is None]
+        every = world_measurements(known, amounts)
+        done = [one for one in every if records.seconds(one.job) is not None]
+        results = Results.read(folder, done)
+        return [
+            WorldRow(world, scenes, amounts, results, records)
+            for world in self.worlds
+            for scenes in world.scenes
+        ]
+
+
+def world_targets(rows: Sequence[WorldRow], amounts: WorldAmounts) -> tuple[ReportMetric, ...]:
+    """Error and success on the paper's tasks; medians over trainings on the same scenes."""
+    targets = []
+    for row in rows:
+        if row.world.fast_control:
+            inside, where = row.scenes.in_distribution, row.condition(Source.mpc)
+            success = row.results.statistic(where, SUCCESS_PERCENT)
+            targets += [
+                judged(
+                    f"{row.name}: error over moving bodies",
+                    row.errors[MEASURED],
+                    _ERROR_TARGETS[inside],
+                    amounts.seeds,
+                    lower=True,
+                ),
+                judged(f"{row.name}: success", success, _SUCCESS_TARGETS[inside], amounts.seeds),
+            ]
+    return tuple(targets)
+
+
+_CAPTION = (
+    "Error over moving bodies, 0.5 s ahead, cm. A dot of ours for each training; baselines by "
+    "their median. What is not known, or not finite, is not drawn."
+)
+_STYLES = {
+    MEASURED: ("ours, contacts measured", "o", "#1b66a8", "#1b66a8"),
+    INFERRED: ("ours, by motion alone", "o", "none", "#1b66a8"),
+    "least_squares_cm": ("least squares", "s", "none", "#7650a3"),
+    "gnn_cm": ("interaction network", "D", "none", "#cb5f12"),
+    "constant_velocity_cm": ("constant velocity", "|", SOFT, SOFT),
+    "standing_still_cm": ("standing still", "x", SOFT, SOFT),
+    "frozen_contact_cm": ("frozen contact (oracle)", "^", "none", "#0d8074"),
+}
+"""Label, marker, filling and edge by name of the column."""
+
+
+def world_figure(rows: Sequence[WorldRow]) -> Figure:
+    """Errors of every row on a logarithmic axis, ours above the baselines."""
+    figure = new_figure(8.5, 1.2 + 0.36 * len(rows))
+    axes = figure.subplots()
+    style_axes(axes)
+    axes.grid(axis="x", color=RULE, lw=0.6)
+    for name, (label, marker, filling, edge) in _STYLES.items():
+        ours = name in (MEASURED, INFERRED)
+        points = [
+            (value, place - 0.16 if ours else place + 0.16)
+            for place, row in enumerate(rows)
+            for value in (row.errors[name].values if ours else [row.errors[name].median])
+            if math.isfinite(value) and value > 0.0
+        ]
+        x, y = zip(*points, strict=True) if points else ((), ())
+        style: dict[str, Any] = {"marker": marker, "mfc": filling, "mec": edge, "ls": "", "ms": 6}
+        axes.plot(x, y, **style, label=label, zorder=3)
+        if points:
+            axes.set_xscale("log")
+            axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_yticks(range(len(rows)), [row.name for row in rows], color=INK)
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.set_xlabel("error over moving bodies, cm", **TEXT)
+    figure.legend(loc="outside upper center", ncols=4, **LEGEND)
+    return figure
