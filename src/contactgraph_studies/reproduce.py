@@ -28,7 +28,8 @@ class Reproduce:
     """The study: pickup, multi-pickup, door, all of these (all), franka (an arm), worlds, cost,
     sensing, or rehearsal."""
     quick: bool = False
-    """One seed and few test scenes: half an hour on two cores for all tasks."""
+    """One seed and few test scenes: half an hour on two cores for all tasks. With worlds also short
+    trainings, which only show that everything runs."""
     only: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(worlds: all)")] = None
     """Tasks of worlds to measure, separated by commas; the others are shown as they are."""
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
