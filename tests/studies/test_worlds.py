@@ -391,3 +391,20 @@ def test_a_missing_package_is_noticed_without_importing_it(
     assert [reason.split()[0] for reason in left] == [
         *("fetch-push", "fetch-slide", "fetch-pick-and-place")
     ]
+
+
+@pytest.mark.slow
+def test_real_rows(tmp_path: Path) -> None:
+    """Rows with and without measured contact and with and without control, by our own commands."""
+    command = ["reproduce", "worlds", "--quick", "--out", str(tmp_path)]
+    assert cli.run([*command, "--only", "suction,billiards-passive"]) == 0
+    with (tmp_path / "table.csv").open() as file:
+        rows = {row["world"]: row for row in csv.DictReader(file)}
+    for slug in ("suction", "billiards-passive"):
+        for name in ("measured_cm", "constant_velocity_cm", "standing_still_cm", "gnn_cm"):
+            assert float(rows[slug][f"{name}_median"]) > 0.0, (slug, name)
+    assert rows["suction"]["episodes_mpc"] == rows["suction"]["episodes_scripted"] == "2"
+    assert rows["billiards-passive"]["episodes_mpc"] == ""
+    table = (tmp_path / "table.md").read_text()
+    assert "- billiards --passive: success: nothing is controlled" in table
+    assert "- pickup, as trained: all: not measured yet" in table
