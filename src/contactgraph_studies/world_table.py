@@ -83,10 +83,12 @@ def _notes(row: WorldRow) -> Iterator[tuple[str, str]]:
         trained = one.condition.source in (Source.open_loop, Source.mpc)
         seed = f" (training {one.seed})" if trained else ""
         yield f"{_SOURCES[one.condition.source]}{seed}", reason
-    if row.results.readings(row.condition(Source.open_loop)):
+    measured = row.results.readings(row.condition(Source.open_loop))
+    if measured:
+        reasons = {**_NULL, "least_squares_cm": measured[0].values.get("least_squares_missing")}
         for name, one in {**row.errors, **row.edges}.items():
             if not one.known:
-                yield _HEADINGS[name], _NULL.get(name, "no body moves")
+                yield _HEADINGS[name], reasons.get(name) or _NULL.get(name, "no body moves")
     if not row.world.controlled:
         yield "success", "nothing is controlled"
     elif not row.world.has_fixed_start:
