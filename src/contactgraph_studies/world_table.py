@@ -29,11 +29,11 @@ _HEADINGS = {
 }
 _NULL = {
     INFERRED: "no body moves, or the model infers no contact from motion",
-    "frozen_contact_cm": "the data lack masses or contacts",
+    "frozen_contact_cm": "the data lack masses, contacts or forces",
     "least_squares_cm": "its prediction is not finite",
     "gnn_cm": "its prediction is not finite",
-    "edge_f1_now": "the data have no contact labels",
-    "edge_f1_now_inferred": "the data have no contact labels",
+    "edge_f1_now": "no edge is labelled or believed active",
+    "edge_f1_now_inferred": "no edge is labelled or believed active",
 }
 _DASH = "-"
 _RATE = Quantity("success_rate")

@@ -245,10 +245,10 @@ def test_empty_cells_have_a_reason(tmp_path: Path) -> None:
     }
     assert result.tables[0].notes == [
         f"{label}: errors and edges (training 1): not measured yet",
-        f"{label}: frozen contact (oracle): the data lack masses or contacts",
+        f"{label}: frozen contact (oracle): the data lack masses, contacts or forces",
         f"{label}: least squares: other numbers of bodies",
         f"{label}: interaction network: its prediction is not finite",
-        f"{label}: edge F1, measured: the data have no contact labels",
+        f"{label}: edge F1, measured: no edge is labelled or believed active",
         f"{label}: success: nothing is controlled",
         "absent: all: absent needs another package: pip install 'contactgraph[pusht]'",
     ]
