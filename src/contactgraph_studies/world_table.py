@@ -74,8 +74,8 @@ def _notes(row: WorldRow) -> Iterator[tuple[str, str]]:
         yield "all", row.world.missing
         return
     jobs = row.measurements
-    lost = {one: row.reason_missing(one.job) for one in jobs}
-    lost = {one: reason for one, reason in lost.items() if reason is not None}
+    reasons = [(one, row.reason_missing(one.job)) for one in jobs]
+    lost = {one: reason for one, reason in reasons if reason is not None}
     if len(lost) == len(jobs) and len(set(lost.values())) == 1:
         yield "all", next(iter(lost.values()))
         return
@@ -85,10 +85,11 @@ def _notes(row: WorldRow) -> Iterator[tuple[str, str]]:
         yield f"{_SOURCES[one.condition.source]}{seed}", reason
     measured = row.results.readings(row.condition(Source.open_loop))
     if measured:
-        reasons = {**_NULL, "least_squares_cm": measured[0].values.get("least_squares_missing")}
-        for name, one in {**row.errors, **row.edges}.items():
-            if not one.known:
-                yield _HEADINGS[name], reasons.get(name) or _NULL.get(name, "no body moves")
+        least_squares = measured[0].values.get("least_squares_missing")
+        for name, statistic in {**row.errors, **row.edges}.items():
+            if not statistic.known:
+                reason = _NULL.get(name, "no body moves")
+                yield _HEADINGS[name], (name == "least_squares_cm" and least_squares) or reason
     if not row.world.controlled:
         yield "success", "nothing is controlled"
     elif not row.world.has_fixed_start:
