@@ -1,0 +1,82 @@
+"""``contactgraph evaluate`` with another horizon, and with baselines fitted to training data."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from contactgraph.cli import main as cli
+from contactgraph.evaluate.baselines import standing_still
+from contactgraph.model import shipped_model
+from contactgraph.model.io import describe_model
+
+
+class Unmoved:
+    """Stands in for a fitted network."""
+
+    seconds, steps = 24.04, 150
+
+    def __call__(self, trajectory, steps):
+        return standing_still(trajectory, steps)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The times, s, that training of a network was asked to take; nothing is trained."""
+    seconds: list[float] = []
+
+    def fit(dataset, time):
+        seconds.append(time)
+        return Unmoved()
+
+    monkeypatch.setattr("contactgraph.evaluate.fitted_baselines.fit_interaction_network", fit)
+    return seconds
+
+
+def test_the_network_is_trained_for_as_long_as_the_model(
+    fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], asked: list[float]
+) -> None:
+    path = tmp_path / "out.json"
+    arguments = ["evaluate", "pickup", str(fresh), "--baselines", str(fresh), "--json", str(path)]
+    assert cli.run(arguments) == 0
+    took = describe_model(shipped_model("pickup")).training["training_s"]
+    assert asked == [took] and took > 1.0
+    values = json.loads(path.read_text())
+    assert (values["gnn_training_s"], values["gnn_training_steps"]) == (24.0, 150)
+    assert values["gnn_rmse_moving_m"] == values["standing_still_rmse_moving_m"]
+    assert values["least_squares_missing"] is None
+    assert 0.0 < values["least_squares_rmse_moving_m"] < values["constant_velocity_rmse_moving_m"]
+    lines = capsys.readouterr().out.splitlines()
+    assert (
+        f"interaction network: 150 steps of training in 24 s; the model had {took:.0f} s" in lines
+    )
+    for text, name in (("least squares", "least_squares"), ("interaction network ", "gnn")):
+        (line,) = (each for each in lines if each.startswith(text) and each.endswith("cm"))
+        assert f"{100 * values[f'{name}_rmse_moving_m']:.3f} cm" in line
+
+
+def test_a_wrong_horizon_is_told_before_anything_is_fitted(
+    fresh: Path, capsys: pytest.CaptureFixture[str], asked: list[float]
+) -> None:
+    for horizon in ("0.12", "0", "-1", "11", "nan"):
+        arguments = ["evaluate", "pickup", str(fresh), "--baselines", str(fresh)]
+        assert cli.run([*arguments, "--horizon", horizon]) == 2
+        captured = capsys.readouterr()
+        assert captured.err.startswith(
+            "contactgraph: the horizon must be a multiple of the time step, 0.05 s, up to 10 s"
+        )
+        assert captured.err.count("\n") == 1
+    assert asked == []
+
+
+def test_another_horizon(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float | None] = []
+
+    def interrupted(*arguments, horizon_s, **options):
+        asked.append(horizon_s)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactgraph.evaluate.evaluate_open_loop", interrupted)
+    for options in ([], ["--horizon", "0.1"]):
+        assert cli.run(["evaluate", "pickup", str(fresh), *options]) == 130
+    assert asked == [None, 0.1]
