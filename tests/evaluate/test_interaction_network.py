@@ -115,15 +115,16 @@ def fitted():
     """Least squares and a network, by a clock that ticks once every 50 steps of training."""
     data = Dataset(tuple(attraction(seed) for seed in range(16)))
 
-    def fit(dataset: Dataset, seconds: float):
+    def fit(dataset: Dataset, seconds: float, least_steps: int):
         tick = itertools.count()
-        return fit_interaction_network(dataset, seconds, clock=lambda: float(next(tick)))
+        clock = lambda: float(next(tick))  # noqa: E731
+        return fit_interaction_network(dataset, seconds, least_steps, clock=clock)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("contactgraph.evaluate.fitted_baselines.fit_interaction_network", fit)
         patch.setattr("contactgraph.evaluate.network_fit._BATCH", 8)
         patch.setattr("contactgraph.evaluate.network_fit._CHECKED", 8)
-        return fit_baselines(data, Dataset((random_run(3, 8, 0),)), 3.0)
+        return fit_baselines(data, Dataset((random_run(3, 8, 0),)), 2.0, 150)
 
 
 def test_it_learns_a_spring_between_two_bodies(fitted):
@@ -153,7 +154,7 @@ def test_baselines_are_fitted_to_data_of_the_same_kind_only():
     slower = Dataset((replace(attraction(2), scene=replace(scene_of(2), dt=0.1)),))
     message = r"must have the dt of the test data, 0\.1, found 0\.05"
     with pytest.raises(InvalidInputError, match=message):
-        fit_baselines(data, slower, 1.0)
+        fit_baselines(data, slower, 1.0, 1)
     more = Dataset((replace(attraction(2), control=np.zeros((30, 3))),))
     with pytest.raises(InvalidInputError, match="control_size of the test data, 3, found 2"):
-        fit_baselines(data, more, 1.0)
+        fit_baselines(data, more, 1.0, 1)

@@ -117,19 +117,23 @@ class Evaluate:
         from contactgraph.model.io import describe_model
 
         train = in_steps_of(model, read_trajectories(path), str(path))
-        took = describe_model(model_path(self.model)).training.get("training_s")
+        training = describe_model(model_path(self.model)).training
+        took, made = training.get("training_s"), training.get("step")
         seconds = float(took) if isinstance(took, int | float) and took > 0 else _TRAINING_S
-        fitted = fit_baselines(train, test, seconds)
+        steps = made if isinstance(made, int) and made > 0 else _TRAINING_STEPS
+        fitted = fit_baselines(train, test, seconds, steps)
         network = fitted.network
         print(
-            f"interaction network: {network.steps} steps of training in {network.seconds:.0f} s; "
-            f"the model had {'an unknown time' if took is None else f'{seconds:.0f} s'}"
+            f"interaction network: {network.steps} steps of training in {network.seconds:.0f} s, "
+            f"at least the model's {steps} in {seconds:.0f} s"
         )
         return fitted
 
 
 _TRAINING_S = 60.0
 """Time for the network where the model's own is not known, s."""
+_TRAINING_STEPS = 2000
+"""Least optimiser steps of the network where the model's own are not known."""
 _PREDICTIONS = {
     "the model": ("n_step", ""),
     "  nothing measured": ("n_step", "_unmeasured"),

@@ -32,8 +32,10 @@ class FittedBaselines:
         }
 
 
-def fit_baselines(train: Dataset, test: Dataset, seconds: float) -> FittedBaselines:
-    """Fit to ``train``, the network for ``seconds``.
+def fit_baselines(
+    train: Dataset, test: Dataset, seconds: float, least_steps: int
+) -> FittedBaselines:
+    """Fit to ``train``, the network for ``seconds`` and ``least_steps`` of its optimiser.
 
     Raises `InvalidInputError` where the two datasets differ in dimension, control size or time
     step, or where ``train`` has fewer than two trajectories.
@@ -48,6 +50,6 @@ def fit_baselines(train: Dataset, test: Dataset, seconds: float) -> FittedBaseli
     least_squares = fit_least_squares(train)
     return FittedBaselines(
         least_squares=least_squares,
-        network=fit_interaction_network(train, seconds),
+        network=fit_interaction_network(train, seconds, least_steps),
         least_squares_missing=least_squares.missing(test),
     )

@@ -68,11 +68,16 @@ def _rollouts(
 
 
 def fit_interaction_network(
-    dataset: Dataset, seconds: float, seed: int = 0, clock: Callable[[], float] = time.monotonic
+    dataset: Dataset,
+    seconds: float,
+    least_steps: int,
+    seed: int = 0,
+    clock: Callable[[], float] = time.monotonic,
 ) -> FittedNetwork:
     """Train for ``seconds``, compilation included, and keep what is best on held-out windows.
 
-    The last chunk of steps may end a little later. At least one is made.
+    Training goes on until ``least_steps`` are made, so that a busy machine does not weaken the
+    network. The rate falls along a cosine.
     """
     began = clock()
     train, held_out = split_by_trajectory(dataset, _HELD_OUT, seed)
@@ -89,15 +94,16 @@ def fit_interaction_network(
     )
     params, static = eqx.partition(network, eqx.is_inexact_array)
     optimiser = _optimiser().init(params)
-    best, best_error, steps, spent = params, np.inf, 0, 0.0
-    while steps == 0 or spent < seconds:
-        rate = _RATE * 0.5 * (1.0 + np.cos(np.pi * min(spent / seconds, 1.0)))
+    best, best_error, steps, spent, done = params, np.inf, 0, 0.0, 0.0
+    while done < 1.0:
+        rate = _RATE * 0.5 * (1.0 + np.cos(np.pi * done))
         params, optimiser, error = _advance(
             params, static, optimiser, windows, checks, jnp.asarray(rate), jnp.asarray(steps)
         )
         if float(error) < best_error:
             best, best_error = params, float(error)
         steps, spent = steps + _CHUNK, clock() - began
+        done = min(spent / seconds, steps / least_steps)
     return FittedNetwork(eqx.combine(best, static), types, spent, steps)
 
 
