@@ -119,7 +119,7 @@ def test_free_objects_decelerate_by_friction_with_the_table_until_they_rest(pass
 
 
 def test_two_objects_exchange_momentum_and_separate_with_the_restitution(passive_runs):
-    ratios = []
+    ratios, slopes = [], []
     for run in passive_runs:
         mass, moving = run.scene.mass, ~run.scene.static
         near_wall = wall_distance(run) < 0.1
@@ -141,8 +141,14 @@ def test_two_objects_exchange_momentum_and_separate_with_the_restitution(passive
             closing = -(before[j] - before[i]) @ normal
             if closing > 0.5:
                 ratios.append((after[j] - after[i]) @ normal / closing)
-    assert len(ratios) >= 10
+            tangent = np.array([-normal[1], normal[0]])
+            sliding = (before[j] - before[i]) @ tangent
+            gained = (after[j] - after[i]) - (before[j] - before[i])
+            if abs(sliding) > 0.3 and closing > 0.3:
+                slopes.append(-np.sign(sliding) * (gained @ tangent) / (gained @ normal))
+    assert len(ratios) >= 10 and len(slopes) >= 10
     assert np.median(ratios) == pytest.approx(0.9, abs=0.05)
+    assert np.median(slopes) == pytest.approx(0.1, abs=0.03), "Coulomb friction while they slide"
 
 
 def test_energy_only_falls_and_pillars_stand_still(passive_runs):
