@@ -52,9 +52,9 @@ class _Expert:
 
 _PLACED = 0.005
 """Distance from the goal at which the target is put down, m."""
-_STILL = 0.002
+_STILL = 0.0015
 """Speed below which it is put down, m/s."""
-_ASTRAY = 0.012
+_ASTRAY = 0.018
 """Distance from the goal at which a target that was put down is taken again, m."""
 _ERRING = 0.3
 """Distance from the goal above which a noisy switch errs, m."""
@@ -63,7 +63,7 @@ _ERRING = 0.3
 class SuctionExpert:
     """Takes the target by suction, carries it to the goal, and puts it down.
 
-    It presses the target for 0.4 to 1.2 s before the switch goes on. At the goal, with the target
+    It presses the target for 0.5 to 1.5 s before the switch goes on. At the goal, with the target
     at rest, it switches off, and backs away after 0.5 to 2 s. It takes a target again that does not
     stay there. Where the switch is hidden it is a `CarryExpert` that stays near the target.
 
@@ -87,7 +87,7 @@ class SuctionExpert:
             # No hold comes back by touching again: it stays near until the switch is on.
             self._without_switch = CarryExpert(*self._force_noise, patience=60.0)
             self._without_switch.reset(scene, seed)
-        self._on, self._left, self._placed = False, self._expert.time(0.4, 1.2), False
+        self._on, self._left, self._placed = False, self._expert.time(0.5, 1.5), False
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[3]``: force, N, and switch; ``[2]`` N where the switch is hidden."""
@@ -127,7 +127,7 @@ class CarryExpert:
     """
 
     def __init__(
-        self, noise: float = 0.5, correlation_steps: float = 2.0, patience: float = 0.6
+        self, noise: float = 0.5, correlation_steps: float = 2.0, patience: float = 0.8
     ) -> None:
         self._expert = _Expert(noise, correlation_steps)
         self._patience = patience
@@ -170,8 +170,8 @@ _TRIAL_SPEED = 0.15
 class StickyExpert:
     """Tries the targets in random order until one holds, and carries that one to the goal.
 
-    It tries a target by pressing it for 1 to 2 s and pulling back. At the goal it tears itself
-    off. ``noise`` and ``correlation_steps`` are as in `SuctionExpert`.
+    It tries a target by pressing it for 1.4 to 2.6 s, or 0.3 s where it holds, and pulling back. At
+    the goal it tears itself off. ``noise`` and ``correlation_steps`` are as in `SuctionExpert`.
     """
 
     def __init__(self, noise: float = 0.3, correlation_steps: float = 2.0) -> None:
@@ -195,7 +195,7 @@ class StickyExpert:
         self._begin_trial()
 
     def _begin_trial(self) -> None:
-        self._pressing, self._pulling = self._expert.time(1.0, 2.0), 0.2
+        self._pressing, self._pulling = self._expert.time(1.4, 2.6), 0.2
         self._found = False
 
     def _force(self, hand: GripperForces) -> np.ndarray:
@@ -204,6 +204,8 @@ class StickyExpert:
         if self._pressing > 0.0:
             if not hand.touches:
                 return hand.approach(least_missing=0.1, touch_speed=_TRIAL_SPEED)
+            # It feels a hold at once, and the lack of one only by pulling.
+            self._pressing = min(self._pressing, 0.3) if hand.holds else self._pressing
             self._pressing -= self._expert.dt
             slow = float(hand.body_velocity @ hand.normal) < _TRIAL_SPEED
             return hand.press() if slow else hand.accompany()

@@ -41,7 +41,7 @@ class HandlingPolicy:
     is the standard deviation of the force that is added on each axis.
     """
 
-    def __init__(self, press: float = 0.8, switching: float = 0.7, noise: float = 0.1) -> None:
+    def __init__(self, press: float = 0.9, switching: float = 0.7, noise: float = 0.1) -> None:
         if not (0.0 <= press <= 1.0 and switching >= 0.0):
             raise InvalidInputError(
                 f"press must be 0 to 1 and switching at least 0, found {press} and {switching}"
