@@ -11,7 +11,7 @@ import pytest
 from evaluation_worlds import DT, scene_of
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import ChainCost, RestPolicy
+from contactgraph.envs import ChainCost, RestPolicy, StickyTask
 from contactgraph.evaluate import TaskCost, control_by_policy, control_task, episode_seeds
 from contactgraph.model import LinearDynamics, ModelConfig, gim_temp, two_type_belief
 
@@ -196,3 +196,17 @@ def test_a_policy_gets_the_seeds_of_a_model():
     assert metrics.plan_ms_p50 is None and metrics.goal_distance_m_mean < 1e-6
     # 0.3 m at 5 cm a step, clipped to the box.
     assert np.allclose(runs[0].position[6, 0], (0.3, -0.2)) and runs[0].position[5, 0, 0] < 0.26
+
+
+def test_a_task_s_cost_follows_the_chain_of_each_episode() -> None:
+    task = StickyTask()
+    task.reset(seed=0)
+    cost = TaskCost.of(task.cost_terms(), 2, task.cost_terms)
+    orders = set()
+    for seed in range(8):
+        task.reset(seed=seed)
+        first = min(int(node) for node in task.scene.metadata["holders"].split())
+        assert cost.in_scene(task.scene).order == (0, first)
+        orders.add(first)
+    assert len(orders) >= 2
+    assert cost.order == (0, cost.terms.chain[1])

@@ -78,7 +78,7 @@ def control_task(
         deadline,
         motion_noise=motion_noise,
     )
-    scene_cost = TaskCost.of(terms, control_size) if cost is None else cost
+    scene_cost = TaskCost.of(terms, control_size, task.cost_terms) if cost is None else cost
     _check_cost(scene_cost, task, control_size)
     policy = MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise)
 

@@ -1,7 +1,7 @@
 """The model predictive controller as a policy in a task, with a cost for the task's scene."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol
@@ -45,17 +45,25 @@ class TaskCost:
     order: tuple[int, ...]
     goal: np.ndarray | None = None
     """[D] m"""
+    current_terms: Callable[[], ChainCost] | None = None
+    """The terms in the scene that the task was reset to last; None: ``terms`` in every scene."""
 
     @classmethod
-    def of(cls, terms: ChainCost, control_size: int) -> "TaskCost":
+    def of(
+        cls,
+        terms: ChainCost,
+        control_size: int,
+        current_terms: Callable[[], ChainCost] | None = None,
+    ) -> "TaskCost":
         """The cost before its scene is known."""
-        return cls(terms, control_size, terms.chain)
+        return cls(terms, control_size, terms.chain, current_terms=current_terms)
 
     def in_scene(self, scene: Scene) -> "TaskCost":
         """The cost with the scene's goal."""
         if scene.goal is None:
             raise InvalidInputError("the scene has no goal; a plan needs one")
-        return replace(self, order=self.terms.chain, goal=scene.goal)
+        terms = self.terms if self.current_terms is None else self.current_terms()
+        return replace(self, terms=terms, order=terms.chain, goal=scene.goal)
 
     def among(self, nodes: Sequence[int]) -> "TaskCost":
         """The cost along the chain in another order."""
