@@ -138,4 +138,4 @@ class WorldRow:
         log = self.records.log_path(job)
         if not log.exists():
             return "not measured yet"
-        return f"failed: {job.command} ({last_line(log)})"
+        return f"not finished: {job.command} ({last_line(log)})"
