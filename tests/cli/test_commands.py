@@ -323,7 +323,7 @@ def by_the_expert(model, factory, episodes, seed, *, on_episode, **options):
         after = np.minimum(np.arange(200)[:, None] + np.arange(options["horizon"] + 1), 200)
         on_episode(each, SimpleNamespace(plan=each.position[after]))
     return closed_loop_metrics(
-        trajectories, [True, False][:episodes], (0, 1), seed, [1.0, 2.0]
+        trajectories, [True, False][:episodes], [(0, 1)] * episodes, seed, [1.0, 2.0]
     ), trajectories
 
 

@@ -72,7 +72,7 @@ def test_over_episodes():
         episode([3.0] * 8),
     ]
     found = closed_loop_metrics(
-        trajectories, [True, False, True, True], (0, 1), 7, np.arange(101.0)
+        trajectories, [True, False, True, True], [(0, 1)] * 4, 7, np.arange(101.0)
     )
     assert found.episodes == 4 and found.seed == 7
     assert found.success_rate == 0.75 and found.success_interval == wilson_interval(3, 4)
@@ -86,15 +86,17 @@ def test_over_episodes():
 def test_a_repeated_scene_is_no_further_scene():
     trajectories = [episode([1.0] * 8)] * 6
     succeeded = [True, True, False, True, True, False]
-    once = closed_loop_metrics(trajectories, succeeded, (0, 1), 0)
+    once = closed_loop_metrics(trajectories, succeeded, [(0, 1)] * 6, 0)
     assert once.scenes == 6 and once.success_interval == wilson_interval(4, 6)
     # Scene 3 succeeds twice, scene 5 once in two, scene 8 once, scene 9 never: 2.5 of 4.
     seeds = [3, 5, 5, 3, 8, 9]
-    found = closed_loop_metrics(trajectories, succeeded, (0, 1), 0, scene_seeds=seeds)
+    found = closed_loop_metrics(trajectories, succeeded, [(0, 1)] * 6, 0, scene_seeds=seeds)
     assert (found.scenes, found.episodes) == (4, 6)
     assert found.success_rate == pytest.approx(4 / 6)
     assert found.success_interval == wilson_interval(2, 4)
-    twice = closed_loop_metrics(trajectories, [True] * 6, (0, 1), 0, scene_seeds=[1, 2, 3, 1, 2, 3])
+    twice = closed_loop_metrics(
+        trajectories, [True] * 6, [(0, 1)] * 6, 0, scene_seeds=[1, 2, 3, 1, 2, 3]
+    )
     assert twice.success_interval == wilson_interval(3, 3), "no narrower than of three scenes"
 
 
@@ -106,22 +108,29 @@ def test_the_last_node_ends_at_a_distance_from_the_goal():
         return replace(trajectory, scene=replace(trajectory.scene, goal=goal))
 
     ends = [ending((1.0, 1.5)), ending((4.0, 5.0)), ending((1.0, 1.1))]
-    found = closed_loop_metrics(ends, [True] * 3, (0, 2, 1), 0)
+    found = closed_loop_metrics(ends, [True] * 3, [(0, 2, 1)] * 3, 0)
     assert found.goal_distance_m_median == pytest.approx(0.5)
     assert found.goal_distance_m_mean == pytest.approx((0.5 + 5.0 + 0.1) / 3)
-    aimless = closed_loop_metrics([episode([1.0, 1.0])], [True], (0, 1), 0)
+    aimless = closed_loop_metrics([episode([1.0, 1.0])], [True], [(0, 1)], 0)
     assert aimless.goal_distance_m_median is aimless.goal_distance_m_mean is None
 
 
 def test_a_longer_chain_knows_its_own():
     trajectory = episode([1.0] * 8, touch=6, distractor=7)
-    assert closed_loop_metrics([trajectory], [True], (0, 1), 0).touched_bystanders == 1
-    assert closed_loop_metrics([trajectory], [True], (0, 1, 2), 0).touched_bystanders == 0
+    assert closed_loop_metrics([trajectory], [True], [(0, 1)], 0).touched_bystanders == 1
+    assert closed_loop_metrics([trajectory], [True], [(0, 1, 2)], 0).touched_bystanders == 0
+
+
+def test_each_episode_has_a_chain_of_its_own():
+    touches, passes = episode([1.0] * 8, touch=6), episode([2.0] * 8)
+    for chains, speed in (([(0, 1), (0, 1)], 1.0), ([(0, 2), (0, 1)], None)):
+        found = closed_loop_metrics([touches, passes], [True] * 2, chains, 0)
+        assert found.contact_speed_m_s == speed
 
 
 def test_unmeasured_values_are_none():
     trajectory = replace(episode([1.0] * 8, touch=7), contact=None)
-    found = closed_loop_metrics([trajectory], [False], (0, 1), 0)
+    found = closed_loop_metrics([trajectory], [False], [(0, 1)], 0)
     assert found.touched_bystanders is found.contact_speed_m_s is found.plan_ms_p99 is None
     assert found.slowest_before_contact_m_s is found.slowest_before_contact_min_m_s is None
     assert found.success_rate == 0.0
@@ -129,7 +138,7 @@ def test_unmeasured_values_are_none():
 
 def test_json_keys():
     trajectory = episode([1.0] * 8, touch=7)
-    numbers = closed_loop_metrics([trajectory], [True], (0, 1), 3, [1.0]).to_json()
+    numbers = closed_loop_metrics([trajectory], [True], [(0, 1)], 3, [1.0]).to_json()
     assert set(numbers) == JSON_KEYS
     assert json.loads(json.dumps(numbers)) == numbers
 
@@ -137,10 +146,10 @@ def test_json_keys():
 def test_arguments():
     trajectory = episode([1.0, 1.0])
     with pytest.raises(InvalidInputError, match="one entry an episode, at least one, found 0"):
-        closed_loop_metrics([], [], (0, 1), 0)
+        closed_loop_metrics([], [], [], 0)
     with pytest.raises(InvalidInputError, match="found 2 for 1 episodes"):
-        closed_loop_metrics([trajectory], [True, True], (0, 1), 0)
-    with pytest.raises(InvalidInputError, match="one entry an episode, found 2 for 1 episodes"):
-        closed_loop_metrics([trajectory], [True], (0, 1), 0, scene_seeds=[1, 2])
+        closed_loop_metrics([trajectory], [True, True], [(0, 1)], 0)
+    with pytest.raises(InvalidInputError, match=r"scene_seeds must .* found 2 for 1 episodes"):
+        closed_loop_metrics([trajectory], [True], [(0, 1)], 0, scene_seeds=[1, 2])
     with pytest.raises(InvalidInputError, match=r"chain must name nodes 0 to 2, found \(0, 3\)"):
-        closed_loop_metrics([trajectory], [True], (0, 3), 0)
+        closed_loop_metrics([trajectory], [True], [(0, 3)], 0)

@@ -81,7 +81,7 @@ class TaskTargets:
     """Targets of the numbers that are measured on one task."""
 
     error_cm: TargetByScene = field(default_factory=dict)
-    """Of the N-step error."""
+    """Of the N-step error over bodies that move."""
     edge_f1: TargetByScene = field(default_factory=dict)
     success_percent: TargetByScene = field(default_factory=dict)
     contact_speed: Target | None = None

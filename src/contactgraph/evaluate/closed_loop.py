@@ -74,7 +74,7 @@ class Approach:
 def closed_loop_metrics(
     trajectories: Sequence[Trajectory],
     succeeded: Sequence[bool],
-    chain: Sequence[int],
+    chains: Sequence[Sequence[int]],
     seed: int,
     plan_ms: Sequence[float] | np.ndarray = (),
     planned: PlanTrackingError = _NO_TRACKING,
@@ -83,34 +83,33 @@ def closed_loop_metrics(
 ) -> ClosedLoopMetrics:
     """Metrics of executed episodes.
 
-    ``succeeded``: the task's own result for each. ``chain``: the task's nodes in order, gripper
-    first. ``plan_ms``: the times of all control steps of all episodes, ms; none: not measured.
-    ``planned`` and ``estimated``: the sums of the episodes' `plan_tracking_error` and
+    ``succeeded``: the task's own result for each. ``chains``: of each episode the task's nodes in
+    order, gripper first. ``plan_ms``: the times of all control steps of all episodes, ms; none: not
+    measured. ``planned`` and ``estimated``: the sums of the episodes' `plan_tracking_error` and
     `estimated_contacts`; none: not measured. ``scene_seeds``: one for each episode, equal in equal
     scenes; None: no scene is repeated.
-    Raises `InvalidInputError` where there is no episode, ``succeeded`` or ``scene_seeds`` has
-    another length, or an episode lacks a node of the chain.
+    Raises `InvalidInputError` where there is no episode, ``succeeded``, ``chains`` or
+    ``scene_seeds`` has another length, or an episode lacks a node of its chain.
     """
-    if not trajectories or len(succeeded) != len(trajectories):
-        raise InvalidInputError(
-            f"succeeded must have one entry an episode, at least one, found {len(succeeded)} for "
-            f"{len(trajectories)} episodes"
-        )
-    fewest = min(each.scene.node_count for each in trajectories)
-    if not chain or not 0 <= min(chain) <= max(chain) < fewest:
-        raise InvalidInputError(f"chain must name nodes 0 to {fewest - 1}, found {tuple(chain)}")
-    if scene_seeds is not None and len(scene_seeds) != len(trajectories):
-        raise InvalidInputError(
-            f"scene_seeds must have one entry an episode, found {len(scene_seeds)} for "
-            f"{len(trajectories)} episodes"
-        )
+    given: dict[str, Sequence[object]] = {"succeeded": succeeded, "chains": chains}
+    if scene_seeds is not None:
+        given["scene_seeds"] = scene_seeds
+    for name, values in given.items():
+        if not trajectories or len(values) != len(trajectories):
+            raise InvalidInputError(
+                f"{name} must have one entry an episode, at least one, found {len(values)} for "
+                f"{len(trajectories)} episodes"
+            )
+    for each, chain in zip(trajectories, chains, strict=True):
+        count = each.scene.node_count
+        if not chain or not 0 <= min(chain) <= max(chain) < count:
+            raise InvalidInputError(f"chain must name nodes 0 to {count - 1}, found {tuple(chain)}")
+    episodes = list(zip(trajectories, chains, strict=True))
     numbers = range(len(trajectories)) if scene_seeds is None else scene_seeds
-    distances = [
-        distance for each in trajectories if (distance := goal_distance(each, chain)) is not None
-    ]
-    approaches = [found for each in trajectories if (found := approach(each, chain)) is not None]
+    distances = [found for each in episodes if (found := goal_distance(*each)) is not None]
+    approaches = [one for each in episodes if (one := approach(*each)) is not None]
     slowest = [each.slowest for each in approaches if each.slowest is not None]
-    touched = [_touched_distractor(each, chain) for each in trajectories]
+    touched = [_touched_distractor(*each) for each in episodes]
     times = np.asarray(plan_ms, dtype=np.float64)
     return ClosedLoopMetrics(
         episodes=len(trajectories),

@@ -84,11 +84,13 @@ def control_task(
 
     trajectories: list[Trajectory] = []
     succeeded: list[bool] = []
+    chains: list[tuple[int, ...]] = []
     plan_ms: list[np.ndarray] = []
     planned, estimated = PlanTrackingError(), EstimatedContacts()
     for episode_seed in seeds:
         trajectories.append(run_episode(task, policy, episode_seed))
         succeeded.append(task.success())
+        chains.append(task.cost_terms().chain)
         record = policy.record()
         plan_ms.append(record.plan_ms)
         labelled = _labelled(trajectories[-1])
@@ -98,7 +100,7 @@ def control_task(
             on_episode(trajectories[-1], record)
     times = np.concatenate(plan_ms)
     metrics = closed_loop_metrics(
-        trajectories, succeeded, terms.chain, seed, times, planned, estimated, seeds
+        trajectories, succeeded, chains, seed, times, planned, estimated, seeds
     )
     return metrics, trajectories
 
@@ -118,17 +120,17 @@ def control_by_policy(
     """
     seeds = episode_seeds(episodes, seed)
     task, _ = _first_scene(task_factory, seeds[0])
-    chain = task.cost_terms().chain
     trajectories: list[Trajectory] = []
     succeeded: list[bool] = []
+    chains: list[tuple[int, ...]] = []
     for episode_seed in seeds:
         trajectories.append(run_episode(task, policy, episode_seed))
         succeeded.append(task.success())
+        chains.append(task.cost_terms().chain)
         if on_episode is not None:
             on_episode(trajectories[-1])
-    return closed_loop_metrics(
-        trajectories, succeeded, chain, seed, scene_seeds=seeds
-    ), trajectories
+    metrics = closed_loop_metrics(trajectories, succeeded, chains, seed, scene_seeds=seeds)
+    return metrics, trajectories
 
 
 def _first_scene(task_factory: Callable[[], Task], seed: int) -> tuple[Task, ControlLimits]:
