@@ -12,7 +12,7 @@ from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import MPCPolicy, collect, control_task, evaluate_open_loop, run_episode
 from contactgraph.model import MotionNoise, load_model, shipped_model
 
-WIDER = partial(PickupTask, radius=0.042)
+WIDER = partial(PickupTask, radius=0.046)
 
 
 @pytest.fixture(scope="module")
