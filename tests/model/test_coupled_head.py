@@ -15,7 +15,7 @@ from contactgraph.model.contact_solver import ContactSolver
 from contactgraph.model.types import LocalInput, Step
 
 pytestmark = pytest.mark.usefixtures("double_precision")
-WIDTH, LENGTH, NODES, TYPES = 6, 0.1, 4, 2
+WIDTH, LENGTH, NODES, TYPES = 6, 0.1, 4, 3
 PAIRS = np.array(list(itertools.combinations(range(NODES), 2)))
 CONTROL = jnp.array([1.3, -0.8])
 HINGE = np.array([0.3, 0.25])
@@ -42,7 +42,8 @@ def inputs(hinges: bool = False) -> tuple[LocalInput, jax.Array]:
     if hinges:
         kind = np.hstack([kind, np.zeros_like(kind)])
         kind[1] = [0, 0, 1, 0]
-    weight = np.stack([[1.0, 0.4, 0.0, 1.0, 0.0, 0.7], [0.0, 0.6, 0.0, 0.0, 0.0, 0.0]], axis=-1)
+    holds = [1.0, 0.4, 0.0, 1.0, 0.0, 0.7], [0.0, 0.6, 0.0, 0.0, 0.0, 0.0]
+    weight = np.stack([np.zeros(6), *holds], axis=-1)  # no edge only touches
     local = LocalInput(
         position=states[0],
         velocity=states[1],
@@ -158,7 +159,7 @@ def test_a_grasped_chain_responds_to_the_control_as_one_body() -> None:
     # Message 0 is what the networks make of it; a large bias is an edge that holds all it can.
     head = eqx.tree_at(lambda head: head.edge.layers[-1].bias, head, jnp.array([60.0, -60.0, 0.0]))
     chain = [(0, 1), (1, 2), (2, 3)]
-    active = np.array([[tuple(pair) in chain, False] for pair in PAIRS], float)
+    active = np.array([[False, tuple(pair) in chain, False] for pair in PAIRS], float)
     local = dataclasses.replace(local, weight=jnp.asarray(active))
     network, _ = by_hand(head, local, message, 0.6)
     gain = np.sum((5 * local.node_type @ head.gain_root) ** 2)
@@ -198,3 +199,47 @@ def test_a_lone_hinged_body_rotates_about_its_hinge() -> None:
     np.testing.assert_allclose(position[1] - HINGE, turn @ arm, atol=angle**3 * np.hypot(*arm))
     error = np.linalg.norm(velocity[1] - turn @ local.velocity[1])
     assert error < angle**3 * np.linalg.norm(local.velocity[1])
+
+
+def touching(velocity) -> tuple[CoupledHead, LocalInput, jax.Array]:
+    """Nodes 0 and 1 touch, along x; the others are elsewhere. All edges hold or touch rigidly."""
+    head, (local, message) = without_ground(random_head()), inputs()
+    head = eqx.tree_at(lambda head: head.edge.layers[-1].bias, head, jnp.array([60.0, -60.0, 0.0]))
+    position = jnp.array([[0.0, 0.0], [0.08, 0.0], [3.0, 0.0], [0.0, 3.0]])
+    velocity = jnp.zeros((NODES, 2)).at[0].set(jnp.array(velocity))
+    geometry = jitted_geometry(position, velocity, jnp.asarray(PAIRS).T, DT, 0.08, None, None)
+    weight = jnp.zeros((len(PAIRS), TYPES)).at[0, 0].set(1.0)
+    local = dataclasses.replace(
+        local, position=position, velocity=velocity, geometry=geometry, weight=weight
+    )
+    return head, local, message
+
+
+def test_a_touch_pushes_along_its_normal_alone() -> None:
+    head, local, message = touching([1.0, 0.5])
+    mass = np.exp(5 * np.asarray(local.node_type @ head.log_mass))
+    _, velocity = moved(parameters(head, local, message), local, [0.0, 0.0])
+    common = mass[0] / (mass[0] + mass[1])
+    expected = np.zeros((NODES, 2))
+    expected[0], expected[1] = [common, 0.5], [common, 0.0]
+    np.testing.assert_allclose(velocity, expected, atol=5e-3)
+    held = dataclasses.replace(local, weight=local.weight[:, ::-1])
+    _, velocity = moved(parameters(head, held, message), held, [0.0, 0.0])
+    np.testing.assert_allclose(velocity[:2], common * np.array([[1.0, 0.5]] * 2), atol=5e-3)
+
+
+def test_a_touch_never_pulls() -> None:
+    head, local, message = touching([-1.0, 0.5])
+    _, velocity = moved(parameters(head, local, message), local, [0.0, 0.0])
+    np.testing.assert_allclose(velocity, local.velocity, atol=1e-6)
+
+
+def test_the_sensitivity_to_the_control_is_without_touches() -> None:
+    head, local, message = touching([1.0, 0.0])
+    free = dataclasses.replace(local, weight=0 * local.weight)
+    touches, apart = (linearized(parameters(head, each, message), 0.6) for each in (local, free))
+    np.testing.assert_allclose(touches.control_sensitivity, apart.B[..., 0, :], rtol=1e-9)
+    assert (
+        np.abs(touches.B[..., 0, :] - apart.B[..., 0, :]).max()
+        > 0.1 * np.abs(apart.B[..., 0, :]).max()
+    )

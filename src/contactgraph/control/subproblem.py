@@ -123,8 +123,9 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
         return _chosen(np.asarray(known), node, added, axis)
 
     def belief(known: ContactBelief, added: ContactBelief) -> ContactBelief:
-        types, others = np.asarray(known.type_probability), np.asarray(added.type_probability)
-        return ContactBelief(_chosen(types, edge, others, -2))
+        return jax.tree.map(
+            lambda old, new: _chosen(np.asarray(old), edge, np.asarray(new), -2), known, added
+        )
 
     carry, fresh = state.carry, new.carry.belief
     plan, last = carry.plan, carry.last

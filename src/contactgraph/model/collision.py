@@ -1,5 +1,7 @@
 """Distance, closest approach and time of impact of the two nodes of every edge."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -34,6 +36,10 @@ class Geometry(eqx.Module):
     """m; the least distance within the step without contact forces."""
     direction: Float[Array, "E D"]
     """Unit vector along the displacement."""
+    normal: Float[Array, "E D"]
+    """Unit vector from the first to the second node at their impact, or now where there is none."""
+    approach: Float[Array, " E"]
+    """m; along the normal in the step, without contact forces; negative where nodes part."""
     fraction_after_impact: Float[Array, " E"]
     """One minus the time of impact, as a share of the step in [0, 1]; the impact is where the two
     nodes, if nothing hindered them, would be a contact distance apart. 0 where they do not meet."""
@@ -45,6 +51,21 @@ class Geometry(eqx.Module):
         """1 where an edge has one of `count` nodes as its first or second node, else 0."""
         node = jnp.arange(count)
         return (self.edge_index[..., None] == node).astype(self.contact_jacobian.dtype)
+
+    def sliding(self, share: Float[Array, " E"]) -> "Geometry":
+        """The same, with that share of each edge's velocities across its normal taken out.
+
+        An edge with share 1 then couples its nodes along the normal alone.
+        """
+        normal = self.normal
+        along = normal[:, :, None] * normal[:, None, :]
+        kept = jnp.eye(normal.shape[-1], dtype=normal.dtype)
+        kept = kept + share[:, None, None] * (along - kept)
+        relative = jnp.einsum("eij,ej->ei", kept, self.relative_velocity)
+        if self.contact_jacobian.shape[-1] > 1:
+            kept = jnp.einsum("eij,sejk->seik", kept, self.contact_jacobian)
+        jacobian = jnp.broadcast_to(kept, (2, *kept.shape[-3:]))
+        return dataclasses.replace(self, contact_jacobian=jacobian, relative_velocity=relative)
 
 
 def geometry(
@@ -83,7 +104,7 @@ def geometry(
         driven, chords = approach(relative(control_displacement)), _CHORDS
         refinements = _REFINEMENTS
     time, closest_approach = _closest_approach(displacement, drifted, driven, chords)
-    meets = jnp.zeros_like(time, bool)
+    meets, path = jnp.zeros_like(time, bool), drifted
     for _ in range(refinements):
         # A constant force has done a square of its work after a part of the step: its mean effect
         # until then is that part.
@@ -93,6 +114,8 @@ def geometry(
     square = jnp.sum((drifted + driven) ** 2, axis=-1)
     impact = meets * square / (square + (_RESTING_SPEED * dt) ** 2)
     distance = _norm(displacement)
+    touching = displacement + jnp.where(meets, time, 0.0)[:, None] * path
+    normal = touching / _norm(touching)[:, None]
     return Geometry(
         edge_index=edge_index,
         displacement=displacement,
@@ -101,6 +124,8 @@ def geometry(
         predicted_distance=_norm(displacement + drifted + driven),
         closest_approach=closest_approach,
         direction=displacement / distance[:, None],
+        normal=normal,
+        approach=-jnp.sum(normal * (drifted + driven), axis=-1),
         fraction_after_impact=(1.0 - time) * impact,
         contact_jacobian=jacobian,
     )

@@ -11,34 +11,62 @@ _MIN_PROBABILITY = 1e-6
 
 
 class ContactBelief(eqx.Module):
-    """Probability of each edge type; type 0 is *inactive*."""
+    """Probability of each edge type.
+
+    Type 0 is *inactive*. Of two types the other one *holds*; of three or more, type 1 is a *touch*,
+    which pushes and never pulls, and all others hold.
+    """
 
     type_probability: Float[Array, "*T E K"]
     edge_id: Int[Array, "*T E"] | None = None
     """`Edges.edge_id` where only some pairs are listed; all others are inactive with certainty.
     None: all pairs, in `pair_indices`' order."""
+    memory: Float[Array, "*T E M"] | None = None
+    """State of the inference besides the types, such as a clock; 0 for an inactive edge that is not
+    listed. None: the inference has none."""
 
     @property
     def probability(self) -> Float[Array, "*T E"]:
         """Probability that the edge is active, of any active type."""
         return 1.0 - self.type_probability[..., 0]
 
+    @property
+    def holding(self) -> Float[Array, "*T E"]:
+        """Probability that the edge holds."""
+        return jnp.sum(self.type_probability[..., first_holding_type(self.edge_types) :], axis=-1)
+
+    @property
+    def edge_types(self) -> int:
+        """K."""
+        return self.type_probability.shape[-1]
+
     def over(self, edge_id: Int[Array, " E"] | None, count: int) -> "ContactBelief":
         """The same belief, of one step, over other edges; `count` is the number of all pairs."""
         types = self.type_probability
-        inactive = jnp.zeros_like(types[:1]).at[:, 0].set(1.0)
-        if edge_id is None:
+        inactive = jnp.zeros(types.shape[-1], types.dtype).at[0].set(1.0)
+
+        def moved(values: Float[Array, "E V"], unlisted: Float[Array, " V"]) -> Float[Array, "F V"]:
+            if edge_id is None:
+                everywhere = jnp.repeat(unlisted[None], count, axis=0)
+                return everywhere.at[self.edge_id].set(values, mode="drop")
             if self.edge_id is None:
-                return self
-            everywhere = jnp.repeat(inactive, count, axis=0)
-            return ContactBelief(everywhere.at[self.edge_id].set(types, mode="drop"))
-        if self.edge_id is None:
-            listed = types.at[edge_id].get(mode="clip")
-            return ContactBelief(jnp.where((edge_id < count)[:, None], listed, inactive), edge_id)
-        # Both ascend.
-        row = jnp.minimum(jnp.searchsorted(self.edge_id, edge_id), self.edge_id.shape[0] - 1)
-        known = self.edge_id[row] == edge_id
-        return ContactBelief(jnp.where(known[:, None], types[row], inactive), edge_id)
+                listed = values.at[edge_id].get(mode="clip")
+                return jnp.where((edge_id < count)[:, None], listed, unlisted)
+            # Both ascend.
+            row = jnp.minimum(jnp.searchsorted(self.edge_id, edge_id), self.edge_id.shape[0] - 1)
+            return jnp.where((self.edge_id[row] == edge_id)[:, None], values[row], unlisted)
+
+        if edge_id is None and self.edge_id is None:
+            return self
+        memory = self.memory
+        if memory is not None:
+            memory = moved(memory, jnp.zeros(memory.shape[-1], memory.dtype))
+        return ContactBelief(moved(types, inactive), edge_id, memory)
+
+
+def first_holding_type(edge_types: int) -> int:
+    """The first of ``edge_types`` types that holds: see `ContactBelief`."""
+    return 1 if edge_types < 3 else 2
 
 
 def two_type_belief(probability: Float[Array, "*T E"]) -> ContactBelief:
@@ -48,8 +76,9 @@ def two_type_belief(probability: Float[Array, "*T E"]) -> ContactBelief:
 
 def cast_like(belief: ContactBelief, other: ContactBelief) -> ContactBelief:
     """The belief in the floating type of another, which may be about other edges."""
-    types = belief.type_probability.astype(other.type_probability.dtype)
-    return ContactBelief(types, belief.edge_id)
+    dtype = other.type_probability.dtype
+    memory = None if belief.memory is None else belief.memory.astype(dtype)
+    return ContactBelief(belief.type_probability.astype(dtype), belief.edge_id, memory)
 
 
 class ContactSensor(eqx.Module):
@@ -59,6 +88,12 @@ class ContactSensor(eqx.Module):
     """Probability that it reports contact where there is none."""
     miss: float | Float[Array, " E"] = 0.01
     """Probability that it reports none where there is contact."""
+    reports_touch: bool = eqx.field(static=True, default=True)
+    """Whether contact is also an edge that only touches; else one that holds."""
+
+    def contact_probability(self, belief: ContactBelief) -> Float[Array, "*T E"]:
+        """Probability of what the sensor means by contact."""
+        return belief.probability if self.reports_touch else belief.holding
 
 
 def correct(
@@ -85,13 +120,13 @@ def correct(
         1.0 - sensor.false_alarm
     )
     prior = jnp.clip(belief.type_probability, _MIN_PROBABILITY, 1.0)
-    inactive = prior[..., :1] * jnp.maximum(likelihood_inactive, _MIN_PROBABILITY)[..., None]
-    active = prior[..., 1:] * jnp.maximum(likelihood_active, _MIN_PROBABILITY)[..., None]
+    none = 1 if sensor.reports_touch else first_holding_type(belief.edge_types)
+    inactive = prior[..., :none] * jnp.maximum(likelihood_inactive, _MIN_PROBABILITY)[..., None]
+    active = prior[..., none:] * jnp.maximum(likelihood_active, _MIN_PROBABILITY)[..., None]
     posterior = jnp.concatenate([inactive, active], axis=-1)
     posterior = posterior / jnp.sum(posterior, axis=-1, keepdims=True)
-    return ContactBelief(
-        jnp.where(measured[..., None], posterior, belief.type_probability), belief.edge_id
-    )
+    types = jnp.where(measured[..., None], posterior, belief.type_probability)
+    return ContactBelief(types, belief.edge_id, belief.memory)
 
 
 def _listed(rate: float | Array, edge_id: Int[Array, " E"]) -> float | Array:

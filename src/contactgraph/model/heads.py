@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.model.collision import Geometry
-from contactgraph.model.contact_solver import ContactSolver
+from contactgraph.model.contact_solver import ContactSolution, ContactSolver
 from contactgraph.model.hinge import hinge_constraint
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step, own_component
 
@@ -21,6 +21,8 @@ _MAX_COUPLING = 1.0 - 1e-3
 _IMPACT_SPEED = 0.1
 """Change of velocity, m/s, from about which a step counts as an impact."""
 _MIN_SHARE = 1e-6
+_ONE_SIDED = 0.005
+"""Approach in a step, in units of `CoupledHead.length`, from which a touch acts."""
 
 
 class GroundSupport(eqx.Module):
@@ -143,14 +145,26 @@ class CoupledHead(eqx.Module):
         theta, dt = step.theta, step.dt
         solver, gain, coupling = self._solver(local, message, theta)
         capacity, weight = local.group_capacity, None
+        touching, geometry = self._touching(local)
+        holding = coupling if touching is None else (1.0 - touching) * coupling
         if self.support is not None:
-            lifted = lifted_fraction(local.actuated, coupling, local.geometry, capacity)
+            lifted = lifted_fraction(local.actuated, holding, local.geometry, capacity)
             weight = lifted[:, None] * self.support.weight(local.node_type)
             ground_damper = (1.0 - lifted) * solver.ground_damper
             solver = dataclasses.replace(solver, ground_damper=ground_damper)
-        solution = solver.solve(
-            local.velocity, gain, local.geometry, dt, step.control_size, weight, capacity
-        )
+
+        def solved(solver: ContactSolver) -> ContactSolution:
+            return solver.solve(
+                local.velocity, gain, geometry, dt, step.control_size, weight, capacity
+            )
+
+        solution, unhindered = solved(solver), None
+        if touching is not None:
+            holds = 1.0 - touching
+            free = dataclasses.replace(
+                solver, damper=holds * solver.damper, spring=holds * solver.spring
+            )
+            unhindered = solved(free).response
         # A damper whose other end moves, such that the discrete step makes the change of velocity.
         change = solution.velocity_change
         size = jnp.sqrt(jnp.sum(change**2, axis=-1) + _MIN_SHARE**2)
@@ -169,10 +183,18 @@ class CoupledHead(eqx.Module):
             equilibrium_velocity=damper_end,
             impact_displacement=solution.impact_displacement,
             acceleration=None if acceleration is None else acceleration * undamped,
+            unhindered_response=unhindered,
         )
         if local.anchor is None:
             return parameters
         return _with_hinge_springs(parameters, local, coupling, step)
+
+    def _touching(self, local: LocalInput) -> tuple[Float[Array, " E"] | None, Geometry]:
+        """Share of each active edge that only touches, and the geometry in which it slides."""
+        if local.weight.shape[1] < 2:
+            return None, local.geometry
+        touching = local.weight[:, 0] / jnp.maximum(jnp.sum(local.weight, axis=1), _MIN_SHARE)
+        return touching, local.geometry.sliding(touching)
 
     def _solver(
         self, local: LocalInput, message: Float[Array, "active 2 E W"], theta: Float[Array, ""]
@@ -182,6 +204,9 @@ class CoupledHead(eqx.Module):
         # The sum over directions does not depend on which node is the first.
         out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
         weight = local.weight.T
+        if len(weight) > 1:
+            closing = jax.nn.sigmoid(local.geometry.approach / (_ONE_SIDED * self.length))
+            weight = weight.at[0].multiply(closing)
 
         def over_types(per_type: Float[Array, "active E"]) -> Float[Array, " E"]:
             return jnp.sum(weight * per_type, axis=0)

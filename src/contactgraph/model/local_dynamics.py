@@ -60,7 +60,9 @@ class ThetaMethod(eqx.Module):
         A = jnp.stack([jnp.stack([A11, A12], -1), jnp.stack([A21, A22], -1)], -2)
         B = jnp.stack([theta * dt * B2, B2], -2)
         offset = jnp.stack([theta * dt * offset2 + parameters.impact_displacement, offset2], -1)
-        return LinearDynamics(A=A, B=B, offset=offset)
+        free = parameters.unhindered_response
+        unhindered = None if free is None else theta * dt**2 * free
+        return LinearDynamics(A=A, B=B, offset=offset, unhindered=unhindered)
 
 
 class SpringMassDamperDynamics(eqx.Module):

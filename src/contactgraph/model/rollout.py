@@ -44,7 +44,7 @@ def control_sensitivity(
 
 def _present_contacts(state: ModelState, nodes: Nodes) -> Bool[Array, " E"]:
     belief = state.belief.over(None, nodes.candidate.shape[0])
-    return nodes.candidate & (belief.probability > 0.5)
+    return nodes.candidate & (belief.holding > 0.5)
 
 
 def with_control_displacement(

@@ -48,11 +48,13 @@ class LinearDynamics(eqx.Module):
     A: Float[Array, "*T N D 2 2"]
     B: Float[Array, "*T N D 2 U"]
     offset: Float[Array, "*T N D 2"]
+    unhindered: Float[Array, "*T N D U"] | None = None
+    """Displacement of each node by the control, m/N, if no touch hindered it. None: none does."""
 
     @property
     def control_sensitivity(self) -> Float[Array, "*T N D U"]:
-        """Displacement of each node by the control, m/N."""
-        return self.B[..., 0, :]
+        """Displacement of each node by the control, m/N, without edges that only touch."""
+        return self.B[..., 0, :] if self.unhindered is None else self.unhindered
 
     def __call__(
         self,
@@ -126,6 +128,8 @@ class SpringMassDamper(eqx.Module):
     """m; by an impact within the step."""
     acceleration: Float[Array, "*T N D"] | None = None
     """a, m/s^2, by constant forces such as weight. None: there are none."""
+    unhindered_response: Float[Array, "*T N D U"] | None = None
+    """As `response`, without edges that only touch, and undamped. None: there are none."""
 
     @property
     def inverse_mass(self) -> Float[Array, "*T N D"]:
