@@ -3,7 +3,7 @@
 Usage: python examples/extend_recurrent_cell.py
 
 An inference part has a field `edge_types` and two methods: `embed` sees the graph of one step,
-`predict` turns the last belief and an embedding into the next belief.
+`predict` turns the last belief, an embedding and the geometric prior into the next belief.
 """
 
 import dataclasses
@@ -36,7 +36,7 @@ class LeakyEdges(eqx.Module):
         _, message = self.messages(node, edge, weight, edge_index)
         return jax.vmap(self.output)(message[0] + message[1])
 
-    def predict(self, belief, embedding):
+    def predict(self, belief, embedding, prior):
         """The next belief: a share of the last log-probabilities, plus the scores."""
         share = jax.nn.sigmoid(self.leak)
         last = jnp.log(jnp.clip(belief.type_probability, 1e-6, 1.0))

@@ -49,8 +49,8 @@ LINES = {"contactgraph": 24_000, "contactgraph_franka": 9_000, "contactgraph_stu
 LONGEST_FILE = 300
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 19,  # a prediction step
-    "contactgraph.train.fit": 29,  # a training step, its held-out error and signs of a dead network
-    "contactgraph.control.active_set": 33,  # a control step
+    "contactgraph.train.fit": 32,  # a training step, its held-out error and signs of a dead network
+    "contactgraph.control.active_set": 34,  # a control step
 }
 FRAMES = 14
 """Calls from the command `contactgraph control` to the first one in the model, in a plan."""

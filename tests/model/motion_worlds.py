@@ -58,7 +58,7 @@ class Keeps(eqx.Module):
     def embed(self, node, edge, weight, ends):
         return jnp.zeros((weight.shape[0], 0), node.dtype)
 
-    def predict(self, belief: ContactBelief, embedding) -> ContactBelief:
+    def predict(self, belief: ContactBelief, embedding, prior) -> ContactBelief:
         return two_type_belief(self.factor * belief.probability)
 
 

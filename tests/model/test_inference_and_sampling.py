@@ -46,7 +46,8 @@ def recurrent() -> RecurrentEdges:
 
 
 def predicted(edges, probability, embedding):
-    return edges.predict(two_type_belief(probability), embedding).type_probability
+    belief = two_type_belief(probability)
+    return edges.predict(belief, embedding, belief.type_probability).type_probability
 
 
 @settings(max_examples=100, deadline=None)
@@ -82,7 +83,7 @@ def test_the_cell_is_a_gated_recurrent_unit(recurrent) -> None:
 
     @eqx.filter_jit
     def both(message, state):
-        found = recurrent.predict(ContactBelief(state[None]), mixed(message)[None])
+        found = recurrent.predict(ContactBelief(state[None]), mixed(message)[None], state[None])
         expected = jax.nn.softmax(cell(message, state) / recurrent.temperature)
         return found.type_probability[0], expected
 
@@ -102,7 +103,7 @@ def test_memoryless_edges_ignore_the_belief() -> None:
 def test_all_edges_are_surely_active(types) -> None:
     edges = AllEdges(edge_types=types)
     belief = ContactBelief(jnp.full((EDGES, types), 1.0 / types))
-    found = edges.predict(belief, edges.embed(*graph(), ENDS))
+    found = edges.predict(belief, edges.embed(*graph(), ENDS), belief.type_probability)
     np.testing.assert_array_equal(found.type_probability, np.eye(types)[[1] * EDGES])
 
 

@@ -12,6 +12,7 @@ from contactgraph.model import (
     full_ab,
     gim_non_temp,
     gim_temp,
+    hidden_markov_filter,
     load_model,
     no_gim,
     paper_literal,
@@ -22,6 +23,7 @@ from contactgraph.model import (
 
 MODELS: dict[str, Preset] = {
     "gim-temp": gim_temp,
+    "filter": hidden_markov_filter,
     "gim-non-temp": gim_non_temp,
     "no-gim": no_gim,
     "full-ab": full_ab,

@@ -24,7 +24,8 @@ class Train:
         str,
         arg(
             metavar="NAME",
-            help="gim-temp, gim-non-temp, no-gim, full-ab, paper-literal, paper-literal-no-gim, or "
+            help="gim-temp, filter (experimental), gim-non-temp, no-gim, full-ab, paper-literal, "
+            "paper-literal-no-gim, or "
             "module:factory.",
         ),
     ] = "gim-temp"

@@ -10,7 +10,7 @@ import numpy as np
 
 from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits
 from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.envs.contract import Policy, Task
+from contactgraph.envs.contract import Observation, Policy, Task
 from contactgraph.envs.episodes import episode_seeds, run_episode
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
 from contactgraph.evaluate.edge_scores import EstimatedContacts, estimated_contacts
@@ -65,7 +65,7 @@ def control_task(
     control, or a number is out of range.
     """
     seeds = episode_seeds(episodes, seed)
-    task, limits = _first_scene(task_factory, seeds[0])
+    task, limits, observation = _first_scene(task_factory, seeds[0])
     control_size = len(limits.lower)
     check_fit(model, task.scene, control_size, "the task")
     terms = task.cost_terms()
@@ -73,7 +73,7 @@ def control_task(
     mpc = ActiveSetMPC(
         model,
         ilqr,
-        sensor or faults.sensor,
+        replace(sensor or faults.sensor, reports_touch="holding" not in observation),
         replan_every,
         deadline,
         motion_noise=motion_noise,
@@ -119,7 +119,7 @@ def control_by_policy(
     range.
     """
     seeds = episode_seeds(episodes, seed)
-    task, _ = _first_scene(task_factory, seeds[0])
+    task, _, _ = _first_scene(task_factory, seeds[0])
     trajectories: list[Trajectory] = []
     succeeded: list[bool] = []
     chains: list[tuple[int, ...]] = []
@@ -133,14 +133,17 @@ def control_by_policy(
     return metrics, trajectories
 
 
-def _first_scene(task_factory: Callable[[], Task], seed: int) -> tuple[Task, ControlLimits]:
-    """The task after a reset, from which on it knows its scene and cost, and its limits [U]."""
+def _first_scene(
+    task_factory: Callable[[], Task], seed: int
+) -> tuple[Task, ControlLimits, Observation]:
+    """The task after a reset, from which on it knows its scene and cost; its limits [U]."""
     task = task_factory()
-    task.reset(seed=seed)
+    observation, _ = task.reset(seed=seed)
     box = cast(gymnasium.spaces.Box, task.action_space)
     if not np.size(box.low):
         raise InvalidInputError("the task takes no control (U = 0), so nothing can control it")
-    return task, ControlLimits(jnp.asarray(box.low.ravel()), jnp.asarray(box.high.ravel()))
+    limits = ControlLimits(jnp.asarray(box.low.ravel()), jnp.asarray(box.high.ravel()))
+    return task, limits, observation
 
 
 def _labelled(trajectory: Trajectory) -> Trajectory:

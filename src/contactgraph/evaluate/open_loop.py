@@ -95,7 +95,9 @@ def evaluate_open_loop(
     if motion_noise is not None:
         check_motion_model(model)
     steps = horizon_steps(dataset, horizon_s)
-    dataset = with_edge_labels(dataset)
+    labelled = with_edge_labels(dataset)
+    sensor = replace(sensor or faults.sensor, reports_touch=labelled is dataset)
+    dataset = labelled
     known = all(each.contact is not None for each in dataset)
     if not (known or faults.exact):
         lacking = sum(each.contact is None for each in dataset)
@@ -111,7 +113,7 @@ def evaluate_open_loop(
                 dataset,
                 index,
                 steps,
-                sensor or faults.sensor,
+                sensor,
                 _reported(each, faults, index) if known else None,
                 {**_BASELINES, **(baselines or {})},
                 motion_noise,

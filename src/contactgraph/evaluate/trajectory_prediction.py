@@ -52,7 +52,7 @@ def predict_trajectory(
     edges = trajectory.nodes.candidate.shape[-1]
 
     def likely(belief: ContactBelief) -> Array:
-        return belief.over(None, edges).probability > 0.5
+        return sensor.contact_probability(belief.over(None, edges)) > 0.5
 
     def from_state(start: Array) -> tuple[Array, Array]:
         belief = jax.tree.map(lambda leaf: leaf[start], filtered.posterior)

@@ -19,6 +19,7 @@ from contactgraph.model.contact_dynamics import interaction_cutoff as interactio
 from contactgraph.model.edge_inference import AllEdges as AllEdges
 from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
 from contactgraph.model.edge_inference import RecurrentEdges as RecurrentEdges
+from contactgraph.model.edge_inference import TransitionEdges as TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures as AbsoluteFeatures
 from contactgraph.model.features import InvariantFeatures as InvariantFeatures
 from contactgraph.model.heads import CoupledHead as CoupledHead
@@ -52,6 +53,7 @@ from contactgraph.model.presets import Preset as Preset
 from contactgraph.model.presets import full_ab as full_ab
 from contactgraph.model.presets import gim_non_temp as gim_non_temp
 from contactgraph.model.presets import gim_temp as gim_temp
+from contactgraph.model.presets import hidden_markov_filter as hidden_markov_filter
 from contactgraph.model.presets import no_gim as no_gim
 from contactgraph.model.presets import paper_literal as paper_literal
 from contactgraph.model.presets import paper_literal_no_gim as paper_literal_no_gim

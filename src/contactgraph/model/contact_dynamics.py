@@ -25,7 +25,7 @@ from contactgraph.model.contact_belief import (
     NoCutoff,
     SmoothCutoff,
 )
-from contactgraph.model.edge_inference import AllEdges, MemorylessEdges, RecurrentEdges
+from contactgraph.model.edge_inference import AllEdges, EdgeInference
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
 from contactgraph.model.heads import CoupledHead
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
@@ -68,6 +68,8 @@ class EncodedGraph(eqx.Module):
     weight: Float[Array, " E"]
     """Weight of every edge by the cutoff, in [0, 1]; 0 for edges that are no candidates."""
     embedding: Float[Array, "E M"]
+    prior: Float[Array, "E K"]
+    """Geometric prior of the edge types; `ContactDynamics.prior_belief`."""
 
 
 class StepStages(eqx.Module):
@@ -88,7 +90,7 @@ class ContactDynamics(eqx.Module):
     Raises `InvalidInputError` where the number of edge types and of networks for them disagree.
     """
 
-    inference: RecurrentEdges | MemorylessEdges | AllEdges
+    inference: EdgeInference
     local_dynamics: SpringMassDamperDynamics | FreeLinearDynamics
     features: InvariantFeatures | AbsoluteFeatures
     prior: DistancePrior | ClosestApproachPrior
@@ -153,7 +155,15 @@ class ContactDynamics(eqx.Module):
             edge_features=edge_features,
             weight=weight,
             embedding=embedding,
+            prior=self._prior(edge_geometry, weight),
         )
+
+    def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
+        """The prior by distance, its active part spread evenly over the active types."""
+        active = self.prior(geometry, self.features.contact_distance) * weight
+        active_types = self.inference.edge_types - 1
+        spread = jnp.repeat(active[:, None] / active_types, active_types, axis=-1)
+        return jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
 
     def _edges(
         self,
@@ -171,10 +181,12 @@ class ContactDynamics(eqx.Module):
     def predict_belief(self, belief: ContactBelief, graph: EncodedGraph) -> ContactBelief:
         """Stage 2: the belief about the step. An edge beyond the cutoff is inactive, surely."""
         before = belief.over(graph.edge_id, pair_count(graph.position.shape[0]))
-        free = self.inference.predict(before, graph.embedding)
+        free = self.inference.predict(before, graph.embedding, graph.prior)
         active = free.type_probability[:, 1:] * graph.weight[:, None]
         inactive = 1.0 - jnp.sum(active, axis=-1, keepdims=True)
-        return ContactBelief(jnp.concatenate([inactive, active], axis=-1), graph.edge_id)
+        types = jnp.concatenate([inactive, active], axis=-1)
+        memory = None if free.memory is None else free.memory * graph.weight[:, None]
+        return ContactBelief(types, graph.edge_id, memory)
 
     def cut_edges(
         self, graph: EncodedGraph, belief: ContactBelief, key: PRNGKeyArray | None = None
@@ -217,12 +229,10 @@ class ContactDynamics(eqx.Module):
         return stages.dynamics, stages.belief
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
-        """The prior by distance, its active part spread evenly over the active types."""
-        active = self.prior(graph.geometry, self.features.contact_distance) * graph.weight
-        active_types = self.inference.edge_types - 1
-        spread = jnp.repeat(active[:, None] / active_types, active_types, axis=-1)
-        types = jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
-        return ContactBelief(types, graph.edge_id)
+        """The geometric prior, with a clock that has not run."""
+        size = getattr(self.inference, "memory_size", 0)
+        memory = jnp.zeros((graph.prior.shape[0], size), graph.prior.dtype) if size else None
+        return ContactBelief(graph.prior, graph.edge_id, memory)
 
     def initial_belief(
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes

@@ -1,9 +1,9 @@
-"""Inference of active edges, in three interchangeable forms.
+"""Inference of active edges, in four interchangeable forms.
 
 Each has ``embed`` (one step's graph to edge embeddings, independent of time) and ``predict``
-(belief about the last step and an embedding to the belief about the next one). The split keeps the
-expensive part out of the loop over time. Another recurrent cell is another class with these two
-methods and a field ``edge_types``: see ``examples/extend_recurrent_cell.py``.
+(belief about the last step, an embedding and the geometric prior to the belief about the next one).
+The split keeps the expensive part out of the loop over time. Another recurrent cell is another
+class with these two methods and a field ``edge_types``: see ``examples/extend_recurrent_cell.py``.
 """
 
 import equinox as eqx
@@ -13,6 +13,89 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
+
+_MEMORY = 8
+"""Size of an edge's clock."""
+_MIN_TRANSITION = 2e-3
+"""Least probability of any transition in a step: no edge type is certain to last, or to change."""
+_MIN_PRIOR = 1e-6
+
+
+class TransitionEdges(eqx.Module):
+    r"""A hidden Markov filter for every edge, with learned transitions and a clock.
+
+    With the geometric prior q of the step, features f of the edge and the clock h,
+
+    .. math::
+        h' = \mathrm{GRU}([f, p], h), \qquad
+        T_{ij} = \mathrm{softmax}_j(\log q_j + r_{ij}([f, h'])), \qquad p' = p\,T,
+
+    and every T is at least 0.002. The belief p is the corrected one, so evidence lasts until
+    something speaks against it. The rates r start at 0, where p' = q. The features are the edge's
+    own and the types of its ends; observed velocities enter only through the correction.
+    """
+
+    message_passing: EdgeNetwork
+    cell: eqx.nn.GRUCell
+    rates: eqx.nn.MLP
+    edge_types: int = eqx.field(static=True)
+    node_types: int = eqx.field(static=True)
+    memory_size: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        message_passing: EdgeNetwork,
+        *,
+        node_types: int,
+        edge_types: int = 2,
+        memory_size: int = _MEMORY,
+        key: PRNGKeyArray,
+    ):
+        """``message_passing`` takes the edge's features and, of its ends, `node_types` counts."""
+        cell_key, rate_key = jax.random.split(key)
+        width = message_passing.width
+        self.message_passing = message_passing
+        self.cell = eqx.nn.GRUCell(width + edge_types, memory_size, key=cell_key)
+        rates = eqx.nn.MLP(width + memory_size, edge_types**2, width, 1, key=rate_key)
+        last = rates.layers[-1]
+        assert last.bias is not None
+        self.rates = eqx.tree_at(
+            lambda mlp: (mlp.layers[-1].weight, mlp.layers[-1].bias),
+            rates,
+            (0.0 * last.weight, 0.0 * last.bias),
+        )
+        self.edge_types = edge_types
+        self.node_types = node_types
+        self.memory_size = memory_size
+
+    def embed(
+        self,
+        node: Float[Array, "N F"],
+        edge: Float[Array, "2 E G"],
+        weight: Float[Array, " E"],
+        edge_index: Int[Array, "2 E"],
+    ) -> Float[Array, "E M"]:
+        """Features of every edge of one step's graph; the types come first in ``node``."""
+        ends = jnp.sum(node[edge_index, : self.node_types], axis=0)
+        known = jnp.concatenate([edge, jnp.broadcast_to(ends, (2, *ends.shape))], axis=-1)
+        _, message = self.message_passing(node, known, weight, edge_index)
+        return message[0]
+
+    def predict(
+        self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
+    ) -> ContactBelief:
+        """The belief about the next step, and its clock."""
+        before, clock = belief.type_probability, belief.memory
+        assert clock is not None, "a belief of this inference has a clock"
+        observed = jnp.concatenate([embedding, before], axis=-1)
+        memory = jax.vmap(self.cell)(observed, clock)
+        rates = jax.vmap(self.rates)(jnp.concatenate([embedding, memory], axis=-1))
+        rates = rates.reshape(-1, self.edge_types, self.edge_types)
+        logits = jnp.log(jnp.maximum(prior, _MIN_PRIOR))[:, None, :] + rates
+        transition = jax.nn.softmax(logits, axis=-1)
+        transition = _MIN_TRANSITION + (1.0 - self.edge_types * _MIN_TRANSITION) * transition
+        types = jnp.einsum("ei,eij->ej", before, transition)
+        return ContactBelief(types, belief.edge_id, memory)
 
 
 class RecurrentEdges(eqx.Module):
@@ -53,7 +136,9 @@ class RecurrentEdges(eqx.Module):
         """Input of the recurrent cell, for every edge of one step's graph."""
         return _edge_embedding(self.message_passing, self.input, node, edge, weight, edge_index)
 
-    def predict(self, belief: ContactBelief, embedding: Float[Array, "E M"]) -> ContactBelief:
+    def predict(
+        self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
+    ) -> ContactBelief:
         """The belief about the next step."""
         state = belief.type_probability
         reset_in, update_in, new_in = jnp.split(embedding, 3, axis=-1)
@@ -94,7 +179,9 @@ class MemorylessEdges(eqx.Module):
         """Scores of the edge types, for every edge of one step's graph."""
         return _edge_embedding(self.message_passing, self.output, node, edge, weight, edge_index)
 
-    def predict(self, belief: ContactBelief, embedding: Float[Array, "E K"]) -> ContactBelief:
+    def predict(
+        self, belief: ContactBelief, embedding: Float[Array, "E K"], prior: Float[Array, "E K"]
+    ) -> ContactBelief:
         """The belief about the next step, independent of the old one."""
         return ContactBelief(jax.nn.softmax(embedding, axis=-1))
 
@@ -114,7 +201,9 @@ class AllEdges(eqx.Module):
         """Nothing to embed."""
         return jnp.zeros((weight.shape[0], 0), node.dtype)
 
-    def predict(self, belief: ContactBelief, embedding: Float[Array, "E 0"]) -> ContactBelief:
+    def predict(
+        self, belief: ContactBelief, embedding: Float[Array, "E 0"], prior: Float[Array, "E K"]
+    ) -> ContactBelief:
         """Certainty that every edge is active (of the first active type)."""
         certain = jnp.zeros_like(belief.type_probability).at[..., 1].set(1.0)
         return ContactBelief(certain)
@@ -131,3 +220,6 @@ def _edge_embedding(
     _, message = message_passing(node, edge, weight, edge_index)
     # Contact is symmetric: the two directions are summed before anything is decided.
     return jax.vmap(output)(message[0] + message[1])
+
+
+EdgeInference = TransitionEdges | RecurrentEdges | MemorylessEdges | AllEdges

@@ -8,6 +8,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Protocol
 
+import equinox as eqx
 import jax
 from jaxtyping import PRNGKeyArray
 
@@ -19,7 +20,12 @@ from contactgraph.model.contact_belief import (
     SmoothCutoff,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import AllEdges, MemorylessEdges, RecurrentEdges
+from contactgraph.model.edge_inference import (
+    AllEdges,
+    MemorylessEdges,
+    RecurrentEdges,
+    TransitionEdges,
+)
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
 from contactgraph.model.heads import CoupledHead, GroundSupport, PerDegreeHead
 from contactgraph.model.local_dynamics import (
@@ -94,6 +100,25 @@ def gim_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         dimension=config.dimension,
         control_size=config.control_size,
     )
+
+
+def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
+    """As `gim_temp`, but the belief is a hidden Markov filter: see `TransitionEdges`."""
+    model_key, messages_key, rates_key = jax.random.split(key, 3)
+    model = gim_temp(config, key=model_key)
+    features = model.features
+    edge_size = features.edge_size(config.dimension) + features.node_types
+    messages = EdgeNetwork(edge_size, config.width or 32, key=messages_key)
+    inference = TransitionEdges(
+        messages, node_types=features.node_types, edge_types=3, key=rates_key
+    )
+    touch = EdgeNetwork(
+        features.edge_size(config.dimension), config.width or 32, key=jax.random.fold_in(key, 1)
+    )
+    dynamics = model.local_dynamics
+    types = TypedMessagePassing([touch, *dynamics.message_passing.types])
+    dynamics = eqx.tree_at(lambda each: each.message_passing, dynamics, types)
+    return dataclasses.replace(model, inference=inference, local_dynamics=dynamics)
 
 
 def gim_non_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:

@@ -28,7 +28,7 @@ from contactgraph.model.contact_belief import (
     SmoothCutoff,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import AllEdges, MemorylessEdges, RecurrentEdges
+from contactgraph.model.edge_inference import EdgeInference
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
 from contactgraph.model.heads import CoupledHead, GroundSupport, PerDegreeHead
 from contactgraph.model.local_dynamics import (
@@ -136,7 +136,6 @@ _CLASSES: dict[str, type[eqx.Module]] = {
     known.__name__: known
     for known in (
         AbsoluteFeatures,
-        AllEdges,
         ArgmaxSample,
         ClosestApproachPrior,
         ContactDynamics,
@@ -147,15 +146,14 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         GroundSupport,
         GumbelSample,
         InvariantFeatures,
-        MemorylessEdges,
         MessagePassing,
         NoCutoff,
         PerDegreeHead,
-        RecurrentEdges,
         SmoothCutoff,
         SpringMassDamperDynamics,
         ThetaMethod,
         TypedMessagePassing,
+        *typing.get_args(EdgeInference),
     )
 }
 _MAX_SIZE = 1024

@@ -49,6 +49,15 @@ class Window(eqx.Module):
         exists = jnp.asarray(self.nodes.mask)
         return exists if self.static is None else exists & ~self.static
 
+    def part(self, begin: int, end: int) -> "Window":
+        """The steps ``begin`` to ``end`` of a batch of windows."""
+        return dataclasses.replace(
+            self,
+            position=self.position[:, begin : end + 1],
+            velocity=self.velocity[:, begin : end + 1],
+            control=self.control[:, begin:end],
+        )
+
 
 class WindowSource(eqx.Module):
     """Padded trajectories on the device, and the probability of each of ``W`` windows."""
@@ -69,6 +78,18 @@ class WindowSource(eqx.Module):
         uniform = jax.random.uniform(key, (count,))
         drawn = jnp.searchsorted(self.cumulative, uniform * self.cumulative[-1], side="right")
         return self.take(jnp.minimum(drawn, self.trajectory.shape[0] - 1))
+
+    def draw_trajectories(self, count: int, key: PRNGKeyArray) -> tuple[Window, Bool[Array, "B T"]]:
+        """`count` whole trajectories, all equally likely, and which of their steps are real."""
+        every = self.trajectories
+        index = jax.random.randint(key, (count,), 0, every.steps.shape[0])
+        window = Window(
+            position=every.position[index],
+            velocity=every.velocity[index],
+            control=every.control[index],
+            nodes=jax.tree.map(lambda leaf: leaf[index], every.nodes),
+        )
+        return window, jnp.arange(every.control.shape[1]) < every.steps[index, None]
 
     def take(self, window: Int[Array, " B"]) -> Window:
         """The windows of these indices."""

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import AllEdges
+from contactgraph.model.edge_inference import AllEdges, TransitionEdges
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.model.neighbor_list import edge_count
 from contactgraph.train.batch import Window
@@ -63,7 +63,11 @@ def _ranges(
         graph = model.encode(position, velocity, nodes)
         near = graph.weight > 0
         inputs = graph.node_features, graph.edge_features, near.astype(position.dtype)
-        messages = [network(*inputs, graph.geometry.edge_index)[1] for network in _networks(model)]
+        if isinstance(model.inference, TransitionEdges):  # its embedding is the message itself
+            messages = [jnp.stack([graph.embedding, graph.embedding])]
+        else:
+            networks = _networks(model)
+            messages = [network(*inputs, graph.geometry.edge_index)[1] for network in networks]
 
         def extremes(values: Array) -> Array:
             def least(values: Array) -> Array:

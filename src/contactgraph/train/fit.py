@@ -15,6 +15,7 @@ from contactgraph.data.dataset import Dataset
 from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.neighbor_allocation import ReallocatingModel
 from contactgraph.model.neighbor_list import NeighborList
@@ -30,10 +31,15 @@ from contactgraph.train.batch import (
 )
 from contactgraph.train.config import TrainConfig
 from contactgraph.train.dead_network import equals_constant_velocity, has_dead_units
+from contactgraph.train.filter_loss import dynamics_loss, filter_loss
 from contactgraph.train.fit_state import FitProgress, FitResult, FitState, FitStatus
 from contactgraph.train.held_out import HeldOutWindows, held_out_windows, rollout_rmse
 from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
 
+_FILTERED = 8
+"""Whole trajectories a step on which a filter is scored."""
+_BURN = 20
+"""Steps that correct a filter before a held-out window."""
 _CLEARANCE = 1.03
 """Least distance of a distractor, in learned contact distances."""
 _SHORTEST = 0.1
@@ -78,7 +84,11 @@ def fit(
     source = _window_source(batch, config, static)
     other = pad_trajectories(held_out, contacts=False)
     still = static_bodies(held_out, other.nodes.mask.shape[1])
-    checked = held_out_windows(_window_source(other, config, still))
+    burn = 0
+    if isinstance(state.model.inference, TransitionEdges):
+        burn = max(0, min(_BURN, min(each.steps for each in held_out) - config.window_length))
+    checking = dataclasses.replace(config, window_length=config.window_length + burn)
+    checked = held_out_windows(_window_source(other, checking, still), burn)
     baselines = checked.baselines(train.dt)
     if split is not None:
         state, source, checked = split.replicate((state, source, checked))
@@ -210,14 +220,27 @@ def _advance(
             windows = add_distractor(windows, nearest, 3.0 * nearest, distractor_key)
         return windows
 
+    filtered = isinstance(state.model.inference, TransitionEdges)
+
     def loss(
         params: ContactDynamics, windows: Window, key: PRNGKeyArray
     ) -> tuple[Array, LossTerms]:
-        terms = window_loss(eqx.combine(params, static), windows, key, False, devices)
+        model = eqx.combine(params, static)
+        if filtered:
+            draw_key, key = jax.random.split(key)
+            terms = dynamics_loss(model, windows, False, devices)
+            whole, step_mask = source.draw_trajectories(_FILTERED, draw_key)
+            likelihood = filter_loss(model, whole, step_mask, key)
+            terms = dataclasses.replace(terms, likelihood=likelihood)
+        else:
+            terms = window_loss(model, windows, key, False, devices)
         return terms.total(config.weights), terms
 
     def rolled_out(params: ContactDynamics, windows: Window) -> Array:
-        return rollout_loss(eqx.combine(params, static), windows, devices)
+        model = eqx.combine(params, static)
+        if filtered:
+            return jnp.asarray(dynamics_loss(model, windows, True, devices).rollout)
+        return rollout_loss(model, windows, devices)
 
     def nothing(params: ContactDynamics, windows: Window) -> tuple[Array, ContactDynamics]:
         return jnp.zeros(()), jax.tree.map(jnp.zeros_like, params)

@@ -13,9 +13,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.windows import moving_bodies
+from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.neighbor_list import edge_count
 from contactgraph.train.batch import Window, WindowSource
+from contactgraph.train.filter_loss import corrected_beliefs
 from contactgraph.train.loss import chunked_vmap, predict_window
 
 _WINDOWS = 256
@@ -43,6 +45,9 @@ class HeldOutWindows(eqx.Module):
     counted: Bool[Array, "B N"]
     moving: bool = eqx.field(static=True)
     """Whether the bodies that move are counted; else all are, because none moves."""
+    before: Window | None = None
+    """The steps before each window, whose motion corrects the belief in its first state. None: the
+    first state is the first that is known."""
 
     def baselines(self, dt: float) -> HeldOutBaselines:
         """The errors of constant velocity and of standing still; steps of ``dt`` [s]."""
@@ -58,17 +63,20 @@ class HeldOutWindows(eqx.Module):
         return HeldOutBaselines(rmse(first + elapsed * velocity[:, :1]), rmse(first), self.moving)
 
 
-def held_out_windows(source: WindowSource) -> HeldOutWindows:
+def held_out_windows(source: WindowSource, burn: int = 0) -> HeldOutWindows:
     """Windows balanced over events as those of training are, the same in every training.
 
-    Bodies that get more than `MOVES_M` away from their first position in a window are counted,
-    static ones and padding are not. Where no body moves in any window, all are.
+    Of each window that ``source`` draws, the first ``burn`` steps only correct the belief. Bodies
+    that get more than `MOVES_M` away from their first position in a window are counted, static ones
+    and padding are not. Where no body moves in any window, all are.
     """
-    windows = source.draw(_WINDOWS, jax.random.key(0))
+    drawn = source.draw(_WINDOWS, jax.random.key(0))
+    windows = drawn.part(burn, drawn.control.shape[1])
     exists = np.asarray(windows.learned)
     moves = exists & moving_bodies(np.asarray(windows.position))
     moving = bool(moves.any())
-    return HeldOutWindows(windows, jnp.asarray(moves if moving else exists), moving)
+    counted = jnp.asarray(moves if moving else exists)
+    return HeldOutWindows(windows, counted, moving, drawn.part(0, burn) if burn else None)
 
 
 def mean_rmse(squared: Float[Array, "B L N"], counted: Bool[Array, "B N"]) -> Float[Array, ""]:
@@ -86,10 +94,11 @@ def mean_rmse(squared: Float[Array, "B L N"], counted: Bool[Array, "B N"]) -> Fl
 def rollout_rmse(model: ContactDynamics, held_out: HeldOutWindows) -> Float[Array, ""]:
     """`mean_rmse` of the positions [m] of windows that are predicted from their first states."""
 
-    def squared_error(window: Window) -> Float[Array, "L N"]:
-        states = predict_window(model, window)
+    def squared_error(window: Window, belief: ContactBelief | None) -> Float[Array, "L N"]:
+        states = predict_window(model, window, belief)
         return jnp.sum((states.position - window.position[1:]) ** 2, axis=-1)
 
-    windows = held_out.windows
+    windows, before = held_out.windows, held_out.before
+    belief = None if before is None else corrected_beliefs(model, before)
     edges = edge_count(model.neighbor_list, windows.position.shape[-2])
-    return mean_rmse(chunked_vmap(squared_error, (windows,), edges), held_out.counted)
+    return mean_rmse(chunked_vmap(squared_error, (windows, belief), edges), held_out.counted)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.neighbor_list import edge_count
-from contactgraph.model.types import ModelState
+from contactgraph.model.types import LinearDynamics, ModelState
 from contactgraph.train.batch import Window
 
 _Result = TypeVar("_Result")
@@ -72,6 +72,8 @@ class LossTerms(eqx.Module):
     """Mean norm of the error when a whole window is predicted from its first state, m/s."""
     prior: Float[Array, ""] | float = 0.05
     """Mean KL divergence of the belief from the distance prior, nat per edge."""
+    likelihood: Float[Array, ""] | float = 1.0
+    """Mean negative log-likelihood of the motion under a filter, nat per edge."""
 
     def total(self, weights: "LossTerms") -> Float[Array, ""]:
         """The weighted sum."""
@@ -80,6 +82,7 @@ class LossTerms(eqx.Module):
             + self.squared * weights.squared
             + self.rollout * weights.rollout
             + self.prior * weights.prior
+            + self.likelihood * weights.likelihood
         )
 
 
@@ -97,13 +100,14 @@ def window_loss(
     count. The rollout term costs a pass through time; without it the term is 0. The windows are
     split over ``devices``.
     """
-    error, divergence, weight = _teacher_forced(_Steps(model, windows, devices), key)
+    error, divergence, weight = _teacher_forced(WindowSteps(model, windows, devices), key)
     nodes = jnp.broadcast_to(windows.learned[:, None], error.shape)
     return LossTerms(
-        prediction=_mean(jnp.sqrt(error + _SMALLEST), nodes),
-        squared=_mean(error, nodes),
+        prediction=masked_mean(jnp.sqrt(error + _SMALLEST), nodes),
+        squared=masked_mean(error, nodes),
         rollout=rollout_loss(model, windows, devices) if with_rollout else jnp.zeros(()),
-        prior=_mean(divergence, weight > 0),
+        prior=masked_mean(divergence, weight > 0),
+        likelihood=jnp.zeros(()),
     )
 
 
@@ -111,15 +115,16 @@ def rollout_loss(model: ContactDynamics, windows: Window, devices: int = 1) -> F
     """`LossTerms.rollout` over a batch of windows, the only term that depends on whole rollouts."""
     edges = edge_count(model.neighbor_list, windows.position.shape[-2])
     error = chunked_vmap(partial(_rollout_error, model), (windows,), edges, devices)
-    return _mean(error, jnp.broadcast_to(windows.learned[:, None], error.shape))
+    return masked_mean(error, jnp.broadcast_to(windows.learned[:, None], error.shape))
 
 
-def _mean(values: Array, mask: Array) -> Array:
+def masked_mean(values: Array, mask: Array) -> Array:
+    """Mean of the values where the mask is true; 0 where it never is."""
     return jnp.sum(jnp.where(mask, values, 0.0)) / jnp.maximum(jnp.sum(mask), 1)
 
 
 @dataclass(frozen=True)
-class _Steps:
+class WindowSteps:
     """All steps of all windows, for computations on each step by itself."""
 
     model: ContactDynamics
@@ -133,6 +138,20 @@ class _Steps:
         edges = edge_count(self.model.neighbor_list, self.windows.position.shape[-2])
         results = chunked_vmap(function, flat, edges, self.devices)
         return jax.tree.map(lambda leaf: leaf.reshape(batch, length, *leaf.shape[1:]), results)
+
+    @property
+    def after(self) -> tuple[Float[Array, "B L N D"], Float[Array, "B L N D"]]:
+        """Position [m] and velocity [m/s] that every step leads to."""
+        return self.windows.position[:, 1:], self.windows.velocity[:, 1:]
+
+    def displacement(self, sensitivity: Float[Array, "B L N D U"]) -> Float[Array, "B L N D"]:
+        """Displacement of each node by each step's control alone, m, without gradient.
+
+        The control times the sensitivity of the step before, as in `contactgraph.model.rollout`.
+        """
+        sensitivity = jax.lax.stop_gradient(sensitivity)
+        before = jnp.concatenate([sensitivity[:, :1], sensitivity[:, :-1]], axis=1)
+        return jnp.sum(before * self.windows.control[:, :, None, None, :], axis=-1)
 
     def encode(self, control_displacement: Float[Array, "B L N D"] | None) -> EncodedGraph:
         """Stage 1 of every step, from the recorded states."""
@@ -164,7 +183,7 @@ class _Steps:
 
 
 def _teacher_forced(
-    steps: _Steps, key: PRNGKeyArray
+    steps: WindowSteps, key: PRNGKeyArray
 ) -> tuple[Float[Array, "B L N"], Float[Array, "B L E"], Float[Array, "B L E"]]:
     """Squared error, KL divergence and edge weights of every step from its recorded state."""
     model, windows = steps.model, steps.windows
@@ -179,45 +198,69 @@ def _teacher_forced(
         key: PRNGKeyArray,
     ) -> Array:
         linear = model.linearize(model.cut_edges(graph, belief, key))
-        position, velocity = linear(graph.position, graph.velocity, control)
-        error = jnp.sum(((position - after[0]) / model.dt) ** 2, axis=-1)
-        return error + jnp.sum((velocity - after[1]) ** 2, axis=-1)
+        return squared_state_error(model, linear, graph, control, after)
 
-    after = windows.position[:, 1:], windows.velocity[:, 1:]
     keys = jax.random.split(key, windows.control.shape[:2])
-    error = steps.each(squared_error, graph, belief, windows.control, after, keys)
+    error = steps.each(squared_error, graph, belief, windows.control, steps.after, keys)
     p = jnp.clip(belief.type_probability, _SMALLEST, 1.0)
     q = jnp.clip(prior.type_probability, _SMALLEST, 1.0)
     return error, jnp.sum(p * (jnp.log(p) - jnp.log(q)), axis=-1), graph.weight
 
 
-def _control_displacements(steps: _Steps) -> Float[Array, "B L N D"]:
+def squared_state_error(
+    model: ContactDynamics,
+    linear: LinearDynamics,
+    graph: EncodedGraph,
+    control: Float[Array, " U"],
+    after: tuple[Float[Array, "N D"], Float[Array, "N D"]],
+) -> Float[Array, " N"]:
+    """Squared error of each node after a step; the position's divided by dt, (m/s)^2."""
+    position, velocity = linear(graph.position, graph.velocity, control)
+    error = jnp.sum(((position - after[0]) / model.dt) ** 2, axis=-1)
+    return error + jnp.sum((velocity - after[1]) ** 2, axis=-1)
+
+
+def _control_displacements(steps: WindowSteps) -> Float[Array, "B L N D"]:
     """Displacement of each node by each step's control alone, m, without gradient.
 
     From a first pass without control displacements, as `contactgraph.model.rollout` does it: the
     control times the sensitivity of the step before.
     """
-    model, control = steps.model, steps.windows.control
+    model = steps.model
     graph = steps.encode(None)
     _, belief = steps.predict_beliefs(graph)
 
     def sensitivity(graph: EncodedGraph, belief: ContactBelief) -> Array:
         return model.linearize(model.cut_edges(graph, belief)).control_sensitivity
 
-    found = jax.lax.stop_gradient(steps.each(sensitivity, graph, belief))
-    before = jnp.concatenate([found[:, :1], found[:, :-1]], axis=1)
-    return jnp.sum(before * control[:, :, None, None, :], axis=-1)
+    return steps.displacement(steps.each(sensitivity, graph, belief))
 
 
-def predict_window(model: ContactDynamics, window: Window) -> ModelState:
-    """All states of a window, ``[L, …]``, predicted from its first state and its controls."""
+def predict_window(
+    model: ContactDynamics, window: Window, belief: ContactBelief | None = None
+) -> ModelState:
+    """All states of a window, ``[L, …]``, predicted from its first state and its controls.
+
+    ``belief`` is the one in the first state; None: nothing is known before it.
+    """
     position, velocity = window.position[0], window.velocity[0]
-    belief = model.initial_belief(position, velocity, window.nodes)
+    if belief is None:
+        belief = model.initial_belief(position, velocity, window.nodes)
     return model.rollout(ModelState(position, velocity, belief), window.control, window.nodes)
 
 
 def _rollout_error(model: ContactDynamics, window: Window) -> Float[Array, "L N"]:
     states = predict_window(model, window)
-    position_error = _ROLLOUT_POSITION * (states.position - window.position[1:]) / model.dt
-    velocity_error = states.velocity - window.velocity[1:]
+    return rollout_error(model, states.position, states.velocity, window)
+
+
+def rollout_error(
+    model: ContactDynamics,
+    position: Float[Array, "L N D"],
+    velocity: Float[Array, "L N D"],
+    window: Window,
+) -> Float[Array, "L N"]:
+    """Norm of the error of each predicted state of a window, m/s."""
+    position_error = _ROLLOUT_POSITION * (position - window.position[1:]) / model.dt
+    velocity_error = velocity - window.velocity[1:]
     return jnp.sqrt(jnp.sum(position_error**2 + velocity_error**2, axis=-1) + _SMALLEST)

@@ -1,0 +1,186 @@
+"""Losses of expectation maximisation: a filter by the likelihood of motion, dynamics by types.
+
+The observed motion of a step says of every edge how much likelier it is with each of its types than
+without it: log ratios l, of which no gradient is taken. The filter is scored along trajectories by
+-log(sum over types of p exp(l)), with p its belief before that step: the negative log-likelihood of
+a hidden Markov model, which needs no labels and is proper, hence calibrates p. The dynamics learn
+on short windows with the types that l of the very step makes probable, so they do not pay for
+contacts that nothing could predict.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
+from contactgraph.model.motion_likelihood import (
+    MotionNoise,
+    edge_log_ratios,
+    posterior_by_motion,
+)
+from contactgraph.model.types import LinearDynamics, ModelState
+from contactgraph.train.batch import Window
+from contactgraph.train.loss import (
+    LossTerms,
+    WindowSteps,
+    masked_mean,
+    rollout_error,
+    squared_state_error,
+)
+
+_SMALLEST = 1e-6
+_NOISE = MotionNoise()
+_LAPSE, _RESUME = 0.05, 0.1
+"""Probability a step that corrections stop, and that they begin again, in training of the filter:
+it learns to keep a belief for some 10 steps without evidence."""
+
+
+def judged_steps(
+    model: ContactDynamics, windows: Window, devices: int = 1
+) -> tuple[WindowSteps, EncodedGraph, Float[Array, "B L E K"]]:
+    """The encoded steps of all windows, and the log ratio of every edge by each step's motion."""
+    fixed = jax.lax.stop_gradient
+    steps = WindowSteps(model, windows, devices)
+    frozen = jax.tree.map(lambda leaf: fixed(leaf) if eqx.is_array(leaf) else leaf, model)
+    plain = WindowSteps(frozen, windows, devices)
+
+    def sensitivity(graph: EncodedGraph) -> Array:
+        belief = frozen.prior_belief(graph)
+        return frozen.linearize(frozen.cut_edges(graph, belief)).control_sensitivity
+
+    found = plain.each(sensitivity, plain.encode(None))
+    displacement = steps.displacement(found)
+    graph = steps.encode(displacement)
+
+    def judge(graph: EncodedGraph, displacement: Array, control: Array, after: tuple) -> Array:
+        predicted = frozen.prior_belief(graph)
+        state = ModelState(graph.position, graph.velocity, predicted, displacement)
+        return edge_log_ratios(frozen, graph, state, predicted, control, after, _NOISE)
+
+    ratio = steps.each(judge, fixed(graph), displacement, windows.control, steps.after)
+    return steps, graph, fixed(ratio)
+
+
+def dynamics_loss(
+    model: ContactDynamics, windows: Window, with_rollout: bool, devices: int = 1
+) -> LossTerms:
+    """One-step terms, or the rollout term, over a batch of windows, given their likeliest types."""
+    steps, graph, ratio = judged_steps(model, windows, devices)
+
+    def likeliest(graph: EncodedGraph, ratio: Array) -> Array:
+        belief = posterior_by_motion(model.prior_belief(graph), ratio, _NOISE.error_floor)
+        types = belief.type_probability
+        return jax.nn.one_hot(jnp.argmax(types, axis=-1), types.shape[-1], dtype=types.dtype)
+
+    types = jax.lax.stop_gradient(jax.vmap(jax.vmap(likeliest))(graph, ratio))
+    zero = jnp.zeros(())
+    if with_rollout:
+        return LossTerms(zero, zero, _given_rollout(model, windows, types), zero, zero)
+
+    def linear(graph: EncodedGraph, types: Array) -> LinearDynamics:
+        return model.linearize(model.cut_edges(graph, ContactBelief(types)))
+
+    def squared_error(graph: EncodedGraph, types: Array, control: Array, after: tuple) -> Array:
+        return squared_state_error(model, linear(graph, types), graph, control, after)
+
+    error = steps.each(squared_error, graph, types, windows.control, steps.after)
+    nodes = jnp.broadcast_to(windows.learned[:, None], error.shape)
+    prediction = masked_mean(jnp.sqrt(error + _SMALLEST), nodes)
+    return LossTerms(prediction, masked_mean(error, nodes), zero, zero, zero)
+
+
+def _given_rollout(
+    model: ContactDynamics, windows: Window, types: Float[Array, "B L E K"]
+) -> Float[Array, ""]:
+    """`LossTerms.rollout` when the types of every step are given."""
+
+    def error(window: Window, types: Float[Array, "L E K"]) -> Float[Array, "L N"]:
+        def linear(x: Array, v: Array, types: Array, displacement: Array | None) -> LinearDynamics:
+            graph = model.encode(x, v, window.nodes, displacement)
+            return model.linearize(model.cut_edges(graph, ContactBelief(types)))
+
+        def step(carry: tuple, inputs: tuple) -> tuple[tuple, tuple]:
+            x, v, sensitivity = carry
+            control, types = inputs
+            displacement = jnp.sum(sensitivity * control, axis=-1)
+            found = linear(x, v, types, jax.lax.stop_gradient(displacement))
+            x, v = found(x, v, control)
+            return (x, v, found.control_sensitivity), (x, v)
+
+        x, v = window.position[0], window.velocity[0]
+        first = linear(x, v, types[0], None).control_sensitivity
+        _, states = jax.lax.scan(step, (x, v, first), (window.control, types))
+        return rollout_error(model, states[0], states[1], window)
+
+    found = jax.vmap(error)(windows, types)
+    return masked_mean(found, jnp.broadcast_to(windows.learned[:, None], found.shape))
+
+
+def filter_loss(
+    model: ContactDynamics,
+    trajectories: Window,
+    step_mask: Bool[Array, "B T"],
+    key: PRNGKeyArray,
+) -> Float[Array, ""]:
+    """Mean score of every edge within the cutoff at every step; see the module's docstring."""
+    graph, ratio = _filter_inputs(model, trajectories)
+    corrects = _correcting(key, step_mask.shape)
+
+    def along(graph: EncodedGraph, ratio: Array, corrects: Array) -> Array:
+        return _filtered(model, graph, ratio, corrects)[1]
+
+    score = jax.vmap(along)(graph, ratio, corrects)
+    return masked_mean(score, (graph.weight > 0) & step_mask[..., None])
+
+
+def _filter_inputs(
+    model: ContactDynamics, windows: Window
+) -> tuple[EncodedGraph, Float[Array, "B L E K"]]:
+    """As `judged_steps`; gradients reach the inference alone."""
+    fixed = jax.tree.map(
+        lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf, model
+    )
+    return judged_steps(dataclasses.replace(fixed, inference=model.inference), windows)[1:]
+
+
+def _correcting(key: PRNGKeyArray, shape: tuple[int, ...]) -> Bool[Array, "B T"]:
+    """Random segments of steps after which motion corrects the belief."""
+    first_key, key = jax.random.split(key)
+    first = jax.random.bernoulli(first_key, _RESUME / (_LAPSE + _RESUME), shape[:1])
+
+    def step(on: Array, uniform: Array) -> tuple[Array, Array]:
+        on = jnp.where(on, uniform >= _LAPSE, uniform < _RESUME)
+        return on, on
+
+    return jax.lax.scan(step, first, jax.random.uniform(key, shape[::-1]))[1].T
+
+
+def _filtered(
+    model: ContactDynamics,
+    graph: EncodedGraph,
+    ratio: Float[Array, "T E K"],
+    corrects: Bool[Array, " T"],
+) -> tuple[ContactBelief, Float[Array, "T E"]]:
+    """The last corrected belief of a trajectory, and the score of every step."""
+
+    def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, Array]:
+        graph, ratio, corrects = inputs
+        predicted = model.predict_belief(belief, graph)
+        p = jnp.maximum(predicted.type_probability, _SMALLEST)
+        score = -jax.nn.logsumexp(jnp.log(p) + ratio, axis=-1)
+        used = jnp.where(corrects, ratio, 0.0)
+        return posterior_by_motion(predicted, used, _NOISE.error_floor), score
+
+    first = model.prior_belief(jax.tree.map(lambda leaf: leaf[0], graph))
+    return jax.lax.scan(step, first, (graph, ratio, corrects))
+
+
+def corrected_beliefs(model: ContactDynamics, windows: Window) -> ContactBelief:
+    """The beliefs in the last states of windows, corrected by the motion of every step."""
+    graph, ratio = _filter_inputs(model, windows)
+    always = jnp.ones(ratio.shape[1], bool)
+    return jax.vmap(lambda graph, ratio: _filtered(model, graph, ratio, always)[0])(graph, ratio)

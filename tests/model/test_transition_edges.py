@@ -1,0 +1,184 @@
+"""The hidden Markov filter of an edge: its transitions, Bayes' rule over three types, its clock."""
+
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from model_scenes import DT, compiled, with_random_weights
+
+from contactgraph.data.graph import pair_indices
+from contactgraph.model import (
+    ContactBelief,
+    ContactSensor,
+    EdgeNetwork,
+    ModelConfig,
+    ModelState,
+    NeighborList,
+    Nodes,
+    TransitionEdges,
+    correct,
+    hidden_markov_filter,
+)
+from contactgraph.model.motion_likelihood import posterior_by_motion
+
+LEAST = 2e-3
+pytestmark = pytest.mark.usefixtures("double_precision")
+
+
+def edges(types: int, seed: int | None = None) -> TransitionEdges:
+    """Fresh, or with random weights."""
+    network = EdgeNetwork(4 + 2, 8, key=jax.random.PRNGKey(0))
+
+    def construct() -> TransitionEdges:
+        return TransitionEdges(network, node_types=2, edge_types=types, key=jax.random.PRNGKey(1))
+
+    return construct() if seed is None else with_random_weights(construct, seed)
+
+
+def belief(*types: float) -> ContactBelief:
+    return ContactBelief(jnp.array([types]), None, jnp.zeros((1, 8)))
+
+
+def bounded(types: np.ndarray) -> np.ndarray:
+    return LEAST + (1.0 - types.shape[-1] * LEAST) * types
+
+
+@pytest.mark.parametrize("before", [(1.0, 0.0, 0.0), (0.2, 0.3, 0.5)])
+def test_fresh_transitions_are_the_geometric_prior(before) -> None:
+    prior = np.array([[0.7, 0.2, 0.1]])
+    found = compiled(edges(3).predict, belief(*before), jnp.ones((1, 8)), jnp.asarray(prior))
+    np.testing.assert_allclose(found.type_probability, bounded(prior), rtol=1e-6)
+
+
+def test_a_row_of_rates_leads_from_its_own_type() -> None:
+    inference = edges(2)
+    stays = jnp.array([4.0, 0.0, 0.0, 4.0])  # from inactive to (inactive, active), then from active
+    inference = eqx.tree_at(lambda each: each.rates.layers[-1].bias, inference, stays)
+    prior = jnp.array([[0.5, 0.5]])
+    kept = bounded(np.exp([4.0, 0.0]) / np.exp([4.0, 0.0]).sum())
+    for before, expected in (((1.0, 0.0), kept), ((0.0, 1.0), kept[::-1])):
+        found = compiled(inference.predict, belief(*before), jnp.zeros((1, 8)), prior)
+        np.testing.assert_allclose(found.type_probability[0], expected, rtol=1e-6)
+
+
+def test_motion_corrects_three_types_by_bayes_rule() -> None:
+    before, ratios = np.array([0.5, 0.3, 0.2]), np.array([0.0, 1.0, -2.0])
+    found = compiled(posterior_by_motion, belief(*before), jnp.asarray(ratios)[None], 0.01)
+    expected = before * np.exp(ratios)
+    np.testing.assert_allclose(found.type_probability[0], expected / expected.sum(), rtol=1e-6)
+    # A type that motion favours counts as no less probable than 0.01.
+    found = compiled(posterior_by_motion, belief(0.999, 0.0, 0.001), jnp.array([[0, 0, 3.0]]), 0.01)
+    expected = np.array([0.99, 0.0, 0.01 * np.exp(3.0)])
+    np.testing.assert_allclose(found.type_probability[0], expected / expected.sum(), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("reports_touch", "likelihood"), [(True, [0.1, 0.8, 0.8]), (False, [0.1, 0.1, 0.8])]
+)
+def test_a_sensor_of_holding_says_nothing_about_touch(reports_touch, likelihood) -> None:
+    before = np.array([0.2, 0.5, 0.3])
+    sensor = ContactSensor(false_alarm=0.1, miss=0.2, reports_touch=reports_touch)
+    found = compiled(correct, belief(*before), jnp.array([1.0]), sensor)
+    expected = before * likelihood
+    np.testing.assert_allclose(found.type_probability[0], expected / expected.sum(), rtol=1e-6)
+    assert found.memory is not None
+
+
+def test_the_filter_is_exact_where_transitions_are_known() -> None:
+    """Against the sum over all paths of six steps."""
+    inference, rng = edges(2), np.random.default_rng(0)
+    rates = np.array([1.5, -0.5, -1.0, 0.8])
+    inference = eqx.tree_at(lambda each: each.rates.layers[-1].bias, inference, jnp.asarray(rates))
+    prior = np.array([[0.6, 0.4]])
+    logits = np.log(prior) + rates.reshape(2, 2)
+    transition = bounded(np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True))
+    first, ratios = np.array([0.7, 0.3]), rng.normal(size=(6, 2)) * [0.0, 1.0]
+
+    @eqx.filter_jit
+    def filtered(state: ContactBelief, ratios: jax.Array) -> ContactBelief:
+        for ratio in ratios:
+            predicted = inference.predict(state, jnp.zeros((1, 8)), jnp.asarray(prior))
+            state = posterior_by_motion(predicted, ratio[None], 1e-9)
+        return state
+
+    found = filtered(belief(*first), jnp.asarray(ratios))
+    weight = np.zeros(2)
+    for path in itertools.product((0, 1), repeat=7):
+        probability = first[path[0]]
+        for step, (before, after) in enumerate(itertools.pairwise(path)):
+            probability *= transition[before, after] * np.exp(ratios[step, after])
+        weight[path[-1]] += probability
+    np.testing.assert_allclose(found.type_probability[0], weight / weight.sum(), atol=1e-6)
+
+
+def test_a_clock_runs_and_goes_from_list_to_list() -> None:
+    inference = edges(3, seed=2)
+    before = belief(0.2, 0.3, 0.5)
+    once = compiled(inference.predict, before, jnp.ones((1, 8)), before.type_probability)
+    twice = compiled(inference.predict, once, jnp.ones((1, 8)), before.type_probability)
+    assert np.abs(np.asarray(once.memory)).max() > 0.01
+    assert np.abs(np.asarray(twice.memory - once.memory)).max() > 1e-3
+    every = ContactBelief(
+        jnp.tile(jnp.array([0.1, 0.2, 0.7]), (6, 1)), None, jnp.arange(48.0).reshape(6, 8)
+    )
+    listed = every.over(jnp.array([1, 4, 6]), 6)
+    np.testing.assert_array_equal(listed.memory, [every.memory[1], every.memory[4], np.zeros(8)])
+    back = listed.over(None, 6)
+    np.testing.assert_array_equal(back.memory[4], every.memory[4])
+    np.testing.assert_array_equal(back.memory[0], np.zeros(8))
+    np.testing.assert_array_equal(back.type_probability[0], [1.0, 0.0, 0.0])
+
+
+def model_and_state():
+    def construct():
+        return hidden_markov_filter(ModelConfig(2, 2, DT, width=8), key=jax.random.PRNGKey(0))
+
+    model = with_random_weights(construct)
+    rng = np.random.default_rng(3)
+    position, velocity = (scale * jnp.asarray(rng.normal(size=(5, 2))) for scale in (0.12, 0.3))
+    nodes = Nodes(np.arange(5) == 0, np.ones(5, bool), np.ones(10, bool))
+    return model, position, velocity, jax.tree.map(jnp.asarray, nodes)
+
+
+def test_a_list_of_pairs_changes_no_prediction() -> None:
+    model, position, velocity, nodes = model_and_state()
+    listed = eqx.tree_at(
+        lambda each: each.neighbor_list,
+        model,
+        NeighborList(10, None, 5),
+        is_leaf=lambda x: x is None,
+    )
+
+    def rolled(model):
+        state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
+        states = model.rollout(state, jnp.ones((3, 2)), nodes)
+        last = jax.tree.map(lambda leaf: leaf[-1], states.belief).over(None, 10)
+        return states.position, last.type_probability, last.memory
+
+    every = compiled(rolled, model)
+    for one, other in zip(every, compiled(rolled, listed), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-9)
+    clocks = np.abs(np.asarray(every[2])).max(axis=1)
+    assert np.any(clocks == 0.0) and np.any(clocks > 0.0), "pairs beyond the cutoff have no clock"
+
+
+def test_the_order_of_nodes_does_not_matter() -> None:
+    model, position, velocity, nodes = model_and_state()
+    order = np.array([2, 0, 4, 1, 3])
+    shuffled = nodes._replace(actuated=nodes.actuated[order])
+
+    def stepped(position, velocity, nodes):
+        state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
+        after = model.step(state, jnp.array([1.0, -2.0]), nodes)
+        return after.position, after.velocity, after.belief.holding
+
+    one = compiled(stepped, position, velocity, nodes)
+    other = compiled(stepped, position[order], velocity[order], shuffled)
+    np.testing.assert_allclose(one[0][order], other[0], atol=1e-9)
+    np.testing.assert_allclose(one[1][order], other[1], atol=1e-9)
+    pairs = [tuple(sorted(order[pair])) for pair in pair_indices(5)]
+    row = [list(map(tuple, pair_indices(5))).index(pair) for pair in pairs]
+    np.testing.assert_allclose(one[2][np.array(row)], other[2], atol=1e-9)

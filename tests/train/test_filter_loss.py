@@ -1,0 +1,114 @@
+"""Losses of the filter: the score of every step by hand, and which part learns from which."""
+
+import dataclasses
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from training import CONFIG, split
+
+from contactgraph.model import ModelConfig, Nodes, hidden_markov_filter
+from contactgraph.train import FitProgress, FitStatus, fit, initial_state
+from contactgraph.train.batch import Window
+from contactgraph.train.filter_loss import (
+    _correcting,
+    corrected_beliefs,
+    dynamics_loss,
+    filter_loss,
+    judged_steps,
+)
+
+DT, LEAST = 0.05, 2e-3
+MODEL = hidden_markov_filter(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
+KEY = jax.random.key(1)
+
+
+def windows(length: int = 4) -> Window:
+    """A gripper that runs into a body at rest and takes it along, and one that stays away."""
+    position, velocity = np.zeros((2, length + 1, 2, 2)), np.zeros((2, length + 1, 2, 2))
+    velocity[:, :, 0, 0] = 1.0
+    velocity[0, 2:, :, 0] = 0.5
+    position[0, :, 1, 0], position[1, :, 1, 1] = 0.135, 0.16
+    for step in range(length):
+        position[:, step + 1] = position[:, step] + DT * velocity[:, step + 1]
+    actuated = jnp.array([[True, False]] * 2)
+    nodes = Nodes(actuated, jnp.ones((2, 2), bool), jnp.ones((2, 1), bool))
+    given = position, velocity, np.zeros((2, length, 2))
+    return Window(*(jnp.asarray(each, jnp.float32) for each in given), nodes)
+
+
+STEPS = jnp.ones((2, 4), bool)
+
+
+@eqx.filter_jit
+def both(model, given, mask):
+    def score(model):
+        return filter_loss(model, given, mask, KEY)
+
+    value, slope = eqx.filter_value_and_grad(score)(model)
+    _, graph, ratio = judged_steps(model, given)
+    return value, slope, graph, ratio
+
+
+def test_the_score_is_the_likelihood_of_the_motion() -> None:
+    value, slope, graph, ratio = both(MODEL, windows(), STEPS)
+    # A fresh filter predicts the geometric prior, with every type at least 0.002 before the cutoff.
+    free = LEAST + (1.0 - 3 * LEAST) * np.asarray(graph.prior)
+    weight = np.asarray(graph.weight)
+    active = free[..., 1:] * weight[..., None]
+    types = np.concatenate([1.0 - active.sum(axis=-1, keepdims=True), active], axis=-1)
+    score = -np.log(np.sum(types * np.exp(np.asarray(ratio)), axis=-1))
+    assert float(value) == pytest.approx(score[weight > 0].mean(), rel=1e-3)
+    assert np.abs(np.asarray(ratio)[0]).max() > 1.0, "the impact says something"
+    others = slope.local_dynamics, slope.features
+    assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(slope.inference)) > 0.0
+    assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(others)) == 0.0
+
+
+def test_steps_that_are_padding_do_not_count() -> None:
+    given = windows(length=2)  # the impact is in the last step
+    missed = dataclasses.replace(given, velocity=given.velocity.at[:, -1].set(given.velocity[:, 0]))
+    whole, cut = jnp.ones((2, 2), bool), jnp.array([[True, False]] * 2)
+    assert float(both(MODEL, given, cut)[0]) == float(both(MODEL, missed, cut)[0])
+    assert float(both(MODEL, given, whole)[0]) != float(both(MODEL, missed, whole)[0])
+
+
+def test_the_dynamics_learn_from_the_types_of_the_very_step_and_the_inference_does_not() -> None:
+    @eqx.filter_jit
+    @eqx.filter_value_and_grad
+    def squared(model):
+        return dynamics_loss(model, windows(), False).squared
+
+    value, slope = squared(MODEL)
+    assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(slope.inference)) == 0.0
+    assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(slope.local_dynamics)) > 0.0
+    # Fresh edges hold, masses are equal: the impact is predicted because its motion was seen.
+    assert float(value) < 0.05, "half of the speed in one of four steps, unpredicted, is 0.06"
+
+
+def test_motion_corrects_the_belief_before_a_held_out_window() -> None:
+    found = jax.tree.map(np.asarray, eqx.filter_jit(corrected_beliefs)(MODEL, windows()))
+    assert found.type_probability.shape == (2, 1, 3) and found.memory.shape == (2, 1, 8)
+    assert found.type_probability[0, 0, 0] < 0.5 < found.type_probability[1, 0, 0]
+
+
+def test_corrections_come_in_segments() -> None:
+    on = np.asarray(jax.jit(_correcting, static_argnums=1)(KEY, (200, 300)))
+    assert on.mean() == pytest.approx(2.0 / 3.0, abs=0.03)
+    changes = (on[:, 1:] != on[:, :-1]).mean()
+    assert changes == pytest.approx(2 * (2 / 3) * 0.05, abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_filter_trains_through_its_checks(recorded: Path) -> None:
+    """Both losses, the rollout term, the dead-network check and the corrected held-out windows."""
+    parts = split(recorded)
+    model = hidden_markov_filter(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
+    checks: list[FitProgress] = []
+    found = fit(initial_state(model, CONFIG, 0), *parts, CONFIG, checks.append)
+    assert found.status is FitStatus.finished and [each.step for each in checks] == [4, 8, 12]
+    assert all(np.isfinite(list(each.terms.values())).all() for each in checks)
+    assert found.held_out_rmse_m < found.baselines.standing_still_rmse_m
