@@ -52,7 +52,7 @@ def test_a_task_of_another_package_comes_by_its_entry_point() -> None:
 def test_targets_are_those_of_the_first_and_the_last_condition() -> None:
     pickup = TASKS["pickup"]
     targets = [pickup.error_target_cm(condition) for condition in pickup.conditions]
-    assert [target and target.at_least for target in targets] == [0.4, None, 0.3]
+    assert [target and target.at_least for target in targets] == [0.5, None, 0.6]
 
 
 def test_collect_and_control_take_a_class(

@@ -129,7 +129,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a.h5 --out run --resume", "run: not a run folder (it has no config.json)"),
         (
             "train a.h5 --out run --model best",
-            "--model must be one of gim-temp, gim-non-temp, no-gi",
+            "--model must be one of gim-temp, filter, gim-non-temp, no-gi",
         ),
         ("train a.h5 --out run --steps 0", "steps must be 1 to 1000000000, found 0"),
         ("train a.h5 --out run --batch-size 999999999", "batch_size must be 1 to 65536"),
