@@ -2,8 +2,8 @@
 
 Usage: python examples/06_compose_a_model.py
 
-This one has three edge types (inactive, and two active ones with a message network each), the
-paper's memoryless edges, free local parameters, and a fixed discretization.
+This one has three edge types (inactive, touch and hold, the last two with a message network each),
+the paper's memoryless edges, coupled bodies, and a fixed discretization.
 """
 
 import jax

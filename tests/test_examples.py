@@ -15,7 +15,7 @@ PRINTS = {
     "03_control.py": "success",
     "04_contact_graph.py": "gripper - target",
     "05_own_task.py": "Fetch keeps the contract\nsuccess: 100%",
-    "06_compose_a_model.py": "with the true masses, contact frozen",
+    "06_compose_a_model.py": "frozen_contact: ",
     "07_learn_cost.py": "new goals: 100 %",
     "extend_edge_feature.py": "approach at +1 m/s: feature +0.50",
     "extend_edge_friction.py": "friction slows the sliding",
