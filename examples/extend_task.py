@@ -12,8 +12,8 @@ import numpy as np
 
 from contactgraph.data import Scene
 from contactgraph.envs import ChainCost, PickupExpert, check_task
+from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import DT, GRIPPER, GripperTask
-from contactgraph.envs.hold_rules import HoldAtTouch
 from contactgraph.envs.planar_body import PlanarBody
 from contactgraph.envs.planar_world import PlanarWorld
 from contactgraph.evaluate import run_episode

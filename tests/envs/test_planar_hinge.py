@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from contactgraph.envs.hold_rules import HoldAtTouch
+from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.planar_body import PlanarBody
 from contactgraph.envs.planar_world import PlanarWorld
 

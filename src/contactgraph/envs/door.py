@@ -6,6 +6,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost
+from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import (
     DT,
     GRIPPER,
@@ -14,7 +15,6 @@ from contactgraph.envs.gripper_task import (
     fixed_layout,
     fixed_metadata,
 )
-from contactgraph.envs.hold_rules import HoldAtTouch
 from contactgraph.envs.planar_body import PlanarBody
 from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
 

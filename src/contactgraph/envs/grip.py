@@ -1,4 +1,4 @@
-"""Rules by which a gripper holds what it touches: by a switch, for a time, or after a time."""
+"""Rules that tie bodies of a `PlanarWorld` together: at touch, by a switch, for or after a time."""
 
 import math
 from collections.abc import Collection, Iterator
@@ -37,6 +37,18 @@ def touched(world: PlanarWorld) -> set[int]:
 def held_by_gripper(world: PlanarWorld) -> set[int]:
     """The nodes that the gripper holds now."""
     return {int(node) for node in np.flatnonzero(world.holding[GRIPPER])}
+
+
+class HoldAtTouch:
+    """Ties together all bodies that touch, for good."""
+
+    def reset(self, world: PlanarWorld) -> None:
+        """Keeps no state."""
+
+    def update(self, world: PlanarWorld, dt: float) -> None:
+        """Joins the pairs that touch now."""
+        for first, second in sorted(world.touching_pairs):
+            world.join(first, second)
 
 
 class SwitchedHold:

@@ -4,6 +4,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory, joined
 from contactgraph.envs.contract import ChainCost
+from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import (
     DT,
     GRIPPER,
@@ -12,7 +13,6 @@ from contactgraph.envs.gripper_task import (
     fixed_layout,
     fixed_metadata,
 )
-from contactgraph.envs.hold_rules import HoldAtTouch
 from contactgraph.envs.pickup_layout import HALF_WIDTH, RADIUS, PickupLayout, extent, sample_layout
 from contactgraph.envs.planar_body import PlanarBody
 from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld

@@ -111,9 +111,7 @@ class NetworkWindows(eqx.Module):
     def draw(self, count: int, key: PRNGKeyArray) -> tuple[Window, SceneInputs]:
         """``count`` windows with distractors, as the training of our model adds them."""
         draw_key, *place_keys = jax.random.split(key, 1 + self.distractors)
-        uniform = jax.random.uniform(draw_key, (count,))
-        drawn = jnp.searchsorted(self.source.cumulative, uniform, side="right")
-        drawn = jnp.minimum(drawn, self.source.trajectory.shape[0] - 1)
+        drawn = self.source.draw_indices(count, draw_key)
         windows = self.source.take(drawn)
         scenes = jax.tree.map(lambda leaf: leaf[self.source.trajectory[drawn]], self.scenes)
         for place_key in place_keys:

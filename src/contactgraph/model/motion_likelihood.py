@@ -171,7 +171,7 @@ def edge_log_ratios(
     # The nearest first, each given the result for those before it: a motion that one contact
     # explains is no evidence for another.
     edges = _nearest(graph)
-    probable = _most_probable(predicted)
+    probable = most_probable(predicted)
     ratios = jax.lax.scan(judge, (probable, moved(probable)), edges)[1]
     none = jnp.zeros((*graph.weight.shape, edge_types), graph.weight.dtype)
     return none.at[edges].set(ratios.astype(none.dtype))
@@ -227,7 +227,8 @@ def _as_if_touching(model: ContactDynamics, state: ModelState, graph: EncodedGra
     )
 
 
-def _most_probable(belief: ContactBelief) -> Float[Array, "E K"]:
+def most_probable(belief: ContactBelief) -> Float[Array, "E K"]:
+    """The likeliest type of every edge, one-hot."""
     types = belief.type_probability
     return jax.nn.one_hot(jnp.argmax(types, axis=-1), types.shape[-1], dtype=types.dtype)
 

@@ -75,9 +75,13 @@ class WindowSource(eqx.Module):
 
     def draw(self, count: int, key: PRNGKeyArray) -> Window:
         """`count` windows drawn with the windows' probabilities."""
+        return self.take(self.draw_indices(count, key))
+
+    def draw_indices(self, count: int, key: PRNGKeyArray) -> Int[Array, " B"]:
+        """Which windows `draw` takes with this key."""
         uniform = jax.random.uniform(key, (count,))
         drawn = jnp.searchsorted(self.cumulative, uniform * self.cumulative[-1], side="right")
-        return self.take(jnp.minimum(drawn, self.trajectory.shape[0] - 1))
+        return jnp.minimum(drawn, self.trajectory.shape[0] - 1)
 
     def draw_trajectories(self, count: int, key: PRNGKeyArray) -> tuple[Window, Bool[Array, "B T"]]:
         """`count` whole trajectories, all equally likely, and which of their steps are real."""

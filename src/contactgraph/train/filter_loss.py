@@ -20,6 +20,7 @@ from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.motion_likelihood import (
     MotionNoise,
     edge_log_ratios,
+    most_probable,
     posterior_by_motion,
 )
 from contactgraph.model.types import LinearDynamics, ModelState
@@ -39,13 +40,18 @@ _LAPSE, _RESUME = 0.05, 0.1
 it learns to keep a belief for some 10 steps without evidence."""
 
 
+def _without_gradient(model: ContactDynamics) -> ContactDynamics:
+    arrays, others = eqx.partition(model, eqx.is_array)
+    return eqx.combine(jax.lax.stop_gradient(arrays), others)
+
+
 def judged_steps(
     model: ContactDynamics, windows: Window, devices: int = 1
 ) -> tuple[WindowSteps, EncodedGraph, Float[Array, "B L E K"]]:
     """The encoded steps of all windows, and the log ratio of every edge by each step's motion."""
     fixed = jax.lax.stop_gradient
     steps = WindowSteps(model, windows, devices)
-    frozen = jax.tree.map(lambda leaf: fixed(leaf) if eqx.is_array(leaf) else leaf, model)
+    frozen = _without_gradient(model)
     plain = WindowSteps(frozen, windows, devices)
 
     def sensitivity(graph: EncodedGraph) -> Array:
@@ -72,9 +78,8 @@ def dynamics_loss(
     steps, graph, ratio = judged_steps(model, windows, devices)
 
     def likeliest(graph: EncodedGraph, ratio: Array) -> Array:
-        belief = posterior_by_motion(model.prior_belief(graph), ratio, _NOISE.error_floor)
-        types = belief.type_probability
-        return jax.nn.one_hot(jnp.argmax(types, axis=-1), types.shape[-1], dtype=types.dtype)
+        prior = model.prior_belief(graph)
+        return most_probable(posterior_by_motion(prior, ratio, _NOISE.error_floor))
 
     types = jax.lax.stop_gradient(jax.vmap(jax.vmap(likeliest))(graph, ratio))
     zero = jnp.zeros(())
@@ -141,10 +146,8 @@ def _filter_inputs(
     model: ContactDynamics, windows: Window
 ) -> tuple[EncodedGraph, Float[Array, "B L E K"]]:
     """As `judged_steps`; gradients reach the inference alone."""
-    fixed = jax.tree.map(
-        lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf, model
-    )
-    return judged_steps(dataclasses.replace(fixed, inference=model.inference), windows)[1:]
+    learned = dataclasses.replace(_without_gradient(model), inference=model.inference)
+    return judged_steps(learned, windows)[1:]
 
 
 def _correcting(key: PRNGKeyArray, shape: tuple[int, ...]) -> Bool[Array, "B T"]:
