@@ -13,9 +13,7 @@ from contactgraph.model.contact_belief import correct as correct
 from contactgraph.model.contact_belief import two_type_belief as two_type_belief
 from contactgraph.model.contact_dynamics import ContactDynamics as ContactDynamics
 from contactgraph.model.contact_dynamics import EncodedGraph as EncodedGraph
-from contactgraph.model.contact_dynamics import InteractionCutoff as InteractionCutoff
 from contactgraph.model.contact_dynamics import StepStages as StepStages
-from contactgraph.model.contact_dynamics import interaction_cutoff as interaction_cutoff
 from contactgraph.model.edge_inference import AllEdges as AllEdges
 from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
 from contactgraph.model.edge_inference import RecurrentEdges as RecurrentEdges
@@ -24,6 +22,8 @@ from contactgraph.model.features import AbsoluteFeatures as AbsoluteFeatures
 from contactgraph.model.features import InvariantFeatures as InvariantFeatures
 from contactgraph.model.heads import CoupledHead as CoupledHead
 from contactgraph.model.heads import PerDegreeHead as PerDegreeHead
+from contactgraph.model.interaction_cutoff import InteractionCutoff as InteractionCutoff
+from contactgraph.model.interaction_cutoff import interaction_cutoff as interaction_cutoff
 from contactgraph.model.io import ModelSummary as ModelSummary
 from contactgraph.model.io import StoredModel as StoredModel
 from contactgraph.model.io import describe_model as describe_model
@@ -44,6 +44,7 @@ from contactgraph.model.motion_likelihood import (
     contact_log_likelihood_ratio as contact_log_likelihood_ratio,
 )
 from contactgraph.model.motion_likelihood import correct_by_motion as correct_by_motion
+from contactgraph.model.motion_likelihood import motion_noise as motion_noise
 from contactgraph.model.neighbor_allocation import ReallocatingModel as ReallocatingModel
 from contactgraph.model.neighbor_allocation import allocate_neighbor_list as allocate_neighbor_list
 from contactgraph.model.neighbor_list import NeighborList as NeighborList

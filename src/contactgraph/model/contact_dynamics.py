@@ -25,11 +25,10 @@ from contactgraph.model.contact_belief import (
     NoCutoff,
     SmoothCutoff,
 )
-from contactgraph.model.edge_inference import AllEdges, EdgeInference
+from contactgraph.model.edge_inference import EdgeInference
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.heads import CoupledHead
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
-from contactgraph.model.message_passing import EdgeNetwork
+from contactgraph.model.motion_noise import PredictionNoise
 from contactgraph.model.neighbor_list import (
     Edges,
     NeighborList,
@@ -48,8 +47,6 @@ from contactgraph.model.types import (
 
 _CHECKPOINTED_EDGES = 500
 """Edges above which gradients of a rollout recompute each step instead of storing it."""
-_FREE_RESPONSE = 1e-3
-"""1/kg; a control of 10 N then moves a passive node by 5 mm in a second."""
 
 
 class EncodedGraph(eqx.Module):
@@ -102,6 +99,8 @@ class ContactDynamics(eqx.Module):
     control_size: int = eqx.field(static=True)
     neighbor_list: NeighborList | None = None
     """Restricts edges to near pairs. None: every pair is an edge."""
+    prediction_noise: PredictionNoise | None = None
+    """Learned errors of the predicted motion. None: not learned."""
 
     def __check_init__(self) -> None:
         if not self.dt > 0:
@@ -125,11 +124,13 @@ class ContactDynamics(eqx.Module):
         velocity: Float[Array, "N D"],
         nodes: Nodes,
         control_displacement: Float[Array, "N D"] | None = None,
+        command: Float[Array, " C"] | None = None,
         contact_distance: Float[Array, " E"] | None = None,
     ) -> EncodedGraph:
         """Stage 1: geometry, features and edge embeddings.
 
-        ``contact_distance`` [m] is each edge's own; None: that of the features.
+        ``control_displacement`` and ``command`` are those of a `ModelState`; ``contact_distance``
+        [m] is each edge's own, None: that of the features.
         """
         edges = self._edges(position, velocity, nodes, control_displacement)
         moving = velocity
@@ -144,7 +145,8 @@ class ContactDynamics(eqx.Module):
         edge_features = self.features.edge(edge_geometry, contact_distance)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
-        embedding = self.inference.embed(node_features, edge_features, weight, edges.edge_index)
+        known = self._with_commands(edge_features, nodes, edges.edge_index, command)
+        embedding = self.inference.embed(node_features, known, weight, edges.edge_index)
         return EncodedGraph(
             position=position,
             velocity=velocity,
@@ -158,12 +160,36 @@ class ContactDynamics(eqx.Module):
             prior=self._prior(edge_geometry, weight),
         )
 
+    def encode_state(
+        self, state: ModelState, nodes: Nodes, contact_distance: Float[Array, " E"] | None = None
+    ) -> EncodedGraph:
+        """`encode` of a state."""
+        intended = state.control_displacement, state.command
+        return self.encode(state.position, state.velocity, nodes, *intended, contact_distance)
+
     def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
         """The prior by distance, its active part spread evenly over the active types."""
         active = self.prior(geometry, self.features.contact_distance) * weight
         active_types = self.inference.edge_types - 1
         spread = jnp.repeat(active[:, None] / active_types, active_types, axis=-1)
         return jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
+
+    def _with_commands(
+        self,
+        edge_features: Float[Array, "2 E G"],
+        nodes: Nodes,
+        edge_index: Int[Array, "2 E"],
+        command: Float[Array, " C"] | None,
+    ) -> Float[Array, "2 E F"]:
+        """The edge features, and the commands of edges with an actuated end, for the inference."""
+        commands = getattr(self.inference, "commands", 0)
+        if not commands:
+            return edge_features
+        acting = jnp.sum(nodes.actuated[edge_index], axis=0).astype(edge_features.dtype)
+        command = jnp.zeros(commands) if command is None else command
+        given = (acting[:, None] * command).astype(edge_features.dtype)
+        both = jnp.broadcast_to(given, (2, *given.shape))
+        return jnp.concatenate([edge_features, both], axis=-1)
 
     def _edges(
         self,
@@ -215,7 +241,7 @@ class ContactDynamics(eqx.Module):
         self, state: ModelState, nodes: Nodes, key: PRNGKeyArray | None = None
     ) -> StepStages:
         """All stages of one step, with their intermediate results."""
-        graph = self.encode(state.position, state.velocity, nodes, state.control_displacement)
+        graph = self.encode_state(state, nodes)
         belief = self.predict_belief(state.belief, graph)
         local = self.cut_edges(graph, belief, key)
         return StepStages(graph, belief, local, self.linearize(local))
@@ -259,42 +285,3 @@ class ContactDynamics(eqx.Module):
             raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
         local = self.stages(state, nodes).local
         return self.local_dynamics.parameters(local, self.dt, self.control_size)
-
-
-@dataclasses.dataclass(frozen=True)
-class InteractionCutoff:
-    """Guarantee of a model: nodes farther apart than ``distance`` do not affect each other.
-
-    A node that touches nothing is decelerated only by the ground, and driven only by a control that
-    acts on it.
-    """
-
-    distance: float
-    """m, from centre to centre, or to a bar's middle line."""
-    dt: float
-    """Length of a step, s."""
-
-
-def interaction_cutoff(model: object) -> InteractionCutoff | None:
-    """The model's cutoff as a guarantee on predictions; None where it gives none.
-
-    There is none without a cutoff of edges, with rounds of messages (an edge then depends on its
-    nodes' other neighbours), where nodes may move by themselves (free matrices, the paper's head
-    with its free equilibria), or where the model has not learned that controls do not act on
-    passive nodes.
-    """
-    if not isinstance(model, ContactDynamics) or not isinstance(model.cutoff, SmoothCutoff):
-        return None
-    dynamics, inference = model.local_dynamics, model.inference
-    if not isinstance(dynamics, SpringMassDamperDynamics):
-        return None
-    networks = list(dynamics.message_passing.types)
-    if not isinstance(inference, AllEdges):
-        networks.append(inference.message_passing)
-    if not all(isinstance(network, EdgeNetwork) for network in networks):
-        return None
-    head = dynamics.head
-    # The first node type is neither actuated nor hinged.
-    if not isinstance(head, CoupledHead) or not head.free_response[0] <= _FREE_RESPONSE:
-        return None
-    return InteractionCutoff(model.cutoff.outer, model.dt)

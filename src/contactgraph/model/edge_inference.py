@@ -41,6 +41,8 @@ class TransitionEdges(eqx.Module):
     edge_types: int = eqx.field(static=True)
     node_types: int = eqx.field(static=True)
     memory_size: int = eqx.field(static=True)
+    commands: int = eqx.field(static=True)
+    """Components of the control that are features of the edges of actuated nodes."""
 
     def __init__(
         self,
@@ -49,9 +51,10 @@ class TransitionEdges(eqx.Module):
         node_types: int,
         edge_types: int = 2,
         memory_size: int = _MEMORY,
+        commands: int = 0,
         key: PRNGKeyArray,
     ):
-        """``message_passing`` takes the edge's features and, of its ends, `node_types` counts."""
+        """``message_passing`` takes the edge's features, `commands`, and `node_types` counts."""
         cell_key, rate_key = jax.random.split(key)
         width = message_passing.width
         self.message_passing = message_passing
@@ -67,6 +70,7 @@ class TransitionEdges(eqx.Module):
         self.edge_types = edge_types
         self.node_types = node_types
         self.memory_size = memory_size
+        self.commands = commands
 
     def embed(
         self,

@@ -49,6 +49,16 @@ class MotionEvidence(eqx.Module):
     """[E, K] by `log_ratio`; bit for bit as predicted where that is 0."""
 
 
+def motion_noise(
+    model: ContactDynamics, position: float = 0.0, velocity: float = 0.0
+) -> MotionNoise:
+    """The model's own noise where it has learned one, and that of observations, m and m/s."""
+    learned = model.prediction_noise
+    if learned is None:
+        return MotionNoise(position, velocity)
+    return MotionNoise(position, velocity, learned.position, learned.velocity)
+
+
 def check_motion_model(model: object) -> ContactDynamics:
     """The model, if motion can be judged by it; else raises `InvalidInputError`."""
     if not isinstance(model, ContactDynamics):
@@ -106,7 +116,7 @@ def contact_log_likelihood_ratio(
     """
     sensitivity = control_sensitivity(model, before, nodes)
     state = with_control_displacement(before, sensitivity, control)
-    graph = model.encode(state.position, state.velocity, nodes, state.control_displacement)
+    graph = model.encode_state(state, nodes)
     predicted = model.predict_belief(state.belief, graph)
     stay = jnp.exp(-model.dt / noise.time_constant)
     if predicted.memory is None:  # else the inference itself remembers
@@ -153,10 +163,18 @@ def edge_log_ratios(
         )(others)
         other_motions = jax.vmap(moved)(other_types)
 
-        def compared(other: Motion) -> Float[Array, ""]:
-            return -noise.log_ratio(motion, other, observed, graph.nodes.mask, model.dt)
-
-        ratios = jnp.zeros(edge_types).at[others].set(jax.vmap(compared)(other_motions))
+        motions = jax.tree.map(
+            lambda one, rest: (
+                jnp.zeros((edge_types, *one.shape), one.dtype)
+                .at[jnp.argmax(types[edge])]
+                .set(one)
+                .at[others]
+                .set(rest)
+            ),
+            motion,
+            other_motions,
+        )
+        ratios = noise.log_ratios(motions, observed, graph.nodes.mask, model.dt)
         # An edge beyond the cutoff is inactive with certainty, whatever moves.
         ratios = jnp.where(graph.weight[edge] > 0, ratios - ratios[0], 0.0)
         after = _posterior(predicted.type_probability[edge], ratios, noise.error_floor)
@@ -222,9 +240,7 @@ def _as_if_touching(model: ContactDynamics, state: ModelState, graph: EncodedGra
     """
     nearest = _TOUCHING * graph.geometry.closest_approach
     touch = jnp.maximum(model.features.contact_distance, nearest)
-    return model.encode(
-        state.position, state.velocity, graph.nodes, state.control_displacement, touch
-    )
+    return model.encode_state(state, graph.nodes, touch)
 
 
 def most_probable(belief: ContactBelief) -> Float[Array, "E K"]:

@@ -1,10 +1,14 @@
 """Noise of observed and predicted motion, and the likelihood ratio of two predictions."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.errors import InvalidInputError
+
+_LEAST_POSITION, _LEAST_VELOCITY = 1e-6, 1e-5
+"""Least scales, m and m/s: rounding of observations in single precision."""
 
 Motion = tuple[Float[Array, "N D"], Float[Array, "N D"]]
 """Position [m] and velocity [m/s] of every node."""
@@ -36,9 +40,9 @@ class MotionNoise(eqx.Module):
     """Of one observed position, on each axis, m."""
     velocity: float = 0.0
     """Of one observed velocity, on each axis, m/s."""
-    model_position: float = 5e-4
+    model_position: float | Float[Array, ""] = 5e-4
     """Of a predicted position after one step, m."""
-    model_velocity: float = 1e-2
+    model_velocity: float | Float[Array, ""] = 1e-2
     """Of a predicted velocity after one step, m/s."""
     model_share: float = 0.4
     """r; relative error of the predicted effect of a contact."""
@@ -62,6 +66,23 @@ class MotionNoise(eqx.Module):
                 raise InvalidInputError(
                     f"{name} and model_{name} must not both be 0, since no motion would fit"
                 )
+
+    def log_ratios(
+        self, predictions: Motion, observed: Motion, exists: Bool[Array, " N"], dt: float
+    ) -> Float[Array, " K"]:
+        """Log-likelihood of ``observed`` under K predictions, each less that of the likeliest.
+
+        Predictions are compared in pairs, because the variances are those of a pair.
+        """
+
+        def against(other: Motion) -> Float[Array, " K"]:
+            return jax.vmap(lambda one: self.log_ratio(one, other, observed, exists, dt))(
+                predictions
+            )
+
+        ratio = jax.vmap(against)(predictions)  # [other, one]
+        likeliest = jnp.argmin(jnp.max(ratio, axis=1))
+        return jnp.clip(ratio[likeliest], -self.max_log_ratio, 0.0)
 
     def log_ratio(
         self, one: Motion, other: Motion, observed: Motion, exists: Bool[Array, " N"], dt: float
@@ -87,8 +108,48 @@ class MotionNoise(eqx.Module):
         relevance = 1.0 - dimension / jnp.maximum(contrast, dimension)
         ratio = relevance * (log_likelihood(one) - log_likelihood(other))
         ratio = jnp.sum(jnp.where(exists, ratio, 0.0))
-        ratio = jnp.where(jnp.isfinite(ratio), ratio, 0.0)
-        return jnp.clip(ratio, -self.max_log_ratio, self.max_log_ratio)
+        return jnp.where(jnp.isfinite(ratio), ratio, 0.0)
+
+
+_PACE = 5.0
+"""Scale of the logarithms in their parameters, so that they learn as fast as the dynamics."""
+
+
+class PredictionNoise(eqx.Module):
+    r"""Learned errors of a model's predicted step: scales of Student's t.
+
+    Its score is the negative log-likelihood of the residuals of those edge types that the motion
+    makes probable, so that both shrink as the dynamics become exact, and evidence sharpens.
+    """
+
+    log_position: Float[Array, ""]
+    """Logarithm of the scale in m, in units of `_PACE`."""
+    log_velocity: Float[Array, ""]
+    """The same of the scale in m/s."""
+
+    def __init__(self) -> None:
+        start = MotionNoise()
+        self.log_position = jnp.log(start.model_position) / _PACE * jnp.ones(())
+        self.log_velocity = jnp.log(start.model_velocity) / _PACE * jnp.ones(())
+
+    @property
+    def position(self) -> Float[Array, ""]:
+        """m, on each axis."""
+        return jnp.maximum(jnp.exp(_PACE * self.log_position), _LEAST_POSITION)
+
+    @property
+    def velocity(self) -> Float[Array, ""]:
+        """m/s, on each axis."""
+        return jnp.maximum(jnp.exp(_PACE * self.log_velocity), _LEAST_VELOCITY)
+
+    def score(self, predicted: Motion, observed: Motion) -> Float[Array, " N"]:
+        """Negative log-likelihood of every node's residual, up to a constant."""
+        tail, dimension = MotionNoise().tail, observed[0].shape[-1]
+        position, velocity = self.position, self.velocity
+        error = _square(observed[0], predicted[0]) / position**2
+        error = error + _square(observed[1], predicted[1]) / velocity**2
+        spread = 0.5 * (tail + 2 * dimension) * jnp.log1p(error / tail)
+        return spread + dimension * (jnp.log(position) + jnp.log(velocity))
 
 
 def _square(one: Float[Array, "N D"], other: Float[Array, "N D"]) -> Float[Array, " N"]:

@@ -34,6 +34,7 @@ from contactgraph.model.local_dynamics import (
     ThetaMethod,
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
+from contactgraph.model.motion_noise import PredictionNoise
 
 
 @dataclass(frozen=True)
@@ -107,10 +108,15 @@ def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDy
     model_key, messages_key, rates_key = jax.random.split(key, 3)
     model = gim_temp(config, key=model_key)
     features = model.features
-    edge_size = features.edge_size(config.dimension) + features.node_types
+    commands = max(0, config.control_size - config.dimension)
+    edge_size = features.edge_size(config.dimension) + commands + features.node_types
     messages = EdgeNetwork(edge_size, config.width or 32, key=messages_key)
     inference = TransitionEdges(
-        messages, node_types=features.node_types, edge_types=3, key=rates_key
+        messages,
+        node_types=features.node_types,
+        edge_types=3,
+        commands=commands,
+        key=rates_key,
     )
     touch = EdgeNetwork(
         features.edge_size(config.dimension), config.width or 32, key=jax.random.fold_in(key, 1)
@@ -118,7 +124,12 @@ def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDy
     dynamics = model.local_dynamics
     types = TypedMessagePassing([touch, *dynamics.message_passing.types])
     dynamics = eqx.tree_at(lambda each: each.message_passing, dynamics, types)
-    return dataclasses.replace(model, inference=inference, local_dynamics=dynamics)
+    return dataclasses.replace(
+        model,
+        inference=inference,
+        local_dynamics=dynamics,
+        prediction_noise=PredictionNoise(),
+    )
 
 
 def gim_non_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:

@@ -50,9 +50,13 @@ def _present_contacts(state: ModelState, nodes: Nodes) -> Bool[Array, " E"]:
 def with_control_displacement(
     state: ModelState, sensitivity: Float[Array, "N D U"], control: Float[Array, " U"]
 ) -> ModelState:
-    """The state with the displacement of each node by the next step's control [N] alone."""
+    """The state with the displacement of each node by the next step's control [N], and its command.
+
+    The command is those components of the control that no degree of freedom has.
+    """
     displacement = jnp.sum(sensitivity * control, axis=-1).astype(state.velocity.dtype)
-    return dataclasses.replace(state, control_displacement=displacement)
+    command = control[state.position.shape[-1] :].astype(state.velocity.dtype)
+    return dataclasses.replace(state, control_displacement=displacement, command=command)
 
 
 def take_step(

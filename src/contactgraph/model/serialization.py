@@ -37,6 +37,7 @@ from contactgraph.model.local_dynamics import (
     ThetaMethod,
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
+from contactgraph.model.motion_noise import PredictionNoise
 
 Tree = TypeVar("Tree")
 Description = dict[str, Any]
@@ -149,6 +150,7 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         MessagePassing,
         NoCutoff,
         PerDegreeHead,
+        PredictionNoise,
         SmoothCutoff,
         SpringMassDamperDynamics,
         ThetaMethod,

@@ -28,6 +28,9 @@ class ModelState(eqx.Module):
     control_displacement: Float[Array, "N D"] | None = None
     """m; how far the next step's control alone moves each node, on which it depends whether bodies
     touch within the step. None: not known."""
+    command: Float[Array, " C"] | None = None
+    """The next step's components of the control that move nothing, such as a switch. None: not
+    known, 0."""
 
 
 def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:

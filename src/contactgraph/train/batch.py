@@ -44,6 +44,11 @@ class Window(eqx.Module):
     """Bodies that never move, so that there is nothing to learn from their motion. None: none."""
 
     @property
+    def command(self) -> Float[Array, "*B L C"]:
+        """The components of the control that move nothing."""
+        return self.control[..., self.position.shape[-1] :]
+
+    @property
     def learned(self) -> Bool[Array, "*B N"]:
         """The bodies whose motion is learned: those that exist and are not static."""
         exists = jnp.asarray(self.nodes.mask)

@@ -21,6 +21,7 @@ from contactgraph.model.motion_likelihood import (
     MotionNoise,
     edge_log_ratios,
     most_probable,
+    motion_noise,
     posterior_by_motion,
 )
 from contactgraph.model.types import LinearDynamics, ModelState
@@ -34,7 +35,7 @@ from contactgraph.train.loss import (
 )
 
 _SMALLEST = 1e-6
-_NOISE = MotionNoise()
+_ERROR_FLOOR = MotionNoise().error_floor
 _LAPSE, _RESUME = 0.05, 0.1
 """Probability a step that corrections stop, and that they begin again, in training of the filter:
 it learns to keep a belief for some 10 steps without evidence."""
@@ -62,10 +63,12 @@ def judged_steps(
     displacement = steps.displacement(found)
     graph = steps.encode(displacement)
 
+    noise = motion_noise(frozen)
+
     def judge(graph: EncodedGraph, displacement: Array, control: Array, after: tuple) -> Array:
         predicted = frozen.prior_belief(graph)
         state = ModelState(graph.position, graph.velocity, predicted, displacement)
-        return edge_log_ratios(frozen, graph, state, predicted, control, after, _NOISE)
+        return edge_log_ratios(frozen, graph, state, predicted, control, after, noise)
 
     ratio = steps.each(judge, fixed(graph), displacement, windows.control, steps.after)
     return steps, graph, fixed(ratio)
@@ -79,9 +82,10 @@ def dynamics_loss(
 
     def likeliest(graph: EncodedGraph, ratio: Array) -> Array:
         prior = model.prior_belief(graph)
-        return most_probable(posterior_by_motion(prior, ratio, _NOISE.error_floor))
+        return most_probable(posterior_by_motion(prior, ratio, _ERROR_FLOOR))
 
-    types = jax.lax.stop_gradient(jax.vmap(jax.vmap(likeliest))(graph, ratio))
+    fixed = jax.lax.stop_gradient
+    types = fixed(jax.vmap(jax.vmap(likeliest))(graph, ratio))
     zero = jnp.zeros(())
     if with_rollout:
         return LossTerms(zero, zero, _given_rollout(model, windows, types), zero, zero)
@@ -89,13 +93,28 @@ def dynamics_loss(
     def linear(graph: EncodedGraph, types: Array) -> LinearDynamics:
         return model.linearize(model.cut_edges(graph, ContactBelief(types)))
 
-    def squared_error(graph: EncodedGraph, types: Array, control: Array, after: tuple) -> Array:
-        return squared_state_error(model, linear(graph, types), graph, control, after)
+    def squared_error(
+        graph: EncodedGraph, types: Array, control: Array, after: tuple
+    ) -> tuple[Array, Array]:
+        dynamics = linear(graph, types)
+        error = squared_state_error(model, dynamics, graph, control, after)
+        predicted = dynamics(graph.position, graph.velocity, control)
+        score = jnp.zeros(())
+        if model.prediction_noise is not None:
+            score = model.prediction_noise.score(fixed(predicted), after)
+        return error, jnp.where(near_edges(graph), score, jnp.nan)
 
-    error = steps.each(squared_error, graph, types, windows.control, steps.after)
+    error, score = steps.each(squared_error, graph, types, windows.control, steps.after)
     nodes = jnp.broadcast_to(windows.learned[:, None], error.shape)
     prediction = masked_mean(jnp.sqrt(error + _SMALLEST), nodes)
-    return LossTerms(prediction, masked_mean(error, nodes), zero, zero, zero)
+    noise = masked_mean(score, nodes & jnp.isfinite(score))
+    return LossTerms(prediction, masked_mean(error, nodes), zero, zero, zero, noise)
+
+
+def near_edges(graph: EncodedGraph) -> Bool[Array, " N"]:
+    """The nodes with an edge within the cutoff, whose motion is evidence."""
+    exists = (graph.weight > 0).astype(graph.position.dtype)
+    return jnp.einsum("sen,e->n", graph.geometry.incidence(len(graph.position)), exists) > 0
 
 
 def _given_rollout(
@@ -105,6 +124,7 @@ def _given_rollout(
 
     def error(window: Window, types: Float[Array, "L E K"]) -> Float[Array, "L N"]:
         def linear(x: Array, v: Array, types: Array, displacement: Array | None) -> LinearDynamics:
+            # The types are given, so that no inference needs the commands.
             graph = model.encode(x, v, window.nodes, displacement)
             return model.linearize(model.cut_edges(graph, ContactBelief(types)))
 
@@ -176,7 +196,7 @@ def _filtered(
         p = jnp.maximum(predicted.type_probability, _SMALLEST)
         score = -jax.nn.logsumexp(jnp.log(p) + ratio, axis=-1)
         used = jnp.where(corrects, ratio, 0.0)
-        return posterior_by_motion(predicted, used, _NOISE.error_floor), score
+        return posterior_by_motion(predicted, used, _ERROR_FLOOR), score
 
     first = model.prior_belief(jax.tree.map(lambda leaf: leaf[0], graph))
     return jax.lax.scan(step, first, (graph, ratio, corrects))

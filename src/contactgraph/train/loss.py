@@ -74,6 +74,8 @@ class LossTerms(eqx.Module):
     """Mean KL divergence of the belief from the distance prior, nat per edge."""
     likelihood: Float[Array, ""] | float = 1.0
     """Mean negative log-likelihood of the motion under a filter, nat per edge."""
+    noise: Float[Array, ""] | float = 1.0
+    """Mean score of the prediction noise: see `PredictionNoise`."""
 
     def total(self, weights: "LossTerms") -> Float[Array, ""]:
         """The weighted sum."""
@@ -83,6 +85,7 @@ class LossTerms(eqx.Module):
             + self.rollout * weights.rollout
             + self.prior * weights.prior
             + self.likelihood * weights.likelihood
+            + self.noise * weights.noise
         )
 
 
@@ -108,6 +111,7 @@ def window_loss(
         rollout=rollout_loss(model, windows, devices) if with_rollout else jnp.zeros(()),
         prior=masked_mean(divergence, weight > 0),
         likelihood=jnp.zeros(()),
+        noise=jnp.zeros(()),
     )
 
 
@@ -158,12 +162,14 @@ class WindowSteps:
         windows, (batch, length) = self.windows, self.windows.control.shape[:2]
         window = jnp.repeat(jnp.arange(batch)[:, None], length, axis=1)
 
-        def encode(window: Array, x: Array, v: Array, displacement: Array | None) -> EncodedGraph:
+        def encode(
+            window: Array, x: Array, v: Array, displacement: Array | None, command: Array
+        ) -> EncodedGraph:
             nodes = jax.tree.map(lambda leaf: leaf[window], windows.nodes)
-            return self.model.encode(x, v, nodes, displacement)
+            return self.model.encode(x, v, nodes, displacement, command)
 
         states = windows.position[:, :-1], windows.velocity[:, :-1]
-        return self.each(encode, window, *states, control_displacement)
+        return self.each(encode, window, *states, control_displacement, windows.command)
 
     def predict_beliefs(self, graph: EncodedGraph) -> tuple[ContactBelief, ContactBelief]:
         """Prior and, by stage 2 in a scan over time, predicted belief of every step."""

@@ -1,0 +1,52 @@
+"""The guarantee of a model that far nodes do not affect each other."""
+
+import dataclasses
+
+from contactgraph.model.contact_belief import SmoothCutoff
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.edge_inference import AllEdges
+from contactgraph.model.heads import CoupledHead
+from contactgraph.model.local_dynamics import SpringMassDamperDynamics
+from contactgraph.model.message_passing import EdgeNetwork
+
+_FREE_RESPONSE = 1e-3
+"""1/kg; a control of 10 N then moves a passive node by 5 mm in a second."""
+
+
+@dataclasses.dataclass(frozen=True)
+class InteractionCutoff:
+    """Guarantee of a model: nodes farther apart than ``distance`` do not affect each other.
+
+    A node that touches nothing is decelerated only by the ground, and driven only by a control that
+    acts on it.
+    """
+
+    distance: float
+    """m, from centre to centre, or to a bar's middle line."""
+    dt: float
+    """Length of a step, s."""
+
+
+def interaction_cutoff(model: object) -> InteractionCutoff | None:
+    """The model's cutoff as a guarantee on predictions; None where it gives none.
+
+    There is none without a cutoff of edges, with rounds of messages (an edge then depends on its
+    nodes' other neighbours), where nodes may move by themselves (free matrices, the paper's head
+    with its free equilibria), or where the model has not learned that controls do not act on
+    passive nodes.
+    """
+    if not isinstance(model, ContactDynamics) or not isinstance(model.cutoff, SmoothCutoff):
+        return None
+    dynamics, inference = model.local_dynamics, model.inference
+    if not isinstance(dynamics, SpringMassDamperDynamics):
+        return None
+    networks = list(dynamics.message_passing.types)
+    if not isinstance(inference, AllEdges):
+        networks.append(inference.message_passing)
+    if not all(isinstance(network, EdgeNetwork) for network in networks):
+        return None
+    head = dynamics.head
+    # The first node type is neither actuated nor hinged.
+    if not isinstance(head, CoupledHead) or not head.free_response[0] <= _FREE_RESPONSE:
+        return None
+    return InteractionCutoff(model.cutoff.outer, model.dt)
