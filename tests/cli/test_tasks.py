@@ -127,6 +127,14 @@ def test_a_class_without_an_expert_is_explored(
     sys.modules.pop("plain_task")
 
 
+def test_lost_grasps_are_of_suction() -> None:
+    with pytest.raises(InvalidInputError, match=r"^--lose-grasp: only suction loses its grasp, f"):
+        task_factory("release", TaskOptions(lose_grasp=0.5))
+    options = TaskOptions(lose_grasp=0.5)
+    assert options.metadata["lose_grasp"] == 0.5
+    task_factory("suction", options)
+
+
 def test_the_hidden_switch_is_of_suction(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match=r"^--hidden-switch: only suction has a switch, f"):
         task_factory("release", TaskOptions(hidden_switch=True))

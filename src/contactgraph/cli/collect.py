@@ -18,6 +18,7 @@ from contactgraph.cli.options import (
     Distractors,
     Grasp,
     HiddenSwitch,
+    LoseGrasp,
     Objects,
     Passive,
     TaskArgument,
@@ -44,6 +45,7 @@ class Collect:
     grasp: Grasp = None
     passive: Passive = False
     hidden_switch: HiddenSwitch = False
+    lose_grasp: LoseGrasp = 0.0
     mixed: bool = False
     """Alternate scenes with 0 to DISTRACTORS distractors, and with 1 to OBJECTS objects."""
     goal: Annotated[str, arg(metavar="NAME")] = "sampled"
@@ -82,6 +84,7 @@ class Collect:
             shared,
             passive=self.passive,
             hidden_switch=self.hidden_switch,
+            lose_grasp=self.lose_grasp,
         )
         if self.mixed:
             factories = mixed_factories(self.task, options)

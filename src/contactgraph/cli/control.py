@@ -14,6 +14,7 @@ from contactgraph.cli.options import (
     FalseAlarms,
     Grasp,
     HiddenSwitch,
+    LoseGrasp,
     Misses,
     Objects,
     OutputFile,
@@ -84,6 +85,7 @@ class Control:
     objects: Objects = None
     grasp: Grasp = None
     hidden_switch: HiddenSwitch = False
+    lose_grasp: LoseGrasp = 0.0
     radius: Annotated[float | None, arg(metavar="M", help_behavior_hint="(pickup: 0.04)")] = None
     """Radius of every body of pickup, m."""
     cost: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(the task's cost)")] = None
@@ -140,6 +142,7 @@ class Control:
             self.grasp,
             radius=self.radius,
             hidden_switch=self.hidden_switch,
+            lose_grasp=self.lose_grasp,
         )
         if self.model in _SCRIPTED:
             self._write(self._by_policy(options), options)

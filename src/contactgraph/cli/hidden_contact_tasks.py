@@ -29,7 +29,7 @@ _CONDITIONS = (
 def _suction(options: TaskOptions) -> TaskFactory:
     _refuse("suction", options)
     task = partial(SuctionTask, options.distractors, fixed_seed=options.fixed_seed)
-    return partial(task, hidden_switch=options.hidden_switch)
+    return partial(task, hidden_switch=options.hidden_switch, lose_grasp=options.lose_grasp)
 
 
 def _one_target(

@@ -58,6 +58,13 @@ HiddenSwitch = Annotated[
     bool,
     arg(help="suction: a random process that nothing records operates the switch."),
 ]
+LoseGrasp = Annotated[
+    float,
+    arg(
+        metavar="SHARE",
+        help="suction: in this share of the episodes the grasp is lost once on the way.",
+    ),
+]
 Grasp = Annotated[
     str | None,
     arg(

@@ -24,6 +24,8 @@ class TaskOptions:
     """Whether nothing is driven, so that the control is empty."""
     hidden_switch: bool = False
     """Whether a random process, which nothing records, operates the gripper's switch."""
+    lose_grasp: float = 0.0
+    """Share of the episodes in which a grasp is lost on the way."""
 
     @property
     def metadata(self) -> dict[str, str | int | float]:
@@ -36,6 +38,8 @@ class TaskOptions:
             given["passive"] = True
         if self.hidden_switch:
             given["hidden_switch"] = True
+        if self.lose_grasp:
+            given["lose_grasp"] = self.lose_grasp
         return {"distractors": self.distractors, **given}
 
 

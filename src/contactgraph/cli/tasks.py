@@ -70,6 +70,7 @@ def _factory_of_class(
         "radius": options.radius,
         "passive": options.passive or None,
         "hidden_switch": options.hidden_switch or None,
+        "lose_grasp": options.lose_grasp or None,
     }
     given = {key: value for key, value in given.items() if value is not None}
     for key, value in given.items():
@@ -94,6 +95,9 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
     if options.hidden_switch and name != "suction" and ":" not in name:
         known_task(name)
         raise InvalidInputError(f"--hidden-switch: only suction has a switch, found {name}")
+    if options.lose_grasp and name != "suction" and ":" not in name:
+        known_task(name)
+        raise InvalidInputError(f"--lose-grasp: only suction loses its grasp, found {name}")
     factory = known_task(name).factory(options)
     factory()  # an invalid count is refused before any work is done
     return factory
