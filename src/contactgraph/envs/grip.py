@@ -87,7 +87,7 @@ class SwitchedHold:
         held, position = held_by_gripper(world), world.position
         self._grasped = {node: self._grasped.get(node, position[node]) for node in held}
         carried = [np.linalg.norm(position[node] - self._grasped[node]) for node in held]
-        return max(carried, default=0.0) >= self._left
+        return bool(max(carried, default=0.0) >= self._left)
 
 
 def switch(world: PlanarWorld, on: bool) -> None:
