@@ -48,9 +48,9 @@ FILES = {"contactgraph": 150, "contactgraph_franka": 60, "contactgraph_studies":
 LINES = {"contactgraph": 24_700, "contactgraph_franka": 9_000, "contactgraph_studies": 4_500}
 LONGEST_FILE = 300
 MODULES_BEHIND = {
-    "contactgraph.model.contact_dynamics": 19,  # a prediction step
-    "contactgraph.train.fit": 32,  # a training step, its held-out error and signs of a dead network
-    "contactgraph.control.active_set": 34,  # a control step
+    "contactgraph.model.contact_dynamics": 20,  # a prediction step
+    "contactgraph.train.fit": 33,  # a training step, its held-out error and signs of a dead network
+    "contactgraph.control.active_set": 35,  # a control step
 }
 FRAMES = 14
 """Calls from the command `contactgraph control` to the first one in the model, in a plan."""
