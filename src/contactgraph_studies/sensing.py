@@ -40,10 +40,10 @@ class SensingAmounts:
 SCENE_SEED = 1200
 """No model, no other study and no tuning uses these scenes."""
 
-MEASURED = Variant("measured", "contacts measured")
-UNMEASURED = Variant("unmeasured", "nothing", ("--unmeasured",))
+MEASURED = Variant("measured", "contacts measured", ("--ignore-motion",))
+UNMEASURED = Variant("unmeasured", "nothing", ("--unmeasured", "--ignore-motion"))
 INFERRED = Variant("inferred", "motion", ("--unmeasured", "--infer-contacts"))
-MISSING = Variant("missing", "a sensor with 30 % misses", ("--misses", "0.3"))
+MISSING = Variant("missing", "a sensor with 30 % misses", ("--misses", "0.3", "--ignore-motion"))
 BOTH = Variant("both", "that sensor and motion", ("--misses", "0.3", "--infer-contacts"))
 SENSORS = (MEASURED, UNMEASURED, INFERRED, MISSING, BOTH)
 """Contact information that a controller receives."""

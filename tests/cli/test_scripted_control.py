@@ -112,6 +112,7 @@ def test_without_a_fixed_start_the_demonstrator_takes_its_place(tmp_path: Path) 
     [
         (["--horizon", "9"], "--horizon"),
         (["--infer-contacts"], "--infer-contacts"),
+        (["--ignore-motion"], "--ignore-motion"),
         (["--deadline-ms", "5"], "--deadline-ms"),
         (["--misses", "0.1", "--unmeasured"], "--misses, --unmeasured"),
         (["--cost", "cost.json", "--position-noise", "1"], "--cost, --position-noise"),

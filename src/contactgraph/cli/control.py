@@ -108,7 +108,9 @@ class Control:
     velocity_noise: Annotated[float, arg(metavar="M/S")] = 0.0
     """Standard deviation of the noise on every observed velocity, m/s."""
     infer_contacts: bool = False
-    """Also correct the contact beliefs by the observed motion."""
+    """Correct the contact beliefs by the observed motion, too. This is the default."""
+    ignore_motion: bool = False
+    """Correct the contact beliefs by measured contacts alone."""
     json: OutputFile = None
     """Write the measurements to this file."""
     video: OutputFile = None
@@ -127,7 +129,7 @@ class Control:
         from contactgraph.control import read_cost
         from contactgraph.data import Dataset, InvalidInputError
         from contactgraph.evaluate import ObservationNoise, control_task, evaluate_open_loop
-        from contactgraph.model import MotionNoise
+        from contactgraph.model import ContactDynamics, check_motion_model, motion_noise
         from contactgraph.viz import check_animation, scene_trajectory
 
         for path in (self.json, self.video, self.save):
@@ -159,11 +161,17 @@ class Control:
                 "--unmeasured: no contact is measured, so --false-alarms, --misses and --delay "
                 "must be left out"
             )
+        if self.infer_contacts and self.ignore_motion:
+            raise InvalidInputError("--infer-contacts and --ignore-motion exclude each other")
         noise = ObservationNoise(self.position_noise, self.velocity_noise, self.seed)
-        motion_noise = MotionNoise(noise.position, noise.velocity) if self.infer_contacts else None
         factory = task_factory(self.task, options)
         cost = None if self.cost is None else read_cost(self.cost)
         model = stored_model(self.model)
+        can_judge = isinstance(model, ContactDynamics) and model.neighbor_list is None
+        infers = self.infer_contacts or (can_judge and not self.ignore_motion)
+        by_motion = None
+        if infers:
+            by_motion = motion_noise(check_motion_model(model), noise.position, noise.velocity)
         first: list[EpisodeRecord] = []
         finished = itertools.count(1)
         with progress("controlling", self.episodes) as bar:
@@ -184,18 +192,19 @@ class Control:
                 faults=faults,
                 measured=not self.unmeasured,
                 noise=noise,
-                motion_noise=motion_noise,
+                motion_noise=by_motion,
                 on_episode=on_episode,
             )
         predicted: Mapping[str, Any] = not_predicted()
         if any(each.steps >= round(_PREDICTED_S / each.scene.dt) for each in trajectories):
             predicted = evaluate_open_loop(
-                model, Dataset(tuple(trajectories)), faults=faults, motion_noise=motion_noise
+                model, Dataset(tuple(trajectories)), faults=faults, motion_noise=by_motion
             ).to_json()
         settings = {
             **{name: getattr(self, name) for name in _RECORDED},
             "cost": None if self.cost is None else str(self.cost),
             "horizon": horizon,
+            "infer_contacts": infers,
         }
         controlled = _Controlled(
             trajectories,
@@ -217,7 +226,7 @@ class Control:
         from contactgraph.viz import recorded_scene
 
         defaults = {each.name: each.default for each in fields(self)}
-        names = (*_RECORDED, "deadline_ms")
+        names = (*_RECORDED, "deadline_ms", "ignore_motion")
         given = [name for name in names if getattr(self, name) != defaults[name]]
         if given:
             flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)

@@ -22,8 +22,10 @@ from contactgraph.model import (
     Nodes,
     StepModel,
     check_motion_model,
+    control_sensitivity,
     correct,
     correct_by_motion,
+    with_control_displacement,
 )
 
 
@@ -176,7 +178,10 @@ class MPCConfig(eqx.Module):
         control = jax.tree.map(lambda of_step: of_step[0], previous.policy)(x)
         control = jnp.where(jnp.isfinite(control), control, previous.controls[0])
         control = control if self.planner.limits is None else self.planner.limits(control)
-        _, belief = self.model.linear_step(now, nodes)
+        informed = with_control_displacement(
+            now, control_sensitivity(self.model, now, nodes), control
+        )
+        _, belief = self.model.linear_step(informed, nodes)
         return replace(
             previous.with_status(PlanStatus.PLAN_REUSED),
             states=previous.states.at[0].set(x),
