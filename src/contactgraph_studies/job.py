@@ -27,6 +27,10 @@ class Variant:
     options: Options = ()
 
 
+PLAIN = Variant("", "")
+"""The command as it is."""
+
+
 @dataclass(frozen=True)
 class Job:
     """One ``contactgraph`` command. Paths are relative to the study's folder, where it is run."""

@@ -123,6 +123,20 @@ def last_line(log: Path) -> str:
     return printed[-1] if printed else f"it printed nothing to {log}"
 
 
+def reason_missing(job: Job, records: JobRecords) -> str | None:
+    """The reason why a job has no result; None if it has."""
+    if records.seconds(job) is not None:
+        return None
+    for needed in job.needs:
+        reason = reason_missing(needed, records)
+        if reason is not None:
+            return reason
+    log = records.log_path(job)
+    if not log.exists():
+        return "not measured yet"
+    return f"not finished: {job.command} ({last_line(log)})"
+
+
 class _Schedule:
     """The jobs that still have to run, and the times of those that have run."""
 

@@ -8,9 +8,8 @@ from functools import cached_property
 
 from contactgraph.cli.task_types import TestCondition
 from contactgraph.viz.metric_table import short
-from contactgraph_studies.job import Job, JobRecords, Measurement
+from contactgraph_studies.job import JobRecords, Measurement
 from contactgraph_studies.results import Quantity, Results, SeedStatistic, joined, moving_error
-from contactgraph_studies.runner import last_line
 from contactgraph_studies.worlds import (
     Source,
     World,
@@ -126,16 +125,3 @@ class WorldRow:
             for name, words in BASELINES.items()
             if mine.known and self.errors[name].known and self.errors[name].median < mine.median
         ]
-
-    def reason_missing(self, job: Job) -> str | None:
-        """The reason why a job has no result; None if it has."""
-        if self.records.seconds(job) is not None:
-            return None
-        for needed in job.needs:
-            reason = self.reason_missing(needed)
-            if reason is not None:
-                return reason
-        log = self.records.log_path(job)
-        if not log.exists():
-            return "not measured yet"
-        return f"not finished: {job.command} ({last_line(log)})"

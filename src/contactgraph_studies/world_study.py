@@ -1,12 +1,13 @@
 """The study of all tasks beside baselines: one model for each task and seed."""
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from matplotlib.figure import Figure
 
@@ -30,15 +31,15 @@ _SUCCESS_TARGETS = {True: Target(98.0, 100.0), False: Target(95.0, 99.0)}
 
 
 @dataclass(frozen=True)
-class WorldStudy(Study):
-    """All rows of the table are shown; those of ``only`` are measured."""
+class StudyOfWorlds(Study):
+    """Every world is shown; those of ``only`` are measured."""
 
     amounts: WorldAmounts
     worlds: Sequence[World] = WORLDS
     only: tuple[str, ...] = ()
     """Slugs; empty: all."""
 
-    def restricted(self, names: str) -> "WorldStudy":
+    def restricted(self, names: str) -> Self:
         """To a comma-separated list of worlds.
 
         Raises `InvalidInputError` for an unknown name, and if every named world lacks a package.
@@ -50,16 +51,38 @@ class WorldStudy(Study):
             raise InvalidInputError(f"--only: {missing[0]}")
         return replace(self, only=tuple(world.slug for world in chosen))
 
+    @abstractmethod
+    def measured(self, worlds: Sequence[World]) -> list[Measurement]:
+        """Everything that is measured of these worlds, one after the other."""
+
     @cached_property
     def measurements(self) -> list[Measurement]:
         """Of the chosen worlds whose packages are installed."""
         chosen = [world for world in self.worlds if not self.only or world.slug in self.only]
-        return world_measurements([one for one in chosen if one.missing is None], self.amounts)
+        return self.measured([one for one in chosen if one.missing is None])
 
     @property
     def left_out(self) -> Sequence[str]:
         """The worlds that lack a package, each with the extra that installs it."""
         return [world.missing for world in self.worlds if world.missing is not None]
+
+    def finished(self, folder: Path) -> tuple[Results, JobRecords]:
+        """All numbers of jobs that were done by the same command and version.
+
+        Others are not shown, because with ``only`` they are not repeated.
+        """
+        records = JobRecords(folder, version("contactgraph"))
+        every = self.measured([world for world in self.worlds if world.missing is None])
+        done = [one for one in every if records.seconds(one.job) is not None]
+        return Results.read(folder, done), records
+
+
+class WorldStudy(StudyOfWorlds):
+    """Every task beside all baselines."""
+
+    def measured(self, worlds: Sequence[World]) -> list[Measurement]:
+        """Predictions and control by each training, and control by scripted policies."""
+        return world_measurements(worlds, self.amounts)
 
     def result(self, folder: Path) -> StudyResult:
         """Table, figure and targets."""
@@ -93,17 +116,10 @@ class WorldStudy(Study):
         )
 
     def rows(self, folder: Path) -> list[WorldRow]:
-        """All rows of the table, from the jobs that were done by the same command and version.
-
-        Others are not shown, because with ``only`` they are not repeated.
-        """
-        amounts, records = self.amounts, JobRecords(folder, version("contactgraph"))
-        known = [world for world in self.worlds if world.missing is None]
-        every = world_measurements(known, amounts)
-        done = [one for one in every if records.seconds(one.job) is not None]
-        results = Results.read(folder, done)
+        """All rows of the table."""
+        results, records = self.finished(folder)
         return [
-            WorldRow(world, scenes, amounts, results, records)
+            WorldRow(world, scenes, self.amounts, results, records)
             for world in self.worlds
             for scenes in world.scenes
         ]

@@ -5,6 +5,7 @@ from typing import Any
 
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.results import Quantity, SeedStatistic, joined, with_range
+from contactgraph_studies.runner import reason_missing
 from contactgraph_studies.tables import StudyTable, counts
 from contactgraph_studies.world_row import EDGES, ERRORS, INFERRED, MEASURED, WorldRow
 from contactgraph_studies.worlds import Source
@@ -74,7 +75,7 @@ def _notes(row: WorldRow) -> Iterator[tuple[str, str]]:
         yield "all", row.world.missing
         return
     jobs = row.measurements
-    reasons = [(one, row.reason_missing(one.job)) for one in jobs]
+    reasons = [(one, reason_missing(one.job, row.records)) for one in jobs]
     lost = {one: reason for one, reason in reasons if reason is not None}
     if len(lost) == len(jobs) and len(set(lost.values())) == 1:
         yield "all", next(iter(lost.values()))

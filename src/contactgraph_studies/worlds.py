@@ -10,7 +10,7 @@ from contactgraph.cli.known_tasks import TASKS
 from contactgraph.cli.task_types import TestCondition
 from contactgraph.cli.tasks import known_task
 from contactgraph_franka.envs.task_entry import FRANKA
-from contactgraph_studies.job import Job, Measurement, Options
+from contactgraph_studies.job import PLAIN, Job, Measurement, Options, Variant
 
 TEST_SEED, SCENE_SEED = 1000, 2000
 """Of recorded test trajectories and of controlled scenes; no training data have either."""
@@ -165,14 +165,11 @@ def _of(world: World, amounts: WorldAmounts) -> Iterator[Measurement]:
             yield Measurement(
                 WorldCondition(world.slug, scenes.slug, Source.open_loop),
                 seed,
-                training.evaluation(scenes),
+                training.evaluation(scenes, beside_baselines=True),
             )
             if world.controlled:
                 condition = WorldCondition(world.slug, scenes.slug, Source.mpc)
-                output = f"{training.folder}/control-{scenes.slug}.json"
-                needs = () if training.job is None else (training.job,)
-                job = _control(world, scenes, amounts, training.model, output, needs)
-                yield Measurement(condition, seed, job)
+                yield Measurement(condition, seed, training.control(scenes))
     sources = {"expert": Source.scripted, "fixed-start": Source.fixed_start}
     for scenes in world.scenes if world.controlled else ():
         for policy, source in sources.items():
@@ -189,6 +186,8 @@ class WorldTraining:
     world: World
     seed: int
     amounts: WorldAmounts
+    variant: Variant = PLAIN
+    """Further options of ``train``."""
 
     @property
     def folder(self) -> str:
@@ -213,28 +212,48 @@ class WorldTraining:
         """The training; None for a shipped model."""
         if self.world.shipped_runs:
             return None
-        output = f"{self.folder}/run"
+        output = f"{self.folder}/{_named('run', self.variant)}"
         arguments = ("train", self.data.output, "--out", output, "--seed", str(self.seed))
         return Job(
             output,
-            (*arguments, *self.amounts.training_options),
-            f"train {self.world.slug}",
+            (*arguments, *self.variant.options, *self.amounts.training_options),
+            _named(f"train {self.world.slug}", self.variant),
             (self.data,),
             checkpoints="checkpoint-*.safetensors",
         )
 
-    def evaluation(self, scenes: TestCondition) -> Job:
-        """Predictions of recorded trajectories by the model and by all baselines."""
+    @property
+    def _inputs(self) -> tuple[Job, ...]:
+        return () if self.job is None else (self.job,)
+
+    def evaluation(
+        self, scenes: TestCondition, variant: Variant = PLAIN, beside_baselines: bool = False
+    ) -> Job:
+        """Predictions of recorded trajectories; ``beside_baselines`` fits these, too."""
         world, amounts = self.world, self.amounts
         path = f"{amounts.folder}/{world.slug}/test-{scenes.slug}.h5"
         test = _collect(world, scenes.options, amounts.test_runs, TEST_SEED, path)
-        output = f"{self.folder}/evaluate-{scenes.slug}.json"
+        name = _named(f"evaluate-{scenes.slug}", self.variant, variant)
+        output = f"{self.folder}/{name}.json"
+        baselines = ("--baselines", self.data.output) if beside_baselines else ()
         arguments = (
-            *("evaluate", self.model, test.output, "--baselines", self.data.output),
+            *("evaluate", self.model, test.output, *baselines, *variant.options),
             *("--infer-contacts", "--json", output),
         )
-        needs = (self.data, test) if self.job is None else (self.job, self.data, test)
-        return Job(output, arguments, f"evaluate {world.slug} {scenes.slug}", needs)
+        data = (self.data, test) if beside_baselines else (test,)
+        group = _named(f"evaluate {world.slug} {scenes.slug}", self.variant, variant)
+        return Job(output, arguments, group, (*self._inputs, *data))
+
+    def control(self, scenes: TestCondition, variant: Variant = PLAIN) -> Job:
+        """Control by MPC."""
+        output = f"{self.folder}/{_named(f'control-{scenes.slug}', self.variant, variant)}.json"
+        return _control(
+            self.world, scenes, self.amounts, self.model, output, self._inputs, variant
+        )
+
+
+def _named(name: str, *variants: Variant) -> str:
+    return "-".join([name, *(one.slug for one in variants if one.slug)])
 
 
 def _collect(world: World, options: Options, runs: int, seed: int, output: str) -> Job:
@@ -252,12 +271,14 @@ def _control(
     controller: str,
     output: str,
     needs: tuple[Job, ...] = (),
+    variant: Variant = PLAIN,
 ) -> Job:
     """``controller`` is a model or the name of a scripted policy."""
     arguments = (
-        *("control", controller, world.task, *world.options, *scenes.options),
+        *("control", controller, world.task, *world.options, *scenes.options, *variant.options),
         *("--episodes", str(amounts.episodes_of(world)), "--seed", str(SCENE_SEED)),
         *("--json", output),
     )
     kind = "mpc" if needs or world.shipped_runs else controller
-    return Job(output, arguments, f"control {kind} {world.slug} {scenes.slug}", needs)
+    group = _named(f"control {kind} {world.slug} {scenes.slug}", variant)
+    return Job(output, arguments, group, needs)
