@@ -18,20 +18,22 @@ if TYPE_CHECKING:
 class Reproduce:
     """Record, train and test every model of the paper, and judge the paper's claims.
 
-    With worlds: train on every task, and compare with baselines. With cost: learn costs from
+    With worlds: train on every task, and compare with baselines. With inference: judge the filter
+    of contacts, and what is lost without it. With cost: learn costs from
     demonstrations, and control in scenes without demonstrations. With sensing: control without a
     contact sensor. With rehearsal: record, train and control through an arm's protocol and a
     camera. The same command continues an interrupted study; finished jobs are kept.
     """
 
     study: Positional[Annotated[str, arg(metavar="STUDY")]] = "all"
-    """The study: pickup, multi-pickup, door, all of these (all), franka (an arm), worlds, cost,
-    sensing, or rehearsal."""
+    """The study: pickup, multi-pickup, door, all of these (all), franka (an arm), worlds,
+    inference, cost, sensing, or rehearsal."""
     quick: bool = False
-    """One seed and few test scenes: half an hour on two cores for all tasks. With worlds also short
-    trainings, which only show that everything runs."""
-    only: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(worlds: all)")] = None
-    """Tasks of worlds to measure, separated by commas; the others are shown as they are."""
+    """One seed and few test scenes: half an hour on two cores for all tasks. With worlds and
+    inference also short trainings, which only show that everything runs."""
+    only: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(all)")] = None
+    """Tasks of worlds or inference to measure, separated by commas; the others are shown as they
+    are."""
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """The folder to write; results/study for all, results/STUDY for another, if not given."""
     cluster: Annotated[str, arg(metavar="WHERE")] = "local"
@@ -43,12 +45,14 @@ class Reproduce:
         from contactgraph.data import InvalidInputError
         from contactgraph_studies.page import write_study
         from contactgraph_studies.runner import run_study
-        from contactgraph_studies.world_study import WorldStudy
+        from contactgraph_studies.world_study import StudyOfWorlds
 
         study = choice("study", self.study, _studies(self.quick))
         if self.only is not None:
-            if not isinstance(study, WorldStudy):
-                raise InvalidInputError(f"--only: the study must be worlds, found {self.study}")
+            if not isinstance(study, StudyOfWorlds):
+                raise InvalidInputError(
+                    f"--only: the study must be worlds or inference, found {self.study}"
+                )
             study = study.restricted(self.only)
         folder = self.out or Path("results") / ("study" if self.study == "all" else self.study)
         if folder.exists() and not folder.is_dir():
@@ -83,6 +87,8 @@ class Reproduce:
 def _studies(quick: bool) -> "dict[str, Study]":
     from contactgraph_studies.cost.config import COST_TASKS, FULL_COST, QUICK_COST
     from contactgraph_studies.cost.study import CostStudy
+    from contactgraph_studies.inference_jobs import INFERENCE_WORLDS
+    from contactgraph_studies.inference_study import InferenceStudy
     from contactgraph_studies.paper.config import EVERY_TASK, FULL, QUICK, TASKS
     from contactgraph_studies.paper.study import ModelStudy
     from contactgraph_studies.sensing import FULL_SENSING, QUICK_SENSING, SensingStudy
@@ -91,9 +97,11 @@ def _studies(quick: bool) -> "dict[str, Study]":
     from contactgraph_studies.worlds import FULL_WORLDS, QUICK_WORLDS
 
     amounts = QUICK if quick else FULL
+    world_amounts = QUICK_WORLDS if quick else FULL_WORLDS
     return {
         **{task.name: ModelStudy((task,), amounts) for task in EVERY_TASK},
-        "worlds": WorldStudy(QUICK_WORLDS if quick else FULL_WORLDS),
+        "worlds": WorldStudy(world_amounts),
+        "inference": InferenceStudy(world_amounts, INFERENCE_WORLDS),
         "cost": CostStudy(COST_TASKS, QUICK_COST if quick else FULL_COST),
         "sensing": SensingStudy(QUICK_SENSING if quick else FULL_SENSING),
         "rehearsal": SimulatedRobotStudy(QUICK_SIM if quick else FULL_SIM),

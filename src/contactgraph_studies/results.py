@@ -176,12 +176,25 @@ class Results:
         """One for each seed, in order of seeds."""
         return self._readings.get(condition, [])
 
+    def by_seed(self, condition: Any, quantity: Quantity) -> dict[int, float]:
+        """The known numbers of a condition that has one reading for each seed."""
+        return {one.seed: value for one, value in self._known(condition, quantity)}
+
     def statistic(self, condition: Any, quantity: Quantity) -> SeedStatistic:
         """Of the readings that have the quantity's key."""
-        found = [one for one in self.readings(condition) if quantity.key in one.values]
-        values = [quantity.read(one.values) for one in found]
-        known = tuple(value for value in values if not math.isnan(value))
-        return SeedStatistic(known, found[0].command if found else "", quantity.unit)
+        values = tuple(value for _, value in self._known(condition, quantity))
+        return SeedStatistic(values, self.command(condition, quantity), quantity.unit)
+
+    def command(self, condition: Any, quantity: Quantity) -> str:
+        """The first command that wrote the quantity's key; "" without any."""
+        return next((one.command for one in self._with(condition, quantity)), "")
+
+    def _with(self, condition: Any, quantity: Quantity) -> list[Reading]:
+        return [one for one in self.readings(condition) if quantity.key in one.values]
+
+    def _known(self, condition: Any, quantity: Quantity) -> list[tuple[Reading, float]]:
+        read = [(one, quantity.read(one.values)) for one in self._with(condition, quantity)]
+        return [(one, value) for one, value in read if not math.isnan(value)]
 
     def success(self, condition: Any) -> Success | None:
         """Of closed-loop readings; None without any."""

@@ -153,11 +153,16 @@ def judged(
     target: Target | None,
     seeds: Sequence[int],
     lower: bool = False,
+    every: bool = False,
 ) -> ReportMetric:
-    """The median over seeds with its range, beside the target; ``lower``: lower is better."""
+    """The median over seeds with its range, beside the target; ``lower``: lower is better.
+
+    With ``every`` the worst value in place of the median.
+    """
+    value = (statistic.high if lower else statistic.low) if every else statistic.median
     return ReportMetric(
         name=name,
-        value=statistic.median if statistic.known else None,
+        value=value if statistic.known else None,
         unit=statistic.unit,
         interval=(statistic.low, statistic.high) if len(statistic.values) > 1 else None,
         at_least=None if target is None else target.at_least,

@@ -28,6 +28,16 @@ def known_text(value: SeedStatistic) -> str:
     return with_range(value) if value.known else ""
 
 
+DASH = "-"
+
+
+def number_text(value: SeedStatistic) -> str:
+    """The median, with a range if trainings differ; a dash if it is not known."""
+    if not value.known:
+        return DASH
+    return short(value.median) if value.low == value.high else with_range(value)
+
+
 @dataclass(frozen=True)
 class StudyTable:
     """A table with its heading and caption."""

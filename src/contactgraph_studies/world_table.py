@@ -3,10 +3,9 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from contactgraph.viz.metric_table import short
-from contactgraph_studies.results import Quantity, SeedStatistic, joined, with_range
+from contactgraph_studies.results import Quantity, joined
 from contactgraph_studies.runner import reason_missing
-from contactgraph_studies.tables import StudyTable, counts
+from contactgraph_studies.tables import DASH, StudyTable, counts, number_text
 from contactgraph_studies.world_row import EDGES, ERRORS, INFERRED, MEASURED, WorldRow
 from contactgraph_studies.worlds import Source
 
@@ -36,7 +35,6 @@ _NULL = {
     "edge_f1_now": "no edge is labelled or believed active",
     "edge_f1_now_inferred": "no edge is labelled or believed active",
 }
-_DASH = "-"
 _RATE = Quantity("success_rate")
 _SOURCES = {
     Source.open_loop: "errors and edges",
@@ -59,9 +57,9 @@ def _cells(row: WorldRow) -> dict[str, Any]:
         "trainings": len(open_loop),
         **row.errors,
         "_bold": row.smallest,
-        "verdict": row.verdict or _DASH,
+        "verdict": row.verdict or DASH,
         **row.edges,
-        **{name: one or _DASH for name, one in successes.items()},
+        **{name: one or DASH for name, one in successes.items()},
         **{key: each for name, one in successes.items() for key, each in counts(one, name).items()},
         "training_s": row.training_s,
         "command_open_loop": row.errors[MEASURED].command,
@@ -118,17 +116,10 @@ def world_table(rows: Sequence[WorldRow]) -> StudyTable:
         "in the same scenes for every controller, trainings side by side, with the 95 % interval "
         "over distinct scenes. A row's commands show when the pointer rests on it.",
         headings=_HEADINGS,
-        texts=dict.fromkeys(numbers, _number),
+        texts=dict.fromkeys(numbers, number_text),
         rows=[_cells(row) for row in rows],
         notes=_merged([(row.name, *note) for row in rows for note in _notes(row)]),
     )
-
-
-def _number(value: SeedStatistic) -> str:
-    """The median, with a range if trainings differ; a dash if it is not known."""
-    if not value.known:
-        return _DASH
-    return short(value.median) if value.low == value.high else with_range(value)
 
 
 def _merged(notes: Sequence[tuple[str, str, str]]) -> list[str]:

@@ -247,9 +247,7 @@ class WorldTraining:
     def control(self, scenes: TestCondition, variant: Variant = PLAIN) -> Job:
         """Control by MPC."""
         output = f"{self.folder}/{_named(f'control-{scenes.slug}', self.variant, variant)}.json"
-        return _control(
-            self.world, scenes, self.amounts, self.model, output, self._inputs, variant
-        )
+        return _control(self.world, scenes, self.amounts, self.model, output, self._inputs, variant)
 
 
 def _named(name: str, *variants: Variant) -> str:

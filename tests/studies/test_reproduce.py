@@ -35,8 +35,8 @@ FILES = {
     [
         (
             "juggling",
-            "study must be one of pickup, multi-pickup, door, franka, worlds, cost, sensing, "
-            "rehearsal, all; found 'juggling'",
+            "study must be one of pickup, multi-pickup, door, franka, worlds, inference, cost, "
+            "sensing, rehearsal, all; found 'juggling'",
         ),
         ("door --out taken", "--out: taken must be a folder, found a file"),
     ],

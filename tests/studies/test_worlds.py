@@ -376,7 +376,7 @@ def test_a_failed_job_leaves_its_row_with_a_reason(
             "worlds --only absent",
             "--only: absent needs another package: pip install 'contactgraph[pusht]'",
         ),
-        ("door --only pickup", "--only: the study must be worlds, found door"),
+        ("door --only pickup", "--only: the study must be worlds or inference, found door"),
     ],
 )
 def test_mistakes(
