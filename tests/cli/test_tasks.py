@@ -35,6 +35,7 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "release",
         "delay",
         "sticky",
+        "bonds",
         "pusht",
         "fetch-push",
         "fetch-slide",

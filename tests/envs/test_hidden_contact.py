@@ -9,6 +9,7 @@ from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import (
+    BondsTask,
     CarryExpert,
     DelayTask,
     HandlingPolicy,
@@ -31,8 +32,10 @@ TASKS = {
     "release": (ReleaseTask, CarryExpert),
     "delay": (DelayTask, CarryExpert),
     "sticky": (StickyTask, StickyExpert),
+    "bonds": (BondsTask, CarryExpert),
 }
 EVERY = pytest.mark.parametrize("name", list(TASKS))
+BUT_BONDS = pytest.mark.parametrize("name", [name for name in TASKS if name != "bonds"])
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +95,7 @@ def test_both_labels_are_recorded_and_holding_is_contact(name, recorded):
         assert not run.holding[:, 1:, 1:].any()
 
 
-@EVERY
+@BUT_BONDS
 def test_touching_without_holding_is_common(name, recorded):
     touching, holding = pairs_of(recorded[name], "contact"), pairs_of(recorded[name], "holding")
     free = np.sum(touching & ~holding) / np.sum(touching)
@@ -241,6 +244,22 @@ def test_only_the_drawn_bodies_hold_and_they_are_drawn_anew(recorded):
     assert len(drawn) >= 3
     touched = [run.contact[:, GRIPPER].any(axis=0).sum() for run in recorded["sticky"]]
     assert max(touched) >= 2
+
+
+def test_rigid_bonds_keep_the_distance_and_soft_ones_do_not(recorded):
+    drawn, moves = set(), {True: [], False: []}
+    for run in recorded["bonds"]:
+        soft = {int(node) for node in run.scene.metadata["soft"].split()}
+        assert len(soft) == 1, "of two look-alikes"
+        assert len(set(run.scene.node_type[1:])) == 1
+        drawn.add(frozenset(soft))
+        for node in (1, 2):
+            held = run.holding[1:, GRIPPER, node] & run.holding[:-1, GRIPPER, node]
+            apart = np.linalg.norm(run.position[:, node] - run.position[:, GRIPPER], axis=-1)
+            moves[node in soft] += np.abs(np.diff(apart)[held]).tolist()
+    assert len(drawn) == 2
+    assert max(moves[False]) < 2e-4
+    assert np.quantile(moves[True], 0.9) > 2e-3
 
 
 def test_holds_of_release_last_for_half_a_second_to_two(recorded):

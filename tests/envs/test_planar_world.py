@@ -4,6 +4,7 @@ import pytest
 from contactgraph.data import InvalidInputError
 from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.planar_body import PlanarBody
+from contactgraph.envs.planar_joints import Pad
 from contactgraph.envs.planar_world import GRAVITY, PlanarWorld
 
 RADIUS = 0.04
@@ -275,6 +276,39 @@ def test_a_joint_carries_the_force_that_its_other_body_needs(angle):
     push(world, -8.0 * direction)
     np.testing.assert_allclose(world.velocity[0] - before[0], -0.4 * direction, atol=FLOAT32)
     assert np.array_equal(world.velocity[1], before[1])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_pad_is_a_spring_and_a_damper_along_and_across(axis):
+    pad = Pad(stiffness=20.0, damping=4.0)
+    start = np.array([0.0, 0.08])
+    world = PlanarWorld([disc((0.0, 0.0), mass=2.0), disc(start)], 0.05, 50)
+    world.join(0, 1, pad)
+    force = np.zeros((2, 2))
+    force[0, axis] = 1.0
+    # Of the relative motion, under the force on the first body alone.
+    stretch, rate, mass, substeps = 0.0, 0.0, 2.0 / 3.0, 5000
+    for _ in range(10):
+        world.step(force)
+        for _ in range(substeps):
+            pull = (pad.stiffness * stretch + pad.damping * rate) / mass
+            rate += 0.05 / substeps * (-force[0, axis] / 2.0 - pull)
+            stretch += 0.05 / substeps * rate
+        found = world.position[1] - world.position[0] - start
+        assert found[axis] == pytest.approx(stretch, abs=4e-4)
+        assert abs(found[1 - axis]) < 4e-4
+    assert abs(stretch) > 0.015
+    total = pad.stiffness * stretch + pad.damping * rate
+    assert world.joint_force(0, 1) == pytest.approx(abs(total), rel=0.05)
+    world.part(0, 1)
+    assert world.joint_force(0, 1) == 0.0 and not world.holding.any()
+
+
+@pytest.mark.parametrize("name", ["stiffness", "damping"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_a_pad_refuses_numbers_out_of_range(name, value):
+    with pytest.raises(InvalidInputError, match=f"{name} must be above 0"):
+        Pad(**{name: value})
 
 
 def test_parted_bodies_touch_again():

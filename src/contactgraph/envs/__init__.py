@@ -23,6 +23,7 @@ from contactgraph.envs.experts import ExplorationPolicy as ExplorationPolicy
 from contactgraph.envs.experts import PickupExpert as PickupExpert
 from contactgraph.envs.experts import RestPolicy as RestPolicy
 from contactgraph.envs.handling import HandlingPolicy as HandlingPolicy
+from contactgraph.envs.hidden_contact import BondsTask as BondsTask
 from contactgraph.envs.hidden_contact import DelayTask as DelayTask
 from contactgraph.envs.hidden_contact import ReleaseTask as ReleaseTask
 from contactgraph.envs.hidden_contact import StickyTask as StickyTask

@@ -1,4 +1,4 @@
-"""Tasks in which geometry does not tell holding: suction, release, delay and sticky."""
+"""Tasks in which geometry does not tell holding: suction, release, delay, sticky and bonds."""
 
 from dataclasses import replace
 from typing import Any
@@ -27,6 +27,8 @@ LOST_AFTER = (0.05, 0.25)
 """Shortest and longest way to where a grasp is lost, m: before the goal, 0.3 m away or more."""
 HOLD_SHARE = 0.25
 """Probability that a body of `StickyTask` holds."""
+SOFT_SHARE = 0.5
+"""Probability that a body of `BondsTask` is held by a soft bond."""
 _SUCTION_STEPS = 240
 """Steps of an episode that ends with putting down."""
 _STICKY_STEPS = 300
@@ -171,12 +173,7 @@ class StickyTask(CarryTask):
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
         """Holds of drawn bodies; their nodes, as text, are metadata."""
-        rng = np.random.default_rng(seed)
-        holds = np.zeros(self.targets, dtype=bool)
-        while holds.all() or not holds.any():
-            holds = rng.random(self.targets) < HOLD_SHARE
-        holds = np.concatenate([holds, rng.random(self.distractors) < HOLD_SHARE])
-        self._holders = frozenset(int(node) for node in 1 + np.flatnonzero(holds))
+        self._holders = _drawn(seed, HOLD_SHARE, self.targets, self.distractors)
         return BreakingHold(nodes=self._holders), {
             "holders": " ".join(map(str, sorted(self._holders)))
         }
@@ -188,3 +185,43 @@ class StickyTask(CarryTask):
     def cost_terms(self) -> ChainCost:
         """The weights of pickup, along the first target that holds in this episode."""
         return replace(super().cost_terms(), chain=(GRIPPER, min(self._holders)))
+
+
+class BondsTask(CarryTask):
+    """Look-alike bodies, some held rigidly and some by a soft bond; a `contactgraph.envs.Task`.
+
+    Of ``objects`` targets and of the distractors, each is held by a soft `Pad` with probability
+    1/2, drawn for each episode, but at least one target is and one is not. A hold lasts from touch
+    until more than 4 N pull the pair apart, or a soft one is deformed by more than 0.05 m. The
+    control ``[2]`` N is a force on the gripper. The first target must end within 0.1 m of the goal.
+
+    Raises `InvalidInputError` where ``objects`` is not in 2 to 5 or ``distractors`` in 0 to 20.
+    """
+
+    name = "bonds"
+
+    def __init__(
+        self,
+        objects: int = 2,
+        distractors: int = 0,
+        substeps: int = 10,
+        fixed_seed: int | None = None,
+    ) -> None:
+        if not 2 <= objects <= MAX_OBJECTS:
+            raise InvalidInputError(f"objects must be 2 to {MAX_OBJECTS}, found {objects}")
+        super().__init__(distractors, substeps, fixed_seed, objects, _STICKY_STEPS)
+
+    def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
+        """Soft holds of drawn bodies; their nodes, as text, are metadata."""
+        soft = _drawn(seed, SOFT_SHARE, self.targets, self.distractors)
+        return BreakingHold(soft=soft), {"soft": " ".join(map(str, sorted(soft)))}
+
+
+def _drawn(seed: int, share: float, targets: int, distractors: int) -> frozenset[int]:
+    """Nodes, each drawn with a probability: at least one target, not all, and any distractors."""
+    rng = np.random.default_rng(seed)
+    drawn = np.zeros(targets, dtype=bool)
+    while drawn.all() or not drawn.any():
+        drawn = rng.random(targets) < share
+    drawn = np.concatenate([drawn, rng.random(distractors) < share])
+    return frozenset(int(node) for node in 1 + np.flatnonzero(drawn))

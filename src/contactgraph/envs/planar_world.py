@@ -25,6 +25,7 @@ import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.envs.planar_body import PlanarBody
+from contactgraph.envs.planar_joints import Pad, pad_joints, rigid_joint
 
 with warnings.catch_warnings():
     # Its wrapper warns of a deprecation on import and crashes if warnings are errors.
@@ -104,7 +105,7 @@ class PlanarWorld:
         self._start = np.array([body.position for body in bodies], dtype=np.float64)
         self._middles = [_inside(body.arm) for body in bodies]
         self._bodies = [self._create(index, body) for index, body in enumerate(bodies)]
-        self._joints: dict[tuple[int, int], Box2D.b2Joint] = {}
+        self._joints: dict[tuple[int, int], list[Box2D.b2Joint]] = {}
         self._touched: set[tuple[int, int]] = set()
         if walls is not None:
             self._surround(np.asarray(walls, dtype=np.float64))
@@ -223,42 +224,45 @@ class PlanarWorld:
             if self._hold is not None:
                 self._hold.update(self, self._substep_time)
 
-    def join(self, first: int, second: int) -> None:
+    def join(self, first: int, second: int, pad: Pad | None = None) -> None:
         """Ties two bodies together where they are, from the next substep on, if they are not yet.
 
-        The joint is a pin at the centre of a disc that cannot rotate, which leaves two such discs
-        no relative motion and lets the disc turn with a door; else at the middle of the two.
+        The joint is a pin, which leaves two discs that cannot rotate no relative motion and lets a
+        disc turn with a door; or a soft ``pad`` between two such discs.
         """
         pair = min(first, second), max(first, second)
+        ends = [self._bodies[index] for index in pair]
         if pair in self._joints:
             return
-        ends = [self._bodies[index] for index in pair]
-        upright = [body for body in ends if body.fixedRotation and body.mass > 0.0]
-        anchor = upright[0].position if upright else (ends[0].position + ends[1].position) * 0.5
-        self._joints[pair] = self._world.CreateRevoluteJoint(
-            bodyA=ends[0], bodyB=ends[1], anchor=anchor
-        )
+        if pad is None:
+            self._joints[pair] = rigid_joint(self._world, ends)
+        else:
+            self._joints[pair] = pad_joints(self._world, ends, pad, SCALE)
 
     def part(self, first: int, second: int) -> None:
         """Ends what `join` has made; without effect on a pair that is not joined."""
-        joint = self._joints.pop((min(first, second), max(first, second)), None)
-        if joint is not None:
+        joints = self._joints.pop((min(first, second), max(first, second)), [])
+        for joint in joints:
             self._world.DestroyJoint(joint)
+        if joints:
             for fixture in self._bodies[first].fixtures:
                 fixture.Refilter()  # else Box2D looks for their contact only once one moves away
 
     def joint_force(self, first: int, second: int) -> float:
         """The force that the joint of a pair has carried in the last substep, N; 0: no joint."""
-        joint = self._joints.get((min(first, second), max(first, second)))
-        force = 0.0 if joint is None else joint.GetReactionForce(1.0 / self._substep_time).length
-        return float(force) / SCALE
+        return float(np.linalg.norm(self._joint_force(min(first, second), max(first, second))))
 
     def joint_tension(self, first: int, second: int) -> float:
         """That force along the line between the middles of a joined pair, N; pulling: above 0."""
         pair = min(first, second), max(first, second)
-        force = self._joints[pair].GetReactionForce(1.0 / self._substep_time)
         apart = self.position[pair[0]] - self.position[pair[1]]
-        return float(apart @ force / np.linalg.norm(apart)) / SCALE
+        return float(apart @ self._joint_force(*pair) / np.linalg.norm(apart))
+
+    def _joint_force(self, *pair: int) -> np.ndarray:
+        """[2] N on the second body of a pair, lower index first."""
+        joints = self._joints.get((pair[0], pair[1]), [])
+        forces = [tuple(joint.GetReactionForce(1.0 / self._substep_time)) for joint in joints]
+        return np.reshape(forces, (-1, 2)).sum(axis=0) / SCALE
 
     def _push(self, force: np.ndarray) -> None:
         """Applies forces, and the friction with the ground, for one substep."""

@@ -1,0 +1,63 @@
+"""Joints between two bodies of a `PlanarWorld`, given Box2D's own world and bodies."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactgraph.data.errors import InvalidInputError
+
+_ARM = 1.0
+"""Length of a pad's springs, m: twenty times what they stretch, so that each acts on one axis."""
+
+
+@dataclass(frozen=True)
+class Pad:
+    """A soft bond: springs with dampers, alike along and across the line between two bodies.
+
+    Raises `InvalidInputError` where a number is not positive.
+    """
+
+    stiffness: float = 15.0
+    """N/m"""
+    damping: float = 10.0
+    """N s/m"""
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "damping"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise InvalidInputError(f"{name} must be above 0, found {getattr(self, name)}")
+
+
+def rigid_joint(world: Any, ends: list[Any]) -> list[Any]:
+    """A pin at the centre of a disc that cannot rotate, else at the middle of the two bodies."""
+    upright = [body for body in ends if body.fixedRotation and body.mass > 0.0]
+    anchor = upright[0].position if upright else (ends[0].position + ends[1].position) * 0.5
+    return [world.CreateRevoluteJoint(bodyA=ends[0], bodyB=ends[1], anchor=anchor)]
+
+
+def pad_joints(world: Any, ends: list[Any], pad: Pad, scale: float) -> list[Any]:
+    """Two long distance joints with frequency and damping ratio, one for each axis of the bond.
+
+    They are at rest where the bodies are now. ``scale`` is Box2D's unit of length, 1/m. Neither
+    body may rotate.
+    """
+    mass = 1.0 / sum(1.0 / body.mass for body in ends if body.mass > 0.0)
+    rate = math.sqrt(pad.stiffness / mass)
+    apart = np.array(tuple(ends[1].position - ends[0].position))
+    along = apart / np.linalg.norm(apart)
+    joints = []
+    for axis in (along, np.array([-along[1], along[0]])):
+        far = np.array(tuple(ends[0].position)) + _ARM * scale * axis
+        joints.append(
+            world.CreateDistanceJoint(
+                bodyA=ends[0],
+                bodyB=ends[1],
+                anchorA=ends[0].position,
+                anchorB=(float(far[0]), float(far[1])),
+                frequencyHz=rate / (2.0 * math.pi),
+                dampingRatio=pad.damping / (2.0 * mass * rate),
+            )
+        )
+    return joints
