@@ -77,8 +77,8 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         (
             "collect juggling --out a.h5",
             "task must be one of pickup, multi-pickup, door, billiards, suction, release, delay, "
-            "sticky, pusht, fetch-push, fetch-slide, fetch-pick-and-place, franka, module:Class; "
-            "found 'jugg",
+            "sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, franka, "
+            "module:Class; found 'jugg",
         ),
         ("collect pickup --out a.h5 --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("collect pickup --out a.h5 --episodes -3", "--episodes must be 1 to 100000, found -3"),
@@ -135,6 +135,11 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a.h5 --out run --batch-size 999999999", "batch_size must be 1 to 65536"),
         ("train a.h5 --out run --bystanders -1", "bystanders must be 0 to 100, found -1"),
         ("train a.h5 --out run --seed -1", "--seed must be 0 to 4294967295, found -1"),
+        (
+            "train a.h5 --out run --model gim-temp --edge-types 4",
+            "--edge-types: gim-temp has no types to choose; it is for --model filter, found 4",
+        ),
+        ("train a --out b --edge-types x", "--edge-types must be an integer, found 'x' (see"),
         ("train a.h5 --out run --contact-distance -1", "--contact-distance must be positive metr"),
         ("train a.h5 --out run --contact-distance inf", "--contact-distance must be positive met"),
         ("evaluate nobody a.h5", "nobody: no such run folder or model file; models that ship are"),
@@ -143,8 +148,8 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         (
             "control nobody juggling",
             "task must be one of pickup, multi-pickup, door, billiards, suction, release, delay, "
-            "sticky, pusht, fetch-push, fetch-slide, fetch-pick-and-place, franka, module:Class; "
-            "found 'jugg",
+            "sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, franka, "
+            "module:Class; found 'jugg",
         ),
         ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("control nobody pickup --horizon 0", "--horizon must be 1 to 1000, found 0"),

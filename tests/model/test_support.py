@@ -20,7 +20,7 @@ from contactgraph.model import (
     load_model,
     save_model,
 )
-from contactgraph.model.heads import lifted_fraction
+from contactgraph.model.contact_solver import lifted_fraction
 
 jitted_fraction = eqx.filter_jit(lifted_fraction)
 

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from model_scenes import DT, compiled, with_random_weights
 
+from contactgraph.data import InvalidInputError
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
     ContactBelief,
+    ContactDynamics,
     ContactSensor,
     EdgeNetwork,
     ModelConfig,
@@ -132,11 +134,43 @@ def test_a_clock_runs_and_goes_from_list_to_list() -> None:
     np.testing.assert_array_equal(back.type_probability[0], [1.0, 0.0, 0.0])
 
 
-def model_and_state():
-    def construct():
-        return hidden_markov_filter(ModelConfig(2, 2, DT, width=8), key=jax.random.PRNGKey(0))
+def fresh(edge_types: int = 3) -> ContactDynamics:
+    config = ModelConfig(2, 2, DT, width=8, edge_types=edge_types)
+    return hidden_markov_filter(config, key=jax.random.PRNGKey(0))
 
-    model = with_random_weights(construct)
+
+@pytest.mark.parametrize(("types", "coupling"), [(2, [1]), (3, [1, 1]), (5, [1, 1, 2 / 3, 1 / 3])])
+def test_types_that_hold_start_apart(types, coupling) -> None:
+    """The coupling of a lone pair, by the share of its relative velocity that a step takes."""
+    model = fresh(types)
+    position = jnp.array([[0.0, 0.0], [0.08, 0.0]])
+    velocity = jnp.array([[0.1, 0.0], [-0.1, 0.0]])
+    one = np.ones(2, bool)
+    nodes = jax.tree.map(jnp.asarray, Nodes(np.zeros(2, bool), one, one[:1]))
+
+    @eqx.filter_jit
+    def coupled(model: ContactDynamics, types: jax.Array) -> jax.Array:
+        graph = model.encode(position, velocity, nodes)
+        local = model.cut_edges(graph, ContactBelief(types[None]))
+        head, messages = model.local_dynamics.head, model.local_dynamics.message_passing
+        _, message = messages(
+            local.node_features, local.edge_features, local.weight, local.geometry.edge_index
+        )
+        return head._solver(local, message, jnp.asarray(0.55))[2][0]
+
+    found = [coupled(model, kind) for kind in jnp.eye(types)]
+    assert found[0] == 0.0, "free"
+    np.testing.assert_allclose(found[1:], coupling, atol=0.1)
+
+
+@pytest.mark.parametrize("types", [-1, 0, 1, 17])
+def test_a_number_of_edge_types_that_means_nothing_is_refused(types) -> None:
+    with pytest.raises(InvalidInputError, match=f"edge_types must be 2 to 16: .*found {types}"):
+        ModelConfig(2, 2, DT, edge_types=types)
+
+
+def model_and_state():
+    model = with_random_weights(fresh)
     rng = np.random.default_rng(3)
     position, velocity = (scale * jnp.asarray(rng.normal(size=(5, 2))) for scale in (0.12, 0.3))
     nodes = Nodes(np.arange(5) == 0, np.ones(5, bool), np.ones(10, bool))

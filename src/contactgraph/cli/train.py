@@ -29,8 +29,12 @@ class Train:
             "module:factory.",
         ),
     ] = "gim-temp"
-    every: Annotated[int, arg(metavar="K")] = 1
-    """Use every K-th step of the trajectories, with the mean of the controls in between."""
+    edge_types: Annotated[
+        int | None, arg(metavar="K", help_behavior_hint="(default: 3; only for filter)")
+    ] = None
+    """Types of an edge: 0 free, 1 touch, and all further ones hold. Of 2 types the other holds."""
+    every: Annotated[int, arg(metavar="N")] = 1
+    """Use every N-th step of the trajectories, with the mean of the controls in between."""
     seed: int = 0
     """Random seed; the same seed gives the same model."""
     resume: bool = False
@@ -103,6 +107,7 @@ class Train:
         if distance is not None and not (distance > 0 and math.isfinite(distance)):
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
         build = model_preset(options.model)
+        _check_edge_types(options)
         check_weight("--prior-weight", options.prior_weight)
         config = TrainConfig(
             **{name: getattr(options, name) for name in _CONFIG},
@@ -128,6 +133,7 @@ class Train:
             weight=defaults.weight,
             control_gain=defaults.control_gain,
             learned_contact_distance=defaults.learned_contact_distance or distance is not None,
+            edge_types=3 if options.edge_types is None else options.edge_types,
         )
         model = build(model_config, key=jax.random.key(options.seed))
         for each in dataset:
@@ -146,7 +152,7 @@ class Train:
         flags = f"--model {options.model} --seed {options.seed}"
         flags += "".join(
             f" --{name.replace('_', '-')} {getattr(options, name)}"
-            for name in ("every", "bystanders", "prior_weight")
+            for name in ("edge_types", "every", "bystanders", "prior_weight")
             if getattr(options, name) != getattr(type(options), name)
         )
         summary = {
@@ -242,7 +248,7 @@ class Train:
                 continue
             value, default = config.get(option.name), option.default
             # An option without a default is a number or null.
-            types = (float, type(None)) if default is None else (type(default),)
+            types = (int, float, type(None)) if default is None else (type(default),)
             if type(value) not in types:
                 raise InvalidInputError(
                     f"{self.out / 'config.json'}: {option.name} must be like "
@@ -250,6 +256,19 @@ class Train:
                 )
             options[option.name] = value
         return Train(data=self.data, out=self.out, **options)
+
+
+def _check_edge_types(options: Train) -> None:
+    """Raises `InvalidInputError` where the model has no number of types to choose."""
+    from contactgraph.data import InvalidInputError
+
+    if options.edge_types is None:
+        return
+    if options.model != "filter" and ":" not in options.model:
+        raise InvalidInputError(
+            f"--edge-types: {options.model} has no types to choose; it is for --model filter, "
+            f"found {options.edge_types}"
+        )
 
 
 def _errors(error: float, baselines: "HeldOutBaselines", best: float | None = None) -> str:

@@ -1,6 +1,7 @@
 """Masses coupled by springs and dampers, solved implicitly for one step."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -113,3 +114,30 @@ class ContactSolver(eqx.Module):
             ground_share=jnp.trace(ground, axis1=1, axis2=2) / size,
             acceleration=weighed[0].reshape(count, dimension) if weighed else None,
         )
+
+
+def lifted_fraction(
+    actuated: Float[Array, " N"],
+    coupling: Float[Array, " E"],
+    geometry: Geometry,
+    group_capacity: int | None = None,
+) -> Float[Array, " N"]:
+    """Lifted fraction of each node, in [0, 1]: the strongest chain of edges to an actuated node.
+
+    `actuated` is 1 or 0, the `coupling` of an edge in [0, 1), a chain as strong as the product of
+    its edges. `group_capacity`: most nodes that are coupled; None: no limit.
+    """
+    count, edge_index = actuated.shape[0], geometry.edge_index
+    share = actuated.astype(coupling.dtype)
+    if group_capacity is not None:
+        for _ in range(group_capacity - 1):
+            arriving = (coupling * share[edge_index[::-1]]).reshape(-1)
+            best = jax.ops.segment_max(arriving, edge_index.reshape(-1), count)
+            share = jnp.maximum(share, best)
+        return share
+    first, second = geometry.incidence(count)
+    couplings = first.T @ (coupling[:, None] * second)
+    couplings = couplings + couplings.T
+    for _ in range(count - 1):
+        share = jnp.maximum(share, jnp.max(couplings * share, axis=1))
+    return share

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.model.collision import Geometry
-from contactgraph.model.contact_solver import ContactSolution, ContactSolver
+from contactgraph.model.contact_solver import ContactSolution, ContactSolver, lifted_fraction
 from contactgraph.model.hinge import hinge_constraint
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step, own_component
 
@@ -48,33 +48,6 @@ class GroundSupport(eqx.Module):
     def weight(self, node_type: Float[Array, "N node_types"]) -> Float[Array, "N D"]:
         """The force on each node while it is lifted, N."""
         return _PACE * node_type @ self.weight_root
-
-
-def lifted_fraction(
-    actuated: Float[Array, " N"],
-    coupling: Float[Array, " E"],
-    geometry: Geometry,
-    group_capacity: int | None = None,
-) -> Float[Array, " N"]:
-    """Lifted fraction of each node, in [0, 1]: the strongest chain of edges to an actuated node.
-
-    `actuated` is 1 or 0, the `coupling` of an edge in [0, 1), a chain as strong as the product of
-    its edges. `group_capacity`: most nodes that are coupled; None: no limit.
-    """
-    count, edge_index = actuated.shape[0], geometry.edge_index
-    share = actuated.astype(coupling.dtype)
-    if group_capacity is not None:
-        for _ in range(group_capacity - 1):
-            arriving = (coupling * share[edge_index[::-1]]).reshape(-1)
-            best = jax.ops.segment_max(arriving, edge_index.reshape(-1), count)
-            share = jnp.maximum(share, best)
-        return share
-    first, second = geometry.incidence(count)
-    couplings = first.T @ (coupling[:, None] * second)
-    couplings = couplings + couplings.T
-    for _ in range(count - 1):
-        share = jnp.maximum(share, jnp.max(couplings * share, axis=1))
-    return share
 
 
 class CoupledHead(eqx.Module):
@@ -211,16 +184,29 @@ class CoupledHead(eqx.Module):
         def over_types(per_type: Float[Array, "active E"]) -> Float[Array, " E"]:
             return jnp.sum(weight * per_type, axis=0)
 
-        coupling = _MAX_COUPLING * over_types(jax.nn.sigmoid(out[..., 0] + 5.0))
+        start = _starts(len(weight))
+        coupling = _MAX_COUPLING * over_types(jax.nn.sigmoid(out[..., 0] + start[:, None]))
         solver = ContactSolver(
             mass=jnp.exp(_PACE * local.node_type @ self.log_mass),
             ground_damper=jax.nn.softplus(ground - 6.0),
             damper=coupling / (1.0 - coupling),
             spring=over_types(jax.nn.softplus(out[..., 1] - 6.0)),
             rest_length=over_types(jax.nn.softplus(out[..., 2])) * self.length,
-            displacing_fraction=local.geometry.fraction_after_impact - theta,
+            # Only a rigid bond begins by an impact; a soft one acts all through a step.
+            displacing_fraction=(local.geometry.fraction_after_impact - theta)
+            * (1.0 - jnp.sum(weight[2:], axis=0)),
         )
         return solver, (_PACE * local.node_type @ self.gain_root) ** 2, coupling
+
+
+def _starts(active_types: int) -> np.ndarray:
+    """[active] logits at which the couplings of the types start.
+
+    A touch and the first type that holds start rigid, further ones apart from each other, spread
+    over (0, 1): types that start alike share all data evenly, and stay alike.
+    """
+    further = np.arange(1, active_types - 1)
+    return np.append(np.full(min(active_types, 2), 5.0), np.log((active_types - 1) / further - 1.0))
 
 
 def _with_hinge_springs(

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 from jaxtyping import PRNGKeyArray
 
+from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.contact_belief import (
     ArgmaxSample,
     ClosestApproachPrior,
@@ -35,6 +36,8 @@ from contactgraph.model.local_dynamics import (
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.model.motion_noise import PredictionNoise
+
+_MOST_EDGE_TYPES = 16
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,16 @@ class ModelConfig:
     control_gain: float = 1.0
     """Start of the learned acceleration of actuated nodes for each unit of control, m/s^2; 1 where
     the control is a force on about 1 kg."""
+    edge_types: int = 3
+    """K of `hidden_markov_filter`: free, touch, then types that hold; of 2, free and hold. The
+    other models have 2."""
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.edge_types <= _MOST_EDGE_TYPES:
+            raise InvalidInputError(
+                f"edge_types must be 2 to {_MOST_EDGE_TYPES}: free (0), touch (1) and types that "
+                f"hold, or free and hold; found {self.edge_types}"
+            )
 
 
 class Preset(Protocol):
@@ -114,16 +127,17 @@ def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDy
     inference = TransitionEdges(
         messages,
         node_types=features.node_types,
-        edge_types=3,
+        edge_types=config.edge_types,
         commands=commands,
         key=rates_key,
     )
-    touch = EdgeNetwork(
-        features.edge_size(config.dimension), config.width or 32, key=jax.random.fold_in(key, 1)
-    )
-    dynamics = model.local_dynamics
-    types = TypedMessagePassing([touch, *dynamics.message_passing.types])
-    dynamics = eqx.tree_at(lambda each: each.message_passing, dynamics, types)
+    size, dynamics = features.edge_size(config.dimension), model.local_dynamics
+    types = list(dynamics.message_passing.types)  # the first type that holds
+    for index in range(1, config.edge_types - 1):
+        fresh = EdgeNetwork(size, config.width or 32, key=jax.random.fold_in(key, index))
+        types = [fresh, *types] if index == 1 else [*types, fresh]
+    typed = TypedMessagePassing(types)
+    dynamics = eqx.tree_at(lambda each: each.message_passing, dynamics, typed)
     return dataclasses.replace(
         model,
         inference=inference,
