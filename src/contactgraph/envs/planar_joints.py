@@ -30,19 +30,17 @@ class Pad:
                 raise InvalidInputError(f"{name} must be above 0, found {getattr(self, name)}")
 
 
-def rigid_joint(world: Any, ends: list[Any]) -> list[Any]:
-    """A pin at the centre of a disc that cannot rotate, else at the middle of the two bodies."""
-    upright = [body for body in ends if body.fixedRotation and body.mass > 0.0]
-    anchor = upright[0].position if upright else (ends[0].position + ends[1].position) * 0.5
-    return [world.CreateRevoluteJoint(bodyA=ends[0], bodyB=ends[1], anchor=anchor)]
+def joints_between(world: Any, ends: list[Any], pad: Pad | None, scale: float) -> list[Any]:
+    """The joints of two bodies that are at rest where these are now.
 
-
-def pad_joints(world: Any, ends: list[Any], pad: Pad, scale: float) -> list[Any]:
-    """Two long distance joints with frequency and damping ratio, one for each axis of the bond.
-
-    They are at rest where the bodies are now. ``scale`` is Box2D's unit of length, 1/m. Neither
-    body may rotate.
+    Without a ``pad``: a pin at the centre of a disc that cannot rotate, else at the middle of the
+    two. A pad, between two bodies that cannot rotate, is two long distance joints with frequency
+    and damping ratio, along and across their line. ``scale`` is Box2D's unit of length, 1/m.
     """
+    if pad is None:
+        upright = [body for body in ends if body.fixedRotation and body.mass > 0.0]
+        anchor = upright[0].position if upright else (ends[0].position + ends[1].position) * 0.5
+        return [world.CreateRevoluteJoint(bodyA=ends[0], bodyB=ends[1], anchor=anchor)]
     mass = 1.0 / sum(1.0 / body.mass for body in ends if body.mass > 0.0)
     rate = math.sqrt(pad.stiffness / mass)
     apart = np.array(tuple(ends[1].position - ends[0].position))
@@ -61,3 +59,12 @@ def pad_joints(world: Any, ends: list[Any], pad: Pad, scale: float) -> list[Any]
             )
         )
     return joints
+
+
+def total_force(joints: list[Any], step_rate: float) -> np.ndarray:
+    """[2] The force of joints on their second body in the last step, in Box2D's units.
+
+    ``step_rate`` 1/s is one over the step.
+    """
+    forces = [tuple(joint.GetReactionForce(step_rate)) for joint in joints]
+    return np.asarray(np.reshape(forces, (-1, 2)).sum(axis=0))

@@ -25,7 +25,7 @@ import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.envs.planar_body import PlanarBody
-from contactgraph.envs.planar_joints import Pad, pad_joints, rigid_joint
+from contactgraph.envs.planar_joints import Pad, joints_between, total_force
 
 with warnings.catch_warnings():
     # Its wrapper warns of a deprecation on import and crashes if warnings are errors.
@@ -231,13 +231,9 @@ class PlanarWorld:
         disc turn with a door; or a soft ``pad`` between two such discs.
         """
         pair = min(first, second), max(first, second)
-        ends = [self._bodies[index] for index in pair]
-        if pair in self._joints:
-            return
-        if pad is None:
-            self._joints[pair] = rigid_joint(self._world, ends)
-        else:
-            self._joints[pair] = pad_joints(self._world, ends, pad, SCALE)
+        if pair not in self._joints:
+            ends = [self._bodies[index] for index in pair]
+            self._joints[pair] = joints_between(self._world, ends, pad, SCALE)
 
     def part(self, first: int, second: int) -> None:
         """Ends what `join` has made; without effect on a pair that is not joined."""
@@ -250,19 +246,17 @@ class PlanarWorld:
 
     def joint_force(self, first: int, second: int) -> float:
         """The force that the joint of a pair has carried in the last substep, N; 0: no joint."""
-        return float(np.linalg.norm(self._joint_force(min(first, second), max(first, second))))
+        return float(np.linalg.norm(self._joint_force(first, second)))
 
     def joint_tension(self, first: int, second: int) -> float:
         """That force along the line between the middles of a joined pair, N; pulling: above 0."""
-        pair = min(first, second), max(first, second)
-        apart = self.position[pair[0]] - self.position[pair[1]]
-        return float(apart @ self._joint_force(*pair) / np.linalg.norm(apart))
+        apart = self.position[min(first, second)] - self.position[max(first, second)]
+        return float(apart @ self._joint_force(first, second) / np.linalg.norm(apart))
 
-    def _joint_force(self, *pair: int) -> np.ndarray:
-        """[2] N on the second body of a pair, lower index first."""
-        joints = self._joints.get((pair[0], pair[1]), [])
-        forces = [tuple(joint.GetReactionForce(1.0 / self._substep_time)) for joint in joints]
-        return np.reshape(forces, (-1, 2)).sum(axis=0) / SCALE
+    def _joint_force(self, first: int, second: int) -> np.ndarray:
+        """[2] N, on the body of a pair with the higher index."""
+        joints = self._joints.get((min(first, second), max(first, second)), [])
+        return total_force(joints, 1.0 / self._substep_time) / SCALE
 
     def _push(self, force: np.ndarray) -> None:
         """Applies forces, and the friction with the ground, for one substep."""
