@@ -5,15 +5,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from contactgraph.data import atomic_write, read_trajectories
+from contactgraph.data import (
+    Dataset,
+    atomic_write,
+    pad_trajectories,
+    pair_indices,
+    read_trajectories,
+    with_edge_labels,
+)
+from contactgraph.model import ContactSensor, motion_noise
+from contactgraph.model.filter import dtype_of, filter_trajectory, on_device
 from contactgraph.model.io import load_model
 from contactgraph.viz import SceneTrajectory, scene_trajectory, write_summary_figure
-from contactgraph.viz.scene_picture import INK, SOFT, body_colour
+from contactgraph.viz.scene_picture import CONTACT_COLOUR, INK, SOFT, body_colour
 from contactgraph.viz.selection import focus_nodes, involved_nodes, leading_edges, shown_directions
 from contactgraph.viz.summary_figure import mark_contact, style_axes
 from contactgraph_studies.study import Picture
@@ -75,6 +85,42 @@ def first_episode(numbers: Path, model: Path, title: str) -> SceneTrajectory | N
     return scene_trajectory(
         load_model(model).model, title, read_trajectories(trajectories).trajectories[0]
     )
+
+
+def filter_figure(model: Path, data: Path) -> Figure | None:
+    """Beliefs of one edge along a trajectory, with and without correction by motion.
+
+    The edge is the one whose label changes most often in any of the trajectories. None if a file is
+    missing.
+    """
+    if not (model.is_file() and data.is_file()):
+        return None
+    trained = load_model(model).model
+    dataset = with_edge_labels(read_trajectories(data))
+    pairs = pair_indices(dataset[0].scene.node_count)
+    labels = [each.contact[:, pairs[:, 0], pairs[:, 1]] for each in dataset]
+    changes = [np.abs(np.diff(each.astype(int), axis=0)).sum(axis=0) for each in labels]
+    chosen = int(np.argmax([each.max() for each in changes]))
+    edge, label = int(np.argmax(changes[chosen])), labels[chosen]
+    batch = pad_trajectories(Dataset((dataset[chosen],)), contacts=False)
+    one = on_device(batch.at(0), dtype_of(trained))
+    time = np.arange(len(label)) * dataset.dt
+    figure = new_figure(8.0, 2.6)
+    axes = figure.subplots()
+    style_axes(axes)
+    axes.fill_between(time, label[:, edge], step="post", color=CONTACT_COLOUR, alpha=0.55, lw=0)
+    lines = {
+        "corrected by motion": (motion_noise(trained), "#1b66a8", "-"),
+        "never corrected": (None, "#cb5f12", "--"),
+    }
+    for name, (noise, colour, style) in lines.items():
+        found = eqx.filter_jit(filter_trajectory)(trained, one, ContactSensor(), noise)
+        belief = np.asarray(found.posterior.holding)[:, edge]
+        axes.step(time, belief, where="post", color=colour, ls=style, lw=1.5, label=name)
+    axes.set_xlabel("time, s", **TEXT)
+    axes.set_ylabel("belief in a hold", **TEXT)
+    figure.legend(loc="outside upper center", ncols=2, **LEGEND)
+    return figure
 
 
 def parameter_figure(scene: SceneTrajectory) -> Figure:

@@ -9,7 +9,7 @@ from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run, scen
 
 from contactgraph.data import Dataset, InvalidInputError, Trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import OpenLoopDetail, collect, evaluate_open_loop
+from contactgraph.evaluate import OpenLoopDetail, SensorFaults, collect, evaluate_open_loop
 from contactgraph.model import ModelConfig, gim_temp
 
 PREDICTIONS = {
@@ -74,7 +74,11 @@ def test_edges_are_labelled_by_holding_where_it_is_recorded(pickups, glued):
     touching = [
         replace(each, contact=np.ones_like(each.contact), holding=each.contact) for each in pickups
     ]
-    assert evaluate_open_loop(GluedBodies(), Dataset(tuple(touching))).to_json() == glued.to_json()
+    dataset, faults = Dataset(tuple(touching)), SensorFaults(miss_rate=0.2)
+    assert evaluate_open_loop(GluedBodies(), dataset).to_json() == glued.to_json()
+    found = evaluate_open_loop(GluedBodies(), dataset, faults=faults)
+    expected = evaluate_open_loop(GluedBodies(), pickups, faults=faults)
+    assert found.to_json() == expected.to_json() != glued.to_json()
 
 
 @pytest.mark.slow

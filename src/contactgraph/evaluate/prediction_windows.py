@@ -156,7 +156,9 @@ def trajectory_detail(
     def predicted(
         model: StepModel, contacts: np.ndarray | None, noise: MotionNoise | None = None
     ) -> TrajectoryPrediction:
-        batch = pad_trajectories((replace(trajectory, contact=contacts),), capacity, longest)
+        # A report with faults may deny a contact that is recorded as holding.
+        known = replace(trajectory, contact=contacts, holding=None)
+        batch = pad_trajectories((known,), capacity, longest)
         padded = on_device(batch.at(0), dtype_of(model))
         all_starts = jnp.arange(longest - steps + 1)
         return predict_trajectory(model, padded, all_starts, steps, sensor, noise)
