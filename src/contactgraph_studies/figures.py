@@ -90,25 +90,25 @@ def first_episode(numbers: Path, model: Path, title: str) -> SceneTrajectory | N
 def filter_figure(model: Path, data: Path) -> Figure | None:
     """Beliefs of one edge along a trajectory, with and without correction by motion.
 
-    The edge is the one whose label changes most often in any of the trajectories. None if a file is
-    missing.
+    The edge is the one whose label changes most often in any of the trajectories, which must have
+    recorded contacts. None if a file is missing.
     """
     if not (model.is_file() and data.is_file()):
         return None
     trained = load_model(model).model
-    dataset = with_edge_labels(read_trajectories(data))
-    pairs = pair_indices(dataset[0].scene.node_count)
-    labels = [each.contact[:, pairs[:, 0], pairs[:, 1]] for each in dataset]
+    recorded = with_edge_labels(read_trajectories(data))
+    pairs = pair_indices(recorded.trajectories[0].scene.node_count)
+    labels = [np.asarray(each.contact)[:, pairs[:, 0], pairs[:, 1]] for each in recorded]
     changes = [np.abs(np.diff(each.astype(int), axis=0)).sum(axis=0) for each in labels]
     chosen = int(np.argmax([each.max() for each in changes]))
     edge, label = int(np.argmax(changes[chosen])), labels[chosen]
-    batch = pad_trajectories(Dataset((dataset[chosen],)), contacts=False)
+    batch = pad_trajectories(Dataset((recorded.trajectories[chosen],)), contacts=False)
     one = on_device(batch.at(0), dtype_of(trained))
-    time = np.arange(len(label)) * dataset.dt
+    time = np.arange(len(label)) * recorded.dt
     figure = new_figure(8.0, 2.6)
     axes = figure.subplots()
     style_axes(axes)
-    axes.fill_between(time, label[:, edge], step="post", color=CONTACT_COLOUR, alpha=0.55, lw=0)
+    axes.fill_between(time, label[:, edge], step="pre", color=CONTACT_COLOUR, alpha=0.55, lw=0)
     lines = {
         "corrected by motion": (motion_noise(trained), "#1b66a8", "-"),
         "never corrected": (None, "#cb5f12", "--"),
@@ -116,7 +116,7 @@ def filter_figure(model: Path, data: Path) -> Figure | None:
     for name, (noise, colour, style) in lines.items():
         found = eqx.filter_jit(filter_trajectory)(trained, one, ContactSensor(), noise)
         belief = np.asarray(found.posterior.holding)[:, edge]
-        axes.step(time, belief, where="post", color=colour, ls=style, lw=1.5, label=name)
+        axes.step(time, belief, where="pre", color=colour, ls=style, lw=1.5, label=name)
     axes.set_xlabel("time, s", **TEXT)
     axes.set_ylabel("belief in a hold", **TEXT)
     figure.legend(loc="outside upper center", ncols=2, **LEGEND)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from contactgraph.viz.metric_table import short
 from contactgraph.viz.scene_picture import INK, SOFT
 from contactgraph.viz.summary_figure import style_axes
-from contactgraph_studies.figures import LEGEND, TEXT, new_figure, write_figure
+from contactgraph_studies.figures import LEGEND, TEXT, filter_figure, new_figure, write_figure
 from contactgraph_studies.inference_jobs import (
     COMMANDED,
     EXACT,
@@ -37,11 +37,11 @@ from contactgraph_studies.inference_rows import (
 from contactgraph_studies.job import JobRecords, Measurement
 from contactgraph_studies.results import Results, SeedStatistic, with_range
 from contactgraph_studies.runner import reason_missing
-from contactgraph_studies.study import StudyResult
+from contactgraph_studies.study import Picture, StudyResult
 from contactgraph_studies.tables import DASH, StudyTable, number_text
 from contactgraph_studies.world_row import ERRORS, INFERRED, MEASURED
 from contactgraph_studies.world_study import StudyOfWorlds
-from contactgraph_studies.worlds import World
+from contactgraph_studies.worlds import World, WorldTraining
 
 
 class InferenceStudy(StudyOfWorlds):
@@ -74,7 +74,8 @@ class InferenceStudy(StudyOfWorlds):
                 belief_table(results, trained),
             ],
             figures=[
-                write_figure(folder, "reliability", "Reliability", _RELIABILITY_CAPTION, figure)
+                *self._along_a_trajectory(folder),
+                write_figure(folder, "reliability", "Reliability", _RELIABILITY_CAPTION, figure),
             ],
             amounts={
                 "training_seeds": list(amounts.seeds),
@@ -85,6 +86,18 @@ class InferenceStudy(StudyOfWorlds):
             },
             readings=results.to_json(),
         )
+
+    def _along_a_trajectory(self, folder: Path) -> Iterator[Picture]:
+        """The belief in a hold, of the first model that is trained on the shown task."""
+        for world in self.worlds:
+            if world.slug == _SHOWN:
+                training = WorldTraining(world, self.amounts.seeds[0], self.amounts, FILTER)
+                model = folder / training.model / "model.safetensors"
+                test = training.evaluation(world.scenes[0]).arguments[2]
+                figure = filter_figure(model, folder / test)
+                if figure is not None:
+                    title = f"One trajectory of {_SHOWN}"
+                    yield write_figure(folder, "belief", title, _BELIEF_CAPTION, figure)
 
     def _required(self, rows: Sequence[Requirement], records: JobRecords) -> StudyTable:
         """What is asked for beside what was measured."""
@@ -135,6 +148,12 @@ class InferenceStudy(StudyOfWorlds):
                 yield f"{row.task}: {row.what}: its commands write no such number"
 
 
+_SHOWN = "release"
+_BELIEF_CAPTION = (
+    "Belief in the hold of one pair, along a trajectory that no model has seen: corrected by the "
+    "observed motion at every step, and never corrected. The band is the recorded hold. No contact "
+    "is measured."
+)
 _TRAINED = (*HIDDEN, COMMANDED, *KNOWN)
 
 

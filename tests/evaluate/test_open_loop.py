@@ -78,7 +78,7 @@ def test_edges_are_labelled_by_holding_where_it_is_recorded(pickups, glued):
     assert evaluate_open_loop(GluedBodies(), dataset).to_json() == glued.to_json()
     found = evaluate_open_loop(GluedBodies(), dataset, faults=faults)
     expected = evaluate_open_loop(GluedBodies(), pickups, faults=faults)
-    assert found.to_json() == expected.to_json() != glued.to_json()
+    assert found.to_json() == expected.to_json()
 
 
 @pytest.mark.slow
