@@ -90,6 +90,8 @@ class ContactSensor(eqx.Module):
     """Probability that it reports none where there is contact."""
     reports_touch: bool = eqx.field(static=True, default=True)
     """Whether contact is also an edge that only touches; else one that holds."""
+    delay: int = eqx.field(static=True, default=0)
+    """Steps from a contact to its report."""
 
     def contact_probability(self, belief: ContactBelief) -> Float[Array, "*T E"]:
         """Probability of what the sensor means by contact."""
