@@ -35,6 +35,8 @@ class Evaluate:
     false_alarms: FalseAlarms = 0.0
     misses: Misses = 0.0
     delay: Delay = 0
+    known_rates: bool = True
+    """Whether the correction knows the errors and the delay that the three flags before give."""
     infer_contacts: bool = False
     """Also measure beliefs that are corrected by the observed motion alone."""
     growth_steps: Annotated[int | None, arg(metavar="STEPS", help_behavior_hint="(optional)")] = (
@@ -54,7 +56,7 @@ class Evaluate:
         from contactgraph.cli.output import check_writable, write_json
         from contactgraph.data import read_trajectories, with_edge_labels
         from contactgraph.evaluate import evaluate_open_loop, horizon_steps, rollout_growth
-        from contactgraph.model import MotionNoise
+        from contactgraph.model import MotionNoise, default_sensor
 
         check_writable(self.json)
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, seed=0)
@@ -71,6 +73,7 @@ class Evaluate:
             model,
             dataset,
             horizon_s=self.horizon,
+            sensor=None if self.known_rates else default_sensor(model),
             faults=faults,
             motion_noise=motion_noise,
             baselines={} if fitted is None else fitted.predictions,
@@ -86,6 +89,7 @@ class Evaluate:
             "false_alarms": self.false_alarms,
             "misses": self.misses,
             "delay": self.delay,
+            "known_rates": self.known_rates,
             "infer_contacts": self.infer_contacts,
             "contact_distance_m": contact_distance(model),
             **metrics.to_json(),

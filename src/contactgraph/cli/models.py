@@ -7,6 +7,7 @@ from contactgraph.cli.options import choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
     ContactDynamics,
+    ContactSensor,
     DistancePrior,
     Preset,
     full_ab,
@@ -87,6 +88,16 @@ def contact_distance_text(model: ContactDynamics) -> str:
     learned = getattr(model.features, "learned", False)
     origin = "learned" if learned else "given"
     return "unknown" if distance is None else f"{distance:.4g} m, {origin}"
+
+
+def sensor_text(sensor: ContactSensor) -> str:
+    """The errors of a contact sensor, for users."""
+    what = "touch" if sensor.reports_touch else "holding"
+    late = f", {sensor.delay} steps late" if sensor.delay else ""
+    return (
+        f"reports {what}{late}; false alarms {100 * sensor.false_alarm:.3g} %, "
+        f"misses {100 * sensor.miss:.3g} %"
+    )
 
 
 def contact_distance(model: ContactDynamics) -> float | None:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
+    from contactgraph.model import ContactSensor
     from contactgraph.train import HeldOutBaselines
 
 
 @dataclass(frozen=True)
 class Train:
-    """Fit a model to the trajectories of a dataset file. Its contact labels are not used."""
+    """Fit a model to the trajectories of a dataset file, by default without its contact labels."""
 
     data: Positional[Annotated[Path, arg(metavar="DATA")]]
     """The dataset file (HDF5)."""
@@ -64,6 +65,12 @@ class Train:
     """Resting distractors added to every window, unless no passive body of the data ever rests."""
     prior_weight: float = 0.05
     """Weight of the KL divergence of beliefs from the distance prior."""
+    use_contacts: bool = False
+    """Also correct the beliefs of a filter in training by the recorded contacts, as sensors with
+    random error rates and delays report them."""
+    sensor: Annotated[str, arg(metavar="NAME")] = "exact"
+    """Contact sensor that is stored in the model: exact, or estimate, by the trained filter from
+    the recorded contacts."""
     devices: Annotated[
         int | None, arg(metavar="INT", help_behavior_hint="(default: the most that divide a batch)")
     ] = None
@@ -74,8 +81,8 @@ class Train:
         import jax
 
         from contactgraph.cli import CommandError
-        from contactgraph.cli.models import contact_distance_text, model_preset
-        from contactgraph.cli.options import check_range, check_seed, check_weight
+        from contactgraph.cli.models import contact_distance_text, model_preset, sensor_text
+        from contactgraph.cli.options import check_range, check_seed, check_weight, choice
         from contactgraph.cli.output import progress, provenance, sha256
         from contactgraph.data import (
             InvalidInputError,
@@ -95,7 +102,9 @@ class Train:
             LossTerms,
             RunFolder,
             TrainConfig,
+            check_contacts,
             defaults_from_data,
+            estimate_sensor,
             fit,
             initial_state,
         )
@@ -138,6 +147,10 @@ class Train:
         model = build(model_config, key=jax.random.key(options.seed))
         for each in dataset:
             check_controls(model, each.scene, each.control_size, str(self.data))
+        estimates = choice("--sensor", options.sensor, {"exact": False, "estimate": True})
+        for flag, used in (("--use-contacts", options.use_contacts), ("--sensor", estimates)):
+            if used:
+                check_contacts(model, dataset, f"{flag}: {self.data}")
         made_by = (options.model, model_config) if ":" in options.model else None
         state = initial_state(model, config, options.seed)
         spent = 0.0
@@ -152,9 +165,10 @@ class Train:
         flags = f"--model {options.model} --seed {options.seed}"
         flags += "".join(
             f" --{name.replace('_', '-')} {getattr(options, name)}"
-            for name in ("edge_types", "every", "bystanders", "prior_weight")
+            for name in ("edge_types", "every", "bystanders", "prior_weight", "sensor")
             if getattr(options, name) != getattr(type(options), name)
         )
+        flags += " --use-contacts" if options.use_contacts else ""
         summary = {
             "command": f"contactgraph train {self.data.name} {flags}",
             "seed": options.seed,
@@ -166,7 +180,10 @@ class Train:
         }
 
         def keep_best(
-            state: FitState, seconds: float, baselines: "HeldOutBaselines | None" = None
+            state: FitState,
+            seconds: float,
+            baselines: "HeldOutBaselines | None" = None,
+            sensor: "ContactSensor | None" = None,
         ) -> None:
             result = {
                 "step": int(state.step),
@@ -175,7 +192,8 @@ class Train:
             }
             if baselines is not None:
                 result |= {f"held_out_{name}": value for name, value in asdict(baselines).items()}
-            save_model(folder.model_path, state.best_model, {**summary, **result}, made_by)
+            best = replace(state.best_model, sensor=sensor)
+            save_model(folder.model_path, best, {**summary, **result}, made_by)
 
         warning = velocity_warning(dataset)
         if warning is not None:
@@ -194,8 +212,9 @@ class Train:
 
             result = fit(state, train, held_out, config, on_check, devices)
         seconds = spent + result.seconds
+        sensor = estimate_sensor(result.model, train) if estimates else None
         if math.isfinite(result.held_out_rmse_m):
-            keep_best(result.state, seconds, result.baselines)
+            keep_best(result.state, seconds, result.baselines, sensor)
         if result.status is FitStatus.not_finite:
             raise InvalidInputError(f"{self.out}: {result.status.value}")
         if result.status in (FitStatus.dead_units, FitStatus.constant_velocity):
@@ -211,6 +230,7 @@ class Train:
         print(
             f"trained for {seconds:.0f} s, compilation included; contact distance "
             f"{contact_distance_text(result.model)}"
+            + ("" if sensor is None else f"; contact sensor: {sensor_text(sensor)}")
         )
         if not result.baselines.moving:
             _warn(
@@ -293,4 +313,5 @@ _CONFIG = (
     "learning_rate",
     "event_fraction",
     "bystanders",
+    "use_contacts",
 )

@@ -35,10 +35,10 @@ from contactgraph.model import (
     MotionNoise,
     Nodes,
     StepModel,
+    default_sensor,
     interaction_cutoff,
 )
 
-_EXACT = ContactSensor()
 _READY = 18
 """Active nodes that `reset` compiles for, where no limit is given."""
 _NONE = np.zeros(0, int)
@@ -62,7 +62,7 @@ class ActiveSetMPC:
         self,
         model: StepModel,
         ilqr: ILQR,
-        sensor: ContactSensor = _EXACT,
+        sensor: ContactSensor | None = None,
         replan_every: int = 1,
         deadline: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
@@ -77,6 +77,7 @@ class ActiveSetMPC:
             raise InvalidInputError(
                 f"max_active_nodes must be at least 1, found {max_active_nodes}"
             )
+        sensor = default_sensor(model) if sensor is None else sensor
         # Sensor rates by edge are about the scene as a whole.
         by_edge = np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) > 0
         self._cutoff = None if by_edge else interaction_cutoff(model)

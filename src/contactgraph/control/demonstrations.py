@@ -18,7 +18,7 @@ from contactgraph.data import (
     pair_indices,
     with_edge_labels,
 )
-from contactgraph.model import ContactSensor, LinearDynamics, StepModel
+from contactgraph.model import LinearDynamics, StepModel, default_sensor
 from contactgraph.model.filter import (
     FilteredTrajectory,
     check_fit,
@@ -27,7 +27,6 @@ from contactgraph.model.filter import (
     on_device,
 )
 
-_EXACT = ContactSensor()
 _AT_LIMIT = 1e-4
 """Part of the range of a control within which it counts as at a limit."""
 
@@ -190,4 +189,4 @@ def _check_everywhere(each: TaskNode, demonstrations: Dataset) -> None:
 
 @eqx.filter_jit
 def _filtered(model: StepModel, batch: TrajectoryBatch[Array]) -> FilteredTrajectory:
-    return jax.lax.map(lambda one: filter_trajectory(model, one, _EXACT), batch)
+    return jax.lax.map(lambda one: filter_trajectory(model, one, default_sensor(model)), batch)

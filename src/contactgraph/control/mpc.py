@@ -27,9 +27,9 @@ from contactgraph.model import (
     Nodes,
     StepModel,
     check_motion_model,
+    default_sensor,
 )
 
-_EXACT = ContactSensor()
 _State = TypeVar("_State", bound="MPCState")
 
 
@@ -94,13 +94,15 @@ class MPC:
         self,
         model: StepModel,
         planner: Planner,
-        sensor: ContactSensor = _EXACT,
+        sensor: ContactSensor | None = None,
         replan_every: int = 1,
         deadline: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
         motion_noise: MotionNoise | None = None,
     ) -> None:
-        """``deadline`` in seconds, from the call of `step` to the plan; ``clock`` measures it.
+        """``sensor`` None: the model's `default_sensor`; late reports count as current ones.
+
+        ``deadline`` in seconds, from the call of `step` to the plan; ``clock`` measures it.
 
         ``motion_noise`` None: beliefs are corrected by measured contacts alone. Raises
         `InvalidInputError` for a ``replan_every`` outside ``1 … horizon``, a deadline that is not
@@ -114,6 +116,7 @@ class MPC:
             raise InvalidInputError(f"deadline must be positive seconds, found {deadline}")
         if motion_noise is not None:
             check_motion_model(model)
+        sensor = (default_sensor(model) if sensor is None else sensor).as_current
         self.config = MPCConfig(model, planner, sensor, motion_noise, replan_every)
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
         self.deadline, self.clock = deadline, clock

@@ -21,7 +21,7 @@ from contactgraph.evaluate.plan_tracking import (
     plan_tracking_error,
 )
 from contactgraph.evaluate.sensor_faults import ObservationNoise, SensorFaults
-from contactgraph.model import ContactSensor, MotionNoise, StepModel
+from contactgraph.model import ContactSensor, MotionNoise, StepModel, default_sensor
 from contactgraph.model.filter import check_fit
 
 _EXACT = SensorFaults()
@@ -58,8 +58,9 @@ def control_task(
 
     ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
     them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
-    assumes, by default those of ``faults``. ``motion_noise`` is `MPC`'s: with it, beliefs are also
-    corrected by the observed motion, to which ``noise`` is added.
+    assumes, by default those of ``faults``, and without faults is the model's `default_sensor`.
+    ``motion_noise`` is `MPC`'s: with it, beliefs are also corrected by the observed motion, to
+    which ``noise`` is added.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
     control, or a number is out of range.
@@ -69,11 +70,13 @@ def control_task(
     control_size = len(limits.lower)
     check_fit(model, task.scene, control_size, "the task")
     terms = task.cost_terms()
+    if sensor is None:
+        sensor = default_sensor(model) if faults.exact else faults.sensor
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
     mpc = ActiveSetMPC(
         model,
         ilqr,
-        replace(sensor or faults.sensor, reports_touch="holding" not in observation),
+        replace(sensor, reports_touch="holding" not in observation),
         replan_every,
         deadline,
         motion_noise=motion_noise,

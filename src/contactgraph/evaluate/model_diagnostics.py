@@ -24,14 +24,13 @@ from contactgraph.model import (
     LinearDynamics,
     ModelState,
     StepModel,
+    default_sensor,
     rollout,
     stack_state,
 )
 from contactgraph.model.filter import check_fit, dtype_of, filter_trajectory, on_device
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.types import SpringMassDamper
-
-_EXACT = ContactSensor()
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +49,14 @@ def model_diagnostics(
     model: ContactDynamics,
     trajectory: Trajectory,
     *,
-    sensor: ContactSensor = _EXACT,
+    sensor: ContactSensor | None = None,
     measured: bool = True,
     node_capacity: int | None = None,
 ) -> ModelDiagnostics:
     """Beliefs and parameters along a trajectory, each step predicted from its recorded state.
 
-    ``measured``: whether recorded contacts correct the belief, as they do in closed loop.
+    ``measured``: whether recorded contacts correct the belief, as they do in closed loop, with the
+    errors of ``sensor``, by default the model's `default_sensor`.
     Raises `InvalidInputError` where model and trajectory do not fit, or the trajectory has more
     nodes than ``node_capacity`` (default: no padding).
     """
@@ -64,6 +64,7 @@ def model_diagnostics(
     labelled = with_edge_labels(Dataset((trajectory,)))
     batch = pad_trajectories(labelled, node_capacity, contacts=measured)
     count, edges = trajectory.scene.node_count, pair_indices(trajectory.scene.node_count)
+    sensor = default_sensor(model) if sensor is None else sensor
     belief, parameters = _along(model, on_device(batch.at(0), dtype_of(model)), sensor)
     if parameters is not None:
         parameters = jax.tree.map(lambda leaf: np.asarray(leaf[:-1, :count]), parameters)

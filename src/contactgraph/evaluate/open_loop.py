@@ -32,6 +32,7 @@ from contactgraph.model import (
     ReallocatingModel,
     StepModel,
     check_motion_model,
+    default_sensor,
 )
 from contactgraph.model.filter import check_fit
 
@@ -79,7 +80,8 @@ def evaluate_open_loop(
     predicted in a step where its probability is above 1/2.
 
     ``faults`` corrupts the contacts that correct the belief; scores are against the recorded truth.
-    ``sensor`` has the same error rates by default. With ``motion_noise``, contacts inferred from
+    ``sensor`` has the same error rates and delay by default, and without faults is the model's
+    `default_sensor`. With ``motion_noise``, contacts inferred from
     motion alone are evaluated, too. ``baselines``: predictions beside those without fitting, by
     name (``least_squares`` and ``gnn`` are null otherwise). ``metrics``: further metrics by name,
     each a function of the `OpenLoopDetail`.
@@ -96,7 +98,9 @@ def evaluate_open_loop(
         check_motion_model(model)
     steps = horizon_steps(dataset, horizon_s)
     labelled = with_edge_labels(dataset)
-    sensor = replace(sensor or faults.sensor, reports_touch=labelled is dataset)
+    if sensor is None:
+        sensor = default_sensor(model) if faults.exact else faults.sensor
+    sensor = replace(sensor, reports_touch=labelled is dataset)
     dataset = labelled
     known = all(each.contact is not None for each in dataset)
     if not (known or faults.exact):

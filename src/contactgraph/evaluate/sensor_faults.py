@@ -36,15 +36,15 @@ class SensorFaults:
 
     @property
     def sensor(self) -> ContactSensor:
-        """The sensor model of a correction that knows the two rates.
+        """The sensor model of a correction that knows the rates and the delay.
 
-        It is never better than the default one, which is also assumed of an exact sensor. It does
-        not include the delay: a delayed report is taken for a current one.
+        Its rates are never below those assumed of an exact sensor.
         """
         usual = ContactSensor()
         return ContactSensor(
             false_alarm=max(self.false_alarm_rate, usual.false_alarm),
             miss=max(self.miss_rate, usual.miss),
+            delay=self.delay_steps,
         )
 
     @property

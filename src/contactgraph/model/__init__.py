@@ -10,6 +10,7 @@ from contactgraph.model.contact_belief import NoCutoff as NoCutoff
 from contactgraph.model.contact_belief import SmoothCutoff as SmoothCutoff
 from contactgraph.model.contact_belief import cast_like as cast_like
 from contactgraph.model.contact_belief import correct as correct
+from contactgraph.model.contact_belief import default_sensor as default_sensor
 from contactgraph.model.contact_belief import two_type_belief as two_type_belief
 from contactgraph.model.contact_dynamics import ContactDynamics as ContactDynamics
 from contactgraph.model.contact_dynamics import EncodedGraph as EncodedGraph

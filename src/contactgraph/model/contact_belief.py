@@ -5,9 +5,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.collision import Geometry
 
 _MIN_PROBABILITY = 1e-6
+_CHANGE = 0.02
+"""Probability a step that a contact begins or ends, as far as a late report is concerned."""
 
 
 class ContactBelief(eqx.Module):
@@ -82,20 +85,49 @@ def cast_like(belief: ContactBelief, other: ContactBelief) -> ContactBelief:
 
 
 class ContactSensor(eqx.Module):
-    """Error rates of a contact sensor: the same for every edge, or each edge's own."""
+    """Error rates of a contact sensor: the same for every edge, or each edge's own.
 
-    false_alarm: float | Float[Array, " E"] = 0.01
+    The defaults are those of an exact sensor, which no evidence by motion of one step overrules.
+    """
+
+    false_alarm: float | Float[Array, " E"] = 1e-5
     """Probability that it reports contact where there is none."""
-    miss: float | Float[Array, " E"] = 0.01
+    miss: float | Float[Array, " E"] = 1e-5
     """Probability that it reports none where there is contact."""
     reports_touch: bool = eqx.field(static=True, default=True)
     """Whether contact is also an edge that only touches; else one that holds."""
     delay: int = eqx.field(static=True, default=0)
     """Steps from a contact to its report."""
 
+    def __check_init__(self) -> None:
+        for name in ("false_alarm", "miss"):
+            rate = getattr(self, name)
+            if isinstance(rate, int | float) and not 0.0 <= rate < 1.0:
+                raise InvalidInputError(f"{name} must be at least 0 and below 1, found {rate}")
+        if self.delay < 0:
+            raise InvalidInputError(f"delay must be at least 0 steps, found {self.delay}")
+
     def contact_probability(self, belief: ContactBelief) -> Float[Array, "*T E"]:
         """Probability of what the sensor means by contact."""
         return belief.probability if self.reports_touch else belief.holding
+
+    @property
+    def as_current(self) -> "ContactSensor":
+        """A sensor without delay, for late reports that are taken for current ones."""
+        false_alarm, miss = (late_rate(rate, self.delay) for rate in (self.false_alarm, self.miss))
+        return ContactSensor(false_alarm, miss, self.reports_touch)
+
+
+def default_sensor(model: object) -> ContactSensor:
+    """The sensor that a model was trained with, where it knows one; else an exact one."""
+    known = getattr(model, "sensor", None)
+    return known if isinstance(known, ContactSensor) else ContactSensor()
+
+
+def late_rate(rate: float | Array, delay: int | Array) -> float | Array:
+    """An error rate, or several, that includes changes of contact in the ``delay`` steps since."""
+    changed = 0.5 * (1.0 - (1.0 - 2.0 * _CHANGE) ** delay)
+    return rate * (1.0 - changed) + (1.0 - rate) * changed
 
 
 def correct(

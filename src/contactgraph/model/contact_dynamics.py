@@ -20,6 +20,7 @@ from contactgraph.model.contact_belief import (
     ArgmaxSample,
     ClosestApproachPrior,
     ContactBelief,
+    ContactSensor,
     DistancePrior,
     GumbelSample,
     NoCutoff,
@@ -101,6 +102,8 @@ class ContactDynamics(eqx.Module):
     """Restricts edges to near pairs. None: every pair is an edge."""
     prediction_noise: PredictionNoise | None = None
     """Learned errors of the predicted motion. None: not learned."""
+    sensor: ContactSensor | None = None
+    """The sensor of the data, as far as it was estimated: see `default_sensor`."""
 
     def __check_init__(self) -> None:
         if not self.dt > 0:

@@ -177,7 +177,9 @@ def filter_trajectory(
 
 
 def _with_late_reports(
-    follow: Callable[[_Carry, tuple[Array, Array, Array, Array]], tuple[_Carry, FilteredTrajectory]],
+    follow: Callable[
+        [_Carry, tuple[Array, Array, Array, Array]], tuple[_Carry, FilteredTrajectory]
+    ],
     first: _Carry,
     observed: tuple[Array, Array, Array],
     report: Float[Array, "T+1 E"],

@@ -22,6 +22,7 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.contact_belief import (
     ArgmaxSample,
     ClosestApproachPrior,
+    ContactSensor,
     DistancePrior,
     GumbelSample,
     NoCutoff,
@@ -140,6 +141,7 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         ArgmaxSample,
         ClosestApproachPrior,
         ContactDynamics,
+        ContactSensor,
         CoupledHead,
         DistancePrior,
         EdgeNetwork,
@@ -247,22 +249,20 @@ def _build_value(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
             raise InvalidInputError(f"{where}: must be true or false, found {_short(value)}")
         return value
     if kind is int:
-        whole = isinstance(value, int) and not isinstance(value, bool)
-        if not whole or not 0 <= value <= _MAX_SIZE:
+        if type(value) is not int or not 0 <= value <= _MAX_SIZE:
             raise InvalidInputError(
                 f"{where}: must be an integer from 0 to {_MAX_SIZE}, found {_short(value)}"
             )
         return value
     if kind is float:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not math.isfinite(value):
+        if type(value) not in (int, float) or not math.isfinite(value):
             raise InvalidInputError(f"{where}: must be a finite number, found {_short(value)}")
         return float(value)
     if typing.get_origin(kind) is list:
         if not isinstance(value, list) or not 1 <= len(value) <= _MAX_SIZE:
             raise InvalidInputError(f"{where}: must be a list of 1 to {_MAX_SIZE} parts")
-        parts = _part_types(kind)
-        return [_build(part, parts, f"{where}.{index}") for index, part in enumerate(value)]
+        kinds = _part_types(kind)
+        return [_build(part, kinds, f"{where}.{index}") for index, part in enumerate(value)]
     return _build(value, kinds, where)
 
 

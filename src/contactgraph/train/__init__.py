@@ -3,6 +3,7 @@
 from contactgraph.train.config import DataDefaults as DataDefaults
 from contactgraph.train.config import TrainConfig as TrainConfig
 from contactgraph.train.config import defaults_from_data as defaults_from_data
+from contactgraph.train.contact_reports import check_contacts as check_contacts
 from contactgraph.train.fit import fit as fit
 from contactgraph.train.fit import initial_state as initial_state
 from contactgraph.train.fit_state import FitProgress as FitProgress
@@ -14,3 +15,4 @@ from contactgraph.train.loss import LossTerms as LossTerms
 from contactgraph.train.run_folder import RunFolder as RunFolder
 from contactgraph.train.run_folder import load_checkpoint as load_checkpoint
 from contactgraph.train.run_folder import save_checkpoint as save_checkpoint
+from contactgraph.train.sensor_estimate import estimate_sensor as estimate_sensor

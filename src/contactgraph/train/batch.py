@@ -77,6 +77,9 @@ class WindowSource(eqx.Module):
     """L, steps in a window."""
     static: Bool[Array, "R N"] | None = None
     """Bodies of each trajectory that never move. None: none."""
+    reports_touch: bool = eqx.field(static=True, default=True)
+    """Whether contacts, where training uses them, are those of bodies that touch; else that hold
+    each other."""
 
     def draw(self, count: int, key: PRNGKeyArray) -> Window:
         """`count` windows drawn with the windows' probabilities."""
@@ -88,8 +91,13 @@ class WindowSource(eqx.Module):
         drawn = jnp.searchsorted(self.cumulative, uniform * self.cumulative[-1], side="right")
         return jnp.minimum(drawn, self.trajectory.shape[0] - 1)
 
-    def draw_trajectories(self, count: int, key: PRNGKeyArray) -> tuple[Window, Bool[Array, "B T"]]:
-        """`count` whole trajectories, all equally likely, and which of their steps are real."""
+    def draw_trajectories(
+        self, count: int, key: PRNGKeyArray
+    ) -> tuple[Window, Bool[Array, "B T"], Float[Array, "B T+1 E"] | None]:
+        """`count` whole trajectories, all equally likely, and which of their steps are real.
+
+        The third are their contacts where training uses them, else None.
+        """
         every = self.trajectories
         index = jax.random.randint(key, (count,), 0, every.steps.shape[0])
         window = Window(
@@ -98,7 +106,8 @@ class WindowSource(eqx.Module):
             control=every.control[index],
             nodes=jax.tree.map(lambda leaf: leaf[index], every.nodes),
         )
-        return window, jnp.arange(every.control.shape[1]) < every.steps[index, None]
+        contact = None if every.contact is None else every.contact[index]
+        return window, jnp.arange(every.control.shape[1]) < every.steps[index, None], contact
 
     def take(self, window: Int[Array, " B"]) -> Window:
         """The windows of these indices."""
@@ -124,9 +133,14 @@ def static_bodies(dataset: Dataset, node_capacity: int) -> np.ndarray | None:
 
 
 def window_source(
-    batch: TrajectoryBatch[np.ndarray], windows: Windows, static: np.ndarray | None = None
+    batch: TrajectoryBatch[np.ndarray],
+    windows: Windows,
+    static: np.ndarray | None = None,
+    contacts: bool = False,
 ) -> WindowSource:
     """Put trajectories and windows on the device; ``static`` as `static_bodies` returns it.
+
+    Contact labels are left out unless ``contacts``.
 
     The batch is padded to a multiple of `_BATCH_MULTIPLE` trajectories, and the windows as if
     every trajectory were the longest, so that another number of trajectories recompiles nothing.
@@ -145,7 +159,7 @@ def window_source(
     probability = windows.probability
     cumulative[: len(probability)] = probability.cumsum() / probability.sum()
     return WindowSource(
-        trajectories=jax.tree.map(repeated, batch._replace(contact=None)),
+        trajectories=jax.tree.map(repeated, batch if contacts else batch._replace(contact=None)),
         trajectory=jnp.asarray(windows.trajectory[drawn]),
         start=jnp.asarray(windows.start[drawn]),
         cumulative=jnp.asarray(cumulative, jnp.float32),

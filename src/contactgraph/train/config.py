@@ -35,6 +35,8 @@ class TrainConfig:
     """Checks of the held-out error without improvement after which training stops."""
     check_every: int = 125
     """Optimiser steps between checks."""
+    use_contacts: bool = False
+    """Whether recorded contacts, too, correct the filter that is trained."""
     weights: LossTerms = field(default_factory=LossTerms)
     """Weights of the terms of the loss."""
 

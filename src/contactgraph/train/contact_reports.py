@@ -1,36 +1,18 @@
-"""Recorded contacts in training: reports of random sensors, and the errors of the recorded one.
-
-Both need a filter. Only its inference learns from contacts, never the dynamics.
-"""
-
-import dataclasses
-from collections.abc import Iterator
+"""Recorded contacts that correct a filter in training, as random sensors report them."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from contactgraph.data.dataset import Dataset, with_edge_labels
+from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.trajectory_batch import pad_trajectories
-from contactgraph.model.contact_belief import ContactBelief, ContactSensor, correct, late_rate
-from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
+from contactgraph.model.contact_belief import late_rate
+from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
-from contactgraph.model.motion_likelihood import posterior_by_motion
-from contactgraph.model.motion_noise import MotionNoise
-from contactgraph.train.batch import Window
 
 _MOST_WRONG, _LATEST = 0.1, 3
 """Largest error rates, and longest delay [steps], of the sensors of training."""
-_LEAST, _MOST = 1e-4, 0.5
-"""Bounds of an estimated rate: an exact sensor, and one that says nothing."""
-_ITERATIONS, _SETTLED = 30, 1e-3
-"""Most steps of expectation maximisation, and the relative change below which it ends."""
-_BATCH = 8
-"""Trajectories in a compiled call."""
-_ERROR_FLOOR = MotionNoise().error_floor
 
 
 def check_contacts(model: ContactDynamics, dataset: Dataset, what: str) -> None:
@@ -76,132 +58,6 @@ def random_reports(
     report = jnp.take_along_axis(read, jnp.maximum(about, 0)[..., None], axis=1)
     return SensorReports(
         jnp.where(known[..., None], report, jnp.nan),
-        late_rate(false_alarm, delay),
-        late_rate(miss, delay),
+        jnp.asarray(late_rate(false_alarm, delay)),
+        jnp.asarray(late_rate(miss, delay)),
     )
-
-
-class _Steps(eqx.Module):
-    """The encoded steps of some trajectories, and what their motion says."""
-
-    graph: EncodedGraph
-    ratio: Float[Array, "B T E K"]
-    contact: Float[Array, "B T+1 E"]
-    real: Bool[Array, "B T"]
-
-
-def estimate_sensor(model: ContactDynamics, dataset: Dataset) -> ContactSensor:
-    """The sensor that most probably recorded the contacts of a dataset, by a trained filter.
-
-    Expectation maximisation for every delay up to 3 steps, and for a sensor that reports touch or
-    only holding where the model tells them apart: the rates are the expected shares of wrong
-    reports under the beliefs that motion and the sensor itself have corrected. The likeliest of
-    all is returned. Contacts are `with_edge_labels`. Raises `InvalidInputError` where a trajectory
-    has none, or the model is no filter.
-    """
-    check_contacts(model, dataset, "a sensor cannot be estimated")
-    parts = list(_encoded(model, with_edge_labels(dataset)))
-    kinds = (True, False) if model.inference.edge_types > 2 else (True,)
-    found = [
-        _settled(model, parts, ContactSensor(0.05, 0.05, touch, delay))
-        for touch in kinds
-        for delay in range(_LATEST + 1)
-    ]
-    return max(found, key=lambda one: one[1])[0]
-
-
-def _encoded(model: ContactDynamics, dataset: Dataset) -> Iterator[_Steps]:
-    from contactgraph.train.filter_loss import judged_steps
-
-    batch = pad_trajectories(dataset)
-    contact = batch.contact
-    assert contact is not None
-
-    @eqx.filter_jit
-    def judged(model: ContactDynamics, windows: Window) -> tuple[EncodedGraph, Array]:
-        return judged_steps(model, windows)[1:]
-
-    for begin in range(0, len(dataset), _BATCH):
-        index = np.minimum(np.arange(begin, begin + _BATCH), len(dataset) - 1)
-        real = batch.step_mask[index] & (np.arange(begin, begin + _BATCH) == index)[:, None]
-        taken = (batch.position, batch.velocity, batch.control)
-        windows = Window(
-            *(jnp.asarray(each[index], jnp.float32) for each in taken),
-            jax.tree.map(lambda leaf, index=index: jnp.asarray(leaf[index]), batch.nodes),
-        )
-        graph, ratio = judged(model, windows)
-        reports = jnp.asarray(contact[index], jnp.float32)
-        yield _Steps(graph, ratio, reports, jnp.asarray(real))
-
-
-def _settled(
-    model: ContactDynamics, parts: list[_Steps], sensor: ContactSensor
-) -> tuple[ContactSensor, float]:
-    """The sensor with the rates at which the iteration settles, and its log-likelihood."""
-    likelihood = -np.inf
-    for _ in range(_ITERATIONS):
-        counts, likelihoods = zip(
-            *(
-                _expected(model, part, jnp.asarray((sensor.false_alarm, sensor.miss)), sensor)
-                for part in parts
-            ),
-            strict=True,
-        )
-        wrong, total = np.sum(np.asarray(counts), axis=0)
-        rates = np.clip(wrong / np.maximum(total, 1e-9), _LEAST, _MOST)
-        before = np.asarray((sensor.false_alarm, sensor.miss))
-        likelihood = float(np.sum(np.asarray(likelihoods)))
-        sensor = dataclasses.replace(sensor, false_alarm=float(rates[0]), miss=float(rates[1]))
-        if np.all(np.abs(rates - before) <= _SETTLED * before):
-            break
-    return sensor, likelihood
-
-
-@eqx.filter_jit
-def _expected(
-    model: ContactDynamics, steps: _Steps, rates: Float[Array, " 2"], sensor: ContactSensor
-) -> tuple[Float[Array, "2 2"], Float[Array, ""]]:
-    """Expected wrong reports, and all, without contact and with it; the log-likelihood of all.
-
-    Steps whose report some other delay would leave out count for none, so that all are compared on
-    the same ones. ``rates`` replace those of ``sensor``, whose values would be compiled.
-    """
-    assumed = ContactSensor(rates[0], rates[1], sensor.reports_touch)
-    length = steps.real.shape[1]
-    padded = jnp.pad(
-        steps.contact, ((0, 0), (0, _LATEST), (0, 0)), constant_values=jnp.nan
-    )  # state t + 1 + delay reports about step t
-    report = jax.lax.dynamic_slice_in_dim(padded, 1 + sensor.delay, length, axis=1)
-    compared = jnp.pad(steps.real, ((0, 0), (0, _LATEST)))[:, _LATEST:]
-
-    def along(
-        graph: EncodedGraph, ratio: Array, report: Array, compared: Array
-    ) -> tuple[Array, Array]:
-        def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, tuple[Array, Array]]:
-            graph, ratio, report, compared = inputs
-            predicted = model.predict_belief(belief, graph)
-            by_motion = posterior_by_motion(predicted, ratio, _ERROR_FLOOR)
-            after = correct(by_motion, report, assumed)
-            counted = compared & (graph.weight > 0) & jnp.isfinite(report)
-            said = jnp.where(counted, report, 0.0)
-            expected = jnp.where(counted, assumed.contact_probability(after), 0.0)
-            without = jnp.where(counted, 1.0 - assumed.contact_probability(after), 0.0)
-            wrong = jnp.stack([jnp.sum(without * said), jnp.sum(expected * (1.0 - said))])
-            total = jnp.stack([jnp.sum(without), jnp.sum(expected)])
-            p = assumed.contact_probability(by_motion)
-            if_contact = jnp.where(said > 0.5, 1.0 - assumed.miss, assumed.miss)
-            if_none = jnp.where(said > 0.5, assumed.false_alarm, 1.0 - assumed.false_alarm)
-            likelihood = jnp.log(p * if_contact + (1.0 - p) * if_none)
-            types = jnp.maximum(predicted.type_probability, 1e-6)
-            likelihood = likelihood + jax.nn.logsumexp(jnp.log(types) + ratio, axis=-1)
-            return after, (
-                jnp.stack([wrong, total]),
-                jnp.sum(jnp.where(counted, likelihood, 0.0)),
-            )
-
-        first = model.prior_belief(jax.tree.map(lambda leaf: leaf[0], graph))
-        counts, likelihood = jax.lax.scan(step, first, (graph, ratio, report, compared))[1]
-        return jnp.sum(counts, axis=0), jnp.sum(likelihood)
-
-    counts, likelihood = jax.vmap(along)(steps.graph, steps.ratio, report, compared)
-    return jnp.sum(counts, axis=0), jnp.sum(likelihood)

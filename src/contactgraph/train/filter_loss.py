@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.contact_belief import ContactBelief, ContactSensor, correct
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.motion_likelihood import (
     MotionNoise,
@@ -26,6 +26,7 @@ from contactgraph.model.motion_likelihood import (
 )
 from contactgraph.model.types import LinearDynamics, ModelState
 from contactgraph.train.batch import Window
+from contactgraph.train.contact_reports import SensorReports, random_reports
 from contactgraph.train.loss import (
     LossTerms,
     WindowSteps,
@@ -150,15 +151,28 @@ def filter_loss(
     trajectories: Window,
     step_mask: Bool[Array, "B T"],
     key: PRNGKeyArray,
+    contact: Float[Array, "B T+1 E"] | None = None,
+    reports_touch: bool = True,
 ) -> Float[Array, ""]:
-    """Mean score of every edge within the cutoff at every step; see the module's docstring."""
+    """Mean score of every edge within the cutoff at every step; see the module's docstring.
+
+    Motion corrects the belief in random segments of steps. Where the recorded ``contact`` is given,
+    so do reports of it, in segments of their own: see `random_reports`. The score is that of the
+    motion alone.
+    """
     graph, ratio = _filter_inputs(model, trajectories)
     corrects = _correcting(key, step_mask.shape)
+    reports = None
+    if contact is not None:
+        used_key, key = jax.random.split(jax.random.fold_in(key, 1))
+        reports = random_reports(contact, key, _correcting(used_key, step_mask.shape))
 
-    def along(graph: EncodedGraph, ratio: Array, corrects: Array) -> Array:
-        return _filtered(model, graph, ratio, corrects)[1]
+    def along(
+        graph: EncodedGraph, ratio: Array, corrects: Array, reports: SensorReports | None
+    ) -> Array:
+        return _filtered(model, graph, ratio, corrects, reports, reports_touch)[1]
 
-    score = jax.vmap(along)(graph, ratio, corrects)
+    score = jax.vmap(along)(graph, ratio, corrects, reports)
     return masked_mean(score, (graph.weight > 0) & step_mask[..., None])
 
 
@@ -187,19 +201,26 @@ def _filtered(
     graph: EncodedGraph,
     ratio: Float[Array, "T E K"],
     corrects: Bool[Array, " T"],
+    reports: SensorReports | None = None,
+    reports_touch: bool = True,
 ) -> tuple[ContactBelief, Float[Array, "T E"]]:
     """The last corrected belief of a trajectory, and the score of every step."""
 
     def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, Array]:
-        graph, ratio, corrects = inputs
+        graph, ratio, corrects, report = inputs
         predicted = model.predict_belief(belief, graph)
         p = jnp.maximum(predicted.type_probability, _SMALLEST)
         score = -jax.nn.logsumexp(jnp.log(p) + ratio, axis=-1)
         used = jnp.where(corrects, ratio, 0.0)
-        return posterior_by_motion(predicted, used, _ERROR_FLOOR), score
+        posterior = posterior_by_motion(predicted, used, _ERROR_FLOOR)
+        if reports is not None:
+            sensor = ContactSensor(reports.false_alarm, reports.miss, reports_touch)
+            posterior = correct(posterior, report, sensor)
+        return posterior, score
 
     first = model.prior_belief(jax.tree.map(lambda leaf: leaf[0], graph))
-    return jax.lax.scan(step, first, (graph, ratio, corrects))
+    report = None if reports is None else reports.report
+    return jax.lax.scan(step, first, (graph, ratio, corrects, report))
 
 
 def corrected_beliefs(model: ContactDynamics, windows: Window) -> ContactBelief:

@@ -11,7 +11,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, PRNGKeyArray
 
-from contactgraph.data.dataset import Dataset
+from contactgraph.data.dataset import Dataset, with_edge_labels
 from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
@@ -30,6 +30,7 @@ from contactgraph.train.batch import (
     window_source,
 )
 from contactgraph.train.config import TrainConfig
+from contactgraph.train.contact_reports import check_contacts
 from contactgraph.train.dead_network import equals_constant_velocity, has_dead_units
 from contactgraph.train.filter_loss import dynamics_loss, filter_loss
 from contactgraph.train.fit_state import FitProgress, FitResult, FitState, FitStatus
@@ -72,16 +73,21 @@ def fit(
 
     A dead network ends the training, too: see `has_dead_units` and `equals_constant_velocity`.
     Large scenes are trained with neighbor lists: see `ReallocatingModel`. Contact labels in the
-    data are not read. `on_check` is called at every check and may save its state; an exception
-    from it (as Ctrl-C does) ends the training. Each of several `devices` takes an equal part of
-    every batch, with the same result up to rounding. Raises `InvalidInputError` where trajectories
-    are shorter than a window, or a batch cannot be split.
+    data are read with `config.use_contacts` alone: see `filter_loss`. `on_check` is called at every
+    check and may save its state; an exception from it (as Ctrl-C does) ends the training. Each of
+    several `devices` takes an equal part of every batch, with the same result up to rounding.
+    Raises `InvalidInputError` where trajectories are shorter than a window, a batch cannot be
+    split, or contacts cannot be used.
     """
     began = time.monotonic()
     split = batch_split(devices, config.batch_size)
-    batch = pad_trajectories(train, contacts=False)
+    if config.use_contacts:
+        check_contacts(state.model, train, "training with contacts")
+    labelled = with_edge_labels(train) if config.use_contacts else train
+    batch = pad_trajectories(labelled, contacts=config.use_contacts)
     static = static_bodies(train, batch.nodes.mask.shape[1])
     source = _window_source(batch, config, static)
+    source = dataclasses.replace(source, reports_touch=labelled is train)
     other = pad_trajectories(held_out, contacts=False)
     still = static_bodies(held_out, other.nodes.mask.shape[1])
     burn = 0
@@ -163,7 +169,7 @@ def _window_source(
     batch: TrajectoryBatch[np.ndarray], config: TrainConfig, static: np.ndarray | None
 ) -> WindowSource:
     windows = window_weights(batch, config.window_length, config.event_fraction)
-    return window_source(batch, windows, static)
+    return window_source(batch, windows, static, batch.contact is not None)
 
 
 def _optimiser(config: TrainConfig) -> optax.GradientTransformation:
@@ -229,8 +235,9 @@ def _advance(
         if filtered:
             draw_key, key = jax.random.split(key)
             terms = dynamics_loss(model, windows, False, devices)
-            whole, step_mask = source.draw_trajectories(_FILTERED, draw_key)
-            likelihood = filter_loss(model, whole, step_mask, key)
+            whole, step_mask, contact = source.draw_trajectories(_FILTERED, draw_key)
+            given = contact, source.reports_touch
+            likelihood = filter_loss(model, whole, step_mask, key, *given)
             terms = dataclasses.replace(terms, likelihood=likelihood)
         else:
             terms = window_loss(model, windows, key, False, devices)

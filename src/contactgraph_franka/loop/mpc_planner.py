@@ -55,7 +55,7 @@ class MPCPlanner:
         self._mpc = ActiveSetMPC(
             model,
             ilqr,
-            ContactSensor() if sensor is None else sensor,
+            ContactSensor(0.01, 0.01) if sensor is None else sensor,
             replan_every=horizon,
             motion_noise=motion_noise,
         )
