@@ -1,15 +1,18 @@
 """Flags for contact-sensor faults, and data without contacts, with the shipped model."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from contactgraph.cli import main as cli
+from contactgraph.cli.models import stored_model
 from contactgraph.data import Dataset, read_trajectories, strip_contacts, write_trajectories
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import SensorFaults, collect
+from contactgraph.model import ContactSensor, default_sensor
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +43,8 @@ def test_the_flags_are_passed_on(pickups: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("contactgraph.evaluate.control_task", interrupting(calls))
     flags = ["--false-alarms", "0.05", "--misses", "0.2", "--delay", "2"]
     control = ["control", "pickup", "pickup", "--seed", "7"]
-    for command in (["evaluate", "pickup", str(pickups)], control):
+    evaluate = ["evaluate", "pickup", str(pickups)]
+    for command in (evaluate, control):
         assert cli.run([*command, *flags]) == 130
     assert cli.run([*control, "--unmeasured"]) == 130
     assert [call["faults"] for call in calls] == [
@@ -49,12 +53,15 @@ def test_the_flags_are_passed_on(pickups: Path, monkeypatch: pytest.MonkeyPatch)
         SensorFaults(seed=7),
     ]
     assert [call.get("measured") for call in calls] == [None, True, False]
+    assert cli.run([*evaluate, *flags, "--no-known-rates"]) == 130
+    assert [call.get("sensor") for call in calls] == [None, None, None, ContactSensor()]
 
 
 def test_evaluate_echoes_the_sensor(fresh: Path, tmp_path: Path) -> None:
     flags = ["--false-alarms", 0.05, "--delay", 2]
     values = metrics_of(["evaluate", "pickup", fresh, *flags], tmp_path / "spoiled.json")
     assert [values[name] for name in ("false_alarms", "misses", "delay")] == [0.05, 0, 2]
+    assert values["known_rates"] is True
     assert values["edge_f1"] is not None
 
 
@@ -97,3 +104,61 @@ def test_edges_without_truth_are_not_scored(
 def test_invalid_sensor_flags(capsys: pytest.CaptureFixture[str], flags: str, message: str) -> None:
     assert cli.run(["control", "pickup", "pickup", *flags.split()]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("flags", [["--use-contacts"], ["--sensor", "estimate"]])
+def test_training_needs_contacts_and_a_filter_for_them(
+    flags: list[str], pickups: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare = tmp_path / "bare.h5"
+    write_trajectories(bare, strip_contacts(read_trajectories(pickups)).trajectories, {})
+    for data, model, said in (
+        (bare, "filter", "2 of 2 trajectories have no contact field"),
+        (pickups, "no-gim", "the model must be a filter (--model filter), found AllEdges"),
+    ):
+        command = ["train", str(data), "--out", str(tmp_path / "run"), "--held-out", "0.5"]
+        assert cli.run([*command, "--model", model, *flags]) == 2
+        error = capsys.readouterr().err
+        assert said in error and error.startswith(f"contactgraph: {flags[0]}: {data}")
+        assert error.count("\n") == 1
+        assert not (tmp_path / "run").exists()
+
+
+def test_the_flags_of_training_are_resumed(
+    pickups: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[tuple] = []
+
+    def fit(*arguments: object) -> None:
+        calls.append(arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactgraph.train.fit", fit)
+    command = ["train", str(pickups), "--out", str(tmp_path / "run")]
+    flags = ["--model", "filter", "--use-contacts", "--sensor", "estimate", "--held-out", "0.5"]
+    assert cli.run([*command, *flags]) == 130
+    assert cli.run([*command, "--resume"]) == 130
+    assert [call[3].use_contacts for call in calls] == [True, True]
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert (config["use_contacts"], config["sensor"]) == (True, "estimate")
+
+
+def test_an_estimated_sensor_is_stored_and_used(
+    pickups: Path,
+    trained: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    sensor = ContactSensor(0.04, 0.06, delay=1)
+    monkeypatch.setattr("contactgraph.train.estimate_sensor", lambda model, dataset: sensor)
+    monkeypatch.setattr("contactgraph.train.check_contacts", lambda *given: None)
+    run = tmp_path / "run"
+    shutil.copytree(trained, run)
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps({**config, "sensor": "estimate"}))
+    data = config["data"]
+    assert cli.run(["train", data, "--out", str(run), "--resume"]) == 0
+    said = "reports touch, 1 steps late; false alarms 4 %, misses 6 %"
+    assert said in capsys.readouterr().out
+    assert default_sensor(stored_model(str(run))) == sensor

@@ -54,7 +54,8 @@ def test_seeds_and_trajectories_differ_and_repeat():
 def test_the_correction_receives_the_rates():
     sensor = SensorFaults(0.05, 0.2, 2).sensor
     assert (sensor.false_alarm, sensor.miss) == (0.05, 0.2)
-    assert SensorFaults(0.001).sensor == ContactSensor()
+    assert sensor.delay == 2
+    assert SensorFaults(1e-7).sensor == ContactSensor()
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,7 @@ def test_the_controller_observes_faults_and_the_recording_is_exact():
         records = []
         _, (runs[name],) = control_task(
             GluedBodies(), PickupTask, 1, 0, horizon=5, iterations=2, faults=faults,
-            measured=measured, on_episode=lambda run, record, to=records: to.append(record),
+            sensor=ContactSensor(), measured=measured, on_episode=lambda run, record, to=records: to.append(record),
         )  # fmt: skip
         beliefs[name] = records[0].belief[:, 0] > 0.5
     # This world learns of contact from the sensor alone.

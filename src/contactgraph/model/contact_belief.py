@@ -102,8 +102,8 @@ class ContactSensor(eqx.Module):
     def __check_init__(self) -> None:
         for name in ("false_alarm", "miss"):
             rate = getattr(self, name)
-            if isinstance(rate, int | float) and not 0.0 <= rate < 1.0:
-                raise InvalidInputError(f"{name} must be at least 0 and below 1, found {rate}")
+            if isinstance(rate, int | float) and not 0.0 <= rate <= 1.0:
+                raise InvalidInputError(f"{name} must be 0 to 1, found {rate}")
         if self.delay < 0:
             raise InvalidInputError(f"delay must be at least 0 steps, found {self.delay}")
 
