@@ -93,7 +93,8 @@ def test_the_controller_observes_faults_and_the_recording_is_exact():
         records = []
         _, (runs[name],) = control_task(
             GluedBodies(), PickupTask, 1, 0, horizon=5, iterations=2, faults=faults,
-            sensor=ContactSensor(), measured=measured, on_episode=lambda run, record, to=records: to.append(record),
+            sensor=ContactSensor(), measured=measured,
+            on_episode=lambda run, record, to=records: to.append(record),
         )  # fmt: skip
         beliefs[name] = records[0].belief[:, 0] > 0.5
     # This world learns of contact from the sensor alone.

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from contactgraph.cli.options import choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
@@ -21,6 +22,9 @@ from contactgraph.model import (
     shipped_model,
     shipped_models,
 )
+
+if TYPE_CHECKING:
+    from contactgraph.train import HeldOutBaselines
 
 MODELS: dict[str, Preset] = {
     "gim-temp": gim_temp,
@@ -88,6 +92,17 @@ def contact_distance_text(model: ContactDynamics) -> str:
     learned = getattr(model.features, "learned", False)
     origin = "learned" if learned else "given"
     return "unknown" if distance is None else f"{distance:.4g} m, {origin}"
+
+
+def held_out_text(error: float, baselines: "HeldOutBaselines", best: float | None = None) -> str:
+    """The held-out error, the best so far if given, and the baselines, for users."""
+    bodies = "moving bodies" if baselines.moving else "all bodies"
+    return (
+        f"held-out error {100 * error:.3f} cm"
+        + ("" if best is None else f" (best {100 * best:.3f})")
+        + f", constant velocity {100 * baselines.constant_velocity_rmse_m:.3f}, "
+        f"standing still {100 * baselines.standing_still_rmse_m:.3f}, {bodies}"
+    )
 
 
 def sensor_text(sensor: ContactSensor) -> str:

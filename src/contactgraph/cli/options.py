@@ -178,6 +178,21 @@ def sensor_faults(false_alarms: float, misses: float, delay: int, seed: int) -> 
     return SensorFaults(false_alarms, misses, delay, seed)
 
 
+def device_count(asked: int | None, batch_size: int) -> int:
+    """The devices of this machine that share a batch; by default the most that divide it."""
+    import jax
+
+    there = jax.local_device_count()
+    even = [count for count in range(1, there + 1) if batch_size % count == 0]
+    if asked is not None and asked not in even:
+        counts = ", ".join(map(str, even))
+        raise InvalidInputError(
+            f"--devices must be one of {counts} (there are {there}, and each takes a like part "
+            f"of {batch_size} windows), found {asked}"
+        )
+    return even[-1] if asked is None else asked
+
+
 def open_executor(cluster: str) -> AbstractContextManager[Executor]:
     """The executor of ``--cluster``: ``local``, ``ray`` or ``ray:HOST:PORT``."""
     name, colon, address = cluster.partition(":")

@@ -66,8 +66,7 @@ class Train:
     prior_weight: float = 0.05
     """Weight of the KL divergence of beliefs from the distance prior."""
     use_contacts: bool = False
-    """Also correct the beliefs of a filter in training by the recorded contacts, as sensors with
-    random error rates and delays report them."""
+    """Also correct a filter in training by recorded contacts, with random errors and delays."""
     sensor: Annotated[str, arg(metavar="NAME")] = "exact"
     """Contact sensor that is stored in the model: exact, or estimate, by the trained filter from
     the recorded contacts."""
@@ -81,8 +80,19 @@ class Train:
         import jax
 
         from contactgraph.cli import CommandError
-        from contactgraph.cli.models import contact_distance_text, model_preset, sensor_text
-        from contactgraph.cli.options import check_range, check_seed, check_weight, choice
+        from contactgraph.cli.models import (
+            contact_distance_text,
+            held_out_text,
+            model_preset,
+            sensor_text,
+        )
+        from contactgraph.cli.options import (
+            check_range,
+            check_seed,
+            check_weight,
+            choice,
+            device_count,
+        )
         from contactgraph.cli.output import progress, provenance, sha256
         from contactgraph.data import (
             InvalidInputError,
@@ -132,7 +142,7 @@ class Train:
         train, held_out = split_by_trajectory(dataset, options.held_out, options.seed)
         for part in (train, held_out):  # checked before a folder is created
             check_window_length(config.window_length, max(each.steps for each in part))
-        devices = jax.local_devices()[: self._devices(len(jax.local_devices()), options.batch_size)]
+        devices = jax.local_devices()[: device_count(self.devices, options.batch_size)]
         model_config = ModelConfig(
             dataset.dimension,
             dataset.control_size,
@@ -167,8 +177,7 @@ class Train:
             f" --{name.replace('_', '-')} {getattr(options, name)}"
             for name in ("edge_types", "every", "bystanders", "prior_weight", "sensor")
             if getattr(options, name) != getattr(type(options), name)
-        )
-        flags += " --use-contacts" if options.use_contacts else ""
+        ) + (" --use-contacts" if options.use_contacts else "")
         summary = {
             "command": f"contactgraph train {self.data.name} {flags}",
             "seed": options.seed,
@@ -208,7 +217,7 @@ class Train:
                 folder.save(check)
                 keep_best(check.state, check.seconds, check.baselines)
                 best = float(check.state.best_error)
-                bar.advance(check.step, _errors(check.held_out_rmse_m, check.baselines, best))
+                bar.advance(check.step, held_out_text(check.held_out_rmse_m, check.baselines, best))
 
             result = fit(state, train, held_out, config, on_check, devices)
         seconds = spent + result.seconds
@@ -224,8 +233,8 @@ class Train:
             )
         error = result.held_out_rmse_m
         print(
-            f"{folder.model_path}: {_errors(error, result.baselines)} over {config.window_length} "
-            f"steps; {result.status.value}"
+            f"{folder.model_path}: {held_out_text(error, result.baselines)} over "
+            f"{config.window_length} steps; {result.status.value}"
         )
         print(
             f"trained for {seconds:.0f} s, compilation included; contact distance "
@@ -242,21 +251,6 @@ class Train:
                 f"{self.out}: the model is no better than constant velocity or standing still on "
                 "the held-out trajectories; try more data, more steps or another --model"
             )
-
-    def _devices(self, there: int, batch_size: int) -> int:
-        """The number of devices that share a batch."""
-        from contactgraph.data import InvalidInputError
-
-        even = [count for count in range(1, there + 1) if batch_size % count == 0]
-        if self.devices is None:
-            return even[-1]
-        if self.devices not in even:
-            counts = ", ".join(map(str, even))
-            raise InvalidInputError(
-                f"--devices must be one of {counts} (there are {there}, and each takes a like part "
-                f"of {batch_size} windows), found {self.devices}"
-            )
-        return self.devices
 
     def _started_with(self, config: dict[str, Any]) -> "Train":
         """The options that the run folder was started with."""
@@ -289,17 +283,6 @@ def _check_edge_types(options: Train) -> None:
             f"--edge-types: {options.model} has no types to choose; it is for --model filter, "
             f"found {options.edge_types}"
         )
-
-
-def _errors(error: float, baselines: "HeldOutBaselines", best: float | None = None) -> str:
-    """The held-out error, the best so far if given, and the baselines, for users."""
-    bodies = "moving bodies" if baselines.moving else "all bodies"
-    return (
-        f"held-out error {100 * error:.3f} cm"
-        + ("" if best is None else f" (best {100 * best:.3f})")
-        + f", constant velocity {100 * baselines.constant_velocity_rmse_m:.3f}, "
-        f"standing still {100 * baselines.standing_still_rmse_m:.3f}, {bodies}"
-    )
 
 
 def _warn(text: str) -> None:

@@ -1,4 +1,4 @@
-"""How long a model keeps a measured contact that its geometry contradicts."""
+"""Memory of a measured contact that the geometry contradicts."""
 
 from dataclasses import dataclass
 
