@@ -50,6 +50,7 @@ class Evaluate:
             contact_distance,
             contact_distance_text,
             in_steps_of,
+            model_path,
             stored_model,
         )
         from contactgraph.cli.options import check_range, sensor_faults
@@ -57,6 +58,7 @@ class Evaluate:
         from contactgraph.data import read_trajectories, with_edge_labels
         from contactgraph.evaluate import evaluate_open_loop, horizon_steps, rollout_growth
         from contactgraph.model import MotionNoise, default_sensor
+        from contactgraph.model.io import describe_model
 
         check_writable(self.json)
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, seed=0)
@@ -92,6 +94,8 @@ class Evaluate:
             "known_rates": self.known_rates,
             "infer_contacts": self.infer_contacts,
             "contact_distance_m": contact_distance(model),
+            **_told_free(model),
+            "training_s": describe_model(model_path(self.model)).training.get("training_s"),
             **metrics.to_json(),
             **({} if fitted is None else fitted.to_json()),
             **({} if growth is None else growth.to_json()),
@@ -132,6 +136,22 @@ class Evaluate:
             f"at least the model's {steps} in {seconds:.0f} s"
         )
         return fitted
+
+
+def _told_free(model: "ContactDynamics") -> dict[str, float | None]:
+    """Beliefs about bodies that touch at rest, after ten reports of none and 0.5 s later.
+
+    None where the model has no contact distance, or beliefs about listed pairs only.
+    """
+    from contactgraph.evaluate import forgetting
+    from contactgraph.model import default_sensor
+
+    keys = "told_free_belief", "told_free_belief_later"
+    distance = getattr(model.features, "contact_distance", None)
+    if distance is None or model.neighbor_list is not None:
+        return dict.fromkeys(keys)
+    found = forgetting(model, default_sensor(model))
+    return dict(zip(keys, (found.coming, found.later), strict=True))
 
 
 _TRAINING_S = 60.0
