@@ -5,14 +5,28 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import jax
 import pytest
 
 from contactgraph.cli import main as cli
-from contactgraph.cli.models import stored_model
-from contactgraph.data import Dataset, read_trajectories, strip_contacts, write_trajectories
+from contactgraph.cli.models import stored_model, with_inference
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    read_trajectories,
+    strip_contacts,
+    write_trajectories,
+)
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import SensorFaults, collect
-from contactgraph.model import ContactSensor, default_sensor
+from contactgraph.model import (
+    ContactSensor,
+    ModelConfig,
+    MotionNoise,
+    PriorEdges,
+    default_sensor,
+    hidden_markov_filter,
+)
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +71,45 @@ def test_the_flags_are_passed_on(pickups: Path, monkeypatch: pytest.MonkeyPatch)
     assert [call.get("sensor") for call in calls] == [None, None, None, ContactSensor()]
 
 
+def test_motion_corrects_beliefs_unless_it_is_ignored(
+    pickups: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[dict] = []
+    monkeypatch.setattr("contactgraph.evaluate.evaluate_open_loop", interrupting(calls))
+    for flags in ([], ["--infer-contacts"], ["--ignore-motion"]):
+        assert cli.run(["evaluate", "pickup", str(pickups), *flags]) == 130
+    noises = [call["motion_noise"] for call in calls]
+    assert noises[0] == noises[1] == MotionNoise() and noises[2] is None
+
+
+def test_the_geometric_prior_takes_the_place_of_inference(
+    pickups: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models = []
+
+    def called(model: object, *_: object, **__: object) -> None:
+        models.append(model)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactgraph.evaluate.evaluate_open_loop", called)
+    for name in ("learned", "prior-touch", "prior-hold"):
+        assert cli.run(["evaluate", "pickup", str(pickups), "--inference", name]) == 130
+    kinds = [type(model.inference).__name__ for model in models]
+    assert kinds == ["RecurrentEdges", "PriorEdges", "PriorEdges"]
+    # Of two types the only active one holds.
+    assert [model.inference.active_type for model in models[1:]] == [1, 1]
+    three_types = hidden_markov_filter(ModelConfig(2, 2, 0.05, width=4), key=jax.random.key(0))
+    for name, active in (("prior-touch", 1), ("prior-hold", 2)):
+        assert with_inference(three_types, name).inference == PriorEdges(3, active)
+    with pytest.raises(InvalidInputError, match="--inference must be one of learned, prior-touch"):
+        with_inference(three_types, "prior")
+
+
 def test_evaluate_echoes_the_sensor(fresh: Path, tmp_path: Path) -> None:
     flags = ["--false-alarms", 0.05, "--delay", 2]
     values = metrics_of(["evaluate", "pickup", fresh, *flags], tmp_path / "spoiled.json")
+    assert (values["inference"], values["infer_contacts"]) == ("learned", True)
+    assert values["edge_f1_now_inferred"] is not None and values["brier_score_inferred"] is not None
     assert [values[name] for name in ("false_alarms", "misses", "delay")] == [0.05, 0, 2]
     assert values["known_rates"] is True
     assert values["edge_f1"] is not None
@@ -95,6 +145,7 @@ def test_edges_without_truth_are_not_scored(
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
+        ("--infer-contacts --ignore-motion", "--infer-contacts and --ignore-motion exclude each"),
         ("--misses 1", "--misses must be a share from 0 to below 1, found 1.0"),
         ("--false-alarms nan", "--false-alarms must be a share from 0 to below 1, found nan"),
         ("--delay -1", "--delay must be 0 to 1000, found -1"),

@@ -19,6 +19,7 @@ from contactgraph.model import (
     GumbelSample,
     MemorylessEdges,
     MessagePassing,
+    PriorEdges,
     RecurrentEdges,
     TypedMessagePassing,
     two_type_belief,
@@ -105,6 +106,19 @@ def test_all_edges_are_surely_active(types) -> None:
     belief = ContactBelief(jnp.full((EDGES, types), 1.0 / types))
     found = edges.predict(belief, edges.embed(*graph(), ENDS), belief.type_probability)
     np.testing.assert_array_equal(found.type_probability, np.eye(types)[[1] * EDGES])
+
+
+@pytest.mark.parametrize(("active_type", "expected"), [(1, [0.7, 0.3, 0.0]), (2, [0.7, 0.0, 0.3])])
+def test_prior_edges_forget_the_belief_and_put_all_of_the_prior_into_one_type(
+    active_type, expected
+) -> None:
+    edges = PriorEdges(3, active_type)
+    prior = jnp.tile(jnp.array([0.7, 0.15, 0.15]), (EDGES, 1))
+    for certain in np.eye(3):
+        belief = ContactBelief(jnp.tile(certain, (EDGES, 1)), None, jnp.ones((EDGES, 1)))
+        found = edges.predict(belief, edges.embed(*graph(), ENDS), prior)
+        np.testing.assert_allclose(found.type_probability, [expected] * EDGES, rtol=1e-6)
+        assert not np.any(found.memory)
 
 
 def test_edge_inference_is_symmetric_in_the_end_nodes(recurrent) -> None:

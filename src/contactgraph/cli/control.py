@@ -121,7 +121,7 @@ class Control:
     def run(self) -> None:
         """Run the episodes, write the files that are asked for, and print a summary."""
         from contactgraph.cli.control_output import not_predicted
-        from contactgraph.cli.models import stored_model
+        from contactgraph.cli.models import motion_evidence, stored_model
         from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
         from contactgraph.cli.output import check_writable, progress
         from contactgraph.cli.task_types import TaskOptions
@@ -129,7 +129,6 @@ class Control:
         from contactgraph.control import read_cost
         from contactgraph.data import Dataset, InvalidInputError
         from contactgraph.evaluate import ObservationNoise, control_task, evaluate_open_loop
-        from contactgraph.model import ContactDynamics, check_motion_model, motion_noise
         from contactgraph.viz import check_animation, scene_trajectory
 
         for path in (self.json, self.video, self.save):
@@ -161,17 +160,12 @@ class Control:
                 "--unmeasured: no contact is measured, so --false-alarms, --misses and --delay "
                 "must be left out"
             )
-        if self.infer_contacts and self.ignore_motion:
-            raise InvalidInputError("--infer-contacts and --ignore-motion exclude each other")
         noise = ObservationNoise(self.position_noise, self.velocity_noise, self.seed)
         factory = task_factory(self.task, options)
         cost = None if self.cost is None else read_cost(self.cost)
         model = stored_model(self.model)
-        can_judge = isinstance(model, ContactDynamics) and model.neighbor_list is None
-        infers = self.infer_contacts or (can_judge and not self.ignore_motion)
-        by_motion = None
-        if infers:
-            by_motion = motion_noise(check_motion_model(model), noise.position, noise.velocity)
+        asked, ignored = self.infer_contacts, self.ignore_motion
+        by_motion = motion_evidence(model, asked, ignored, noise.position, noise.velocity)
         first: list[EpisodeRecord] = []
         finished = itertools.count(1)
         with progress("controlling", self.episodes) as bar:
@@ -204,7 +198,7 @@ class Control:
             **{name: getattr(self, name) for name in _RECORDED},
             "cost": None if self.cost is None else str(self.cost),
             "horizon": horizon,
-            "infer_contacts": infers,
+            "infer_contacts": by_motion is not None,
         }
         controlled = _Controlled(
             trajectories,

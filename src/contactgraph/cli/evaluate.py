@@ -38,7 +38,12 @@ class Evaluate:
     known_rates: bool = True
     """Whether the correction knows the errors and the delay that the three flags before give."""
     infer_contacts: bool = False
-    """Also measure beliefs that are corrected by the observed motion alone."""
+    """Correct beliefs by the observed motion, too. This is the default."""
+    ignore_motion: bool = False
+    """Correct beliefs by measured contacts alone."""
+    inference: Annotated[str, arg(metavar="NAME")] = "learned"
+    """Inference of edges: learned, or as an ablation prior-touch or prior-hold, the geometric prior
+    alone, of edges that touch or that hold."""
     growth_steps: Annotated[int | None, arg(metavar="STEPS", help_behavior_hint="(optional)")] = (
         None
     )
@@ -51,22 +56,24 @@ class Evaluate:
             contact_distance_text,
             in_steps_of,
             model_path,
+            motion_evidence,
             stored_model,
+            with_inference,
         )
         from contactgraph.cli.options import check_range, sensor_faults
         from contactgraph.cli.output import check_writable, write_json
         from contactgraph.data import read_trajectories, with_edge_labels
         from contactgraph.evaluate import evaluate_open_loop, horizon_steps, rollout_growth
-        from contactgraph.model import MotionNoise, default_sensor
+        from contactgraph.model import default_sensor
         from contactgraph.model.io import describe_model
 
         check_writable(self.json)
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, seed=0)
         if self.growth_steps is not None:
             check_range("--growth-steps", self.growth_steps, 1, 100_000)
-        model = stored_model(self.model)
+        model = with_inference(stored_model(self.model), self.inference)
         dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
-        motion_noise = MotionNoise() if self.infer_contacts else None
+        noise = motion_evidence(model, self.infer_contacts, self.ignore_motion)
         horizon_steps(dataset, self.horizon)  # a mistake is told before minutes of fitting
         fitted = None
         if self.baselines is not None:
@@ -77,7 +84,7 @@ class Evaluate:
             horizon_s=self.horizon,
             sensor=None if self.known_rates else default_sensor(model),
             faults=faults,
-            motion_noise=motion_noise,
+            motion_noise=noise,
             baselines={} if fitted is None else fitted.predictions,
         )
         growth = None
@@ -92,7 +99,8 @@ class Evaluate:
             "misses": self.misses,
             "delay": self.delay,
             "known_rates": self.known_rates,
-            "infer_contacts": self.infer_contacts,
+            "infer_contacts": noise is not None,
+            "inference": self.inference,
             "contact_distance_m": contact_distance(model),
             **_told_free(model),
             "training_s": describe_model(model_path(self.model)).training.get("training_s"),
@@ -170,6 +178,7 @@ _PREDICTIONS = {
 }
 _BODIES = ("_moving", "")
 _CONTACTS = {"": "measured", "_unmeasured": "not measured", "_inferred": "inferred from motion"}
+_AHEAD = {"": "one step ahead", "_ahead": "at the end of the window"}
 
 
 def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
@@ -197,6 +206,13 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
         if beliefs != "_inferred" or values["infer_contacts"]:
             now, coming = score(f"edge_f1_now{beliefs}"), score(f"edge_f1{beliefs}")
             print(f"edges, contacts {text}: F1 {now} (step just made), {coming} (steps to come)")
+    for ahead, text in _AHEAD.items():
+        errors = ", ".join(
+            f"{score(f'calibration_error{ahead}{beliefs}')} ({name})"
+            for beliefs, name in _CONTACTS.items()
+            if beliefs != "_inferred" or values["infer_contacts"]
+        )
+        print(f"calibration error of beliefs {text}: {errors}")
     switch = values["switch_time_error_s"]
     error = "unknown" if switch is None else f"{1000 * switch:.1f} ms, mean"
     print(f"error of the start of contact: {error}")

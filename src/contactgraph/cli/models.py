@@ -1,5 +1,6 @@
 """Models by name: presets to train, and model files."""
 
+import dataclasses
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,18 +11,23 @@ from contactgraph.model import (
     ContactDynamics,
     ContactSensor,
     DistancePrior,
+    MotionNoise,
     Preset,
+    PriorEdges,
+    check_motion_model,
     full_ab,
     gim_non_temp,
     gim_temp,
     hidden_markov_filter,
     load_model,
+    motion_noise,
     no_gim,
     paper_literal,
     paper_literal_no_gim,
     shipped_model,
     shipped_models,
 )
+from contactgraph.model.contact_belief import first_holding_type
 
 if TYPE_CHECKING:
     from contactgraph.train import HeldOutBaselines
@@ -84,6 +90,41 @@ def stored_model(name: str) -> ContactDynamics:
     """
     preset, _ = _split(name)
     return load_model(model_path(name), model_preset(preset) if preset else None).model
+
+
+def motion_evidence(
+    model: ContactDynamics, asked: bool, ignored: bool, position: float = 0.0, velocity: float = 0.0
+) -> MotionNoise | None:
+    """The noise by which motion corrects beliefs, with that of observations, m and m/s.
+
+    ``asked`` and ``ignored`` are ``--infer-contacts`` and ``--ignore-motion``. None: motion does
+    not correct beliefs, because it is ignored, or because the model cannot judge it and was not
+    asked to. Raises `InvalidInputError` for both flags, or a model that is asked and cannot.
+    """
+    if asked and ignored:
+        raise InvalidInputError("--infer-contacts and --ignore-motion exclude each other")
+    if ignored:
+        return None
+    try:
+        return motion_noise(check_motion_model(model), position, velocity)
+    except InvalidInputError:
+        if asked:
+            raise
+        return None
+
+
+def with_inference(model: ContactDynamics, name: str) -> ContactDynamics:
+    """The model with the inference of ``--inference``.
+
+    The geometric prior knows no types, so ``prior-touch`` and ``prior-hold`` say which one all its
+    active edges have. Of two types they are the same.
+    """
+    types = model.inference.edge_types
+    active_types = {"learned": None, "prior-touch": 1, "prior-hold": first_holding_type(types)}
+    active_type = choice("--inference", name, active_types)
+    if active_type is None:
+        return model
+    return dataclasses.replace(model, inference=PriorEdges(types, active_type))
 
 
 def contact_distance_text(model: ContactDynamics) -> str:

@@ -4,6 +4,8 @@ from contactgraph.envs.episodes import collect as collect
 from contactgraph.envs.episodes import episode_seeds as episode_seeds
 from contactgraph.envs.episodes import run_episode as run_episode
 from contactgraph.evaluate.baselines import Baseline as Baseline
+from contactgraph.evaluate.calibration import Calibration as Calibration
+from contactgraph.evaluate.calibration import belief_calibration as belief_calibration
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics as ClosedLoopMetrics
 from contactgraph.evaluate.closed_loop import closed_loop_metrics as closed_loop_metrics
 from contactgraph.evaluate.control_task import control_by_policy as control_by_policy

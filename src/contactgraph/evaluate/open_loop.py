@@ -16,6 +16,7 @@ from contactgraph.evaluate.baselines import (
 from contactgraph.evaluate.open_loop_metrics import (
     ORACLE,
     OpenLoopMetrics,
+    calibration_numbers,
     edge_numbers,
     error_numbers,
     unbeaten_baselines,
@@ -81,10 +82,11 @@ def evaluate_open_loop(
 
     ``faults`` corrupts the contacts that correct the belief; scores are against the recorded truth.
     ``sensor`` has the same error rates and delay by default, and without faults is the model's
-    `default_sensor`. With ``motion_noise``, contacts inferred from
-    motion alone are evaluated, too. ``baselines``: predictions beside those without fitting, by
-    name (``least_squares`` and ``gnn`` are null otherwise). ``metrics``: further metrics by name,
-    each a function of the `OpenLoopDetail`.
+    `default_sensor`. With ``motion_noise`` (see `contactgraph.model.motion_noise`) the observed
+    motion corrects the belief, too, and beliefs corrected by motion alone are evaluated besides.
+    ``baselines``: predictions beside those without fitting, by name (``least_squares`` and ``gnn``
+    are null otherwise). ``metrics``: further metrics by name, each a function of the
+    `OpenLoopDetail`.
 
     Contacts are `with_edge_labels` here: pairs that hold each other, where that is recorded.
     The trajectories may differ in steps and nodes. Where one lacks contacts, none are used.
@@ -133,7 +135,7 @@ def evaluate_open_loop(
         windows=len(detail.start),
         n_steps=steps,
         diverged_windows=int(diverged.sum()),
-        numbers={**errors, **edge_numbers(detail)},
+        numbers={**errors, **edge_numbers(detail), **calibration_numbers(detail)},
         unbeaten=unbeaten_baselines(
             {name: errors[f"{name}_rmse_moving_m"] for name in ("n_step", *detail.baselines)}
         ),

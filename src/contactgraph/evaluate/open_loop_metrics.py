@@ -4,7 +4,9 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
+from contactgraph.evaluate.calibration import Calibration
 from contactgraph.evaluate.edge_scores import edge_scores
 from contactgraph.evaluate.prediction_windows import OpenLoopDetail
 
@@ -34,8 +36,8 @@ class OpenLoopMetrics:
     diverged_windows: int
     """Windows with a prediction that is not finite; one of them makes the errors infinite."""
     numbers: Mapping[str, float | None]
-    """Errors and scores by their JSON keys: see `error_numbers` and `edge_numbers`. None: the data
-    do not determine a number."""
+    """Errors and scores by their JSON keys: see `error_numbers`, `edge_numbers` and
+    `calibration_numbers`. None: the data do not determine a number."""
     unbeaten: tuple[str, ...]
     """Baselines that the model is not better than: see `unbeaten_baselines`."""
     detail: OpenLoopDetail = field(repr=False, compare=False)
@@ -56,15 +58,24 @@ class OpenLoopMetrics:
             return Verdict.no_better
         return Verdict.better_than_constant_velocity if self.unbeaten else Verdict.better_than_all
 
-    def to_json(self) -> dict[str, float | int | str | None]:
-        """All results by name; None for those that are not known or not finite."""
+    def to_json(self) -> dict[str, Any]:
+        """All results by name; None for those that are not known or not finite.
+
+        Besides `numbers`, `Calibration.reliability` under the keys ``reliability…``, with the
+        endings of `calibration_numbers`.
+        """
         finite = {
             name: value if value is None or math.isfinite(value) else None
             for name, value in {**self.numbers, **self.extra}.items()
         }
         counts = ("runs", "windows", "n_steps", "diverged_windows")
         verdict = None if self.verdict is None else self.verdict.value
-        return {**finite, "verdict": verdict, **{name: getattr(self, name) for name in counts}}
+        reliability = {
+            f"reliability{ending}": None if found is None else found.reliability
+            for ending, found in _calibrations(self.detail).items()
+        }
+        named = {name: getattr(self, name) for name in counts}
+        return {**finite, **reliability, "verdict": verdict, **named}
 
 
 def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
@@ -73,8 +84,8 @@ def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
     The keys are ``{prediction}_rmse{bodies and windows}{beliefs}_m``. Predictions are ``n_step``,
     the model's, and the baselines'. Over all bodies by default; ``_moving``: over those that move
     in a window; ``_free``, ``_contact``: over windows without and with a change of contact. By
-    beliefs that measured contacts have corrected, where contacts were recorded, by default;
-    ``_unmeasured``: not corrected; ``_inferred``: corrected by the observed motion alone.
+    beliefs that measured contacts, where recorded, and the observed motion, if requested, have
+    corrected, by default; ``_unmeasured``: by nothing; ``_inferred``: by motion alone.
     """
     changes = detail.contact_changes
     chosen = {
@@ -124,6 +135,35 @@ def edge_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
         late = None if scores is None else scores.switch_time_error_s
         numbers |= {f"edge_on_time{beliefs}": on_time, f"switch_time_error{beliefs}_s": late}
     return numbers
+
+
+def calibration_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
+    """Scores of the beliefs' probabilities, see `Calibration`.
+
+    They are of the beliefs about the step after every state, predicted from it; ``_ahead``: about
+    the last step of every window, predicted from its start. Then ``_unmeasured`` and ``_inferred``
+    as in `error_numbers`. Only edges within the model's cutoff count: beyond it, beliefs are 0 by
+    construction, which would flatter the numbers.
+    """
+    return {
+        f"{name}{ending}": getattr(found, score, None)
+        for ending, found in _calibrations(detail).items()
+        for name, score in (
+            ("calibration_error", "expected_error"),
+            ("brier_score", "brier_score"),
+            ("log_score", "log_score"),
+        )
+    }
+
+
+def _calibrations(detail: OpenLoopDetail) -> dict[str, Calibration | None]:
+    """By the ending of their JSON keys; None: without such beliefs."""
+    return {
+        f"{ahead}{beliefs}": getattr(found, step, None)
+        for ahead, step in (("", "next_step"), ("_ahead", "last_step"))
+        for beliefs in ("", "_unmeasured", "_inferred")
+        for found in [getattr(detail, beliefs.removeprefix("_") or "measured")]
+    }
 
 
 def unbeaten_baselines(errors: Mapping[str, float | None]) -> tuple[str, ...]:

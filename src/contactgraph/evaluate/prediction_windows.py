@@ -6,7 +6,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from contactgraph.data import (
     Dataset,
@@ -16,6 +15,7 @@ from contactgraph.data import (
     pair_indices,
 )
 from contactgraph.evaluate.baselines import Baseline
+from contactgraph.evaluate.calibration import Calibration, belief_calibration, no_calibration
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
 from contactgraph.evaluate.trajectory_prediction import TrajectoryPrediction, predict_trajectory
 from contactgraph.model import (
@@ -40,6 +40,11 @@ class WindowPredictions:
     now: EdgeCounts
     """Beliefs about the step just made against the label of the state reached, over the steps of
     whole trajectories; empty where contacts were not recorded."""
+    next_step: Calibration
+    """Beliefs about the step after each state of whole trajectories, predicted from that state;
+    empty where contacts were not recorded."""
+    last_step: Calibration
+    """The same for the last step of every window, predicted from its start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +67,10 @@ class OpenLoopDetail:
     edge_exists: np.ndarray
     """[W, E] bool: False for padding."""
     measured: WindowPredictions
-    """By beliefs that measured contacts have corrected up to the window's start."""
+    """By beliefs that measured contacts and, if requested, the observed motion have corrected up to
+    the window's start."""
     unmeasured: WindowPredictions
-    """By beliefs without measured contacts."""
+    """By beliefs that nothing has corrected."""
     inferred: WindowPredictions | None
     """By beliefs that the observed motion has corrected, without measured contacts. None: not
     requested."""
@@ -131,7 +137,7 @@ def trajectory_detail(
 
     ``reported``: [T+1, N, N] bool, reports of a contact sensor; None: contacts were not recorded
     in every trajectory. ``baselines`` are compared with the same windows. ``motion_noise``:
-    contacts are also inferred from motion. Arrays are padded to the dataset's largest trajectory,
+    beliefs are also corrected by motion. Arrays are padded to the dataset's largest trajectory,
     so that all share one compiled function.
     """
     trajectory = dataset.trajectories[index]
@@ -166,23 +172,36 @@ def trajectory_detail(
     def finite(prediction: TrajectoryPrediction) -> bool:
         return bool(jnp.all(jnp.isfinite(prediction.position[:starts, :, :count])))
 
-    def now(active: Array) -> EdgeCounts:
-        if contact is None:
-            return EdgeCounts()
-        made = np.asarray(active)[1 : trajectory.steps + 1]
-        return edge_counts(made[None], contact[None, 1:], edge_exists[:1])
-
     def windows(prediction: TrajectoryPrediction) -> WindowPredictions:
+        made = np.asarray(prediction.now_belief)[1 : trajectory.steps + 1] > 0.5
+        coming = np.asarray(prediction.next_belief)[: trajectory.steps]
+        last = np.asarray(prediction.last_belief)[:starts]
+        # A body that only the recording brings near enough counts, too: its belief is 0.
+        last = np.where(np.isnan(last) & np.isfinite(coming[steps - 1 :]), 0.0, last)
+        now = EdgeCounts()
+        if contact is not None:
+            now = edge_counts(made[None], contact[None, 1:], edge_exists[:1])
         return WindowPredictions(
             squared_error=error(np.asarray(prediction.position, np.float64)),
             edge_active=np.asarray(prediction.edge_active)[:starts],
-            touch_on_time=np.asarray(prediction.next_active)[: trajectory.steps][touches],
-            now=now(prediction.now_active),
+            touch_on_time=coming[touches] > 0.5,
+            now=now,
+            next_step=calibrated(coming, 1),
+            last_step=calibrated(last, steps),
         )
+
+    def calibrated(belief: np.ndarray, first: int) -> Calibration:
+        """Of beliefs [S, E] about the steps that lead to state ``first`` and the ones after."""
+        if contact is None:
+            return no_calibration()
+        return belief_calibration(np.where(edge_exists[:1], belief, np.nan), contact[first:])
 
     def by_lists(contacts: np.ndarray | None) -> WindowPredictions:
         function = lists.reallocate_on_overflow
         return windows(function(lambda model: predicted(model, contacts), finite))
+
+    def by_motion(contacts: np.ndarray | None) -> WindowPredictions:
+        return windows(predicted(lists.given, contacts, motion_noise))
 
     def compared(baseline: Baseline) -> np.ndarray | None:
         positions = baseline(trajectory, steps)
@@ -194,6 +213,12 @@ def trajectory_detail(
     if trajectory.scene.static is not None:
         moves = moves & ~trajectory.scene.static
     unmeasured = by_lists(None)
+    # The likelihood of motion is computed over all pairs, without neighbor lists.
+    inferred = None if motion_noise is None else by_motion(None)
+    if reported is None:
+        measured = unmeasured if inferred is None else inferred
+    else:
+        measured = by_lists(reported) if inferred is None else by_motion(reported)
     return OpenLoopDetail(
         dt=dataset.dt,
         trajectory=np.full(starts, index),
@@ -202,12 +227,9 @@ def trajectory_detail(
         moves=np.pad(moves, ((0, 0), (0, capacity - count))),
         contact=None if contact is None else _windows(contact, steps),
         edge_exists=edge_exists,
-        measured=unmeasured if reported is None else by_lists(reported),
+        measured=measured,
         unmeasured=unmeasured,
-        # The likelihood of motion is computed over all pairs, without neighbor lists.
-        inferred=None
-        if motion_noise is None
-        else windows(predicted(lists.given, None, motion_noise)),
+        inferred=inferred,
         baselines={name: compared(baseline) for name, baseline in baselines.items()},
     )
 
@@ -226,6 +248,8 @@ def _concatenated(parts: Sequence[Any]) -> Any:
         return np.concatenate(parts)
     if isinstance(first, EdgeCounts):
         return sum(parts, EdgeCounts())
+    if isinstance(first, Calibration):
+        return sum(parts[1:], first)
     if isinstance(first, dict):
         return {name: _concatenated([each[name] for each in parts]) for name in first}
     if not isinstance(first, OpenLoopDetail | WindowPredictions):

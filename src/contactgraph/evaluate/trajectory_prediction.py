@@ -13,6 +13,7 @@ from contactgraph.model import (
     LinearDynamics,
     ModelState,
     MotionNoise,
+    SmoothCutoff,
     StepModel,
     rollout,
 )
@@ -26,19 +27,39 @@ _BATCH = 16
 
 
 class TrajectoryPrediction(eqx.Module):
-    """Rollouts of ``H`` steps from ``S`` states of a trajectory, under its recorded controls."""
+    """Rollouts of ``H`` steps from ``S`` states of a trajectory, under its recorded controls.
+
+    Beliefs are probabilities of what the sensor means by contact; see `contact_belief`.
+    """
 
     position: Float[Array, "S H N D"]
     """m"""
     edge_active: Bool[Array, "S H E"]
     """Whether each edge is more likely active than not; entry h is about step h of the window."""
-    now_active: Bool[Array, "T+1 E"]
+    last_belief: Float[Array, "S E"]
+    """Of each edge in the last step of the window."""
+    now_belief: Float[Array, "T+1 E"]
     """The same for the step that led to each state, corrected by what was observed there."""
-    next_active: Bool[Array, "T+1 E"]
+    next_belief: Float[Array, "T+1 E"]
     """The same for the step after each state, predicted from that state."""
 
 
-@eqx.filter_jit
+def contact_belief(
+    model: StepModel, belief: ContactBelief, sensor: ContactSensor, edges: int
+) -> Float[Array, " E"]:
+    """Probability of what the sensor means by contact, over all pairs; NaN beyond the cutoff.
+
+    The predicted belief in an active type is positive within the cutoff of a model that has one,
+    and 0 beyond it. Of any other model, all beliefs count.
+    """
+    everywhere = belief.over(None, edges)
+    probability = sensor.contact_probability(everywhere)
+    if not (isinstance(model, ContactDynamics) and isinstance(model.cutoff, SmoothCutoff)):
+        return probability
+    within = jnp.sum(everywhere.type_probability[..., 1:], axis=-1) > 0
+    return jnp.where(within, probability, jnp.nan)
+
+
 def predict_trajectory(
     model: StepModel,
     trajectory: TrajectoryBatch[Array],
@@ -47,22 +68,55 @@ def predict_trajectory(
     sensor: ContactSensor,
     motion_noise: MotionNoise | None = None,
 ) -> TrajectoryPrediction:
-    """Rolls the model out for ``steps`` from each of the states ``starts``."""
+    """Rolls the model out for ``steps`` from each of the states ``starts``.
+
+    The rollouts are a function of their own, so that they are compiled once with and without a
+    ``motion_noise``, which only the filter knows.
+    """
+    posterior, now, coming = _filtered(model, trajectory, sensor, motion_noise)
+    unlabelled = trajectory._replace(contact=None)
+    position, active, last = _rolled_out(model, unlabelled, posterior, starts, steps, sensor)
+    return TrajectoryPrediction(position, active, last, now, coming)
+
+
+@eqx.filter_jit
+def _filtered(
+    model: StepModel,
+    trajectory: TrajectoryBatch[Array],
+    sensor: ContactSensor,
+    motion_noise: MotionNoise | None,
+) -> tuple[ContactBelief, Array, Array]:
     filtered = filter_trajectory(model, trajectory, sensor, motion_noise)
     edges = trajectory.nodes.candidate.shape[-1]
 
-    def likely(belief: ContactBelief) -> Array:
-        return sensor.contact_probability(belief.over(None, edges)) > 0.5
+    def believed(belief: ContactBelief) -> Array:
+        return contact_belief(model, belief, sensor, edges)
 
-    def from_state(start: Array) -> tuple[Array, Array]:
-        belief = jax.tree.map(lambda leaf: leaf[start], filtered.posterior)
+    beliefs = (jax.lax.map(believed, each) for each in (filtered.posterior, filtered.prior))
+    return filtered.posterior, *beliefs
+
+
+@eqx.filter_jit
+def _rolled_out(
+    model: StepModel,
+    trajectory: TrajectoryBatch[Array],
+    posterior: ContactBelief,
+    starts: Int[Array, " S"],
+    steps: int,
+    sensor: ContactSensor,
+) -> tuple[Array, Array, Array]:
+    edges = trajectory.nodes.candidate.shape[-1]
+
+    def from_state(start: Array) -> tuple[Array, Array, Array]:
+        belief = jax.tree.map(lambda leaf: leaf[start], posterior)
         state = ModelState(trajectory.position[start], trajectory.velocity[start], belief)
         controls = jax.lax.dynamic_slice_in_dim(trajectory.control, start, steps)
 
         def output(after: ModelState, _: LinearDynamics) -> tuple[Array, Array]:
-            return after.position, likely(after.belief)
+            return after.position, contact_belief(model, after.belief, sensor, edges)
 
-        return rollout(model, state, controls, trajectory.nodes, output)
+        position, believed = rollout(model, state, controls, trajectory.nodes, output)
+        return position, believed > 0.5, believed[-1]
 
     count = starts.shape[0]
     considered = edges
@@ -71,10 +125,6 @@ def predict_trajectory(
     batch = min(_BATCH, count) if considered <= _SMALL_GRAPH else 1
     # A last batch of another size would compile the rollout a second time.
     padded = jnp.pad(starts, (0, -count % batch), mode="edge")
-    position, active = jax.lax.map(from_state, padded, batch_size=batch if batch > 1 else None)
-    return TrajectoryPrediction(
-        position[:count],
-        active[:count],
-        jax.lax.map(likely, filtered.posterior),
-        jax.lax.map(likely, filtered.prior),
-    )
+    outputs = jax.lax.map(from_state, padded, batch_size=batch if batch > 1 else None)
+    position, active, last = jax.tree.map(lambda leaf: leaf[:count], outputs)
+    return position, active, last

@@ -17,6 +17,7 @@ from contactgraph.model.contact_dynamics import EncodedGraph as EncodedGraph
 from contactgraph.model.contact_dynamics import StepStages as StepStages
 from contactgraph.model.edge_inference import AllEdges as AllEdges
 from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
+from contactgraph.model.edge_inference import PriorEdges as PriorEdges
 from contactgraph.model.edge_inference import RecurrentEdges as RecurrentEdges
 from contactgraph.model.edge_inference import TransitionEdges as TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures as AbsoluteFeatures

@@ -1,4 +1,4 @@
-"""Inference of active edges, in four interchangeable forms.
+"""Inference of active edges, in five interchangeable forms.
 
 Each has ``embed`` (one step's graph to edge embeddings, independent of time) and ``predict``
 (belief about the last step, an embedding and the geometric prior to the belief about the next one).
@@ -213,6 +213,39 @@ class AllEdges(eqx.Module):
         return ContactBelief(certain)
 
 
+class PriorEdges(eqx.Module):
+    """The geometric prior alone, as an ablation of inference: no belief survives a step.
+
+    The prior knows no types, so all of its active part is of one. Corrections still apply to the
+    step just made.
+    """
+
+    edge_types: int = eqx.field(static=True, default=2)
+    active_type: int = eqx.field(static=True, default=1)
+    memory_size: int = eqx.field(static=True, default=1)
+    """Of a memory that stays 0. Without a memory the correction by motion would have its own."""
+
+    def embed(
+        self,
+        node: Float[Array, "N F"],
+        edge: Float[Array, "2 E G"],
+        weight: Float[Array, " E"],
+        edge_index: Int[Array, "2 E"],
+    ) -> Float[Array, "E 0"]:
+        """Nothing to embed."""
+        return jnp.zeros((weight.shape[0], 0), node.dtype)
+
+    def predict(
+        self, belief: ContactBelief, embedding: Float[Array, "E 0"], prior: Float[Array, "E K"]
+    ) -> ContactBelief:
+        """The prior, independent of the old belief."""
+        active = jnp.sum(prior[:, 1:], axis=-1)
+        types = jnp.zeros_like(prior).at[:, 0].set(prior[:, 0])
+        types = types.at[:, self.active_type].set(active)
+        memory = jnp.zeros((prior.shape[0], self.memory_size), prior.dtype)
+        return ContactBelief(types, belief.edge_id, memory)
+
+
 def _edge_embedding(
     message_passing: MessagePassing | EdgeNetwork,
     output: eqx.nn.Linear,
@@ -226,4 +259,4 @@ def _edge_embedding(
     return jax.vmap(output)(message[0] + message[1])
 
 
-EdgeInference = TransitionEdges | RecurrentEdges | MemorylessEdges | AllEdges
+EdgeInference = TransitionEdges | RecurrentEdges | MemorylessEdges | AllEdges | PriorEdges
