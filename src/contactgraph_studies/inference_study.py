@@ -35,7 +35,7 @@ from contactgraph_studies.inference_rows import (
     requirements,
 )
 from contactgraph_studies.job import JobRecords, Measurement
-from contactgraph_studies.results import Results, SeedStatistic, with_range
+from contactgraph_studies.results import Quantity, Results, SeedStatistic, with_range
 from contactgraph_studies.runner import reason_missing
 from contactgraph_studies.study import Picture, StudyResult
 from contactgraph_studies.tables import DASH, StudyTable, number_text
@@ -148,6 +148,7 @@ class InferenceStudy(StudyOfWorlds):
                 yield f"{row.task}: {row.what}: its commands write no such number"
 
 
+_UNCORRECTED = Quantity("n_step_rmse_moving_unmeasured_m", "cm", 100.0)
 _SHOWN = "release"
 _BELIEF_CAPTION = (
     "Belief in the hold of one pair, along a trajectory that no model has seen: corrected by the "
@@ -191,6 +192,7 @@ def error_table(results: Results, tasks: Mapping[str, str]) -> StudyTable:
     numbers = InferenceNumbers(results)
     columns = {
         **{"filter_inferred": "filter, by motion alone", "filter": "filter, contacts measured"},
+        "filter_uncorrected": "filter, never corrected",
         **{"floor": "floor (frozen true contact)", "constant_velocity": "constant velocity"},
         **{"network": "interaction network (one fit)", "first_form": "first form, measured"},
         **{one.slug: one.name for one in (*PRIORS, LYING, LATE)},
@@ -201,6 +203,7 @@ def error_table(results: Results, tasks: Mapping[str, str]) -> StudyTable:
         return {
             "filter_inferred": numbers.statistic(slug, ERRORS[INFERRED]),
             "filter": numbers.statistic(slug, measured),
+            "filter_uncorrected": numbers.statistic(slug, _UNCORRECTED),
             "floor": numbers.statistic(slug, ERRORS["frozen_contact_cm"]),
             "constant_velocity": numbers.statistic(slug, ERRORS["constant_velocity_cm"]),
             "network": numbers.statistic(slug, ERRORS["gnn_cm"]),

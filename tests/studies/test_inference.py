@@ -84,9 +84,7 @@ def test_every_command_line_is_one_of_ours_and_writes_files_of_its_own() -> None
     outputs = []
     for amounts in (FULL_WORLDS, QUICK_WORLDS):
         jobs = [one.job for one in inference_measurements(INFERENCE_WORLDS, amounts)]
-        # evaluate does not take --inference yet.
-        known = [job for job in jobs if "--inference" not in job.arguments]
-        assert commands_of(known) == {"collect", "train", "evaluate", "control"}
+        assert commands_of(jobs) == {"collect", "train", "evaluate", "control"}
         assert conflicting_outputs(jobs) == {}
         outputs.append({job.output for job in in_dependency_order(jobs)})
     assert outputs[0].isdisjoint(outputs[1]), "a quick study leaves the full one alone"
