@@ -32,3 +32,4 @@ from contactgraph.control.plan import PlanStatus as PlanStatus
 from contactgraph.control.plan import shift_plan as shift_plan
 from contactgraph.control.riccati import LQRProblem as LQRProblem
 from contactgraph.control.subproblem import ActiveSetState as ActiveSetState
+from contactgraph.control.switching import SwitchingILQR as SwitchingILQR

@@ -84,6 +84,7 @@ def chain_cost(
     goal: Sequence[float] | np.ndarray,
     node_count: int,
     control_size: int | None = None,
+    command_weight: float | None = None,
 ) -> QuadraticCost:
     """A cost that ties each node of the chain to the next, and the last to the goal, as the paper.
 
@@ -93,7 +94,8 @@ def chain_cost(
 
     **Arguments:** ``chain``: nodes, gripper first. ``pick_weights``, ``goal_weights``: [2D],
     D on positions, then D on velocities. ``goal``: [D] m. ``node_count``: N, the capacity.
-    ``control_size``: U; D where it is not given.
+    ``control_size``: U; D where it is not given. ``command_weight``: on the squares of components
+    beyond D, such as a switch; None: ``control_weight``.
 
     Raises `InvalidInputError` where a weight is negative or a shape or node does not fit.
     """
@@ -107,6 +109,8 @@ def chain_cost(
         raise InvalidInputError(f"chain must name nodes 0 to {node_count - 1}, found {chain}")
     if not control_weight > 0:
         raise InvalidInputError(f"control_weight must be positive, found {control_weight}")
+    if not (command_weight is None or command_weight > 0):
+        raise InvalidInputError(f"command_weight must be positive, found {command_weight}")
     pick = _checked_weights("pick_weights", pick_weights, 2 * dimension)
     last = _checked_weights("goal_weights", goal_weights, 2 * dimension)
 
@@ -120,9 +124,12 @@ def chain_cost(
     Q[chain[-1], :, chain[-1]] += np.diag(last)
     target = np.zeros((node_count, size))
     target[list(chain), :dimension] = point
+    R = control_weight * np.eye(dimension if control_size is None else control_size)
+    if command_weight is not None:
+        R[dimension:, dimension:] *= command_weight / control_weight
     return QuadraticCost(
         Q=jnp.asarray(Q.reshape(node_count * size, node_count * size)),
-        R=jnp.asarray(control_weight * np.eye(dimension if control_size is None else control_size)),
+        R=jnp.asarray(R),
         goal=jnp.asarray(target.reshape(-1)),
         cost_node_ids=jnp.asarray(np.asarray(chain, dtype=np.int32)),
     )

@@ -172,17 +172,7 @@ class ILQR(eqx.Module):
     def _improve(
         self, reference: Rollout, part: QuadraticCost, damping: Float[Array, ""]
     ) -> Improvement:
-        Q, R, goal = part.over(self.horizon)
-        A, B, offset = block_dynamics(reference.dynamics)
-        problem = LQRProblem(
-            A=A,
-            B=B,
-            offset=offset,
-            Q=Q,
-            R=R,
-            q=-jnp.einsum("tij,tj->ti", Q, goal),
-            r=jnp.zeros(R.shape[:-1], R.dtype),
-        )
+        problem = problem_along(reference, part)
         return improve_policy(
             problem, reference.x[:-1], reference.controls, damping, self.limits, block_operator
         )
@@ -211,6 +201,21 @@ class ILQR(eqx.Module):
         """No force, or the nearest that the limits allow."""
         zero = jnp.zeros((self.horizon, control_size), dtype)
         return zero if self.limits is None else self.limits(zero).astype(dtype)
+
+
+def problem_along(reference: Rollout, part: QuadraticCost) -> LQRProblem:
+    """The problem with the dynamics along a rollout; ``part`` is the cost on its ``x``."""
+    Q, R, goal = part.over(reference.controls.shape[0])
+    A, B, offset = block_dynamics(reference.dynamics)
+    return LQRProblem(
+        A=A,
+        B=B,
+        offset=offset,
+        Q=Q,
+        R=R,
+        q=-jnp.einsum("tij,tj->ti", Q, goal),
+        r=jnp.zeros(R.shape[:-1], R.dtype),
+    )
 
 
 class _Search(eqx.Module):

@@ -139,6 +139,8 @@ class ChainCost:
     """[2D] on the difference of the last node and the goal at rest."""
     control_weight: float
     """On the squared control, 1/N^2."""
+    command_weight: float | None = None
+    """On the squares of its components beyond D, such as a switch. None: `control_weight`."""
 
     def __post_init__(self) -> None:
         if not self.chain or len(set(self.chain)) != len(self.chain) or min(self.chain) < 0:
@@ -157,3 +159,5 @@ class ChainCost:
             )
         if not self.control_weight > 0.0:
             raise InvalidInputError(f"control_weight must be positive, found {self.control_weight}")
+        if not (self.command_weight is None or self.command_weight > 0.0):
+            raise InvalidInputError(f"command_weight must be positive, found {self.command_weight}")

@@ -8,7 +8,7 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits
+from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits, SwitchingILQR
 from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.envs.contract import Observation, Policy, Task
 from contactgraph.envs.episodes import episode_seeds, run_episode
@@ -72,7 +72,12 @@ def control_task(
     terms = task.cost_terms()
     if sensor is None:
         sensor = default_sensor(model) if faults.exact else faults.sensor
+    switches = tuple(
+        each for each, kind in enumerate(task.scene.control_kind or ()) if kind == "switch"
+    )
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
+    if switches:
+        ilqr = SwitchingILQR(horizon, iterations, limits, switches=switches)
     mpc = ActiveSetMPC(
         model,
         ilqr,

@@ -81,6 +81,7 @@ class TaskCost:
             self.goal,
             node_count,
             self.control_size,
+            self.terms.command_weight,
         )
 
 

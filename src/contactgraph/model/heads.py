@@ -176,10 +176,12 @@ class CoupledHead(eqx.Module):
         ground = jax.vmap(self.ground)(local.node_features)[:, 0]
         # The sum over directions does not depend on which node is the first.
         out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
-        weight = local.weight.T
+        weight = pushing = local.weight.T
         if len(weight) > 1:
             closing = jax.nn.sigmoid(local.geometry.approach / (_ONE_SIDED * self.length))
             weight = weight.at[0].multiply(closing)
+            # The spring of a touch at rest has no force: bodies that lie side by side stay there.
+            pushing = pushing.at[0].multiply(jax.nn.relu(2.0 * closing - 1.0))
 
         def over_types(per_type: Float[Array, "active E"]) -> Float[Array, " E"]:
             return jnp.sum(weight * per_type, axis=0)
@@ -190,7 +192,7 @@ class CoupledHead(eqx.Module):
             mass=jnp.exp(_PACE * local.node_type @ self.log_mass),
             ground_damper=jax.nn.softplus(ground - 6.0),
             damper=coupling / (1.0 - coupling),
-            spring=over_types(jax.nn.softplus(out[..., 1] - 6.0)),
+            spring=jnp.sum(pushing * jax.nn.softplus(out[..., 1] - 6.0), axis=0),
             rest_length=over_types(jax.nn.softplus(out[..., 2])) * self.length,
             # Only a rigid bond begins by an impact; a soft one acts all through a step.
             displacing_fraction=(local.geometry.fraction_after_impact - theta)

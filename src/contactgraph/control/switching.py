@@ -1,0 +1,182 @@
+"""iLQR with switches: components of the control that are on or off, by a search over schedules.
+
+A switch acts on which edges hold, not on a force, so the linear dynamics have no column for it and
+no derivative of the cost tells when to operate it. `SwitchingILQR` therefore compares schedules,
+the values of a switch at every step of the plan: that of the previous plan, always on, always off,
+and one change at some step. With its schedule given, a plan's forces are `ILQR`'s.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from contactgraph.control.box_qp import AffinePolicy, ControlLimits
+from contactgraph.control.cost import Cost, QuadraticCost
+from contactgraph.control.ilqr import ILQR, problem_along
+from contactgraph.control.lqr import Improvement, improve_policy
+from contactgraph.control.plan import Plan
+from contactgraph.control.riccati import block_operator
+from contactgraph.control.rollout import Rollout, SweptBounds
+from contactgraph.data.errors import InvalidInputError
+from contactgraph.model import ModelState, Nodes, StepModel
+
+
+class SwitchingILQR(ILQR):
+    """`ILQR` for a control of which some components are switches.
+
+    A switch takes one of its two limits at every step. All schedules are planned side by side with
+    two rollouts each, from the guess's forces. The guess's own schedule, the best constant and the
+    best changing one are then planned on, and the plan of the lowest cost is taken: another
+    schedule replaces the running one only if it costs less. Several switches are varied one at a
+    time.
+
+    **Rounding.** A guess's switch is rounded to the nearer limit before any rollout, and only
+    limits are planned, because a switch has no values in between: what is rolled out, what is
+    returned and what a task does are the same. The feedback of a switch is zero.
+
+    Raises `InvalidInputError` where a switch is no component of the limits, or has no finite ones.
+    """
+
+    switches: tuple[int, ...] = eqx.field(static=True, default=())
+    """Components of the control that are switches."""
+    changes: int = eqx.field(static=True, default=3)
+    """Steps at which a schedule may change, 1 or more, evenly spread over the horizon."""
+
+    def __check_init__(self) -> None:
+        if not self.switches or not 1 <= self.changes < self.horizon:
+            raise InvalidInputError(
+                "switches must name a component of the control at least, and changes be 1 to below "
+                f"the horizon, found {self.switches} and {self.changes}"
+            )
+        if self.limits is None or not 0 <= min(self.switches) <= max(self.switches) < len(
+            self.limits.lower
+        ):
+            raise InvalidInputError(
+                f"limits must have an entry for each of the switches {self.switches}, found "
+                f"{self.limits}"
+            )
+
+    def solve(
+        self,
+        model: StepModel,
+        state: ModelState,
+        nodes: Nodes,
+        cost: Cost,
+        guess: AffinePolicy | None = None,
+    ) -> Plan:
+        """The plan of the lowest cost among the schedules; see `ILQR.solve`.
+
+        ``iterations`` counts the rollouts of all schedules.
+        """
+        count, dimension = state.position.shape
+        quadratic = cost.quadratic(count)
+        if guess is None:
+            idle = self._idle(quadratic.control_size, quadratic.R.dtype)
+            guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
+        running = self.rounded(guess.k[:, self._index])
+        guess = dataclasses.replace(guess, K=guess.K.at[:, self._index].set(0.0))
+
+        def begun(schedule: Float[Array, "H S"]) -> AffinePolicy:
+            return dataclasses.replace(guess, k=guess.k.at[:, self._index].set(schedule))
+
+        def planned(begin: AffinePolicy, iterations: int) -> Plan:
+            planner = dataclasses.replace(self, iterations=iterations)
+            return ILQR.solve(planner, model, state, nodes, quadratic, begin)
+
+        trials = jax.vmap(lambda each: planned(begun(each), min(2, self.iterations)))(
+            self.schedules(running)
+        )
+        costs = jnp.where(jnp.isfinite(trials.cost), trials.cost, jnp.inf)
+        changing = 1 + 2 * len(self.switches)
+        constant, change = jnp.argmin(costs[1:changing]), jnp.argmin(costs[changing:])
+        finalists = jnp.stack([0 * constant, 1 + constant, changing + change])
+        policies = jax.tree.map(lambda leaf: leaf[finalists], trials.policy)
+        left = max(1, self.iterations - 1)
+        made = jax.vmap(lambda each: planned(each, left))(policies)
+        lowest = jnp.argmin(jnp.where(jnp.isfinite(made.cost), made.cost, jnp.inf))
+        chosen = jax.tree.map(lambda leaf: leaf[lowest], made)
+        rollouts = jnp.sum(trials.iterations) + jnp.sum(made.iterations)
+        swept = None
+        if made.swept is not None and trials.swept is not None:
+            swept = _union(made.swept, trials.swept, self.iterations)
+        return dataclasses.replace(chosen, iterations=rollouts, swept=swept)
+
+    def rounded(self, schedule: Float[Array, "H S"]) -> Float[Array, "H S"]:
+        """The nearer limit of each value; the last step is as the one before.
+
+        A shifted plan ends in zero control, which would be a change of the switch.
+        """
+        lower, upper = self._bounds
+        nearest = jnp.where(schedule > 0.5 * (lower + upper), upper, lower)
+        nearest = nearest.astype(schedule.dtype)
+        return nearest.at[-1].set(nearest[-2]) if self.horizon > 1 else nearest
+
+    def schedules(self, running: Float[Array, "H S"]) -> Float[Array, "C H S"]:
+        """The running one; one switch always on, or off, for each; one switch that changes once."""
+        lower, upper = self._bounds
+        steps = np.linspace(0, self.horizon, self.changes + 2)[1:-1].round().astype(int)
+        made = [running]
+        for begin in (np.zeros(1, int), steps):
+            after = np.arange(self.horizon) >= begin[:, None]
+            for each in range(len(self.switches)):
+                for on in (*after, *~after):
+                    values = jnp.where(on, upper[each], lower[each]).astype(running.dtype)
+                    made.append(running.at[:, each].set(values))
+        return jnp.stack(made)
+
+    @property
+    def _index(self) -> np.ndarray:
+        return np.array(self.switches)
+
+    @property
+    def _bounds(self) -> tuple[Float[Array, " S"], Float[Array, " S"]]:
+        """The limits of the switches."""
+        assert self.limits is not None
+        return self.limits.lower[self._index], self.limits.upper[self._index]
+
+    def _improve(
+        self, reference: Rollout, part: QuadraticCost, damping: Float[Array, ""]
+    ) -> Improvement:
+        """As `ILQR`'s, about the other components; the switches stay as they are."""
+        assert self.limits is not None
+        whole = problem_along(reference, part)
+        fixed = self._index
+        free = np.setdiff1d(np.arange(part.control_size), fixed)
+        given = reference.controls[:, fixed]
+        problem = dataclasses.replace(
+            whole,
+            B=whole.B[..., free],
+            offset=whole.offset + jnp.sum(whole.B[..., fixed] * given[:, None], axis=-1),
+            R=whole.R[:, free[:, None], free],
+            r=jnp.sum(whole.R[:, free[:, None], fixed] * given[:, None], axis=-1),
+        )
+        found = improve_policy(
+            problem,
+            reference.x[:-1],
+            reference.controls[:, free],
+            damping,
+            ControlLimits(self.limits.lower[free], self.limits.upper[free]),
+            block_operator,
+        )
+
+        def among_all(values: Array) -> Array:
+            shape = values.shape[0], part.control_size, *values.shape[2:]
+            return jnp.zeros(shape, values.dtype).at[:, free].set(values)
+
+        policy = AffinePolicy(among_all(found.policy.K), among_all(found.policy.k))
+        return Improvement(policy, among_all(found.step), found.expected_decrease)
+
+
+def _union(made: SweptBounds, trials: SweptBounds, rollouts: int) -> SweptBounds:
+    """Bounds [R, H, N, D] of all plans [C, r, H, N, D]; those of the trials are in the last."""
+    missing = [(0, rollouts - made.lower.shape[1]), *[(0, 0)] * 3]
+    lower = jnp.pad(jnp.min(made.lower, axis=0), missing, constant_values=jnp.inf)
+    upper = jnp.pad(jnp.max(made.upper, axis=0), missing, constant_values=-jnp.inf)
+    return SweptBounds(
+        lower.at[-1].min(jnp.min(trials.lower, axis=(0, 1))),
+        upper.at[-1].max(jnp.max(trials.upper, axis=(0, 1))),
+    )
