@@ -286,7 +286,7 @@ def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_evaluate_takes_a_run_folder(trained: Path, fresh: Path, tmp_path: Path) -> None:
     path, results = tmp_path / "result.json", []
     for model in (trained, trained / "model.safetensors"):
-        done("evaluate", model, fresh, "--json", path)
+        done("evaluate", model, fresh, "--ignore-motion", "--json", path)
         results.append(json.loads(path.read_text()))
         assert results[-1].pop("run") == str(model)
     assert results[0] == results[1] and results[0]["n_step_rmse_m"] > 0.0
@@ -348,6 +348,10 @@ def test_report(
     numbers = json.loads((page.parent / "results.json").read_text())["numbers"]
     errors = {number["value"] for number in numbers if number["unit"] == "cm"}
     assert any(error == pytest.approx(100 * measured["n_step_rmse_moving_m"]) for error in errors)
+    named = {number["what"]: number["value"] for number in numbers}
+    name = "calibration error, one step ahead, no distractors"
+    assert named[name] == pytest.approx(measured["calibration_error"])
+    assert page.read_text(encoding="utf-8").count("<td>one step ahead, no distractors</td>") == 3
     table = (page.parent / "table.csv").read_text().splitlines()
     assert len(table) == 1 + len(numbers)
     assert "pickup" in page.read_text(encoding="utf-8")

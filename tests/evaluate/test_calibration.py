@@ -11,7 +11,7 @@ from evaluation_worlds import Fades, random_run
 
 from contactgraph.data import Dataset
 from contactgraph.evaluate import belief_calibration, evaluate_open_loop
-from contactgraph.evaluate.trajectory_prediction import contact_belief
+from contactgraph.evaluate.trajectory_prediction import contact_belief, predict_trajectory
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,
@@ -23,6 +23,7 @@ from contactgraph.model import (
 from contactgraph.model.contact_belief import NoCutoff
 
 DT = 0.05
+WINDOWS = "contactgraph.evaluate.prediction_windows"
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +136,35 @@ def test_an_edge_within_the_cutoff_only_of_the_recording_counts_as_believed_abse
     assert found.last_step.reliability[0] == [4, 0.0, 1.0]
 
 
+def test_sources_of_beliefs(monkeypatch) -> None:
+    """Which of contacts and motion correct the beliefs of each source, without motion at work."""
+    made: list[tuple[bool, bool]] = []
+    noise = MotionNoise()
+
+    def predicted(model, trajectory, starts, steps, sensor, motion_noise=None):
+        made.append((bool(jnp.isfinite(trajectory.contact).any()), motion_noise is noise))
+        return predict_trajectory(model, trajectory, starts, steps, sensor)
+
+    monkeypatch.setattr(f"{WINDOWS}.predict_trajectory", predicted)
+    monkeypatch.setattr("contactgraph.evaluate.open_loop.check_motion_model", lambda _: None)
+    run = random_run(2, 8, 2)
+    for recorded in (run, replace(run, contact=None)):
+        both = evaluate_open_loop(
+            Fades(), Dataset((recorded,)), horizon_s=3 * DT, motion_noise=noise
+        )
+        assert both["n_step_rmse_inferred_m"] is not None
+    without = evaluate_open_loop(Fades(), Dataset((run,)), horizon_s=3 * DT)
+    assert without["n_step_rmse_inferred_m"] is None
+    nothing, motion, contacts, all_of_it = (
+        (False, False),
+        (False, True),
+        (True, False),
+        (True, True),
+    )
+    assert made == [nothing, motion, all_of_it, nothing, motion, nothing, contacts]
+
+
+@pytest.mark.slow
 def test_motion_corrects_measured_beliefs_too(model) -> None:
     """By contacts and motion; where no contacts are recorded by motion alone."""
     run = random_run(2, 6, 3)

@@ -9,7 +9,14 @@ import dataclasses
 import numpy as np
 
 from contactgraph.data import Scene, Trajectory
-from contactgraph.viz import LossCurve, NStepError, ReportData, ReportMetric, SceneTrajectory
+from contactgraph.viz import (
+    LossCurve,
+    NStepError,
+    ReliabilityCurve,
+    ReportData,
+    ReportMetric,
+    SceneTrajectory,
+)
 
 DT, RADIUS, SUBSTEPS = 0.05, 0.04, 10
 START, OBJECT, GOAL = np.array([-0.75, -0.5]), np.array([0.1, 0.05]), np.array([0.62, 0.6])
@@ -205,6 +212,17 @@ def report(scenes=None):
         else scenes,
         errors=tuple(errors),
         horizon_s=0.5,
+        reliability=tuple(
+            ReliabilityCurve(
+                f"{panel}, 10 distractors",
+                source,
+                tuple((1000 - 90 * n, b, b ** (1 + bend)) for n, b in enumerate((0.02, 0.4, 0.97))),
+                bend / 10,
+            )
+            for panel, factor in (("one step ahead", 1.0), ("at the end of the window", 3.0))
+            for source, share in (("contacts and motion", 0.1), ("motion alone", 0.3))
+            for bend in (factor * share,)
+        ),
         losses=(
             LossCurve("prediction", step, curve(1.0, 0.004, 0.15)),
             LossCurve("prediction", step[::5], curve(1.1, 0.006, 0.05)[::5], held_out=True),

@@ -9,7 +9,14 @@ import pytest
 from synthetic_pickup import changed
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
-from contactgraph.viz import NStepError, ReportData, ReportMetric, SceneTrajectory, write_report
+from contactgraph.viz import (
+    NStepError,
+    ReliabilityCurve,
+    ReportData,
+    ReportMetric,
+    SceneTrajectory,
+    write_report,
+)
 from contactgraph.viz.report import page
 
 VOID = {"meta", "input", "br", "link", "img"}
@@ -114,6 +121,7 @@ def test_hostile_text_stays_text(scene):
             metrics=(ReportMetric(HOSTILE, 1.0, HOSTILE, (0, 1), command=HOSTILE, tile=True),),
             scenes=(hostile,),
             errors=(NStepError(HOSTILE, HOSTILE, 0.01),),
+            reliability=(ReliabilityCurve(HOSTILE, HOSTILE, ((3, 0.1, 0.0),), 0.1),),
             versions={HOSTILE: HOSTILE},
             remake=(HOSTILE,),
         )
@@ -123,6 +131,20 @@ def test_hostile_text_stays_text(scene):
     assert len(reader.scripts) == 2
     assert payload(text)["scenes"][0]["nodeName"] == list(names)
     assert payload(text)["errors"][0]["condition"] == HOSTILE
+
+
+def test_reliability_is_drawn_and_tabled(scene):
+    bins = ((3, 0.05, 0.0), (1, 0.95, 1.0))
+    curves = (
+        ReliabilityCurve("one step ahead", "contacts measured", bins, 0.0625),
+        ReliabilityCurve("at the end of the window", "nothing", bins, None),
+    )
+    text = page(ReportData("t", "s", scenes=(scene,), reliability=curves))
+    first, second = payload(text)["reliability"]
+    assert first["bins"] == [[3, 0.05, 0.0], [1, 0.95, 1.0]] and first["error"] == 0.0625
+    assert (second["panel"], second["error"]) == ("at the end of the window", None)
+    assert 'id="reliability-charts"' in text and ">0.0625<" in text
+    assert 'id="reliability-charts"' not in page(ReportData("t", "s", scenes=(scene,)))
 
 
 def test_missing_and_non_finite_values_become_gaps(scene):

@@ -8,7 +8,7 @@ import numpy as np
 
 from contactgraph.cli.task_types import KnownTask, Target, TestCondition
 from contactgraph.model.io import ModelSummary
-from contactgraph.viz import LossCurve, NStepError, ReportMetric
+from contactgraph.viz import LossCurve, NStepError, ReliabilityCurve, ReportMetric
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,10 @@ _BASELINES = (
     ("standing_still", "standing still's", None),
     ("frozen_contact", "the fixed-contact oracle's", Target(0.25)),
 )
+_HORIZONS = {"": "one step ahead", "_ahead": "at the end of the window"}
+_CALIBRATION = {"": Target(0.02, 0.01), "_ahead": Target(0.08, 0.03)}
+_SOURCES = {"": "contacts and motion", "_inferred": "motion alone", "_unmeasured": "nothing"}
+"""Corrections of beliefs, by the ending of their JSON keys."""
 
 
 def report_metrics(
@@ -78,6 +82,10 @@ def report_metrics(
         target = targets.edge_f1.get(one.condition.in_distribution)
         name, f1 = f"edge F1, {one.condition.name}", one.open_loop["edge_f1"]
         add(name, "", f1, one.open_loop_command, target, tile=one is last)
+    for ahead, text in _HORIZONS.items():
+        error, command = last.open_loop[f"calibration_error{ahead}"], last.open_loop_command
+        name = f"calibration error, {text}, {last.condition.name}"
+        add(name, "", error, command, _CALIBRATION[ahead], lower_is_better=True)
     for one in results:
         low, high = one.closed_loop["success_interval"]
         add(
@@ -131,6 +139,22 @@ def n_step_errors(results: Sequence[ConditionResult]) -> list[NStepError]:
                 )
             )
     return errors
+
+
+def reliability_curves(result: ConditionResult) -> list[ReliabilityCurve]:
+    """The reliability of beliefs under one condition, by horizon and by what corrected them."""
+    loop, condition = result.open_loop, result.condition.name
+    return [
+        ReliabilityCurve(
+            panel=f"{text}, {condition}",
+            source=source,
+            bins=tuple((count, belief, share) for count, belief, share in bins if count),
+            error=loop[f"calibration_error{ahead}{beliefs}"],
+        )
+        for ahead, text in _HORIZONS.items()
+        for beliefs, source in _SOURCES.items()
+        if (bins := loop.get(f"reliability{ahead}{beliefs}"))
+    ]
 
 
 def loss_curves(history: Sequence[Mapping[str, float]]) -> list[LossCurve]:

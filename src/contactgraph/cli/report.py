@@ -99,7 +99,12 @@ class Report:
         results: "list[ConditionResult]",
     ) -> None:
         """The page, and beside it the table (Markdown, CSV, JSON) and a figure of one scene."""
-        from contactgraph.cli.model_report import loss_curves, n_step_errors, report_metrics
+        from contactgraph.cli.model_report import (
+            loss_curves,
+            n_step_errors,
+            reliability_curves,
+            report_metrics,
+        )
         from contactgraph.cli.models import run_folder
         from contactgraph.cli.output import provenance, write_json, write_text
         from contactgraph.train import RunFolder
@@ -118,6 +123,7 @@ class Report:
             scenes=tuple(scenes),
             errors=tuple(n_step_errors(results)),
             horizon_s=_HORIZON_S,
+            reliability=tuple(reliability_curves(results[-1])),
             losses=() if training is None else tuple(loss_curves(RunFolder(training).metrics())),
             versions=provenance()["versions"],
             remake=(command,),

@@ -7,6 +7,7 @@ from contactgraph.viz.cost_picture import write_cost_picture as write_cost_pictu
 from contactgraph.viz.report import write_report as write_report
 from contactgraph.viz.report_data import LossCurve as LossCurve
 from contactgraph.viz.report_data import NStepError as NStepError
+from contactgraph.viz.report_data import ReliabilityCurve as ReliabilityCurve
 from contactgraph.viz.report_data import ReportData as ReportData
 from contactgraph.viz.report_data import ReportMetric as ReportMetric
 from contactgraph.viz.scene_trajectory import SceneTrajectory as SceneTrajectory

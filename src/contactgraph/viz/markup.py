@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from html import escape
 
 from contactgraph.viz.metric_table import short
-from contactgraph.viz.report_data import NStepError, ReportData, ReportMetric
+from contactgraph.viz.report_data import NStepError, ReliabilityCurve, ReportData, ReportMetric
 
 _MISSING = "&ndash;"
 
@@ -117,6 +117,20 @@ def errors_table(errors: tuple[NStepError, ...]) -> str:
         f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
         "</details>"
     )
+
+
+def reliability_table(curves: tuple[ReliabilityCurve, ...]) -> str:
+    """The expected calibration errors as a table, beside the chart."""
+    if not curves:
+        return ""
+    names = ("Beliefs", "Corrected by", "Calibration error")
+    head = "".join(f'<th scope="col">{name}</th>' for name in names)
+    rows = "".join(
+        f'<tr><td>{escape(curve.panel)}</td><th scope="row">{escape(curve.source)}</th>'
+        f'<td class="figure">{figure(curve.error)}</td></tr>'
+        for curve in curves
+    )
+    return f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
 
 
 def _centimetres(value: float | None) -> str:

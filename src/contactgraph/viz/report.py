@@ -12,7 +12,7 @@ from string import Template
 import numpy as np
 
 from contactgraph.data import InvalidInputError, atomic_write
-from contactgraph.viz.markup import errors_table, footer, metrics_table, tiles
+from contactgraph.viz.markup import errors_table, footer, metrics_table, reliability_table, tiles
 from contactgraph.viz.report_data import ReportData
 from contactgraph.viz.scene_trajectory import SceneTrajectory
 from contactgraph.viz.selection import (
@@ -39,6 +39,7 @@ _SCRIPTS = (
     "time_plots.js",
     "time_panels.js",
     "error_chart.js",
+    "reliability_chart.js",
     "loss_chart.js",
     "page.js",
 )
@@ -72,6 +73,9 @@ def page(data: ReportData) -> str:
         tiles=tiles(data.metrics),
         scene=_asset("scene.html") if data.scenes else "",
         errors=_section("errors.html", bool(data.errors), errors_table(data.errors)),
+        reliability=_section(
+            "reliability.html", bool(data.reliability), reliability_table(data.reliability)
+        ),
         losses=_section("losses.html", bool(data.losses), ""),
         numbers=_section("numbers.html", bool(data.metrics), metrics_table(data.metrics)),
         footer=footer(data),
@@ -116,6 +120,17 @@ def embedded_json(data: ReportData) -> str:
                 "interval": _pair(error.model_interval_m),
             }
             for error in data.errors
+        ],
+        "reliability": [
+            {
+                "panel": curve.panel,
+                "source": curve.source,
+                "bins": [
+                    [count, _number(belief), _number(share)] for count, belief, share in curve.bins
+                ],
+                "error": _number(curve.error),
+            }
+            for curve in data.reliability
         ],
         "losses": [
             {

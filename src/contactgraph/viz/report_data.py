@@ -1,4 +1,4 @@
-"""The data of a report page: numbers with their origin, trajectories, errors and losses."""
+"""The data of a report page: numbers with origin, trajectories, errors, reliability, losses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -62,6 +62,20 @@ class NStepError:
     """95 % interval or range over seeds, m."""
 
 
+@dataclass(frozen=True)
+class ReliabilityCurve:
+    """Reliability of one source of beliefs, see `contactgraph.evaluate.Calibration`."""
+
+    panel: str
+    """e.g. ``"one step ahead"``; each has its own panel."""
+    source: str
+    """e.g. ``"contacts measured"``."""
+    bins: tuple[tuple[int, float, float], ...]
+    """Count, mean belief and share of true labels of every bin that is not empty."""
+    error: float | None = None
+    """Expected calibration error."""
+
+
 @dataclass(frozen=True, eq=False)
 class LossCurve:
     """One loss term over training."""
@@ -97,6 +111,7 @@ class ReportData:
     errors: tuple[NStepError, ...] = ()
     horizon_s: float | None = None
     """Prediction horizon of `errors`, s."""
+    reliability: tuple[ReliabilityCurve, ...] = ()
     losses: tuple[LossCurve, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     """Package or machine: version."""

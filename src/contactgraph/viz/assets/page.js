@@ -97,4 +97,5 @@ function startWatching() {
 
 if (payload.scenes.length) startWatching();
 startErrorChart();
+startReliabilityChart();
 startLossChart();
