@@ -16,7 +16,7 @@ from contactgraph.train import check_contacts, fit
 from contactgraph.train import contact_reports as reports_module
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import random_reports
-from contactgraph.train.filter_loss import filter_loss
+from contactgraph.train.filter_loss import _denial_score, filter_loss
 from contactgraph.train.sensor_estimate import JudgedSteps, likeliest_sensor
 
 MODEL = hidden_markov_filter(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(0))
@@ -128,3 +128,27 @@ def test_contacts_are_read_only_where_asked_for(recorded: Path) -> None:
         with pytest.raises(InvalidInputError, match=expected):
             fit(state, *given, config)
     check_contacts(MODEL, parts[0], "")
+
+
+def denied(distance: float, speed: float, rate: float) -> float:
+    """The denial score of two bodies at this distance that approach each other, or not."""
+    bias = rate * jnp.eye(3).reshape(-1)
+    model = eqx.tree_at(lambda each: each.inference.rates.layers[-1].bias, MODEL, bias)
+    position = jnp.zeros((1, 5, 2, 2)).at[..., 1, 0].set(distance)
+    velocity = jnp.zeros_like(position).at[..., 0, 0].set(speed)
+    nodes = Nodes(jnp.array([True, False]), jnp.ones(2, bool), jnp.ones(1, bool))
+
+    def encode(position: jax.Array, velocity: jax.Array):
+        return model.encode(position, velocity, nodes)
+
+    graph = jax.vmap(jax.vmap(encode))(position, velocity)
+    return float(_denial_score(model, graph, KEY))
+
+
+def test_what_a_sensor_denies_about_bodies_that_touch_at_rest_is_to_last() -> None:
+    touch = float(MODEL.features.contact_distance)
+    forgets, keeps = denied(touch, 0.0, 0.0), denied(touch, 0.0, 14.0)
+    assert forgets == pytest.approx(-np.log(1.0 - 0.94), rel=0.1)
+    assert keeps < 0.05
+    assert denied(1.5 * touch, 0.0, 0.0) < 0.05, "no contact is expected there"
+    assert denied(1.2 * touch, 2.0, 0.0) < 1e-3, "an impact may make a contact"

@@ -40,6 +40,10 @@ _ERROR_FLOOR = MotionNoise().error_floor
 _LAPSE, _RESUME = 0.05, 0.1
 """Probability a step that corrections stop, and that they begin again, in training of the filter:
 it learns to keep a belief for some 10 steps without evidence."""
+_DENIED, _UNMEASURED = 6, 10
+"""Steps of `_denial_score` that a sensor denies contact, and without measurement afterwards."""
+_STILL = 0.02
+"""Change of distance in a step, in contact distances, of bodies at rest with each other."""
 
 
 def _without_gradient(model: ContactDynamics) -> ContactDynamics:
@@ -153,8 +157,11 @@ def filter_loss(
     key: PRNGKeyArray,
     contact: Float[Array, "B T+1 E"] | None = None,
     reports_touch: bool = True,
+    denial: float = 0.0,
 ) -> Float[Array, ""]:
     """Mean score of every edge within the cutoff at every step; see the module's docstring.
+
+    ``denial`` times the mean of `_denial_score` is added.
 
     Motion corrects the belief in random segments of steps. Where the recorded ``contact`` is given,
     so do reports of it, in segments of their own: see `random_reports`. The score is that of the
@@ -173,7 +180,43 @@ def filter_loss(
         return _filtered(model, graph, ratio, corrects, reports, reports_touch)[1]
 
     score = jax.vmap(along)(graph, ratio, corrects, reports)
-    return masked_mean(score, (graph.weight > 0) & step_mask[..., None])
+    mean = masked_mean(score, (graph.weight > 0) & step_mask[..., None])
+    if denial:
+        mean = mean + denial * _denial_score(model, graph, jax.random.fold_in(key, 2))
+    return mean
+
+
+def _denial_score(
+    model: ContactDynamics, graph: EncodedGraph, key: PRNGKeyArray
+) -> Float[Array, ""]:
+    """Mean improbability of *free* where a sensor denies contact of bodies that touch at rest.
+
+    Data hardly ever show that, so that their likelihood leaves open what the filter does then. For
+    every edge a step is drawn in which its bodies touch and their distance does not change. That
+    step is repeated: first the belief is corrected to *free* after each, then nothing is measured.
+    """
+    moves = graph.geometry.distance - graph.geometry.closest_approach
+    still = jnp.exp(-((moves / (_STILL * model.features.contact_distance)) ** 2))
+    touching = jax.lax.stop_gradient((1.0 - graph.prior[..., 0]) * still)  # [B, T, E]
+    drawn = jax.random.categorical(key, jnp.log(touching + _SMALLEST), axis=1)
+
+    def taken(values: Float[Array, "B T E V"]) -> Float[Array, "B E V"]:
+        return jnp.take_along_axis(values, drawn[:, None, :, None], axis=1)[:, 0]
+
+    embedding, prior, weight = map(taken, (graph.embedding, graph.prior, touching[..., None]))
+    free = jnp.zeros_like(prior).at[..., 0].set(1.0)
+    size = getattr(model.inference, "memory_size", 0)
+
+    def step(belief: ContactBelief, denied: Array) -> tuple[ContactBelief, Array]:
+        predicted = jax.vmap(model.inference.predict)(belief, embedding, prior)
+        types = predicted.type_probability
+        score = -jnp.log(jnp.maximum(types[..., 0], _SMALLEST))
+        return ContactBelief(jnp.where(denied, free, types), None, predicted.memory), score
+
+    first = ContactBelief(prior, None, jnp.zeros((*prior.shape[:-1], size), prior.dtype))
+    denied = jnp.arange(_DENIED + _UNMEASURED) < _DENIED
+    score = jnp.mean(jax.lax.scan(step, first, denied)[1][_DENIED // 2 :], axis=0)
+    return jnp.sum(weight[..., 0] * score) / jnp.maximum(jnp.sum(weight), 1.0)
 
 
 def _filter_inputs(

@@ -39,6 +39,8 @@ from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
 
 _FILTERED = 8
 """Whole trajectories a step on which a filter is scored."""
+_DENIAL = 0.1
+"""Weight of what sensors deny: see `filter_loss`."""
 _BURN = 20
 """Steps that correct a filter before a held-out window."""
 _CLEARANCE = 1.03
@@ -237,7 +239,7 @@ def _advance(
             terms = dynamics_loss(model, windows, False, devices)
             whole, step_mask, contact = source.draw_trajectories(_FILTERED, draw_key)
             given = contact, source.reports_touch
-            likelihood = filter_loss(model, whole, step_mask, key, *given)
+            likelihood = filter_loss(model, whole, step_mask, key, *given, _DENIAL)
             terms = dataclasses.replace(terms, likelihood=likelihood)
         else:
             terms = window_loss(model, windows, key, False, devices)
