@@ -16,8 +16,6 @@ from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 
 _MEMORY = 8
 """Size of an edge's clock."""
-_MIN_TRANSITION = 2e-3
-"""Least probability of any transition in a step: no edge type is certain to last, or to change."""
 _MIN_PRIOR = 1e-6
 
 
@@ -30,9 +28,9 @@ class TransitionEdges(eqx.Module):
         h' = \mathrm{GRU}([f, p], h), \qquad
         T_{ij} = \mathrm{softmax}_j(\log q_j + r_{ij}([f, h'])), \qquad p' = p\,T,
 
-    and every T is at least 0.002. The belief p is the corrected one, so evidence lasts until
-    something speaks against it. The rates r start at 0, where p' = q. The features are the edge's
-    own and the types of its ends; observed velocities enter only through the correction.
+    and every T is at least `min_transition`. The belief p is the corrected one, so evidence lasts
+    until something speaks against it. The rates r start at 0, where p' = q. The features are the
+    edge's own and the types of its ends; observed velocities enter only through the correction.
     """
 
     message_passing: EdgeNetwork
@@ -43,6 +41,8 @@ class TransitionEdges(eqx.Module):
     memory_size: int = eqx.field(static=True)
     commands: int = eqx.field(static=True)
     """Components of the control that are features of the edges of actuated nodes."""
+    min_transition: float = eqx.field(static=True)
+    """Least probability of any transition in a step: no type is certain to last, or to change."""
 
     def __init__(
         self,
@@ -52,6 +52,7 @@ class TransitionEdges(eqx.Module):
         edge_types: int = 2,
         memory_size: int = _MEMORY,
         commands: int = 0,
+        min_transition: float = 2e-3,
         key: PRNGKeyArray,
     ):
         """``message_passing`` takes the edge's features, `commands`, and `node_types` counts."""
@@ -71,6 +72,7 @@ class TransitionEdges(eqx.Module):
         self.node_types = node_types
         self.memory_size = memory_size
         self.commands = commands
+        self.min_transition = min_transition
 
     def embed(
         self,
@@ -97,7 +99,8 @@ class TransitionEdges(eqx.Module):
         rates = rates.reshape(-1, self.edge_types, self.edge_types)
         logits = jnp.log(jnp.maximum(prior, _MIN_PRIOR))[:, None, :] + rates
         transition = jax.nn.softmax(logits, axis=-1)
-        transition = _MIN_TRANSITION + (1.0 - self.edge_types * _MIN_TRANSITION) * transition
+        likely = 1.0 - self.edge_types * self.min_transition
+        transition = self.min_transition + likely * transition
         types = jnp.einsum("ei,eij->ej", before, transition)
         return ContactBelief(types, belief.edge_id, memory)
 

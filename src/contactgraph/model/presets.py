@@ -38,6 +38,8 @@ from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, Type
 from contactgraph.model.motion_noise import PredictionNoise
 
 _MOST_EDGE_TYPES = 16
+_MIN_TRANSITION, _MIN_TRANSITION_RATE = 2e-3, 0.04
+"""Least probability of a transition in a step, and in a second of shorter steps."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +131,7 @@ def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDy
         node_types=features.node_types,
         edge_types=config.edge_types,
         commands=commands,
+        min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
         key=rates_key,
     )
     size, dynamics = features.edge_size(config.dimension), model.local_dynamics

@@ -40,6 +40,8 @@ _ERROR_FLOOR = MotionNoise().error_floor
 _LAPSE, _RESUME = 0.05, 0.1
 """Probability a step that corrections stop, and that they begin again, in training of the filter:
 it learns to keep a belief for some 10 steps without evidence."""
+DENIAL = 0.1
+"""Weight in training of what sensors deny: see `filter_loss`."""
 _DENIED, _UNMEASURED = 6, 10
 """Steps of `_denial_score` that a sensor denies contact, and without measurement afterwards."""
 _STILL = 0.02

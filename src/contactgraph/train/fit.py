@@ -32,15 +32,13 @@ from contactgraph.train.batch import (
 from contactgraph.train.config import TrainConfig
 from contactgraph.train.contact_reports import check_contacts
 from contactgraph.train.dead_network import equals_constant_velocity, has_dead_units
-from contactgraph.train.filter_loss import dynamics_loss, filter_loss
+from contactgraph.train.filter_loss import DENIAL, dynamics_loss, filter_loss
 from contactgraph.train.fit_state import FitProgress, FitResult, FitState, FitStatus
 from contactgraph.train.held_out import HeldOutWindows, held_out_windows, rollout_rmse
 from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
 
 _FILTERED = 8
 """Whole trajectories a step on which a filter is scored."""
-_DENIAL = 0.1
-"""Weight of what sensors deny: see `filter_loss`."""
 _BURN = 20
 """Steps that correct a filter before a held-out window."""
 _CLEARANCE = 1.03
@@ -238,8 +236,8 @@ def _advance(
             draw_key, key = jax.random.split(key)
             terms = dynamics_loss(model, windows, False, devices)
             whole, step_mask, contact = source.draw_trajectories(_FILTERED, draw_key)
-            given = contact, source.reports_touch
-            likelihood = filter_loss(model, whole, step_mask, key, *given, _DENIAL)
+            given = contact, source.reports_touch, DENIAL
+            likelihood = filter_loss(model, whole, step_mask, key, *given)
             terms = dataclasses.replace(terms, likelihood=likelihood)
         else:
             terms = window_loss(model, windows, key, False, devices)
