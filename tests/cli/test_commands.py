@@ -349,9 +349,9 @@ def test_report(
     errors = {number["value"] for number in numbers if number["unit"] == "cm"}
     assert any(error == pytest.approx(100 * measured["n_step_rmse_moving_m"]) for error in errors)
     named = {number["what"]: number["value"] for number in numbers}
-    name = "calibration error, one step ahead, no distractors"
-    assert named[name] == pytest.approx(measured["calibration_error"])
-    assert page.read_text(encoding="utf-8").count("<td>one step ahead, no distractors</td>") == 3
+    ahead = f"one step ahead, {task.conditions[0].name}"
+    assert named[f"calibration error, {ahead}"] == pytest.approx(measured["calibration_error"])
+    assert page.read_text(encoding="utf-8").count(f"<td>{ahead}</td>") == 3
     table = (page.parent / "table.csv").read_text().splitlines()
     assert len(table) == 1 + len(numbers)
     assert "pickup" in page.read_text(encoding="utf-8")
