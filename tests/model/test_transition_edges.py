@@ -24,6 +24,7 @@ from contactgraph.model import (
     correct,
     hidden_markov_filter,
 )
+from contactgraph.model.contact_belief import without_change
 from contactgraph.model.motion_likelihood import posterior_by_motion
 
 LEAST = 2e-3
@@ -67,14 +68,23 @@ def test_a_row_of_rates_leads_from_its_own_type() -> None:
 
 
 def test_motion_corrects_three_types_by_bayes_rule() -> None:
-    before, ratios = np.array([0.5, 0.3, 0.2]), np.array([0.0, 1.0, -2.0])
-    found = compiled(posterior_by_motion, belief(*before), jnp.asarray(ratios)[None], 0.01)
-    expected = before * np.exp(ratios)
-    np.testing.assert_allclose(found.type_probability[0], expected / expected.sum(), rtol=1e-6)
-    # A type that motion favours counts as no less probable than 0.01.
-    found = compiled(posterior_by_motion, belief(0.999, 0.0, 0.001), jnp.array([[0, 0, 3.0]]), 0.01)
-    expected = np.array([0.99, 0.0, 0.01 * np.exp(3.0)])
-    np.testing.assert_allclose(found.type_probability[0], expected / expected.sum(), atol=1e-4)
+    """The types in the end of a step are those of all pairs that lead to them."""
+    rng = np.random.default_rng(1)
+    joint, ratios = rng.dirichlet(np.ones(9)).reshape(3, 3), rng.normal(size=(3, 3))
+    predicted = belief(*joint.sum(axis=0))
+
+    def corrected(ratios: np.ndarray) -> np.ndarray:
+        found = compiled(posterior_by_motion, predicted, jnp.asarray(joint)[None], ratios[None])
+        return np.asarray(found.type_probability[0])
+
+    expected = (joint * np.exp(ratios)).sum(axis=0)
+    np.testing.assert_allclose(corrected(ratios), expected / expected.sum(), rtol=1e-6)
+    np.testing.assert_array_equal(corrected(np.zeros((3, 3))), predicted.type_probability[0])
+
+
+def test_without_transitions_no_type_changes_within_a_step_and_none_is_impossible() -> None:
+    found = compiled(without_change, belief(0.999, 0.001), 0.01)
+    np.testing.assert_allclose(found[0], [[0.99, 0.0], [0.0, 0.01]], rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -97,13 +107,13 @@ def test_the_filter_is_exact_where_transitions_are_known() -> None:
     prior = np.array([[0.6, 0.4]])
     logits = np.log(prior) + rates.reshape(2, 2)
     transition = bounded(np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True))
-    first, ratios = np.array([0.7, 0.3]), rng.normal(size=(6, 2)) * [0.0, 1.0]
+    first, ratios = np.array([0.7, 0.3]), rng.normal(size=(6, 2, 2))
 
     @eqx.filter_jit
     def filtered(state: ContactBelief, ratios: jax.Array) -> ContactBelief:
         for ratio in ratios:
-            predicted = inference.predict(state, jnp.zeros((1, 8)), jnp.asarray(prior))
-            state = posterior_by_motion(predicted, ratio[None], 1e-9)
+            predicted, joint = inference.predict_joint(state, jnp.zeros((1, 8)), jnp.asarray(prior))
+            state = posterior_by_motion(predicted, joint, ratio[None])
         return state
 
     found = filtered(belief(*first), jnp.asarray(ratios))
@@ -111,7 +121,7 @@ def test_the_filter_is_exact_where_transitions_are_known() -> None:
     for path in itertools.product((0, 1), repeat=7):
         probability = first[path[0]]
         for step, (before, after) in enumerate(itertools.pairwise(path)):
-            probability *= transition[before, after] * np.exp(ratios[step, after])
+            probability *= transition[before, after] * np.exp(ratios[step, before, after])
         weight[path[-1]] += probability
     np.testing.assert_allclose(found.type_probability[0], weight / weight.sum(), atol=1e-6)
 

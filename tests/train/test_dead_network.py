@@ -137,7 +137,7 @@ def test_a_training_at_constant_velocity_stops_half_way(
         after = dataclasses.replace(state, step=state.step + count, best_error=error)
         return after, {"prediction": error, "held_out": error}
 
-    monkeypatch.setattr(importlib.import_module("contactgraph.train.fit"), "_advance", advance)
+    monkeypatch.setattr(importlib.import_module("contactgraph.train.fit"), "advance_steps", advance)
     checks = []
     result = trained_on(split(recorded), first_state(), checks.append)
     assert result.status is FitStatus.constant_velocity

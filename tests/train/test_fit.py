@@ -52,8 +52,8 @@ from contactgraph.train import (
     load_checkpoint,
     save_checkpoint,
 )
+from contactgraph.train.advance import with_positive_distance
 from contactgraph.train.batch import WindowSource
-from contactgraph.train.fit import with_positive_distance
 from contactgraph.train.held_out import HeldOutWindows
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "short_training.json"
@@ -193,7 +193,7 @@ def test_training_draws_from_its_own_part_and_checks_on_the_other(
         raise Enough
 
     monkeypatch.setattr(FIT, "pad_trajectories", spy)
-    monkeypatch.setattr(FIT, "_advance", stop)
+    monkeypatch.setattr(FIT, "advance_steps", stop)
     train, held_out = split(recorded)
     with contextlib.suppress(Enough):
         fit(first_state(), train, held_out, CONFIG)

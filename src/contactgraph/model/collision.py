@@ -114,7 +114,12 @@ def geometry(
     square = jnp.sum((drifted + driven) ** 2, axis=-1)
     impact = meets * square / (square + (_RESTING_SPEED * dt) ** 2)
     distance = _norm(displacement)
-    touching = displacement + jnp.where(meets, time, 0.0)[:, None] * path
+    time_of_contact = jnp.where(meets, time, 0.0)[:, None]
+    touching = displacement + time_of_contact * path
+    normal = touching / _norm(touching)[:, None]
+    # Bodies that slide on each other turn the normal: that of the middle of the contact counts.
+    across = path - normal * jnp.sum(normal * path, axis=-1, keepdims=True)
+    touching = touching + 0.5 * (1.0 - time_of_contact) * across
     normal = touching / _norm(touching)[:, None]
     return Geometry(
         edge_index=edge_index,

@@ -77,6 +77,18 @@ def two_type_belief(probability: Float[Array, "*T E"]) -> ContactBelief:
     return ContactBelief(jnp.stack([1.0 - probability, probability], axis=-1))
 
 
+def without_change(predicted: ContactBelief, error_floor: float = 0.0) -> Float[Array, "E K K"]:
+    """The probability of the pairs of types where no edge changes its type within the step.
+
+    No type is less probable than ``error_floor``, because networks are overconfident outside of
+    their training data.
+    """
+    types = predicted.type_probability
+    most = 1.0 - (predicted.edge_types - 1) * error_floor
+    types = jnp.clip(types, error_floor, most)
+    return types[:, :, None] * jnp.eye(predicted.edge_types, dtype=types.dtype)
+
+
 def cast_like(belief: ContactBelief, other: ContactBelief) -> ContactBelief:
     """The belief in the floating type of another, which may be about other edges."""
     dtype = other.type_probability.dtype

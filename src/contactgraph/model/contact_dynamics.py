@@ -2,9 +2,8 @@
 
 One step is ``encode`` (the graph, independent of the belief), ``predict_belief`` (which edges will
 be active), ``cut_edges`` (sample them and remove the others), ``linearize`` (local dynamics given
-the active edges), and the linear step itself. `ContactDynamics.stages` composes the first four for
-one state; training calls the same functions, but encodes all states of a window in parallel and
-scans only over beliefs.
+the active edges), and the linear step itself. `ContactDynamics.stages` composes the first four;
+training calls the same functions, but encodes all states in parallel and scans only over beliefs.
 """
 
 import dataclasses
@@ -25,8 +24,9 @@ from contactgraph.model.contact_belief import (
     GumbelSample,
     NoCutoff,
     SmoothCutoff,
+    without_change,
 )
-from contactgraph.model.edge_inference import EdgeInference
+from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
 from contactgraph.model.motion_noise import PredictionNoise
@@ -184,15 +184,12 @@ class ContactDynamics(eqx.Module):
         edge_index: Int[Array, "2 E"],
         command: Float[Array, " C"] | None,
     ) -> Float[Array, "2 E F"]:
-        """The edge features, and the commands of edges with an actuated end, for the inference."""
+        """For the inference: the edge features, and commands on actuated ends."""
         commands = getattr(self.inference, "commands", 0)
-        if not commands:
-            return edge_features
         acting = jnp.sum(nodes.actuated[edge_index], axis=0).astype(edge_features.dtype)
-        command = jnp.zeros(commands) if command is None else command
-        given = (acting[:, None] * command).astype(edge_features.dtype)
-        both = jnp.broadcast_to(given, (2, *given.shape))
-        return jnp.concatenate([edge_features, both], axis=-1)
+        command = jnp.zeros(commands) if command is None else command[:commands]
+        given = jnp.broadcast_to(acting[:, None] * command, (2, len(acting), commands))
+        return jnp.concatenate([edge_features, given.astype(edge_features.dtype)], axis=-1)
 
     def _edges(
         self,
@@ -209,13 +206,24 @@ class ContactDynamics(eqx.Module):
 
     def predict_belief(self, belief: ContactBelief, graph: EncodedGraph) -> ContactBelief:
         """Stage 2: the belief about the step. An edge beyond the cutoff is inactive, surely."""
-        before = belief.over(graph.edge_id, pair_count(graph.position.shape[0]))
-        free = self.inference.predict(before, graph.embedding, graph.prior)
+        return self.predict_joint(belief, graph)[0]
+
+    def predict_joint(
+        self, belief: ContactBelief, graph: EncodedGraph
+    ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
+        """The belief about the step, and the probability of each pair of types before and after."""
+        before = belief.over(graph.edge_id, pair_count(len(graph.position)))
+        if isinstance(self.inference, TransitionEdges):
+            free, joint = self.inference.predict_joint(before, graph.embedding, graph.prior)
+        else:
+            free = self.inference.predict(before, graph.embedding, graph.prior)
+            joint = without_change(free)
         active = free.type_probability[:, 1:] * graph.weight[:, None]
-        inactive = 1.0 - jnp.sum(active, axis=-1, keepdims=True)
-        types = jnp.concatenate([inactive, active], axis=-1)
+        types = jnp.concatenate([1.0 - jnp.sum(active, axis=-1, keepdims=True), active], axis=-1)
+        cut = joint[:, :, 1:] * (1.0 - graph.weight[:, None, None])
+        joint = joint.at[:, :, 1:].add(-cut).at[:, :, 0].add(jnp.sum(cut, axis=-1))
         memory = None if free.memory is None else free.memory * graph.weight[:, None]
-        return ContactBelief(types, graph.edge_id, memory)
+        return ContactBelief(types, graph.edge_id, memory), joint
 
     def cut_edges(
         self, graph: EncodedGraph, belief: ContactBelief, key: PRNGKeyArray | None = None

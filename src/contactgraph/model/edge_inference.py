@@ -91,6 +91,12 @@ class TransitionEdges(eqx.Module):
         self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
     ) -> ContactBelief:
         """The belief about the next step, and its clock."""
+        return self.predict_joint(belief, embedding, prior)[0]
+
+    def predict_joint(
+        self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
+    ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
+        """The same, and the probability of each pair of types before and after."""
         before, clock = belief.type_probability, belief.memory
         assert clock is not None, "a belief of this inference has a clock"
         observed = jnp.concatenate([embedding, before], axis=-1)
@@ -101,8 +107,8 @@ class TransitionEdges(eqx.Module):
         transition = jax.nn.softmax(logits, axis=-1)
         likely = 1.0 - self.edge_types * self.min_transition
         transition = self.min_transition + likely * transition
-        types = jnp.einsum("ei,eij->ej", before, transition)
-        return ContactBelief(types, belief.edge_id, memory)
+        joint = before[:, :, None] * transition
+        return ContactBelief(jnp.sum(joint, axis=1), belief.edge_id, memory), joint
 
 
 class RecurrentEdges(eqx.Module):

@@ -21,7 +21,7 @@ _MAX_COUPLING = 1.0 - 1e-3
 _IMPACT_SPEED = 0.1
 """Change of velocity, m/s, from about which a step counts as an impact."""
 _MIN_SHARE = 1e-6
-_ONE_SIDED = 0.005
+_ONE_SIDED = 2e-4
 """Approach in a step, in units of `CoupledHead.length`, from which a touch acts."""
 
 

@@ -16,13 +16,15 @@ millimetres off would forget a contact as soon as nothing accelerates. Contacts 
 motion are remembered by the model alone.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.contact_belief import ContactBelief, cast_like
+from contactgraph.model.contact_belief import ContactBelief, cast_like, without_change
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.motion_noise import Motion, MotionNoise
 from contactgraph.model.rollout import control_sensitivity, with_control_displacement
@@ -34,6 +36,9 @@ cost of a control step must not grow with the square of the number of bodies."""
 _TOUCHING = 1.02
 """Contact distance of an edge assumed active, in units of its distance: clearly touching."""
 _MIN_PROBABILITY = 1e-6
+_MIN_JOINT = 1e-12
+_LEAST_WEIGHT = 0.5
+"""Of the cutoff, from which an edge is considered: bodies far beyond contact have none."""
 
 
 class MotionEvidence(eqx.Module):
@@ -56,7 +61,8 @@ def motion_noise(
     learned = model.prediction_noise
     if learned is None:
         return MotionNoise(position, velocity)
-    return MotionNoise(position, velocity, learned.position, learned.velocity)
+    scales = learned.position, learned.velocity
+    return MotionNoise(position, velocity, *scales, type_share=learned.share)
 
 
 def check_motion_model(model: object) -> ContactDynamics:
@@ -117,18 +123,19 @@ def contact_log_likelihood_ratio(
     sensitivity = control_sensitivity(model, before, nodes)
     state = with_control_displacement(before, sensitivity, control)
     graph = model.encode_state(state, nodes)
-    predicted = model.predict_belief(state.belief, graph)
+    predicted, joint = model.predict_joint(state.belief, graph)
     stay = jnp.exp(-model.dt / noise.time_constant)
     if predicted.memory is None:  # else the inference itself remembers
         remembered = jnp.minimum(1.0 - jnp.exp(-motion_log_odds), before.belief.probability)
         predicted = _at_least(predicted, before.belief, stay * graph.weight * remembered)
-    ratios = edge_log_ratios(model, graph, state, predicted, control, observed, noise)
-    ratio = jnp.max(ratios[:, 1:], axis=-1).astype(motion_log_odds.dtype)
+        joint = without_change(predicted, noise.error_floor)
+    ratios = edge_log_ratios(model, graph, state, joint, control, observed, noise)
+    ratio = jnp.max(ratios[:, :, 1:], axis=(1, 2)).astype(motion_log_odds.dtype)
     return MotionEvidence(
         predicted=predicted,
         log_ratio=ratio,
         motion_log_odds=jnp.clip(stay * motion_log_odds + ratio, 0.0, noise.max_log_ratio),
-        corrected=posterior_by_motion(predicted, ratios, noise.error_floor),
+        corrected=posterior_by_motion(predicted, joint, ratios),
     )
 
 
@@ -136,86 +143,78 @@ def edge_log_ratios(
     model: ContactDynamics,
     graph: EncodedGraph,
     state: ModelState,
-    predicted: ContactBelief,
+    joint: Float[Array, "E K K"],
     control: Float[Array, " U"],
     observed: Motion,
     noise: MotionNoise,
-) -> Float[Array, "E K"]:
-    """Log-likelihood of the motion in a step with each edge of each type less that without it.
+) -> Float[Array, "E K K"]:
+    """Log-likelihood of the motion with each edge of type i first and of type j in the end.
 
-    ``graph`` is of ``state``, from which the step begins; ``predicted`` is about the step. Edges
-    that are farther than the nearest few, or beyond the cutoff, have 0.
+    Each is less that without the edge. ``graph`` is of ``state``, from which the step begins, and
+    ``joint`` the probability of the pairs of types: `ContactDynamics.predict_joint`. Edges that are
+    farther than the nearest few, or beyond the cutoff, have 0.
     """
-    touching = _as_if_touching(model, state, graph)
 
     def moved(types: Float[Array, "E K"]) -> Motion:
-        linear = model.linearize(model.cut_edges(touching, ContactBelief(types)))
-        return linear(state.position, state.velocity, control)
+        def once(displacement: Array, _: None) -> tuple[Array, Motion]:
+            informed = dataclasses.replace(state, control_displacement=displacement)
+            touching = _as_if_touching(model, informed, graph.nodes)
+            linear = model.linearize(model.cut_edges(touching, ContactBelief(types)))
+            displacement = jnp.sum(linear.control_sensitivity * control, axis=-1)
+            return displacement.astype(state.position.dtype), linear(
+                state.position, state.velocity, control
+            )
 
-    Carry = tuple[Float[Array, "E K"], Motion]
-    edge_types = predicted.edge_types
+        # The control moves what is held, which the types decide; the first round holds nothing.
+        motions = jax.lax.scan(once, jnp.zeros_like(state.position), length=2)[1]
+        return jax.tree.map(lambda each: each[-1], motions)
 
-    def judge(carry: Carry, edge: Int[Array, ""]) -> tuple[Carry, Float[Array, " K"]]:
-        types, motion = carry
-        others = (jnp.argmax(types[edge]) + jnp.arange(1, edge_types)) % edge_types
-        other_types = jax.vmap(
-            lambda other: types.at[edge].set(jax.nn.one_hot(other, edge_types, dtype=types.dtype))
-        )(others)
-        other_motions = jax.vmap(moved)(other_types)
+    edge_types = joint.shape[-1]
 
-        motions = jax.tree.map(
-            lambda one, rest: (
-                jnp.zeros((edge_types, *one.shape), one.dtype)
-                .at[jnp.argmax(types[edge])]
-                .set(one)
-                .at[others]
-                .set(rest)
-            ),
-            motion,
-            other_motions,
-        )
+    def judge(
+        types: Float[Array, "E K"], edge: Int[Array, ""]
+    ) -> tuple[Float[Array, "E K"], Float[Array, "K K"]]:
+        one_hot = jnp.eye(edge_types, dtype=types.dtype)
+        motions = jax.vmap(lambda one: moved(types.at[edge].set(one)))(one_hot)
         ratios = noise.log_ratios(motions, observed, graph.nodes.mask, model.dt)
-        # An edge beyond the cutoff is inactive with certainty, whatever moves.
-        ratios = jnp.where(graph.weight[edge] > 0, ratios - ratios[0], 0.0)
-        after = _posterior(predicted.type_probability[edge], ratios, noise.error_floor)
-        matches = others == jnp.argmax(after)
-        chosen = jax.tree.map(
-            lambda new, old: jnp.where(jnp.any(matches), new[jnp.argmax(matches)], old),
-            (other_types, other_motions),
-            carry,
-        )
-        return chosen, ratios
+        ratios = ratios - ratios[0, 0]
+        after = _posterior(joint[edge], ratios)
+        return types.at[edge].set(one_hot[jnp.argmax(after)]), ratios
 
     # The nearest first, each given the result for those before it: a motion that one contact
     # explains is no evidence for another.
     edges = _nearest(graph)
-    probable = most_probable(predicted)
-    ratios = jax.lax.scan(judge, (probable, moved(probable)), edges)[1]
-    none = jnp.zeros((*graph.weight.shape, edge_types), graph.weight.dtype)
-    return none.at[edges].set(ratios.astype(none.dtype))
+    count = jnp.sum(graph.weight[edges] > _LEAST_WEIGHT)
+    Carry = tuple[Int[Array, ""], Float[Array, "E K"], Float[Array, "E K K"]]
+
+    def judge_next(carry: Carry) -> Carry:
+        index, types, ratios = carry
+        types, ratio = judge(types, edges[index])
+        return index + 1, types, ratios.at[edges[index]].set(ratio.astype(ratios.dtype))
+
+    probable = most_probable(ContactBelief(jnp.sum(joint, axis=1)))
+    first = jnp.zeros((), int), probable, jnp.zeros(joint.shape, graph.weight.dtype)
+    return jax.lax.while_loop(lambda carry: carry[0] < count, judge_next, first)[2]
 
 
 def posterior_by_motion(
-    predicted: ContactBelief, log_ratios: Float[Array, "E K"], error_floor: float
+    predicted: ContactBelief, joint: Float[Array, "E K K"], log_ratios: Float[Array, "E K K"]
 ) -> ContactBelief:
-    """The belief corrected by `edge_log_ratios`; bit for bit as predicted where these are 0."""
-    types = predicted.type_probability
-    after = jax.vmap(_posterior, in_axes=(0, 0, None))(types, log_ratios, error_floor)
-    after = jnp.where(jnp.any(log_ratios != 0, axis=-1, keepdims=True), after, types)
+    """The belief corrected by `edge_log_ratios`; bit for bit as predicted where these are 0.
+
+    ``joint`` is the probability of the pairs of types that is predicted with it.
+    """
+    after = jax.vmap(_posterior)(joint, log_ratios)
+    evidence = jnp.any(log_ratios != 0, axis=(1, 2))[:, None]
+    after = jnp.where(evidence, after, predicted.type_probability)
     return ContactBelief(after, predicted.edge_id, predicted.memory)
 
 
-def _posterior(
-    types: Float[Array, " K"], log_ratios: Float[Array, " K"], error_floor: float
-) -> Float[Array, " K"]:
-    """Bayes' rule on an edge. A type that motion favours counts as no less probable than
-    ``error_floor``, because networks are overconfident outside of their training data."""
-    favoured = jax.nn.one_hot(jnp.argmax(log_ratios), len(types), dtype=types.dtype)
-    believed = jnp.sum(favoured * types)
-    raised = jnp.maximum(believed, error_floor)
-    others = (1.0 - raised) / jnp.maximum(1.0 - believed, _MIN_PROBABILITY) * types
-    prior = jnp.where(favoured > 0, raised, others)
-    return jax.nn.softmax(jnp.log(jnp.maximum(prior, _MIN_PROBABILITY)) + log_ratios)
+def _posterior(joint: Float[Array, "K K"], log_ratios: Float[Array, "K K"]) -> Float[Array, " K"]:
+    """Bayes' rule on an edge: the types in the end of the step."""
+    return jnp.sum(
+        jax.nn.softmax(jnp.log(jnp.maximum(joint, _MIN_JOINT)) + log_ratios, axis=(0, 1)), axis=0
+    )
 
 
 def _at_least(
@@ -231,16 +230,16 @@ def _at_least(
     return ContactBelief(jnp.concatenate([inactive, active], axis=-1))
 
 
-def _as_if_touching(model: ContactDynamics, state: ModelState, graph: EncodedGraph) -> EncodedGraph:
+def _as_if_touching(model: ContactDynamics, state: ModelState, nodes: Nodes) -> EncodedGraph:
     """The same step as if bodies touched at their closest approach.
 
     A network that knows the contact distance does not let an edge act beyond it, even one that is
     active with certainty; both predictions would then be the same motion. The likelihood is that of
     the motion if the edge does act; how probable that is at its distance is part of the belief.
     """
-    nearest = _TOUCHING * graph.geometry.closest_approach
+    nearest = _TOUCHING * model.encode_state(state, nodes).geometry.closest_approach
     touch = jnp.maximum(model.features.contact_distance, nearest)
-    return model.encode_state(state, graph.nodes, touch)
+    return model.encode_state(state, nodes, touch)
 
 
 def most_probable(belief: ContactBelief) -> Float[Array, "E K"]:

@@ -7,8 +7,9 @@ from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.errors import InvalidInputError
 
-_LEAST_POSITION, _LEAST_VELOCITY = 1e-6, 1e-5
-"""Least scales, m and m/s: rounding of observations in single precision."""
+_LEAST_POSITION, _LEAST_VELOCITY, _LEAST_SHARE = 5e-5, 1e-3, 0.01
+"""Least scales, in lengths, lengths a second, and 1. Only the steps that a type explains well count
+for its scales, so that without a bound they would shrink, and steps that fit less well drop out."""
 
 Motion = tuple[Float[Array, "N D"], Float[Array, "N D"]]
 """Position [m] and velocity [m/s] of every node."""
@@ -46,6 +47,8 @@ class MotionNoise(eqx.Module):
     """Of a predicted velocity after one step, m/s."""
     model_share: float = 0.4
     """r; relative error of the predicted effect of a contact."""
+    type_share: Float[Array, " active"] | None = None
+    """Relative error of the predicted effect of each active edge type. None: not learned."""
     tail: float = eqx.field(static=True, default=4.0)
     """Degrees of freedom of Student's t: the fewer, the less weight has one outlier."""
     max_log_ratio: float = eqx.field(static=True, default=6.0)
@@ -69,11 +72,42 @@ class MotionNoise(eqx.Module):
 
     def log_ratios(
         self, predictions: Motion, observed: Motion, exists: Bool[Array, " N"], dt: float
-    ) -> Float[Array, " K"]:
-        """Log-likelihood of ``observed`` under K predictions, each less that of the likeliest.
+    ) -> Float[Array, "K K"]:
+        """Log-likelihood of ``observed`` if an edge has type i first and type j in the end.
 
-        Predictions are compared in pairs, because the variances are those of a pair.
+        Each is less that of the likeliest pair; ``predictions`` [K, ...] are those of a step with
+        one type throughout, type 0 first. Without `type_share` no type changes within a step.
         """
+        if self.type_share is None:
+            return self._without_change(predictions, observed, exists, dt)
+        types, dimension = len(predictions[0]), observed[0].shape[-1]
+        first, last = (index.ravel() for index in jnp.indices((types, types)))
+        same = first == last
+        middle = jax.tree.map(lambda each: 0.5 * (each[first] + each[last]), predictions)
+        # A type that lasts errs by a share of its effect; a change may come at any time.
+        apart = jax.tree.map(lambda each: each[last] - each[jnp.where(same, 0, first)], predictions)
+        share = jnp.concatenate([jnp.zeros(1), self.type_share])[last]
+        share = jnp.where(same, share, _UNIFORM)[:, None]
+        base_x, base_v = self._base(dt)
+        difference_x, difference_v = (jnp.sum(each**2, axis=-1) for each in apart)
+        variance_v = base_v + share**2 * difference_v
+        variance_x = base_x + share**2 * (difference_x + dt**2 * difference_v)
+        error = jnp.sum((observed[0] - middle[0]) ** 2, axis=-1) / variance_x
+        error = error + jnp.sum((observed[1] - middle[1]) ** 2, axis=-1) / variance_v
+        likelihood = -0.5 * (self.tail + 2 * dimension) * jnp.log1p(error / self.tail)
+        likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
+        likelihood = jnp.where(exists & jnp.isfinite(likelihood), likelihood, 0.0)
+        best = jnp.argmax(jnp.sum(likelihood, axis=-1))
+        contrast = jnp.sum((middle[0] - middle[0][best]) ** 2, axis=-1) / base_x
+        contrast = contrast + jnp.sum((middle[1] - middle[1][best]) ** 2, axis=-1) / base_v
+        relevance = 1.0 - dimension / jnp.maximum(contrast, dimension)
+        ratio = jnp.sum(relevance * (likelihood - likelihood[best]), axis=-1)
+        return jnp.clip(ratio, -self.max_log_ratio, 0.0).reshape(types, types)
+
+    def _without_change(
+        self, predictions: Motion, observed: Motion, exists: Bool[Array, " N"], dt: float
+    ) -> Float[Array, "K K"]:
+        """Predictions are compared in pairs, because the variances are those of a pair."""
 
         def against(other: Motion) -> Float[Array, " K"]:
             return jax.vmap(lambda one: self.log_ratio(one, other, observed, exists, dt))(
@@ -81,8 +115,14 @@ class MotionNoise(eqx.Module):
             )
 
         ratio = jax.vmap(against)(predictions)  # [other, one]
-        likeliest = jnp.argmin(jnp.max(ratio, axis=1))
-        return jnp.clip(ratio[likeliest], -self.max_log_ratio, 0.0)
+        ratio = jnp.clip(ratio[jnp.argmin(jnp.max(ratio, axis=1))], -self.max_log_ratio, 0.0)
+        return jnp.where(jnp.eye(len(ratio), dtype=bool), ratio, -self.max_log_ratio)
+
+    def _base(self, dt: float) -> tuple[Float[Array, ""] | float, Float[Array, ""] | float]:
+        """Variances of position, m^2, and velocity, m^2/s^2, without the share."""
+        base_v = 2.0 * self.velocity**2 + self.model_velocity**2
+        base_x = 2.0 * self.position**2 + (dt * self.velocity) ** 2 + self.model_position**2
+        return base_x, base_v
 
     def log_ratio(
         self, one: Motion, other: Motion, observed: Motion, exists: Bool[Array, " N"], dt: float
@@ -92,8 +132,7 @@ class MotionNoise(eqx.Module):
         Exactly 0 where the two agree; heavy tails bound the effect of an outlier.
         """
         difference_x, difference_v = _square(one[0], other[0]), _square(one[1], other[1])
-        base_v = 2.0 * self.velocity**2 + self.model_velocity**2
-        base_x = 2.0 * self.position**2 + (dt * self.velocity) ** 2 + self.model_position**2
+        base_x, base_v = self._base(dt)
         share = self.model_share**2
         variance_v = base_v + share * difference_v
         variance_x = base_x + share * (difference_x + dt**2 * difference_v)
@@ -111,6 +150,8 @@ class MotionNoise(eqx.Module):
         return jnp.where(jnp.isfinite(ratio), ratio, 0.0)
 
 
+_UNIFORM = 12.0**-0.5
+"""Standard deviation of a uniform distribution, in units of its width."""
 _PACE = 5.0
 """Scale of the logarithms in their parameters, so that they learn as fast as the dynamics."""
 
@@ -127,29 +168,56 @@ class PredictionNoise(eqx.Module):
     log_velocity: Float[Array, ""]
     """The same of the scale in m/s."""
 
-    def __init__(self) -> None:
+    log_share: Float[Array, " active"]
+    """The same of the error of each active type's effect, in units of the effect."""
+
+    edge_types: int = eqx.field(static=True)
+    length: float = eqx.field(static=True)
+
+    def __init__(self, edge_types: int, length: float = 0.1) -> None:
+        """``length`` [m] is the unit of the least scales: about the distance of a contact."""
         start = MotionNoise()
+        self.edge_types, self.length = edge_types, length
+        self.log_share = jnp.log(start.model_share) / _PACE * jnp.ones(edge_types - 1)
         self.log_position = jnp.log(start.model_position) / _PACE * jnp.ones(())
         self.log_velocity = jnp.log(start.model_velocity) / _PACE * jnp.ones(())
 
     @property
     def position(self) -> Float[Array, ""]:
         """m, on each axis."""
-        return jnp.maximum(jnp.exp(_PACE * self.log_position), _LEAST_POSITION)
+        return jnp.maximum(jnp.exp(_PACE * self.log_position), _LEAST_POSITION * self.length)
 
     @property
     def velocity(self) -> Float[Array, ""]:
         """m/s, on each axis."""
-        return jnp.maximum(jnp.exp(_PACE * self.log_velocity), _LEAST_VELOCITY)
+        return jnp.maximum(jnp.exp(_PACE * self.log_velocity), _LEAST_VELOCITY * self.length)
 
-    def score(self, predicted: Motion, observed: Motion) -> Float[Array, " N"]:
-        """Negative log-likelihood of every node's residual, up to a constant."""
+    @property
+    def share(self) -> Float[Array, " active"]:
+        """Of the effect of each active type."""
+        return jnp.maximum(jnp.exp(_PACE * self.log_share), _LEAST_SHARE)
+
+    def score(
+        self,
+        predicted: Motion,
+        unhindered: Motion,
+        observed: Motion,
+        active: Float[Array, "N active"],
+        dt: float,
+    ) -> Float[Array, " N"]:
+        """Negative log-likelihood of every node's residual, up to a constant.
+
+        ``unhindered`` is the prediction without edges, and ``active`` counts each node's.
+        """
         tail, dimension = MotionNoise().tail, observed[0].shape[-1]
-        position, velocity = self.position, self.velocity
-        error = _square(observed[0], predicted[0]) / position**2
-        error = error + _square(observed[1], predicted[1]) / velocity**2
+        share = active @ self.share**2
+        effect_x, effect_v = (_square(*each) for each in zip(predicted, unhindered, strict=True))
+        variance_x = self.position**2 + share * (effect_x + dt**2 * effect_v)
+        variance_v = self.velocity**2 + share * effect_v
+        error = _square(observed[0], predicted[0]) / variance_x
+        error = error + _square(observed[1], predicted[1]) / variance_v
         spread = 0.5 * (tail + 2 * dimension) * jnp.log1p(error / tail)
-        return spread + dimension * (jnp.log(position) + jnp.log(velocity))
+        return spread + 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
 
 
 def _square(one: Float[Array, "N D"], other: Float[Array, "N D"]) -> Float[Array, " N"]:

@@ -145,7 +145,7 @@ def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDy
         model,
         inference=inference,
         local_dynamics=dynamics,
-        prediction_noise=PredictionNoise(),
+        prediction_noise=PredictionNoise(inference.edge_types, config.contact_distance),
     )
 
 

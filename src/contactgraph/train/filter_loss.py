@@ -1,16 +1,15 @@
 """Losses of expectation maximisation: a filter by the likelihood of motion, dynamics by types.
 
-The observed motion of a step says of every edge how much likelier it is with each of its types than
-without it: log ratios l, of which no gradient is taken. The filter is scored along trajectories by
--log(sum over types of p exp(l)), with p its belief before that step: the negative log-likelihood of
-a hidden Markov model, which needs no labels and is proper, hence calibrates p. The dynamics learn
-on short windows with the types that l of the very step makes probable, so they do not pay for
-contacts that nothing could predict.
+The observed motion of a step says of every edge how likely it is with each pair of types, at the
+start and in the end of the step: log ratios l, of which no gradient is taken. The filter is scored
+along trajectories by -log(sum over pairs of p exp(l)), with p its belief before that step: the
+negative log-likelihood of a hidden Markov model, which needs no labels and is proper, hence
+calibrates p. The dynamics learn on short windows with the types that l of the very step makes
+probable, so they do not pay for contacts that nothing could predict.
 """
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
@@ -18,15 +17,13 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, correct
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.motion_likelihood import (
-    MotionNoise,
-    edge_log_ratios,
-    most_probable,
-    motion_noise,
     posterior_by_motion,
 )
-from contactgraph.model.types import LinearDynamics, ModelState
+from contactgraph.model.motion_noise import Motion
+from contactgraph.model.types import LinearDynamics
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import SensorReports, random_reports
+from contactgraph.train.judged_steps import JudgedSteps, judge_steps, without_gradient
 from contactgraph.train.loss import (
     LossTerms,
     WindowSteps,
@@ -36,125 +33,78 @@ from contactgraph.train.loss import (
 )
 
 _SMALLEST = 1e-6
-_ERROR_FLOOR = MotionNoise().error_floor
-_LAPSE, _RESUME = 0.05, 0.1
-"""Probability a step that corrections stop, and that they begin again, in training of the filter:
-it learns to keep a belief for some 10 steps without evidence."""
 DENIAL = 0.1
 """Weight in training of what sensors deny: see `filter_loss`."""
 _DENIED, _UNMEASURED = 6, 10
 """Steps of `_denial_score` that a sensor denies contact, and without measurement afterwards."""
 _STILL = 0.02
 """Change of distance in a step, in contact distances, of bodies at rest with each other."""
-
-
-def _without_gradient(model: ContactDynamics) -> ContactDynamics:
-    arrays, others = eqx.partition(model, eqx.is_array)
-    return eqx.combine(jax.lax.stop_gradient(arrays), others)
-
-
-def judged_steps(
-    model: ContactDynamics, windows: Window, devices: int = 1
-) -> tuple[WindowSteps, EncodedGraph, Float[Array, "B L E K"]]:
-    """The encoded steps of all windows, and the log ratio of every edge by each step's motion."""
-    fixed = jax.lax.stop_gradient
-    steps = WindowSteps(model, windows, devices)
-    frozen = _without_gradient(model)
-    plain = WindowSteps(frozen, windows, devices)
-
-    def sensitivity(graph: EncodedGraph) -> Array:
-        belief = frozen.prior_belief(graph)
-        return frozen.linearize(frozen.cut_edges(graph, belief)).control_sensitivity
-
-    found = plain.each(sensitivity, plain.encode(None))
-    displacement = steps.displacement(found)
-    graph = steps.encode(displacement)
-
-    noise = motion_noise(frozen)
-
-    def judge(graph: EncodedGraph, displacement: Array, control: Array, after: tuple) -> Array:
-        predicted = frozen.prior_belief(graph)
-        state = ModelState(graph.position, graph.velocity, predicted, displacement)
-        return edge_log_ratios(frozen, graph, state, predicted, control, after, noise)
-
-    ratio = steps.each(judge, fixed(graph), displacement, windows.control, steps.after)
-    return steps, graph, fixed(ratio)
+_LAPSE, _RESUME = 0.15, 0.1
+"""Probability a step that corrections stop, and that they begin again, in training of the filter:
+it learns to predict for some 10 steps from a belief that motion has corrected."""
 
 
 def dynamics_loss(
-    model: ContactDynamics, windows: Window, with_rollout: bool, devices: int = 1
+    model: ContactDynamics, windows: Window, judged: JudgedSteps, devices: int = 1
 ) -> LossTerms:
-    """One-step terms, or the rollout term, over a batch of windows, given their likeliest types."""
-    steps, graph, ratio = judged_steps(model, windows, devices)
+    """One-step terms over a batch of windows, given the likeliest types."""
+    steps = WindowSteps(model, windows, devices)
+    graph = steps.encode(judged.displacement)
 
-    def likeliest(graph: EncodedGraph, ratio: Array) -> Array:
-        prior = model.prior_belief(graph)
-        return most_probable(posterior_by_motion(prior, ratio, _ERROR_FLOOR))
-
-    fixed = jax.lax.stop_gradient
-    types = fixed(jax.vmap(jax.vmap(likeliest))(graph, ratio))
-    zero = jnp.zeros(())
-    if with_rollout:
-        return LossTerms(zero, zero, _given_rollout(model, windows, types), zero, zero)
-
-    def linear(graph: EncodedGraph, types: Array) -> LinearDynamics:
-        return model.linearize(model.cut_edges(graph, ContactBelief(types)))
-
-    def squared_error(
-        graph: EncodedGraph, types: Array, control: Array, after: tuple
+    def compared(
+        graph: EncodedGraph, types: Array, control: Array, after: Motion, unhindered: Motion
     ) -> tuple[Array, Array]:
-        dynamics = linear(graph, types)
+        dynamics = model.linearize(model.cut_edges(graph, ContactBelief(types)))
         error = squared_state_error(model, dynamics, graph, control, after)
+        if model.prediction_noise is None:
+            return error, jnp.zeros_like(error)
         predicted = dynamics(graph.position, graph.velocity, control)
-        score = jnp.zeros(())
-        if model.prediction_noise is not None:
-            score = model.prediction_noise.score(fixed(predicted), after)
-        return error, jnp.where(near_edges(graph), score, jnp.nan)
+        residual = jax.lax.stop_gradient(predicted), unhindered, after
+        incidence = jnp.sum(graph.geometry.incidence(len(graph.position)), axis=0).T
+        near = incidence @ (graph.weight > 0).astype(graph.weight.dtype) > 0
+        score = model.prediction_noise.score(*residual, incidence @ types[:, 1:], model.dt)
+        return error, jnp.where(near, score, jnp.nan)
 
-    error, score = steps.each(squared_error, graph, types, windows.control, steps.after)
+    given = windows.control, steps.after, judged.unhindered
+    error, score = steps.each(compared, graph, judged.types, *given)
     nodes = jnp.broadcast_to(windows.learned[:, None], error.shape)
-    prediction = masked_mean(jnp.sqrt(error + _SMALLEST), nodes)
-    noise = masked_mean(score, nodes & jnp.isfinite(score))
-    return LossTerms(prediction, masked_mean(error, nodes), zero, zero, zero, noise)
+    zero = jnp.zeros(())
+    return LossTerms(
+        prediction=masked_mean(jnp.sqrt(error + _SMALLEST), nodes),
+        squared=masked_mean(error, nodes),
+        rollout=zero,
+        prior=zero,
+        likelihood=zero,
+        noise=masked_mean(score, nodes & jnp.isfinite(score)),
+    )
 
 
-def near_edges(graph: EncodedGraph) -> Bool[Array, " N"]:
-    """The nodes with an edge within the cutoff, whose motion is evidence."""
-    exists = (graph.weight > 0).astype(graph.position.dtype)
-    return jnp.einsum("sen,e->n", graph.geometry.incidence(len(graph.position)), exists) > 0
-
-
-def _given_rollout(
-    model: ContactDynamics, windows: Window, types: Float[Array, "B L E K"]
+def given_rollout_loss(
+    model: ContactDynamics, windows: Window, judged: JudgedSteps
 ) -> Float[Array, ""]:
     """`LossTerms.rollout` when the types of every step are given."""
 
-    def error(window: Window, types: Float[Array, "L E K"]) -> Float[Array, "L N"]:
-        def linear(x: Array, v: Array, types: Array, displacement: Array | None) -> LinearDynamics:
+    def error(window: Window, types: Array, displacement: Array) -> Float[Array, "L N"]:
+        def step(state: Motion, inputs: tuple[Array, Array, Array]) -> tuple[Motion, Motion]:
+            control, types, displacement = inputs
             # The types are given, so that no inference needs the commands.
-            graph = model.encode(x, v, window.nodes, displacement)
-            return model.linearize(model.cut_edges(graph, ContactBelief(types)))
+            graph = model.encode(*state, window.nodes, displacement)
+            linear: LinearDynamics = model.linearize(model.cut_edges(graph, ContactBelief(types)))
+            after = linear(*state, control)
+            return after, after
 
-        def step(carry: tuple, inputs: tuple) -> tuple[tuple, tuple]:
-            x, v, sensitivity = carry
-            control, types = inputs
-            displacement = jnp.sum(sensitivity * control, axis=-1)
-            found = linear(x, v, types, jax.lax.stop_gradient(displacement))
-            x, v = found(x, v, control)
-            return (x, v, found.control_sensitivity), (x, v)
+        first = window.position[0], window.velocity[0]
+        states = jax.lax.scan(step, first, (window.control, types, displacement))[1]
+        return rollout_error(model, *states, window)
 
-        x, v = window.position[0], window.velocity[0]
-        first = linear(x, v, types[0], None).control_sensitivity
-        _, states = jax.lax.scan(step, (x, v, first), (window.control, types))
-        return rollout_error(model, states[0], states[1], window)
-
-    found = jax.vmap(error)(windows, types)
+    found = jax.vmap(error)(windows, judged.types, judged.displacement)
     return masked_mean(found, jnp.broadcast_to(windows.learned[:, None], found.shape))
 
 
 def filter_loss(
     model: ContactDynamics,
     trajectories: Window,
+    judged: JudgedSteps,
     step_mask: Bool[Array, "B T"],
     key: PRNGKeyArray,
     contact: Float[Array, "B T+1 E"] | None = None,
@@ -163,13 +113,12 @@ def filter_loss(
 ) -> Float[Array, ""]:
     """Mean score of every edge within the cutoff at every step; see the module's docstring.
 
-    ``denial`` times the mean of `_denial_score` is added.
-
     Motion corrects the belief in random segments of steps. Where the recorded ``contact`` is given,
     so do reports of it, in segments of their own: see `random_reports`. The score is that of the
-    motion alone.
+    motion alone; ``denial`` times the mean of `_denial_score` is added. Gradients reach the
+    inference alone.
     """
-    graph, ratio = _filter_inputs(model, trajectories)
+    graph = encoded_steps(model, trajectories, judged)
     corrects = _correcting(key, step_mask.shape)
     reports = None
     if contact is not None:
@@ -181,7 +130,7 @@ def filter_loss(
     ) -> Array:
         return _filtered(model, graph, ratio, corrects, reports, reports_touch)[1]
 
-    score = jax.vmap(along)(graph, ratio, corrects, reports)
+    score = jax.vmap(along)(graph, judged.log_ratio, corrects, reports)
     mean = masked_mean(score, (graph.weight > 0) & step_mask[..., None])
     if denial:
         mean = mean + denial * _denial_score(model, graph, jax.random.fold_in(key, 2))
@@ -221,12 +170,10 @@ def _denial_score(
     return jnp.sum(weight[..., 0] * score) / jnp.maximum(jnp.sum(weight), 1.0)
 
 
-def _filter_inputs(
-    model: ContactDynamics, windows: Window
-) -> tuple[EncodedGraph, Float[Array, "B L E K"]]:
-    """As `judged_steps`; gradients reach the inference alone."""
-    learned = dataclasses.replace(_without_gradient(model), inference=model.inference)
-    return judged_steps(learned, windows)[1:]
+def encoded_steps(model: ContactDynamics, windows: Window, judged: JudgedSteps) -> EncodedGraph:
+    """[B, L, ...] the steps' graphs, with gradients of the inference alone."""
+    learned = dataclasses.replace(without_gradient(model), inference=model.inference)
+    return WindowSteps(learned, windows, 1).encode(judged.displacement)
 
 
 def _correcting(key: PRNGKeyArray, shape: tuple[int, ...]) -> Bool[Array, "B T"]:
@@ -244,7 +191,7 @@ def _correcting(key: PRNGKeyArray, shape: tuple[int, ...]) -> Bool[Array, "B T"]
 def _filtered(
     model: ContactDynamics,
     graph: EncodedGraph,
-    ratio: Float[Array, "T E K"],
+    ratio: Float[Array, "T E K K"],
     corrects: Bool[Array, " T"],
     reports: SensorReports | None = None,
     reports_touch: bool = True,
@@ -253,11 +200,10 @@ def _filtered(
 
     def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, Array]:
         graph, ratio, corrects, report = inputs
-        predicted = model.predict_belief(belief, graph)
-        p = jnp.maximum(predicted.type_probability, _SMALLEST)
-        score = -jax.nn.logsumexp(jnp.log(p) + ratio, axis=-1)
+        predicted, joint = model.predict_joint(belief, graph)
+        score = -jax.nn.logsumexp(jnp.log(jnp.maximum(joint, _SMALLEST)) + ratio, axis=(1, 2))
         used = jnp.where(corrects, ratio, 0.0)
-        posterior = posterior_by_motion(predicted, used, _ERROR_FLOOR)
+        posterior = posterior_by_motion(predicted, joint, used)
         if reports is not None:
             sensor = ContactSensor(reports.false_alarm, reports.miss, reports_touch)
             posterior = correct(posterior, report, sensor)
@@ -270,6 +216,9 @@ def _filtered(
 
 def corrected_beliefs(model: ContactDynamics, windows: Window) -> ContactBelief:
     """The beliefs in the last states of windows, corrected by the motion of every step."""
-    graph, ratio = _filter_inputs(model, windows)
-    always = jnp.ones(ratio.shape[1], bool)
-    return jax.vmap(lambda graph, ratio: _filtered(model, graph, ratio, always)[0])(graph, ratio)
+    judged = judge_steps(model, windows)
+    graph = encoded_steps(model, windows, judged)
+    always = jnp.ones(windows.control.shape[1], bool)
+    return jax.vmap(lambda graph, ratio: _filtered(model, graph, ratio, always)[0])(
+        graph, judged.log_ratio
+    )

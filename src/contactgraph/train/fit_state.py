@@ -1,13 +1,15 @@
 """The state of a training, its progress, and its result with a status."""
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
+import jax
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.neighbor_list import NeighborList
 from contactgraph.train.held_out import HeldOutBaselines
 
 _TIE = 1e-3
@@ -38,6 +40,19 @@ class FitState(eqx.Module):
     best_error: Float[Array, ""]
     """m; held-out error of `best_model`, see `rollout_rmse`."""
     checks_without_gain: Int[Array, ""]
+
+
+def with_lists(state: FitState, lists: NeighborList | None) -> FitState:
+    """The state with these lists in the models, and in the averages that mirror them."""
+
+    def is_model(part: object) -> bool:
+        return isinstance(part, ContactDynamics)
+
+    return jax.tree.map(
+        lambda part: replace(part, neighbor_list=lists) if is_model(part) else part,
+        state,
+        is_leaf=is_model,
+    )
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from contactgraph.model.motion_likelihood import posterior_by_motion
 from contactgraph.model.motion_noise import MotionNoise
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import check_contacts
-from contactgraph.train.filter_loss import judged_steps
+from contactgraph.train.filter_loss import encoded_steps
+from contactgraph.train.judged_steps import judge_steps
 
 _LATEST = 3
 """Longest delay considered, steps."""
@@ -71,7 +72,8 @@ def _encoded(model: ContactDynamics, dataset: Dataset) -> Iterator[JudgedSteps]:
 
     @eqx.filter_jit
     def judged(model: ContactDynamics, windows: Window) -> tuple[EncodedGraph, Array]:
-        return judged_steps(model, windows)[1:]
+        judged = judge_steps(model, windows)
+        return encoded_steps(model, windows, judged), judged.log_ratio
 
     for begin in range(0, len(dataset), _BATCH):
         index = np.minimum(np.arange(begin, begin + _BATCH), len(dataset) - 1)
@@ -129,8 +131,8 @@ def _expected(
     ) -> tuple[Array, Array]:
         def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, tuple[Array, Array]]:
             graph, ratio, report, compared = inputs
-            predicted = model.predict_belief(belief, graph)
-            by_motion = posterior_by_motion(predicted, ratio, _ERROR_FLOOR)
+            predicted, joint = model.predict_joint(belief, graph)
+            by_motion = posterior_by_motion(predicted, joint, ratio)
             after = correct(by_motion, report, assumed)
             counted = compared & (graph.weight > 0) & jnp.isfinite(report)
             said = jnp.where(counted, report, 0.0)
@@ -142,8 +144,8 @@ def _expected(
             if_contact = jnp.where(said > 0.5, 1.0 - assumed.miss, assumed.miss)
             if_none = jnp.where(said > 0.5, assumed.false_alarm, 1.0 - assumed.false_alarm)
             likelihood = jnp.log(p * if_contact + (1.0 - p) * if_none)
-            types = jnp.maximum(predicted.type_probability, 1e-6)
-            likelihood = likelihood + jax.nn.logsumexp(jnp.log(types) + ratio, axis=-1)
+            pairs = jnp.maximum(joint, 1e-6)
+            likelihood = likelihood + jax.nn.logsumexp(jnp.log(pairs) + ratio, axis=(1, 2))
             return after, (
                 jnp.stack([wrong, total]),
                 jnp.sum(jnp.where(counted, likelihood, 0.0)),

@@ -1,0 +1,199 @@
+"""Many optimiser steps in one compiled call, then the held-out error."""
+
+import dataclasses
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Bool, PRNGKeyArray
+
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.edge_inference import TransitionEdges
+from contactgraph.model.features import InvariantFeatures
+from contactgraph.train.batch import (
+    BatchSplit,
+    Window,
+    WindowSource,
+    add_distractor,
+)
+from contactgraph.train.config import TrainConfig
+from contactgraph.train.filter_loss import (
+    DENIAL,
+    dynamics_loss,
+    filter_loss,
+    given_rollout_loss,
+)
+from contactgraph.train.fit_state import FitState
+from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
+from contactgraph.train.judged_steps import (
+    JudgedSteps,
+    JudgedTrajectories,
+    judge_steps,
+    judge_trajectories,
+)
+from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
+
+_PERIOD = 25
+"""Optimiser steps from judging whole trajectories to judging others."""
+_CLEARANCE = 1.03
+"""Least distance of a distractor, in learned contact distances."""
+_SHORTEST = 0.1
+"""Least learned contact distance, in first guesses."""
+
+
+def optimiser_of(config: TrainConfig) -> optax.GradientTransformation:
+    """Adam with a rate that rises and then falls along a cosine."""
+    rate = optax.warmup_cosine_decay_schedule(
+        init_value=0.0,
+        peak_value=config.learning_rate,
+        warmup_steps=min(100, config.steps),
+        decay_steps=max(config.steps, min(100, config.steps) + 1),
+        end_value=0.01 * config.learning_rate,
+    )
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
+
+
+def with_positive_distance(model: ContactDynamics) -> ContactDynamics:
+    """The model with a learned contact distance of at least a tenth of its first guess.
+
+    A negative one would turn the sign of the contact prior. A bound and not a softplus, because
+    model files hold the distance itself.
+    """
+    features = model.features
+    if not (isinstance(features, InvariantFeatures) and features.learned):
+        return model
+    bounded = jnp.maximum(features.contact_distance, _SHORTEST * features.length)
+    return eqx.tree_at(lambda each: each.features.contact_distance, model, bounded)
+
+
+@eqx.filter_jit
+def advance_steps(
+    state: FitState,
+    source: WindowSource,
+    checked: HeldOutWindows,
+    config: TrainConfig,
+    count: int,
+    distractors: int,
+    with_rollout: Bool[np.ndarray, ""] | None,
+    split: BatchSplit | None,
+) -> tuple[FitState, dict[str, Array]]:
+    """`count` optimiser steps in one scan, then the held-out error.
+
+    ``with_rollout`` is an argument of one compiled program, because a second program would take as
+    long to compile as to run. None: the rollout term is not compiled at all.
+    """
+    optimiser = optimiser_of(config)
+    # Just outside the learned contact distance, so that training determines that distance.
+    nearest = _CLEARANCE * jnp.asarray(state.model.features.contact_distance)
+    params, static = eqx.partition(state.model, eqx.is_inexact_array)
+    devices = 1 if split is None else split.mesh.size
+
+    def drawn(draw_key: PRNGKeyArray, place_key: PRNGKeyArray) -> Window:
+        windows = source.draw(config.batch_size, draw_key)
+        if split is not None:
+            windows = split.shard(windows)
+        for distractor_key in jax.random.split(place_key, distractors):
+            windows = add_distractor(windows, nearest, 3.0 * nearest, distractor_key)
+        return windows
+
+    filtered = isinstance(state.model.inference, TransitionEdges)
+
+    def loss(
+        params: ContactDynamics,
+        windows: Window,
+        judged: JudgedSteps | None,
+        pool: JudgedTrajectories | None,
+        key: PRNGKeyArray,
+    ) -> tuple[Array, LossTerms]:
+        model = eqx.combine(params, static)
+        if judged is not None and pool is not None:
+            terms = dynamics_loss(model, windows, judged, devices)
+            draw_key, key = jax.random.split(key)
+            drawn = pool.draw(model.features.contact_distance, draw_key)
+            given = drawn.trajectories, drawn.judged, drawn.step_mask
+            reported = drawn.contact, source.reports_touch, DENIAL
+            likelihood = filter_loss(model, *given, key, *reported)
+            terms = dataclasses.replace(terms, likelihood=likelihood)
+        else:
+            terms = window_loss(model, windows, key, False, devices)
+        return terms.total(config.weights), terms
+
+    def rolled_out(params: ContactDynamics, windows: Window, judged: JudgedSteps | None) -> Array:
+        model = eqx.combine(params, static)
+        if judged is not None:
+            return given_rollout_loss(model, windows, judged)
+        return rollout_loss(model, windows, devices)
+
+    def nothing(
+        params: ContactDynamics, windows: Window, judged: JudgedSteps | None
+    ) -> tuple[Array, ContactDynamics]:
+        return jnp.zeros(()), jax.tree.map(jnp.zeros_like, params)
+
+    Carry = tuple[ContactDynamics, optax.OptState, PRNGKeyArray]
+
+    def step(pool: JudgedTrajectories | None, carry: Carry, _: None) -> tuple[Carry, LossTerms]:
+        params, optimiser_state, key = carry
+        key, step_key = jax.random.split(key)
+        draw_key, place_key, sample_key = jax.random.split(step_key, 3)
+        windows = drawn(draw_key, place_key)
+        judged = None
+        if filtered:
+            judged = judge_steps(eqx.combine(params, static), windows, devices)
+        given = windows, judged
+        (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(
+            params, *given, pool, sample_key
+        )
+        if with_rollout is not None:
+            rollout, slope = jax.lax.cond(
+                with_rollout, jax.value_and_grad(rolled_out), nothing, params, *given
+            )
+            terms = dataclasses.replace(terms, rollout=rollout)
+            gradient = jax.tree.map(
+                lambda one, other: one + config.weights.rollout * other, gradient, slope
+            )
+        updates, optimiser_state = optimiser.update(gradient, optimiser_state, params)
+        params = with_positive_distance(optax.apply_updates(params, updates))
+        return (params, optimiser_state, key), terms
+
+    carry = (params, state.optimiser, jax.random.wrap_key_data(state.key))
+    if filtered:
+        length = _PERIOD if count % _PERIOD == 0 else count
+
+        def period(carry: Carry, _: None) -> tuple[Carry, LossTerms]:
+            params, optimiser_state, key = carry
+            key, draw_key = jax.random.split(key)
+            pool = judge_trajectories(eqx.combine(params, static), source, draw_key)
+            carry = params, optimiser_state, key
+            return jax.lax.scan(partial(step, pool), carry, length=length)
+
+        carry, terms = jax.lax.scan(period, carry, length=count // length)
+    else:
+        carry, terms = jax.lax.scan(partial(step, None), carry, length=count)
+    params, optimiser_state, key = carry
+    model = eqx.combine(params, static)
+    error = rollout_rmse(model, checked)
+    better = error < state.best_error
+    best = jax.tree.map(
+        lambda new, old: jnp.where(better, new, old) if eqx.is_array(new) else new,
+        model,
+        state.best_model,
+    )
+    means = jax.tree.map(jnp.mean, terms)
+    state = FitState(
+        model=model,
+        optimiser=optimiser_state,
+        key=jax.random.key_data(key),
+        step=state.step + count,
+        best_model=best,
+        best_error=jnp.where(better, error, state.best_error),
+        checks_without_gain=jnp.where(better, 0, state.checks_without_gain + 1),
+    )
+    if split is not None:  # the sharding of the argument, else the next call would recompile
+        state = split.replicate(state)
+    return state, {**{name: getattr(means, name) for name in _TERM_NAMES}, "held_out": error}
+
+
+_TERM_NAMES = tuple(field.name for field in dataclasses.fields(LossTerms))
