@@ -42,7 +42,7 @@ def edges(types: int, seed: int | None = None) -> TransitionEdges:
 
 
 def belief(*types: float) -> ContactBelief:
-    return ContactBelief(jnp.array([types]), None, jnp.zeros((1, 8)))
+    return ContactBelief(jnp.array([types]), None, jnp.zeros((1, 8 + len(types))))
 
 
 def bounded(types: np.ndarray) -> np.ndarray:

@@ -267,7 +267,7 @@ class ContactDynamics(eqx.Module):
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
         """The geometric prior, with a clock that has not run."""
-        size = getattr(self.inference, "memory_size", 0)
+        size = getattr(self.inference, "carried_size", 0)
         memory = jnp.zeros((graph.prior.shape[0], size), graph.prior.dtype) if size else None
         return ContactBelief(graph.prior, graph.edge_id, memory)
 

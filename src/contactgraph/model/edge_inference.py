@@ -17,6 +17,8 @@ from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 _MEMORY = 8
 """Size of an edge's clock."""
 _MIN_PRIOR = 1e-6
+_AGE = 10.0
+"""Unit of ages, in steps."""
 
 
 class TransitionEdges(eqx.Module):
@@ -25,12 +27,14 @@ class TransitionEdges(eqx.Module):
     With the geometric prior q of the step, features f of the edge and the clock h,
 
     .. math::
-        h' = \mathrm{GRU}([f, p], h), \qquad
-        T_{ij} = \mathrm{softmax}_j(\log q_j + r_{ij}([f, h'])), \qquad p' = p\,T,
+        h' = \mathrm{GRU}([f, p], h), \qquad a' = (a + 1)\,p, \qquad
+        T_{ij} = \mathrm{softmax}_j(\log q_j + r_{ij}([f, h', a'])), \qquad p' = p\,T,
 
-    and every T is at least `min_transition`. The belief p is the corrected one, so evidence lasts
-    until something speaks against it. The rates r start at 0, where p' = q. The features are the
-    edge's own and the types of its ends; observed velocities enter only through the correction.
+    and every T is at least `min_transition`. The age a is the expected number of steps for which
+    an edge has had each type, so that types may last for characteristic times. The belief p is the
+    corrected one, so evidence lasts until something speaks against it. The rates r start at 0,
+    where p' = q. The features are the edge's own and the types of its ends; observed velocities
+    enter only through the correction.
     """
 
     message_passing: EdgeNetwork
@@ -60,7 +64,8 @@ class TransitionEdges(eqx.Module):
         width = message_passing.width
         self.message_passing = message_passing
         self.cell = eqx.nn.GRUCell(width + edge_types, memory_size, key=cell_key)
-        rates = eqx.nn.MLP(width + memory_size, edge_types**2, width, 1, key=rate_key)
+        known = width + memory_size + 2 * edge_types
+        rates = eqx.nn.MLP(known, edge_types**2, width, 1, key=rate_key)
         last = rates.layers[-1]
         assert last.bias is not None
         self.rates = eqx.tree_at(
@@ -73,6 +78,11 @@ class TransitionEdges(eqx.Module):
         self.memory_size = memory_size
         self.commands = commands
         self.min_transition = min_transition
+
+    @property
+    def carried_size(self) -> int:
+        """Size of `ContactBelief.memory`: the hidden state, and the age of each type."""
+        return self.memory_size + self.edge_types
 
     def embed(
         self,
@@ -99,9 +109,12 @@ class TransitionEdges(eqx.Module):
         """The same, and the probability of each pair of types before and after."""
         before, clock = belief.type_probability, belief.memory
         assert clock is not None, "a belief of this inference has a clock"
-        observed = jnp.concatenate([embedding, before], axis=-1)
-        memory = jax.vmap(self.cell)(observed, clock)
-        rates = jax.vmap(self.rates)(jnp.concatenate([embedding, memory], axis=-1))
+        hidden, age = jnp.split(clock, [self.memory_size], axis=-1)
+        age = (age + 1.0) * before
+        hidden = jax.vmap(self.cell)(jnp.concatenate([embedding, before], axis=-1), hidden)
+        memory = jnp.concatenate([hidden, age], axis=-1)
+        ages = age / _AGE, age / (age + _AGE)
+        rates = jax.vmap(self.rates)(jnp.concatenate([embedding, hidden, *ages], axis=-1))
         rates = rates.reshape(-1, self.edge_types, self.edge_types)
         logits = jnp.log(jnp.maximum(prior, _MIN_PRIOR))[:, None, :] + rates
         transition = jax.nn.softmax(logits, axis=-1)

@@ -156,7 +156,7 @@ def _denial_score(
 
     embedding, prior, weight = map(taken, (graph.embedding, graph.prior, touching[..., None]))
     free = jnp.zeros_like(prior).at[..., 0].set(1.0)
-    size = getattr(model.inference, "memory_size", 0)
+    size = getattr(model.inference, "carried_size", 0)
 
     def step(belief: ContactBelief, denied: Array) -> tuple[ContactBelief, Array]:
         predicted = jax.vmap(model.inference.predict)(belief, embedding, prior)
