@@ -17,6 +17,7 @@ from contactgraph.train import contact_reports as reports_module
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import random_reports
 from contactgraph.train.filter_loss import _denial_score, filter_loss
+from contactgraph.train.judged_steps import judge_steps
 from contactgraph.train.sensor_estimate import JudgedSteps, likeliest_sensor
 
 MODEL = hidden_markov_filter(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(0))
@@ -75,8 +76,10 @@ def test_contacts_change_beliefs_and_nothing_but_the_inference_learns_from_them(
 
     @eqx.filter_jit
     def score(contact: jax.Array):
+        judged = judge_steps(model, window)
+
         def loss(model):
-            return filter_loss(model, window, mask, KEY, contact)
+            return filter_loss(model, window, judged, mask, KEY, contact)
 
         return eqx.filter_value_and_grad(loss)(model)
 
@@ -105,7 +108,7 @@ def synthetic(sensor: ContactSensor, edge_seed: int = 0) -> JudgedSteps:
     wrong = rng.random(contact.shape) < np.where(contact > 0.5, sensor.miss, sensor.false_alarm)
     read = np.where(wrong, 1.0 - contact, contact).astype(np.float32)
     late = np.pad(read, ((0, 0), (sensor.delay, 0), (0, 0)))[:, : read.shape[1]]
-    ratio = jnp.zeros((8, 200, 1, 3))
+    ratio = jnp.zeros((8, 200, 1, 3, 3))
     return JudgedSteps(graph, ratio, jnp.asarray(late), jnp.ones((8, 200), bool))
 
 

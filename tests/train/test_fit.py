@@ -59,6 +59,7 @@ from contactgraph.train.held_out import HeldOutWindows
 GOLDEN = Path(__file__).parents[1] / "golden" / "short_training.json"
 
 FIT = importlib.import_module("contactgraph.train.fit")
+ADVANCE = importlib.import_module("contactgraph.train.advance")
 """The module; the package has the function of the same name."""
 
 pytestmark = pytest.mark.usefixtures("trained")  # it fills the compilation cache
@@ -215,10 +216,10 @@ def test_a_step_follows_the_gradient_of_the_loss_plus_the_weighted_rollout(
         return sum((jnp.sum(leaf**power) / power for leaf in leaves), jnp.zeros(()))
 
     monkeypatch.setattr(
-        FIT, "window_loss", lambda model, *rest: LossTerms(total(model, 1), 0, 0, 0)
+        ADVANCE, "window_loss", lambda model, *rest: LossTerms(total(model, 1), 0, 0, 0)
     )
-    monkeypatch.setattr(FIT, "rollout_loss", lambda model, *rest: total(model, 2))
-    monkeypatch.setattr(FIT, "rollout_rmse", lambda *rest: jnp.ones(()))
+    monkeypatch.setattr(ADVANCE, "rollout_loss", lambda model, *rest: total(model, 2))
+    monkeypatch.setattr(ADVANCE, "rollout_rmse", lambda *rest: jnp.ones(()))
     config = TrainConfig(steps=1, check_every=1, rollout_from=0.0, bystanders=0)
     model = first_state().model
     state = fit(initial_state(model, config, 0), *split(recorded), config).state
@@ -240,8 +241,8 @@ def test_a_learned_contact_distance_stays_positive(
     def pull(model: object, *rest: object) -> LossTerms:
         return LossTerms(model.features.contact_distance, 0, 0, 0)
 
-    monkeypatch.setattr(FIT, "window_loss", pull)
-    monkeypatch.setattr(FIT, "rollout_rmse", lambda *rest: jnp.ones(()))
+    monkeypatch.setattr(ADVANCE, "window_loss", pull)
+    monkeypatch.setattr(ADVANCE, "rollout_rmse", lambda *rest: jnp.ones(()))
     config = TrainConfig(
         steps=40, check_every=20, rollout_from=1.0, bystanders=0, learning_rate=0.01
     )
