@@ -44,12 +44,12 @@ HEAVY = {
 }
 """Libraries that are slow to import or optional: one module knows each of them."""
 
-FILES = {"contactgraph": 152, "contactgraph_franka": 60, "contactgraph_studies": 32}
-LINES = {"contactgraph": 25_400, "contactgraph_franka": 9_000, "contactgraph_studies": 5_250}
+FILES = {"contactgraph": 154, "contactgraph_franka": 60, "contactgraph_studies": 32}
+LINES = {"contactgraph": 25_700, "contactgraph_franka": 9_000, "contactgraph_studies": 5_250}
 LONGEST_FILE = 300
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 20,  # a prediction step
-    "contactgraph.train.fit": 33,  # a training step, its held-out error and signs of a dead network
+    "contactgraph.train.fit": 35,  # a training step, its held-out error and signs of a dead network
     "contactgraph.control.active_set": 35,  # a control step
 }
 FRAMES = 14
