@@ -35,8 +35,8 @@ from contactgraph.train.loss import (
 _SMALLEST = 1e-6
 DENIAL = 0.1
 """Weight in training of what sensors deny: see `filter_loss`."""
-_DENIED, _UNMEASURED = 6, 10
-"""Steps of `_denial_score` that a sensor denies contact, and without measurement afterwards."""
+_DENIED, _UNMEASURED = 10, 0.5
+"""Steps of `_denial_score` that a sensor denies contact, and seconds without measurement after."""
 _STILL = 0.02
 """Change of distance in a step, in contact distances, of bodies at rest with each other."""
 _LAPSE, _RESUME = 0.15, 0.1
@@ -165,8 +165,8 @@ def _denial_score(
         return ContactBelief(jnp.where(denied, free, types), None, predicted.memory), score
 
     first = ContactBelief(prior, None, jnp.zeros((*prior.shape[:-1], size), prior.dtype))
-    denied = jnp.arange(_DENIED + _UNMEASURED) < _DENIED
-    score = jnp.mean(jax.lax.scan(step, first, denied)[1][_DENIED // 2 :], axis=0)
+    denied = jnp.arange(_DENIED + round(_UNMEASURED / model.dt)) < _DENIED
+    score = jnp.mean(jax.lax.scan(step, first, denied)[1][_DENIED // 3 :], axis=0)
     return jnp.sum(weight[..., 0] * score) / jnp.maximum(jnp.sum(weight), 1.0)
 
 
