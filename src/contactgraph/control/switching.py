@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
@@ -28,11 +28,11 @@ from contactgraph.model import ModelState, Nodes, StepModel
 class SwitchingILQR(ILQR):
     """`ILQR` for a control of which some components are switches.
 
-    A switch takes one of its two limits at every step. All schedules are planned side by side with
-    two rollouts each, from the guess's forces. The guess's own schedule, the best constant and the
-    best changing one are then planned on, and the plan of the lowest cost is taken: another
-    schedule replaces the running one only if it costs less. Several switches are varied one at a
-    time.
+    A switch takes one of its two limits at every step. Schedules with one change are ranked by two
+    rollouts each, from the guess's forces. The best of them, the guess's own schedule and the
+    constant ones are then planned in full, side by side, and the plan of the lowest cost is taken:
+    another schedule replaces the running one only if it costs less. Several switches are varied one
+    at a time.
 
     **Rounding.** A guess's switch is rounded to the nearer limit before any rollout, and only
     limits are planned, because a switch has no values in between: what is rolled out, what is
@@ -87,22 +87,18 @@ class SwitchingILQR(ILQR):
             planner = dataclasses.replace(self, iterations=iterations)
             return ILQR.solve(planner, model, state, nodes, quadratic, begin)
 
-        trials = jax.vmap(lambda each: planned(begun(each), min(2, self.iterations)))(
-            self.schedules(running)
+        constant, changing = self.schedules(running)
+        trials = jax.vmap(lambda each: planned(begun(each), min(2, self.iterations)))(changing)
+        best = jax.tree.map(lambda leaf: leaf[_lowest(trials)][None], trials.policy)
+        finalists = jax.tree.map(
+            lambda one, other: jnp.concatenate([one, other]), jax.vmap(begun)(constant), best
         )
-        costs = jnp.where(jnp.isfinite(trials.cost), trials.cost, jnp.inf)
-        changing = 1 + 2 * len(self.switches)
-        constant, change = jnp.argmin(costs[1:changing]), jnp.argmin(costs[changing:])
-        finalists = jnp.stack([0 * constant, 1 + constant, changing + change])
-        policies = jax.tree.map(lambda leaf: leaf[finalists], trials.policy)
-        left = max(1, self.iterations - 1)
-        made = jax.vmap(lambda each: planned(each, left))(policies)
-        lowest = jnp.argmin(jnp.where(jnp.isfinite(made.cost), made.cost, jnp.inf))
-        chosen = jax.tree.map(lambda leaf: leaf[lowest], made)
+        made = jax.vmap(lambda each: planned(each, self.iterations))(finalists)
+        chosen = jax.tree.map(lambda leaf: leaf[_lowest(made)], made)
         rollouts = jnp.sum(trials.iterations) + jnp.sum(made.iterations)
         swept = None
         if made.swept is not None and trials.swept is not None:
-            swept = _union(made.swept, trials.swept, self.iterations)
+            swept = _union(made.swept, trials.swept)
         return dataclasses.replace(chosen, iterations=rollouts, swept=swept)
 
     def rounded(self, schedule: Float[Array, "H S"]) -> Float[Array, "H S"]:
@@ -115,18 +111,24 @@ class SwitchingILQR(ILQR):
         nearest = nearest.astype(schedule.dtype)
         return nearest.at[-1].set(nearest[-2]) if self.horizon > 1 else nearest
 
-    def schedules(self, running: Float[Array, "H S"]) -> Float[Array, "C H S"]:
-        """The running one; one switch always on, or off, for each; one switch that changes once."""
+    def schedules(
+        self, running: Float[Array, "H S"]
+    ) -> tuple[Float[Array, "C H S"], Float[Array, "c H S"]]:
+        """The running one and, for each switch, always on and always off; those with one change."""
         lower, upper = self._bounds
         steps = np.linspace(0, self.horizon, self.changes + 2)[1:-1].round().astype(int)
-        made = [running]
-        for begin in (np.zeros(1, int), steps):
+
+        def varied(begin: np.ndarray) -> list[Array]:
             after = np.arange(self.horizon) >= begin[:, None]
-            for each in range(len(self.switches)):
-                for on in (*after, *~after):
-                    values = jnp.where(on, upper[each], lower[each]).astype(running.dtype)
-                    made.append(running.at[:, each].set(values))
-        return jnp.stack(made)
+            return [
+                running.at[:, each].set(
+                    jnp.where(on, upper[each], lower[each]).astype(running.dtype)
+                )
+                for each in range(len(self.switches))
+                for on in (*after, *~after)
+            ]
+
+        return jnp.stack([running, *varied(np.zeros(1, int))]), jnp.stack(varied(steps))
 
     @property
     def _index(self) -> np.ndarray:
@@ -171,11 +173,14 @@ class SwitchingILQR(ILQR):
         return Improvement(policy, among_all(found.step), found.expected_decrease)
 
 
-def _union(made: SweptBounds, trials: SweptBounds, rollouts: int) -> SweptBounds:
-    """Bounds [R, H, N, D] of all plans [C, r, H, N, D]; those of the trials are in the last."""
-    missing = [(0, rollouts - made.lower.shape[1]), *[(0, 0)] * 3]
-    lower = jnp.pad(jnp.min(made.lower, axis=0), missing, constant_values=jnp.inf)
-    upper = jnp.pad(jnp.max(made.upper, axis=0), missing, constant_values=-jnp.inf)
+def _lowest(plans: Plan) -> Int[Array, ""]:
+    """The first plan [C, …] of the lowest cost; one that is not finite is never chosen."""
+    return jnp.argmin(jnp.where(jnp.isfinite(plans.cost), plans.cost, jnp.inf))
+
+
+def _union(made: SweptBounds, trials: SweptBounds) -> SweptBounds:
+    """Bounds [R, H, N, D] of all plans [C, R, H, N, D]; those of the trials are in the last."""
+    lower, upper = jnp.min(made.lower, axis=0), jnp.max(made.upper, axis=0)
     return SweptBounds(
         lower.at[-1].min(jnp.min(trials.lower, axis=(0, 1))),
         upper.at[-1].max(jnp.max(trials.upper, axis=(0, 1))),

@@ -142,6 +142,8 @@ class MPCPolicy:
         self._state: Any = None
         self._steps: list[_Step] = []
         self._applied: np.ndarray | None = None
+        self._holds = False
+        """Whether the scene's contacts are the pairs that hold each other."""
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode in ``scene``; ``seed`` is that of sensor faults and noise.
@@ -165,6 +167,7 @@ class MPCPolicy:
             nodes = scene_nodes(self._scene, self._capacity)
             self._state = self._mpc.reset(observation, nodes, self._scene_cost)
         contacts = self._contacts(observation)
+        self._holds = "holding" in observation
         begin = time.perf_counter()
         plan, self._state = self._mpc.step(
             observation,
@@ -197,6 +200,7 @@ class MPCPolicy:
         if self._scene is None or not self._steps:
             raise InvalidInputError("nothing to record: the policy has made no step since reset")
         count, dt = self._scene.node_count, self._scene.dt
+        probabilities = partial(edge_probabilities, count=count, holds=self._holds)
         return EpisodeRecord(
             plan_ms=np.array([each.plan_ms for each in self._steps]),
             status=np.array([int(each.plan.status) for each in self._steps]),
@@ -208,12 +212,12 @@ class MPCPolicy:
             ),
             plan_belief=np.stack(
                 [
-                    edge_probabilities(each.plan.beliefs, np.asarray(each.plan.node_ids), count)
+                    probabilities(each.plan.beliefs, np.asarray(each.plan.node_ids))
                     for each in self._steps
                 ]
             ),
             estimated=np.stack(
-                [edge_probabilities(each.estimated, each.node_ids, count) for each in self._steps]
+                [probabilities(each.estimated, each.node_ids) for each in self._steps]
             ),
         )
 
@@ -232,7 +236,8 @@ class MPCPolicy:
         if len(order) < 3:
             return None
         node_ids = state.node_ids.tolist()
-        active = pair_indices(len(node_ids))[np.asarray(state.belief.probability) > 0.5]
+        believed = state.belief.holding if self._holds else state.belief.probability
+        active = pair_indices(len(node_ids))[np.asarray(believed) > 0.5]
         contact = np.zeros((len(node_ids), len(node_ids)), dtype=bool)
         contact[active[:, 0], active[:, 1]] = contact[active[:, 1], active[:, 0]] = True
         grasped = joined(contact[None])[0, node_ids.index(order[0])] > 0

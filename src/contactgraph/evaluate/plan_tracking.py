@@ -216,13 +216,15 @@ def plan_feedback(plan: Plan, dt: float, capacity: int) -> PlanFeedback:
     return PlanFeedback(all_states, np.asarray(plan.controls, float), all_gains, dt)
 
 
-def edge_probabilities(belief: ContactBelief, node_ids: np.ndarray, count: int) -> np.ndarray:
-    """[..., E] that each edge of a scene of ``count`` nodes is active.
+def edge_probabilities(
+    belief: ContactBelief, node_ids: np.ndarray, count: int, holds: bool = False
+) -> np.ndarray:
+    """[..., E] that each edge of a scene of ``count`` nodes is active; with ``holds``, holds.
 
     ``belief`` is about the nodes ``node_ids``, -1 for padding. Edges of other nodes are beyond the
     model's cutoff from all that matters, and taken to be inactive.
     """
-    probability = np.asarray(belief.probability, np.float64)
+    probability = np.asarray(belief.holding if holds else belief.probability, np.float64)
     first, second = node_ids[pair_indices(len(node_ids))].T
     known = (first >= 0) & (second >= 0) & (first < count) & (second < count)
     first, second = first[known], second[known]
