@@ -300,3 +300,24 @@ def test_a_guess_without_an_answer_is_dropped_and_trials_into_nan_are_rejected()
     assert np.all(np.isfinite(plan.controls)) and np.all(np.isfinite(plan.states))
     assert np.max(plan.states[:-1, 0, 0, 0]) <= 0.25
     assert plan.cost < 21 * 50 * 0.3**2  # at rest
+
+
+class Slope(eqx.Module):
+    """Body 0 of 1 kg, which is thrown back at 3 m/s in every step from beyond -0.3 m."""
+
+    def initial_belief(self, position, velocity, nodes):
+        return two_type_belief(jnp.zeros(nodes.candidate.shape, position.dtype))
+
+    def linear_step(self, state, nodes):
+        one = jnp.ones_like(state.position)
+        back = jnp.where(state.position > -0.3, -3.0, 0.0)
+        return blocks(0.0 * one, one, 0.05 * one[..., None] * jnp.eye(2), back), state.belief
+
+
+def test_a_search_that_leaps_accepts_its_first_trial_whatever_it_costs():
+    cost = QuadraticCost(jnp.diag(jnp.array([1.0, 1.0, 0, 0])), 1e-4 * jnp.eye(2), jnp.zeros(4))
+    state, one = state_of([[-0.35, -0.5]], [[0.0, 0.0]]), nodes_of(1, 1)
+    searches = [ILQR(10, 1, LIMITS), ILQR(10, 2, LIMITS), ILQR(10, 2, LIMITS, leaps=True)]
+    found = [solve(each, Slope(), state, one, cost, no_force(10, 1, 2)) for each in searches]
+    idle, stays, leapt = (float(each.cost) for each in found)
+    assert stays == idle < 0.9 * leapt

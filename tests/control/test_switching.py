@@ -148,6 +148,15 @@ def test_of_plans_that_cost_the_same_the_running_one_stays():
     np.testing.assert_array_equal(plan.controls[:, 1], schedule)
 
 
+def test_a_cost_of_switching_on_keeps_a_switch_off_that_would_hardly_pay():
+    gains = solve(PLANNER, REST, BOTH_GO, OFF).cost - solve_fixed(PLANNER, REST, BOTH_GO, OFF).cost
+    for share, on in ((0.9, 1.0), (1.1, 0.0)):
+        careful = SwitchingILQR(H, 5, LIMITS, switches=(1,), switching_cost=-share * float(gains))
+        assert np.all(solve(careful, REST, BOTH_GO, OFF).controls[:, 1] == on)
+        # It is on already: nothing is switched on.
+        assert np.all(solve(careful, REST, BOTH_GO, guess_of(1.0)).controls[:, 1] == 1.0)
+
+
 def test_the_active_set_gives_the_same_controls():
     observation = {"position": np.zeros((2, 1)), "velocity": np.zeros((2, 1))}
     controls = []

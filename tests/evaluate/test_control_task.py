@@ -185,6 +185,20 @@ def test_with_nothing_further_to_pick_up_the_chain_stays():
         assert cost.cost_node_ids.tolist() == [0, 3]
 
 
+def test_nothing_is_picked_up_while_the_last_node_lies_at_the_goal():
+    terms = ChainCost((0, 1), *WEIGHTS, placed_radius=0.01)
+    watcher = Watcher()
+    policy = MPCPolicy(watcher, TaskCost.of(terms, 2))
+    policy.reset(scene_of(4, goal=np.ones(2)), 0)
+    for away in (0.011, 0.009, 0.0, 0.02):
+        position = np.zeros((4, 2))
+        position[1] = 1.0 + np.array([0.0, away])
+        policy({"position": position, "velocity": np.zeros((4, 2)), "contact": np.eye(4) < 0})
+    left = [chain_cost((0, 1), k * WEIGHTS[0], *WEIGHTS[1:], np.ones(2), 4).Q for k in (0.0, 1.0)]
+    for cost, picks in zip(watcher.costs, (1, 0, 0, 1), strict=True):
+        assert np.array_equal(cost.Q, left[picks])
+
+
 def test_padding_changes_no_control():
     task = PickupTask(1)
     runs = []

@@ -56,6 +56,9 @@ class ILQR(eqx.Module):
     """… plus this, in the cost's own unit."""
     step_sizes: tuple[float, ...] = eqx.field(static=True, default=(1.0, 0.5, 0.2))
     """Parts of the full step, tried in this order."""
+    leaps: bool | Bool[Array, ""] = False
+    """Whether the first trial is accepted whatever it costs: it may leave a local minimum, such as
+    to hover before a touch that costs first and pays later."""
     swept_dt: float | None = eqx.field(static=True, default=None)
     """Length of the model's step, s: plans then hold the swept bounds of all trials."""
 
@@ -132,7 +135,9 @@ class ILQR(eqx.Module):
         total = jnp.where(rollout.finite(), total, jnp.inf)
         sizes = jnp.asarray(self.step_sizes, total.dtype)
         promised = _ARMIJO * sizes[search.attempt] * search.improvement.expected_decrease
-        accepted = total < search.cost - jnp.where(jnp.isfinite(search.cost), promised, 0.0)
+        most = search.cost - jnp.where(jnp.isfinite(search.cost), promised, 0.0)
+        most = jnp.where(self.leaps & (search.iteration == 1), jnp.inf, most)
+        accepted = total < most
         reference = jax.tree.map(
             lambda new, old: jnp.where(accepted, new, old), rollout, search.reference
         )

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
@@ -45,6 +45,8 @@ class SwitchingILQR(ILQR):
     """Components of the control that are switches."""
     changes: int = eqx.field(static=True, default=3)
     """Steps at which a schedule may change, 1 or more, evenly spread over the horizon."""
+    switching_cost: float = eqx.field(static=True, default=0.0)
+    """Added to the cost of a schedule each time that it switches on: against chattering."""
 
     def __check_init__(self) -> None:
         if not self.switches or not 1 <= self.changes < self.horizon:
@@ -83,18 +85,24 @@ class SwitchingILQR(ILQR):
         def begun(schedule: Float[Array, "H S"]) -> AffinePolicy:
             return dataclasses.replace(guess, k=guess.k.at[:, self._index].set(schedule))
 
-        def planned(begin: AffinePolicy, iterations: int) -> Plan:
-            planner = dataclasses.replace(self, iterations=iterations)
+        def planned(begin: AffinePolicy, iterations: int, leaps: Bool[Array, ""]) -> Plan:
+            planner = dataclasses.replace(self, iterations=iterations, leaps=leaps)
             return ILQR.solve(planner, model, state, nodes, quadratic, begin)
 
         constant, changing = self.schedules(running)
-        trials = jax.vmap(lambda each: planned(begun(each), min(2, self.iterations)))(changing)
-        best = jax.tree.map(lambda leaf: leaf[_lowest(trials)][None], trials.policy)
+        stays = jnp.zeros((), bool)
+        trials = jax.vmap(lambda each: planned(begun(each), min(2, self.iterations), stays))(
+            changing
+        )
+        best = jax.tree.map(lambda leaf: leaf[self._lowest(trials, running)][None], trials.policy)
         finalists = jax.tree.map(
             lambda one, other: jnp.concatenate([one, other]), jax.vmap(begun)(constant), best
         )
-        made = jax.vmap(lambda each: planned(each, self.iterations))(finalists)
-        chosen = jax.tree.map(lambda leaf: leaf[_lowest(made)], made)
+        leaps = (jnp.arange(len(constant) + 1) > 0) & (
+            jnp.arange(len(constant) + 1) < len(constant)
+        )
+        made = jax.vmap(lambda each, leaps: planned(each, self.iterations, leaps))(finalists, leaps)
+        chosen = jax.tree.map(lambda leaf: leaf[self._lowest(made, running)], made)
         rollouts = jnp.sum(trials.iterations) + jnp.sum(made.iterations)
         swept = None
         if made.swept is not None and trials.swept is not None:
@@ -129,6 +137,16 @@ class SwitchingILQR(ILQR):
             ]
 
         return jnp.stack([running, *varied(np.zeros(1, int))]), jnp.stack(varied(steps))
+
+    def _lowest(self, plans: Plan, running: Float[Array, "H S"]) -> Int[Array, ""]:
+        """The first plan [C, …] of the lowest cost; one that is not finite is never chosen."""
+        lower, upper = self._bounds
+        schedules = plans.controls[:, :, self._index]
+        before = jnp.broadcast_to(running[0], schedules[:, :1].shape)
+        changes = jnp.diff(jnp.concatenate([before, schedules], axis=1), axis=1)
+        rises = jnp.sum(changes > 0.5 * (upper - lower), axis=(1, 2))
+        costs = plans.cost + self.switching_cost * rises
+        return jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
 
     @property
     def _index(self) -> np.ndarray:
@@ -171,11 +189,6 @@ class SwitchingILQR(ILQR):
 
         policy = AffinePolicy(among_all(found.policy.K), among_all(found.policy.k))
         return Improvement(policy, among_all(found.step), found.expected_decrease)
-
-
-def _lowest(plans: Plan) -> Int[Array, ""]:
-    """The first plan [C, …] of the lowest cost; one that is not finite is never chosen."""
-    return jnp.argmin(jnp.where(jnp.isfinite(plans.cost), plans.cost, jnp.inf))
 
 
 def _union(made: SweptBounds, trials: SweptBounds) -> SweptBounds:

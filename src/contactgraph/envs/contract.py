@@ -141,6 +141,9 @@ class ChainCost:
     """On the squared control, 1/N^2."""
     command_weight: float | None = None
     """On the squares of its components beyond D, such as a switch. None: `control_weight`."""
+    placed_radius: float = 0.0
+    """m; nothing is left to be picked up, and `pick_weights` count as 0, while the last node is
+    nearer to the goal: otherwise what has put it down would go on touching it."""
 
     def __post_init__(self) -> None:
         if not self.chain or len(set(self.chain)) != len(self.chain) or min(self.chain) < 0:
@@ -161,3 +164,5 @@ class ChainCost:
             raise InvalidInputError(f"control_weight must be positive, found {self.control_weight}")
         if not (self.command_weight is None or self.command_weight > 0.0):
             raise InvalidInputError(f"command_weight must be positive, found {self.command_weight}")
+        if not self.placed_radius >= 0.0:
+            raise InvalidInputError(f"placed_radius must be at least 0, found {self.placed_radius}")

@@ -33,9 +33,11 @@ _SUCTION_STEPS = 240
 """Steps of an episode that ends with putting down."""
 _STICKY_STEPS = 300
 """Steps of an episode in which bodies must be tried first."""
-_SWITCH_WEIGHT = 1e-3
-"""Cost of a step with the switch on, as much as of a target 4.5 mm from the goal: a target that
+_SWITCH_WEIGHT = 3e-4
+"""Cost of a step with the switch on, as much as of a target 2.4 mm from the goal: a target that
 rests there is let go."""
+_PLACED_RADIUS = 0.01
+"""Distance from the goal at which the target lies, m: half of what is allowed."""
 REST_SPEED = 0.02
 """The target must be slower than this, m/s."""
 
@@ -105,8 +107,11 @@ class SuctionTask(CarryTask):
         return super().step(action)
 
     def cost_terms(self) -> ChainCost:
-        """The weights of pickup, and a small one on the switch, so that putting down pays."""
-        return replace(super().cost_terms(), command_weight=_SWITCH_WEIGHT)
+        """The weights of pickup; with a switch also those that make putting down pay."""
+        terms = super().cost_terms()
+        if self._hidden_switch:
+            return terms
+        return replace(terms, command_weight=_SWITCH_WEIGHT, placed_radius=_PLACED_RADIUS)
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the target is within 2 cm of the goal; with a hidden switch, within 0.1 m."""

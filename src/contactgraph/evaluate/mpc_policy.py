@@ -45,6 +45,8 @@ class TaskCost:
     order: tuple[int, ...]
     goal: np.ndarray | None = None
     """[D] m"""
+    placed: bool = False
+    """Whether the chain's last node lies at the goal: see `ChainCost.placed_radius`."""
     current_terms: Callable[[], ChainCost] | None = None
     """The terms in the scene that the task was reset to last; None: ``terms`` in every scene."""
 
@@ -69,13 +71,19 @@ class TaskCost:
         """The cost along the chain in another order."""
         return replace(self, order=tuple(nodes))
 
+    def seeing(self, position: np.ndarray) -> "TaskCost":
+        """The cost where the nodes are at ``position`` [N, D] m."""
+        away = np.linalg.norm(position[self.order[-1]] - self.goal)
+        placed = bool(away < self.terms.placed_radius)
+        return self if placed == self.placed else replace(self, placed=placed)
+
     def quadratic(self, node_count: int) -> QuadraticCost:
         """The chain's cost; the goal must be known."""
         if self.goal is None:
             raise InvalidInputError("the task's cost has no goal yet; use in_scene first")
         return chain_cost(
             self.order,
-            self.terms.pick_weights,
+            self.terms.pick_weights * (not self.placed),
             self.terms.goal_weights,
             self.terms.control_weight,
             self.goal,
@@ -174,7 +182,7 @@ class MPCPolicy:
             contacts,
             self._state,
             self._applied,
-            cost=self._reordered(self._state),
+            cost=self._changed_cost(observation["position"]),
         )
         control = np.asarray(plan.controls[0], dtype=np.float64)  # waits for the plan
         took = time.perf_counter() - begin
@@ -226,25 +234,31 @@ class MPCPolicy:
             return None
         return self._sensor(observation.get("holding", observation["contact"]))
 
-    def _reordered(self, state: MPCState) -> SceneCost | None:
-        """The cost with the grasped nodes before those still to be picked up; None: no change.
+    def _changed_cost(self, position: np.ndarray) -> SceneCost | None:
+        """The cost with nodes at ``position`` [N, D] m; None: it is that of the last step."""
+        before, order = self._scene_cost, self._order
+        if isinstance(before, TaskCost):
+            self._scene_cost = before.seeing(position)
+        self._order = self._grasped_first(self._state)
+        if self._scene_cost is before and self._order == order:
+            return None
+        return self._scene_cost.among(self._order)
+
+    def _grasped_first(self, state: MPCState) -> tuple[int, ...]:
+        """The nodes of the cost with the grasped ones before those still to be picked up.
 
         Without it a node that is picked up out of turn stays in the chain between two others that
         pull at it, and nothing further is picked up.
         """
         order = self._chain
         if len(order) < 3:
-            return None
+            return order
         node_ids = state.node_ids.tolist()
         believed = state.belief.holding if self._holds else state.belief.probability
         active = pair_indices(len(node_ids))[np.asarray(believed) > 0.5]
         contact = np.zeros((len(node_ids), len(node_ids)), dtype=bool)
         contact[active[:, 0], active[:, 1]] = contact[active[:, 1], active[:, 0]] = True
         grasped = joined(contact[None])[0, node_ids.index(order[0])] > 0
-        order_now = tuple(
+        return tuple(
             sorted(order, key=lambda node: (not grasped[node_ids.index(node)], order.index(node)))
         )
-        if order_now == self._order:
-            return None
-        self._order = order_now
-        return self._scene_cost.among(order_now)
