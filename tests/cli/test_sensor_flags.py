@@ -187,8 +187,9 @@ def test_the_flags_of_training_are_resumed(
     monkeypatch.setattr("contactgraph.train.fit", fit)
     command = ["train", str(pickups), "--out", str(tmp_path / "run")]
     flags = ["--model", "filter", "--use-contacts", "--sensor", "estimate", "--held-out", "0.5"]
-    assert cli.run([*command, *flags]) == 130
+    assert cli.run([*command, *flags, "--edge-types", "4"]) == 130
     assert cli.run([*command, "--resume"]) == 130
+    assert [call[0].model.inference.edge_types for call in calls] == [4, 4]
     assert [call[3].use_contacts for call in calls] == [True, True]
     config = json.loads((tmp_path / "run" / "config.json").read_text())
     assert (config["use_contacts"], config["sensor"]) == (True, "estimate")
