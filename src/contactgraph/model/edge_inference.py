@@ -9,6 +9,7 @@ class with these two methods and a field ``edge_types``: see ``examples/extend_r
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.model.contact_belief import ContactBelief
@@ -17,8 +18,8 @@ from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 _MEMORY = 8
 """Size of an edge's clock."""
 _MIN_PRIOR = 1e-6
-_AGE = 10.0
-"""Unit of ages, in steps."""
+_AGES = np.array([*range(1, 13), 15, 19, 24, 30, 37, 46, 58]) - 0.5
+"""Ages, in steps, that the rates are told to be exceeded or not: a duration may be exact."""
 
 
 class TransitionEdges(eqx.Module):
@@ -64,7 +65,7 @@ class TransitionEdges(eqx.Module):
         width = message_passing.width
         self.message_passing = message_passing
         self.cell = eqx.nn.GRUCell(width + edge_types, memory_size, key=cell_key)
-        known = width + memory_size + 2 * edge_types
+        known = width + memory_size + edge_types * len(_AGES)
         rates = eqx.nn.MLP(known, edge_types**2, width, 1, key=rate_key)
         last = rates.layers[-1]
         assert last.bias is not None
@@ -113,8 +114,9 @@ class TransitionEdges(eqx.Module):
         age = (age + 1.0) * before
         hidden = jax.vmap(self.cell)(jnp.concatenate([embedding, before], axis=-1), hidden)
         memory = jnp.concatenate([hidden, age], axis=-1)
-        ages = age / _AGE, age / (age + _AGE)
-        rates = jax.vmap(self.rates)(jnp.concatenate([embedding, hidden, *ages], axis=-1))
+        exceeded = jax.nn.sigmoid(4.0 * (age[..., None] - _AGES)).reshape(len(age), -1)
+        known = jnp.concatenate([embedding, hidden, exceeded.astype(age.dtype)], axis=-1)
+        rates = jax.vmap(self.rates)(known)
         rates = rates.reshape(-1, self.edge_types, self.edge_types)
         logits = jnp.log(jnp.maximum(prior, _MIN_PRIOR))[:, None, :] + rates
         transition = jax.nn.softmax(logits, axis=-1)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Bool, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
@@ -30,30 +30,43 @@ from contactgraph.train.fit_state import FitState
 from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
 from contactgraph.train.judged_steps import (
     JudgedSteps,
-    JudgedTrajectories,
     judge_steps,
     judge_trajectories,
 )
 from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
 
-_PERIOD = 25
-"""Optimiser steps from judging whole trajectories to judging others."""
+_PERIOD, _FILTER_STEPS = 25, 50
+"""Steps of the dynamics, after which others learn the filter from trajectories judged anew."""
 _CLEARANCE = 1.03
 """Least distance of a distractor, in learned contact distances."""
 _SHORTEST = 0.1
 """Least learned contact distance, in first guesses."""
 
 
-def optimiser_of(config: TrainConfig) -> optax.GradientTransformation:
+def first_optimiser_state(model: ContactDynamics, config: TrainConfig) -> PyTree:
+    """Of Adam; where the inference is a filter, of another Adam for the filter, too."""
+    params = eqx.filter(model, eqx.is_inexact_array)
+    state = _optimiser(config).init(params)
+    if not isinstance(model.inference, TransitionEdges):
+        return state
+    return state, _filter_optimiser(config).init(params.inference)
+
+
+def _optimiser(config: TrainConfig, steps: int | None = None) -> optax.GradientTransformation:
     """Adam with a rate that rises and then falls along a cosine."""
+    steps = config.steps if steps is None else steps
     rate = optax.warmup_cosine_decay_schedule(
         init_value=0.0,
         peak_value=config.learning_rate,
-        warmup_steps=min(100, config.steps),
-        decay_steps=max(config.steps, min(100, config.steps) + 1),
+        warmup_steps=min(100, steps),
+        decay_steps=max(steps, min(100, steps) + 1),
         end_value=0.01 * config.learning_rate,
     )
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
+
+
+def _filter_optimiser(config: TrainConfig) -> optax.GradientTransformation:
+    return _optimiser(config, max(1, config.steps // _PERIOD) * _FILTER_STEPS)
 
 
 def with_positive_distance(model: ContactDynamics) -> ContactDynamics:
@@ -67,6 +80,45 @@ def with_positive_distance(model: ContactDynamics) -> ContactDynamics:
         return model
     bounded = jnp.maximum(features.contact_distance, _SHORTEST * features.length)
     return eqx.tree_at(lambda each: each.features.contact_distance, model, bounded)
+
+
+def _learn_filter(
+    model: ContactDynamics,
+    optimiser_state: optax.OptState,
+    key: PRNGKeyArray,
+    source: WindowSource,
+    config: TrainConfig,
+) -> tuple[ContactDynamics, optax.OptState, Float[Array, ""]]:
+    """The model after steps of its filter alone, and their mean score.
+
+    The filter learns from rare events, so it needs more steps than the dynamics, and each costs
+    little where the motion has been judged.
+    """
+    optimiser, (draw_key, key) = _filter_optimiser(config), jax.random.split(key)
+    pool = judge_trajectories(model, source, draw_key)
+    params, static = eqx.partition(model.inference, eqx.is_inexact_array)
+
+    def loss(params: PyTree, key: PRNGKeyArray) -> Float[Array, ""]:
+        learned = dataclasses.replace(model, inference=eqx.combine(params, static))
+        draw_key, key = jax.random.split(key)
+        drawn = pool.draw(model.features.contact_distance, draw_key)
+        given = drawn.trajectories, drawn.judged, drawn.step_mask
+        reported = drawn.contact, source.reports_touch, DENIAL
+        return config.weights.likelihood * filter_loss(learned, *given, key, *reported)
+
+    def step(
+        carry: tuple[PyTree, optax.OptState], key: PRNGKeyArray
+    ) -> tuple[tuple[PyTree, optax.OptState], Array]:
+        params, state = carry
+        score, gradient = jax.value_and_grad(loss)(params, key)
+        updates, state = optimiser.update(gradient, state, params)
+        return (optax.apply_updates(params, updates), state), score
+
+    keys = jax.random.split(key, _FILTER_STEPS)
+    carry, score = jax.lax.scan(step, (params, optimiser_state), keys)
+    params, optimiser_state = carry
+    learned = dataclasses.replace(model, inference=eqx.combine(params, static))
+    return learned, optimiser_state, jnp.mean(score)
 
 
 @eqx.filter_jit
@@ -85,7 +137,7 @@ def advance_steps(
     ``with_rollout`` is an argument of one compiled program, because a second program would take as
     long to compile as to run. None: the rollout term is not compiled at all.
     """
-    optimiser = optimiser_of(config)
+    optimiser = _optimiser(config)
     # Just outside the learned contact distance, so that training determines that distance.
     nearest = _CLEARANCE * jnp.asarray(state.model.features.contact_distance)
     params, static = eqx.partition(state.model, eqx.is_inexact_array)
@@ -105,20 +157,13 @@ def advance_steps(
         params: ContactDynamics,
         windows: Window,
         judged: JudgedSteps | None,
-        pool: JudgedTrajectories | None,
         key: PRNGKeyArray,
     ) -> tuple[Array, LossTerms]:
         model = eqx.combine(params, static)
-        if judged is not None and pool is not None:
-            terms = dynamics_loss(model, windows, judged, devices)
-            draw_key, key = jax.random.split(key)
-            drawn = pool.draw(model.features.contact_distance, draw_key)
-            given = drawn.trajectories, drawn.judged, drawn.step_mask
-            reported = drawn.contact, source.reports_touch, DENIAL
-            likelihood = filter_loss(model, *given, key, *reported)
-            terms = dataclasses.replace(terms, likelihood=likelihood)
-        else:
+        if judged is None:
             terms = window_loss(model, windows, key, False, devices)
+        else:
+            terms = dynamics_loss(model, windows, judged, devices)
         return terms.total(config.weights), terms
 
     def rolled_out(params: ContactDynamics, windows: Window, judged: JudgedSteps | None) -> Array:
@@ -134,7 +179,7 @@ def advance_steps(
 
     Carry = tuple[ContactDynamics, optax.OptState, PRNGKeyArray]
 
-    def step(pool: JudgedTrajectories | None, carry: Carry, _: None) -> tuple[Carry, LossTerms]:
+    def step(carry: Carry, _: None) -> tuple[Carry, LossTerms]:
         params, optimiser_state, key = carry
         key, step_key = jax.random.split(key)
         draw_key, place_key, sample_key = jax.random.split(step_key, 3)
@@ -143,9 +188,7 @@ def advance_steps(
         if filtered:
             judged = judge_steps(eqx.combine(params, static), windows, devices)
         given = windows, judged
-        (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(
-            params, *given, pool, sample_key
-        )
+        (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, *given, sample_key)
         if with_rollout is not None:
             rollout, slope = jax.lax.cond(
                 with_rollout, jax.value_and_grad(rolled_out), nothing, params, *given
@@ -158,20 +201,29 @@ def advance_steps(
         params = with_positive_distance(optax.apply_updates(params, updates))
         return (params, optimiser_state, key), terms
 
-    carry = (params, state.optimiser, jax.random.wrap_key_data(state.key))
+    key = jax.random.wrap_key_data(state.key)
     if filtered:
         length = _PERIOD if count % _PERIOD == 0 else count
+        learn = partial(_learn_filter, source=source, config=config)
+        Both = tuple[ContactDynamics, tuple[optax.OptState, optax.OptState], PRNGKeyArray]
 
-        def period(carry: Carry, _: None) -> tuple[Carry, LossTerms]:
-            params, optimiser_state, key = carry
-            key, draw_key = jax.random.split(key)
-            pool = judge_trajectories(eqx.combine(params, static), source, draw_key)
-            carry = params, optimiser_state, key
-            return jax.lax.scan(partial(step, pool), carry, length=length)
+        def period(carry: Both, _: None) -> tuple[Both, LossTerms]:
+            params, (optimiser_state, filter_state), key = carry
+            (params, optimiser_state, key), terms = jax.lax.scan(
+                step, (params, optimiser_state, key), length=length
+            )
+            key, filter_key = jax.random.split(key)
+            model, filter_state, score = learn(
+                eqx.combine(params, static), filter_state, filter_key
+            )
+            terms = dataclasses.replace(terms, likelihood=jnp.full(length, score))
+            params = eqx.filter(model, eqx.is_inexact_array)
+            return (params, (optimiser_state, filter_state), key), terms
 
-        carry, terms = jax.lax.scan(period, carry, length=count // length)
+        first = params, state.optimiser, key
+        carry, terms = jax.lax.scan(period, first, length=count // length)
     else:
-        carry, terms = jax.lax.scan(partial(step, None), carry, length=count)
+        carry, terms = jax.lax.scan(step, (params, state.optimiser, key), length=count)
     params, optimiser_state, key = carry
     model = eqx.combine(params, static)
     error = rollout_rmse(model, checked)

@@ -4,7 +4,6 @@ import dataclasses
 import time
 from collections.abc import Callable, Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +15,7 @@ from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.neighbor_allocation import ReallocatingModel
-from contactgraph.train.advance import advance_steps, optimiser_of
+from contactgraph.train.advance import advance_steps, first_optimiser_state
 from contactgraph.train.batch import (
     WindowSource,
     batch_split,
@@ -38,7 +37,7 @@ def initial_state(model: ContactDynamics, config: TrainConfig, seed: int) -> Fit
     """The state before the first step; equal seeds give equal results."""
     return FitState(
         model=model,
-        optimiser=optimiser_of(config).init(eqx.filter(model, eqx.is_inexact_array)),
+        optimiser=first_optimiser_state(model, config),
         key=jax.random.key_data(jax.random.key(seed)),
         # Explicit types: a weakly typed first state would compile all of training twice.
         step=jnp.zeros((), int),
