@@ -141,6 +141,8 @@ class ChainCost:
     """On the squared control, 1/N^2."""
     command_weight: float | None = None
     """On the squares of its components beyond D, such as a switch. None: `control_weight`."""
+    switching_cost: float = 0.0
+    """Added each time that a plan switches a command on: against chattering."""
     placed_radius: float = 0.0
     """m; nothing is left to be picked up, and `pick_weights` count as 0, while the last node is
     nearer to the goal: otherwise what has put it down would go on touching it."""
@@ -164,5 +166,6 @@ class ChainCost:
             raise InvalidInputError(f"control_weight must be positive, found {self.control_weight}")
         if not (self.command_weight is None or self.command_weight > 0.0):
             raise InvalidInputError(f"command_weight must be positive, found {self.command_weight}")
-        if not self.placed_radius >= 0.0:
-            raise InvalidInputError(f"placed_radius must be at least 0, found {self.placed_radius}")
+        for name in ("switching_cost", "placed_radius"):
+            if not getattr(self, name) >= 0.0:
+                raise InvalidInputError(f"{name} must be at least 0, found {getattr(self, name)}")

@@ -33,9 +33,12 @@ _SUCTION_STEPS = 240
 """Steps of an episode that ends with putting down."""
 _STICKY_STEPS = 300
 """Steps of an episode in which bodies must be tried first."""
-_SWITCH_WEIGHT = 3e-4
-"""Cost of a step with the switch on, as much as of a target 2.4 mm from the goal: a target that
-rests there is let go."""
+_SWITCH_WEIGHT = 1e-4
+"""Cost of a step with the switch on, as much as of a target 1.4 mm from the goal: a target that
+rests there, at less than 2 mm/s, is let go."""
+_SWITCHING_COST = 0.02
+"""Of switching on, as much as of a target 4.5 mm from the goal for 20 steps: one that drifts off
+slowly is not taken again at once."""
 _PLACED_RADIUS = 0.01
 """Distance from the goal at which the target lies, m: half of what is allowed."""
 REST_SPEED = 0.02
@@ -111,7 +114,12 @@ class SuctionTask(CarryTask):
         terms = super().cost_terms()
         if self._hidden_switch:
             return terms
-        return replace(terms, command_weight=_SWITCH_WEIGHT, placed_radius=_PLACED_RADIUS)
+        return replace(
+            terms,
+            command_weight=_SWITCH_WEIGHT,
+            switching_cost=_SWITCHING_COST,
+            placed_radius=_PLACED_RADIUS,
+        )
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the target is within 2 cm of the goal; with a hidden switch, within 0.1 m."""

@@ -26,6 +26,8 @@ from contactgraph.model.filter import check_fit
 
 _EXACT = SensorFaults()
 _NOISELESS = ObservationNoise()
+_LEAP_ROLLOUTS = 3
+"""More rollouts for a plan with switches: a schedule that leaps pays after seven or eight only."""
 
 
 def control_task(
@@ -77,7 +79,13 @@ def control_task(
     )
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
     if switches:
-        ilqr = SwitchingILQR(horizon, iterations, limits, switches=switches)
+        ilqr = SwitchingILQR(
+            horizon,
+            iterations + _LEAP_ROLLOUTS,
+            limits,
+            switches=switches,
+            switching_cost=terms.switching_cost,
+        )
     mpc = ActiveSetMPC(
         model,
         ilqr,
