@@ -33,21 +33,21 @@ def model():
 
 
 def test_every_number_by_hand() -> None:
-    belief = np.array([[0.0, 0.04, 0.25], [0.2, 1.0, np.nan]])
-    label = np.array([[False, True, False], [True, True, True]])
+    belief = np.array([[0.0, 0.04, 0.25], [0.2, 0.95, np.nan]])
+    label = np.array([[False, True, False], [True, False, True]])
     found = belief_calibration(belief, label)
     assert found.reliability == [
         [2, pytest.approx(0.02), 0.5],
         [0, None, None],
         [2, pytest.approx(0.225), 0.5],
         *[[0, None, None]] * 6,
-        [1, 1.0, 1.0],
+        [1, pytest.approx(0.95), 0.0],
     ]
-    # In the three bins: 2 * 0.48, 2 * 0.275 and 0.
-    assert found.expected_error == pytest.approx((2 * 0.48 + 2 * 0.275) / 5)
-    squares = 0.0**2 + 0.96**2 + 0.25**2 + 0.8**2 + 0.0**2
+    # Too sure of none in two bins, and of contact in the third.
+    assert found.expected_error == pytest.approx((2 * 0.48 + 2 * 0.275 + 0.95) / 5)
+    squares = 0.0**2 + 0.96**2 + 0.25**2 + 0.8**2 + 0.95**2
     assert found.brier_score == pytest.approx(squares / 5)
-    logarithms = math.log(0.04) + math.log(0.75) + math.log(0.2)
+    logarithms = sum(math.log(each) for each in (1.0, 0.04, 0.75, 0.2, 0.05))
     assert found.log_score == pytest.approx(-logarithms / 5)
 
 
