@@ -83,14 +83,15 @@ def by_hand(head: CoupledHead, local: LocalInput, message, theta: float):
     """The network that the head's own networks describe, solved."""
     out = jax.vmap(jax.vmap(head.edge))(message[:, 0] + message[:, 1])
     weight, softplus = local.weight.T, jax.nn.softplus
-    hold = 0.999 * jnp.sum(weight * jax.nn.sigmoid(out[..., 0] + 5), axis=0)
+    start = jnp.array([5.0, 5.0, 0.0])[:, None]  # a touch, a rigid bond, and one half as rigid
+    hold = 0.999 * jnp.sum(weight * jax.nn.sigmoid(out[..., 0] + start), axis=0)
     network = ContactSolver(
         mass=jnp.exp(5 * local.node_type @ head.log_mass),
         ground_damper=softplus(jax.vmap(head.ground)(local.node_features)[:, 0] - 6),
         damper=hold / (1 - hold),
         spring=jnp.sum(weight * softplus(out[..., 1] - 6), axis=0),
         rest_length=jnp.sum(weight * softplus(out[..., 2]), axis=0) * LENGTH,
-        displacing_fraction=local.geometry.fraction_after_impact - theta,
+        displacing_fraction=(local.geometry.fraction_after_impact - theta) * (1.0 - weight[2]),
     )
     gain = (5 * local.node_type @ head.gain_root) ** 2
     return network, network.solve(local.velocity, gain, local.geometry, DT, 2)
@@ -220,8 +221,11 @@ def test_a_touch_pushes_along_its_normal_alone() -> None:
     mass = np.exp(5 * np.asarray(local.node_type @ head.log_mass))
     _, velocity = moved(parameters(head, local, message), local, [0.0, 0.0])
     common = mass[0] / (mass[0] + mass[1])
+    # The normal is that of the middle of the step: the bodies slide by 0.5 m/s along each other.
+    normal = np.array([0.08, -0.5 * DT * 0.5])
+    along = (normal[0] + 0.5 * normal[1]) * normal / (normal @ normal)
     expected = np.zeros((NODES, 2))
-    expected[0], expected[1] = [common, 0.5], [common, 0.0]
+    expected[0], expected[1] = [1.0, 0.5] - (1.0 - common) * along, common * along
     np.testing.assert_allclose(velocity, expected, atol=5e-3)
     held = dataclasses.replace(local, weight=local.weight[:, ::-1])
     _, velocity = moved(parameters(head, held, message), held, [0.0, 0.0])

@@ -114,7 +114,9 @@ class TransitionEdges(eqx.Module):
         age = (age + 1.0) * before
         hidden = jax.vmap(self.cell)(jnp.concatenate([embedding, before], axis=-1), hidden)
         memory = jnp.concatenate([hidden, age], axis=-1)
-        exceeded = jax.nn.sigmoid(4.0 * (age[..., None] - _AGES)).reshape(len(age), -1)
+        exceeded = jax.nn.sigmoid(4.0 * (age[..., None] - jnp.asarray(_AGES, age.dtype))).reshape(
+            len(age), -1
+        )
         known = jnp.concatenate([embedding, hidden, exceeded.astype(age.dtype)], axis=-1)
         rates = jax.vmap(self.rates)(known)
         rates = rates.reshape(-1, self.edge_types, self.edge_types)

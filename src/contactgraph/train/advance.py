@@ -186,7 +186,8 @@ def advance_steps(
         windows = drawn(draw_key, place_key)
         judged = None
         if filtered:
-            judged = judge_steps(eqx.combine(params, static), windows, devices)
+            early_key = jax.random.fold_in(sample_key, 1)
+            judged = judge_steps(eqx.combine(params, static), windows, devices, early_key)
         given = windows, judged
         (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, *given, sample_key)
         if with_rollout is not None:
