@@ -22,9 +22,8 @@ from contactgraph.train.loss import (
 
 _JUDGED, _FILTERED = 32, 12
 """Trajectories that are judged at once, and those of them on which the filter is scored a step."""
-_APART, _NEAR = 1.02, 0.05
-"""Least distance of bodies that do not touch, in contact distances, and least prior of contact of
-those that nearly do."""
+_APART = 1.02
+"""Least distance of bodies that do not touch, in contact distances."""
 _DISPLACEMENT = 0.01
 """Most displacement of nodes, in contact distances; standard deviation."""
 
@@ -84,17 +83,17 @@ def judge_steps(
 def _with_early_types(
     model: ContactDynamics, graph: EncodedGraph, types: Float[Array, "B L E K"], key: PRNGKeyArray
 ) -> Float[Array, "B L E K"]:
-    """Random active types for half of the free edges that come near to touching in a step.
+    """Random active types for a third of the free edges of bodies that are apart but near.
 
     A filter that predicts a contact may do so a step too early. So the dynamics learn that bodies
     do not affect each other before they touch, which the types of the recorded motion never show.
     """
     geometry, touch = graph.geometry, model.features.contact_distance
     apart = (geometry.distance > _APART * touch) & (geometry.closest_approach > touch)
-    near = (graph.prior[..., 0] < 1.0 - _NEAR) & (graph.weight > 0)
     coin_key, type_key = jax.random.split(key)
-    chosen = apart & near & (types[..., 0] > 0.5) & jax.random.bernoulli(coin_key, 0.5, near.shape)
-    active = jax.random.randint(type_key, near.shape, 1, types.shape[-1])
+    coin = jax.random.bernoulli(coin_key, 1.0 / 3.0, apart.shape)
+    chosen = apart & (graph.weight > 0) & (types[..., 0] > 0.5) & coin
+    active = jax.random.randint(type_key, apart.shape, 1, types.shape[-1])
     early = jax.nn.one_hot(active, types.shape[-1], dtype=types.dtype)
     return jnp.where(chosen[..., None], early, types)
 
