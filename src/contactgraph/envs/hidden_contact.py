@@ -36,10 +36,10 @@ _STICKY_STEPS = 300
 _SWITCH_WEIGHT = 1e-4
 """Cost of a step with the switch on, as much as of a target 1.4 mm from the goal: a target that
 rests there, at less than 2 mm/s, is let go."""
-_SWITCHING_COST = 0.1
-"""Of switching on, as much as of a target 1 cm from the goal for 20 steps: one that drifts off
+_SWITCHING_COST = 0.015
+"""Of switching on, as much as of a target 4 mm from the goal for 20 steps: one that drifts off
 slowly is not taken again at once."""
-_PLACED_RADIUS = 0.015
+_PLACED_RADIUS = 0.008
 """Distance from the goal within which the target lies there, m; 0.02 are allowed."""
 REST_SPEED = 0.02
 """The target must be slower than this, m/s."""
