@@ -264,7 +264,7 @@ def test_resuming_without_a_checkpoint(
     config = json.loads((run / "config.json").read_text())
     (run / "config.json").write_text(json.dumps({**config, "steps": "many"}))
     said = mistake("train", recorded, "--out", run, "--resume")
-    assert said == f"{run}/config.json: steps must be like 2000, found 'many'"
+    assert said == f"{run}/config.json: steps must be a number, found 'many'"
 
 
 def test_mujoco_missing(tmp_path: Path) -> None:

@@ -185,3 +185,14 @@ def in_steps_of(model: object, dataset: Dataset, name: str) -> Dataset:
         return dataset
     print(f"{name}: every {every}th step is taken, since the model's are {dt:g} s long")
     return subsample(dataset, every)
+
+
+def check_edge_types(model: str, edge_types: int | None) -> None:
+    """Raises `InvalidInputError` where a model of this name has no number of types to choose."""
+    from contactgraph.data import InvalidInputError
+
+    if edge_types is not None and model != "filter" and ":" not in model:
+        raise InvalidInputError(
+            f"--edge-types: {model} has no types to choose; it is for --model filter, "
+            f"found {edge_types}"
+        )

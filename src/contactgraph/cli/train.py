@@ -46,8 +46,10 @@ class Train:
     """Distance of the centres of touching bodies, m (d_th); a first guess where it is learned."""
     held_out: float = 0.15
     """Share of the trajectories kept from training, to choose the best model by."""
-    steps: int = 2000
-    """Optimiser steps."""
+    steps: Annotated[
+        int | None, arg(metavar="INT", help_behavior_hint="(default: 2000; of filter 800)")
+    ] = None
+    """Optimiser steps; a filter takes twice as many of its own."""
     batch_size: int = 32
     """Windows in a batch."""
     window_length: int = 8
@@ -81,6 +83,7 @@ class Train:
 
         from contactgraph.cli import CommandError
         from contactgraph.cli.models import (
+            check_edge_types,
             contact_distance_text,
             held_out_text,
             model_preset,
@@ -123,10 +126,12 @@ class Train:
         options = self._started_with(folder.config()) if self.resume else self
         check_seed(options.seed)
         distance = options.contact_distance
-        if distance is not None and not (distance > 0 and math.isfinite(distance)):
+        if distance is not None and not (0 < distance < math.inf):
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
+        if options.steps is None:
+            options = replace(options, steps=800 if options.model == "filter" else 2000)
         build = model_preset(options.model)
-        _check_edge_types(options)
+        check_edge_types(options.model, options.edge_types)
         check_weight("--prior-weight", options.prior_weight)
         config = TrainConfig(
             **{name: getattr(options, name) for name in _CONFIG},
@@ -260,29 +265,16 @@ class Train:
         for option in fields(self):
             if option.name in ("data", "out", "resume", "devices"):
                 continue
-            value, default = config.get(option.name), option.default
-            # An option without a default is a number or null.
+            # An option may be younger than the run. One without a default is a number or null.
+            value, default = config.get(option.name, option.default), option.default
             types = (int, float, type(None)) if default is None else (type(default),)
             if type(value) not in types:
+                like = "a number" if default is None else f"like {default!r}"
                 raise InvalidInputError(
-                    f"{self.out / 'config.json'}: {option.name} must be like "
-                    f"{default!r}, found {value!r}"
+                    f"{self.out / 'config.json'}: {option.name} must be {like}, found {value!r}"
                 )
             options[option.name] = value
         return Train(data=self.data, out=self.out, **options)
-
-
-def _check_edge_types(options: Train) -> None:
-    """Raises `InvalidInputError` where the model has no number of types to choose."""
-    from contactgraph.data import InvalidInputError
-
-    if options.edge_types is None:
-        return
-    if options.model != "filter" and ":" not in options.model:
-        raise InvalidInputError(
-            f"--edge-types: {options.model} has no types to choose; it is for --model filter, "
-            f"found {options.edge_types}"
-        )
 
 
 def _warn(text: str) -> None:
