@@ -1,5 +1,6 @@
 """The hidden Markov filter of an edge: its transitions, Bayes' rule over three types, its clock."""
 
+import dataclasses
 import itertools
 
 import equinox as eqx
@@ -25,6 +26,7 @@ from contactgraph.model import (
     hidden_markov_filter,
 )
 from contactgraph.model.contact_belief import without_change
+from contactgraph.model.edge_inference import PriorEdges
 from contactgraph.model.motion_likelihood import posterior_by_motion
 
 LEAST = 2e-3
@@ -226,3 +228,21 @@ def test_the_order_of_nodes_does_not_matter() -> None:
     pairs = [tuple(sorted(order[pair])) for pair in pair_indices(5)]
     row = [list(map(tuple, pair_indices(5))).index(pair) for pair in pairs]
     np.testing.assert_allclose(one[2][np.array(row)], other[2], atol=1e-9)
+
+
+@pytest.mark.parametrize("inference", [None, PriorEdges(3, 2)])
+def test_a_predicted_belief_has_the_parts_of_the_first_one(inference) -> None:
+    """So that it can take its place in a loop, also with the inference replaced by the prior."""
+    model, position, velocity, nodes = model_and_state()
+    if inference is not None:
+        model = dataclasses.replace(model, inference=inference)
+
+    def both(position, velocity):
+        graph = model.encode(position, velocity, nodes)
+        return model.prior_belief(graph), model.predict_belief(model.prior_belief(graph), graph)
+
+    first, second = jax.eval_shape(both, position, velocity)
+    assert jax.tree.structure(first) == jax.tree.structure(second)
+    assert [leaf.shape for leaf in jax.tree.leaves(first)] == [
+        leaf.shape for leaf in jax.tree.leaves(second)
+    ]

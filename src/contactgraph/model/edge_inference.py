@@ -248,7 +248,7 @@ class PriorEdges(eqx.Module):
 
     edge_types: int = eqx.field(static=True, default=2)
     active_type: int = eqx.field(static=True, default=1)
-    memory_size: int = eqx.field(static=True, default=1)
+    carried_size: int = eqx.field(static=True, default=1)
     """Of a memory that stays 0. Without a memory the correction by motion would have its own."""
 
     def embed(
@@ -268,7 +268,7 @@ class PriorEdges(eqx.Module):
         active = jnp.sum(prior[:, 1:], axis=-1)
         types = jnp.zeros_like(prior).at[:, 0].set(prior[:, 0])
         types = types.at[:, self.active_type].set(active)
-        memory = jnp.zeros((prior.shape[0], self.memory_size), prior.dtype)
+        memory = jnp.zeros((prior.shape[0], self.carried_size), prior.dtype)
         return ContactBelief(types, belief.edge_id, memory)
 
 
