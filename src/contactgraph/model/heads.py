@@ -21,6 +21,8 @@ _MAX_COUPLING = 1.0 - 1e-3
 _IMPACT_SPEED = 0.1
 """Change of velocity, m/s, from about which a step counts as an impact."""
 _MIN_SHARE = 1e-6
+_EARLY = 0.01
+"""Approach in a step, in units of `CoupledHead.length`, of bodies that are about to touch."""
 _ONE_SIDED = 2e-4
 """Approach in a step, in units of `CoupledHead.length`, from which a touch acts."""
 
@@ -178,6 +180,10 @@ class CoupledHead(eqx.Module):
         out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
         weight = pushing = local.weight.T
         if len(weight) > 1:
+            # Bodies that come nearer and do not meet in the step: a contact predicted too early.
+            early = local.geometry.approach > _EARLY * self.length
+            early = early & (local.geometry.fraction_after_impact == 0.0)
+            weight = pushing = jnp.where(early, 0.0, weight)
             closing = jax.nn.sigmoid(local.geometry.approach / (_ONE_SIDED * self.length))
             weight = weight.at[0].multiply(closing)
             # The spring of a touch at rest has no force: bodies that lie side by side stay there.

@@ -186,8 +186,7 @@ def advance_steps(
         windows = drawn(draw_key, place_key)
         judged = None
         if filtered:
-            early_key = jax.random.fold_in(sample_key, 1)
-            judged = judge_steps(eqx.combine(params, static), windows, devices, early_key)
+            judged = judge_steps(eqx.combine(params, static), windows, devices)
         given = windows, judged
         (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, *given, sample_key)
         if with_rollout is not None:

@@ -22,8 +22,6 @@ from contactgraph.train.loss import (
 
 _JUDGED, _FILTERED = 32, 12
 """Trajectories that are judged at once, and those of them on which the filter is scored a step."""
-_APART = 1.02
-"""Least distance of bodies that do not touch, in contact distances."""
 _DISPLACEMENT = 0.01
 """Most displacement of nodes, in contact distances; standard deviation."""
 
@@ -47,13 +45,8 @@ def without_gradient(model: ContactDynamics) -> ContactDynamics:
     return eqx.combine(jax.lax.stop_gradient(arrays), others)
 
 
-def judge_steps(
-    model: ContactDynamics, windows: Window, devices: int = 1, key: PRNGKeyArray | None = None
-) -> JudgedSteps:
-    """The likelihood of the recorded motion of every step.
-
-    With a ``key`` the types of some edges whose bodies are about to touch are active too early.
-    """
+def judge_steps(model: ContactDynamics, windows: Window, devices: int = 1) -> JudgedSteps:
+    """The likelihood of the recorded motion of every step."""
     model = without_gradient(model)
     steps, noise = WindowSteps(model, windows, devices), motion_noise(model)
 
@@ -74,28 +67,8 @@ def judge_steps(
     sensitivity, unhindered = steps.each(linear, free, inactive, windows.control)
     graph = steps.encode(steps.displacement(sensitivity))
     ratio, types = steps.each(judge, graph, windows.control, steps.after)
-    if key is not None:
-        types = _with_early_types(model, graph, types, key)
     sensitivity, _ = steps.each(linear, graph, types, windows.control)
     return JudgedSteps(steps.displacement(sensitivity), ratio, types, unhindered)
-
-
-def _with_early_types(
-    model: ContactDynamics, graph: EncodedGraph, types: Float[Array, "B L E K"], key: PRNGKeyArray
-) -> Float[Array, "B L E K"]:
-    """Random active types for a third of the free edges of bodies that are apart but near.
-
-    A filter that predicts a contact may do so a step too early. So the dynamics learn that bodies
-    do not affect each other before they touch, which the types of the recorded motion never show.
-    """
-    geometry, touch = graph.geometry, model.features.contact_distance
-    apart = (geometry.distance > _APART * touch) & (geometry.closest_approach > touch)
-    coin_key, type_key = jax.random.split(key)
-    coin = jax.random.bernoulli(coin_key, 1.0 / 3.0, apart.shape)
-    chosen = apart & (graph.weight > 0) & (types[..., 0] > 0.5) & coin
-    active = jax.random.randint(type_key, apart.shape, 1, types.shape[-1])
-    early = jax.nn.one_hot(active, types.shape[-1], dtype=types.dtype)
-    return jnp.where(chosen[..., None], early, types)
 
 
 class JudgedTrajectories(eqx.Module):
