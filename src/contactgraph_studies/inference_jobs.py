@@ -20,7 +20,7 @@ PRIORS = tuple(
 """In the place of inference, with the same dynamics: whatever is near touches, or is held."""
 CONTROLLED = Variant("", "control")
 LOSING = Variant("lose-grasp", "control, half of the grasps lost", ("--lose-grasp", "0.5"))
-CROWDED = Variant("crowded", "control among 10 distractors", ("--distractors", "10"))
+TEN_DISTRACTORS = Variant("10-distractors", "control among 10 distractors", ("--distractors", "10"))
 
 HIDDEN = ("suction-hidden", "release", "delay", "sticky")
 """Tasks in which geometry does not tell the contact."""
@@ -79,4 +79,4 @@ def _of(world: World, amounts: WorldAmounts) -> Iterator[Measurement]:
         yield measured(FILTER, variant, seed, many.control(scenes, variant))
         if world.slug == "pickup":
             few = replace(training, world=replace(world, fast_control=False))
-            yield measured(FILTER, CROWDED, seed, few.control(scenes, CROWDED))
+            yield measured(FILTER, TEN_DISTRACTORS, seed, few.control(scenes, TEN_DISTRACTORS))

@@ -10,7 +10,6 @@ from contactgraph.viz import ReportMetric
 from contactgraph_studies.inference_jobs import (
     COMMANDED,
     CONTROLLED,
-    CROWDED,
     EXACT,
     FILTER,
     FIRST_FORM,
@@ -21,6 +20,7 @@ from contactgraph_studies.inference_jobs import (
     LYING,
     PRIORS,
     SHIPPED,
+    TEN_DISTRACTORS,
     InferenceCondition,
 )
 from contactgraph_studies.job import Variant
@@ -208,8 +208,11 @@ def _closed(numbers: InferenceNumbers, slug: str, task: str) -> Iterator[Require
         where, target = (_where(slug, LOSING),), Target(95.0, 100.0)
         yield Requirement("success, half of the grasps lost", task, success, target, where, False)
     if slug == "pickup":
-        step = numbers.statistic(slug, _STEP_MS, CROWDED)
-        what, where = "control step corrected by motion, 11 objects", (_where(slug, CROWDED),)
+        step = numbers.statistic(slug, _STEP_MS, TEN_DISTRACTORS)
+        what, where = (
+            "control step corrected by motion, 11 objects",
+            (_where(slug, TEN_DISTRACTORS),),
+        )
         yield Requirement(what, task, step, Target(3.0, 2.0), where)
 
 

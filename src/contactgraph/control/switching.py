@@ -98,9 +98,8 @@ class SwitchingILQR(ILQR):
         finalists = jax.tree.map(
             lambda one, other: jnp.concatenate([one, other]), jax.vmap(begun)(constant), best
         )
-        leaps = (jnp.arange(len(constant) + 1) > 0) & (
-            jnp.arange(len(constant) + 1) < len(constant)
-        )
+        finalist = jnp.arange(len(constant) + 1)
+        leaps = (finalist > 0) & (finalist < len(constant))
         made = jax.vmap(lambda each, leaps: planned(each, self.iterations, leaps))(finalists, leaps)
         chosen = jax.tree.map(lambda leaf: leaf[self._lowest(made, running)], made)
         rollouts = jnp.sum(trials.iterations) + jnp.sum(made.iterations)

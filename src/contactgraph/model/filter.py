@@ -125,7 +125,7 @@ def filter_trajectory(
 
     ``trajectory`` has no batch axis; contacts that are NaN, or left out, correct nothing. A report
     that is late by ``sensor.delay`` steps corrects the belief about the step that it reports, from
-    which the belief is predicted anew. With a ``motion_noise`` the motion corrects it, too: see
+    which the belief is predicted again. With a ``motion_noise`` the motion corrects it, too: see
     `check_motion_model` for what that raises.
     """
 

@@ -89,19 +89,16 @@ class MotionNoise(eqx.Module):
         share = jnp.concatenate([jnp.zeros(1), self.type_share])[last]
         share = jnp.where(same, share, _UNIFORM)[:, None]
         base_x, base_v = self._base(dt)
-        difference_x, difference_v = (jnp.sum(each**2, axis=-1) for each in apart)
+        difference_x, difference_v = (_square(each, 0.0) for each in apart)
         variance_v = base_v + share**2 * difference_v
         variance_x = base_x + share**2 * (difference_x + dt**2 * difference_v)
-        error = jnp.sum((observed[0] - middle[0]) ** 2, axis=-1) / variance_x
-        error = error + jnp.sum((observed[1] - middle[1]) ** 2, axis=-1) / variance_v
-        likelihood = -0.5 * (self.tail + 2 * dimension) * jnp.log1p(error / self.tail)
+        likelihood = _log_density(observed, middle, variance_x, variance_v, self.tail)
         likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
         likelihood = jnp.where(exists & jnp.isfinite(likelihood), likelihood, 0.0)
         best = jnp.argmax(jnp.sum(likelihood, axis=-1))
-        contrast = jnp.sum((middle[0] - middle[0][best]) ** 2, axis=-1) / base_x
-        contrast = contrast + jnp.sum((middle[1] - middle[1][best]) ** 2, axis=-1) / base_v
-        relevance = 1.0 - dimension / jnp.maximum(contrast, dimension)
-        ratio = jnp.sum(relevance * (likelihood - likelihood[best]), axis=-1)
+        contrast = _square(middle[0], middle[0][best]) / base_x
+        contrast = contrast + _square(middle[1], middle[1][best]) / base_v
+        ratio = jnp.sum(_relevance(contrast, dimension) * (likelihood - likelihood[best]), axis=-1)
         return jnp.clip(ratio, -self.max_log_ratio, 0.0).reshape(types, types)
 
     def _without_change(
@@ -139,13 +136,10 @@ class MotionNoise(eqx.Module):
         dimension = observed[0].shape[-1]
 
         def log_likelihood(predicted: Motion) -> Float[Array, " N"]:
-            error = _square(observed[0], predicted[0]) / variance_x
-            error = error + _square(observed[1], predicted[1]) / variance_v
-            return -0.5 * (self.tail + 2 * dimension) * jnp.log1p(error / self.tail)
+            return _log_density(observed, predicted, variance_x, variance_v, self.tail)
 
         contrast = difference_x / base_x + difference_v / base_v
-        relevance = 1.0 - dimension / jnp.maximum(contrast, dimension)
-        ratio = relevance * (log_likelihood(one) - log_likelihood(other))
+        ratio = _relevance(contrast, dimension) * (log_likelihood(one) - log_likelihood(other))
         ratio = jnp.sum(jnp.where(exists, ratio, 0.0))
         return jnp.where(jnp.isfinite(ratio), ratio, 0.0)
 
@@ -214,11 +208,29 @@ class PredictionNoise(eqx.Module):
         effect_x, effect_v = (_square(*each) for each in zip(predicted, unhindered, strict=True))
         variance_x = self.position**2 + share * (effect_x + dt**2 * effect_v)
         variance_v = self.velocity**2 + share * effect_v
-        error = _square(observed[0], predicted[0]) / variance_x
-        error = error + _square(observed[1], predicted[1]) / variance_v
-        spread = 0.5 * (tail + 2 * dimension) * jnp.log1p(error / tail)
-        return spread + 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
+        spread = 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
+        return spread - _log_density(observed, predicted, variance_x, variance_v, tail)
 
 
-def _square(one: Float[Array, "N D"], other: Float[Array, "N D"]) -> Float[Array, " N"]:
+def _log_density(
+    observed: Motion,
+    predicted: Motion,
+    variance_x: Float[Array, "*K N"],
+    variance_v: Float[Array, "*K N"],
+    tail: float,
+) -> Float[Array, "*K N"]:
+    """Of Student's t, of every node; without its normalization, which the variances determine."""
+    error = _square(observed[0], predicted[0]) / variance_x
+    error = error + _square(observed[1], predicted[1]) / variance_v
+    return -0.5 * (tail + 2 * observed[0].shape[-1]) * jnp.log1p(error / tail)
+
+
+def _relevance(contrast: Float[Array, "*K N"], dimension: int) -> Float[Array, "*K N"]:
+    """0 where two predictions differ by no more than the noise: see `MotionNoise`."""
+    return 1.0 - dimension / jnp.maximum(contrast, dimension)
+
+
+def _square(
+    one: Float[Array, "*K N D"], other: Float[Array, "*K N D"] | float
+) -> Float[Array, "*K N"]:
     return jnp.sum((one - other) ** 2, axis=-1)

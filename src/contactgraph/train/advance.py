@@ -13,12 +13,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.features import InvariantFeatures
-from contactgraph.train.batch import (
-    BatchSplit,
-    Window,
-    WindowSource,
-    add_distractor,
-)
+from contactgraph.train.batch import BatchSplit, Window, WindowSource, add_distractor
 from contactgraph.train.config import TrainConfig
 from contactgraph.train.filter_loss import (
     DENIAL,
@@ -28,15 +23,11 @@ from contactgraph.train.filter_loss import (
 )
 from contactgraph.train.fit_state import FitState
 from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
-from contactgraph.train.judged_steps import (
-    JudgedSteps,
-    judge_steps,
-    judge_trajectories,
-)
+from contactgraph.train.judged_steps import JudgedSteps, judge_steps, judge_trajectories
 from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
 
 _PERIOD, _FILTER_STEPS = 25, 50
-"""Steps of the dynamics, after which others learn the filter from trajectories judged anew."""
+"""Steps of the dynamics, and those of the filter that follow on newly judged trajectories."""
 _CLEARANCE = 1.03
 """Least distance of a distractor, in learned contact distances."""
 _SHORTEST = 0.1

@@ -16,9 +16,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, correct
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
-from contactgraph.model.motion_likelihood import (
-    posterior_by_motion,
-)
+from contactgraph.model.motion_likelihood import posterior_by_motion
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.types import LinearDynamics
 from contactgraph.train.batch import Window
@@ -188,6 +186,18 @@ def _correcting(key: PRNGKeyArray, shape: tuple[int, ...]) -> Bool[Array, "B T"]
     return jax.lax.scan(step, first, jax.random.uniform(key, shape[::-1]))[1].T
 
 
+def predict_and_score(
+    model: ContactDynamics,
+    belief: ContactBelief,
+    graph: EncodedGraph,
+    ratio: Float[Array, "E K K"],
+) -> tuple[ContactBelief, Float[Array, "E K K"], Float[Array, " E"]]:
+    """`ContactDynamics.predict_joint`, and the negative log-likelihood of each edge's motion."""
+    predicted, joint = model.predict_joint(belief, graph)
+    score = -jax.nn.logsumexp(jnp.log(jnp.maximum(joint, _SMALLEST)) + ratio, axis=(1, 2))
+    return predicted, joint, score
+
+
 def _filtered(
     model: ContactDynamics,
     graph: EncodedGraph,
@@ -200,8 +210,7 @@ def _filtered(
 
     def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, Array]:
         graph, ratio, corrects, report = inputs
-        predicted, joint = model.predict_joint(belief, graph)
-        score = -jax.nn.logsumexp(jnp.log(jnp.maximum(joint, _SMALLEST)) + ratio, axis=(1, 2))
+        predicted, joint, score = predict_and_score(model, belief, graph, ratio)
         used = jnp.where(corrects, ratio, 0.0)
         posterior = posterior_by_motion(predicted, joint, used)
         if reports is not None:

@@ -16,9 +16,7 @@ from contactgraph.model.motion_likelihood import (
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.types import ModelState
 from contactgraph.train.batch import Window, WindowSource
-from contactgraph.train.loss import (
-    WindowSteps,
-)
+from contactgraph.train.loss import WindowSteps
 
 _JUDGED, _FILTERED = 32, 12
 """Trajectories that are judged at once, and those of them on which the filter is scored a step."""

@@ -15,10 +15,9 @@ from contactgraph.model.contact_belief import ContactBelief, ContactSensor, corr
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.filter import on_device
 from contactgraph.model.motion_likelihood import posterior_by_motion
-from contactgraph.model.motion_noise import MotionNoise
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import check_contacts
-from contactgraph.train.filter_loss import encoded_steps
+from contactgraph.train.filter_loss import encoded_steps, predict_and_score
 from contactgraph.train.judged_steps import judge_steps
 
 _LATEST = 3
@@ -29,14 +28,13 @@ _ITERATIONS, _SETTLED = 30, 1e-3
 """Most steps of expectation maximisation, and the relative change below which it ends."""
 _BATCH = 8
 """Trajectories in a compiled call."""
-_ERROR_FLOOR = MotionNoise().error_floor
 
 
-class JudgedSteps(eqx.Module):
+class ReportedSteps(eqx.Module):
     """The encoded steps of some trajectories, and what their motion says."""
 
     graph: EncodedGraph
-    ratio: Float[Array, "B T E K"]
+    ratio: Float[Array, "B T E K K"]
     contact: Float[Array, "B T+1 E"]
     real: Bool[Array, "B T"]
 
@@ -54,7 +52,7 @@ def estimate_sensor(model: ContactDynamics, dataset: Dataset) -> ContactSensor:
     return likeliest_sensor(model, list(_encoded(model, with_edge_labels(dataset))))
 
 
-def likeliest_sensor(model: ContactDynamics, parts: list[JudgedSteps]) -> ContactSensor:
+def likeliest_sensor(model: ContactDynamics, parts: list[ReportedSteps]) -> ContactSensor:
     """`estimate_sensor` from encoded steps."""
     kinds = (True, False) if model.inference.edge_types > 2 else (True,)
     found = [
@@ -65,7 +63,7 @@ def likeliest_sensor(model: ContactDynamics, parts: list[JudgedSteps]) -> Contac
     return max(found, key=lambda one: one[1])[0]
 
 
-def _encoded(model: ContactDynamics, dataset: Dataset) -> Iterator[JudgedSteps]:
+def _encoded(model: ContactDynamics, dataset: Dataset) -> Iterator[ReportedSteps]:
     batch = pad_trajectories(dataset)
     contact = batch.contact
     assert contact is not None
@@ -82,11 +80,11 @@ def _encoded(model: ContactDynamics, dataset: Dataset) -> Iterator[JudgedSteps]:
         windows = Window(taken.position, taken.velocity, taken.control, taken.nodes)
         graph, ratio = judged(model, windows)
         reports = jnp.asarray(contact[index], jnp.float32)
-        yield JudgedSteps(graph, ratio, reports, jnp.asarray(real))
+        yield ReportedSteps(graph, ratio, reports, jnp.asarray(real))
 
 
 def _settled(
-    model: ContactDynamics, parts: list[JudgedSteps], sensor: ContactSensor
+    model: ContactDynamics, parts: list[ReportedSteps], sensor: ContactSensor
 ) -> tuple[ContactSensor, float]:
     """The sensor with the rates at which the iteration settles, and its log-likelihood."""
     rates, likelihood = np.asarray((sensor.false_alarm, sensor.miss)), -np.inf
@@ -108,7 +106,7 @@ def _settled(
 @eqx.filter_jit
 def _expected(
     model: ContactDynamics,
-    steps: JudgedSteps,
+    steps: ReportedSteps,
     rates: Float[Array, " 2"],
     delay: Int[Array, ""],
     reports_touch: bool,
@@ -131,7 +129,7 @@ def _expected(
     ) -> tuple[Array, Array]:
         def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, tuple[Array, Array]]:
             graph, ratio, report, compared = inputs
-            predicted, joint = model.predict_joint(belief, graph)
+            predicted, joint, score = predict_and_score(model, belief, graph, ratio)
             by_motion = posterior_by_motion(predicted, joint, ratio)
             after = correct(by_motion, report, assumed)
             counted = compared & (graph.weight > 0) & jnp.isfinite(report)
@@ -143,9 +141,7 @@ def _expected(
             p = assumed.contact_probability(by_motion)
             if_contact = jnp.where(said > 0.5, 1.0 - assumed.miss, assumed.miss)
             if_none = jnp.where(said > 0.5, assumed.false_alarm, 1.0 - assumed.false_alarm)
-            likelihood = jnp.log(p * if_contact + (1.0 - p) * if_none)
-            pairs = jnp.maximum(joint, 1e-6)
-            likelihood = likelihood + jax.nn.logsumexp(jnp.log(pairs) + ratio, axis=(1, 2))
+            likelihood = jnp.log(p * if_contact + (1.0 - p) * if_none) - score
             return after, (
                 jnp.stack([wrong, total]),
                 jnp.sum(jnp.where(counted, likelihood, 0.0)),
