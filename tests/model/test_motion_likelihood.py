@@ -202,3 +202,31 @@ def test_arguments() -> None:
         MotionNoise(model_position=0.0)
     with pytest.raises(InvalidInputError, match=r"must be a ContactDynamics.*found Keeps"):
         check_motion_model(Keeps())
+
+
+@pytest.mark.parametrize(("part", "likeliest"), [(0.0, (0, 0)), (0.5, (0, 1)), (1.0, (1, 1))])
+def test_pairs_of_types_by_hand(part, likeliest) -> None:
+    """A node that stays where it is free and moves where it is held, and what it did in part."""
+    position, velocity = np.array([0.0, 0.05]), np.array([0.0, 1.0])
+    noise = MotionNoise(
+        model_position=1e-3, model_velocity=2e-2, type_share=jnp.array([0.1]), max_log_ratio=1e3
+    )
+    predictions = tuple(jnp.stack([each, 0 * each], -1)[:, None] for each in (position, velocity))
+    observed = tuple(part * each[1] for each in predictions)
+    found = noise.log_ratios(predictions, observed, jnp.ones(1, bool), 0.05)
+    expected = np.zeros((2, 2))
+    for first, last in np.ndindex(2, 2):
+        share = 12.0**-0.5 if first != last else 0.1 * last
+        variance_v = 2e-2**2 + share**2
+        variance_x = 1e-3**2 + share**2 * (0.05**2 + 0.05**2)
+        middle = 0.5 * (first + last)
+        error = (0.05 * (part - middle)) ** 2 / variance_x + (part - middle) ** 2 / variance_v
+        expected[first, last] = -4.0 * np.log1p(error / 4.0) - np.log(variance_x * variance_v)
+    best = np.unravel_index(np.argmax(expected), (2, 2))
+    assert {tuple(best)} <= {likeliest, likeliest[::-1]}
+    for first, last in np.ndindex(2, 2):
+        away = 0.5 * (first + last) - 0.5 * sum(best)
+        contrast = away**2 * (0.05**2 / 1e-3**2 + 1.0 / 2e-2**2)
+        relevance = 1.0 - 2.0 / max(contrast, 2.0)
+        by_hand = relevance * (expected[first, last] - expected[best])
+        assert float(found[first, last]) == pytest.approx(by_hand, rel=1e-4, abs=1e-4)

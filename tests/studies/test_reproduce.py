@@ -179,6 +179,10 @@ def test_without_pandas(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "pandas", None)
     for name in [name for name in sys.modules if name.startswith("contactgraph_studies.")]:
+        # Its package's attribute is put back in the end, too: the command imports the module again.
+        package, _, child = name.rpartition(".")
+        monkeypatch.setattr(sys.modules[package], child, sys.modules[name], raising=False)
+    for name in [name for name in sys.modules if name.startswith("contactgraph_studies.")]:
         monkeypatch.delitem(sys.modules, name)
     assert cli.run(["reproduce", "door", "--quick"]) == 2
     assert capsys.readouterr().err == (

@@ -5,7 +5,6 @@ import io
 import json
 import sys
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -299,14 +298,10 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a study of two worlds, whose commands only pretend to work."""
     (tmp_path / "values.json").write_text(json.dumps({**EVALUATION, **CONTROL}))
     monkeypatch.chdir(tmp_path)
-    # Not by a path of attributes: a test that imports the package again leaves other modules there.
-    runner = import_module("contactgraph_studies.runner")
-    monkeypatch.setattr(runner, "create_worker", FakeWorker(tmp_path).create)
+    monkeypatch.setattr("contactgraph_studies.runner.create_worker", FakeWorker(tmp_path).create)
     study = WorldStudy(QUICK_WORLDS, (PICKUP, WATCHED, ABSENT))
     studies = {"worlds": study, "door": ModelStudy((DOOR,), QUICK)}
-    monkeypatch.setattr(
-        import_module("contactgraph_studies.reproduce"), "_studies", lambda quick: studies
-    )
+    monkeypatch.setattr("contactgraph_studies.reproduce._studies", lambda quick: studies)
     return tmp_path
 
 

@@ -18,7 +18,7 @@ from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import random_reports
 from contactgraph.train.filter_loss import _denial_score, filter_loss
 from contactgraph.train.judged_steps import judge_steps
-from contactgraph.train.sensor_estimate import JudgedSteps, likeliest_sensor
+from contactgraph.train.sensor_estimate import ReportedSteps, likeliest_sensor
 
 MODEL = hidden_markov_filter(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(0))
 KEY = jax.random.key(1)
@@ -92,7 +92,7 @@ def test_contacts_change_beliefs_and_nothing_but_the_inference_learns_from_them(
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slope))
 
 
-def synthetic(sensor: ContactSensor, edge_seed: int = 0) -> JudgedSteps:
+def synthetic(sensor: ContactSensor, edge_seed: int = 0) -> ReportedSteps:
     """Bodies that the prior knows to touch or not, and reports of them by this sensor."""
     contact = labels(edge_seed, (8, 201, 1))
     apart = np.where(contact[..., 0] > 0.5, 0.08, 0.12)  # free, but within the cutoff
@@ -109,7 +109,7 @@ def synthetic(sensor: ContactSensor, edge_seed: int = 0) -> JudgedSteps:
     read = np.where(wrong, 1.0 - contact, contact).astype(np.float32)
     late = np.pad(read, ((0, 0), (sensor.delay, 0), (0, 0)))[:, : read.shape[1]]
     ratio = jnp.zeros((8, 200, 1, 3, 3))
-    return JudgedSteps(graph, ratio, jnp.asarray(late), jnp.ones((8, 200), bool))
+    return ReportedSteps(graph, ratio, jnp.asarray(late), jnp.ones((8, 200), bool))
 
 
 def test_rates_and_delay_are_recovered() -> None:
