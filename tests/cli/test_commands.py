@@ -27,6 +27,7 @@ from contactgraph.envs import PickupExpert
 from contactgraph.evaluate import closed_loop_metrics, collect, forgetting
 from contactgraph.model import ContactSensor, ModelConfig, gim_temp, shipped_model
 from contactgraph.model.io import describe_model, load_model, save_model
+from contactgraph.viz.metric_table import short
 
 OPEN_LOOP = {
     "constant_velocity_rmse_moving_m",
@@ -341,9 +342,10 @@ def test_report(
     monkeypatch.setattr("contactgraph.cli.tasks.known_task", lambda name: task)
     monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
     page = tmp_path / "report" / "index.html"
-    done("report", "pickup", "--test-runs", 1, "--episodes", 2, "--out", page)
+    options = ("--test-runs", 1, "--episodes", 2, "--beside", "pickup", "pickup")
+    done("report", "pickup", *options, "--out", page)
     assert f"the report: {page}" in capsys.readouterr().out
-    (open_loop,) = (page.parent / "cells").glob("evaluate-*.json")
+    (open_loop,) = (page.parent / "cells").glob("evaluate-as-*.json")
     measured = json.loads(open_loop.read_text())
     numbers = json.loads((page.parent / "results.json").read_text())["numbers"]
     errors = {number["value"] for number in numbers if number["unit"] == "cm"}
@@ -352,6 +354,17 @@ def test_report(
     ahead = f"one step ahead, {task.conditions[0].name}"
     assert named[f"calibration error, {ahead}"] == pytest.approx(measured["calibration_error"])
     assert page.read_text(encoding="utf-8").count(f"<td>{ahead}</td>") == 3
+    shown = page.read_text(encoding="utf-8").partition('id="report-data">')[2].partition("<")[0]
+    mine, beside = json.loads(shown)["beliefs"]
+    assert mine == beside and mine["title"] == "pickup: gripper and target"
+    assert mine["truth"] == [
+        ["free", 0, mine["truth"][1][1]],
+        ["contact", mine["truth"][1][1], 200],
+    ]
+    assert mine["lines"][0]["states"] == mine["truth"], "measured without an error"
+    f1 = measured["edge_f1_now"], measured["edge_f1_now_unmeasured"]
+    for value in f1:
+        assert page.read_text(encoding="utf-8").count(f'"figure">{short(value)}</td>') >= 2
     table = (page.parent / "table.csv").read_text().splitlines()
     assert len(table) == 1 + len(numbers)
     assert "pickup" in page.read_text(encoding="utf-8")

@@ -144,6 +144,14 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a.h5 --out run --contact-distance inf", "--contact-distance must be positive met"),
         ("evaluate nobody a.h5", "nobody: no such run folder or model file; models that ship are"),
         ("evaluate . a.h5", ".: has no model.safetensors; it must be a folder that train has made"),
+        (
+            "report pickup --beside nobody pickup",
+            "nobody: no such run folder or model file; models",
+        ),
+        (
+            "report pickup --beside pickup juggling",
+            "task must be one of pickup, multi-pickup, door",
+        ),
         ("control nobody pickup", "nobody: no such run folder or model file; models that ship are"),
         (
             "control nobody juggling",

@@ -10,6 +10,7 @@ import numpy as np
 
 from contactgraph.data import Scene, Trajectory
 from contactgraph.viz import (
+    BeliefTimeline,
     LossCurve,
     NStepError,
     ReliabilityCurve,
@@ -147,6 +148,18 @@ def _parameters(held, touch, nodes, rng):
     return {name: np.stack([values, values], axis=-1) for name, values in parameters.items()}
 
 
+def _held_and_lost(recorded=True):
+    """A hold that ends while the bodies touch, which the uncorrected belief does not see."""
+    truth = np.repeat([0, 2, 1] if recorded else [0, 3, 3], (15, 25, 20))
+    hold = truth >= 2
+    beliefs = {"contacts and motion": 1.0 * hold, "motion alone": np.where(hold, 0.98, 0.05)}
+    beliefs["nothing"] = np.where(truth > 0, np.linspace(1.2, 0.55, 60).clip(0, 1), 0.02)
+    state = {name: np.where(each > 0.5, truth.max(), 0) for name, each in beliefs.items()}
+    scores = {name: (0.99, 0.015) for name in beliefs}
+    name = "release" if recorded else "pickup"
+    return BeliefTimeline(name, "gripper and object-0", DT, truth, beliefs, state, scores)
+
+
 def report(scenes=None):
     step = np.arange(0, 3001, 25.0)
     decay = np.exp(-step / 500.0)
@@ -210,6 +223,7 @@ def report(scenes=None):
         )
         if scenes is None
         else scenes,
+        beliefs=(_held_and_lost(), _held_and_lost(recorded=False)),
         errors=tuple(errors),
         horizon_s=0.5,
         reliability=tuple(

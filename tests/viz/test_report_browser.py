@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import shutil
 import subprocess
@@ -12,6 +13,7 @@ from contactgraph.viz.report import page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 GRIPPER = np.array([0x1B, 0x66, 0xA8])
+TOUCH = np.array([0x76, 0x50, 0xA3])
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="needs the chromium browser"),
@@ -67,6 +69,15 @@ def test_browser_draws_the_bodies_without_a_complaint(tmp_path, data):
     picture, said = screenshot(tmp_path, data)
     assert said == []
     assert pixels_of(picture[:, :480], GRIPPER) > 150, "the gripper's ring and trail"
+
+
+def test_browser_draws_inferred_types_beside_the_true_ones(tmp_path, data):
+    """One strip of eight has a touch, the true one of the first edge; it is a third of it."""
+    picture, said = screenshot(tmp_path, dataclasses.replace(data, scenes=()))
+    assert said == []
+    touch = np.abs(picture - TOUCH).sum(axis=-1) < 12
+    rows = np.flatnonzero(touch[:, 600:].sum(axis=1) > 200)
+    assert len(rows) == rows[-1] - rows[0] + 1 == 13
 
 
 def test_browser_draws_a_lone_body(tmp_path, scene):

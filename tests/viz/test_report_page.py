@@ -10,6 +10,7 @@ from synthetic_pickup import changed
 
 from contactgraph.data import InvalidInputError, Scene, Trajectory
 from contactgraph.viz import (
+    BeliefTimeline,
     NStepError,
     ReliabilityCurve,
     ReportData,
@@ -113,6 +114,8 @@ def test_the_page_knows_the_task_bodies(data, scene):
 
 def test_hostile_text_stays_text(scene):
     names = tuple(f"{name}{HOSTILE}" for name in scene.node_name)
+    free = np.zeros(3, int)
+    both = {HOSTILE: free, f"{HOSTILE}2": free}
     hostile = changed(scene, name=HOSTILE, node_name=names, node_type=names)
     text = page(
         ReportData(
@@ -120,6 +123,7 @@ def test_hostile_text_stays_text(scene):
             summary=HOSTILE,
             metrics=(ReportMetric(HOSTILE, 1.0, HOSTILE, (0, 1), command=HOSTILE, tile=True),),
             scenes=(hostile,),
+            beliefs=(BeliefTimeline(HOSTILE, HOSTILE, 0.1, free, both, both),),
             errors=(NStepError(HOSTILE, HOSTILE, 0.01),),
             reliability=(ReliabilityCurve(HOSTILE, HOSTILE, ((3, 0.1, 0.0),), 0.1),),
             versions={HOSTILE: HOSTILE},

@@ -1,14 +1,24 @@
 """The report of one model: measured numbers beside their targets, and the page that shows them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from contactgraph.cli.models import in_steps_of, motion_evidence, stored_model
 from contactgraph.cli.task_types import KnownTask, Target, TestCondition
+from contactgraph.data import read_trajectories
 from contactgraph.model.io import ModelSummary
-from contactgraph.viz import LossCurve, NStepError, ReliabilityCurve, ReportMetric
+from contactgraph.viz import (
+    BeliefTimeline,
+    LossCurve,
+    NStepError,
+    ReliabilityCurve,
+    ReportMetric,
+    belief_timeline,
+)
 
 
 @dataclass(frozen=True)
@@ -155,6 +165,30 @@ def reliability_curves(result: ConditionResult) -> list[ReliabilityCurve]:
         for beliefs, source in _SOURCES.items()
         if (bins := loop.get(f"reliability{ahead}{beliefs}"))
     ]
+
+
+def inferred_beliefs(
+    model_name: str, name: str, data: Path, open_loop: Mapping[str, Any]
+) -> BeliefTimeline | None:
+    """Beliefs over time about one edge of a recorded file, with the scores of all edges in it.
+
+    ``model_name`` is a ``MODEL`` argument, ``name`` that of the trajectories, and ``open_loop`` the
+    JSON of ``contactgraph evaluate`` for the file. None where no edge changes.
+    """
+    model = stored_model(model_name)
+    dataset = in_steps_of(model, read_trajectories(data), str(data))
+    timeline = belief_timeline(model, dataset, name, motion_evidence(model, False, False))
+    if timeline is None:
+        return None
+    endings = {source: ending for ending, source in _SOURCES.items()} | {"contacts": ""}
+    scores = {
+        source: (
+            open_loop[f"edge_f1_now{endings[source]}"],
+            open_loop[f"n_step_rmse_moving{endings[source]}_m"],
+        )
+        for source in timeline.belief
+    }
+    return replace(timeline, scores=scores)
 
 
 def loss_curves(history: Sequence[Mapping[str, float]]) -> list[LossCurve]:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from contactgraph.cli.task_types import KnownTask, TestCondition
     from contactgraph.evaluate import EpisodeRecord
     from contactgraph.model.io import ModelSummary
-    from contactgraph.viz import SceneTrajectory
+    from contactgraph.viz import BeliefTimeline, SceneTrajectory
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Report:
 
     model: ModelArgument
     task: str = "pickup"
-    """The task to test it on: pickup, multi-pickup, door or franka."""
+    """The task to test it on, e.g. pickup or release."""
     out: Annotated[
         Path | None,
         arg(
@@ -41,6 +41,10 @@ class Report:
     """Closed-loop episodes per test condition."""
     seed: int = 1000
     """Seed of the test scenes."""
+    beside: Annotated[
+        tuple[str, str] | None, arg(metavar="MODEL TASK", help_behavior_hint="(optional)")
+    ] = None
+    """Another model and its task, whose inference is shown beside."""
 
     def run(self) -> None:
         """Test, and write the page."""
@@ -52,6 +56,9 @@ class Report:
 
         if self.test_runs < 1:
             raise InvalidInputError(f"--test-runs must be at least 1, found {self.test_runs}")
+        if self.beside is not None:
+            model_path(self.beside[0])
+            known_task(self.beside[1])
         page = self.out or (run_folder(self.model) or Path()) / "report" / "index.html"
         if page.parent.exists():
             check_writable(page)
@@ -59,16 +66,16 @@ class Report:
         cells = page.parent / "cells"
         cells.mkdir(parents=True, exist_ok=True)
         results = [self._test(cells, condition) for condition in task.conditions]
-        self._write(page, task, summary, results)
+        timelines = self._timelines(cells, results[0])
+        self._write(page, task, summary, results, timelines)
 
     def _test(self, folder: Path, condition: "TestCondition") -> "ConditionResult":
         """Runs the commands of one test condition; their files stay in the folder."""
         from contactgraph.cli.model_report import ConditionResult
 
         distractors, objects = condition.distractors, condition.objects
-        data = folder / f"test-{condition.slug}.h5"
+        data, open_loop = _files(folder, condition.slug)
         Collect(self.task, data, self.test_runs, self.seed, distractors, objects).run()
-        open_loop = folder / f"evaluate-{condition.slug}.json"
         Evaluate(self.model, data, open_loop).run()
         closed_loop = folder / f"control-{condition.slug}.json"
         Control(
@@ -91,12 +98,30 @@ class Report:
             f"--episodes {self.episodes} --seed {self.seed}{options}",
         )
 
+    def _timelines(self, folder: Path, result: "ConditionResult") -> "list[BeliefTimeline]":
+        """Beliefs of both models over time, each on scenes as in training, where there are any."""
+        from contactgraph.cli.model_report import inferred_beliefs
+        from contactgraph.cli.tasks import known_task
+
+        data, _ = _files(folder, result.condition.slug)
+        timelines = [inferred_beliefs(self.model, self.task, data, result.open_loop)]
+        if self.beside is not None:
+            model, task = self.beside
+            condition = known_task(task).conditions[0]
+            data, open_loop = _files(folder, f"beside-{condition.slug}")
+            objects = condition.objects
+            Collect(task, data, self.test_runs, self.seed, condition.distractors, objects).run()
+            Evaluate(model, data, open_loop).run()
+            timelines.append(inferred_beliefs(model, task, data, _read(open_loop)))
+        return [each for each in timelines if each is not None]
+
     def _write(
         self,
         page: Path,
         task: "KnownTask",
         summary: "ModelSummary",
         results: "list[ConditionResult]",
+        timelines: "list[BeliefTimeline]",
     ) -> None:
         """The page, and beside it the table (Markdown, CSV, JSON) and a figure of one scene."""
         from contactgraph.cli.model_report import (
@@ -112,6 +137,8 @@ class Report:
         from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
 
         command = f"contactgraph report {self.model} --task {self.task} --seed {self.seed}"
+        if self.beside is not None:
+            command += " --beside " + " ".join(self.beside)
         training = run_folder(self.model)
         metrics = report_metrics(task, results, summary)
         scenes = [self._scene(one.condition, task) for one in results]
@@ -121,6 +148,7 @@ class Report:
             "how they move then; iLQR-MPC uses it to do the same in new scenes.",
             metrics=metrics,
             scenes=tuple(scenes),
+            beliefs=tuple(timelines),
             errors=tuple(n_step_errors(results)),
             horizon_s=_HORIZON_S,
             reliability=tuple(reliability_curves(results[-1])),
@@ -173,6 +201,11 @@ class Report:
 _HORIZON_S = 0.5
 """Of the N-step errors."""
 _JSON_KEYS = ("unit", "value", "interval", "at_least", "aim", "reached", "command")
+
+
+def _files(folder: Path, slug: str) -> tuple[Path, Path]:
+    """The recorded trajectories of a test condition, and the measurements on them."""
+    return folder / f"test-{slug}.h5", folder / f"evaluate-{slug}.json"
 
 
 def _read(path: Path) -> dict[str, Any]:

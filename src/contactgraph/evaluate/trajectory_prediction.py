@@ -73,19 +73,20 @@ def predict_trajectory(
     The rollouts are a function of their own, so that they are compiled once with and without a
     ``motion_noise``, which only the filter knows.
     """
-    posterior, now, coming = _filtered(model, trajectory, sensor, motion_noise)
+    posterior, now, coming = filtered_beliefs(model, trajectory, sensor, motion_noise)
     unlabelled = trajectory._replace(contact=None)
     position, active, last = _rolled_out(model, unlabelled, posterior, starts, steps, sensor)
     return TrajectoryPrediction(position, active, last, now, coming)
 
 
 @eqx.filter_jit
-def _filtered(
+def filtered_beliefs(
     model: StepModel,
     trajectory: TrajectoryBatch[Array],
     sensor: ContactSensor,
     motion_noise: MotionNoise | None,
 ) -> tuple[ContactBelief, Array, Array]:
+    """The corrected beliefs, and `now_belief` and `next_belief` of a `TrajectoryPrediction`."""
     filtered = filter_trajectory(model, trajectory, sensor, motion_noise)
     edges = trajectory.nodes.candidate.shape[-1]
 

@@ -88,6 +88,23 @@ def figure(value: float | None) -> str:
     return _MISSING if value is None or not math.isfinite(value) else short(value)
 
 
+def beliefs_table(data: ReportData) -> str:
+    """The scores of all corrections of beliefs, of the tasks that have them; errors in cm."""
+    rows = [
+        f'<tr><td>{escape(timeline.name)}</td><th scope="row">{escape(source)}</th>'
+        f'<td class="figure">{figure(f1)}</td><td class="figure">{_centimetres(error)}</td></tr>'
+        for timeline in data.beliefs
+        for source, (f1, error) in timeline.scores.items()
+    ]
+    if not rows:
+        return ""
+    ahead = "" if data.horizon_s is None else f" {short(data.horizon_s)} s"
+    names = ("Task", "Corrected by", "F1 of all edges", f"Error{ahead} ahead, cm")
+    head = "".join(f'<th scope="col">{name}</th>' for name in names)
+    body = "".join(rows)
+    return f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+
+
 def errors_table(errors: tuple[NStepError, ...]) -> str:
     """The N-step errors as a table, an alternative to the chart; cm."""
     if not errors:

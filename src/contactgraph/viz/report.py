@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import itertools
 import json
 import math
 from html import escape
@@ -12,7 +13,15 @@ from string import Template
 import numpy as np
 
 from contactgraph.data import InvalidInputError, atomic_write
-from contactgraph.viz.markup import errors_table, footer, metrics_table, reliability_table, tiles
+from contactgraph.viz.edge_beliefs import EDGE_STATES, BeliefTimeline
+from contactgraph.viz.markup import (
+    beliefs_table,
+    errors_table,
+    footer,
+    metrics_table,
+    reliability_table,
+    tiles,
+)
 from contactgraph.viz.report_data import ReportData
 from contactgraph.viz.scene_trajectory import SceneTrajectory
 from contactgraph.viz.selection import (
@@ -38,6 +47,7 @@ _SCRIPTS = (
     "scene_turn.js",
     "time_plots.js",
     "time_panels.js",
+    "belief_chart.js",
     "error_chart.js",
     "reliability_chart.js",
     "loss_chart.js",
@@ -72,6 +82,7 @@ def page(data: ReportData) -> str:
         style=_asset("page.css"),
         tiles=tiles(data.metrics),
         scene=_asset("scene.html") if data.scenes else "",
+        beliefs=_section("beliefs.html", bool(data.beliefs), beliefs_table(data)),
         errors=_section("errors.html", bool(data.errors), errors_table(data.errors)),
         reliability=_section(
             "reliability.html", bool(data.reliability), reliability_table(data.reliability)
@@ -108,6 +119,7 @@ def embedded_json(data: ReportData) -> str:
     """The page's data. ``<``, ``>`` and ``&`` are escaped, so no text in it can end a script."""
     payload = {
         "scenes": [_scene(scene) for scene in data.scenes],
+        "beliefs": [_timeline(timeline) for timeline in data.beliefs],
         "horizon": _number(data.horizon_s),
         "errors": [
             {
@@ -181,6 +193,30 @@ def _scene(scene: SceneTrajectory) -> dict[str, object]:
         "involved": involved_nodes(scene),
         "grasp": grasp_step(scene),
     }
+
+
+def _timeline(timeline: BeliefTimeline) -> dict[str, object]:
+    return {
+        "title": f"{timeline.name}: {timeline.edge}",
+        "caption": timeline.caption,
+        "dt": timeline.dt,
+        "label": timeline.label_name,
+        "truth": _state_runs(timeline.truth),
+        "lines": [
+            {
+                "source": source,
+                "belief": _floats(belief),
+                "states": _state_runs(timeline.state[source]),
+            }
+            for source, belief in timeline.belief.items()
+        ],
+    }
+
+
+def _state_runs(states: np.ndarray) -> list[list[object]]:
+    """Intervals of steps in which a state ``states`` [T] lasts, ``[name, first, last + 1]``."""
+    bounds = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]
+    return [[EDGE_STATES[states[first]], first, end] for first, end in itertools.pairwise(bounds)]
 
 
 def _rows(values: np.ndarray) -> list[list[float] | None]:

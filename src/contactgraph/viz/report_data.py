@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contactgraph.data import InvalidInputError
+from contactgraph.viz.edge_beliefs import BeliefTimeline
 from contactgraph.viz.scene_trajectory import SceneTrajectory
 
 
@@ -113,6 +114,7 @@ class ReportData:
     """Prediction horizon of `errors`, s."""
     reliability: tuple[ReliabilityCurve, ...] = ()
     losses: tuple[LossCurve, ...] = ()
+    beliefs: tuple[BeliefTimeline, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     """Package or machine: version."""
     remake: tuple[str, ...] = ()

@@ -19,6 +19,7 @@ function decodeScene(raw) {
 }
 
 payload.scenes = payload.scenes.map(decodeScene);
+for (const { lines } of payload.beliefs) for (const line of lines) line.belief = floats(line.belief);
 for (const loss of payload.losses) {
   loss.step = floats(loss.step);
   loss.value = floats(loss.value);

@@ -96,6 +96,7 @@ function startWatching() {
 }
 
 if (payload.scenes.length) startWatching();
+startBeliefChart();
 startErrorChart();
 startReliabilityChart();
 startLossChart();
