@@ -7,21 +7,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import DT, nodes_of, preset
+from model_scenes import DT, compiled, nodes_of, preset, with_random_weights
 from motion_worlds import Keeps, in_a_row, observed_after, rigid_world
 
 from contactgraph.data import InvalidInputError
 from contactgraph.model import (
+    ModelConfig,
+    ModelState,
     MotionNoise,
     check_motion_model,
     contact_log_likelihood_ratio,
     correct_by_motion,
+    hidden_markov_filter,
     two_type_belief,
 )
 
 NOISE = MotionNoise()
 REST = jnp.zeros(2)
 PUSH = jnp.array([4.0, 0.0])  # N, along the row
+ONE = nodes_of(1)
 _judge = eqx.filter_jit(contact_log_likelihood_ratio)
 
 
@@ -174,6 +178,17 @@ def test_padding_changes_nothing() -> None:
     other = judged(padded, REST, more, nodes=nodes_of(2, 4))
     assert other.log_ratio[0] == pytest.approx(float(one.log_ratio[0]), rel=1e-5)
     assert np.all(other.log_ratio[1:] == 0)
+
+
+def test_a_single_body_has_no_edge_to_judge() -> None:
+    config = ModelConfig(2, 2, DT, width=4)
+    model = with_random_weights(lambda: hidden_markov_filter(config, key=jax.random.PRNGKey(0)))
+    position, velocity = jnp.zeros((1, 2)), jnp.ones((1, 2))
+    state = ModelState(position, velocity, compiled(model.initial_belief, position, velocity, ONE))
+    found = judged(state, PUSH, (position, velocity), model=model, nodes=ONE)
+    assert found.log_ratio.shape == (0,)
+    assert found.corrected.type_probability.shape == (0, 3)
+    assert found.corrected.memory.shape == found.predicted.memory.shape
 
 
 @pytest.mark.slow

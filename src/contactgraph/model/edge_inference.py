@@ -115,11 +115,11 @@ class TransitionEdges(eqx.Module):
         hidden = jax.vmap(self.cell)(jnp.concatenate([embedding, before], axis=-1), hidden)
         memory = jnp.concatenate([hidden, age], axis=-1)
         exceeded = jax.nn.sigmoid(4.0 * (age[..., None] - jnp.asarray(_AGES, age.dtype))).reshape(
-            len(age), -1
+            len(age), self.edge_types * len(_AGES)
         )
         known = jnp.concatenate([embedding, hidden, exceeded.astype(age.dtype)], axis=-1)
         rates = jax.vmap(self.rates)(known)
-        rates = rates.reshape(-1, self.edge_types, self.edge_types)
+        rates = rates.reshape(len(age), self.edge_types, self.edge_types)
         logits = jnp.log(jnp.maximum(prior, _MIN_PRIOR))[:, None, :] + rates
         transition = jax.nn.softmax(logits, axis=-1)
         likely = 1.0 - self.edge_types * self.min_transition

@@ -170,6 +170,8 @@ def edge_log_ratios(
         return jax.tree.map(lambda each: each[-1], motions)
 
     edge_types = joint.shape[-1]
+    if len(joint) == 0:  # a single body
+        return jnp.zeros(joint.shape, graph.weight.dtype)
 
     def judge(
         types: Float[Array, "E K"], edge: Int[Array, ""]
