@@ -14,7 +14,7 @@ import jax
 from contactgraph.data import Dataset, split_by_trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect, evaluate_open_loop
-from contactgraph.model import ModelConfig, gim_temp, save_model
+from contactgraph.model import ModelConfig, hidden_markov_filter, save_model
 from contactgraph.train import FitProgress, TrainConfig, fit, initial_state
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
@@ -29,7 +29,7 @@ print(f"recorded {len(recorded)} episodes of {steps} steps of {recorded.dt} s")
 
 # Training never reads contact labels. Without them it gives the same model, bit for bit.
 train, held_out = split_by_trajectory(strip_contacts(recorded), held_out_fraction=0.2, seed=0)
-model = gim_temp(
+model = hidden_markov_filter(
     ModelConfig(2, 2, recorded.dt, contact_distance=0.1, width=16), key=jax.random.key(0)
 )
 config = TrainConfig(

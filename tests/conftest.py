@@ -47,8 +47,12 @@ import jax  # noqa: E402  after the variables that it reads
 
 _MOST_MAPS = 20_000
 
-SHORT = ("--steps", "12", "--batch-size", "4", "--window-length", "3", "--rollout-from", "0.6")
-"""Options of the shared training: three checks, the rollout term from the last one on."""
+SHORT = (
+    *("--model", "gim-temp", "--steps", "12", "--batch-size", "4"),
+    *("--window-length", "3", "--rollout-from", "0.6"),
+)
+"""Options of the shared training: three checks, the rollout term from the last one on; a model that
+compiles in half the time of the default."""
 
 
 def pytest_configure(config: pytest.Config) -> None:

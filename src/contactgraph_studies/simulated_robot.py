@@ -110,7 +110,8 @@ class SimulatedRobotStudy(Study):
             "cells/model",
             (
                 *("train", training.extra_outputs[0], "--every", str(_MODEL_EVERY)),
-                *("--out", "cells/model", "--seed", str(_WEIGHTS_SEED)),
+                # The form that the published figures are of.
+                *("--out", "cells/model", "--model", "gim-temp", "--seed", str(_WEIGHTS_SEED)),
                 *amounts.training_options,
             ),
             "train",

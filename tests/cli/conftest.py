@@ -33,7 +33,8 @@ def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("trained") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("contactgraph.train.fit", fit)
-        assert cli.run(["train", str(recorded), "--out", str(path), "--steps", "12"]) == 0
+        options = ["--model", "gim-temp", "--steps", "12"]
+        assert cli.run(["train", str(recorded), "--out", str(path), *options]) == 0
     return path
 
 

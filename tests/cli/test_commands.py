@@ -93,7 +93,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str], arguments:
             "collect",
             "TASK --out --episodes --seed --distractors --objects --grasp --mixed --goal --expert",
         ),
-        ("train", "DATA --out --model --seed --resume gim-temp gim-non-temp no-gim full-ab"),
+        ("train", "DATA --out --model --seed --resume filter gim-temp gim-non-temp no-gim full-ab"),
         ("evaluate", "MODEL DATA --json"),
         (
             "control",

@@ -1,5 +1,6 @@
 """Ends of a training by the command: printed errors, warnings, and exit codes; `fit` is made up."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +32,8 @@ def ends(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 
 def trained(recorded: Path, tmp_path: Path) -> int:
-    return cli.run(["train", str(recorded), "--out", str(tmp_path / "run"), "--steps", "3"])
+    options = ["--model", "gim-temp", "--steps", "3"]
+    return cli.run(["train", str(recorded), "--out", str(tmp_path / "run"), *options])
 
 
 def test_errors_stand_beside_their_baselines(
@@ -53,6 +55,37 @@ def test_errors_stand_beside_their_baselines(
         f"model.safetensors: held-out error 12.500 cm, {baselines} over 8 steps; all steps done"
     )
     assert said[1] == ("trained for 9 s, compilation included; contact distance 0.085 m, learned")
+
+
+@pytest.mark.parametrize(
+    ("options", "model", "inference", "steps"),
+    [
+        ([], "filter", "TransitionEdges", 800),
+        (["--model", "gim-temp"], "gim-temp", "RecurrentEdges", 2000),
+    ],
+)
+def test_the_default_model_is_the_filter_and_steps_depend_on_the_model(
+    recorded: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+    model: str,
+    inference: str,
+    steps: int,
+) -> None:
+    given = []
+
+    def fit(state, train, held_out, config, on_check, devices):
+        given.append((type(state.model.inference).__name__, config.steps))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactgraph.train.fit", fit)
+    run = tmp_path / "run"
+    assert cli.run(["train", str(recorded), "--out", str(run), *options]) == 130
+    assert cli.run(["train", str(recorded), "--out", str(run), "--resume"]) == 130
+    assert given == [(inference, steps)] * 2
+    config = json.loads((run / "config.json").read_text())
+    assert (config["model"], config["steps"]) == (model, steps)
 
 
 @pytest.mark.parametrize("error", [0.375, 0.4, 0.6])

@@ -18,7 +18,10 @@ from contactgraph.cli import main as cli
 from contactgraph.model import ModelConfig, gim_temp
 from contactgraph.train import RunFolder, TrainConfig, initial_state, save_checkpoint
 
-SHORT = ("--steps", "12", "--batch-size", "4", "--window-length", "3", "--rollout-from", "0.6")
+SHORT = (
+    *("--model", "gim-temp", "--steps", "12", "--batch-size", "4"),
+    *("--window-length", "3", "--rollout-from", "0.6"),
+)
 """The options of the fixture `trained`."""
 
 MAIN = """

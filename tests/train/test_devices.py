@@ -53,7 +53,8 @@ def test_more_devices_than_there_are(
     there = len(jax.local_devices())
     for count in (0, there + 1):
         run = tmp_path / "run"
-        assert cli.run(["train", str(recorded), "--out", str(run), "--devices", str(count)]) == 2
+        options = ["--out", str(run), "--model", "gim-temp", "--devices", str(count)]
+        assert cli.run(["train", str(recorded), *options]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith("contactgraph: --devices must be one of 1")
         assert line.endswith(f"found {count}") and f"there are {there}" in line

@@ -172,7 +172,8 @@ def test_the_command_trains_on_no_held_out_trajectory(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("contactgraph.train.fit", spy)
-    assert cli.run(["train", str(recorded), "--out", str(tmp_path / "run")]) == 130
+    options = ["--out", str(tmp_path / "run"), "--model", "gim-temp"]
+    assert cli.run(["train", str(recorded), *options]) == 130
     train, held_out = ({run.position.tobytes() for run in part} for part in parts)
     assert (len(train), len(held_out)) == (17, 3)
     assert not train & held_out
@@ -287,9 +288,9 @@ def test_a_user_written_file_trains(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_short_training_learns(recorded: Path, fresh: Path, tmp_path: Path) -> None:
+def test_a_training_by_the_defaults_learns(recorded: Path, fresh: Path, tmp_path: Path) -> None:
     learned = tmp_path / "run"
-    assert cli.run(["train", str(recorded), "--out", str(learned), "--steps", "800"]) == 0
+    assert cli.run(["train", str(recorded), "--out", str(learned)]) == 0
     model = load_model(learned / "model.safetensors").model
     metrics = evaluate_open_loop(model, read_trajectories(fresh))
     assert metrics["n_step_rmse_m"] < 0.005
@@ -303,7 +304,8 @@ def test_a_short_training_learns(recorded: Path, fresh: Path, tmp_path: Path) ->
 def test_a_short_training_is_what_it_was(recorded: Path, tmp_path: Path) -> None:
     """Bands are wide: platforms round differently, and the difference grows over 300 steps."""
     trained = tmp_path / "run"
-    assert cli.run(["train", str(recorded), "--out", str(trained), "--steps", "300"]) == 0
+    options = ["--model", "gim-temp", "--steps", "300"]
+    assert cli.run(["train", str(recorded), "--out", str(trained), *options]) == 0
     golden = json.loads(GOLDEN.read_text())
     rows = RunFolder(trained).metrics()
     assert [row["step"] for row in rows] == [row["step"] for row in golden["checks"]]

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from contactgraph.train import HeldOutBaselines
 
 MODELS: dict[str, Preset] = {
-    "gim-temp": gim_temp,
     "filter": hidden_markov_filter,
+    "gim-temp": gim_temp,
     "gim-non-temp": gim_non_temp,
     "no-gim": no_gim,
     "full-ab": full_ab,

@@ -25,11 +25,10 @@ class Train:
         str,
         arg(
             metavar="NAME",
-            help="gim-temp, filter (experimental), gim-non-temp, no-gim, full-ab, paper-literal, "
-            "paper-literal-no-gim, or "
-            "module:factory.",
+            help="filter, gim-temp, gim-non-temp, no-gim, full-ab, paper-literal, "
+            "paper-literal-no-gim, or module:factory.",
         ),
-    ] = "gim-temp"
+    ] = "filter"
     edge_types: Annotated[
         int | None, arg(metavar="K", help_behavior_hint="(default: 3; only for filter)")
     ] = None
@@ -47,7 +46,7 @@ class Train:
     held_out: float = 0.15
     """Share of the trajectories kept from training, to choose the best model by."""
     steps: Annotated[
-        int | None, arg(metavar="INT", help_behavior_hint="(default: 2000; of filter 800)")
+        int | None, arg(metavar="INT", help_behavior_hint="(default: 800; of other models 2000)")
     ] = None
     """Optimiser steps; a filter takes twice as many of its own."""
     batch_size: int = 32
