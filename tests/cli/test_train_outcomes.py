@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import pytest
 
 from contactgraph.cli import main as cli
-from contactgraph.train import FitProgress, FitResult, FitStatus, HeldOutBaselines
+from contactgraph.train import FitProgress, FitResult, FitStatus, HeldOutBaselines, TrainConfig
 
 BASELINES = HeldOutBaselines(0.375, 0.5, moving=True)
 
@@ -60,7 +60,7 @@ def test_errors_stand_beside_their_baselines(
 @pytest.mark.parametrize(
     ("options", "model", "inference", "steps"),
     [
-        ([], "filter", "TransitionEdges", 800),
+        ([], "filter", "TransitionEdges", 750),
         (["--model", "gim-temp"], "gim-temp", "RecurrentEdges", 2000),
     ],
 )
@@ -84,6 +84,7 @@ def test_the_default_model_is_the_filter_and_steps_depend_on_the_model(
     assert cli.run(["train", str(recorded), "--out", str(run), *options]) == 130
     assert cli.run(["train", str(recorded), "--out", str(run), "--resume"]) == 130
     assert given == [(inference, steps)] * 2
+    assert steps % TrainConfig().check_every == 0, "a shorter last round is compiled once more"
     config = json.loads((run / "config.json").read_text())
     assert (config["model"], config["steps"]) == (model, steps)
 

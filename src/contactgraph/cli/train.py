@@ -46,7 +46,7 @@ class Train:
     held_out: float = 0.15
     """Share of the trajectories kept from training, to choose the best model by."""
     steps: Annotated[
-        int | None, arg(metavar="INT", help_behavior_hint="(default: 800; of other models 2000)")
+        int | None, arg(metavar="INT", help_behavior_hint="(default: 750; of other models 2000)")
     ] = None
     """Optimiser steps; a filter takes twice as many of its own."""
     batch_size: int = 32
@@ -128,7 +128,8 @@ class Train:
         if distance is not None and not (0 < distance < math.inf):
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
         if options.steps is None:
-            options = replace(options, steps=800 if options.model == "filter" else 2000)
+            # Multiples of `check_every`: a shorter last round would be a second program to compile.
+            options = replace(options, steps=750 if options.model == "filter" else 2000)
         build = model_preset(options.model)
         check_edge_types(options.model, options.edge_types)
         check_weight("--prior-weight", options.prior_weight)
