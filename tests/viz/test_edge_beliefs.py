@@ -1,5 +1,6 @@
 """Beliefs about one edge over time: its choice, its true states, and what the page says of it."""
 
+import importlib
 import json
 from types import SimpleNamespace
 
@@ -8,7 +9,13 @@ import pytest
 
 from contactgraph.data import Dataset, Scene, Trajectory, pair_indices
 from contactgraph.model import ContactBelief, ContactSensor
-from contactgraph.viz import BeliefTimeline, ReportData, belief_timeline, most_changed_edge
+from contactgraph.viz import (
+    BeliefTimeline,
+    ReportData,
+    belief_timeline,
+    most_changed_edge,
+    scene_trajectory,
+)
 from contactgraph.viz.edge_beliefs import EDGE_STATES
 from contactgraph.viz.report import embedded_json, page
 
@@ -80,7 +87,7 @@ def test_beliefs_are_those_of_the_edge_and_of_each_correction(monkeypatch, recor
         seen = np.nan_to_num(np.asarray(batch.contact), nan=0.25)
         touch = np.full_like(seen, 0.125 if noise else 0.0)
         types = np.stack([1.0 - 0.5 * seen - touch, touch, 0.5 * seen], axis=-1)
-        return ContactBelief(types), None, None
+        return ContactBelief(types), None, None, None
 
     monkeypatch.setattr("contactgraph.viz.edge_beliefs.filtered_beliefs", filtered)
     path = {(0, 2): [FREE, TOUCH, HOLD, HOLD, TOUCH, FREE]}
@@ -107,6 +114,25 @@ def test_beliefs_are_those_of_the_edge_and_of_each_correction(monkeypatch, recor
     given.clear()
     by_contacts = belief_timeline(SimpleNamespace(), dataset, "t", None)
     assert list(by_contacts.belief) == ["contacts", "nothing"]
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_a_scene_shows_the_belief_in_its_label(monkeypatch, recorded):
+    """In holding, where that is recorded: the labels then correct it, not the touches."""
+
+    def filtered(model, batch, sensor, noise):
+        types = np.broadcast_to([0.25, 0.5, 0.25], (*batch.contact.shape, 3))
+        assert sensor.reports_touch is not recorded
+        assert np.asarray(batch.contact)[:, EDGES[0, 2]].tolist() == (
+            [0, 0, 1, 1, 0, 0] if recorded else [0, 1, 1, 1, 1, 0]
+        )
+        return ContactBelief(types), ContactBelief(types), None, None
+
+    module = importlib.import_module("contactgraph.evaluate.model_diagnostics")
+    monkeypatch.setattr(module, "filtered_beliefs", filtered)
+    path = {(0, 2): [FREE, TOUCH, HOLD, HOLD, TOUCH, FREE]}
+    scene = scene_trajectory(SimpleNamespace(local_dynamics=None), "s", trajectory(path, recorded))
+    np.testing.assert_array_equal(scene.belief, np.full((5, 3), 0.25 if recorded else 0.75))
 
 
 def test_the_page_holds_runs_of_states_and_scores():

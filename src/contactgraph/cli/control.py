@@ -118,8 +118,11 @@ class Control:
     save: OutputFile = None
     """Write the episodes to this dataset file (HDF5)."""
 
-    def run(self) -> None:
-        """Run the episodes, write the files that are asked for, and print a summary."""
+    def run(self) -> "Callable[[str], SceneTrajectory]":
+        """Run the episodes, write the files that are asked for, and print a summary.
+
+        Returns a function that gives the first episode, with its plans, a name to draw it under.
+        """
         from contactgraph.cli.control_output import not_predicted
         from contactgraph.cli.models import motion_evidence, stored_model
         from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
@@ -146,8 +149,7 @@ class Control:
             lose_grasp=self.lose_grasp,
         )
         if self.model in _SCRIPTED:
-            self._write(self._by_policy(options), options)
-            return
+            return self._write(self._by_policy(options), options)
         horizon = known_task(self.task).horizon
         if self.cost is not None:
             horizon *= _LEARNED_COST_HORIZON
@@ -208,7 +210,7 @@ class Control:
             metrics.to_json(),
             lambda name: scene_trajectory(model, name, trajectories[0], first[0].plan),
         )
-        self._write(controlled, options)
+        return self._write(controlled, options)
 
     def _by_policy(self, options: "TaskOptions") -> _Controlled:
         """By a scripted policy, which predicts, plans and estimates nothing."""
@@ -249,7 +251,9 @@ class Control:
             lambda name: recorded_scene(name, trajectories[0]),
         )
 
-    def _write(self, controlled: _Controlled, options: "TaskOptions") -> None:
+    def _write(
+        self, controlled: _Controlled, options: "TaskOptions"
+    ) -> "Callable[[str], SceneTrajectory]":
         """The files that are asked for, and the summary."""
         from contactgraph.cli.control_output import print_summary
         from contactgraph.cli.output import write_json
@@ -265,3 +269,4 @@ class Control:
         values = {**controlled.settings, **controlled.predicted, **controlled.measured}
         write_json(self.json, {"run": self.model, **metadata, **values})
         print_summary(controlled.metrics, controlled.predicted)
+        return controlled.scene

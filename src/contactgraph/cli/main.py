@@ -33,7 +33,7 @@ from contactgraph.data import InvalidInputError
 class Command(Protocol):
     """A dataclass: its fields are the options, its docstring is the help text."""
 
-    def run(self) -> None:
+    def run(self) -> object:
         """Does what the command promises; raises `InvalidInputError` or `CommandError`."""
 
 

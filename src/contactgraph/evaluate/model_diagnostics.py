@@ -1,7 +1,7 @@
 """Diagnostics of a model: beliefs, parameters and growth along recorded trajectories."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import equinox as eqx
 import jax
@@ -18,7 +18,9 @@ from contactgraph.data import (
     pair_indices,
     with_edge_labels,
 )
+from contactgraph.evaluate.trajectory_prediction import filtered_beliefs
 from contactgraph.model import (
+    ContactBelief,
     ContactDynamics,
     ContactSensor,
     LinearDynamics,
@@ -28,7 +30,7 @@ from contactgraph.model import (
     rollout,
     stack_state,
 )
-from contactgraph.model.filter import check_fit, dtype_of, filter_trajectory, on_device
+from contactgraph.model.filter import check_fit, dtype_of, on_device
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.types import SpringMassDamper
 
@@ -40,7 +42,7 @@ class ModelDiagnostics:
     edges: np.ndarray
     """[E, 2] the nodes of each edge."""
     belief: np.ndarray
-    """[T, E] probability that each edge is active, predicted from state t."""
+    """[T, E] probability of what the sensor means by contact, predicted from state t."""
     parameters: SpringMassDamper | None
     """Each [T, N, D]. None where the model has no such parameters."""
 
@@ -56,31 +58,33 @@ def model_diagnostics(
     """Beliefs and parameters along a trajectory, each step predicted from its recorded state.
 
     ``measured``: whether recorded contacts correct the belief, as they do in closed loop, with the
-    errors of ``sensor``, by default the model's `default_sensor`.
+    errors of ``sensor``, by default the model's `default_sensor`. Contacts are `with_edge_labels`.
     Raises `InvalidInputError` where model and trajectory do not fit, or the trajectory has more
     nodes than ``node_capacity`` (default: no padding).
     """
     check_fit(model, trajectory.scene, trajectory.control_size, "the trajectory")
-    labelled = with_edge_labels(Dataset((trajectory,)))
+    recorded = Dataset((trajectory,))
+    labelled = with_edge_labels(recorded)
     batch = pad_trajectories(labelled, node_capacity, contacts=measured)
     count, edges = trajectory.scene.node_count, pair_indices(trajectory.scene.node_count)
-    sensor = default_sensor(model) if sensor is None else sensor
-    belief, parameters = _along(model, on_device(batch.at(0), dtype_of(model)), sensor)
-    if parameters is not None:
+    if sensor is None:
+        sensor = replace(default_sensor(model), reports_touch=labelled is recorded)
+    observed = on_device(batch.at(0), dtype_of(model))
+    posterior, prior, *_ = filtered_beliefs(model, observed, sensor, None)
+    parameters = None
+    if isinstance(model.local_dynamics, SpringMassDamperDynamics):
+        parameters = _parameters(model, observed, posterior)
         parameters = jax.tree.map(lambda leaf: np.asarray(leaf[:-1, :count]), parameters)
-    return ModelDiagnostics(edges, np.asarray(belief)[:-1, : len(edges)], parameters)
+    belief = np.asarray(sensor.contact_probability(prior))[:-1, : len(edges)]
+    return ModelDiagnostics(edges, belief, parameters)
 
 
 @eqx.filter_jit
-def _along(
-    model: ContactDynamics, trajectory: TrajectoryBatch[Array], sensor: ContactSensor
-) -> tuple[jax.Array, SpringMassDamper | None]:
-    filtered = filter_trajectory(model, trajectory, sensor)
-    parameters = None
-    if isinstance(model.local_dynamics, SpringMassDamperDynamics):
-        states = ModelState(trajectory.position, trajectory.velocity, filtered.posterior)
-        parameters = jax.vmap(lambda state: model.parameters(state, trajectory.nodes))(states)
-    return filtered.prior.probability, parameters
+def _parameters(
+    model: ContactDynamics, trajectory: TrajectoryBatch[Array], posterior: ContactBelief
+) -> SpringMassDamper:
+    states = ModelState(trajectory.position, trajectory.velocity, posterior)
+    return jax.vmap(lambda state: model.parameters(state, trajectory.nodes))(states)
 
 
 @dataclass(frozen=True)

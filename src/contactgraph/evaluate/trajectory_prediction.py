@@ -73,7 +73,7 @@ def predict_trajectory(
     The rollouts are a function of their own, so that they are compiled once with and without a
     ``motion_noise``, which only the filter knows.
     """
-    posterior, now, coming = filtered_beliefs(model, trajectory, sensor, motion_noise)
+    posterior, _, now, coming = filtered_beliefs(model, trajectory, sensor, motion_noise)
     unlabelled = trajectory._replace(contact=None)
     position, active, last = _rolled_out(model, unlabelled, posterior, starts, steps, sensor)
     return TrajectoryPrediction(position, active, last, now, coming)
@@ -85,8 +85,11 @@ def filtered_beliefs(
     trajectory: TrajectoryBatch[Array],
     sensor: ContactSensor,
     motion_noise: MotionNoise | None,
-) -> tuple[ContactBelief, Array, Array]:
-    """The corrected beliefs, and `now_belief` and `next_belief` of a `TrajectoryPrediction`."""
+) -> tuple[ContactBelief, ContactBelief, Array, Array]:
+    """Corrected and predicted beliefs, and a `TrajectoryPrediction`'s `now_` and `next_belief`.
+
+    It is compiled once for all pictures and numbers of trajectories of the same size.
+    """
     filtered = filter_trajectory(model, trajectory, sensor, motion_noise)
     edges = trajectory.nodes.candidate.shape[-1]
 
@@ -94,7 +97,7 @@ def filtered_beliefs(
         return contact_belief(model, belief, sensor, edges)
 
     beliefs = (jax.lax.map(believed, each) for each in (filtered.posterior, filtered.prior))
-    return filtered.posterior, *beliefs
+    return filtered.posterior, filtered.prior, *beliefs
 
 
 @eqx.filter_jit

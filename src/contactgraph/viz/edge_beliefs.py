@@ -125,7 +125,7 @@ def belief_timeline(
     corrections[_NOTHING] = unmeasured, None
     belief, state = {}, {}
     for source, (batch, noise) in corrections.items():
-        posterior, _, _ = filtered_beliefs(model, batch, sensor, noise)
+        posterior, *_ = filtered_beliefs(model, batch, sensor, noise)
         contacts = ContactBelief(posterior.type_probability[1 : trajectory.steps + 1, edge])
         belief[source] = np.asarray(sensor.contact_probability(contacts))
         state[source] = _likeliest(contacts, sensor.reports_touch)
