@@ -338,14 +338,17 @@ def test_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One test condition, with episodes of the expert; the numbers are those of the files."""
-    task = dataclasses.replace(known_task("pickup"), conditions=known_task("pickup").conditions[:1])
+    (first, extra, _) = known_task("pickup").conditions
+    assert extra.extra
+    task = dataclasses.replace(known_task("pickup"), conditions=(first, extra))
     monkeypatch.setattr("contactgraph.cli.tasks.known_task", lambda name: task)
     monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
     page = tmp_path / "report" / "index.html"
-    options = ("--test-runs", 1, "--episodes", 2, "--beside", "pickup", "pickup")
+    options = ("--test-runs", 1, "--episodes", 2, "--quick", "--beside", "pickup", "pickup")
     done("report", "pickup", *options, "--out", page)
     assert f"the report: {page}" in capsys.readouterr().out
-    (open_loop,) = (page.parent / "cells").glob("evaluate-as-*.json")
+    open_loop, beside = sorted((page.parent / "cells").glob("evaluate-*.json"))
+    assert (open_loop.stem, beside.stem) == ("evaluate-as-trained", "evaluate-beside-as-trained")
     measured = json.loads(open_loop.read_text())
     numbers = json.loads((page.parent / "results.json").read_text())["numbers"]
     errors = {number["value"] for number in numbers if number["unit"] == "cm"}
@@ -355,8 +358,8 @@ def test_report(
     assert named[f"calibration error, {ahead}"] == pytest.approx(measured["calibration_error"])
     assert page.read_text(encoding="utf-8").count(f"<td>{ahead}</td>") == 3
     shown = page.read_text(encoding="utf-8").partition('id="report-data">')[2].partition("<")[0]
-    mine, beside = json.loads(shown)["beliefs"]
-    assert mine == beside and mine["title"] == "pickup: gripper and target"
+    mine, other = json.loads(shown)["beliefs"]
+    assert mine == other and mine["title"] == "pickup: gripper and target"
     assert mine["truth"] == [
         ["free", 0, mine["truth"][1][1]],
         ["contact", mine["truth"][1][1], 200],

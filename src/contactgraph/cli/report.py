@@ -15,7 +15,6 @@ from contactgraph.cli.options import ModelArgument
 if TYPE_CHECKING:
     from contactgraph.cli.model_report import ConditionResult
     from contactgraph.cli.task_types import KnownTask, TestCondition
-    from contactgraph.evaluate import EpisodeRecord
     from contactgraph.model.io import ModelSummary
     from contactgraph.viz import BeliefTimeline, SceneTrajectory
 
@@ -45,6 +44,8 @@ class Report:
         tuple[str, str] | None, arg(metavar="MODEL TASK", help_behavior_hint="(optional)")
     ] = None
     """Another model and its task, whose inference is shown beside."""
+    quick: bool = False
+    """Leave out the test conditions that quick studies leave out."""
 
     def run(self) -> None:
         """Test, and write the page."""
@@ -65,12 +66,19 @@ class Report:
         task, summary = known_task(self.task), describe_model(model_path(self.model))
         cells = page.parent / "cells"
         cells.mkdir(parents=True, exist_ok=True)
-        results = [self._test(cells, condition) for condition in task.conditions]
+        conditions = [each for each in task.conditions if not (self.quick and each.extra)]
+        tested = [self._test(cells, condition) for condition in conditions]
+        results, scenes = [result for result, _ in tested], [scene for _, scene in tested]
         timelines = self._timelines(cells, results[0])
-        self._write(page, task, summary, results, timelines)
+        self._write(page, task, summary, results, scenes, timelines)
 
-    def _test(self, folder: Path, condition: "TestCondition") -> "ConditionResult":
-        """Runs the commands of one test condition; their files stay in the folder."""
+    def _test(
+        self, folder: Path, condition: "TestCondition"
+    ) -> "tuple[ConditionResult, SceneTrajectory]":
+        """Runs the commands of one test condition; their files stay in the folder.
+
+        Also returns the first closed-loop episode, with its plans.
+        """
         from contactgraph.cli.model_report import ConditionResult
 
         distractors, objects = condition.distractors, condition.objects
@@ -78,7 +86,7 @@ class Report:
         Collect(self.task, data, self.test_runs, self.seed, distractors, objects).run()
         Evaluate(self.model, data, open_loop).run()
         closed_loop = folder / f"control-{condition.slug}.json"
-        Control(
+        scene = Control(
             self.model,
             self.task,
             self.episodes,
@@ -89,7 +97,7 @@ class Report:
             save=folder / f"control-{condition.slug}.h5",
         ).run()
         options = " ".join(("", *condition.options))
-        return ConditionResult(
+        result = ConditionResult(
             condition=condition,
             open_loop=_read(open_loop),
             closed_loop=_read(closed_loop),
@@ -97,6 +105,7 @@ class Report:
             closed_loop_command=f"contactgraph control {self.model} {self.task} "
             f"--episodes {self.episodes} --seed {self.seed}{options}",
         )
+        return result, scene(condition.name)
 
     def _timelines(self, folder: Path, result: "ConditionResult") -> "list[BeliefTimeline]":
         """Beliefs of both models over time, each on scenes as in training, where there are any."""
@@ -121,6 +130,7 @@ class Report:
         task: "KnownTask",
         summary: "ModelSummary",
         results: "list[ConditionResult]",
+        scenes: "list[SceneTrajectory]",
         timelines: "list[BeliefTimeline]",
     ) -> None:
         """The page, and beside it the table (Markdown, CSV, JSON) and a figure of one scene."""
@@ -139,9 +149,10 @@ class Report:
         command = f"contactgraph report {self.model} --task {self.task} --seed {self.seed}"
         if self.beside is not None:
             command += " --beside " + " ".join(self.beside)
+        if self.quick:
+            command += " --quick"
         training = run_folder(self.model)
         metrics = report_metrics(task, results, summary)
-        scenes = [self._scene(one.condition, task) for one in results]
         data = ReportData(
             title=task.title,
             summary="A model learned from recorded trajectories of a gripper when bodies touch and "
@@ -176,26 +187,6 @@ class Report:
         )
         print(markdown_metrics(metrics))
         print(f"the report: {page}")
-
-    def _scene(self, condition: "TestCondition", task: "KnownTask") -> "SceneTrajectory":
-        """The first closed-loop episode of a condition, with its plans."""
-        from contactgraph.cli.models import stored_model
-        from contactgraph.cli.task_types import TaskOptions
-        from contactgraph.cli.tasks import task_factory
-        from contactgraph.evaluate import control_task
-        from contactgraph.viz import scene_trajectory
-
-        model = stored_model(self.model)
-        records: list[EpisodeRecord] = []
-        _, trajectories = control_task(
-            model,
-            task_factory(self.task, TaskOptions(condition.distractors, condition.objects)),
-            episodes=1,
-            seed=self.seed,
-            horizon=task.horizon,
-            on_episode=lambda _, record: records.append(record),
-        )
-        return scene_trajectory(model, condition.name, trajectories[0], records[0].plan)
 
 
 _HORIZON_S = 0.5
