@@ -52,7 +52,7 @@ from contactgraph.train import (
     load_checkpoint,
     save_checkpoint,
 )
-from contactgraph.train.advance import with_positive_distance
+from contactgraph.train.advance import in_lengths, with_positive_distance
 from contactgraph.train.batch import WindowSource
 from contactgraph.train.held_out import HeldOutWindows
 
@@ -257,8 +257,15 @@ def test_a_given_contact_distance_and_other_weights_are_not_bounded() -> None:
         ModelConfig(2, 2, 0.05, 0.02, learned_contact_distance=False), key=jax.random.key(0)
     )
     assert with_positive_distance(given) is given
+    assert in_lengths(given) is given
     model = first_state().model
     assert_bit_equal(with_positive_distance(model), model)
+    # A distance is updated in units of its first guess; the other weights as they were.
+    scaled = in_lengths(model)
+    distance, length = model.features.contact_distance, model.features.length
+    assert float(scaled.features.contact_distance) == pytest.approx(length * float(distance))
+    restored = eqx.tree_at(lambda each: each.features.contact_distance, scaled, distance)
+    assert_bit_equal(restored, model)
 
 
 @pytest.mark.slow

@@ -73,6 +73,19 @@ def with_positive_distance(model: ContactDynamics) -> ContactDynamics:
     return eqx.tree_at(lambda each: each.features.contact_distance, model, bounded)
 
 
+def in_lengths(updates: ContactDynamics) -> ContactDynamics:
+    """Updates of a learned contact distance in units of its first guess, not of metres.
+
+    Only impacts tell the distance. Beyond the way of a step from the true one it has no gradient,
+    and a few updates of millimetres led there, to stay.
+    """
+    features = updates.features
+    if not (isinstance(features, InvariantFeatures) and features.learned):
+        return updates
+    scaled = features.length * features.contact_distance
+    return eqx.tree_at(lambda each: each.features.contact_distance, updates, scaled)
+
+
 def _learn_filter(
     model: ContactDynamics,
     optimiser_state: optax.OptState,
@@ -189,6 +202,7 @@ def advance_steps(
                 lambda one, other: one + config.weights.rollout * other, gradient, slope
             )
         updates, optimiser_state = optimiser.update(gradient, optimiser_state, params)
+        updates = in_lengths(updates) if filtered else updates
         params = with_positive_distance(optax.apply_updates(params, updates))
         return (params, optimiser_state, key), terms
 
