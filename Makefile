@@ -1,4 +1,4 @@
-# make demo    from nothing to a report: environment, data, two trainings, closed loop, page
+# make demo    from nothing to a report: environment, data, training, tests, closed loop, page
 # make test    lint, format, types and the fast tests
 # make test-all   the slow tests too: trainings, studies, simulated robots
 # make bench   times on this machine, and one table of ours beside its peers, where `make peers` was
@@ -16,7 +16,9 @@ PACKAGE := $(VENV)/.installed
 DEVELOPMENT := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet --quiet
 DEMO := demo
-TASKS := pickup release
+DATA := $(DEMO)/release.h5
+RUN := $(DEMO)/run
+TRAINED := $(DEMO)/.trained
 REPORT := report/index.html
 
 .PHONY: help demo test test-all bench bench-quick peers clean
@@ -29,25 +31,26 @@ demo: $(REPORT)
 	@echo
 	@echo "The report is at $(abspath $(REPORT)); open it in a browser."
 
-# Tests on fresh scenes of pickup with 0 and 10 distractors: evaluate, then control. Then what both
-# models infer: on pickup geometry tells what is held, on release it does not. Then the page.
-$(REPORT): $(TASKS:%=$(DEMO)/%.trained)
-	@echo "== testing on fresh scenes"
+# Tests on fresh scenes: what the trained model infers on release, where geometry does not tell what
+# is held, beside the shipped model on pickup, where it does; and control of pickup, past 0 and 10
+# distractors. A second training, or tests on twice the scenes, would take a minute each.
+$(REPORT): $(TRAINED)
+	@echo "== testing on fresh scenes, beside the model of pickup that ships with the package"
 	@mkdir -p $(@D)
-	@$(BIN)/contactgraph report $(DEMO)/pickup --quick --beside $(DEMO)/release release --out $@
+	@$(BIN)/contactgraph report pickup --quick --test-runs 10 --episodes 10 \
+		--beside $(RUN) release --out $@
 
-# A stamp, because the model's file is there from the first checkpoint on. One training after the
-# other: both run the same program, which takes as long to compile as to run, and a copy is kept.
-$(TASKS:%=$(DEMO)/%.trained): $(DEMO)/%.trained: $(DEMO)/%.h5
-	@echo "== training on $*"
-	@rm -rf $(DEMO)/$*
-	@$(BIN)/contactgraph train $< --out $(DEMO)/$*
+# A stamp, because the model's file is there from the first checkpoint on.
+$(TRAINED): $(DATA)
+	@echo "== training on release"
+	@rm -rf $(RUN)
+	@$(BIN)/contactgraph train $(DATA) --out $(RUN)
 	@touch $@
 
-$(TASKS:%=$(DEMO)/%.h5): $(DEMO)/%.h5: | $(PACKAGE)
-	@echo "== recording 40 runs of $*"
+$(DATA): | $(PACKAGE)
+	@echo "== recording 40 runs of release"
 	@mkdir -p $(@D)
-	@$(BIN)/contactgraph collect $* --episodes 40 --seed 0 --out $@
+	@$(BIN)/contactgraph collect release --episodes 40 --seed 0 --out $@
 
 test: $(DEVELOPMENT)
 	$(BIN)/ruff check .
