@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from training import CONFIG, split
 
-from contactgraph.model import ModelConfig, Nodes, hidden_markov_filter
+from contactgraph.model import ContactBelief, ModelConfig, Nodes, hidden_markov_filter
 from contactgraph.train import FitProgress, FitStatus, fit, initial_state
 from contactgraph.train.batch import Window
 from contactgraph.train.filter_loss import (
@@ -20,7 +20,7 @@ from contactgraph.train.filter_loss import (
     encoded_steps,
     filter_loss,
 )
-from contactgraph.train.judged_steps import judge_steps
+from contactgraph.train.judged_steps import held_where_near, judge_steps
 
 DT, LEAST = 0.05, 2e-3
 MODEL = hidden_markov_filter(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
@@ -103,6 +103,15 @@ def test_motion_corrects_the_belief_before_a_held_out_window() -> None:
     found = jax.tree.map(np.asarray, eqx.filter_jit(corrected_beliefs)(MODEL, windows()))
     assert found.type_probability.shape == (2, 1, 3) and found.memory.shape == (2, 1, 8 + 3)
     assert found.type_probability[0, 0, 0] < 0.5 < found.type_probability[1, 0, 0]
+
+
+@pytest.mark.parametrize("types", [2, 3, 4])
+def test_near_bodies_are_held_until_they_are_judged(types) -> None:
+    active = np.array([[0.9], [0.4], [0.0]])
+    prior = np.hstack([1.0 - active, np.repeat(active / (types - 1), types - 1, axis=1)])
+    found = np.asarray(held_where_near(ContactBelief(jnp.asarray(prior))))
+    assert list(np.argmax(found, axis=1)) == [min(2, types - 1), 0, 0]
+    np.testing.assert_array_equal(found.sum(axis=1), 1.0)
 
 
 def test_corrections_come_in_segments() -> None:

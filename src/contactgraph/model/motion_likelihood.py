@@ -147,11 +147,13 @@ def edge_log_ratios(
     control: Float[Array, " U"],
     observed: Motion,
     noise: MotionNoise,
+    types: Float[Array, "E K"] | None = None,
 ) -> Float[Array, "E K K"]:
     """Log-likelihood of the motion with each edge of type i first and of type j in the end.
 
     Each is less that without the edge. ``graph`` is of ``state``, from which the step begins, and
-    ``joint`` the probability of the pairs of types: `ContactDynamics.predict_joint`. Edges that are
+    ``joint`` the probability of the pairs of types: `ContactDynamics.predict_joint`. The edges that
+    are not yet judged have ``types``, else the most probable ones. Edges that are
     farther than the nearest few, or beyond the cutoff, have 0.
     """
 
@@ -194,8 +196,9 @@ def edge_log_ratios(
         types, ratio = judge(types, edges[index])
         return index + 1, types, ratios.at[edges[index]].set(ratio.astype(ratios.dtype))
 
-    probable = most_probable(ContactBelief(jnp.sum(joint, axis=1)))
-    first = jnp.zeros((), int), probable, jnp.zeros(joint.shape, graph.weight.dtype)
+    if types is None:
+        types = most_probable(ContactBelief(jnp.sum(joint, axis=1)))
+    first = jnp.zeros((), int), types, jnp.zeros(joint.shape, graph.weight.dtype)
     return jax.lax.while_loop(lambda carry: carry[0] < count, judge_next, first)[2]
 
 

@@ -5,7 +5,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from contactgraph.model.contact_belief import ContactBelief, without_change
+from contactgraph.model.contact_belief import (
+    ContactBelief,
+    first_holding_type,
+    without_change,
+)
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.motion_likelihood import (
     edge_log_ratios,
@@ -43,6 +47,18 @@ def without_gradient(model: ContactDynamics) -> ContactDynamics:
     return eqx.combine(jax.lax.stop_gradient(arrays), others)
 
 
+def held_where_near(prior: ContactBelief) -> Float[Array, "E K"]:
+    """One-hot types of edges not judged yet: the first that holds, where contact is likely.
+
+    The prior does not tell touch from hold. Bodies that are held in a group move as they do
+    because of all its bonds: were the others taken for touches, each would seem to be one, and the
+    dynamics would learn masses with which that is true.
+    """
+    types = prior.type_probability.shape[-1]
+    index = jnp.where(prior.type_probability[..., 0] < 0.5, first_holding_type(types), 0)
+    return jax.nn.one_hot(index, types, dtype=prior.type_probability.dtype)
+
+
 def judge_steps(model: ContactDynamics, windows: Window, devices: int = 1) -> JudgedSteps:
     """The likelihood of the recorded motion of every step."""
     model = without_gradient(model)
@@ -52,7 +68,8 @@ def judge_steps(model: ContactDynamics, windows: Window, devices: int = 1) -> Ju
         prior = model.prior_belief(graph)
         state = ModelState(graph.position, graph.velocity, prior)
         joint = without_change(prior, noise.error_floor)
-        ratio = edge_log_ratios(model, graph, state, joint, control, after, noise)
+        first = held_where_near(prior)
+        ratio = edge_log_ratios(model, graph, state, joint, control, after, noise, first)
         return ratio, most_probable(posterior_by_motion(prior, joint, ratio))
 
     def linear(graph: EncodedGraph, types: Array, control: Array) -> tuple[Array, Motion]:
