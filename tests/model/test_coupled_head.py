@@ -92,7 +92,7 @@ def by_hand(head: CoupledHead, local: LocalInput, message, theta: float):
         mass=jnp.exp(5 * local.node_type @ head.log_mass),
         ground_damper=softplus(jax.vmap(head.ground)(local.node_features)[:, 0] - 6),
         damper=hold / (1 - hold),
-        spring=jnp.sum(weight * softplus(out[..., 1] - 6), axis=0),
+        spring=jnp.sum(weight * jnp.array([1, 0, 1])[:, None] * softplus(out[..., 1] - 6), axis=0),
         rest_length=jnp.sum(weight * softplus(out[..., 2]), axis=0) * LENGTH,
         displacing_fraction=(local.geometry.fraction_after_impact - theta) * (1.0 - weight[2]),
     )
@@ -265,3 +265,17 @@ def test_a_contact_that_is_predicted_too_early_has_no_effect(speed, acts) -> Non
     assert (abs(float(velocity[1, 0])) > 0.1) == acts
     if not acts:
         np.testing.assert_array_equal(velocity, local.velocity)
+
+
+def test_a_rigid_bond_at_rest_is_without_force_at_any_distance() -> None:
+    head, local, message = touching([0.0, 0.0])
+    position = local.position.at[1, 0].add(0.02)
+    geometry = jitted_geometry(
+        position, 0.0 * local.velocity, jnp.asarray(PAIRS).T, DT, 0.08, None, None
+    )
+    weight = local.weight[:, ::-1]  # it holds
+    local = dataclasses.replace(
+        local, position=position, velocity=0.0 * local.velocity, geometry=geometry, weight=weight
+    )
+    _, velocity = moved(parameters(head, local, message), local, [0.0, 0.0])
+    np.testing.assert_allclose(velocity, 0.0, atol=1e-12)

@@ -44,7 +44,7 @@ def edges(types: int, seed: int | None = None) -> TransitionEdges:
 
 
 def belief(*types: float) -> ContactBelief:
-    return ContactBelief(jnp.array([types]), None, jnp.zeros((1, 8 + len(types))))
+    return ContactBelief(jnp.array([types]), None, jnp.zeros((1, 1 + 8 + len(types))))
 
 
 def bounded(types: np.ndarray) -> np.ndarray:
@@ -144,6 +144,27 @@ def test_a_clock_runs_and_goes_from_list_to_list() -> None:
     np.testing.assert_array_equal(back.memory[4], every.memory[4])
     np.testing.assert_array_equal(back.memory[0], np.zeros(8))
     np.testing.assert_array_equal(back.type_probability[0], [1.0, 0.0, 0.0])
+
+
+def test_the_rates_know_for_how_long_nothing_was_observed() -> None:
+    inference = edges(2, seed=2)
+    last = inference.rates.layers[-1]
+    inference = eqx.tree_at(
+        lambda each: each.rates.layers[-1].weight, inference, 0.3 + 0.0 * last.weight
+    )
+    inference = eqx.tree_at(
+        lambda each: each.rates.layers[-1].bias, inference, 2.0 * jnp.eye(2).reshape(-1)
+    )
+    before = belief(0.2, 0.8)
+    seen = compiled(inference.predict, before, jnp.zeros((1, 8)), before.type_probability)
+    steps = np.asarray(seen.memory)[:, 0]
+    np.testing.assert_array_equal(steps, 1.0)
+    np.testing.assert_array_equal(seen.observed.memory[:, 0], 0.0)
+    np.testing.assert_array_equal(seen.observed.memory[:, 1:], seen.memory[:, 1:])
+    nothing = jnp.array([jnp.nan])
+    np.testing.assert_array_equal(
+        correct(seen, nothing, ContactSensor()).memory, seen.observed.memory
+    )
 
 
 def fresh(edge_types: int = 3) -> ContactDynamics:

@@ -79,7 +79,7 @@ def test_contacts_change_beliefs_and_nothing_but_the_inference_learns_from_them(
         judged = judge_steps(model, window)
 
         def loss(model):
-            return filter_loss(model, window, judged, mask, KEY, contact)
+            return filter_loss(model, window, judged, mask, mask, KEY, contact)
 
         return eqx.filter_value_and_grad(loss)(model)
 

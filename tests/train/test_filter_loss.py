@@ -14,13 +14,18 @@ from contactgraph.model import ContactBelief, ModelConfig, Nodes, hidden_markov_
 from contactgraph.train import FitProgress, FitStatus, fit, initial_state
 from contactgraph.train.batch import Window
 from contactgraph.train.filter_loss import (
-    _correcting,
     corrected_beliefs,
     dynamics_loss,
     encoded_steps,
     filter_loss,
 )
-from contactgraph.train.judged_steps import held_where_near, judge_steps
+from contactgraph.train.judged_steps import (
+    held_where_near,
+    judge_steps,
+    predict_unobserved,
+    random_segments,
+    without_gradient,
+)
 
 DT, LEAST = 0.05, 2e-3
 MODEL = hidden_markov_filter(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
@@ -42,6 +47,7 @@ def windows(length: int = 4) -> Window:
 
 
 STEPS = jnp.ones((2, 4), bool)
+OBSERVED = jnp.array([[True, False, False, True], [False, True, True, False]])
 
 
 @eqx.filter_jit
@@ -49,7 +55,7 @@ def both(model, given, mask):
     judged = judge_steps(model, given)
 
     def score(model):
-        return filter_loss(model, given, judged, mask, KEY)
+        return filter_loss(model, given, judged, mask, OBSERVED[:, : mask.shape[1]], KEY)
 
     value, slope = eqx.filter_value_and_grad(score)(model)
     return value, slope, encoded_steps(model, given, judged), judged.log_ratio
@@ -62,7 +68,7 @@ def test_the_score_is_the_likelihood_of_the_motion() -> None:
     weight = np.asarray(graph.weight)
     active = free[..., 1:] * weight[..., None]
     types = np.concatenate([1.0 - active.sum(axis=-1, keepdims=True), active], axis=-1)
-    corrects, before = np.asarray(_correcting(KEY, STEPS.shape)), np.asarray(graph.prior)[:, 0]
+    corrects, before = np.asarray(OBSERVED), np.asarray(graph.prior)[:, 0]
     score = np.zeros(weight.shape)
     for step in range(weight.shape[1]):
         # What a fresh filter predicts does not depend on the types before.
@@ -101,7 +107,7 @@ def test_the_dynamics_learn_from_the_types_of_the_very_step_and_the_inference_do
 
 def test_motion_corrects_the_belief_before_a_held_out_window() -> None:
     found = jax.tree.map(np.asarray, eqx.filter_jit(corrected_beliefs)(MODEL, windows()))
-    assert found.type_probability.shape == (2, 1, 3) and found.memory.shape == (2, 1, 8 + 3)
+    assert found.type_probability.shape == (2, 1, 3) and found.memory.shape == (2, 1, 1 + 8 + 3)
     assert found.type_probability[0, 0, 0] < 0.5 < found.type_probability[1, 0, 0]
 
 
@@ -114,11 +120,44 @@ def test_near_bodies_are_held_until_they_are_judged(types) -> None:
     np.testing.assert_array_equal(found.sum(axis=1), 1.0)
 
 
-def test_corrections_come_in_segments() -> None:
-    on = np.asarray(jax.jit(_correcting, static_argnums=1)(KEY, (200, 300)))
+def test_observations_come_in_segments() -> None:
+    on = np.asarray(jax.jit(random_segments, static_argnums=1)(KEY, (200, 300)))
     assert on.mean() == pytest.approx(0.4, abs=0.03)
     changes = (on[:, 1:] != on[:, :-1]).mean()
     assert changes == pytest.approx(2 * 0.4 * 0.15, abs=0.01)
+
+
+def test_states_that_are_not_observed_are_predicted() -> None:
+    """A gripper that was seen to run, and stopped in time, is predicted to take the body along."""
+    given = windows(length=6)
+    gripper = jnp.array([-0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    body = jnp.zeros((7, 2)).at[:, 0].set(0.135)
+    given = dataclasses.replace(
+        given,
+        position=given.position.at[0, :, 0, 0].set(gripper).at[0, :, 1].set(body),
+        velocity=given.velocity.at[0].set(0.0).at[0, :2, 0, 0].set(1.0),
+    )
+    observed = jnp.array([[True, False, False, False, True, True], [True] * 6])
+
+    @eqx.filter_jit
+    def found(model):
+        judged = judge_steps(model, given)
+        return judged, predict_unobserved(without_gradient(model), given, judged, observed)
+
+    judged, (window, rolled) = found(MODEL)
+    for name in ("position", "velocity"):
+        recorded, predicted = np.asarray(getattr(given, name)), np.asarray(getattr(window, name))
+        np.testing.assert_array_equal(predicted[1], recorded[1])
+        np.testing.assert_array_equal(predicted[0, [0, 1, 5, 6]], recorded[0, [0, 1, 5, 6]])
+    speed = np.linalg.norm(window.velocity[0, :, 1], axis=-1)
+    assert speed[2:5].max() > 0.2 and speed[[0, 1, 5]].max() == 0.0
+    # Evidence stays that of the recording, where bodies that were apart did not touch.
+    change = np.asarray(rolled.log_ratio - judged.log_ratio)
+    np.testing.assert_array_equal(change[1], 0.0)
+    np.testing.assert_array_equal(change[..., 0], 0.0)
+    begins = np.pad(observed[0], (1, 0), constant_values=True)[:-1]
+    assert (change[0, ~begins, 0, :, 1:] < -1.0).all()
+    np.testing.assert_array_equal(change[0, begins], 0.0)
 
 
 @pytest.mark.slow

@@ -25,8 +25,9 @@ class ContactBelief(eqx.Module):
     """`Edges.edge_id` where only some pairs are listed; all others are inactive with certainty.
     None: all pairs, in `pair_indices`' order."""
     memory: Float[Array, "*T E M"] | None = None
-    """State of the inference besides the types, such as a clock; 0 for an inactive edge that is not
-    listed. None: the inference has none."""
+    """State of the inference besides the types: first the number of steps since the bodies were
+    observed, then for example a clock. 0 for an inactive edge that is not listed. None: the
+    inference has none."""
 
     @property
     def probability(self) -> Float[Array, "*T E"]:
@@ -65,6 +66,14 @@ class ContactBelief(eqx.Module):
         if memory is not None:
             memory = moved(memory, jnp.zeros(memory.shape[-1], memory.dtype))
         return ContactBelief(moved(types, inactive), edge_id, memory)
+
+    @property
+    def observed(self) -> "ContactBelief":
+        """The same belief about bodies that have just been observed."""
+        memory = self.memory
+        if memory is not None:
+            memory = memory.at[..., 0].set(0.0)
+        return ContactBelief(self.type_probability, self.edge_id, memory)
 
 
 def first_holding_type(edge_types: int) -> int:
@@ -150,10 +159,11 @@ def correct(
     """Bayes' rule: the posterior belief given a measured contact.
 
     ``contact_measurement`` is 1 (contact), 0 (none), or in between for an uncertain sensor; NaN
-    means that the edge was not measured and leaves its belief unchanged. The result is normalised
-    and finite even when prior and measurement contradict each other. Paper, eq. (4), with the
-    sensor's own error rates in place of a raw distribution. Measurements, and rates that are each
-    edge's own, are of all pairs; measurements of edges that are not listed are ignored.
+    means that the edge was not measured and leaves its types unchanged; the bodies were observed.
+    The result is normalised and finite even when prior and measurement contradict each other.
+    Paper, eq. (4), with the sensor's own error rates in place of a raw distribution. Measurements,
+    and rates that are each edge's own, are of all pairs; measurements of edges that are not listed
+    are ignored.
     """
     if belief.edge_id is not None:
         edge_id = belief.edge_id
@@ -172,7 +182,7 @@ def correct(
     posterior = jnp.concatenate([inactive, active], axis=-1)
     posterior = posterior / jnp.sum(posterior, axis=-1, keepdims=True)
     types = jnp.where(measured[..., None], posterior, belief.type_probability)
-    return ContactBelief(types, belief.edge_id, belief.memory)
+    return ContactBelief(types, belief.edge_id, belief.memory).observed
 
 
 def _listed(rate: float | Array, edge_id: Int[Array, " E"]) -> float | Array:

@@ -20,6 +20,8 @@ _MEMORY = 8
 _MIN_PRIOR = 1e-6
 _AGES = np.array([*range(1, 13), 15, 19, 24, 30, 37, 46, 58]) - 0.5
 """Ages, in steps, that the rates are told to be exceeded or not: a duration may be exact."""
+_BLIND = 5.0
+"""Steps without observation at which the rates know half of it."""
 
 
 class TransitionEdges(eqx.Module):
@@ -31,11 +33,12 @@ class TransitionEdges(eqx.Module):
         h' = \mathrm{GRU}([f, p], h), \qquad a' = (a + 1)\,p, \qquad
         T_{ij} = \mathrm{softmax}_j(\log q_j + r_{ij}([f, h', a'])), \qquad p' = p\,T,
 
-    and every T is at least `min_transition`. The age a is the expected number of steps for which
-    an edge has had each type, so that types may last for characteristic times. The belief p is the
-    corrected one, so evidence lasts until something speaks against it. The rates r start at 0,
-    where p' = q. The features are the edge's own and the types of its ends; observed velocities
-    enter only through the correction.
+    and every T is at least `min_transition`. The age a is the expected number of steps for which an
+    edge has had each type, so that types may last for characteristic times. The belief p is the
+    corrected one, so evidence lasts until something speaks against it. The rates are also told for
+    how many steps the state has not been observed: it has followed the likeliest types since, so
+    that its geometry does not fit the others. They start at 0, where p' = q. The features are the
+    edge's own and the types of its ends; observed velocities enter only through the correction.
     """
 
     message_passing: EdgeNetwork
@@ -65,7 +68,7 @@ class TransitionEdges(eqx.Module):
         width = message_passing.width
         self.message_passing = message_passing
         self.cell = eqx.nn.GRUCell(width + edge_types, memory_size, key=cell_key)
-        known = width + memory_size + edge_types * len(_AGES)
+        known = width + memory_size + edge_types * len(_AGES) + 1 + edge_types
         rates = eqx.nn.MLP(known, edge_types**2, width, 1, key=rate_key)
         last = rates.layers[-1]
         assert last.bias is not None
@@ -82,8 +85,8 @@ class TransitionEdges(eqx.Module):
 
     @property
     def carried_size(self) -> int:
-        """Size of `ContactBelief.memory`: the hidden state, and the age of each type."""
-        return self.memory_size + self.edge_types
+        """Size of `ContactBelief.memory`: steps unobserved, hidden state, age of each type."""
+        return 1 + self.memory_size + self.edge_types
 
     def embed(
         self,
@@ -110,14 +113,17 @@ class TransitionEdges(eqx.Module):
         """The same, and the probability of each pair of types before and after."""
         before, clock = belief.type_probability, belief.memory
         assert clock is not None, "a belief of this inference has a clock"
-        hidden, age = jnp.split(clock, [self.memory_size], axis=-1)
+        unobserved, hidden, age = jnp.split(clock, [1, 1 + self.memory_size], axis=-1)
         age = (age + 1.0) * before
         hidden = jax.vmap(self.cell)(jnp.concatenate([embedding, before], axis=-1), hidden)
-        memory = jnp.concatenate([hidden, age], axis=-1)
+        memory = jnp.concatenate([unobserved + 1.0, hidden, age], axis=-1)
         exceeded = jax.nn.sigmoid(4.0 * (age[..., None] - jnp.asarray(_AGES, age.dtype))).reshape(
             len(age), self.edge_types * len(_AGES)
         )
-        known = jnp.concatenate([embedding, hidden, exceeded.astype(age.dtype)], axis=-1)
+        blind = unobserved / (unobserved + _BLIND)
+        known = jnp.concatenate(
+            [embedding, hidden, exceeded.astype(age.dtype), blind, blind * before], axis=-1
+        )
         rates = jax.vmap(self.rates)(known)
         rates = rates.reshape(len(age), self.edge_types, self.edge_types)
         logits = jnp.log(jnp.maximum(prior, _MIN_PRIOR))[:, None, :] + rates

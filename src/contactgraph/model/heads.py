@@ -188,6 +188,8 @@ class CoupledHead(eqx.Module):
             weight = weight.at[0].multiply(closing)
             # The spring of a touch at rest has no force: bodies that lie side by side stay there.
             pushing = pushing.at[0].multiply(jax.nn.relu(2.0 * closing - 1.0))
+            # A rigid bond keeps the distance that it has; a spring's residue would be a force.
+            pushing = pushing.at[1].set(0.0)
 
         def over_types(per_type: Float[Array, "active E"]) -> Float[Array, " E"]:
             return jnp.sum(weight * per_type, axis=0)

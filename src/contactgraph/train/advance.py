@@ -105,8 +105,8 @@ def _learn_filter(
     def loss(params: PyTree, key: PRNGKeyArray) -> Float[Array, ""]:
         learned = dataclasses.replace(model, inference=eqx.combine(params, static))
         draw_key, key = jax.random.split(key)
-        drawn = pool.draw(model.features.contact_distance, draw_key)
-        given = drawn.trajectories, drawn.judged, drawn.step_mask
+        drawn = pool.draw(draw_key)
+        given = drawn.trajectories, drawn.judged, drawn.step_mask, drawn.observed
         reported = drawn.contact, source.reports_touch, DENIAL
         return config.weights.likelihood * filter_loss(learned, *given, key, *reported)
 

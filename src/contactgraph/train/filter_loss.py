@@ -21,7 +21,13 @@ from contactgraph.model.motion_noise import Motion
 from contactgraph.model.types import LinearDynamics
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import SensorReports, random_reports
-from contactgraph.train.judged_steps import JudgedSteps, judge_steps, without_gradient
+from contactgraph.train.judged_steps import (
+    JudgedSteps,
+    judge_steps,
+    random_segments,
+    seen_or_not,
+    without_gradient,
+)
 from contactgraph.train.loss import (
     LossTerms,
     WindowSteps,
@@ -37,9 +43,6 @@ _DENIED, _UNMEASURED = 10, 0.5
 """Steps of `_denial_score` that a sensor denies contact, and seconds without measurement after."""
 _STILL = 0.02
 """Change of distance in a step, in contact distances, of bodies at rest with each other."""
-_LAPSE, _RESUME = 0.15, 0.1
-"""Probability a step that corrections stop, and that they begin again, in training of the filter:
-it learns to predict for some 10 steps from a belief that motion has corrected."""
 
 
 def dynamics_loss(
@@ -104,6 +107,7 @@ def filter_loss(
     trajectories: Window,
     judged: JudgedSteps,
     step_mask: Bool[Array, "B T"],
+    observed: Bool[Array, "B T"],
     key: PRNGKeyArray,
     contact: Float[Array, "B T+1 E"] | None = None,
     reports_touch: bool = True,
@@ -111,27 +115,27 @@ def filter_loss(
 ) -> Float[Array, ""]:
     """Mean score of every edge within the cutoff at every step; see the module's docstring.
 
-    Motion corrects the belief in random segments of steps. Where the recorded ``contact`` is given,
-    so do reports of it, in segments of their own: see `random_reports`. The score is that of the
-    motion alone; ``denial`` times the mean of `_denial_score` is added. Gradients reach the
+    Motion corrects the belief in the states that are ``observed``. Where the recorded ``contact``
+    is given, so do reports of it, in segments of these: see `random_reports`. The score is that of
+    the motion alone; ``denial`` times the mean of `_denial_score` is added. Gradients reach the
     inference alone.
     """
     graph = encoded_steps(model, trajectories, judged)
-    corrects = _correcting(key, step_mask.shape)
     reports = None
     if contact is not None:
-        used_key, key = jax.random.split(jax.random.fold_in(key, 1))
-        reports = random_reports(contact, key, _correcting(used_key, step_mask.shape))
+        used_key, report_key = jax.random.split(jax.random.fold_in(key, 1))
+        used = observed & random_segments(used_key, step_mask.shape)
+        reports = random_reports(contact, report_key, used)
 
     def along(
         graph: EncodedGraph, ratio: Array, corrects: Array, reports: SensorReports | None
     ) -> Array:
         return _filtered(model, graph, ratio, corrects, reports, reports_touch)[1]
 
-    score = jax.vmap(along)(graph, judged.log_ratio, corrects, reports)
+    score = jax.vmap(along)(graph, judged.log_ratio, observed, reports)
     mean = masked_mean(score, (graph.weight > 0) & step_mask[..., None])
     if denial:
-        mean = mean + denial * _denial_score(model, graph, jax.random.fold_in(key, 2))
+        mean = mean + denial * _denial_score(model, graph, key)
     return mean
 
 
@@ -155,12 +159,15 @@ def _denial_score(
     embedding, prior, weight = map(taken, (graph.embedding, graph.prior, touching[..., None]))
     free = jnp.zeros_like(prior).at[..., 0].set(1.0)
     size = getattr(model.inference, "carried_size", 0)
+    # Afterwards the bodies are observed at rest, or predicted to be.
+    seen = jax.random.bernoulli(jax.random.fold_in(key, 1), shape=prior.shape[:1])
 
     def step(belief: ContactBelief, denied: Array) -> tuple[ContactBelief, Array]:
         predicted = jax.vmap(model.inference.predict)(belief, embedding, prior)
         types = predicted.type_probability
         score = -jnp.log(jnp.maximum(types[..., 0], _SMALLEST))
-        return ContactBelief(jnp.where(denied, free, types), None, predicted.memory), score
+        after = ContactBelief(jnp.where(denied, free, types), None, predicted.memory)
+        return jax.vmap(seen_or_not)(after, denied | seen), score
 
     first = ContactBelief(prior, None, jnp.zeros((*prior.shape[:-1], size), prior.dtype))
     denied = jnp.arange(_DENIED + round(_UNMEASURED / model.dt)) < _DENIED
@@ -172,18 +179,6 @@ def encoded_steps(model: ContactDynamics, windows: Window, judged: JudgedSteps) 
     """[B, L, ...] the steps' graphs, with gradients of the inference alone."""
     learned = dataclasses.replace(without_gradient(model), inference=model.inference)
     return WindowSteps(learned, windows, 1).encode(judged.displacement)
-
-
-def _correcting(key: PRNGKeyArray, shape: tuple[int, ...]) -> Bool[Array, "B T"]:
-    """Random segments of steps after which motion corrects the belief."""
-    first_key, key = jax.random.split(key)
-    first = jax.random.bernoulli(first_key, _RESUME / (_LAPSE + _RESUME), shape[:1])
-
-    def step(on: Array, uniform: Array) -> tuple[Array, Array]:
-        on = jnp.where(on, uniform >= _LAPSE, uniform < _RESUME)
-        return on, on
-
-    return jax.lax.scan(step, first, jax.random.uniform(key, shape[::-1]))[1].T
 
 
 def predict_and_score(
@@ -216,7 +211,7 @@ def _filtered(
         if reports is not None:
             sensor = ContactSensor(reports.false_alarm, reports.miss, reports_touch)
             posterior = correct(posterior, report, sensor)
-        return posterior, score
+        return seen_or_not(posterior, corrects), score
 
     first = model.prior_belief(jax.tree.map(lambda leaf: leaf[0], graph))
     report = None if reports is None else reports.report

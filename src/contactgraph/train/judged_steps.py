@@ -1,5 +1,7 @@
 """The likelihood of every recorded step's motion, which training learns from without gradient."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,14 +20,19 @@ from contactgraph.model.motion_likelihood import (
     posterior_by_motion,
 )
 from contactgraph.model.motion_noise import Motion
+from contactgraph.model.rollout import with_control_displacement
 from contactgraph.model.types import ModelState
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.loss import WindowSteps
 
 _JUDGED, _FILTERED = 32, 12
 """Trajectories that are judged at once, and those of them on which the filter is scored a step."""
-_DISPLACEMENT = 0.01
-"""Most displacement of nodes, in contact distances; standard deviation."""
+_LAPSE, _RESUME = 0.15, 0.1
+"""Probability a step that observation stops, and that it begins again, in training of the filter:
+it learns to predict for some 10 steps from a belief that motion has corrected."""
+_APART = 0.1
+"""Prior of contact, by the recorded distance, below which bodies certainly do not touch."""
+_LEAST = 1e-6
 
 
 class JudgedSteps(eqx.Module):
@@ -93,32 +100,101 @@ class JudgedTrajectories(eqx.Module):
     """
 
     trajectories: Window
+    """States that are not observed are predicted: see `predict_unobserved`."""
     step_mask: Bool[Array, "B T"]
+    observed: Bool[Array, "B T"]
+    """Whether the state that each step leads to is observed."""
     contact: Float[Array, "B T+1 E"] | None
     """Recorded contacts where training uses them."""
     judged: JudgedSteps
 
-    def draw(self, distance: Float[Array, ""] | float, key: PRNGKeyArray) -> "JudgedTrajectories":
-        """Some of them; in half of these every node is displaced by a little of ``distance`` [m].
-
-        In recordings bodies that hold each other are exactly a contact distance apart. In rollouts
-        they are not quite, and a filter that has never seen this takes them for free.
-        """
-        keys = jax.random.split(key, 3)
-        index = jax.random.randint(keys[0], (_FILTERED,), 0, len(self.step_mask))
-        drawn = jax.tree.map(lambda leaf: leaf[index], self)
-        first = drawn.trajectories.position[:, :1]
-        scale = jnp.maximum(jax.random.uniform(keys[1], (_FILTERED, 1, 1, 1), minval=-1.0), 0.0)
-        offset = _DISPLACEMENT * jax.lax.stop_gradient(distance) * scale
-        offset = offset * jax.random.normal(keys[2], first.shape)
-        return eqx.tree_at(
-            lambda each: each.trajectories.position, drawn, drawn.trajectories.position + offset
-        )
+    def draw(self, key: PRNGKeyArray) -> "JudgedTrajectories":
+        """Some of them."""
+        index = jax.random.randint(key, (_FILTERED,), 0, len(self.step_mask))
+        return jax.tree.map(lambda leaf: leaf[index], self)
 
 
 def judge_trajectories(
     model: ContactDynamics, source: WindowSource, key: PRNGKeyArray
 ) -> JudgedTrajectories:
     """Draws trajectories and judges them."""
-    drawn, step_mask, contact = source.draw_trajectories(_JUDGED, key)
-    return JudgedTrajectories(drawn, step_mask, contact, judge_steps(model, drawn))
+    draw_key, key = jax.random.split(key)
+    drawn, step_mask, contact = source.draw_trajectories(_JUDGED, draw_key)
+    observed = random_segments(key, step_mask.shape)
+    judged = judge_steps(model, drawn)
+    predicted = predict_unobserved(without_gradient(model), drawn, judged, observed)
+    return JudgedTrajectories(predicted[0], step_mask, observed, contact, predicted[1])
+
+
+def random_segments(key: PRNGKeyArray, shape: tuple[int, ...]) -> Bool[Array, "B T"]:
+    """Segments of steps, in the others of which nothing is observed."""
+    first_key, key = jax.random.split(key)
+    first = jax.random.bernoulli(first_key, _RESUME / (_LAPSE + _RESUME), shape[:1])
+
+    def step(on: Array, uniform: Array) -> tuple[Array, Array]:
+        on = jnp.where(on, uniform >= _LAPSE, uniform < _RESUME)
+        return on, on
+
+    return jax.lax.scan(step, first, jax.random.uniform(key, shape[::-1]))[1].T
+
+
+def seen_or_not(belief: ContactBelief, observed: Bool[Array, ""]) -> ContactBelief:
+    """The belief about bodies that may have been observed."""
+    return jax.tree.map(lambda one, other: jnp.where(observed, one, other), belief.observed, belief)
+
+
+def predict_unobserved(
+    model: ContactDynamics,
+    trajectories: Window,
+    judged: JudgedSteps,
+    observed: Bool[Array, "B T"],
+) -> tuple[Window, JudgedSteps]:
+    """The trajectories with predicted states where none is observed, and their judged steps.
+
+    Recorded states tell what the filter ought to predict: a body that is still beside the gripper
+    was not let go. Along a rollout the states follow the likeliest types, so the filter is scored
+    on such rollouts, by the recorded motion. Bodies that did not touch in it were free in that
+    step, wherever the rollout has them.
+    """
+    recorded = WindowSteps(model, trajectories, 1).encode(judged.displacement)
+    touch = jnp.log(jnp.clip((1.0 - recorded.prior[..., 0]) / _APART, _LEAST, 1.0))
+
+    def along(window: Window, ratio: Array, observed: Array) -> tuple[Array, ...]:
+        Carry = tuple[ModelState, Float[Array, "N D U"]]
+
+        def step(carry: Carry, inputs: tuple) -> tuple[Carry, tuple[Array, ...]]:
+            before, sensitivity = carry
+            control, ratio, observed, after = inputs
+            state = with_control_displacement(before, sensitivity, control)
+            graph = model.encode_state(state, window.nodes)
+            belief, joint = model.predict_joint(state.belief, graph)
+            linear = model.linearize(model.cut_edges(graph, belief))
+            predicted = *linear(state.position, state.velocity, control), belief
+            corrected = *after, posterior_by_motion(belief, joint, ratio).observed
+            chosen = jax.tree.map(
+                lambda one, other: jnp.where(observed, one, other), corrected, predicted
+            )
+            assert state.control_displacement is not None
+            taken = state.position, state.velocity, state.control_displacement
+            return (ModelState(*chosen), linear.control_sensitivity), taken
+
+        position, velocity = window.position[0], window.velocity[0]
+        first = model.initial_belief(position, velocity, window.nodes)
+        unknown = jnp.zeros((*position.shape, window.control.shape[-1]), position.dtype)
+        after = window.position[1:], window.velocity[1:]
+        inputs = window.control, ratio, observed, after
+        return jax.lax.scan(step, (ModelState(position, velocity, first), unknown), inputs)[1]
+
+    position, velocity, displacement = jax.vmap(along)(trajectories, judged.log_ratio, observed)
+    begins = jnp.pad(observed, ((0, 0), (1, 0)), constant_values=True)[:, :-1]
+    known = begins[..., None, None]
+    ratio = judged.log_ratio.at[..., 1:].add(
+        jnp.where(begins[..., None], 0.0, touch)[..., None, None]
+    )
+    replaced = dataclasses.replace(
+        trajectories,
+        position=trajectories.position.at[:, :-1].set(position),
+        velocity=trajectories.velocity.at[:, :-1].set(velocity),
+    )
+    displacement = jnp.where(known, judged.displacement, displacement)
+    return replaced, dataclasses.replace(judged, displacement=displacement, log_ratio=ratio)
