@@ -219,29 +219,53 @@ def test_arguments() -> None:
         check_motion_model(Keeps())
 
 
-@pytest.mark.parametrize(("part", "likeliest"), [(0.0, (0, 0)), (0.5, (0, 1)), (1.0, (1, 1))])
-def test_pairs_of_types_by_hand(part, likeliest) -> None:
-    """A node that stays where it is free and moves where it is held, and what it did in part."""
-    position, velocity = np.array([0.0, 0.05]), np.array([0.0, 1.0])
+def pair_log_ratios(share: list[float], parts: tuple[float, float]) -> np.ndarray:
+    """Of a node at rest where it is free, which did parts of what it does where it is held."""
+    position, velocity = (size * np.arange(2) for size in (0.05, 1.0))
+    if len(share) > 1:  # a touch that does half of it
+        position, velocity = np.insert(position, 1, 0.025), np.insert(velocity, 1, 0.5)
     noise = MotionNoise(
-        model_position=1e-3, model_velocity=2e-2, type_share=jnp.array([0.1]), max_log_ratio=1e3
+        model_position=1e-3,
+        model_velocity=2e-2,
+        type_share=jnp.array(share),
+        max_log_ratio=1e3,
     )
     predictions = tuple(jnp.stack([each, 0 * each], -1)[:, None] for each in (position, velocity))
-    observed = tuple(part * each[1] for each in predictions)
-    found = noise.log_ratios(predictions, observed, jnp.ones(1, bool), 0.05)
-    expected = np.zeros((2, 2))
-    for first, last in np.ndindex(2, 2):
-        share = 12.0**-0.5 if first != last else 0.1 * last
-        variance_v = 2e-2**2 + share**2
-        variance_x = 1e-3**2 + share**2 * (0.05**2 + 0.05**2)
+    observed = tuple(part * each[-1] for part, each in zip(parts, predictions, strict=True))
+    return np.asarray(noise.log_ratios(predictions, observed, jnp.ones(1, bool), 0.05))
+
+
+@pytest.mark.parametrize(
+    ("parts", "likeliest"),
+    [((0.0, 0.0), (0, 0)), ((0.5, 1.0), (0, 1)), ((0.5, 0.5), (1, 0)), ((1.0, 1.0), (1, 1))],
+)
+def test_pairs_of_types_by_hand(parts, likeliest) -> None:
+    """What is grasped in a step moves in the end as if always held; what is let go, in between."""
+    found = pair_log_ratios([0.1], parts)
+    expected, contrast = np.zeros((2, 2)), np.zeros((2, 2))
+
+    def expected_parts(first: int, last: int) -> np.ndarray:
         middle = 0.5 * (first + last)
-        error = (0.05 * (part - middle)) ** 2 / variance_x + (part - middle) ** 2 / variance_v
-        expected[first, last] = -4.0 * np.log1p(error / 4.0) - np.log(variance_x * variance_v)
-    best = np.unravel_index(np.argmax(expected), (2, 2))
-    assert {tuple(best)} <= {likeliest, likeliest[::-1]}
+        return np.array([middle, float(last) if last > first else middle])
+
     for first, last in np.ndindex(2, 2):
-        away = 0.5 * (first + last) - 0.5 * sum(best)
-        contrast = away**2 * (0.05**2 / 1e-3**2 + 1.0 / 2e-2**2)
-        relevance = 1.0 - 2.0 / max(contrast, 2.0)
-        by_hand = relevance * (expected[first, last] - expected[best])
-        assert float(found[first, last]) == pytest.approx(by_hand, rel=1e-4, abs=1e-4)
+        share_x = 12.0**-0.5 if first != last else 0.1 * last
+        share_v = 0.1 if last > first else share_x
+        variance_v = 2e-2**2 + share_v**2
+        variance_x = 1e-3**2 + share_x**2 * (0.05**2 + 0.05**2)
+        off = np.array(parts) - expected_parts(first, last)
+        error = (0.05 * off[0]) ** 2 / variance_x + off[1] ** 2 / variance_v
+        expected[first, last] = -4.0 * np.log1p(error / 4.0) - np.log(variance_x * variance_v)
+        away = expected_parts(first, last) - expected_parts(*likeliest)
+        contrast[first, last] = (0.05 * away[0] / 1e-3) ** 2 + (away[1] / 2e-2) ** 2
+    assert np.unravel_index(np.argmax(expected), (2, 2)) == likeliest
+    by_hand = (1.0 - 2.0 / np.maximum(contrast, 2.0)) * (expected - expected[likeliest])
+    np.testing.assert_allclose(found, by_hand, rtol=1e-4, atol=1e-4)
+
+
+def test_a_touch_acts_all_through_a_step_or_for_a_part_of_it() -> None:
+    whole, part = (pair_log_ratios([0.02, 0.02], (size, size)) for size in (0.5, 0.25))
+    assert whole[1, 1] == part[1, 0] == 0.0, "the likeliest"
+    assert whole[1, 0] < -1.0 and whole[0, 0] < -5.0 and whole[2, 2] < -5.0
+    # Half as likely as a touch that ends in the step: how probable that is, the filter knows.
+    assert part[1, 0] - part[1, 1] == pytest.approx(np.log(2.0), abs=0.05)

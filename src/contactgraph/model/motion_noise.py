@@ -82,18 +82,29 @@ class MotionNoise(eqx.Module):
             return self._without_change(predictions, observed, exists, dt)
         types, dimension = len(predictions[0]), observed[0].shape[-1]
         first, last = (index.ravel() for index in jnp.indices((types, types)))
-        same = first == last
-        middle = jax.tree.map(lambda each: 0.5 * (each[first] + each[last]), predictions)
-        # A type that lasts errs by a share of its effect; a change may come at any time.
-        apart = jax.tree.map(lambda each: each[last] - each[jnp.where(same, 0, first)], predictions)
+        same, closes = first == last, first < last
+        x, v = predictions
+        # A change may come at any time of the step; bodies that meet in it, or are grasped, move in
+        # the end as if they always had been.
+        middle_x, middle_v = 0.5 * (x[first] + x[last]), 0.5 * (v[first] + v[last])
+        middle_v = jnp.where(closes[:, None, None], v[last], middle_v)
+        # A type that lasts errs by a share of its effect.
+        other = jnp.where(same, 0, first)
         share = jnp.concatenate([jnp.zeros(1), self.type_share])[last]
-        share = jnp.where(same, share, _UNIFORM)[:, None]
+        share_x = jnp.where(same, share, _UNIFORM)[:, None] ** 2
+        share_v = jnp.where(same | closes, share, _UNIFORM)[:, None] ** 2
+        difference_x, difference_v = _square(x[last], x[other]), _square(v[last], v[other])
         base_x, base_v = self._base(dt)
-        difference_x, difference_v = (_square(each, 0.0) for each in apart)
-        variance_v = base_v + share**2 * difference_v
-        variance_x = base_x + share**2 * (difference_x + dt**2 * difference_v)
+        variance_v = base_v + share_v * difference_v
+        variance_x = base_x + share_x * (difference_x + dt**2 * difference_v)
+        middle = middle_x, middle_v
         likelihood = _log_density(observed, middle, variance_x, variance_v, self.tail)
         likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
+        if types > 2:
+            # Bodies that lie side by side touch for a part of the step only, or all through it.
+            whole, part = types + 1, types
+            either = jnp.logaddexp(likelihood[whole], likelihood[part]) - jnp.log(2.0)
+            likelihood = likelihood.at[whole].set(either)
         likelihood = jnp.where(exists & jnp.isfinite(likelihood), likelihood, 0.0)
         best = jnp.argmax(jnp.sum(likelihood, axis=-1))
         contrast = _square(middle[0], middle[0][best]) / base_x

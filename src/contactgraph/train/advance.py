@@ -26,8 +26,9 @@ from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
 from contactgraph.train.judged_steps import JudgedSteps, judge_steps, judge_trajectories
 from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
 
-_PERIOD, _FILTER_STEPS = 25, 50
-"""Steps of the dynamics, and those of the filter that follow on newly judged trajectories."""
+_PERIOD, _FILTER_STEPS = 25, 100
+"""Steps of the dynamics, and those of the filter that follow on newly judged trajectories in the
+second half of training: what untrained dynamics call evidence teaches that nothing ever holds."""
 _CLEARANCE = 1.03
 """Least distance of a distractor, in learned contact distances."""
 _SHORTEST = 0.1
@@ -57,7 +58,7 @@ def _optimiser(config: TrainConfig, steps: int | None = None) -> optax.GradientT
 
 
 def _filter_optimiser(config: TrainConfig) -> optax.GradientTransformation:
-    return _optimiser(config, max(1, config.steps // _PERIOD) * _FILTER_STEPS)
+    return _optimiser(config, max(1, config.steps // (2 * _PERIOD)) * _FILTER_STEPS)
 
 
 def with_positive_distance(model: ContactDynamics) -> ContactDynamics:
@@ -212,21 +213,30 @@ def advance_steps(
         learn = partial(_learn_filter, source=source, config=config)
         Both = tuple[ContactDynamics, tuple[optax.OptState, optax.OptState], PRNGKeyArray]
 
-        def period(carry: Both, _: None) -> tuple[Both, LossTerms]:
+        def period(carry: Both, done: Array) -> tuple[Both, LossTerms]:
             params, (optimiser_state, filter_state), key = carry
             (params, optimiser_state, key), terms = jax.lax.scan(
                 step, (params, optimiser_state, key), length=length
             )
             key, filter_key = jax.random.split(key)
-            model, filter_state, score = learn(
-                eqx.combine(params, static), filter_state, filter_key
+
+            def filter_learned(params: ContactDynamics) -> tuple:
+                model = eqx.combine(params, static)
+                model, state, score = learn(model, filter_state, filter_key)
+                return eqx.filter(model, eqx.is_inexact_array), state, score
+
+            params, filter_state, score = jax.lax.cond(
+                2 * done > config.steps,
+                filter_learned,
+                lambda params: (params, filter_state, jnp.zeros(())),
+                params,
             )
             terms = dataclasses.replace(terms, likelihood=jnp.full(length, score))
-            params = eqx.filter(model, eqx.is_inexact_array)
             return (params, (optimiser_state, filter_state), key), terms
 
         first = params, state.optimiser, key
-        carry, terms = jax.lax.scan(period, first, length=count // length)
+        done = state.step + length * (1 + jnp.arange(count // length))
+        carry, terms = jax.lax.scan(period, first, done)
     else:
         carry, terms = jax.lax.scan(step, (params, state.optimiser, key), length=count)
     params, optimiser_state, key = carry
