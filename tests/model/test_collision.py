@@ -183,6 +183,14 @@ def test_values_and_gradients_are_finite_everywhere(displacement, velocity) -> N
         assert np.all(np.isfinite(leaf))
 
 
+def test_bodies_in_contact_that_a_force_presses_together_meet_at_once() -> None:
+    """They drift apart by 1 mm, and the control moves one by 3 mm towards the other."""
+    pushed, alone = (
+        between([0.079, 0.0], [0.001 / DT, 0.0], control) for control in ([-0.003, 0.0], [0.0, 0.0])
+    )
+    assert pushed.fraction_after_impact[0] > 0.9 and alone.fraction_after_impact[0] == 0.0
+
+
 def test_attached_bodies_have_no_impact() -> None:
     assert between([0.0799, 0.0], [-1e-4, 0.0]).fraction_after_impact[0] < 1e-3
     assert between([0.0799, 0.0], [-1.0, 0.0]).fraction_after_impact[0] > 0.99

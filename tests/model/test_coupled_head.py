@@ -92,7 +92,7 @@ def by_hand(head: CoupledHead, local: LocalInput, message, theta: float):
         mass=jnp.exp(5 * local.node_type @ head.log_mass),
         ground_damper=softplus(jax.vmap(head.ground)(local.node_features)[:, 0] - 6),
         damper=hold / (1 - hold),
-        spring=jnp.sum(weight * jnp.array([1, 0, 1])[:, None] * softplus(out[..., 1] - 6), axis=0),
+        spring=jnp.sum(weight * jnp.array([0, 0, 1])[:, None] * softplus(out[..., 1] - 6), axis=0),
         rest_length=jnp.sum(weight * softplus(out[..., 2]), axis=0) * LENGTH,
         displacing_fraction=(local.geometry.fraction_after_impact - theta) * (1.0 - weight[2]),
     )

@@ -110,6 +110,10 @@ def geometry(
         # until then is that part.
         path = drifted + time[:, None] * driven
         time, meets = _time_of_impact(displacement, path, contact_distance)
+    # Bodies in contact that a force presses together meet at once, though they do not drift so.
+    pressed = jnp.sum(displacement * (drifted + driven), axis=-1) < 0.0
+    pressed = pressed & (jnp.sum(displacement**2, axis=-1) < contact_distance**2)
+    time, meets = jnp.where(pressed, 0.0, time), meets | pressed
     # Bodies that stay coupled have relative velocities of rounding size, and no impact.
     square = jnp.sum((drifted + driven) ** 2, axis=-1)
     impact = meets * square / (square + (_RESTING_SPEED * dt) ** 2)

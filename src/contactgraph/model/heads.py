@@ -186,10 +186,9 @@ class CoupledHead(eqx.Module):
             weight = pushing = jnp.where(early, 0.0, weight)
             closing = jax.nn.sigmoid(local.geometry.approach / (_ONE_SIDED * self.length))
             weight = weight.at[0].multiply(closing)
-            # The spring of a touch at rest has no force: bodies that lie side by side stay there.
-            pushing = pushing.at[0].multiply(jax.nn.relu(2.0 * closing - 1.0))
-            # A rigid bond keeps the distance that it has; a spring's residue would be a force.
-            pushing = pushing.at[1].set(0.0)
+            # Only a soft bond has a spring. The residue of one would push bodies that touch, and
+            # pull at a rigid bond, which keeps the distance that it has.
+            pushing = pushing.at[:2].set(0.0)
 
         def over_types(per_type: Float[Array, "active E"]) -> Float[Array, " E"]:
             return jnp.sum(weight * per_type, axis=0)

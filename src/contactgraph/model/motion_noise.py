@@ -100,11 +100,14 @@ class MotionNoise(eqx.Module):
         middle = middle_x, middle_v
         likelihood = _log_density(observed, middle, variance_x, variance_v, self.tail)
         likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
+        lasts = likelihood[:: types + 1]
+        # Bodies that meet as the geometry foresees move as with that contact throughout.
+        met = jnp.logaddexp(likelihood[1:types], lasts[1:]) - jnp.log(2.0)
         if types > 2:
             # Bodies that lie side by side touch for a part of the step only, or all through it.
-            whole, part = types + 1, types
-            either = jnp.logaddexp(likelihood[whole], likelihood[part]) - jnp.log(2.0)
-            likelihood = likelihood.at[whole].set(either)
+            either = jnp.logaddexp(likelihood[types], lasts[1]) - jnp.log(2.0)
+            likelihood = likelihood.at[types + 1].set(either)
+        likelihood = likelihood.at[1:types].set(met)
         likelihood = jnp.where(exists & jnp.isfinite(likelihood), likelihood, 0.0)
         best = jnp.argmax(jnp.sum(likelihood, axis=-1))
         contrast = _square(middle[0], middle[0][best]) / base_x

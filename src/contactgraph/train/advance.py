@@ -29,6 +29,9 @@ from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
 _PERIOD, _FILTER_STEPS = 25, 100
 """Steps of the dynamics, and those of the filter that follow on newly judged trajectories in the
 second half of training: what untrained dynamics call evidence teaches that nothing ever holds."""
+_DECAY = 1e-4
+"""Weight of the squares of the filter's rates: probabilities at their bound have no gradient, and
+rates far beyond it would stay there."""
 _CLEARANCE = 1.03
 """Least distance of a distractor, in learned contact distances."""
 _SHORTEST = 0.1
@@ -109,7 +112,9 @@ def _learn_filter(
         drawn = pool.draw(draw_key)
         given = drawn.trajectories, drawn.judged, drawn.step_mask, drawn.observed
         reported = drawn.contact, source.reports_touch, DENIAL
-        return config.weights.likelihood * filter_loss(learned, *given, key, *reported)
+        score = filter_loss(learned, *given, key, *reported)
+        size = sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(params.rates))
+        return config.weights.likelihood * (score + _DECAY * size)
 
     def step(
         carry: tuple[PyTree, optax.OptState], key: PRNGKeyArray
@@ -242,7 +247,10 @@ def advance_steps(
     params, optimiser_state, key = carry
     model = eqx.combine(params, static)
     error = rollout_rmse(model, checked)
-    better = error < state.best_error
+    # Where geometry tells the contact, rollouts do not tell a filter that has hardly learned.
+    settled = jnp.asarray(not filtered) | (4 * (state.step + count) > 3 * config.steps)
+    first_settled = filtered & settled & (4 * state.step <= 3 * config.steps)
+    better = first_settled | (error < state.best_error)
     best = jax.tree.map(
         lambda new, old: jnp.where(better, new, old) if eqx.is_array(new) else new,
         model,
@@ -256,7 +264,7 @@ def advance_steps(
         step=state.step + count,
         best_model=best,
         best_error=jnp.where(better, error, state.best_error),
-        checks_without_gain=jnp.where(better, 0, state.checks_without_gain + 1),
+        checks_without_gain=jnp.where(better | ~settled, 0, state.checks_without_gain + 1),
     )
     if split is not None:  # the sharding of the argument, else the next call would recompile
         state = split.replicate(state)

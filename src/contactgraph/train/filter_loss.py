@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, correct
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
+from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.motion_likelihood import posterior_by_motion
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.types import LinearDynamics
@@ -147,6 +148,8 @@ def _denial_score(
     Data hardly ever show that, so that their likelihood leaves open what the filter does then. For
     every edge a step is drawn in which its bodies touch and their distance does not change. That
     step is repeated: first the belief is corrected to *free* after each, then nothing is measured.
+    The improbability is that of the transition from free to free; what comes from the other types
+    is what the data tell.
     """
     moves = graph.geometry.distance - graph.geometry.closest_approach
     still = jnp.exp(-((moves / (_STILL * model.features.contact_distance)) ** 2))
@@ -158,14 +161,17 @@ def _denial_score(
 
     embedding, prior, weight = map(taken, (graph.embedding, graph.prior, touching[..., None]))
     free = jnp.zeros_like(prior).at[..., 0].set(1.0)
-    size = getattr(model.inference, "carried_size", 0)
+    inference = model.inference
+    assert isinstance(inference, TransitionEdges)
+    size = inference.carried_size
     # Afterwards the bodies are observed at rest, or predicted to be.
     seen = jax.random.bernoulli(jax.random.fold_in(key, 1), shape=prior.shape[:1])
 
     def step(belief: ContactBelief, denied: Array) -> tuple[ContactBelief, Array]:
-        predicted = jax.vmap(model.inference.predict)(belief, embedding, prior)
+        predicted, joint = jax.vmap(inference.predict_joint)(belief, embedding, prior)
         types = predicted.type_probability
-        score = -jnp.log(jnp.maximum(types[..., 0], _SMALLEST))
+        stays = joint[..., 0, 0] / jnp.maximum(belief.type_probability[..., 0], _SMALLEST)
+        score = -jnp.log(jnp.maximum(stays, _SMALLEST))
         after = ContactBelief(jnp.where(denied, free, types), None, predicted.memory)
         return jax.vmap(seen_or_not)(after, denied | seen), score
 
