@@ -70,9 +70,7 @@ class ContactBelief(eqx.Module):
     @property
     def observed(self) -> "ContactBelief":
         """The same belief about bodies that have just been observed."""
-        memory = self.memory
-        if memory is not None:
-            memory = memory.at[..., 0].set(0.0)
+        memory = None if self.memory is None else self.memory.at[..., 0].set(0.0)
         return ContactBelief(self.type_probability, self.edge_id, memory)
 
 
