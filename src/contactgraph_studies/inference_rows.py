@@ -209,11 +209,9 @@ def _closed(numbers: InferenceNumbers, slug: str, task: str) -> Iterator[Require
         yield Requirement("success, half of the grasps lost", task, success, target, where, False)
     if slug == "pickup":
         step = numbers.statistic(slug, _STEP_MS, TEN_DISTRACTORS)
-        what, where = (
-            "control step corrected by motion, 11 objects",
-            (_where(slug, TEN_DISTRACTORS),),
-        )
-        yield Requirement(what, task, step, Target(3.0, 2.0), where)
+        where, target = (_where(slug, TEN_DISTRACTORS),), Target(3.0, 2.0)
+        what = "control step corrected by motion, 11 objects"
+        yield Requirement(what, task, step, target, where)
 
 
 def _training(numbers: InferenceNumbers, tasks: Mapping[str, str]) -> Iterator[Requirement]:

@@ -21,7 +21,7 @@ _MIN_PRIOR = 1e-6
 _AGES = np.array([*range(1, 13), 15, 19, 24, 30, 37, 46, 58]) - 0.5
 """Ages, in steps, that the rates are told to be exceeded or not: a duration may be exact."""
 _BLIND = 5.0
-"""Steps without observation at which the rates know half of it."""
+"""Steps without observation for which the input of the rates is one half."""
 
 
 class TransitionEdges(eqx.Module):

@@ -152,9 +152,9 @@ def edge_log_ratios(
     """Log-likelihood of the motion with each edge of type i first and of type j in the end.
 
     Each is less that without the edge. ``graph`` is of ``state``, from which the step begins, and
-    ``joint`` the probability of the pairs of types: `ContactDynamics.predict_joint`. The edges that
-    are not yet judged have ``types``, else the most probable ones. Edges that are
-    farther than the nearest few, or beyond the cutoff, have 0.
+    ``joint`` the probability of the pairs of types: `ContactDynamics.predict_joint`. One edge is
+    judged after the other; those not judged yet have ``types``, where given, else the most probable
+    ones. Edges that are farther than the nearest few, or beyond the cutoff, have 0.
     """
 
     def moved(types: Float[Array, "E K"]) -> Motion:

@@ -127,7 +127,7 @@ def judge_trajectories(
 
 
 def random_segments(key: PRNGKeyArray, shape: tuple[int, ...]) -> Bool[Array, "B T"]:
-    """Segments of steps, in the others of which nothing is observed."""
+    """True in random segments of the steps, those after which the bodies are observed."""
     first_key, key = jax.random.split(key)
     first = jax.random.bernoulli(first_key, _RESUME / (_LAPSE + _RESUME), shape[:1])
 
@@ -186,15 +186,12 @@ def predict_unobserved(
         return jax.lax.scan(step, (ModelState(position, velocity, first), unknown), inputs)[1]
 
     position, velocity, displacement = jax.vmap(along)(trajectories, judged.log_ratio, observed)
-    begins = jnp.pad(observed, ((0, 0), (1, 0)), constant_values=True)[:, :-1]
-    known = begins[..., None, None]
-    ratio = judged.log_ratio.at[..., 1:].add(
-        jnp.where(begins[..., None], 0.0, touch)[..., None, None]
-    )
+    begins = jnp.pad(observed, ((0, 0), (1, 0)), constant_values=True)[:, :-1, None]
+    ratio = judged.log_ratio.at[..., 1:].add(jnp.where(begins, 0.0, touch)[..., None, None])
     replaced = dataclasses.replace(
         trajectories,
         position=trajectories.position.at[:, :-1].set(position),
         velocity=trajectories.velocity.at[:, :-1].set(velocity),
     )
-    displacement = jnp.where(known, judged.displacement, displacement)
+    displacement = jnp.where(begins[..., None], judged.displacement, displacement)
     return replaced, dataclasses.replace(judged, displacement=displacement, log_ratio=ratio)
