@@ -267,15 +267,16 @@ def test_a_contact_that_is_predicted_too_early_has_no_effect(speed, acts) -> Non
         np.testing.assert_array_equal(velocity, local.velocity)
 
 
-def test_a_rigid_bond_at_rest_is_without_force_at_any_distance() -> None:
+@pytest.mark.parametrize(("kind", "has_spring"), [(0, False), (1, False), (2, True)])
+def test_only_soft_bonds_have_springs(kind, has_spring) -> None:
+    """At rest, 2 cm farther apart than a contact."""
     head, local, message = touching([0.0, 0.0])
-    position = local.position.at[1, 0].add(0.02)
-    geometry = jitted_geometry(
-        position, 0.0 * local.velocity, jnp.asarray(PAIRS).T, DT, 0.08, None, None
-    )
-    weight = local.weight[:, ::-1]  # it holds
-    local = dataclasses.replace(
-        local, position=position, velocity=0.0 * local.velocity, geometry=geometry, weight=weight
-    )
+    head = eqx.tree_at(lambda head: head.edge.layers[-1].bias, head, jnp.array([60.0, 20.0, 0.0]))
+    position, pairs = local.position.at[1, 0].add(0.02), jnp.asarray(PAIRS).T
+    geometry = jitted_geometry(position, local.velocity, pairs, DT, 0.08, None, None)
+    weight = jnp.roll(local.weight, kind, axis=1)
+    local = dataclasses.replace(local, position=position, geometry=geometry, weight=weight)
     _, velocity = moved(parameters(head, local, message), local, [0.0, 0.0])
-    np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
+    assert (float(jnp.abs(velocity).max()) > 1e-3) == has_spring
+    if not has_spring:
+        np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
