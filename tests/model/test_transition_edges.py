@@ -69,6 +69,21 @@ def test_a_row_of_rates_leads_from_its_own_type() -> None:
         np.testing.assert_allclose(found.type_probability[0], expected, rtol=1e-6)
 
 
+def test_rates_beyond_the_least_transition_can_return() -> None:
+    """There a step of gradient ascent was worth nothing, and an unlucky filter stayed as it was."""
+    prior = jnp.array([[0.5, 0.5]])
+
+    def changes(rate: float) -> jax.Array:
+        never = jnp.array([rate, 0.0, 0.0, 0.0])  # from inactive to inactive
+        inference = eqx.tree_at(lambda each: each.rates.layers[-1].bias, edges(2), never)
+        after = inference.predict(belief(1.0, 0.0), jnp.zeros((1, 8)), prior)
+        return jnp.log(after.type_probability[0, 1])
+
+    value, slope = compiled(jax.value_and_grad(changes), 40.0)
+    np.testing.assert_allclose(value, np.log(LEAST), rtol=1e-6)
+    np.testing.assert_allclose(slope, -0.1, rtol=1e-3)
+
+
 def test_motion_corrects_three_types_by_bayes_rule() -> None:
     """The types in the end of a step are those of all pairs that lead to them."""
     rng = np.random.default_rng(1)

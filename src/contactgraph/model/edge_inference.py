@@ -22,6 +22,8 @@ _AGES = np.array([*range(1, 13), 15, 19, 24, 30, 37, 46, 58]) - 0.5
 """Ages, in steps, that the rates are told to be exceeded or not: a duration may be exact."""
 _BLIND = 5.0
 """Steps without observation for which the input of the rates is one half."""
+_UNBOUNDED = 0.1
+"""Share of the gradient that is kept beyond the least transition."""
 
 
 class TransitionEdges(eqx.Module):
@@ -117,20 +119,14 @@ class TransitionEdges(eqx.Module):
         age = (age + 1.0) * before
         hidden = jax.vmap(self.cell)(jnp.concatenate([embedding, before], axis=-1), hidden)
         memory = jnp.concatenate([unobserved + 1.0, hidden, age], axis=-1)
-        exceeded = jax.nn.sigmoid(4.0 * (age[..., None] - jnp.asarray(_AGES, age.dtype))).reshape(
-            len(age), self.edge_types * len(_AGES)
-        )
+        exceeded = jax.nn.sigmoid(4.0 * (age[..., None] - jnp.asarray(_AGES, age.dtype)))
         blind = unobserved / (unobserved + _BLIND)
         known = jnp.concatenate(
-            [embedding, hidden, exceeded.astype(age.dtype), blind, blind * before], axis=-1
+            [embedding, hidden, exceeded.reshape(len(age), -1), blind, blind * before], axis=-1
         )
-        rates = jax.vmap(self.rates)(known)
-        rates = rates.reshape(len(age), self.edge_types, self.edge_types)
+        rates = jax.vmap(self.rates)(known).reshape(-1, self.edge_types, self.edge_types)
         logits = jnp.log(jnp.maximum(prior, _MIN_PRIOR))[:, None, :] + rates
-        transition = jax.nn.softmax(logits, axis=-1)
-        likely = 1.0 - self.edge_types * self.min_transition
-        transition = self.min_transition + likely * transition
-        joint = before[:, :, None] * transition
+        joint = before[:, :, None] * _bounded_softmax(logits, self.min_transition)
         return ContactBelief(jnp.sum(joint, axis=1), belief.edge_id, memory), joint
 
 
@@ -276,6 +272,16 @@ class PriorEdges(eqx.Module):
         types = types.at[:, self.active_type].set(active)
         memory = jnp.zeros((prior.shape[0], self.carried_size), prior.dtype)
         return ContactBelief(types, belief.edge_id, memory)
+
+
+def _bounded_softmax(logits: Float[Array, "E K K"], least: float) -> Float[Array, "E K K"]:
+    """Softmax, at least ``least``; a part of its gradient is that without the bound.
+
+    Beyond the bound logits have no effect, and without any gradient they would never return.
+    """
+    unbounded = jax.nn.log_softmax(logits)
+    bounded = least + (1.0 - logits.shape[-1] * least) * jnp.exp(unbounded)
+    return bounded * jnp.exp(_UNBOUNDED * (unbounded - jax.lax.stop_gradient(unbounded)))
 
 
 def _edge_embedding(

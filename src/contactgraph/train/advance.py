@@ -29,9 +29,6 @@ from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
 _PERIOD, _FILTER_STEPS = 25, 100
 """Steps of the dynamics, and those of the filter that follow on newly judged trajectories in the
 second half of training: what untrained dynamics call evidence teaches that nothing ever holds."""
-_DECAY = 1e-4
-"""Weight of the squares of the filter's rates: probabilities at their bound have no gradient, and
-rates far beyond it would stay there."""
 _CLEARANCE = 1.03
 """Least distance of a distractor, in learned contact distances."""
 _SHORTEST = 0.1
@@ -112,9 +109,7 @@ def _learn_filter(
         drawn = pool.draw(draw_key)
         given = drawn.trajectories, drawn.judged, drawn.step_mask, drawn.observed
         reported = drawn.contact, source.reports_touch, DENIAL
-        score = filter_loss(learned, *given, key, *reported)
-        size = sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(params.rates))
-        return config.weights.likelihood * (score + _DECAY * size)
+        return config.weights.likelihood * filter_loss(learned, *given, key, *reported)
 
     def step(
         carry: tuple[PyTree, optax.OptState], key: PRNGKeyArray
