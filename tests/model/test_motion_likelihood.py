@@ -249,17 +249,19 @@ def test_pairs_of_types_by_hand(parts, likeliest) -> None:
         return np.array([middle, float(last) if last > first else middle])
 
     for first, last in np.ndindex(2, 2):
-        share_x = 12.0**-0.5 if first != last else 0.1 * last
-        share_v = 0.1 if last > first else share_x
-        variance_v = 2e-2**2 + share_v**2
-        variance_x = 1e-3**2 + share_x**2 * (0.05**2 + 0.05**2)
+        effect = np.array([first, last]) * 0.1**2
+        change = (first != last) / 12.0
+        share_v = effect[1] if last > first else effect.mean() + change
+        variance_v = 2e-2**2 + share_v
+        variance_x = 1e-3**2 + (effect.mean() + change) * 0.05**2
+        variance_x += 0.05**2 * (effect.mean() + change)
         off = np.array(parts) - expected_parts(first, last)
         error = (0.05 * off[0]) ** 2 / variance_x + off[1] ** 2 / variance_v
         expected[first, last] = -4.0 * np.log1p(error / 4.0) - np.log(variance_x * variance_v)
         away = expected_parts(first, last) - expected_parts(*likeliest)
         contrast[first, last] = (0.05 * away[0] / 1e-3) ** 2 + (away[1] / 2e-2) ** 2
-    # Bodies that meet as foreseen, or at any time of the step.
-    expected[0, 1] = np.logaddexp(expected[0, 1], expected[1, 1]) - np.log(2.0)
+    # Bodies meet as foreseen, or at any time of the step; a hold ends then or in the last instant.
+    expected[[0, 1], [1, 0]] = np.logaddexp(expected[[0, 1], [1, 0]], expected[1, 1]) - np.log(2.0)
     assert np.unravel_index(np.argmax(expected), (2, 2)) == likeliest
     by_hand = (1.0 - 2.0 / np.maximum(contrast, 2.0)) * (expected - expected[likeliest])
     np.testing.assert_allclose(found, by_hand, rtol=1e-4, atol=1e-4)

@@ -82,32 +82,33 @@ class MotionNoise(eqx.Module):
             return self._without_change(predictions, observed, exists, dt)
         types, dimension = len(predictions[0]), observed[0].shape[-1]
         first, last = (index.ravel() for index in jnp.indices((types, types)))
-        same, closes = first == last, first < last
+        closes = first < last
         x, v = predictions
         # A change may come at any time of the step; bodies that meet in it, or are grasped, move in
         # the end as if they always had been.
         middle_x, middle_v = 0.5 * (x[first] + x[last]), 0.5 * (v[first] + v[last])
         middle_v = jnp.where(closes[:, None, None], v[last], middle_v)
-        # A type that lasts errs by a share of its effect.
-        other = jnp.where(same, 0, first)
-        share = jnp.concatenate([jnp.zeros(1), self.type_share])[last]
-        share_x = jnp.where(same, share, _UNIFORM)[:, None] ** 2
-        share_v = jnp.where(same | closes, share, _UNIFORM)[:, None] ** 2
-        difference_x, difference_v = _square(x[last], x[other]), _square(v[last], v[other])
+        # The effect of a type, beside none, is known up to a share of it.
+        share = jnp.concatenate([jnp.zeros(1), self.type_share])[:, None] ** 2
+        effect_v = share * _square(v, v[0])
+        effect_x = share * _square(x, x[0]) + dt**2 * effect_v
+        change_v = _UNIFORM**2 * _square(v[last], v[first])
+        change_x = _UNIFORM**2 * _square(x[last], x[first]) + dt**2 * change_v
         base_x, base_v = self._base(dt)
-        variance_v = base_v + share_v * difference_v
-        variance_x = base_x + share_x * (difference_x + dt**2 * difference_v)
+        variance_x = base_x + 0.5 * (effect_x[first] + effect_x[last]) + change_x
+        changing_v = 0.5 * (effect_v[first] + effect_v[last]) + change_v
+        variance_v = base_v + jnp.where(closes[:, None], effect_v[last], changing_v)
         middle = middle_x, middle_v
         likelihood = _log_density(observed, middle, variance_x, variance_v, self.tail)
         likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
-        lasts = likelihood[:: types + 1]
-        # Bodies that meet as the geometry foresees move as with that contact throughout.
-        met = jnp.logaddexp(likelihood[1:types], lasts[1:]) - jnp.log(2.0)
+        # Bodies that meet as geometry foresees move as with that contact throughout, and a hold may
+        # end in the last instant. Bodies side by side may touch for a part of the step only.
+        ends = (first >= min(2, types - 1)) & (first > last)
+        second = jnp.where(ends, first, last) * (types + 1)
+        second = jnp.where(ends | (first == 0), second, jnp.arange(types**2))
         if types > 2:
-            # Bodies that lie side by side touch for a part of the step only, or all through it.
-            either = jnp.logaddexp(likelihood[types], lasts[1]) - jnp.log(2.0)
-            likelihood = likelihood.at[types + 1].set(either)
-        likelihood = likelihood.at[1:types].set(met)
+            second = second.at[types + 1].set(types)
+        likelihood = jnp.logaddexp(likelihood, likelihood[second]) - jnp.log(2.0)
         likelihood = jnp.where(exists & jnp.isfinite(likelihood), likelihood, 0.0)
         best = jnp.argmax(jnp.sum(likelihood, axis=-1))
         contrast = _square(middle[0], middle[0][best]) / base_x
