@@ -143,6 +143,28 @@ def test_the_filter_is_exact_where_transitions_are_known() -> None:
     np.testing.assert_allclose(found.type_probability[0], weight / weight.sum(), atol=1e-6)
 
 
+def test_an_age_is_expected_given_the_type_and_known_by_motion() -> None:
+    """Against all paths: how long an edge has had a type if it has it, however unlikely that is."""
+    inference, rng = edges(3), np.random.default_rng(0)
+    first, prior = np.array([0.2, 0.3, 0.5]), np.array([0.5, 0.3, 0.2])
+    ratios = rng.normal(size=(3, 3, 3))
+    corrected = belief(*first)
+    for ratio in ratios:
+        given = jnp.zeros((1, 8)), jnp.asarray(prior)[None]
+        predicted, joint = compiled(inference.predict_joint, corrected, *given)
+        corrected = compiled(posterior_by_motion, predicted, joint, jnp.asarray(ratio)[None])
+    weight, steps = np.zeros(3), np.zeros(3)
+    for path in itertools.product(range(3), repeat=4):
+        pairs = list(itertools.pairwise(path))
+        moves = [ratio[pair] for ratio, pair in zip(ratios, pairs, strict=True)]
+        likely = first[path[0]] * np.prod(bounded(prior)[list(path[1:])]) * np.exp(sum(moves))
+        run = len(list(itertools.takewhile(lambda one, end=path[-1]: one == end, path[:0:-1])))
+        weight[path[-1]] += likely
+        steps[path[-1]] += likely * run
+    np.testing.assert_allclose(corrected.type_probability[0], weight / weight.sum(), rtol=1e-6)
+    np.testing.assert_allclose(corrected.memory[0, -3:], steps / weight, rtol=1e-6)
+
+
 def test_a_clock_runs_and_goes_from_list_to_list() -> None:
     inference = edges(3, seed=2)
     before = belief(0.2, 0.3, 0.5)

@@ -10,7 +10,7 @@ from contactgraph.model.collision import Geometry
 
 _MIN_PROBABILITY = 1e-6
 _CHANGE = 0.02
-"""Probability a step that a contact begins or ends, as far as a late report is concerned."""
+"""Probability a step that a contact begins or ends, for late reports."""
 
 
 class ContactBelief(eqx.Module):
@@ -25,9 +25,8 @@ class ContactBelief(eqx.Module):
     """`Edges.edge_id` where only some pairs are listed; all others are inactive with certainty.
     None: all pairs, in `pair_indices`' order."""
     memory: Float[Array, "*T E M"] | None = None
-    """State of the inference besides the types: first the number of steps since the bodies were
-    observed, then for example a clock. 0 for an inactive edge that is not listed. None: the
-    inference has none."""
+    """State of the inference besides the types: the number of steps since the bodies were observed,
+    then a clock, which ends in the age of each type. 0 where not listed. None: there is none."""
 
     @property
     def probability(self) -> Float[Array, "*T E"]:
@@ -63,13 +62,12 @@ class ContactBelief(eqx.Module):
         if edge_id is None and self.edge_id is None:
             return self
         memory = self.memory
-        if memory is not None:
-            memory = moved(memory, jnp.zeros(memory.shape[-1], memory.dtype))
+        memory = None if memory is None else moved(memory, jnp.zeros_like(memory[0]))
         return ContactBelief(moved(types, inactive), edge_id, memory)
 
     @property
     def observed(self) -> "ContactBelief":
-        """The same belief about bodies that have just been observed."""
+        """The same about bodies that have just been observed."""
         memory = None if self.memory is None else self.memory.at[..., 0].set(0.0)
         return ContactBelief(self.type_probability, self.edge_id, memory)
 
@@ -84,15 +82,19 @@ def two_type_belief(probability: Float[Array, "*T E"]) -> ContactBelief:
     return ContactBelief(jnp.stack([1.0 - probability, probability], axis=-1))
 
 
+def kept_share(joint: Float[Array, "E K K"]) -> Float[Array, "E K"]:
+    """Probability that an edge had a type before, too, if it has it now; ``joint`` is of pairs."""
+    kept = jnp.einsum("eii->ei", joint)
+    return kept / jnp.maximum(jnp.sum(joint, axis=1), _MIN_PROBABILITY)
+
+
 def without_change(predicted: ContactBelief, error_floor: float = 0.0) -> Float[Array, "E K K"]:
     """The probability of the pairs of types where no edge changes its type within the step.
 
-    No type is less probable than ``error_floor``, because networks are overconfident outside of
-    their training data.
+    No type is less probable than ``error_floor``: beyond their data networks are overconfident.
     """
-    types = predicted.type_probability
     most = 1.0 - (predicted.edge_types - 1) * error_floor
-    types = jnp.clip(types, error_floor, most)
+    types = jnp.clip(predicted.type_probability, error_floor, most)
     return types[:, :, None] * jnp.eye(predicted.edge_types, dtype=types.dtype)
 
 
@@ -127,7 +129,7 @@ class ContactSensor(eqx.Module):
             raise InvalidInputError(f"delay must be at least 0 steps, found {self.delay}")
 
     def contact_probability(self, belief: ContactBelief) -> Float[Array, "*T E"]:
-        """Probability of what the sensor means by contact."""
+        """Probability of what it means by contact."""
         return belief.probability if self.reports_touch else belief.holding
 
     @property
@@ -154,14 +156,13 @@ def correct(
     contact_measurement: Float[Array, " all"],
     sensor: ContactSensor,
 ) -> ContactBelief:
-    """Bayes' rule: the posterior belief given a measured contact.
+    """Bayes' rule: the posterior belief given a measured contact of bodies that were observed.
 
     ``contact_measurement`` is 1 (contact), 0 (none), or in between for an uncertain sensor; NaN
-    means that the edge was not measured and leaves its types unchanged; the bodies were observed.
-    The result is normalised and finite even when prior and measurement contradict each other.
-    Paper, eq. (4), with the sensor's own error rates in place of a raw distribution. Measurements,
-    and rates that are each edge's own, are of all pairs; measurements of edges that are not listed
-    are ignored.
+    means that the edge was not measured, and leaves its types unchanged. The result is normalised
+    and finite even when prior and measurement contradict each other. Paper, eq. (4), with error
+    rates in place of a raw distribution. Measurements, and rates that are each edge's own, are of
+    all pairs; those of edges that are not listed are ignored.
     """
     if belief.edge_id is not None:
         edge_id = belief.edge_id
@@ -169,16 +170,15 @@ def correct(
         sensor = jax.tree.map(lambda rate: _listed(rate, edge_id), sensor)
     measured = jnp.isfinite(contact_measurement)
     contact = jnp.clip(jnp.where(measured, contact_measurement, 0.5), 0.0, 1.0)
-    likelihood_active = contact * (1.0 - sensor.miss) + (1.0 - contact) * sensor.miss
-    likelihood_inactive = contact * sensor.false_alarm + (1.0 - contact) * (
-        1.0 - sensor.false_alarm
-    )
+    false_alarm, miss = sensor.false_alarm, sensor.miss
+    if_active = contact * (1.0 - miss) + (1.0 - contact) * miss
+    if_inactive = contact * false_alarm + (1.0 - contact) * (1.0 - false_alarm)
     prior = jnp.clip(belief.type_probability, _MIN_PROBABILITY, 1.0)
     none = 1 if sensor.reports_touch else first_holding_type(belief.edge_types)
-    inactive = prior[..., :none] * jnp.maximum(likelihood_inactive, _MIN_PROBABILITY)[..., None]
-    active = prior[..., none:] * jnp.maximum(likelihood_active, _MIN_PROBABILITY)[..., None]
-    posterior = jnp.concatenate([inactive, active], axis=-1)
-    posterior = posterior / jnp.sum(posterior, axis=-1, keepdims=True)
+    inactive = prior[..., :none] * jnp.maximum(if_inactive, _MIN_PROBABILITY)[..., None]
+    active = prior[..., none:] * jnp.maximum(if_active, _MIN_PROBABILITY)[..., None]
+    both = jnp.concatenate([inactive, active], axis=-1)
+    posterior = both / jnp.sum(both, axis=-1, keepdims=True)
     types = jnp.where(measured[..., None], posterior, belief.type_probability)
     return ContactBelief(types, belief.edge_id, belief.memory).observed
 
@@ -251,8 +251,8 @@ class SmoothCutoff(eqx.Module):
 
     def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
         """Weight of each edge in [0, 1], by its closest approach in the step."""
-        fraction = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
-        fraction = jnp.clip(fraction, 0.0, 1.0)
+        inside = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
+        fraction = jnp.clip(inside, 0.0, 1.0)
         return fraction**2 * (3.0 - 2.0 * fraction)
 
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.contact_belief import ContactBelief, kept_share
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 
 _MEMORY = 8
@@ -32,14 +32,15 @@ class TransitionEdges(eqx.Module):
     With the geometric prior q of the step, features f of the edge and the clock h,
 
     .. math::
-        h' = \mathrm{GRU}([f, p], h), \qquad a' = (a + 1)\,p, \qquad
-        T_{ij} = \mathrm{softmax}_j(\log q_j + r_{ij}([f, h', a'])), \qquad p' = p\,T,
+        h' = \mathrm{GRU}([f, p], h), \quad
+        T_{ij} = \mathrm{softmax}_j(\log q_j + r_{ij}([f, h', a])), \quad p' = p\,T, \quad
+        a'_j = 1 + a_j\,p_j T_{jj} / p'_j,
 
     and every T is at least `min_transition`. The age a is the expected number of steps for which an
-    edge has had each type, so that types may last for characteristic times. The belief p is the
-    corrected one, so evidence lasts until something speaks against it. The rates are also told for
-    how many steps the state has not been observed: it has followed the likeliest types since, so
-    that its geometry does not fit the others. They start at 0, where p' = q. The features are the
+    edge has had each type if it has it, so that types may last for characteristic times. The belief
+    p is the corrected one, so evidence lasts until something speaks against it. The rates are told
+    for how many steps the state has not been observed: it has followed the likeliest types since,
+    so that its geometry does not fit the others. They start at 0, where p' = q. Features are the
     edge's own and the types of its ends; observed velocities enter only through the correction.
     """
 
@@ -116,17 +117,15 @@ class TransitionEdges(eqx.Module):
         before, clock = belief.type_probability, belief.memory
         assert clock is not None, "a belief of this inference has a clock"
         unobserved, hidden, age = jnp.split(clock, [1, 1 + self.memory_size], axis=-1)
-        age = (age + 1.0) * before
         hidden = jax.vmap(self.cell)(jnp.concatenate([embedding, before], axis=-1), hidden)
-        memory = jnp.concatenate([unobserved + 1.0, hidden, age], axis=-1)
-        exceeded = jax.nn.sigmoid(4.0 * (age[..., None] - jnp.asarray(_AGES, age.dtype)))
+        ages = jnp.tile(jnp.asarray(_AGES, age.dtype), self.edge_types)
+        exceeded = jax.nn.sigmoid(4.0 * (jnp.repeat(age, len(_AGES), axis=-1) - ages))
         blind = unobserved / (unobserved + _BLIND)
-        known = jnp.concatenate(
-            [embedding, hidden, exceeded.reshape(len(age), -1), blind, blind * before], axis=-1
-        )
+        known = jnp.concatenate([embedding, hidden, exceeded, blind, blind * before], axis=-1)
         rates = jax.vmap(self.rates)(known).reshape(-1, self.edge_types, self.edge_types)
         logits = jnp.log(jnp.maximum(prior, _MIN_PRIOR))[:, None, :] + rates
         joint = before[:, :, None] * _bounded_softmax(logits, self.min_transition)
+        memory = jnp.concatenate([unobserved + 1.0, hidden, 1.0 + age * kept_share(joint)], axis=-1)
         return ContactBelief(jnp.sum(joint, axis=1), belief.edge_id, memory), joint
 
 

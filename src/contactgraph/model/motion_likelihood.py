@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.contact_belief import ContactBelief, cast_like, without_change
+from contactgraph.model.contact_belief import ContactBelief, cast_like, kept_share, without_change
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.motion_noise import Motion, MotionNoise
 from contactgraph.model.rollout import control_sensitivity, with_control_displacement
@@ -182,7 +182,7 @@ def edge_log_ratios(
         motions = jax.vmap(lambda one: moved(types.at[edge].set(one)))(one_hot)
         ratios = noise.log_ratios(motions, observed, graph.nodes.mask, model.dt)
         ratios = ratios - ratios[0, 0]
-        after = _posterior(joint[edge], ratios)
+        after = jnp.sum(_posterior(joint[edge], ratios), axis=0)
         return types.at[edge].set(one_hot[jnp.argmax(after)]), ratios
 
     # The nearest first, each given the result for those before it: a motion that one contact
@@ -207,19 +207,26 @@ def posterior_by_motion(
 ) -> ContactBelief:
     """The belief corrected by `edge_log_ratios`; bit for bit as predicted where these are 0.
 
-    ``joint`` is the probability of the pairs of types that is predicted with it.
+    ``joint`` is the probability of the pairs of types that is predicted with it. Motion that speaks
+    for a change makes an age small.
     """
-    after = jax.vmap(_posterior)(joint, log_ratios)
+    pairs = _posterior(joint, log_ratios)
     evidence = jnp.any(log_ratios != 0, axis=(1, 2))[:, None]
-    after = jnp.where(evidence, after, predicted.type_probability)
-    return ContactBelief(after, predicted.edge_id, predicted.memory)
+    after = jnp.where(evidence, jnp.sum(pairs, axis=1), predicted.type_probability)
+    memory, types = predicted.memory, joint.shape[-1]
+    if memory is not None and memory.shape[-1] > types:
+        kept = kept_share(pairs) / jnp.maximum(kept_share(joint), _MIN_PROBABILITY)
+        age = memory[:, -types:]
+        age = jnp.where(evidence, 1.0 + (age - 1.0) * kept, age)
+        memory = memory.at[:, -types:].set(age.astype(memory.dtype))
+    return ContactBelief(after, predicted.edge_id, memory)
 
 
-def _posterior(joint: Float[Array, "K K"], log_ratios: Float[Array, "K K"]) -> Float[Array, " K"]:
-    """Bayes' rule on an edge: the types in the end of the step."""
-    return jnp.sum(
-        jax.nn.softmax(jnp.log(jnp.maximum(joint, _MIN_JOINT)) + log_ratios, axis=(0, 1)), axis=0
-    )
+def _posterior(
+    joint: Float[Array, "*E K K"], log_ratios: Float[Array, "*E K K"]
+) -> Float[Array, "*E K K"]:
+    """Bayes' rule: the probability of each pair of types."""
+    return jax.nn.softmax(jnp.log(jnp.maximum(joint, _MIN_JOINT)) + log_ratios, axis=(-2, -1))
 
 
 def _at_least(
