@@ -10,7 +10,7 @@ from contactgraph.model.collision import Geometry
 
 _MIN_PROBABILITY = 1e-6
 _CHANGE = 0.02
-"""Probability a step that a contact begins or ends, for late reports."""
+"""Probability a step that a contact begins or ends, as far as a late report is concerned."""
 
 
 class ContactBelief(eqx.Module):
@@ -129,7 +129,7 @@ class ContactSensor(eqx.Module):
             raise InvalidInputError(f"delay must be at least 0 steps, found {self.delay}")
 
     def contact_probability(self, belief: ContactBelief) -> Float[Array, "*T E"]:
-        """Probability of what it means by contact."""
+        """Probability of what the sensor means by contact."""
         return belief.probability if self.reports_touch else belief.holding
 
     @property
@@ -177,8 +177,8 @@ def correct(
     none = 1 if sensor.reports_touch else first_holding_type(belief.edge_types)
     inactive = prior[..., :none] * jnp.maximum(if_inactive, _MIN_PROBABILITY)[..., None]
     active = prior[..., none:] * jnp.maximum(if_active, _MIN_PROBABILITY)[..., None]
-    both = jnp.concatenate([inactive, active], axis=-1)
-    posterior = both / jnp.sum(both, axis=-1, keepdims=True)
+    posterior = jnp.concatenate([inactive, active], axis=-1)
+    posterior = posterior / jnp.sum(posterior, axis=-1, keepdims=True)
     types = jnp.where(measured[..., None], posterior, belief.type_probability)
     return ContactBelief(types, belief.edge_id, belief.memory).observed
 
@@ -251,8 +251,8 @@ class SmoothCutoff(eqx.Module):
 
     def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
         """Weight of each edge in [0, 1], by its closest approach in the step."""
-        inside = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
-        fraction = jnp.clip(inside, 0.0, 1.0)
+        fraction = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
+        fraction = jnp.clip(fraction, 0.0, 1.0)
         return fraction**2 * (3.0 - 2.0 * fraction)
 
 
