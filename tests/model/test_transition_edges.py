@@ -25,9 +25,8 @@ from contactgraph.model import (
     correct,
     hidden_markov_filter,
 )
-from contactgraph.model.contact_belief import without_change
 from contactgraph.model.edge_inference import PriorEdges
-from contactgraph.model.motion_likelihood import posterior_by_motion
+from contactgraph.model.type_transitions import posterior_by_motion, without_change
 
 LEAST = 2e-3
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -44,7 +43,7 @@ def edges(types: int, seed: int | None = None) -> TransitionEdges:
 
 
 def belief(*types: float) -> ContactBelief:
-    return ContactBelief(jnp.array([types]), None, jnp.zeros((1, 1 + 8 + len(types))))
+    return ContactBelief(jnp.array([types]), None, jnp.zeros((1, 8 + len(types))))
 
 
 def bounded(types: np.ndarray) -> np.ndarray:
@@ -162,7 +161,35 @@ def test_an_age_is_expected_given_the_type_and_known_by_motion() -> None:
         weight[path[-1]] += likely
         steps[path[-1]] += likely * run
     np.testing.assert_allclose(corrected.type_probability[0], weight / weight.sum(), rtol=1e-6)
-    np.testing.assert_allclose(corrected.memory[0, -3:], steps / weight, rtol=1e-6)
+    np.testing.assert_allclose(corrected.memory[0, -2:], (steps / weight)[1:], rtol=1e-6)
+
+
+def test_gradients_stay_finite_where_motion_contradicts_every_prediction() -> None:
+    """Along a trajectory that jumps between types which the ages and rates call impossible."""
+    inference = edges(3, seed=2)
+    ratios = 6.0 * jnp.eye(9).reshape(9, 1, 3, 3)[jnp.array([8, 6, 0, 2, 8, 6, 1, 4, 5, 8] * 8)]
+
+    def score(scale: jax.Array) -> jax.Array:
+        def step(state: ContactBelief, ratio: jax.Array) -> tuple[ContactBelief, jax.Array]:
+            prior = jnp.array([[1.0, 0.0, 0.0]])
+            predicted, joint = inference.predict_joint(state, scale * jnp.ones((1, 8)), prior)
+            after = posterior_by_motion(predicted, joint, ratio)
+            return after, after.type_probability
+
+        return jnp.sum(jax.lax.scan(step, belief(1.0, 0.0, 0.0), ratios)[1][:, 0, 0])
+
+    assert np.isfinite(compiled(jax.grad(score), 30.0))
+
+
+def test_an_embedding_is_bounded_whatever_the_weights() -> None:
+    inference = edges(3, seed=2)
+    large = jax.tree.map(
+        lambda leaf: 1e4 * leaf if eqx.is_inexact_array(leaf) else leaf, inference.message_passing
+    )
+    inference = eqx.tree_at(lambda each: each.message_passing, inference, large)
+    given = jnp.eye(2), jnp.ones((2, 1, 4)), jnp.ones(1), jnp.array([[0], [1]])
+    found = compiled(inference.embed, *given)
+    assert 0.9 < float(jnp.mean(found**2)) <= 1.0
 
 
 def test_a_clock_runs_and_goes_from_list_to_list() -> None:

@@ -26,7 +26,7 @@ class ContactBelief(eqx.Module):
     None: all pairs, in `pair_indices`' order."""
     memory: Float[Array, "*T E M"] | None = None
     """State of the inference besides the types: the number of steps since the bodies were observed,
-    then a clock, which ends in the age of each type. 0 where not listed. None: there is none."""
+    then a clock, which ends in the ages of active types. 0 where not listed; None: it has none."""
 
     @property
     def probability(self) -> Float[Array, "*T E"]:
@@ -80,22 +80,6 @@ def first_holding_type(edge_types: int) -> int:
 def two_type_belief(probability: Float[Array, "*T E"]) -> ContactBelief:
     """A belief over {inactive, active} from the probability of *active*."""
     return ContactBelief(jnp.stack([1.0 - probability, probability], axis=-1))
-
-
-def kept_share(joint: Float[Array, "E K K"]) -> Float[Array, "E K"]:
-    """Probability that an edge had a type before, too, if it has it now; ``joint`` is of pairs."""
-    kept = jnp.einsum("eii->ei", joint)
-    return kept / jnp.maximum(jnp.sum(joint, axis=1), _MIN_PROBABILITY)
-
-
-def without_change(predicted: ContactBelief, error_floor: float = 0.0) -> Float[Array, "E K K"]:
-    """The probability of the pairs of types where no edge changes its type within the step.
-
-    No type is less probable than ``error_floor``: beyond their data networks are overconfident.
-    """
-    most = 1.0 - (predicted.edge_types - 1) * error_floor
-    types = jnp.clip(predicted.type_probability, error_floor, most)
-    return types[:, :, None] * jnp.eye(predicted.edge_types, dtype=types.dtype)
 
 
 def cast_like(belief: ContactBelief, other: ContactBelief) -> ContactBelief:

@@ -24,10 +24,9 @@ from contactgraph.model.contact_belief import (
     GumbelSample,
     NoCutoff,
     SmoothCutoff,
-    without_change,
 )
 from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
-from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
+from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, stillness
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
 from contactgraph.model.motion_noise import PredictionNoise
 from contactgraph.model.neighbor_list import (
@@ -38,6 +37,7 @@ from contactgraph.model.neighbor_list import (
     travel_bound,
 )
 from contactgraph.model.rollout import control_sensitivity, rollout, take_step
+from contactgraph.model.type_transitions import without_change
 from contactgraph.model.types import (
     LinearDynamics,
     LocalInput,
@@ -148,7 +148,7 @@ class ContactDynamics(eqx.Module):
         edge_features = self.features.edge(edge_geometry, contact_distance)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
-        known = self._with_commands(edge_features, nodes, edges.edge_index, command)
+        known = self._known_to_inference(edge_features, edge_geometry, nodes, command)
         embedding = self.inference.embed(node_features, known, weight, edges.edge_index)
         return EncodedGraph(
             position=position,
@@ -177,19 +177,22 @@ class ContactDynamics(eqx.Module):
         spread = jnp.repeat(active[:, None] / active_types, active_types, axis=-1)
         return jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
 
-    def _with_commands(
+    def _known_to_inference(
         self,
-        edge_features: Float[Array, "2 E G"],
+        features: Float[Array, "2 E G"],
+        geometry: Geometry,
         nodes: Nodes,
-        edge_index: Int[Array, "2 E"],
         command: Float[Array, " C"] | None,
     ) -> Float[Array, "2 E F"]:
-        """For the inference: the edge features, and commands on actuated ends."""
-        commands = getattr(self.inference, "commands", 0)
-        acting = jnp.sum(nodes.actuated[edge_index], axis=0).astype(edge_features.dtype)
-        command = jnp.zeros(commands) if command is None else command[:commands]
-        given = jnp.broadcast_to(acting[:, None] * command, (2, len(acting), commands))
-        return jnp.concatenate([edge_features, given.astype(edge_features.dtype)], axis=-1)
+        """The edge features; for a filter also stillness, and commands on actuated ends."""
+        if not isinstance(self.inference, TransitionEdges):
+            return features
+        still = stillness(geometry, self.features.contact_distance)[:, None]
+        count = self.inference.commands
+        acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None]
+        command = jnp.zeros(count) if command is None else command[:count]
+        known = jnp.concatenate([still, acting * command], axis=-1).astype(features.dtype)
+        return jnp.concatenate([features, jnp.stack([known, known])], axis=-1)
 
     def _edges(
         self,
@@ -258,10 +261,7 @@ class ContactDynamics(eqx.Module):
         return StepStages(graph, belief, local, self.linearize(local))
 
     def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
-        """The linear dynamics of the next step, and the belief that they assume.
-
-        Neither depends on the control but through ``state.control_displacement``.
-        """
+        """The next step's dynamics and the belief that they assume, given the intended control."""
         stages = self.stages(state, nodes)
         return stages.dynamics, stages.belief
 

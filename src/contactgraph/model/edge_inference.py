@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.model.contact_belief import ContactBelief, kept_share
+from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
+from contactgraph.model.type_transitions import bounded_softmax, kept_share
 
 _MEMORY = 8
 """Size of an edge's clock."""
@@ -22,8 +23,6 @@ _AGES = np.array([*range(1, 13), 15, 19, 24, 30, 37, 46, 58]) - 0.5
 """Ages, in steps, that the rates are told to be exceeded or not: a duration may be exact."""
 _BLIND = 5.0
 """Steps without observation for which the input of the rates is one half."""
-_UNBOUNDED = 0.1
-"""Share of the gradient that is kept beyond the least transition."""
 
 
 class TransitionEdges(eqx.Module):
@@ -32,15 +31,16 @@ class TransitionEdges(eqx.Module):
     With the geometric prior q of the step, features f of the edge and the clock h,
 
     .. math::
-        h' = \mathrm{GRU}([f, p], h), \quad
+        h' = \mathrm{GRU}(p, h), \quad
         T_{ij} = \mathrm{softmax}_j(\log q_j + r_{ij}([f, h', a])), \quad p' = p\,T, \quad
         a'_j = 1 + a_j\,p_j T_{jj} / p'_j,
 
     and every T is at least `min_transition`. The age a is the expected number of steps for which an
-    edge has had each type if it has it, so that types may last for characteristic times. The belief
-    p is the corrected one, so evidence lasts until something speaks against it. The rates are told
-    for how many steps the state has not been observed: it has followed the likeliest types since,
-    so that its geometry does not fit the others. They start at 0, where p' = q. Features are the
+    edge has had each active type if it has it, so that contacts may last for characteristic times;
+    told that of *free*, the rates would take an unusual one for a denied contact. The belief p is
+    the corrected one, so evidence lasts until something speaks against it. The rates are told for
+    how many steps the state has not been observed: it has followed the likeliest types since, so
+    that its geometry does not fit the others. They start at 0, where p' = q. Features are the
     edge's own and the types of its ends; observed velocities enter only through the correction.
     """
 
@@ -66,12 +66,12 @@ class TransitionEdges(eqx.Module):
         min_transition: float = 2e-3,
         key: PRNGKeyArray,
     ):
-        """``message_passing`` takes the edge's features, `commands`, and `node_types` counts."""
+        """``message_passing`` takes features, stillness, `commands` and `node_types` counts."""
         cell_key, rate_key = jax.random.split(key)
         width = message_passing.width
         self.message_passing = message_passing
-        self.cell = eqx.nn.GRUCell(width + edge_types, memory_size, key=cell_key)
-        known = width + memory_size + edge_types * len(_AGES) + 1 + edge_types
+        self.cell = eqx.nn.GRUCell(edge_types, memory_size, key=cell_key)
+        known = width + memory_size + (edge_types - 1) * len(_AGES) + 1 + edge_types
         rates = eqx.nn.MLP(known, edge_types**2, width, 1, key=rate_key)
         last = rates.layers[-1]
         assert last.bias is not None
@@ -88,8 +88,8 @@ class TransitionEdges(eqx.Module):
 
     @property
     def carried_size(self) -> int:
-        """Size of `ContactBelief.memory`: steps unobserved, hidden state, age of each type."""
-        return 1 + self.memory_size + self.edge_types
+        """Size of `ContactBelief.memory`: steps unobserved, hidden state, ages."""
+        return self.memory_size + self.edge_types
 
     def embed(
         self,
@@ -102,7 +102,8 @@ class TransitionEdges(eqx.Module):
         ends = jnp.sum(node[edge_index, : self.node_types], axis=0)
         known = jnp.concatenate([edge, jnp.broadcast_to(ends, (2, *ends.shape))], axis=-1)
         _, message = self.message_passing(node, known, weight, edge_index)
-        return message[0]
+        # Unbounded, it grows a thousandfold in training, and the rates with it.
+        return message[0] / jnp.sqrt(1.0 + jnp.mean(message[0] ** 2, axis=-1, keepdims=True))
 
     def predict(
         self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
@@ -117,14 +118,14 @@ class TransitionEdges(eqx.Module):
         before, clock = belief.type_probability, belief.memory
         assert clock is not None, "a belief of this inference has a clock"
         unobserved, hidden, age = jnp.split(clock, [1, 1 + self.memory_size], axis=-1)
-        hidden = jax.vmap(self.cell)(jnp.concatenate([embedding, before], axis=-1), hidden)
-        ages = jnp.tile(jnp.asarray(_AGES, age.dtype), self.edge_types)
-        exceeded = jax.nn.sigmoid(4.0 * (jnp.repeat(age, len(_AGES), axis=-1) - ages))
+        hidden = jax.vmap(self.cell)(before, hidden)
+        ages = jnp.asarray(_AGES, age.dtype)
+        exceeded = jax.nn.sigmoid(4.0 * (age[..., None] - ages)).reshape(len(age), -1)
         blind = unobserved / (unobserved + _BLIND)
         known = jnp.concatenate([embedding, hidden, exceeded, blind, blind * before], axis=-1)
         rates = jax.vmap(self.rates)(known).reshape(-1, self.edge_types, self.edge_types)
         logits = jnp.log(jnp.maximum(prior, _MIN_PRIOR))[:, None, :] + rates
-        joint = before[:, :, None] * _bounded_softmax(logits, self.min_transition)
+        joint = before[:, :, None] * bounded_softmax(logits, self.min_transition)
         memory = jnp.concatenate([unobserved + 1.0, hidden, 1.0 + age * kept_share(joint)], axis=-1)
         return ContactBelief(jnp.sum(joint, axis=1), belief.edge_id, memory), joint
 
@@ -271,16 +272,6 @@ class PriorEdges(eqx.Module):
         types = types.at[:, self.active_type].set(active)
         memory = jnp.zeros((prior.shape[0], self.carried_size), prior.dtype)
         return ContactBelief(types, belief.edge_id, memory)
-
-
-def _bounded_softmax(logits: Float[Array, "E K K"], least: float) -> Float[Array, "E K K"]:
-    """Softmax, at least ``least``; a part of its gradient is that without the bound.
-
-    Beyond the bound logits have no effect, and without any gradient they would never return.
-    """
-    unbounded = jax.nn.log_softmax(logits)
-    bounded = least + (1.0 - logits.shape[-1] * least) * jnp.exp(unbounded)
-    return bounded * jnp.exp(_UNBOUNDED * (unbounded - jax.lax.stop_gradient(unbounded)))
 
 
 def _edge_embedding(

@@ -11,6 +11,8 @@ from contactgraph.model.types import Nodes
 
 _NEAR = 0.03
 """Gap, in contact distances, that separates bodies that touch from those that are merely near."""
+_STILL = 0.02
+"""Approach in a step, in contact distances, of bodies at rest with each other."""
 
 
 class InvariantFeatures(eqx.Module):
@@ -136,6 +138,15 @@ class AbsoluteFeatures(eqx.Module):
         """Features of every edge, for the messages to its first and to its second node."""
         features = geometry.distance[:, None]
         return jnp.stack([features, features])
+
+
+def stillness(
+    geometry: Geometry, contact_distance: Float[Array, ""] | float
+) -> Float[Array, "*B E"]:
+    """1 where the bodies of an edge do not approach each other within the step, else down to 0."""
+    touch = jax.lax.stop_gradient(contact_distance)
+    approach = (geometry.distance - geometry.closest_approach) / touch
+    return jnp.exp(-((approach / _STILL) ** 2))
 
 
 def _node_type(nodes: Nodes, hinges: bool, dtype: DTypeLike) -> Float[Array, "N node_types"]:

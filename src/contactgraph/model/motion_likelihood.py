@@ -24,10 +24,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.contact_belief import ContactBelief, cast_like, kept_share, without_change
+from contactgraph.model.contact_belief import ContactBelief, cast_like
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.motion_noise import Motion, MotionNoise
 from contactgraph.model.rollout import control_sensitivity, with_control_displacement
+from contactgraph.model.type_transitions import pair_posterior, posterior_by_motion, without_change
 from contactgraph.model.types import ModelState, Nodes
 
 _CONSIDERED = 8
@@ -36,7 +37,6 @@ cost of a control step must not grow with the square of the number of bodies."""
 _TOUCHING = 1.02
 """Contact distance of an edge assumed active, in units of its distance: clearly touching."""
 _MIN_PROBABILITY = 1e-6
-_MIN_JOINT = 1e-12
 _LEAST_WEIGHT = 0.5
 """Of the cutoff, from which an edge is considered: bodies far beyond contact have none."""
 
@@ -182,7 +182,7 @@ def edge_log_ratios(
         motions = jax.vmap(lambda one: moved(types.at[edge].set(one)))(one_hot)
         ratios = noise.log_ratios(motions, observed, graph.nodes.mask, model.dt)
         ratios = ratios - ratios[0, 0]
-        after = jnp.sum(_posterior(joint[edge], ratios), axis=0)
+        after = jnp.sum(pair_posterior(joint[edge], ratios), axis=0)
         return types.at[edge].set(one_hot[jnp.argmax(after)]), ratios
 
     # The nearest first, each given the result for those before it: a motion that one contact
@@ -200,33 +200,6 @@ def edge_log_ratios(
         types = most_probable(ContactBelief(jnp.sum(joint, axis=1)))
     first = jnp.zeros((), int), types, jnp.zeros(joint.shape, graph.weight.dtype)
     return jax.lax.while_loop(lambda carry: carry[0] < count, judge_next, first)[2]
-
-
-def posterior_by_motion(
-    predicted: ContactBelief, joint: Float[Array, "E K K"], log_ratios: Float[Array, "E K K"]
-) -> ContactBelief:
-    """The belief corrected by `edge_log_ratios`; bit for bit as predicted where these are 0.
-
-    ``joint`` is the probability of the pairs of types that is predicted with it. Motion that speaks
-    for a change makes an age small.
-    """
-    pairs = _posterior(joint, log_ratios)
-    evidence = jnp.any(log_ratios != 0, axis=(1, 2))[:, None]
-    after = jnp.where(evidence, jnp.sum(pairs, axis=1), predicted.type_probability)
-    memory, types = predicted.memory, joint.shape[-1]
-    if memory is not None and memory.shape[-1] > types:
-        kept = kept_share(pairs) / jnp.maximum(kept_share(joint), _MIN_PROBABILITY)
-        age = memory[:, -types:]
-        age = jnp.where(evidence, 1.0 + (age - 1.0) * kept, age)
-        memory = memory.at[:, -types:].set(age.astype(memory.dtype))
-    return ContactBelief(after, predicted.edge_id, memory)
-
-
-def _posterior(
-    joint: Float[Array, "*E K K"], log_ratios: Float[Array, "*E K K"]
-) -> Float[Array, "*E K K"]:
-    """Bayes' rule: the probability of each pair of types."""
-    return jax.nn.softmax(jnp.log(jnp.maximum(joint, _MIN_JOINT)) + log_ratios, axis=(-2, -1))
 
 
 def _at_least(

@@ -124,7 +124,7 @@ def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDy
     model = gim_temp(config, key=model_key)
     features = model.features
     commands = max(0, config.control_size - config.dimension)
-    edge_size = features.edge_size(config.dimension) + commands + features.node_types
+    edge_size = features.edge_size(config.dimension) + 1 + commands + features.node_types
     messages = EdgeNetwork(edge_size, config.width or 32, key=messages_key)
     inference = TransitionEdges(
         messages,

@@ -17,8 +17,9 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, correct
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.edge_inference import TransitionEdges
-from contactgraph.model.motion_likelihood import posterior_by_motion
+from contactgraph.model.features import stillness
 from contactgraph.model.motion_noise import Motion
+from contactgraph.model.type_transitions import posterior_by_motion
 from contactgraph.model.types import LinearDynamics
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import SensorReports, random_reports
@@ -42,8 +43,6 @@ DENIAL = 0.1
 """Weight in training of what sensors deny: see `filter_loss`."""
 _DENIED, _UNMEASURED = 10, 0.5
 """Steps of `_denial_score` that a sensor denies contact, and seconds without measurement after."""
-_STILL = 0.02
-"""Change of distance in a step, in contact distances, of bodies at rest with each other."""
 
 
 def dynamics_loss(
@@ -151,8 +150,7 @@ def _denial_score(
     The improbability is that of the transition from free to free; what comes from the other types
     is what the data tell.
     """
-    moves = graph.geometry.distance - graph.geometry.closest_approach
-    still = jnp.exp(-((moves / (_STILL * model.features.contact_distance)) ** 2))
+    still = stillness(graph.geometry, model.features.contact_distance)
     touching = jax.lax.stop_gradient((1.0 - graph.prior[..., 0]) * still)  # [B, T, E]
     drawn = jax.random.categorical(key, jnp.log(touching + _SMALLEST), axis=1)
 
@@ -164,8 +162,9 @@ def _denial_score(
     inference = model.inference
     assert isinstance(inference, TransitionEdges)
     size = inference.carried_size
-    # Afterwards the bodies are observed at rest, or predicted to be.
-    seen = jax.random.bernoulli(jax.random.fold_in(key, 1), shape=prior.shape[:1])
+    # Contact is denied from the first, or after the prior made it likely; afterwards the bodies are
+    # observed at rest, or predicted to be.
+    at_once, seen = jax.random.bernoulli(jax.random.fold_in(key, 1), shape=(2, len(prior)))
 
     def step(belief: ContactBelief, denied: Array) -> tuple[ContactBelief, Array]:
         predicted, joint = jax.vmap(inference.predict_joint)(belief, embedding, prior)
@@ -175,7 +174,8 @@ def _denial_score(
         after = ContactBelief(jnp.where(denied, free, types), None, predicted.memory)
         return jax.vmap(seen_or_not)(after, denied | seen), score
 
-    first = ContactBelief(prior, None, jnp.zeros((*prior.shape[:-1], size), prior.dtype))
+    believed = jnp.where(at_once[:, None, None], free, prior)
+    first = ContactBelief(believed, None, jnp.zeros((*prior.shape[:-1], size), prior.dtype))
     denied = jnp.arange(_DENIED + round(_UNMEASURED / model.dt)) < _DENIED
     score = jnp.mean(jax.lax.scan(step, first, denied)[1][_DENIED // 3 :], axis=0)
     return jnp.sum(weight[..., 0] * score) / jnp.maximum(jnp.sum(weight), 1.0)

@@ -10,17 +10,16 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from contactgraph.model.contact_belief import (
     ContactBelief,
     first_holding_type,
-    without_change,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.motion_likelihood import (
     edge_log_ratios,
     most_probable,
     motion_noise,
-    posterior_by_motion,
 )
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import with_control_displacement
+from contactgraph.model.type_transitions import posterior_by_motion, without_change
 from contactgraph.model.types import ModelState
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.loss import WindowSteps
