@@ -20,7 +20,7 @@ from contactgraph.model import (
     PriorEdges,
     gim_temp,
 )
-from contactgraph.model.contact_belief import NoCutoff
+from contactgraph.model.collision import NoCutoff
 
 DT = 0.05
 WINDOWS = "contactgraph.evaluate.prediction_windows"

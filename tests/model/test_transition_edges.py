@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -25,8 +26,9 @@ from contactgraph.model import (
     correct,
     hidden_markov_filter,
 )
+from contactgraph.model.contact_belief import posterior_by_motion, without_change
 from contactgraph.model.edge_inference import PriorEdges
-from contactgraph.model.type_transitions import posterior_by_motion, without_change
+from contactgraph.model.features import stillness
 
 LEAST = 2e-3
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -164,21 +166,33 @@ def test_an_age_is_expected_given_the_type_and_known_by_motion() -> None:
     np.testing.assert_allclose(corrected.memory[0, -2:], (steps / weight)[1:], rtol=1e-6)
 
 
-def test_gradients_stay_finite_where_motion_contradicts_every_prediction() -> None:
-    """Along a trajectory that jumps between types which the ages and rates call impossible."""
-    inference = edges(3, seed=2)
-    ratios = 6.0 * jnp.eye(9).reshape(9, 1, 3, 3)[jnp.array([8, 6, 0, 2, 8, 6, 1, 4, 5, 8] * 8)]
+def test_gradients_stay_finite_where_ages_are_of_improbable_types() -> None:
+    """In single precision, with large rates: slopes of these ages multiplied from step to step."""
+    single = jnp.float32
 
-    def score(scale: jax.Array) -> jax.Array:
-        def step(state: ContactBelief, ratio: jax.Array) -> tuple[ContactBelief, jax.Array]:
-            prior = jnp.array([[1.0, 0.0, 0.0]])
-            predicted, joint = inference.predict_joint(state, scale * jnp.ones((1, 8)), prior)
-            after = posterior_by_motion(predicted, joint, ratio)
+    def large(leaf: jax.Array) -> jax.Array:
+        return 30.0 * leaf
+
+    inference = edges(3, seed=2)
+    for layer in (0, -1):
+        inference = eqx.tree_at(
+            lambda each, layer=layer: each.rates.layers[layer].weight, inference, replace_fn=large
+        )
+    cast = partial(jax.tree.map, lambda leaf: leaf.astype(single) if eqx.is_array(leaf) else leaf)
+    inference, first = cast(inference), cast(belief(1.0, 0.0, 0.0))
+    free = 6.0 * jnp.zeros((1, 3, 3), single).at[0, 0, 0].set(1.0)
+
+    def score(embedding: jax.Array) -> jax.Array:
+        def step(state: ContactBelief, embedding: jax.Array) -> tuple[ContactBelief, jax.Array]:
+            prior = jnp.array([[1.0, 0.0, 0.0]], single)
+            predicted, joint = inference.predict_joint(state, embedding[None], prior)
+            after = posterior_by_motion(predicted, joint, free)
             return after, after.type_probability
 
-        return jnp.sum(jax.lax.scan(step, belief(1.0, 0.0, 0.0), ratios)[1][:, 0, 0])
+        return jnp.sum(jax.lax.scan(step, first, embedding)[1][:, 0, 0])
 
-    assert np.isfinite(compiled(jax.grad(score), 30.0))
+    slope = compiled(jax.grad(score), jax.random.normal(jax.random.PRNGKey(0), (200, 8), single))
+    assert slope.dtype == single and np.all(np.isfinite(slope))
 
 
 def test_an_embedding_is_bounded_whatever_the_weights() -> None:
@@ -272,6 +286,32 @@ def model_and_state():
     position, velocity = (scale * jnp.asarray(rng.normal(size=(5, 2))) for scale in (0.12, 0.3))
     nodes = Nodes(np.arange(5) == 0, np.ones(5, bool), np.ones(10, bool))
     return model, position, velocity, jax.tree.map(jnp.asarray, nodes)
+
+
+def test_a_filter_knows_whether_bodies_approach_at_all() -> None:
+    """From the fifth of its inputs, whatever the speed of both together."""
+    model = fresh()
+    distance = float(model.features.contact_distance)
+    one = np.ones(2, bool)
+    nodes = jax.tree.map(jnp.asarray, Nodes(one & [True, False], one, one[:1]))
+    sees = jnp.zeros((8, 4 + 1 + 2)).at[:, 4].set(jnp.linspace(-2.0, 2.0, 8))
+    model = eqx.tree_at(
+        lambda each: each.inference.message_passing.network.layers[0].weight, model, sees
+    )
+
+    @eqx.filter_vmap(in_axes=(None, 0))
+    def known(model: ContactDynamics, closing: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Of bodies that come nearer by that part of the contact distance in a step."""
+        position = jnp.array([[0.0, 0.0], [1.1 * distance, 0.0]])
+        velocity = jnp.array([[0.5, 0.2], [0.5, 0.2]]).at[1, 0].add(-closing * distance / DT)
+        graph = model.encode(position, velocity, nodes)
+        return stillness(graph.geometry, distance)[0], graph.embedding[0]
+
+    found, embedding = compiled(known, model, jnp.array([0.0, -0.3, 0.02, 0.2]))
+    np.testing.assert_allclose(found, [1.0, 1.0, np.exp(-1.0), 0.0], atol=1e-6)
+    np.testing.assert_allclose(embedding[0], embedding[1], atol=1e-9)
+    for approaching in embedding[2:]:
+        assert np.abs(approaching - embedding[0]).max() > 1e-3
 
 
 def test_a_list_of_pairs_changes_no_prediction() -> None:

@@ -1,13 +1,13 @@
 """The model: inference of active contact edges, and local dynamics given them."""
 
+from contactgraph.model.collision import ClosestApproachPrior as ClosestApproachPrior
+from contactgraph.model.collision import DistancePrior as DistancePrior
+from contactgraph.model.collision import NoCutoff as NoCutoff
+from contactgraph.model.collision import SmoothCutoff as SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample as ArgmaxSample
-from contactgraph.model.contact_belief import ClosestApproachPrior as ClosestApproachPrior
 from contactgraph.model.contact_belief import ContactBelief as ContactBelief
 from contactgraph.model.contact_belief import ContactSensor as ContactSensor
-from contactgraph.model.contact_belief import DistancePrior as DistancePrior
 from contactgraph.model.contact_belief import GumbelSample as GumbelSample
-from contactgraph.model.contact_belief import NoCutoff as NoCutoff
-from contactgraph.model.contact_belief import SmoothCutoff as SmoothCutoff
 from contactgraph.model.contact_belief import cast_like as cast_like
 from contactgraph.model.contact_belief import correct as correct
 from contactgraph.model.contact_belief import default_sensor as default_sensor

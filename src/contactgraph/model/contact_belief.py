@@ -1,4 +1,4 @@
-"""Beliefs about contact: prior, measured correction, sampling, and the cutoff in distance."""
+"""Beliefs about contact: transitions, corrections by measurements and motion, and sampling."""
 
 import equinox as eqx
 import jax
@@ -6,9 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.collision import Geometry
 
 _MIN_PROBABILITY = 1e-6
+_MIN_JOINT = 1e-12
+_UNBOUNDED = 0.1
+"""Share of the gradient that is kept beyond the least transition."""
 _CHANGE = 0.02
 """Probability a step that a contact begins or ends, as far as a late report is concerned."""
 
@@ -171,81 +173,61 @@ def _listed(rate: float | Array, edge_id: Int[Array, " E"]) -> float | Array:
     return rate if jnp.ndim(rate) == 0 else jnp.asarray(rate).at[edge_id].get(mode="clip")
 
 
-class DistancePrior(eqx.Module):
-    r"""The paper's prior: probability of contact from the present distance $d$ of two nodes.
+def bounded_softmax(logits: Float[Array, "E K K"], least: float) -> Float[Array, "E K K"]:
+    """Softmax, at least ``least``; a part of its gradient is that without the bound.
 
-    $$ q = \sigma\big( 2 (d_{th} - d) / s \big), \qquad
-       s = s_\text{inside}\ (d < d_{th}),\ s_\text{outside}\ (d \ge d_{th}) $$
-
-    With both scales 1 m it is the paper's text; its authors' prior is ten times as sharp inside.
+    Beyond the bound logits have no effect, and without any gradient they would never return.
     """
-
-    threshold: float = eqx.field(static=True, default=0.1)
-    """d_th, m."""
-    inside: float = eqx.field(static=True, default=0.1)
-    """Scale below the threshold, m."""
-    outside: float = eqx.field(static=True, default=1.0)
-    """Scale above the threshold, m."""
-
-    def __call__(
-        self, geometry: Geometry, contact_distance: Float[Array, ""] | float
-    ) -> Float[Array, " E"]:
-        """Prior probability that each edge is active; `contact_distance` is not used."""
-        margin = self.threshold - geometry.distance
-        scale = jnp.where(margin > 0, self.inside, self.outside)
-        return jax.nn.sigmoid(2.0 * margin / scale)
+    unbounded = jax.nn.log_softmax(logits)
+    bounded = least + (1.0 - logits.shape[-1] * least) * jnp.exp(unbounded)
+    return bounded * jnp.exp(_UNBOUNDED * (unbounded - jax.lax.stop_gradient(unbounded)))
 
 
-class ClosestApproachPrior(eqx.Module):
-    r"""Probability of contact from the closest approach of two nodes within the step.
+def kept_share(joint: Float[Array, "E K K"]) -> Float[Array, "E active"]:
+    """Probability that an edge had an active type before, too, if it has it now.
 
-    $$ q = \epsilon + (1 - 2 \epsilon)\, \sigma\big( 2 (m \rho - d) / (s \rho) \big) $$
-
-    with $\rho$ the contact distance, which the model learns from impacts, and $d$ the distance of
-    closest approach in the next step: the edge of a step must already be active when bodies touch
-    *within* it. No gradient flows to $\rho$. The prior is never more certain than $\epsilon$,
-    because an unknown force may bring bodies together or keep them apart.
+    No gradient is taken: that of improbable types has no bound.
     """
-
-    margin: float = eqx.field(static=True, default=1.03)
-    """m; factor on the contact distance below which nodes count as touching."""
-    sharpness: float = eqx.field(static=True, default=0.02)
-    """s."""
-    min_probability: float = eqx.field(static=True, default=0.01)
-    """epsilon."""
-
-    def __call__(
-        self, geometry: Geometry, contact_distance: Float[Array, ""] | float
-    ) -> Float[Array, " E"]:
-        """Prior probability that each edge is active."""
-        touch = jax.lax.stop_gradient(jnp.asarray(contact_distance))
-        margin = (self.margin * touch - geometry.closest_approach) / (self.sharpness * touch)
-        spread = 1.0 - 2.0 * self.min_probability
-        return self.min_probability + spread * jax.nn.sigmoid(2.0 * margin)
+    joint = jax.lax.stop_gradient(joint)
+    kept = jnp.einsum("eii->ei", joint)
+    return (kept / jnp.maximum(jnp.sum(joint, axis=1), _MIN_PROBABILITY))[:, 1:]
 
 
-class SmoothCutoff(eqx.Module):
-    """Weight of an edge by distance: 1 below `inner` [m], exactly 0 from `outer` [m] on.
+def without_change(predicted: ContactBelief, error_floor: float = 0.0) -> Float[Array, "E K K"]:
+    """The probability of the pairs of types where no edge changes its type within the step.
 
-    A node beyond the cutoff of all others changes no prediction of theirs, exactly.
+    No type is less probable than ``error_floor``: beyond their data networks are overconfident.
     """
-
-    inner: float = eqx.field(static=True, default=0.15)
-    outer: float = eqx.field(static=True, default=0.25)
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Weight of each edge in [0, 1], by its closest approach in the step."""
-        fraction = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
-        fraction = jnp.clip(fraction, 0.0, 1.0)
-        return fraction**2 * (3.0 - 2.0 * fraction)
+    most = 1.0 - (predicted.edge_types - 1) * error_floor
+    types = jnp.clip(predicted.type_probability, error_floor, most)
+    return types[:, :, None] * jnp.eye(predicted.edge_types, dtype=types.dtype)
 
 
-class NoCutoff(eqx.Module):
-    """Weight 1 at every distance: the paper's all-pairs inference."""
+def posterior_by_motion(
+    predicted: ContactBelief, joint: Float[Array, "E K K"], log_ratios: Float[Array, "E K K"]
+) -> ContactBelief:
+    """The belief corrected by `edge_log_ratios`; bit for bit as predicted where these are 0.
 
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Weight 1 for every edge."""
-        return jnp.ones_like(geometry.distance)
+    ``joint`` is the probability of the pairs of types that is predicted with it. Motion that speaks
+    for a change makes an age small.
+    """
+    pairs = pair_posterior(joint, log_ratios)
+    evidence = jnp.any(log_ratios != 0, axis=(1, 2))[:, None]
+    after = jnp.where(evidence, jnp.sum(pairs, axis=1), predicted.type_probability)
+    memory, active = predicted.memory, joint.shape[-1] - 1
+    if memory is not None and memory.shape[-1] > active:
+        kept = kept_share(pairs) / jnp.maximum(kept_share(joint), _MIN_PROBABILITY)
+        age = memory[:, -active:]
+        age = jnp.where(evidence, 1.0 + (age - 1.0) * kept, age)
+        memory = memory.at[:, -active:].set(age.astype(memory.dtype))
+    return ContactBelief(after, predicted.edge_id, memory)
+
+
+def pair_posterior(
+    joint: Float[Array, "*E K K"], log_ratios: Float[Array, "*E K K"]
+) -> Float[Array, "*E K K"]:
+    """Bayes' rule: the probability of each pair of types."""
+    return jax.nn.softmax(jnp.log(jnp.maximum(joint, _MIN_JOINT)) + log_ratios, axis=(-2, -1))
 
 
 class ArgmaxSample(eqx.Module):

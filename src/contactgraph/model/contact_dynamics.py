@@ -14,16 +14,20 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
-from contactgraph.model.collision import Geometry, geometry
-from contactgraph.model.contact_belief import (
-    ArgmaxSample,
+from contactgraph.model.collision import (
     ClosestApproachPrior,
-    ContactBelief,
-    ContactSensor,
     DistancePrior,
-    GumbelSample,
+    Geometry,
     NoCutoff,
     SmoothCutoff,
+    geometry,
+)
+from contactgraph.model.contact_belief import (
+    ArgmaxSample,
+    ContactBelief,
+    ContactSensor,
+    GumbelSample,
+    without_change,
 )
 from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, stillness
@@ -37,7 +41,6 @@ from contactgraph.model.neighbor_list import (
     travel_bound,
 )
 from contactgraph.model.rollout import control_sensitivity, rollout, take_step
-from contactgraph.model.type_transitions import without_change
 from contactgraph.model.types import (
     LinearDynamics,
     LocalInput,
@@ -188,11 +191,10 @@ class ContactDynamics(eqx.Module):
         if not isinstance(self.inference, TransitionEdges):
             return features
         still = stillness(geometry, self.features.contact_distance)[:, None]
-        count = self.inference.commands
+        command = jnp.zeros(self.control_size) if command is None else command
         acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None]
-        command = jnp.zeros(count) if command is None else command[:count]
-        known = jnp.concatenate([still, acting * command], axis=-1).astype(features.dtype)
-        return jnp.concatenate([features, jnp.stack([known, known])], axis=-1)
+        known = jnp.concatenate([still, acting * command[: self.inference.commands]], axis=-1)
+        return jnp.concatenate([features, jnp.stack([known, known]).astype(features.dtype)], -1)
 
     def _edges(
         self,

@@ -12,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.contact_belief import ContactBelief, bounded_softmax, kept_share
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
-from contactgraph.model.type_transitions import bounded_softmax, kept_share
 
 _MEMORY = 8
 """Size of an edge's clock."""
@@ -119,8 +118,8 @@ class TransitionEdges(eqx.Module):
         assert clock is not None, "a belief of this inference has a clock"
         unobserved, hidden, age = jnp.split(clock, [1, 1 + self.memory_size], axis=-1)
         hidden = jax.vmap(self.cell)(before, hidden)
-        ages = jnp.asarray(_AGES, age.dtype)
-        exceeded = jax.nn.sigmoid(4.0 * (age[..., None] - ages)).reshape(len(age), -1)
+        ages = jnp.tile(jnp.asarray(_AGES, age.dtype), self.edge_types - 1)
+        exceeded = jax.nn.sigmoid(4.0 * (jnp.repeat(age, len(_AGES), axis=-1) - ages))
         blind = unobserved / (unobserved + _BLIND)
         known = jnp.concatenate([embedding, hidden, exceeded, blind, blind * before], axis=-1)
         rates = jax.vmap(self.rates)(known).reshape(-1, self.edge_types, self.edge_types)

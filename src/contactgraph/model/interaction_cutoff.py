@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from contactgraph.model.contact_belief import SmoothCutoff
+from contactgraph.model.collision import SmoothCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import AllEdges, PriorEdges
 from contactgraph.model.heads import CoupledHead

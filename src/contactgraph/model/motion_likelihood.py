@@ -24,11 +24,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.contact_belief import ContactBelief, cast_like
+from contactgraph.model.contact_belief import (
+    ContactBelief,
+    cast_like,
+    pair_posterior,
+    posterior_by_motion,
+    without_change,
+)
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.motion_noise import Motion, MotionNoise
 from contactgraph.model.rollout import control_sensitivity, with_control_displacement
-from contactgraph.model.type_transitions import pair_posterior, posterior_by_motion, without_change
 from contactgraph.model.types import ModelState, Nodes
 
 _CONSIDERED = 8

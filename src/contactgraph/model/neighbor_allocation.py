@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.graph import pair_count
-from contactgraph.model.contact_belief import SmoothCutoff
+from contactgraph.model.collision import SmoothCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.neighbor_list import (
     NeighborList,

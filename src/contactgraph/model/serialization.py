@@ -19,14 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import (
     ArgmaxSample,
-    ClosestApproachPrior,
     ContactSensor,
-    DistancePrior,
     GumbelSample,
-    NoCutoff,
-    SmoothCutoff,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import EdgeInference

@@ -14,12 +14,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from contactgraph.model.contact_belief import ContactBelief, ContactSensor, correct
+from contactgraph.model.contact_belief import (
+    ContactBelief,
+    ContactSensor,
+    correct,
+    posterior_by_motion,
+)
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.features import stillness
 from contactgraph.model.motion_noise import Motion
-from contactgraph.model.type_transitions import posterior_by_motion
 from contactgraph.model.types import LinearDynamics
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import SensorReports, random_reports

@@ -10,6 +10,8 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from contactgraph.model.contact_belief import (
     ContactBelief,
     first_holding_type,
+    posterior_by_motion,
+    without_change,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.motion_likelihood import (
@@ -19,7 +21,6 @@ from contactgraph.model.motion_likelihood import (
 )
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import with_control_displacement
-from contactgraph.model.type_transitions import posterior_by_motion, without_change
 from contactgraph.model.types import ModelState
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.loss import WindowSteps

@@ -11,10 +11,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data.dataset import Dataset, with_edge_labels
 from contactgraph.data.trajectory_batch import pad_trajectories
-from contactgraph.model.contact_belief import ContactBelief, ContactSensor, correct
+from contactgraph.model.contact_belief import (
+    ContactBelief,
+    ContactSensor,
+    correct,
+    posterior_by_motion,
+)
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
 from contactgraph.model.filter import on_device
-from contactgraph.model.type_transitions import posterior_by_motion
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import check_contacts
 from contactgraph.train.filter_loss import encoded_steps, predict_and_score
