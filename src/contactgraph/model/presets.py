@@ -14,9 +14,7 @@ from jaxtyping import PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
-from contactgraph.model.contact_belief import (
-    ArgmaxSample,
-)
+from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import (
     AllEdges,

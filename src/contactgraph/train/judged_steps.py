@@ -14,11 +14,7 @@ from contactgraph.model.contact_belief import (
     without_change,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
-from contactgraph.model.motion_likelihood import (
-    edge_log_ratios,
-    most_probable,
-    motion_noise,
-)
+from contactgraph.model.motion_likelihood import edge_log_ratios, most_probable, motion_noise
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import with_control_displacement
 from contactgraph.model.types import ModelState
