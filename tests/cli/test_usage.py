@@ -129,7 +129,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a.h5 --out run --resume", "run: not a run folder (it has no config.json)"),
         (
             "train a.h5 --out run --model best",
-            "--model must be one of filter, gim-temp, gim-non-temp, no-gi",
+            "--model must be one of filter, bodies, gim-temp, gim-non-tem",
         ),
         ("train a.h5 --out run --steps 0", "steps must be 1 to 1000000000, found 0"),
         ("train a.h5 --out run --batch-size 999999999", "batch_size must be 1 to 65536"),
@@ -137,7 +137,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a.h5 --out run --seed -1", "--seed must be 0 to 4294967295, found -1"),
         (
             "train a.h5 --out run --model gim-temp --edge-types 4",
-            "--edge-types: gim-temp has no types to choose; it is for --model filter, found 4",
+            "--edge-types: gim-temp has no types to choose; it is for --model filter or bodies",
         ),
         ("train a --out b --edge-types x", "--edge-types must be an integer, found 'x' (see"),
         ("train a.h5 --out run --contact-distance -1", "--contact-distance must be positive metr"),

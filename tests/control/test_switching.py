@@ -33,7 +33,7 @@ class Clutch(eqx.Module):
         return two_type_belief(jnp.zeros(nodes.candidate.shape, position.dtype))
 
     def linear_step(self, state, nodes):
-        on = jnp.zeros(()) if state.command is None else state.command[0]
+        on = jnp.zeros(()) if state.command is None else state.command[1]
         v = state.velocity[:, 0]
         jump = on * (0.5 * (v[0] + v[1]) - v)
         share = jnp.stack([1.0 - 0.5 * on, 0.5 * on])
@@ -101,7 +101,7 @@ def test_the_plan_is_that_of_the_lowest_true_cost(wanted):
     # The cost is that of the rollout under the plan's controls.
     state, states = REST, [jnp.stack([REST.position, REST.velocity], 1)]
     for u in plan.controls:
-        informed = eqx.tree_at(lambda s: s.command, state, u[1:], is_leaf=lambda x: x is None)
+        informed = eqx.tree_at(lambda s: s.command, state, u, is_leaf=lambda x: x is None)
         linear, _ = Clutch().linear_step(informed, NODES)
         state = state_of(*linear(state.position, state.velocity, u))
         states.append(jnp.stack([state.position, state.velocity], 1))
@@ -114,7 +114,7 @@ def test_with_its_schedule_given_the_forces_are_those_of_a_problem_without_a_swi
 
     class On(Clutch):
         def linear_step(self, state, nodes):
-            on = eqx.tree_at(lambda s: s.command, state, jnp.ones(1), is_leaf=lambda x: x is None)
+            on = eqx.tree_at(lambda s: s.command, state, jnp.ones(2), is_leaf=lambda x: x is None)
             linear, belief = super().linear_step(on, nodes)
             return eqx.tree_at(lambda d: d.B, linear, linear.B[..., :1]), belief
 

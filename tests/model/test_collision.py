@@ -1,5 +1,7 @@
 """Distances, time of impact, prior and cutoff of an edge."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -124,17 +126,19 @@ def scene_quantities(position, velocity, contact_distance, control_displacement=
     pairs = jnp.asarray(pair_indices(len(position)))
     edges = geometry(position, velocity, pairs.T, DT, contact_distance, control_displacement)
     features = InvariantFeatures(length=TOUCH)
+    # Nothing learns where bodies touch from what is only a guess at it.
+    guess = jnp.full_like(edges.distance, TOUCH)
+    guessed = dataclasses.replace(edges, contact_distance=guess)
     return (
         edges.distance,
         edges.predicted_distance,
         edges.direction,
         edges.fraction_after_impact,
-        features.edge(edges),
+        features.edge(guessed),
         edges.closest_approach,
         SmoothCutoff()(edges),
-        DistancePrior()(edges, contact_distance),
-        # Nothing learns where bodies touch from what is only a guess at it.
-        ClosestApproachPrior()(edges, TOUCH),
+        DistancePrior()(edges),
+        ClosestApproachPrior()(guessed),
     )
 
 
@@ -154,7 +158,12 @@ def test_derivatives_against_finite_differences() -> None:
 def test_no_prior_teaches_where_bodies_touch() -> None:
     for prior in (DistancePrior(threshold=0.085), ClosestApproachPrior()):
         edges = between([0.082, 0.0], [0.0, 0.0])
-        slope = jax.jit(jax.grad(lambda touch: prior(edges, touch)[0]))  # noqa: B023
+
+        def active(touch: jax.Array) -> jax.Array:
+            touching = jnp.broadcast_to(touch, 1)
+            return prior(dataclasses.replace(edges, contact_distance=touching))[0]  # noqa: B023
+
+        slope = jax.jit(jax.grad(active))
         assert slope(TOUCH) == 0.0
     features = InvariantFeatures(length=TOUCH)
     edges = between([0.082, 0.0], [0.0, 0.0])
@@ -205,12 +214,12 @@ def test_the_papers_prior_is_a_setting_of_ours(distance: float) -> None:
     approaching = between([distance, 0.0], [-1.0, 0.0])
     paper = DistancePrior(threshold=0.1, inside=1.0, outside=1.0)
     expected = paper_prior(distance, 0.1)
-    np.testing.assert_allclose(paper(approaching, TOUCH)[0], expected, atol=1e-6)
+    np.testing.assert_allclose(paper(approaching)[0], expected, atol=1e-6)
     # The authors' code multiplies the scores by 10 inside the threshold, as `paper_literal` does.
     times = 10 if distance < 0.1 else 1
     margin = times * (0.1 - distance)
     np.testing.assert_allclose(
-        DistancePrior(threshold=0.1)(approaching, TOUCH)[0],
+        DistancePrior(threshold=0.1)(approaching)[0],
         jax.nn.softmax(jnp.array([margin, -margin]))[0],
         atol=1e-6,
     )
@@ -221,7 +230,8 @@ def test_the_closest_approach_prior_is_sharp_at_the_contact_distance(touch: floa
     prior, still = ClosestApproachPrior(), [0.0, 0.0]
 
     def at(distances_of_touch: float) -> float:
-        return float(prior(between([distances_of_touch * touch, 0.0], still), touch)[0])
+        edges = between([distances_of_touch * touch, 0.0], still)
+        return float(prior(dataclasses.replace(edges, contact_distance=jnp.full(1, touch)))[0])
 
     assert at(1.03) == pytest.approx(0.5, abs=1e-4)
     expected = 0.01 + 0.98 / (1 + np.exp(-2 * 0.01 / 0.02))
@@ -232,15 +242,15 @@ def test_the_closest_approach_prior_is_sharp_at_the_contact_distance(touch: floa
 
 def test_the_closest_approach_prior_covers_the_whole_next_step() -> None:
     prior = ClosestApproachPrior()
-    assert prior(between([0.2, 0.0], [-3.0, 0.0]), TOUCH)[0] > 0.9
-    assert prior(between([0.2, 0.0], [3.0, 0.0]), TOUCH)[0] < 0.02
+    assert prior(between([0.2, 0.0], [-3.0, 0.0]))[0] > 0.9
+    assert prior(between([0.2, 0.0], [3.0, 0.0]))[0] < 0.02
     # What leaves contact has its distance now; what only passes by touches in between.
-    assert prior(between([0.05, 0.0], [3.0, 0.0]), TOUCH)[0] > 0.9
-    assert prior(between([0.09, 0.06], [-3.6, 0.0]), TOUCH)[0] > 0.9
+    assert prior(between([0.05, 0.0], [3.0, 0.0]))[0] > 0.9
+    assert prior(between([0.09, 0.06], [-3.6, 0.0]))[0] > 0.9
     # And a control_displacement decides whether it gets there.
     near = [0.1, 0.0], [0.0, 0.0]
-    assert prior(between(*near), TOUCH)[0] < 0.02
-    assert prior(between(*near, control_displacement=[-0.02, 0.0]), TOUCH)[0] > 0.8
+    assert prior(between(*near))[0] < 0.02
+    assert prior(between(*near, control_displacement=[-0.02, 0.0]))[0] > 0.8
 
 
 def test_cutoff_is_one_near_and_exactly_zero_far() -> None:

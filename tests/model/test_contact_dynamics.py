@@ -64,7 +64,7 @@ def steps(model: ContactDynamics, scenes: tuple) -> tuple:
         state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
         # As if every actuated node had 1 kg.
         gain = nodes.actuated[:, None, None] * jnp.eye(model.dimension, len(control))
-        informed = with_control_displacement(state, 0.5 * DT**2 * gain, control)
+        informed = with_control_displacement(model, state, 0.5 * DT**2 * gain, control, nodes)
         linear, belief = model.linear_step(informed, nodes)
         return *linear(position, velocity, control), belief.type_probability
 
@@ -268,7 +268,9 @@ def test_the_gradient_of_a_step_against_finite_differences() -> None:
         arrays, position, velocity, control = inputs
         model = eqx.combine(arrays, rest)
         state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
-        informed = with_control_displacement(state, jnp.full((3, 2, 2), 1e-3), control)
+        informed = with_control_displacement(
+            model, state, jnp.full((3, 2, 2), 1e-3), control, nodes
+        )
         linear, belief = model.linear_step(informed, nodes)
         parts = *linear(position, velocity, control), belief.type_probability
         return sum(jnp.sum(weight * part) for weight, part in zip(weights, parts, strict=True))
@@ -342,7 +344,7 @@ def test_a_rollout_is_its_steps_each_with_the_sensitivity_of_the_one_before() ->
     found = eqx.filter_jit(ContactDynamics.rollout)(model, state, controls, nodes)
     sensitivity = control_sensitivity(model, state, nodes)
     for index, control in enumerate(controls):
-        informed = with_control_displacement(state, sensitivity, control)
+        informed = with_control_displacement(model, state, sensitivity, control, nodes)
         linear, belief = linear_step(model, informed, nodes)
         state = ModelState(*linear(state.position, state.velocity, control), belief)
         sensitivity = linear.control_sensitivity
@@ -350,7 +352,9 @@ def test_a_rollout_is_its_steps_each_with_the_sensitivity_of_the_one_before() ->
     one = eqx.filter_jit(ContactDynamics.step)(model, state, controls[0], nodes)
     linear, _ = linear_step(
         model,
-        with_control_displacement(state, control_sensitivity(model, state, nodes), controls[0]),
+        with_control_displacement(
+            model, state, control_sensitivity(model, state, nodes), controls[0], nodes
+        ),
         nodes,
     )
     assert_same(one.position, linear(state.position, state.velocity, controls[0])[0])

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import DT, jitted_geometry, with_random_weights
+from model_scenes import DT, jitted_geometry, nodes_of, with_random_weights
 
 from contactgraph.model import CoupledHead, LinearDynamics, SpringMassDamper, ThetaMethod
 from contactgraph.model.contact_solver import ContactSolver
@@ -57,6 +57,8 @@ def inputs(hinges: bool = False) -> tuple[LocalInput, jax.Array]:
         weight=jnp.asarray(weight),
         geometry=geometry,
         anchor=anchor,
+        nodes=nodes_of(NODES),
+        control_displacement=None,
     )
     return local, jnp.asarray(rng.normal(size=(TYPES, 2, len(PAIRS), WIDTH)))
 

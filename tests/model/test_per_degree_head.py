@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from model_scenes import DT, jitted_geometry
+from model_scenes import DT, jitted_geometry, nodes_of
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import PerDegreeHead, SpringMassDamper
@@ -39,6 +39,8 @@ def inputs() -> tuple[LocalInput, jax.Array, jax.Array]:
         weight=jnp.ones((len(pairs), 1)),
         geometry=jitted_geometry(position, velocity, pairs.T, DT, 0.1),
         anchor=None,
+        nodes=nodes_of(NODES),
+        control_displacement=None,
     )
     return local, normal(NODES, WIDTH), normal(1, 2, len(pairs), WIDTH)
 

@@ -52,7 +52,9 @@ def test_control_displacement_is_sensitivity_times_control() -> None:
     response, control = rng.normal(size=(COUNT, 2, 3)), rng.normal(size=3)
     still = jnp.zeros((COUNT, 2))
     state = ModelState(still, still, two_type_belief(jnp.zeros(6)))
-    found = with_control_displacement(state, jnp.asarray(response), jnp.asarray(control))
+    found = with_control_displacement(
+        Counts(), state, jnp.asarray(response), jnp.asarray(control), nodes_of(3, capacity=COUNT)
+    )
     np.testing.assert_allclose(found.control_displacement, response @ control, rtol=1e-5)
     # What else is known stays as it was.
     for one, other in zip(

@@ -305,7 +305,7 @@ def test_a_filter_knows_whether_bodies_approach_at_all() -> None:
         position = jnp.array([[0.0, 0.0], [1.1 * distance, 0.0]])
         velocity = jnp.array([[0.5, 0.2], [0.5, 0.2]]).at[1, 0].add(-closing * distance / DT)
         graph = model.encode(position, velocity, nodes)
-        return stillness(graph.geometry, distance)[0], graph.embedding[0]
+        return stillness(graph.geometry)[0], graph.embedding[0]
 
     found, embedding = compiled(known, model, jnp.array([0.0, -0.3, 0.02, 0.2]))
     np.testing.assert_allclose(found, [1.0, 1.0, np.exp(-1.0), 0.0], atol=1e-6)

@@ -12,7 +12,6 @@ from contactgraph.train.batch import (
     WindowSource,
     add_distractor,
     has_resting_bodies,
-    static_bodies,
     window_source,
 )
 
@@ -78,18 +77,18 @@ def test_static_bodies_go_with_their_trajectories(padded) -> None:
     scene = dataclasses.replace(run(3, 8, 200.0).scene, static=np.array([False, False, True]))
     pillar = dataclasses.replace(run(3, 8, 200.0), scene=scene)
     dataset = Dataset((run(2, 5, 100.0), pillar))
-    static = static_bodies(dataset, 4)
+    static = pad_trajectories(dataset, node_capacity=4).nodes.static
     np.testing.assert_array_equal(static, [[False] * 4, [False, False, True, False]])
-    assert static_bodies(Dataset((run(2, 5, 100.0),)), 4) is None
+    assert pad_trajectories((run(2, 5, 100.0),)).nodes.static is None
     windows = window_weights(padded, 3, 0.6)
-    source = window_source(padded, windows, static_bodies(dataset, 3))
+    source = window_source(pad_trajectories(dataset), windows)
     taken = take(source, np.arange(len(windows.trajectory)))
     second = (windows.trajectory == 1)[:, None]
-    np.testing.assert_array_equal(taken.static, second & [False, False, True])
+    np.testing.assert_array_equal(taken.nodes.static, second & [False, False, True])
     two_bodies, with_pillar = [True, True, False], [True, True, False]
     np.testing.assert_array_equal(taken.learned, [two_bodies] * 3 + [with_pillar] * 6)
     plain = take(window_source(padded, windows), np.arange(len(windows.trajectory)))
-    assert plain.static is None
+    assert plain.nodes.static is None
     np.testing.assert_array_equal(plain.learned, padded.nodes.mask[windows.trajectory])
     among = eqx.filter_jit(add_distractor)(taken, 1e6, 2e6, jax.random.key(0))
     np.testing.assert_array_equal(among.learned[:, :3], taken.learned)
@@ -105,8 +104,9 @@ def test_a_static_body_is_no_resting_body() -> None:
     assert not has_resting_bodies(pad_trajectories((moving,)))
     batch = pad_trajectories((rests,))
     assert has_resting_bodies(batch)
-    assert not has_resting_bodies(batch, np.array([[False, False, True]]))
-    assert has_resting_bodies(batch, np.array([[False, True, False]]))
+    for static, expected in (([False, False, True], False), ([False, True, False], True)):
+        nodes = batch.nodes._replace(static=np.array([static]))
+        assert has_resting_bodies(batch._replace(nodes=nodes)) == expected
 
 
 def test_training_reads_no_contact_labels() -> None:

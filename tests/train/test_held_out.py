@@ -21,13 +21,14 @@ def held_out(
 
     def trajectory(position: np.ndarray) -> Trajectory:
         names = tuple(f"body-{node}" for node in range(position.shape[1]))
-        scene = Scene(names, names, np.zeros(len(names), bool), DT, dimension=1)
+        free = np.zeros(len(names), bool)
+        scene = Scene(names, names, free, DT, dimension=1, static=static)
         control = np.zeros((len(position) - 1, 0))
         return Trajectory(scene, position, np.full_like(position, velocity), control)
 
     batch = pad_trajectories(Dataset(tuple(map(trajectory, positions))), contacts=False)
     windows = window_weights(batch, len(positions[0]) - 1, 0.0)
-    return held_out_windows(window_source(batch, windows, static))
+    return held_out_windows(window_source(batch, windows))
 
 
 def path(*bodies: list[float]) -> np.ndarray:
@@ -56,7 +57,7 @@ def test_padding_never_counts() -> None:
 
 def test_static_bodies_never_count() -> None:
     shaken, moves = [0.0, 0.1, 0.0], [1.0, 1.5, 1.0]
-    static = np.array([[True, False]])
+    static = np.array([True, False])
     found = held_out(path(shaken, moves), static=static)
     np.testing.assert_array_equal(found.counted, [[False, True]] * len(found.counted))
     found = held_out(path([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), static=static)

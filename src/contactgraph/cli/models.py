@@ -14,6 +14,7 @@ from contactgraph.model import (
     MotionNoise,
     Preset,
     PriorEdges,
+    bodies,
     check_motion_model,
     full_ab,
     gim_non_temp,
@@ -32,8 +33,11 @@ from contactgraph.model.contact_belief import first_holding_type
 if TYPE_CHECKING:
     from contactgraph.train import HeldOutBaselines
 
+FILTERS = ("filter", "bodies")
+"""Models whose edges have types, and whose belief is a hidden Markov filter."""
 MODELS: dict[str, Preset] = {
     "filter": hidden_markov_filter,
+    "bodies": bodies,
     "gim-temp": gim_temp,
     "gim-non-temp": gim_non_temp,
     "no-gim": no_gim,
@@ -191,8 +195,8 @@ def check_edge_types(model: str, edge_types: int | None) -> None:
     """Raises `InvalidInputError` where a model of this name has no number of types to choose."""
     from contactgraph.data import InvalidInputError
 
-    if edge_types is not None and model != "filter" and ":" not in model:
+    if edge_types is not None and model not in FILTERS and ":" not in model:
         raise InvalidInputError(
-            f"--edge-types: {model} has no types to choose; it is for --model filter, "
+            f"--edge-types: {model} has no types to choose; it is for --model filter or bodies, "
             f"found {edge_types}"
         )

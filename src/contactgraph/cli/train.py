@@ -25,12 +25,12 @@ class Train:
         str,
         arg(
             metavar="NAME",
-            help="filter, gim-temp, gim-non-temp, no-gim, full-ab, paper-literal, "
+            help="filter, bodies, gim-temp, gim-non-temp, no-gim, full-ab, paper-literal, "
             "paper-literal-no-gim, or module:factory.",
         ),
     ] = "filter"
     edge_types: Annotated[
-        int | None, arg(metavar="K", help_behavior_hint="(default: 3; only for filter)")
+        int | None, arg(metavar="K", help_behavior_hint="(default: 3; for filter and bodies)")
     ] = None
     """Types of an edge: 0 free, 1 touch, and all further ones hold. Of 2 types the other holds."""
     every: Annotated[int, arg(metavar="N")] = 1
@@ -82,6 +82,7 @@ class Train:
 
         from contactgraph.cli import CommandError
         from contactgraph.cli.models import (
+            FILTERS,
             check_edge_types,
             contact_distance_text,
             held_out_text,
@@ -129,7 +130,7 @@ class Train:
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
         if options.steps is None:
             # Multiples of `check_every`: a shorter last round would be a second program to compile.
-            options = replace(options, steps=750 if options.model == "filter" else 2000)
+            options = replace(options, steps=750 if options.model in FILTERS else 2000)
         build = model_preset(options.model)
         check_edge_types(options.model, options.edge_types)
         check_weight("--prior-weight", options.prior_weight)
@@ -148,16 +149,16 @@ class Train:
         for part in (train, held_out):  # checked before a folder is created
             check_window_length(config.window_length, max(each.steps for each in part))
         devices = jax.local_devices()[: device_count(self.devices, options.batch_size)]
+        given = {} if distance is None else {"contact_distance": distance}
         model_config = ModelConfig(
             dataset.dimension,
             dataset.control_size,
             dataset.dt,
-            defaults.contact_distance if distance is None else distance,
             hinges=defaults.hinges,
             weight=defaults.weight,
             control_gain=defaults.control_gain,
-            learned_contact_distance=defaults.learned_contact_distance or distance is not None,
             edge_types=3 if options.edge_types is None else options.edge_types,
+            **defaults.of(options.model, given),
         )
         model = build(model_config, key=jax.random.key(options.seed))
         for each in dataset:

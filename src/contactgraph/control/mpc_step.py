@@ -179,7 +179,7 @@ class MPCConfig(eqx.Module):
         control = jnp.where(jnp.isfinite(control), control, previous.controls[0])
         control = control if self.planner.limits is None else self.planner.limits(control)
         informed = with_control_displacement(
-            now, control_sensitivity(self.model, now, nodes), control
+            self.model, now, control_sensitivity(self.model, now, nodes), control, nodes
         )
         _, belief = self.model.linear_step(informed, nodes)
         return replace(

@@ -17,6 +17,7 @@ from contactgraph.model import (
     Nodes,
     StepModel,
     take_step,
+    with_control_displacement,
 )
 
 
@@ -43,7 +44,7 @@ class Rollout(eqx.Module):
 
 def roll_out(
     model: StepModel,
-    begin: tuple[ModelState, Float[Array, "N D U"]],
+    begin: tuple[ModelState, Float[Array, "N D W"]],
     nodes: Nodes,
     policy: AffinePolicy,
     limits: ControlLimits | None,
@@ -57,17 +58,17 @@ def roll_out(
     """
 
     def step(
-        carry: tuple[ModelState, Float[Array, "N D U"]], stage: AffinePolicy
-    ) -> tuple[tuple[ModelState, Float[Array, "N D U"]], Rollout]:
+        carry: tuple[ModelState, Float[Array, "N D W"]], stage: AffinePolicy
+    ) -> tuple[tuple[ModelState, Float[Array, "N D W"]], Rollout]:
         state, response = carry
         x = block_state(state.position, state.velocity, node_ids)
         u = stage(x, limits)
-        control_displacement = jnp.sum(response * u, axis=-1)
+        informed = with_control_displacement(model, state, response, u, nodes)
         after, response, linear = take_step(model, state, response, u, nodes)
+        displacement = informed.control_displacement
+        assert displacement is not None
         part = jax.tree.map(lambda block: block[node_ids].astype(x.dtype), linear)
-        made = Rollout(
-            after.position, after.velocity, after.belief, x, u, control_displacement, part
-        )
+        made = Rollout(after.position, after.velocity, after.belief, x, u, displacement, part)
         return (after, response), made
 
     start, _ = begin

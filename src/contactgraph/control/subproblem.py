@@ -164,7 +164,19 @@ def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:
     actuated: Any = np.asarray(nodes.actuated)[ids] & real
     mask: Any = np.asarray(nodes.mask)[ids] & real
     candidate: Any = np.asarray(nodes.candidate)[edge] & exists
-    return Nodes(actuated, mask, candidate, anchor)
+
+    def of_nodes(values: Any) -> Any:
+        return None if values is None else np.where(real, np.asarray(values)[ids], 0)
+
+    return nodes._replace(
+        actuated=actuated,
+        mask=mask,
+        candidate=candidate,
+        anchor=anchor,
+        type_id=of_nodes(nodes.type_id),
+        static=of_nodes(nodes.static),
+        control_of=None if nodes.control_of is None else np.asarray(nodes.control_of)[ids],
+    )
 
 
 def _cost_of(cost: QuadraticCost, ids: np.ndarray, size: int) -> QuadraticCost:

@@ -3,7 +3,9 @@
 Nothing here imports JAX: the fields are NumPy arrays until a caller maps them to JAX arrays.
 """
 
+import zlib
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
@@ -27,6 +29,18 @@ class Nodes(NamedTuple, Generic[Array]):
     """[..., E] bool: whether an edge may ever be active; edges in `pair_indices`' order."""
     anchor: Array | None = None
     """[..., N, D] m: hinge position, NaN for a node without one. None: no node has one."""
+    type_id: Array | None = None
+    """[..., N] int32: `type_id` of the node's type. None: not known."""
+    static: Array | None = None
+    """[..., N] bool: whether a node never moves. None: no node is known to be static."""
+    control_of: Array | None = None
+    """[..., N, U] bool: the components of the control that act on each node. None: all of them act
+    on the one node that is actuated."""
+    planes: Array | None = None
+    """[..., P, D+1] rows of a unit normal and an offset [m], see `Scene.planes`; the normal of
+    padding is 0. None: there are no planes."""
+    gravity: Array | None = None
+    """[..., D] m/s^2 on bodies that are neither actuated nor static. None: without weight."""
 
     @property
     def hinged(self) -> Any:
@@ -106,8 +120,8 @@ def pad_trajectories(
             pairs = pair_indices(each.scene.node_count)
             labels = each.contact[:, pairs[:, 0], pairs[:, 1]]
             contact[index, : each.steps + 1, : len(pairs)] = labels
-    hinged = any(each.scene.has_hinges for each in trajectories)
-    nodes = zip(*(pad_nodes(each.scene, capacity, hinged) for each in trajectories), strict=True)
+    present = present_properties(each.scene for each in trajectories)
+    nodes = zip(*(pad_nodes(each.scene, capacity, present) for each in trajectories), strict=True)
     return TrajectoryBatch(
         position=position,
         velocity=velocity,
@@ -118,22 +132,71 @@ def pad_trajectories(
     )
 
 
-def pad_nodes(scene: Scene, capacity: int, hinged: bool | None = None) -> Nodes[np.ndarray]:
-    """The nodes of a scene, padded to ``capacity``, with anchors if ``hinged`` (default: if any).
+def type_id(name: str) -> int:
+    """A number for the name of a node type, the same in every process; 32 bits, signed."""
+    return int(np.uint32(zlib.crc32(name.encode())).view(np.int32))
+
+
+@dataclass(frozen=True)
+class PresentProperties:
+    """The optional properties of nodes that some scene of a batch has, so that all get arrays."""
+
+    hinges: bool
+    static: bool
+    control_of: bool
+    """Whether several nodes of a scene are actuated, and the scene says by which components."""
+    planes: int
+    """Most planes of a scene; 0: none has any."""
+    gravity: bool
+
+
+def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
+    """What any of the scenes has."""
+    scenes = tuple(scenes)
+    return PresentProperties(
+        hinges=any(each.has_hinges for each in scenes),
+        static=any(each.static is not None and bool(each.static.any()) for each in scenes),
+        control_of=any(each.control_of is not None and each.actuated.sum() > 1 for each in scenes),
+        planes=max(0 if each.planes is None else len(each.planes) for each in scenes),
+        gravity=any(each.has_weight for each in scenes),
+    )
+
+
+def pad_nodes(
+    scene: Scene, capacity: int, present: PresentProperties | None = None
+) -> Nodes[np.ndarray]:
+    """The nodes of a scene, padded to ``capacity``, with the ``present`` properties (default: its).
 
     Raises `InvalidInputError` where the scene has more nodes.
     """
-    count = scene.node_count
+    count, dimension = scene.node_count, scene.dimension
     if capacity < count:
         raise InvalidInputError(f"node_capacity must be at least {count}, found {capacity}")
-    actuated = np.zeros(capacity, dtype=bool)
-    actuated[:count] = scene.actuated
-    anchor = np.full((capacity, scene.dimension), np.nan)
-    if scene.anchor is not None:
-        anchor[:count] = scene.anchor
+    present = present_properties([scene]) if present is None else present
+
+    def padded(values: Any, fill: Any, dtype: Any, *shape: int) -> np.ndarray:
+        array = np.full((capacity, *shape), fill, dtype)
+        if values is not None:
+            array[:count] = values
+        return array
+
+    planes = np.zeros((present.planes, dimension + 1))
+    if scene.planes is not None:
+        planes[: len(scene.planes)] = scene.planes
+    weight = np.zeros(dimension) if scene.gravity is None else scene.gravity
+    types = [type_id(name) for name in scene.node_type]
+    control_of = None
+    if present.control_of:
+        assert scene.control_of is not None
+        control_of = padded(scene.control_of, False, bool, scene.control_of.shape[1])
     return Nodes(
-        actuated=actuated,
+        actuated=padded(scene.actuated, False, bool),
         mask=np.arange(capacity) < count,
         candidate=candidate_pairs(scene, capacity),
-        anchor=anchor if (scene.has_hinges if hinged is None else hinged) else None,
+        anchor=padded(scene.anchor, np.nan, float, dimension) if present.hinges else None,
+        type_id=padded(types, 0, np.int32),
+        static=padded(scene.static, False, bool) if present.static else None,
+        control_of=control_of,
+        planes=planes if present.planes else None,
+        gravity=weight if present.gravity else None,
     )

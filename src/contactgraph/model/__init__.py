@@ -13,8 +13,6 @@ from contactgraph.model.contact_belief import correct as correct
 from contactgraph.model.contact_belief import default_sensor as default_sensor
 from contactgraph.model.contact_belief import two_type_belief as two_type_belief
 from contactgraph.model.contact_dynamics import ContactDynamics as ContactDynamics
-from contactgraph.model.contact_dynamics import EncodedGraph as EncodedGraph
-from contactgraph.model.contact_dynamics import StepStages as StepStages
 from contactgraph.model.edge_inference import AllEdges as AllEdges
 from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
 from contactgraph.model.edge_inference import PriorEdges as PriorEdges
@@ -53,6 +51,7 @@ from contactgraph.model.neighbor_list import NeighborList as NeighborList
 from contactgraph.model.neighbor_list import sum_at_nodes as sum_at_nodes
 from contactgraph.model.presets import ModelConfig as ModelConfig
 from contactgraph.model.presets import Preset as Preset
+from contactgraph.model.presets import bodies as bodies
 from contactgraph.model.presets import full_ab as full_ab
 from contactgraph.model.presets import gim_non_temp as gim_non_temp
 from contactgraph.model.presets import gim_temp as gim_temp
@@ -66,6 +65,7 @@ from contactgraph.model.rollout import take_step as take_step
 from contactgraph.model.rollout import with_control_displacement as with_control_displacement
 from contactgraph.model.serialization import module_arrays as module_arrays
 from contactgraph.model.serialization import with_arrays as with_arrays
+from contactgraph.model.types import EncodedGraph as EncodedGraph
 from contactgraph.model.types import LinearDynamics as LinearDynamics
 from contactgraph.model.types import LocalInput as LocalInput
 from contactgraph.model.types import ModelState as ModelState
@@ -73,6 +73,7 @@ from contactgraph.model.types import Nodes as Nodes
 from contactgraph.model.types import SpringMassDamper as SpringMassDamper
 from contactgraph.model.types import Step as Step
 from contactgraph.model.types import StepModel as StepModel
+from contactgraph.model.types import StepStages as StepStages
 from contactgraph.model.types import from_physical as from_physical
 from contactgraph.model.types import scene_nodes as scene_nodes
 from contactgraph.model.types import stack_state as stack_state

@@ -38,34 +38,42 @@ class Geometry(eqx.Module):
     direction: Float[Array, "E D"]
     """Unit vector along the displacement."""
     normal: Float[Array, "E D"]
-    """Unit vector from the first to the second node at their impact, or now where there is none."""
+    """Unit vector from the first to the second node in the middle of their contact in the step:
+    from their impact, or now where there is none, to the end of the step."""
+    impact_normal: Float[Array, "E D"]
+    """The same at the beginning of that contact."""
     approach: Float[Array, " E"]
     """m; along the normal in the step, without contact forces; negative where nodes part."""
+    time_of_impact: Float[Array, " E"]
+    """As a share of the step; 0 where the two nodes do not meet, or touch from the beginning."""
     fraction_after_impact: Float[Array, " E"]
     """One minus the time of impact, as a share of the step in [0, 1]; the impact is where the two
     nodes, if nothing hindered them, would be a contact distance apart. 0 where they do not meet."""
     contact_jacobian: Float[Array, "2 E d d"]
     """Maps the velocities of both nodes to their velocities at the point of contact; d = D where
-    there are hinges, else ones with d = 1."""
+    there are hinges, else ones with d = 1. 0 for a node that never moves."""
+    contact_distance: Float[Array, " E"]
+    """m, of the two nodes when they touch, centre to centre or to a bar's middle line."""
 
     def incidence(self, count: int) -> Float[Array, "2 E N"]:
         """1 where an edge has one of `count` nodes as its first or second node, else 0."""
         node = jnp.arange(count)
         return (self.edge_index[..., None] == node).astype(self.contact_jacobian.dtype)
 
-    def sliding(self, share: Float[Array, " E"]) -> "Geometry":
-        """The same, with that share of each edge's velocities across its normal taken out.
+    def along(self, across: Float[Array, " E"]) -> "Geometry":
+        """The same, with only that share of each edge's velocities across its normal.
 
-        An edge with share 1 then couples its nodes along the normal alone.
+        An edge with share 0 couples its nodes along the normal alone. Its d is D.
         """
         normal = self.normal
         along = normal[:, :, None] * normal[:, None, :]
-        kept = jnp.eye(normal.shape[-1], dtype=normal.dtype)
-        kept = kept + share[:, None, None] * (along - kept)
+        whole = jnp.eye(normal.shape[-1], dtype=normal.dtype)
+        kept = along + across[:, None, None] * (whole - along)
         relative = jnp.einsum("eij,ej->ei", kept, self.relative_velocity)
         if self.contact_jacobian.shape[-1] > 1:
-            kept = jnp.einsum("eij,sejk->seik", kept, self.contact_jacobian)
-        jacobian = jnp.broadcast_to(kept, (2, *kept.shape[-3:]))
+            jacobian = jnp.einsum("eij,sejk->seik", kept, self.contact_jacobian)
+        else:
+            jacobian = kept * self.contact_jacobian
         return dataclasses.replace(self, contact_jacobian=jacobian, relative_velocity=relative)
 
 
@@ -77,14 +85,17 @@ def geometry(
     contact_distance: Float[Array, "*E"] | float,
     control_displacement: Float[Array, "N D"] | None = None,
     anchor: Float[Array, "N D"] | None = None,
+    static: Bool[Array, " N"] | None = None,
 ) -> Geometry:
     """The geometry of the edges at one step of `dt` [s]; finite where nodes coincide.
 
     Bodies touch `contact_distance` [m] apart, centre to centre: all of them, or each edge's.
     `control_displacement` [m] is how far the step's control alone moves the nodes, where known.
-    `anchor` [m] is where nodes are hinged, NaN where they are not.
+    `anchor` [m] is where nodes are hinged, NaN where they are not; `static` nodes never move.
     """
     displacement, jacobian, sliding = _meeting(position, edge_index, anchor)
+    if static is not None:
+        jacobian = jnp.where(static[edge_index][..., None, None], 0.0, jacobian)
 
     def relative(motion: Float[Array, "N D"]) -> Float[Array, "E D"]:
         at_ends = motion[edge_index]
@@ -121,9 +132,9 @@ def geometry(
     distance = _norm(displacement)
     time_of_contact = jnp.where(meets, time, 0.0)[:, None]
     touching = displacement + time_of_contact * path
-    normal = touching / _norm(touching)[:, None]
+    impact_normal = touching / _norm(touching)[:, None]
     # Bodies that slide on each other turn the normal: that of the middle of the contact counts.
-    across = path - normal * jnp.sum(normal * path, axis=-1, keepdims=True)
+    across = path - impact_normal * jnp.sum(impact_normal * path, axis=-1, keepdims=True)
     touching = touching + 0.5 * (1.0 - time_of_contact) * across
     normal = touching / _norm(touching)[:, None]
     return Geometry(
@@ -135,9 +146,12 @@ def geometry(
         closest_approach=closest_approach,
         direction=displacement / distance[:, None],
         normal=normal,
+        impact_normal=impact_normal,
         approach=-jnp.sum(normal * (drifted + driven), axis=-1),
+        time_of_impact=jnp.where(meets, time, 0.0),
         fraction_after_impact=(1.0 - time) * impact,
         contact_jacobian=jacobian,
+        contact_distance=jnp.broadcast_to(jnp.asarray(contact_distance), distance.shape),
     )
 
 
@@ -218,10 +232,8 @@ class DistancePrior(eqx.Module):
     outside: float = eqx.field(static=True, default=1.0)
     """Scale above the threshold, m."""
 
-    def __call__(
-        self, geometry: Geometry, contact_distance: Float[Array, ""] | float
-    ) -> Float[Array, " E"]:
-        """Prior probability that each edge is active; `contact_distance` is not used."""
+    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
+        """Prior probability that each edge is active."""
         margin = self.threshold - geometry.distance
         scale = jnp.where(margin > 0, self.inside, self.outside)
         return jax.nn.sigmoid(2.0 * margin / scale)
@@ -244,12 +256,12 @@ class ClosestApproachPrior(eqx.Module):
     """s."""
     min_probability: float = eqx.field(static=True, default=0.01)
     """epsilon."""
+    parting: bool = eqx.field(static=True, default=False)
+    """Whether bodies that part have no touch: see `spread_over_types`."""
 
-    def __call__(
-        self, geometry: Geometry, contact_distance: Float[Array, ""] | float
-    ) -> Float[Array, " E"]:
+    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
         """Prior probability that each edge is active."""
-        touch = jax.lax.stop_gradient(jnp.asarray(contact_distance))
+        touch = jax.lax.stop_gradient(geometry.contact_distance)
         margin = (self.margin * touch - geometry.closest_approach) / (self.sharpness * touch)
         spread = 1.0 - 2.0 * self.min_probability
         return self.min_probability + spread * jax.nn.sigmoid(2.0 * margin)

@@ -9,11 +9,13 @@ training calls the same functions, but encodes all states in parallel and scans 
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
+from contactgraph.model.body_head import BodyHead
 from contactgraph.model.collision import (
     ClosestApproachPrior,
     DistancePrior,
@@ -27,6 +29,7 @@ from contactgraph.model.contact_belief import (
     ContactBelief,
     ContactSensor,
     GumbelSample,
+    spread_over_types,
     without_change,
 )
 from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
@@ -42,45 +45,18 @@ from contactgraph.model.neighbor_list import (
 )
 from contactgraph.model.rollout import control_sensitivity, rollout, take_step
 from contactgraph.model.types import (
+    EncodedGraph,
     LinearDynamics,
     LocalInput,
     ModelState,
     Nodes,
     SpringMassDamper,
+    Step,
+    StepStages,
 )
 
 _CHECKPOINTED_EDGES = 500
 """Edges above which gradients of a rollout recompute each step instead of storing it."""
-
-
-class EncodedGraph(eqx.Module):
-    """One step's state and graph before inference: everything that is independent of the belief."""
-
-    position: Float[Array, "N D"]
-    """m"""
-    velocity: Float[Array, "N D"]
-    """m/s"""
-    nodes: Nodes
-    geometry: Geometry
-    edge_id: Int[Array, " E"] | None
-    """`Edges.edge_id`."""
-    node_features: Float[Array, "N F"]
-    edge_features: Float[Array, "2 E G"]
-    weight: Float[Array, " E"]
-    """Weight of every edge by the cutoff, in [0, 1]; 0 for edges that are no candidates."""
-    embedding: Float[Array, "E M"]
-    prior: Float[Array, "E K"]
-    """Geometric prior of the edge types; `ContactDynamics.prior_belief`."""
-
-
-class StepStages(eqx.Module):
-    """The intermediate results of one step, in their order."""
-
-    graph: EncodedGraph
-    belief: ContactBelief
-    """Predicted, about this step."""
-    local: LocalInput
-    dynamics: LinearDynamics
 
 
 class ContactDynamics(eqx.Module):
@@ -130,7 +106,7 @@ class ContactDynamics(eqx.Module):
         velocity: Float[Array, "N D"],
         nodes: Nodes,
         control_displacement: Float[Array, "N D"] | None = None,
-        command: Float[Array, " C"] | None = None,
+        command: Float[Array, " U"] | None = None,
         contact_distance: Float[Array, " E"] | None = None,
     ) -> EncodedGraph:
         """Stage 1: geometry, features and edge embeddings.
@@ -143,16 +119,19 @@ class ContactDynamics(eqx.Module):
         if edges.edge_id is not None:
             # A step that exceeds a capacity predicts NaN for every node.
             moving = jnp.where(edges.fits, velocity, jnp.nan)
-        touch = self.features.contact_distance if contact_distance is None else contact_distance
-        edge_geometry = geometry(
-            position, moving, edges.edge_index, self.dt, touch, control_displacement, nodes.anchor
-        )
+        touch = self.features.distances(nodes, edges.edge_index, position.dtype)
+        touch = touch if contact_distance is None else contact_distance
+        where = position, moving, edges.edge_index
+        # Without types there are no static bodies.
+        static = nodes.static if self.features.types else None
+        known = control_displacement, nodes.anchor, static
+        edge_geometry = geometry(*where, self.dt, touch, *known)
         node_features = self.features.node(position, moving, nodes)
-        edge_features = self.features.edge(edge_geometry, contact_distance)
+        edge_features = self.features.edge(edge_geometry)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
-        known = self._known_to_inference(edge_features, edge_geometry, nodes, command)
-        embedding = self.inference.embed(node_features, known, weight, edges.edge_index)
+        seen = self._known_to_inference(edge_features, edge_geometry, nodes, command)
+        embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
         return EncodedGraph(
             position=position,
             velocity=velocity,
@@ -164,6 +143,7 @@ class ContactDynamics(eqx.Module):
             weight=weight,
             embedding=embedding,
             prior=self._prior(edge_geometry, weight),
+            control_displacement=control_displacement,
         )
 
     def encode_state(
@@ -175,25 +155,28 @@ class ContactDynamics(eqx.Module):
 
     def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
         """The prior by distance, its active part spread evenly over the active types."""
-        active = self.prior(geometry, self.features.contact_distance) * weight
-        active_types = self.inference.edge_types - 1
-        spread = jnp.repeat(active[:, None] / active_types, active_types, axis=-1)
-        return jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
+        active = self.prior(geometry) * weight
+        approach = None
+        if isinstance(self.prior, ClosestApproachPrior) and self.prior.parting:
+            approach = jax.lax.stop_gradient(geometry.approach / geometry.contact_distance)
+        return spread_over_types(active, approach, self.inference.edge_types)
 
     def _known_to_inference(
         self,
         features: Float[Array, "2 E G"],
         geometry: Geometry,
         nodes: Nodes,
-        command: Float[Array, " C"] | None,
+        command: Float[Array, " U"] | None,
     ) -> Float[Array, "2 E F"]:
         """The edge features; for a filter also stillness, and commands on actuated ends."""
         if not isinstance(self.inference, TransitionEdges):
             return features
-        still = stillness(geometry, self.features.contact_distance)[:, None]
+        still = stillness(geometry)[:, None]
         command = jnp.zeros(self.control_size) if command is None else command
         acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None]
-        known = jnp.concatenate([still, acting * command[: self.inference.commands]], axis=-1)
+        known = jnp.concatenate(
+            [still, acting * command[self.control_size - self.inference.commands :]], axis=-1
+        )
         return jnp.concatenate([features, jnp.stack([known, known]).astype(features.dtype)], -1)
 
     def _edges(
@@ -204,7 +187,7 @@ class ContactDynamics(eqx.Module):
         control_displacement: Float[Array, "N D"] | None,
     ) -> Edges:
         if self.neighbor_list is None:
-            return all_pairs(position.shape[0])
+            return all_pairs(len(position))
         assert isinstance(self.cutoff, SmoothCutoff)
         bound = travel_bound(position, velocity, control_displacement, nodes.anchor, self.dt)
         return self.neighbor_list(position, bound, nodes.mask, self.cutoff.outer)
@@ -246,6 +229,8 @@ class ContactDynamics(eqx.Module):
             weight=edge_active[:, 1:] * graph.weight[:, None],
             geometry=graph.geometry,
             anchor=graph.nodes.anchor,
+            nodes=graph.nodes,
+            control_displacement=graph.control_displacement,
             group_capacity=None if capacity is None else capacity.group_capacity,
         )
 
@@ -266,6 +251,21 @@ class ContactDynamics(eqx.Module):
         """The next step's dynamics and the belief that they assume, given the intended control."""
         stages = self.stages(state, nodes)
         return stages.dynamics, stages.belief
+
+    def drive(
+        self,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        control: Float[Array, " U"],
+        nodes: Nodes,
+    ) -> Float[Array, " W"]:
+        """What moves bodies: the accelerations of a `BodyHead`, else the control."""
+        local = self.local_dynamics
+        if not isinstance(local, SpringMassDamperDynamics) or not isinstance(local.head, BodyHead):
+            return control
+        step = Step(local.discretization.theta, self.dt, self.control_size)
+        types = self.features.node_type(nodes, position.dtype)
+        return local.head.drive(position, velocity, control, types, nodes, step)
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
         """The geometric prior, with a clock that has not run."""

@@ -3,14 +3,18 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from contactgraph.data.trajectory_batch import type_id
 from contactgraph.model.collision import Geometry
 from contactgraph.model.types import Nodes
 
 _NEAR = 0.03
 """Gap, in contact distances, that separates bodies that touch from those that are merely near."""
+_PACE = 5.0
+"""Scale of the logarithms of sizes in their parameters, so that they learn as fast as networks."""
 _STILL = 0.02
 """Approach in a step, in contact distances, of bodies at rest with each other."""
 
@@ -28,10 +32,14 @@ class InvariantFeatures(eqx.Module):
 
     contact_distance: Float[Array, ""] | float
     """m, centre to centre, or to a bar's middle line; a plain number where it is not learned."""
+    log_size: Float[Array, " types"] | None
+    """Logarithm of each type's part of the contact distance, in units of `_PACE`; 0: half of it.
+    None: types have no names."""
     length: float = eqx.field(static=True)
     speed: float = eqx.field(static=True)
     hinges: bool = eqx.field(static=True)
     learned: bool = eqx.field(static=True)
+    types: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -39,10 +47,13 @@ class InvariantFeatures(eqx.Module):
         speed: float = 1.0,
         hinges: bool = False,
         learned: bool = True,
+        types: tuple[str, ...] = (),
     ):
         """`hinges`: whether nodes may be hinged; `learned`: whether the contact distance is.
 
         It is identified by impacts within one step, not by a grasp that takes several steps.
+        `types`: names of the node types, passive ones first, actuated ones last; without names,
+        bodies are of one size, and their types are whether they are actuated and hinged.
         """
         # A product has no weak type, with which the first training update would recompile.
         self.contact_distance = length * jnp.ones(()) if learned else length
@@ -50,15 +61,36 @@ class InvariantFeatures(eqx.Module):
         self.speed = speed
         self.hinges = hinges
         self.learned = learned
+        self.types = types
+        self.log_size = 0.0 * jnp.ones(len(types)) if types else None
 
     @property
     def node_types(self) -> int:
         """Number of node types."""
-        return 4 if self.hinges else 2
+        return len(self.types) or (4 if self.hinges else 2)
 
     def node_type(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N node_types"]:
-        """One-hot: actuated or not; times hinged or not, where there are hinges."""
-        return _node_type(nodes, self.hinges, dtype)
+        """One-hot, by name; without names: actuated or not, times hinged or not, where any is.
+
+        Nodes whose types are not told have the first, actuated ones the last.
+        """
+        if not self.types:
+            return _node_type(nodes, self.hinges, dtype)
+        if nodes.type_id is None:
+            index = jnp.where(nodes.actuated, len(self.types) - 1, 0)
+            return jax.nn.one_hot(index, len(self.types), dtype=dtype)
+        known = np.array([type_id(name) for name in self.types])
+        return (nodes.type_id[:, None] == known).astype(dtype)
+
+    def distances(
+        self, nodes: Nodes, edge_index: Int[Array, "2 E"], dtype: DTypeLike
+    ) -> Float[Array, "*E"] | float:
+        """The contact distance of every edge, m: one for all where types have no names."""
+        if self.log_size is None:
+            return self.contact_distance
+        log_size = self.log_size if self.learned else jax.lax.stop_gradient(self.log_size)
+        size = jnp.exp(_PACE * self.node_type(nodes, dtype) @ log_size)
+        return 0.5 * self.contact_distance * jnp.sum(size[edge_index], axis=0)
 
     def node_size(self, dimension: int) -> int:
         """Number of features a node."""
@@ -76,16 +108,10 @@ class InvariantFeatures(eqx.Module):
         bounded = (speed / (1.0 + speed))[:, None]
         return jnp.concatenate([self.node_type(nodes, speed.dtype), bounded], axis=-1)
 
-    def edge(
-        self, geometry: Geometry, contact_distance: Float[Array, " E"] | None = None
-    ) -> Float[Array, "2 E F"]:
-        """Features of every edge, for the messages to its first and to its second node.
-
-        `contact_distance` [m] is each edge's own; None: the features' `contact_distance`.
-        """
+    def edge(self, geometry: Geometry) -> Float[Array, "2 E F"]:
+        """Features of every edge, for the messages to its first and to its second node."""
         # The contact distance is learned from the time of impacts alone.
-        touch = jax.lax.stop_gradient(self.contact_distance)
-        touch = touch if contact_distance is None else contact_distance[:, None]
+        touch = jax.lax.stop_gradient(geometry.contact_distance)[:, None]
         gaps = jnp.stack([geometry.distance, geometry.closest_approach], axis=-1) / touch - 1.0
         # A few hundredths of the distance separate touching from near.
         close = gaps / (_NEAR + jnp.abs(gaps))
@@ -104,6 +130,11 @@ class AbsoluteFeatures(eqx.Module):
     """Whether nodes may be hinged; the radius vector from the hinge is a feature then."""
 
     @property
+    def types(self) -> tuple[str, ...]:
+        """Names of node types: none."""
+        return ()
+
+    @property
     def node_types(self) -> int:
         """Number of node types."""
         return 4 if self.hinges else 2
@@ -111,6 +142,12 @@ class AbsoluteFeatures(eqx.Module):
     def node_type(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N node_types"]:
         """One-hot: actuated or not; times hinged or not, where there are hinges."""
         return _node_type(nodes, self.hinges, dtype)
+
+    def distances(
+        self, nodes: Nodes, edge_index: Int[Array, "2 E"], dtype: DTypeLike
+    ) -> Float[Array, "*E"] | float:
+        """The contact distance, m, of all edges."""
+        return self.contact_distance
 
     def node_size(self, dimension: int) -> int:
         """Number of features a node."""
@@ -132,19 +169,15 @@ class AbsoluteFeatures(eqx.Module):
             features.append(jnp.zeros_like(position))
         return jnp.concatenate(features, axis=-1)
 
-    def edge(
-        self, geometry: Geometry, contact_distance: Float[Array, " E"] | None = None
-    ) -> Float[Array, "2 E F"]:
+    def edge(self, geometry: Geometry) -> Float[Array, "2 E F"]:
         """Features of every edge, for the messages to its first and to its second node."""
         features = geometry.distance[:, None]
         return jnp.stack([features, features])
 
 
-def stillness(
-    geometry: Geometry, contact_distance: Float[Array, ""] | float
-) -> Float[Array, "*B E"]:
+def stillness(geometry: Geometry) -> Float[Array, "*B E"]:
     """1 where the bodies of an edge do not approach each other within the step, else down to 0."""
-    touch = jax.lax.stop_gradient(contact_distance)
+    touch = jax.lax.stop_gradient(geometry.contact_distance)
     approach = (geometry.distance - geometry.closest_approach) / touch
     return jnp.exp(-((approach / _STILL) ** 2))
 

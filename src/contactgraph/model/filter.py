@@ -45,6 +45,12 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
             f"the model is for dt {model.dt:g} s, but {other} has {scene.dt:g} s; they must agree"
         )
     check_controls(model, scene, control_size, other)
+    unknown = sorted(set(scene.node_type) - set(model.features.types))
+    if model.features.types and unknown:
+        raise InvalidInputError(
+            f"{other} has nodes of type {', '.join(unknown)}, which the model does not know; it "
+            f"knows {', '.join(model.features.types)}"
+        )
     if model.features.hinges and not scene.has_hinges:
         raise InvalidInputError(
             f"the model is for bodies on hinges, but {other} has no anchor, the position of "
@@ -112,7 +118,7 @@ class _Carry(eqx.Module):
     """See `MotionEvidence`."""
     predicted: ContactBelief
     """About that step."""
-    sensitivity: Float[Array, "N D U"]
+    sensitivity: Float[Array, "N D W"]
 
 
 def filter_trajectory(
@@ -146,7 +152,9 @@ def filter_trajectory(
                 motion_noise,
             )
         state = ModelState(position, velocity, correct(predicted, contact, sensor))
-        informed = with_control_displacement(state, carry.sensitivity, control)
+        informed = with_control_displacement(
+            model, state, carry.sensitivity, control, trajectory.nodes
+        )
         linear, prior = model.linear_step(informed, trajectory.nodes)
         prior = cast_like(prior, predicted)
         sensitivity = linear.control_sensitivity.astype(carry.sensitivity.dtype)

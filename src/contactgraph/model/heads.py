@@ -162,14 +162,14 @@ class CoupledHead(eqx.Module):
         )
         if local.anchor is None:
             return parameters
-        return _with_hinge_springs(parameters, local, coupling, step)
+        return with_hinge_springs(parameters, local, coupling, step)
 
     def _touching(self, local: LocalInput) -> tuple[Float[Array, " E"] | None, Geometry]:
         """Share of each active edge that only touches, and the geometry in which it slides."""
         if local.weight.shape[1] < 2:
             return None, local.geometry
         touching = local.weight[:, 0] / jnp.maximum(jnp.sum(local.weight, axis=1), _MIN_SHARE)
-        return touching, local.geometry.sliding(touching)
+        return touching, local.geometry.along(1.0 - touching)
 
     def _solver(
         self, local: LocalInput, message: Float[Array, "active 2 E W"], theta: Float[Array, ""]
@@ -193,7 +193,7 @@ class CoupledHead(eqx.Module):
         def over_types(per_type: Float[Array, "active E"]) -> Float[Array, " E"]:
             return jnp.sum(weight * per_type, axis=0)
 
-        start = _starts(len(weight))
+        start = coupling_starts(len(weight))
         coupling = _MAX_COUPLING * over_types(jax.nn.sigmoid(out[..., 0] + start[:, None]))
         solver = ContactSolver(
             mass=jnp.exp(_PACE * local.node_type @ self.log_mass),
@@ -208,7 +208,7 @@ class CoupledHead(eqx.Module):
         return solver, (_PACE * local.node_type @ self.gain_root) ** 2, coupling
 
 
-def _starts(active_types: int) -> np.ndarray:
+def coupling_starts(active_types: int) -> np.ndarray:
     """[active] logits at which the couplings of the types start.
 
     A touch and the first type that holds start rigid, further ones apart from each other, spread
@@ -218,7 +218,7 @@ def _starts(active_types: int) -> np.ndarray:
     return np.append(np.full(min(active_types, 2), 5.0), np.log((active_types - 1) / further - 1.0))
 
 
-def _with_hinge_springs(
+def with_hinge_springs(
     parameters: SpringMassDamper, local: LocalInput, coupling: Float[Array, " E"], step: Step
 ) -> SpringMassDamper:
     """The parameters with the springs that keep bodies turning about their hinges."""
@@ -235,13 +235,16 @@ def _with_hinge_springs(
         local.geometry.relative_velocity,
     )
     stiffness = constraint.stiffness_rate[:, None] * jnp.ones_like(damper)
-    before, after = 1.0 + theta * damper, 1.0 + theta * damper + theta**2 * dt**2 * stiffness
+    own = parameters.stiffness_rate
+    before = 1.0 + theta * damper + theta**2 * dt**2 * own
+    after = before + theta**2 * dt**2 * stiffness
     acceleration = parameters.acceleration
     sprung = dataclasses.replace(
         parameters,
         response=parameters.response * (after / before)[..., None],
-        stiffness_rate=stiffness,
-        equilibrium=constraint.center,
+        stiffness_rate=stiffness + own,
+        equilibrium=(stiffness * constraint.center + own * parameters.equilibrium)
+        / jnp.maximum(stiffness + own, _MIN_SHARE),
         acceleration=None if acceleration is None else acceleration * (after / before),
     )
     pull = damper * (sprung.equilibrium_velocity - local.velocity)

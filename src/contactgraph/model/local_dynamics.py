@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.model.body_head import BodyHead
 from contactgraph.model.heads import CoupledHead, PerDegreeHead
 from contactgraph.model.message_passing import TypedMessagePassing
 from contactgraph.model.types import LinearDynamics, LocalInput, SpringMassDamper, Step
@@ -69,7 +70,7 @@ class SpringMassDamperDynamics(eqx.Module):
     """Messages over the active edges, then a spring-mass-damper for every node, then one step."""
 
     message_passing: TypedMessagePassing
-    head: CoupledHead | PerDegreeHead
+    head: BodyHead | CoupledHead | PerDegreeHead
     discretization: ThetaMethod
 
     def parameters(self, local: LocalInput, dt: float, control_size: int) -> SpringMassDamper:

@@ -31,10 +31,10 @@ from contactgraph.model.contact_belief import (
     posterior_by_motion,
     without_change,
 )
-from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
+from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.rollout import control_sensitivity, with_control_displacement
-from contactgraph.model.types import ModelState, Nodes
+from contactgraph.model.rollout import control_sensitivity, drive, with_control_displacement
+from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 
 _CONSIDERED = 8
 """Edges considered in a step, nearest first: rarely do more bodies make contact at once, and the
@@ -66,7 +66,7 @@ def motion_noise(
     learned = model.prediction_noise
     if learned is None:
         return MotionNoise(position, velocity)
-    scales = learned.position, learned.velocity
+    scales = learned.position, learned.velocity, learned.drift
     return MotionNoise(position, velocity, *scales, type_share=learned.share)
 
 
@@ -126,7 +126,7 @@ def contact_log_likelihood_ratio(
     then; ``motion_log_odds`` are of that step, too (zeros: no evidence by motion yet).
     """
     sensitivity = control_sensitivity(model, before, nodes)
-    state = with_control_displacement(before, sensitivity, control)
+    state = with_control_displacement(model, before, sensitivity, control, nodes)
     graph = model.encode_state(state, nodes)
     predicted, joint = model.predict_joint(state.belief, graph)
     stay = jnp.exp(-model.dt / noise.time_constant)
@@ -162,12 +162,15 @@ def edge_log_ratios(
     ones. Edges that are farther than the nearest few, or beyond the cutoff, have 0.
     """
 
+    noise = noise.at(state.velocity, model.dt)
+    driving = drive(model, state.position, state.velocity, control, graph.nodes)
+
     def moved(types: Float[Array, "E K"]) -> Motion:
         def once(displacement: Array, _: None) -> tuple[Array, Motion]:
             informed = dataclasses.replace(state, control_displacement=displacement)
             touching = _as_if_touching(model, informed, graph.nodes)
             linear = model.linearize(model.cut_edges(touching, ContactBelief(types)))
-            displacement = jnp.sum(linear.control_sensitivity * control, axis=-1)
+            displacement = jnp.sum(linear.control_sensitivity * driving, axis=-1)
             return displacement.astype(state.position.dtype), linear(
                 state.position, state.velocity, control
             )
@@ -227,8 +230,8 @@ def _as_if_touching(model: ContactDynamics, state: ModelState, nodes: Nodes) -> 
     active with certainty; both predictions would then be the same motion. The likelihood is that of
     the motion if the edge does act; how probable that is at its distance is part of the belief.
     """
-    nearest = _TOUCHING * model.encode_state(state, nodes).geometry.closest_approach
-    touch = jnp.maximum(model.features.contact_distance, nearest)
+    geometry = model.encode_state(state, nodes).geometry
+    touch = jnp.maximum(geometry.contact_distance, _TOUCHING * geometry.closest_approach)
     return model.encode_state(state, nodes, touch)
 
 

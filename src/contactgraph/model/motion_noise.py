@@ -1,5 +1,7 @@
 """Noise of observed and predicted motion, and the likelihood ratio of two predictions."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,8 @@ from contactgraph.data.errors import InvalidInputError
 _LEAST_POSITION, _LEAST_VELOCITY, _LEAST_SHARE = 5e-5, 1e-3, 0.01
 """Least scales, in lengths, lengths a second, and 1. Only the steps that a type explains well count
 for its scales, so that without a bound they would shrink, and steps that fit less well drop out."""
+_MOST_SHARE = 0.5
+"""Greatest relative error of a type's effect; beyond, its steps would be taken for any other's."""
 
 Motion = tuple[Float[Array, "N D"], Float[Array, "N D"]]
 """Position [m] and velocity [m/s] of every node."""
@@ -41,10 +45,12 @@ class MotionNoise(eqx.Module):
     """Of one observed position, on each axis, m."""
     velocity: float = 0.0
     """Of one observed velocity, on each axis, m/s."""
-    model_position: float | Float[Array, ""] = 5e-4
+    model_position: float | Float[Array, "*N"] = 5e-4
     """Of a predicted position after one step, m."""
-    model_velocity: float | Float[Array, ""] = 1e-2
+    model_velocity: float | Float[Array, "*N"] = 1e-2
     """Of a predicted velocity after one step, m/s."""
+    model_drift: float | Float[Array, ""] = 0.0
+    """Error of a predicted velocity as a share of the speed before."""
     model_share: float = 0.4
     """r; relative error of the predicted effect of a contact."""
     type_share: Float[Array, " active"] | None = None
@@ -69,6 +75,16 @@ class MotionNoise(eqx.Module):
                 raise InvalidInputError(
                     f"{name} and model_{name} must not both be 0, since no motion would fit"
                 )
+
+    def at(self, velocity: Float[Array, "N D"], dt: float) -> "MotionNoise":
+        """The same for nodes that have these velocities [m/s] before the step."""
+        drift = self.model_drift**2 * jnp.sum(velocity**2, axis=-1)
+        return dataclasses.replace(
+            self,
+            model_velocity=jnp.sqrt(self.model_velocity**2 + drift),
+            model_position=jnp.sqrt(self.model_position**2 + dt**2 * drift),
+            model_drift=0.0,
+        )
 
     def log_ratios(
         self, predictions: Motion, observed: Motion, exists: Bool[Array, " N"], dt: float
@@ -130,7 +146,7 @@ class MotionNoise(eqx.Module):
         ratio = jnp.clip(ratio[jnp.argmin(jnp.max(ratio, axis=1))], -self.max_log_ratio, 0.0)
         return jnp.where(jnp.eye(len(ratio), dtype=bool), ratio, -self.max_log_ratio)
 
-    def _base(self, dt: float) -> tuple[Float[Array, ""] | float, Float[Array, ""] | float]:
+    def _base(self, dt: float) -> tuple[Float[Array, "*N"] | float, Float[Array, "*N"] | float]:
         """Variances of position, m^2, and velocity, m^2/s^2, without the share."""
         base_v = 2.0 * self.velocity**2 + self.model_velocity**2
         base_x = 2.0 * self.position**2 + (dt * self.velocity) ** 2 + self.model_position**2
@@ -159,6 +175,8 @@ class MotionNoise(eqx.Module):
         return jnp.where(jnp.isfinite(ratio), ratio, 0.0)
 
 
+_DRIFT = 1e-3
+"""Start of `PredictionNoise.drift`."""
 _UNIFORM = 12.0**-0.5
 """Standard deviation of a uniform distribution, in units of its width."""
 _PACE = 5.0
@@ -177,17 +195,27 @@ class PredictionNoise(eqx.Module):
     log_velocity: Float[Array, ""]
     """The same of the scale in m/s."""
 
+    log_drift: Float[Array, ""] | None
+    """The same of the error of a velocity, in units of the speed before. None: it is not learned,
+    nor is there a greatest share."""
+
     log_share: Float[Array, " active"]
     """The same of the error of each active type's effect, in units of the effect."""
 
     edge_types: int = eqx.field(static=True)
     length: float = eqx.field(static=True)
+    drifts: bool = eqx.field(static=True)
 
-    def __init__(self, edge_types: int, length: float = 0.1) -> None:
-        """``length`` [m] is the unit of the least scales: about the distance of a contact."""
+    def __init__(self, edge_types: int, length: float = 0.1, drifts: bool = False) -> None:
+        """``length`` [m] is the unit of the least scales: about the distance of a contact.
+
+        ``drifts``: whether errors may grow with the speed.
+        """
         start = MotionNoise()
         self.edge_types, self.length = edge_types, length
         self.log_share = jnp.log(start.model_share) / _PACE * jnp.ones(edge_types - 1)
+        self.drifts = drifts
+        self.log_drift = jnp.log(_DRIFT) / _PACE * jnp.ones(()) if drifts else None
         self.log_position = jnp.log(start.model_position) / _PACE * jnp.ones(())
         self.log_velocity = jnp.log(start.model_velocity) / _PACE * jnp.ones(())
 
@@ -204,10 +232,17 @@ class PredictionNoise(eqx.Module):
     @property
     def share(self) -> Float[Array, " active"]:
         """Of the effect of each active type."""
-        return jnp.maximum(jnp.exp(_PACE * self.log_share), _LEAST_SHARE)
+        most = _MOST_SHARE if self.drifts else jnp.inf
+        return jnp.clip(jnp.exp(_PACE * self.log_share), _LEAST_SHARE, most)
+
+    @property
+    def drift(self) -> Float[Array, ""] | float:
+        """Of a velocity, in units of the speed before."""
+        return 0.0 if self.log_drift is None else jnp.exp(_PACE * self.log_drift)
 
     def score(
         self,
+        before: Float[Array, "N D"],
         predicted: Motion,
         unhindered: Motion,
         observed: Motion,
@@ -216,13 +251,15 @@ class PredictionNoise(eqx.Module):
     ) -> Float[Array, " N"]:
         """Negative log-likelihood of every node's residual, up to a constant.
 
-        ``unhindered`` is the prediction without edges, and ``active`` counts each node's.
+        ``before`` is their velocity [m/s] before the step, ``unhindered`` the prediction without
+        edges, and ``active`` counts each node's.
         """
         tail, dimension = MotionNoise().tail, observed[0].shape[-1]
         share = active @ self.share**2
         effect_x, effect_v = (_square(*each) for each in zip(predicted, unhindered, strict=True))
-        variance_x = self.position**2 + share * (effect_x + dt**2 * effect_v)
-        variance_v = self.velocity**2 + share * effect_v
+        drift = self.drift**2 * jnp.sum(before**2, axis=-1)
+        variance_x = self.position**2 + dt**2 * drift + share * (effect_x + dt**2 * effect_v)
+        variance_v = self.velocity**2 + drift + share * effect_v
         spread = 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
         return spread - _log_density(observed, predicted, variance_x, variance_v, tail)
 

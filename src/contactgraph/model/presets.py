@@ -5,14 +5,19 @@ fresh weights; any such function can be trained in the place of these.
 """
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
+from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.model.actuation import Actuation
+from contactgraph.model.body_head import BodyHead
 from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
@@ -62,6 +67,22 @@ class ModelConfig:
     control_gain: float = 1.0
     """Start of the learned acceleration of actuated nodes for each unit of control, m/s^2; 1 where
     the control is a force on about 1 kg."""
+    node_types: tuple[str, ...] = ()
+    """Names of the types of nodes, passive ones first, then actuated ones; only for
+    `bodies`, as what follows. Empty: they are not told."""
+    actuation: Mapping[str, ActuationFit] = field(default_factory=dict)
+    """How the control drives each actuated type at the start of training, by name."""
+    driving_size: int | None = None
+    """Components of the control that drive bodies, which come first. None: the first D."""
+    actuated_nodes: int = 1
+    """Most actuated nodes of a scene."""
+    plane_distance: Mapping[str, float] = field(default_factory=dict)
+    """m; how near each type of node comes to a plane, by name. Those left out: half the contact
+    distance."""
+    averaged: bool = False
+    """Whether velocities are means over the step before, such as backward differences."""
+    theta: float = 0.55
+    """Start of the learned implicitness: see `ThetaMethod`."""
     edge_types: int = 3
     """K of `hidden_markov_filter`: free, touch, then types that hold; of 2, free and hold. The
     other models have 2."""
@@ -141,6 +162,55 @@ def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDy
         inference=inference,
         local_dynamics=dynamics,
         prediction_noise=PredictionNoise(inference.edge_types, config.contact_distance),
+    )
+
+
+def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
+    """As `hidden_markov_filter`, but with bodies as they are: see `BodyHead`."""
+    model_key, messages_key, rates_key = jax.random.split(key, 3)
+    model, width = gim_temp(config, key=model_key), config.width or 32
+    features = InvariantFeatures(
+        config.contact_distance,
+        hinges=config.hinges,
+        learned=config.learned_contact_distance,
+        types=config.node_types or ("object", "actuated"),
+    )
+    driving = config.driving_size
+    driving = min(config.dimension, config.control_size) if driving is None else driving
+    commands = config.control_size - driving
+    head = BodyHead(
+        width,
+        features.node_types,
+        length=config.contact_distance,
+        actuation=Actuation.from_fits(features.types, config.dimension, driving, config.actuation),
+        slots=config.actuated_nodes,
+        averaged=config.averaged,
+        key=jax.random.fold_in(model_key, 1),
+    )
+    near = [config.plane_distance.get(name, 0.5 * head.length) for name in features.types]
+    head = eqx.tree_at(lambda each: each.plane_distance, head, jnp.array(near))
+    size = features.edge_size(config.dimension)
+    inference = TransitionEdges(
+        EdgeNetwork(size + 1 + commands + features.node_types, width, key=messages_key),
+        node_types=features.node_types,
+        edge_types=config.edge_types,
+        commands=commands,
+        min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
+        key=rates_key,
+    )
+    types: list[MessagePassing | EdgeNetwork] = [
+        EdgeNetwork(size, width, key=jax.random.fold_in(key, index))
+        for index in range(config.edge_types - 1)
+    ]
+    learned = not config.averaged
+    discretization = ThetaMethod(config.theta if learned else 1.0, learned)
+    return dataclasses.replace(
+        model,
+        inference=inference,
+        local_dynamics=SpringMassDamperDynamics(TypedMessagePassing(types), head, discretization),
+        features=features,
+        prior=ClosestApproachPrior(parting=True),
+        prediction_noise=PredictionNoise(config.edge_types, config.contact_distance, drifts=True),
     )
 
 

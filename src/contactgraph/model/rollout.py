@@ -29,8 +29,8 @@ def _linear_step(
 
 def control_sensitivity(
     model: _LinearModel, state: ModelState, nodes: Nodes
-) -> Float[Array, "N D U"]:
-    """Displacement of each node by the control [m/N], if only the present contacts are active.
+) -> Float[Array, "N D W"]:
+    """Displacement of each node by what drives it, if only the present contacts are active.
 
     A force of 10 N moves a body of 1 kg by 14 mm in a step of 0.05 s, which decides whether it
     touches another within the step. So a model is given the displacement by the step's control
@@ -47,30 +47,52 @@ def _present_contacts(state: ModelState, nodes: Nodes) -> Bool[Array, " E"]:
     return nodes.candidate & (belief.holding > 0.5)
 
 
-def with_control_displacement(
-    state: ModelState, sensitivity: Float[Array, "N D U"], control: Float[Array, " U"]
-) -> ModelState:
-    """The state with the displacement of each node by the next step's control [N], and its command.
+def drive(
+    model: _LinearModel,
+    position: Float[Array, "N D"],
+    velocity: Float[Array, "N D"],
+    control: Float[Array, " U"],
+    nodes: Nodes,
+) -> Float[Array, " W"]:
+    """What moves bodies under a control: the control itself, or a model's own `drive`."""
+    own = getattr(model, "drive", None)
+    return control if own is None else own(position, velocity, control, nodes)
 
-    The command is those components of the control that no degree of freedom has.
-    """
-    displacement = jnp.sum(sensitivity * control, axis=-1).astype(state.velocity.dtype)
-    command = control[state.position.shape[-1] :].astype(state.velocity.dtype)
+
+def no_sensitivity(
+    model: _LinearModel, state: ModelState, control: Float[Array, " U"], nodes: Nodes
+) -> Float[Array, "N D W"]:
+    """Zeros of the shape of `LinearDynamics.control_sensitivity`."""
+    driving = drive(model, state.position, state.velocity, control, nodes)
+    return jnp.zeros((*state.position.shape, *driving.shape), state.position.dtype)
+
+
+def with_control_displacement(
+    model: _LinearModel,
+    state: ModelState,
+    sensitivity: Float[Array, "N D W"],
+    control: Float[Array, " U"],
+    nodes: Nodes,
+) -> ModelState:
+    """The state with the displacement of each node by the next step's control, and its command."""
+    driving = drive(model, state.position, state.velocity, control, nodes)
+    displacement = jnp.sum(sensitivity * driving, axis=-1).astype(state.velocity.dtype)
+    command = control.astype(state.velocity.dtype)
     return dataclasses.replace(state, control_displacement=displacement, command=command)
 
 
 def take_step(
     model: _LinearModel,
     state: ModelState,
-    sensitivity: Float[Array, "N D U"],
+    sensitivity: Float[Array, "N D W"],
     control: Float[Array, " U"],
     nodes: Nodes,
-) -> tuple[ModelState, Float[Array, "N D U"], LinearDynamics]:
+) -> tuple[ModelState, Float[Array, "N D W"], LinearDynamics]:
     """One step under a control [N]: the next state, its sensitivity, and the step's dynamics.
 
     States keep their floating types: a float32 model may be given states in float64.
     """
-    informed = with_control_displacement(state, sensitivity, control)
+    informed = with_control_displacement(model, state, sensitivity, control, nodes)
     linear, belief = _linear_step(model, informed, nodes)
     position, velocity = linear(state.position, state.velocity, control)
     after = ModelState(
@@ -95,7 +117,7 @@ def rollout(
     is computed as iteration 0 of the scan, so that the step and its derivative are compiled once.
     """
     present = _present_contacts(state, nodes)
-    Carry = tuple[ModelState, Float[Array, "N D U"]]
+    Carry = tuple[ModelState, Float[Array, "N D W"]]
 
     def step(carry: Carry, inputs: tuple[Array, Array]) -> tuple[Carry, PyTree]:
         before, sensitivity = carry
@@ -106,7 +128,7 @@ def rollout(
         after = jax.tree.map(lambda old, new: jnp.where(is_first, old, new), before, after)
         return (after, sensitivity), output(after, linear)
 
-    unknown = jnp.zeros((*state.position.shape, controls.shape[-1]), state.position.dtype)
+    unknown = no_sensitivity(model, state, jnp.zeros_like(controls[0]), nodes)
     is_first = jnp.arange(controls.shape[0] + 1) == 0
     inputs = jnp.concatenate([jnp.zeros_like(controls[:1]), controls]), is_first
     _, outputs = jax.lax.scan(

@@ -19,12 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.model.actuation import Actuation
+from contactgraph.model.body_head import BodyHead
 from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
-from contactgraph.model.contact_belief import (
-    ArgmaxSample,
-    ContactSensor,
-    GumbelSample,
-)
+from contactgraph.model.contact_belief import ArgmaxSample, ContactSensor, GumbelSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import EdgeInference
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
@@ -135,7 +133,9 @@ _CLASSES: dict[str, type[eqx.Module]] = {
     known.__name__: known
     for known in (
         AbsoluteFeatures,
+        Actuation,
         ArgmaxSample,
+        BodyHead,
         ClosestApproachPrior,
         ContactDynamics,
         ContactSensor,
@@ -204,11 +204,11 @@ def _describe(module: object, allowed: tuple[type, ...], where: str) -> Descript
 def _describe_value(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
     if kinds[0] in (bool, int, float):
         return kinds[0](value)
+    if isinstance(value, tuple):  # names
+        return list(value)
     if typing.get_origin(kinds[0]) is list:
-        return [
-            _describe(part, _part_types(kinds[0]), f"{where}.{index}")
-            for index, part in enumerate(value)
-        ]
+        each = _part_types(kinds[0])
+        return [_describe(part, each, f"{where}.{i}") for i, part in enumerate(value)]
     return _describe(value, kinds, where)
 
 
@@ -255,25 +255,29 @@ def _build_value(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
         if type(value) not in (int, float) or not math.isfinite(value):
             raise InvalidInputError(f"{where}: must be a finite number, found {_short(value)}")
         return float(value)
+    if typing.get_origin(kind) is tuple:
+        if not isinstance(value, list) or not all(isinstance(part, str) for part in value):
+            raise InvalidInputError(f"{where}: must be a list of names")
+        return tuple(value)
     if typing.get_origin(kind) is list:
         if not isinstance(value, list) or not 1 <= len(value) <= _MAX_SIZE:
             raise InvalidInputError(f"{where}: must be a list of 1 to {_MAX_SIZE} parts")
-        kinds = _part_types(kind)
-        return [_build(part, kinds, f"{where}.{index}") for index, part in enumerate(value)]
+        return [_build(part, _part_types(kind), f"{where}.{i}") for i, part in enumerate(value)]
     return _build(value, kinds, where)
 
 
 def _arguments(known: Any) -> dict[str, tuple[Any, ...]]:
     """The constructor's arguments, and the types allowed for each."""
     return {
-        name: (
-            typing.get_args(parameter.annotation)
-            if isinstance(parameter.annotation, types.UnionType)
-            else (parameter.annotation,)
-        )
+        name: _allowed(parameter.annotation)
         for name, parameter in inspect.signature(known.__init__).parameters.items()
         if name not in ("self", "key")
     }
+
+
+def _allowed(annotation: Any) -> tuple[Any, ...]:
+    union = isinstance(annotation, types.UnionType)
+    return typing.get_args(annotation) if union else (annotation,)
 
 
 def _needed(known: Any) -> set[str]:
@@ -284,8 +288,7 @@ def _needed(known: Any) -> set[str]:
 
 def _part_types(kind: Any) -> tuple[Any, ...]:
     """The types allowed for the parts of a list."""
-    (part,) = typing.get_args(kind)
-    return typing.get_args(part) if isinstance(part, types.UnionType) else (part,)
+    return _allowed(*typing.get_args(kind))
 
 
 def _names(allowed: tuple[type, ...]) -> str:

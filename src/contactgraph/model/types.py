@@ -5,7 +5,7 @@ from typing import Protocol
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from contactgraph.data import Scene
 from contactgraph.data.trajectory_batch import Nodes as Nodes
@@ -28,9 +28,9 @@ class ModelState(eqx.Module):
     control_displacement: Float[Array, "N D"] | None = None
     """m; how far the next step's control alone moves each node, on which it depends whether bodies
     touch within the step. None: not known."""
-    command: Float[Array, " C"] | None = None
-    """The next step's components of the control that move nothing, such as a switch. None: not
-    known, 0."""
+    command: Float[Array, " U"] | None = None
+    """The next step's control, of which inference sees those components that move nothing, such as
+    a switch. None: not known, 0."""
 
 
 def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
@@ -51,12 +51,13 @@ class LinearDynamics(eqx.Module):
     A: Float[Array, "*T N D 2 2"]
     B: Float[Array, "*T N D 2 U"]
     offset: Float[Array, "*T N D 2"]
-    unhindered: Float[Array, "*T N D U"] | None = None
-    """Displacement of each node by the control, m/N, if no touch hindered it. None: none does."""
+    unhindered: Float[Array, "*T N D W"] | None = None
+    """Displacement of each node by what drives it, if no touch hindered it: see
+    `ContactDynamics.drive`. None: it is driven by the control, and nothing hinders it."""
 
     @property
-    def control_sensitivity(self) -> Float[Array, "*T N D U"]:
-        """Displacement of each node by the control, m/N, without edges that only touch."""
+    def control_sensitivity(self) -> Float[Array, "*T N D W"]:
+        """Displacement of each node by what drives it, without edges that only touch."""
         return self.B[..., 0, :] if self.unhindered is None else self.unhindered
 
     def __call__(
@@ -131,8 +132,9 @@ class SpringMassDamper(eqx.Module):
     """m; by an impact within the step."""
     acceleration: Float[Array, "*T N D"] | None = None
     """a, m/s^2, by constant forces such as weight. None: there are none."""
-    unhindered_response: Float[Array, "*T N D U"] | None = None
-    """As `response`, without edges that only touch, and undamped. None: there are none."""
+    unhindered_response: Float[Array, "*T N D W"] | None = None
+    """As `response`, of what drives nodes, without edges that only touch, and undamped. None: there
+    are none."""
 
     @property
     def inverse_mass(self) -> Float[Array, "*T N D"]:
@@ -184,6 +186,28 @@ def own_component(
     return inverse_mass[..., None] * jnp.eye(dimension, control_size, dtype=inverse_mass.dtype)
 
 
+class EncodedGraph(eqx.Module):
+    """One step's state and graph before inference: everything that is independent of the belief."""
+
+    position: Float[Array, "N D"]
+    """m"""
+    velocity: Float[Array, "N D"]
+    """m/s"""
+    nodes: Nodes
+    geometry: Geometry
+    edge_id: Int[Array, " E"] | None
+    """`Edges.edge_id`."""
+    node_features: Float[Array, "N F"]
+    edge_features: Float[Array, "2 E G"]
+    weight: Float[Array, " E"]
+    """Weight of every edge by the cutoff, in [0, 1]; 0 for edges that are no candidates."""
+    embedding: Float[Array, "E M"]
+    prior: Float[Array, "E K"]
+    """Geometric prior of the edge types; `ContactDynamics.prior_belief`."""
+    control_displacement: Float[Array, "N D"] | None
+    """m; see `ModelState`."""
+
+
 class LocalInput(eqx.Module):
     """One step's state, and the graph after its inactive edges are cut."""
 
@@ -202,8 +226,21 @@ class LocalInput(eqx.Module):
     geometry: Geometry
     anchor: Float[Array, "N D"] | None
     """m; where a node is hinged, NaN where it is not. None: no node is."""
+    nodes: Nodes
+    control_displacement: Float[Array, "N D"] | None
+    """m; see `ModelState`."""
     group_capacity: int | None = eqx.field(static=True, default=None)
     """Most nodes that are coupled, directly or through others. None: no limit."""
+
+
+class StepStages(eqx.Module):
+    """The intermediate results of one step, in their order."""
+
+    graph: EncodedGraph
+    belief: ContactBelief
+    """Predicted, about this step."""
+    local: LocalInput
+    dynamics: LinearDynamics
 
 
 class Step(eqx.Module):

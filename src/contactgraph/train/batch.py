@@ -12,7 +12,6 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import Windows
@@ -40,19 +39,13 @@ class Window(eqx.Module):
     control: Float[Array, "*B L U"]
     """N"""
     nodes: Nodes
-    static: Bool[Array, "*B N"] | None = None
-    """Bodies that never move, so that there is nothing to learn from their motion. None: none."""
-
-    @property
-    def command(self) -> Float[Array, "*B L C"]:
-        """The components of the control that move nothing."""
-        return self.control[..., self.position.shape[-1] :]
 
     @property
     def learned(self) -> Bool[Array, "*B N"]:
         """The bodies whose motion is learned: those that exist and are not static."""
         exists = jnp.asarray(self.nodes.mask)
-        return exists if self.static is None else exists & ~self.static
+        static = self.nodes.static
+        return exists if static is None else exists & ~jnp.asarray(static)
 
     def part(self, begin: int, end: int) -> "Window":
         """The steps ``begin`` to ``end`` of a batch of windows."""
@@ -75,8 +68,6 @@ class WindowSource(eqx.Module):
     """Sum of the probabilities up to this window's."""
     length: int = eqx.field(static=True)
     """L, steps in a window."""
-    static: Bool[Array, "R N"] | None = None
-    """Bodies of each trajectory that never move. None: none."""
     reports_touch: bool = eqx.field(static=True, default=True)
     """Whether contacts, where training uses them, are those of bodies that touch; else that hold
     each other."""
@@ -119,28 +110,15 @@ class WindowSource(eqx.Module):
             velocity=every.velocity[index[:, None], states],
             control=every.control[index[:, None], states[:, :-1]],
             nodes=jax.tree.map(lambda leaf: leaf[index], every.nodes),
-            static=None if self.static is None else self.static[index],
         )
-
-
-def static_bodies(dataset: Dataset, node_capacity: int) -> np.ndarray | None:
-    """[R, N] bool: the bodies that never move, padded to the capacity; None: there are none."""
-    static = np.zeros((len(dataset), node_capacity), bool)
-    for index, each in enumerate(dataset):
-        if each.scene.static is not None:
-            static[index, : each.scene.node_count] = each.scene.static
-    return static if static.any() else None
 
 
 def window_source(
     batch: TrajectoryBatch[np.ndarray],
     windows: Windows,
-    static: np.ndarray | None = None,
     contacts: bool = False,
 ) -> WindowSource:
-    """Put trajectories and windows on the device; ``static`` as `static_bodies` returns it.
-
-    Contact labels are left out unless ``contacts``.
+    """Put trajectories and windows on the device, without contact labels unless ``contacts``.
 
     The batch is padded to a multiple of `_BATCH_MULTIPLE` trajectories, and the windows as if
     every trajectory were the longest, so that another number of trajectories recompiles nothing.
@@ -164,7 +142,6 @@ def window_source(
         start=jnp.asarray(windows.start[drawn]),
         cumulative=jnp.asarray(cumulative, jnp.float32),
         length=windows.length,
-        static=None if static is None else repeated(static),
     )
 
 
@@ -197,20 +174,19 @@ def batch_split(devices: Sequence[jax.Device], batch_size: int) -> BatchSplit | 
     return BatchSplit(Mesh(np.asarray(devices), (_WINDOW_AXIS,)))
 
 
-def has_resting_bodies(
-    batch: TrajectoryBatch[np.ndarray], static: np.ndarray | None = None
-) -> bool:
+def has_resting_bodies(batch: TrajectoryBatch[np.ndarray]) -> bool:
     """Whether a free body without actuation is at rest in any recorded state, but for static ones.
 
     A resting distractor would contradict data in which such bodies never rest, because they fall,
     slide or hang on hinges.
     """
-    if batch.nodes.anchor is not None:
+    nodes = batch.nodes
+    if nodes.anchor is not None:
         return False
     speed = np.linalg.norm(batch.velocity[:, :-1], axis=-1)
-    free = batch.nodes.mask & ~batch.nodes.actuated
-    if static is not None:
-        free = free & ~static
+    free = nodes.mask & ~nodes.actuated
+    if nodes.static is not None:
+        free = free & ~nodes.static
     return bool(np.any((speed < _REST) & free[:, None, :] & batch.step_mask[:, :, None]))
 
 
@@ -240,15 +216,33 @@ def add_distractor(
         windows,
         position=jnp.concatenate([windows.position, position], axis=2),
         velocity=jnp.concatenate([windows.velocity, jnp.zeros_like(position)], axis=2),
-        nodes=Nodes(
-            actuated=jnp.concatenate([windows.nodes.actuated, jnp.zeros((batch, 1), bool)], 1),
-            mask=jnp.concatenate([windows.nodes.mask, clear[:, None]], axis=1),
-            # `pair_indices` lists the pairs of a new last node after all others.
-            candidate=jnp.concatenate([windows.nodes.candidate, edges], axis=1),
-        ),
-        static=None
-        if windows.static is None
-        else jnp.concatenate([windows.static, jnp.zeros((batch, 1), bool)], axis=1),
+        nodes=_with_distractor(windows.nodes, clear, edges),
+    )
+
+
+def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array, "B N"]) -> Nodes:
+    """One more node, of the type of the first that is neither actuated nor static."""
+    free = nodes.mask & ~nodes.actuated
+    if nodes.static is not None:
+        free = free & ~nodes.static
+    first = jnp.argmax(free, axis=1)[:, None]
+
+    def appended(values: Array | None, last: Array | None = None) -> Array | None:
+        if values is None:
+            return None
+        last = jnp.zeros_like(values[:, :1]) if last is None else last
+        return jnp.concatenate([values, last], axis=1)
+
+    types = nodes.type_id
+    same = None if types is None else jnp.take_along_axis(types, first, axis=1)
+    return nodes._replace(
+        actuated=appended(nodes.actuated),
+        mask=appended(nodes.mask, exists[:, None]),
+        # `pair_indices` lists the pairs of a new last node after all others.
+        candidate=appended(nodes.candidate, edges),
+        type_id=appended(types, same),
+        static=appended(nodes.static),
+        control_of=appended(nodes.control_of),
     )
 
 

@@ -1,10 +1,18 @@
 """The numbers of a training: its settings, and the defaults that follow from the data."""
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from contactgraph.data.actuation_fit import (
+    ActuationFit,
+    driving_components,
+    fit_actuation,
+    fit_theta,
+)
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.train.loss import LossTerms
@@ -64,7 +72,33 @@ _BOUNDS = {
 
 
 _CONTACT_DISTANCE = 0.085
+_AVERAGED = 0.95
+"""Share of a change of velocity that displaces in its step, from which velocities are means."""
+_NEAREST = 0.005
+"""Share of the states that may lie nearer to a plane than a body that touches it."""
+_MOVES, _LEAST_BEGINNINGS = 0.02, 10
+"""Share of a trajectory's greatest speed from which a body moves; and how often that must begin for
+the distance of contact to be seen from it."""
+_FARTHER = 0.9
+"""Quantile of these distances: of bodies that are no discs, most touch when they are nearer."""
 _KEY = "contact_distance"
+
+
+@dataclass(frozen=True)
+class BodyDefaults:
+    """Arguments of the preset `bodies` that follow from the data: see `ModelConfig`."""
+
+    contact_distance: float
+    """m; from the scenes' metadata, or about the distance at which bodies begin to move."""
+    learned_contact_distance: bool
+    """Not where velocities are means over a step, which do not tell when in it bodies met."""
+    node_types: tuple[str, ...]
+    actuation: dict[str, ActuationFit]
+    driving_size: int
+    actuated_nodes: int
+    plane_distance: dict[str, float]
+    averaged: bool
+    theta: float
 
 
 @dataclass(frozen=True)
@@ -85,6 +119,21 @@ class DataDefaults:
     """See `ModelConfig.control_gain`. By least squares where the control is a displacement or a
     velocity: an arm that follows centimetres within a step has a gain of some hundreds, and
     training would take a thousand steps to get there. Else 1."""
+    bodies: BodyDefaults
+
+    def of(self, model: str, given: dict[str, float]) -> dict[str, Any]:
+        """Further arguments of a model's configuration, by the name of its preset.
+
+        A ``given`` contact distance [m] is where learning starts.
+        """
+        if model == "bodies":
+            averaged = (
+                {} if not given or self.bodies.averaged else {"learned_contact_distance": True}
+            )
+            return {**vars(self.bodies), **given, **averaged}
+        learned = self.learned_contact_distance or given
+        distance = {"contact_distance": self.contact_distance, **given}
+        return {**distance, "learned_contact_distance": bool(learned)}
 
 
 def defaults_from_data(dataset: Dataset) -> DataDefaults:
@@ -105,7 +154,82 @@ def defaults_from_data(dataset: Dataset) -> DataDefaults:
         weight=weight,
         rollout_from=0.0 if weight else 0.5,
         control_gain=_control_gain(dataset),
+        bodies=_body_defaults(dataset, distance),
     )
+
+
+def _body_defaults(dataset: Dataset, distance: float | None) -> BodyDefaults:
+    drives = driving_components(dataset)
+    if not drives[: drives.sum()].all():
+        raise InvalidInputError(
+            "components of the control that drive bodies must come before commands, found "
+            f"{[bool(each) for each in drives]}"
+        )
+    theta = fit_theta(dataset)
+    averaged = theta > _AVERAGED
+    return BodyDefaults(
+        contact_distance=_contact_distance(dataset) if distance is None else float(distance),
+        learned_contact_distance=distance is None and not averaged,
+        node_types=_node_types(dataset),
+        actuation=fit_actuation(dataset, 1.0 if averaged else theta),
+        driving_size=int(drives.sum()),
+        actuated_nodes=max(1, *(int(each.scene.actuated.sum()) for each in dataset)),
+        plane_distance=_plane_distances(dataset),
+        averaged=averaged,
+        theta=theta,
+    )
+
+
+def _node_types(dataset: Dataset) -> tuple[str, ...]:
+    """Names of the types, passive ones first, the most frequent first."""
+    count: Counter[tuple[bool, str]] = Counter()
+    for each in dataset:
+        count.update(zip(each.scene.actuated.tolist(), each.scene.node_type, strict=True))
+    names = sorted(count, key=lambda each: (each[0], -count[each], each[1]))
+    return tuple(dict.fromkeys(name for _, name in names))
+
+
+def _contact_distance(dataset: Dataset) -> float:
+    """The distance, m, from the nearest body at which bodies that rest begin to move.
+
+    Where that is hardly ever seen: how near bodies come to each other in some trajectories.
+    """
+    if any(each.scene.has_hinges for each in dataset):
+        return _CONTACT_DISTANCE  # is that from a bar's middle line
+    begins: list[np.ndarray] = []
+    nearest: list[float] = []
+    for each in dataset:
+        position, count = each.position, each.scene.node_count
+        if count < 2:
+            continue
+        apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
+        apart = np.min(apart + np.where(np.eye(count, dtype=bool), np.inf, 0.0), axis=-1)
+        speed = np.linalg.norm(each.velocity, axis=-1)
+        moves = speed > _MOVES * speed.max(initial=0.0)
+        begin = ~moves[:-1] & moves[1:] & ~each.scene.actuated
+        begins.append(np.minimum(apart[:-1], apart[1:])[begin])
+        nearest.append(float(apart.min()))
+    found = np.concatenate(begins) if begins else np.zeros(0)
+    share = _FARTHER
+    if len(found) < _LEAST_BEGINNINGS:
+        found, share = np.array(nearest), 1.0 - _FARTHER
+    distance = float(np.quantile(found, share)) if len(found) else 0.0
+    return distance if distance > 0.0 else _CONTACT_DISTANCE
+
+
+def _plane_distances(dataset: Dataset) -> dict[str, float]:
+    """How near each type comes to any plane, m, but for the nearest of its states."""
+    heights: dict[str, list[np.ndarray]] = {}
+    for each in dataset:
+        planes = each.scene.planes
+        if planes is not None and len(planes):
+            height = np.min(each.position @ planes[:, :-1].T - planes[:, -1], axis=-1)
+            for node, name in enumerate(each.scene.node_type):
+                heights.setdefault(name, []).append(height[:, node])
+    nearest = {
+        name: float(np.quantile(np.concatenate(found), _NEAREST)) for name, found in heights.items()
+    }
+    return {name: value for name, value in nearest.items() if value > 0.0}
 
 
 _FOLLOWED = ("displacement", "velocity")

@@ -20,11 +20,11 @@ from contactgraph.model.contact_belief import (
     correct,
     posterior_by_motion,
 )
-from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
+from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.features import stillness
 from contactgraph.model.motion_noise import Motion
-from contactgraph.model.types import LinearDynamics
+from contactgraph.model.types import EncodedGraph, LinearDynamics
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import SensorReports, random_reports
 from contactgraph.train.judged_steps import (
@@ -67,7 +67,9 @@ def dynamics_loss(
         residual = jax.lax.stop_gradient(predicted), unhindered, after
         incidence = jnp.sum(graph.geometry.incidence(len(graph.position)), axis=0).T
         near = incidence @ (graph.weight > 0).astype(graph.weight.dtype) > 0
-        score = model.prediction_noise.score(*residual, incidence @ types[:, 1:], model.dt)
+        score = model.prediction_noise.score(
+            graph.velocity, *residual, incidence @ types[:, 1:], model.dt
+        )
         return error, jnp.where(near, score, jnp.nan)
 
     given = windows.control, steps.after, judged.unhindered
@@ -154,7 +156,7 @@ def _denial_score(
     The improbability is that of the transition from free to free; what comes from the other types
     is what the data tell.
     """
-    still = stillness(graph.geometry, model.features.contact_distance)
+    still = stillness(graph.geometry)
     touching = jax.lax.stop_gradient((1.0 - graph.prior[..., 0]) * still)  # [B, T, E]
     drawn = jax.random.categorical(key, jnp.log(touching + _SMALLEST), axis=1)
 

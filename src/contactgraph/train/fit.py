@@ -20,7 +20,6 @@ from contactgraph.train.batch import (
     WindowSource,
     batch_split,
     has_resting_bodies,
-    static_bodies,
     window_source,
 )
 from contactgraph.train.config import TrainConfig
@@ -71,20 +70,18 @@ def fit(
         check_contacts(state.model, train, "training with contacts")
     labelled = with_edge_labels(train) if config.use_contacts else train
     batch = pad_trajectories(labelled, contacts=config.use_contacts)
-    static = static_bodies(train, batch.nodes.mask.shape[1])
-    source = _window_source(batch, config, static)
+    source = _window_source(batch, config)
     source = dataclasses.replace(source, reports_touch=labelled is train)
     other = pad_trajectories(held_out, contacts=False)
-    still = static_bodies(held_out, other.nodes.mask.shape[1])
     burn = 0
     if isinstance(state.model.inference, TransitionEdges):
         burn = max(0, min(_BURN, min(each.steps for each in held_out) - config.window_length))
     checking = dataclasses.replace(config, window_length=config.window_length + burn)
-    checked = held_out_windows(_window_source(other, checking, still), burn)
+    checked = held_out_windows(_window_source(other, checking), burn)
     baselines = checked.baselines(train.dt)
     if split is not None:
         state, source, checked = split.replicate((state, source, checked))
-    distractors = config.bystanders if has_resting_bodies(batch, static) else 0
+    distractors = config.bystanders if has_resting_bodies(batch) else 0
     lists = ReallocatingModel(state.model, train)
 
     def advance(state: FitState, count: int) -> tuple[FitState, dict[str, Array]]:
@@ -138,8 +135,6 @@ def _finite(terms: dict[str, Array]) -> bool:
     return all(np.isfinite(value) for value in terms.values())
 
 
-def _window_source(
-    batch: TrajectoryBatch[np.ndarray], config: TrainConfig, static: np.ndarray | None
-) -> WindowSource:
+def _window_source(batch: TrajectoryBatch[np.ndarray], config: TrainConfig) -> WindowSource:
     windows = window_weights(batch, config.window_length, config.event_fraction)
-    return window_source(batch, windows, static, batch.contact is not None)
+    return window_source(batch, windows, batch.contact is not None)

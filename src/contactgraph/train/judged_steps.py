@@ -13,11 +13,11 @@ from contactgraph.model.contact_belief import (
     posterior_by_motion,
     without_change,
 )
-from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
+from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_likelihood import edge_log_ratios, most_probable, motion_noise
 from contactgraph.model.motion_noise import Motion
-from contactgraph.model.rollout import with_control_displacement
-from contactgraph.model.types import ModelState
+from contactgraph.model.rollout import no_sensitivity, with_control_displacement
+from contactgraph.model.types import EncodedGraph, ModelState
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.loss import WindowSteps
 
@@ -161,7 +161,7 @@ def predict_unobserved(
         def step(carry: Carry, inputs: tuple) -> tuple[Carry, tuple[Array, ...]]:
             before, sensitivity = carry
             control, ratio, observed, after = inputs
-            state = with_control_displacement(before, sensitivity, control)
+            state = with_control_displacement(model, before, sensitivity, control, window.nodes)
             graph = model.encode_state(state, window.nodes)
             belief, joint = model.predict_joint(state.belief, graph)
             linear = model.linearize(model.cut_edges(graph, belief))
@@ -176,10 +176,11 @@ def predict_unobserved(
 
         position, velocity = window.position[0], window.velocity[0]
         first = model.initial_belief(position, velocity, window.nodes)
-        unknown = jnp.zeros((*position.shape, window.control.shape[-1]), position.dtype)
+        begin = ModelState(position, velocity, first)
+        unknown = no_sensitivity(model, begin, window.control[0], window.nodes)
         after = window.position[1:], window.velocity[1:]
         inputs = window.control, ratio, observed, after
-        return jax.lax.scan(step, (ModelState(position, velocity, first), unknown), inputs)[1]
+        return jax.lax.scan(step, (begin, unknown), inputs)[1]
 
     position, velocity, displacement = jax.vmap(along)(trajectories, judged.log_ratio, observed)
     begins = jnp.pad(observed, ((0, 0), (1, 0)), constant_values=True)[:, :-1, None]

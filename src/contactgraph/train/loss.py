@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from contactgraph.model.contact_belief import ContactBelief
-from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
+from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.neighbor_list import edge_count
-from contactgraph.model.types import LinearDynamics, ModelState
+from contactgraph.model.rollout import drive
+from contactgraph.model.types import EncodedGraph, LinearDynamics, ModelState, Nodes
 from contactgraph.train.batch import Window
 
 _Result = TypeVar("_Result")
@@ -148,14 +149,25 @@ class WindowSteps:
         """Position [m] and velocity [m/s] that every step leads to."""
         return self.windows.position[:, 1:], self.windows.velocity[:, 1:]
 
-    def displacement(self, sensitivity: Float[Array, "B L N D U"]) -> Float[Array, "B L N D"]:
+    def displacement(self, sensitivity: Float[Array, "B L N D W"]) -> Float[Array, "B L N D"]:
         """Displacement of each node by each step's control alone, m, without gradient.
 
-        The control times the sensitivity of the step before, as in `contactgraph.model.rollout`.
+        What drives times the sensitivity of the step before, as in `contactgraph.model.rollout`.
         """
         sensitivity = jax.lax.stop_gradient(sensitivity)
         before = jnp.concatenate([sensitivity[:, :1], sensitivity[:, :-1]], axis=1)
-        return jnp.sum(before * self.windows.control[:, :, None, None, :], axis=-1)
+        driving = jax.lax.stop_gradient(self._drive())
+        return jnp.sum(before * driving[:, :, None, None, :], axis=-1)
+
+    def _drive(self) -> Float[Array, "B L W"]:
+        """What moves bodies in every step."""
+        windows = self.windows
+
+        def along(nodes: Nodes, *states: Array) -> Array:
+            return jax.vmap(lambda x, v, u: drive(self.model, x, v, u, nodes))(*states)
+
+        states = windows.position[:, :-1], windows.velocity[:, :-1], windows.control
+        return jax.vmap(along)(windows.nodes, *states)
 
     def encode(self, control_displacement: Float[Array, "B L N D"] | None) -> EncodedGraph:
         """Stage 1 of every step, from the recorded states."""
@@ -169,7 +181,7 @@ class WindowSteps:
             return self.model.encode(x, v, nodes, displacement, command)
 
         states = windows.position[:, :-1], windows.velocity[:, :-1]
-        return self.each(encode, window, *states, control_displacement, windows.command)
+        return self.each(encode, window, *states, control_displacement, windows.control)
 
     def predict_beliefs(self, graph: EncodedGraph) -> tuple[ContactBelief, ContactBelief]:
         """Prior and, by stage 2 in a scan over time, predicted belief of every step."""

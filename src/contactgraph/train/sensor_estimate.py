@@ -17,8 +17,9 @@ from contactgraph.model.contact_belief import (
     correct,
     posterior_by_motion,
 )
-from contactgraph.model.contact_dynamics import ContactDynamics, EncodedGraph
+from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.filter import on_device
+from contactgraph.model.types import EncodedGraph
 from contactgraph.train.batch import Window
 from contactgraph.train.contact_reports import check_contacts
 from contactgraph.train.filter_loss import encoded_steps, predict_and_score

@@ -1,0 +1,160 @@
+"""Least squares of how the control drives the actuated bodies, before any training."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactgraph.data.trajectory import Trajectory
+
+_ALONE = 0.85
+"""Quantile of the distance to the nearest body from which a step is taken for free of contact."""
+_KEPT = 0.8
+"""Share of those steps, the best explained ones, by which the next round fits."""
+_ROUNDS = 12
+_LEAST_FORGOTTEN = -0.98
+"""Coefficient of the velocity that a body follows within a step; less has no implicit damper."""
+SERVO_KINDS = ("position", "displacement", "velocity")
+"""Kinds of control that a servo in the body follows, by `Scene.control_kind`."""
+DRIVING_KINDS = ("force", *SERVO_KINDS)
+"""Kinds of control that move the body on which they act."""
+_BETTER = 0.5
+"""Residual of a servo with a target in the world, as a share of one without, if it has one."""
+
+
+@dataclass(frozen=True)
+class ActuationFit:
+    r"""Coefficients of a type's free motion, $\dot v = G u + b - k x - c v$, in implicit steps."""
+
+    matrix: np.ndarray
+    """[D, U] G, m/s^2 a unit of the control, for those of its components that drive bodies."""
+    bias: np.ndarray
+    """[D] b, m/s^2."""
+    stiffness: float
+    """k, 1/s^2; 0 where the control is relative to the body."""
+    damping: float
+    """c, 1/s."""
+    residual: float
+    """m/s; root mean square of what the kept steps leave unexplained of the velocity."""
+
+
+def driving_components(trajectories: Iterable[Trajectory]) -> np.ndarray:
+    """[U] bool: the components of the control that move a body.
+
+    Without `Scene.control_kind` those are the first D, and all where several nodes have their own.
+    """
+    first = next(iter(trajectories))
+    scene, size = first.scene, first.control_size
+    if scene.control_kind is not None:
+        return np.array([kind in DRIVING_KINDS for kind in scene.control_kind], bool)
+    if scene.control_of is not None:
+        return np.asarray(scene.control_of.any(axis=0))
+    return np.arange(size) < scene.dimension
+
+
+def fit_theta(trajectories: Iterable[Trajectory]) -> float:
+    """Share of a step's change of velocity that displaces within it, of the `ThetaMethod`.
+
+    It is 1 where velocities are backward differences of positions.
+    """
+    change, extra = [], []
+    for each in trajectories:
+        dt = each.scene.dt
+        change.append(dt * (each.velocity[1:] - each.velocity[:-1]).ravel())
+        extra.append((each.position[1:] - each.position[:-1] - dt * each.velocity[:-1]).ravel())
+    known, found = np.concatenate(change), np.concatenate(extra)
+    kept, theta = np.ones(len(known), bool), 0.5
+    for _ in range(_ROUNDS):
+        theta = float(known[kept] @ found[kept] / max(known[kept] @ known[kept], 1e-30))
+        off = np.abs(found - theta * known)
+        kept = off <= np.quantile(off, _KEPT)
+    return float(np.clip(theta, 0.51, 0.99))
+
+
+def fit_actuation(trajectories: Iterable[Trajectory], theta: float) -> dict[str, ActuationFit]:
+    """Trimmed least squares over the steps of each actuated type, by name.
+
+    A target in the world has a spring, a displacement or a velocity only a damper, a force neither.
+    Where `Scene.control_kind` is not told, there is a spring if that halves the residual.
+    """
+    trajectories = tuple(trajectories)
+    drives = driving_components(trajectories)
+    kinds = trajectories[0].scene.control_kind
+    told = None if kinds is None else {kind for kind in kinds if kind in DRIVING_KINDS}
+    types: dict[str, list[tuple[Trajectory, int]]] = {}
+    for each in trajectories:
+        for node in np.flatnonzero(each.scene.actuated):
+            types.setdefault(each.scene.node_type[node], []).append((each, int(node)))
+    dt, fits = trajectories[0].scene.dt, {}
+    for name, bodies in types.items():
+        rows = _free_steps(bodies, drives)
+        if told is not None:
+            fit = _fit(rows, theta, dt, absolute="position" in told, damped=told != {"force"})
+        else:
+            fit = _fit(rows, theta, dt, absolute=False, damped=True)
+            spring = _fit(rows, theta, dt, absolute=True, damped=True)
+            fit = spring if spring.residual < _BETTER * fit.residual else fit
+        fits[name] = fit
+    return fits
+
+
+def _free_steps(
+    bodies: list[tuple[Trajectory, int]], drives: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity, control and change of velocity of the steps far from other bodies."""
+    parts = []
+    for each, node in bodies:
+        offset = np.linalg.norm(each.position - each.position[:, node : node + 1], axis=-1)
+        offset[:, node] = np.inf
+        acts = drives
+        if each.scene.control_of is not None:
+            acts = drives & each.scene.control_of[node]
+        velocity = each.velocity[:, node]
+        nearest = np.minimum(offset[:-1], offset[1:]).min(axis=1, initial=np.inf)
+        control = np.where(acts, each.control, 0.0)[:, drives]
+        change = velocity[1:] - velocity[:-1]
+        parts.append((each.position[:-1, node], velocity[:-1], control, change, nearest))
+    *rows, nearest = (np.concatenate(part) for part in zip(*parts, strict=True))
+    near = np.isfinite(nearest)
+    alone = nearest >= (np.quantile(nearest[near], _ALONE) if near.any() else 0.0)
+    position, velocity, control, change = (row[alone] for row in rows)
+    return position, velocity, control, change
+
+
+def _fit(
+    rows: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    theta: float,
+    dt: float,
+    *,
+    absolute: bool,
+    damped: bool,
+) -> ActuationFit:
+    position, velocity, control, change = rows
+    dimension, size = change.shape[1], control.shape[1]
+    # Unknowns: G row by row, b, friction, then one coefficient each of x (where absolute) and v.
+    known = np.zeros((len(change), dimension, dimension * (size + 1) + 2 + absolute))
+    for axis in range(dimension):
+        known[:, axis, axis * size : (axis + 1) * size] = control
+        known[:, axis, dimension * size + axis] = float(damped)
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    known[..., dimension * (size + 1)] = velocity / np.maximum(speed, 1e-12) * (not damped)
+    known[..., -1] = velocity
+    if absolute:
+        known[..., -2] = position
+    kept, found, off = np.ones(len(change), bool), np.zeros(known.shape[-1]), np.zeros(len(change))
+    for _ in range(_ROUNDS):
+        flat = known[kept].reshape(-1, known.shape[-1])
+        found = np.linalg.lstsq(flat, change[kept].reshape(-1), rcond=None)[0]
+        off = np.linalg.norm(change - known @ found, axis=1)
+        kept = off <= np.quantile(off, _KEPT)
+    # Back from the implicit step: with n its inertia, found = -dt (c + theta dt k) / n of v.
+    by_velocity = max(float(found[-1]), _LEAST_FORGOTTEN / theta) if damped else 0.0
+    inertia = 1.0 / (1.0 + theta * by_velocity)
+    stiffness = max(0.0, -float(found[-2]) * inertia / dt) if absolute else 0.0
+    return ActuationFit(
+        matrix=found[: dimension * size].reshape(dimension, size) * inertia / dt,
+        bias=found[dimension * size : dimension * (size + 1)] * inertia / dt,
+        stiffness=stiffness,
+        damping=max(0.0, -by_velocity * inertia / dt - theta * dt * stiffness),
+        residual=float(np.sqrt(np.mean(off[kept] ** 2))),
+    )

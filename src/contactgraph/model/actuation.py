@@ -1,0 +1,146 @@
+"""Actuation: how the control drives the actuated bodies."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from contactgraph.data.actuation_fit import ActuationFit
+from contactgraph.model.types import Nodes
+
+
+class ActuatedMotion(eqx.Module):
+    """The actuation of every node in a step; zero for nodes that are not actuated."""
+
+    inertia: Float[Array, " N"]
+    """n, by which the servo multiplies the mass of its body; 1 without one."""
+    by_control: Float[Array, "N D U"]
+    """Acceleration of the free body for each component of the control, m/s^2 a unit."""
+    constant: Float[Array, "N D"]
+    """Acceleration of the free body without control, m/s^2."""
+    stiffness: Float[Array, " N"]
+    """k / n, 1/s^2: by how much a metre of displacement accelerates the free body."""
+    damping: Float[Array, " N"]
+    """(c + theta dt k) / n, 1/s: the same of a velocity of 1 m/s."""
+
+
+def actuated_slots(nodes: Nodes, slots: int) -> Float[Array, "N slots"]:
+    """One-hot: which of the actuated nodes each one is; 0 for others."""
+    index = jnp.cumsum(nodes.actuated) - 1
+    return jax.nn.one_hot(jnp.where(nodes.actuated, index, -1), slots)
+
+
+class Actuation(eqx.Module):
+    r"""Acceleration of each actuated type, affine in the control: a force, or a servo to a target.
+
+    A free body of the type accelerates by
+
+    .. math::
+        \dot v = G u + b - k x - c v,
+
+    with u those of the first `control_size` components of the control that act on it; further ones
+    are commands. A force has k = c = b = 0. A position target has k > 0 and G = k I; a displacement
+    or a velocity has k = 0, so that nothing depends on where the body is. The step of dt is
+    implicit,
+
+    .. math::
+        w = (G u + b - k (x + \theta\,dt\,v) - c v) / n, \qquad
+        n = 1 + \theta c\,dt + \theta^2 k\,dt^2, \qquad v' = v + dt\,w .
+
+    What contacts hinder is this motion, of a body of n times its mass: however stiff the servo, the
+    step is stable, and a stiff servo pushes and is hardly pushed.
+    """
+
+    matrix: Float[Array, "types D U"]
+    """G, in units of `scale`."""
+    bias: Float[Array, "types D"]
+    """b, in units of `scale`."""
+    stiffness_root: Float[Array, " types"]
+    """Root of k, 1/s."""
+    damping_root: Float[Array, " types"]
+    """Root of c, s^(-1/2)."""
+    types: int = eqx.field(static=True)
+    dimension: int = eqx.field(static=True)
+    control_size: int = eqx.field(static=True)
+    servo: bool = eqx.field(static=True)
+    """Whether k, c and b are learned; else they are 0."""
+    scale: float = eqx.field(static=True)
+    """m/s^2; about the greatest acceleration by a unit of control."""
+
+    def __init__(
+        self,
+        types: int,
+        dimension: int,
+        control_size: int,
+        *,
+        servo: bool = False,
+        scale: float = 1.0,
+    ) -> None:
+        """Component d of the control accelerates degree of freedom d by ``scale`` a unit."""
+        # Products have no weak type, with which the first training update would recompile.
+        own = jnp.eye(dimension, control_size)
+        self.matrix = jnp.broadcast_to(own, (types, dimension, control_size)) * jnp.ones(())
+        self.bias = 0.0 * jnp.ones((types, dimension))
+        self.stiffness_root, self.damping_root = 0.0 * jnp.ones(types), 0.0 * jnp.ones(types)
+        self.types, self.dimension, self.control_size = types, dimension, control_size
+        self.servo, self.scale = servo, scale
+
+    @classmethod
+    def from_fits(
+        cls,
+        types: Sequence[str],
+        dimension: int,
+        control_size: int,
+        fits: Mapping[str, ActuationFit],
+    ) -> "Actuation":
+        """One that starts at what least squares say of each type's own motion."""
+        servo = any(fit.damping or fit.stiffness for fit in fits.values())
+        scale = max((float(abs(fit.matrix).max(initial=0.0)) for fit in fits.values()), default=0.0)
+        scale = scale or 1.0
+        fresh = cls(len(types), dimension, control_size, servo=servo, scale=scale)
+        matrix, bias = np.array(fresh.matrix), np.array(fresh.bias)
+        stiffness, damping = np.zeros(len(types)), np.zeros(len(types))
+        for index, fit in ((types.index(name), fit) for name, fit in fits.items()):
+            matrix[index], bias[index] = fit.matrix / scale, fit.bias / scale * servo
+            stiffness[index], damping[index] = fit.stiffness, fit.damping
+        leaves = [matrix, bias, stiffness**0.5, damping**0.5]
+        parts = "matrix", "bias", "stiffness_root", "damping_root"
+        dtype = fresh.matrix.dtype
+        return eqx.tree_at(
+            lambda each: [getattr(each, part) for part in parts],
+            fresh,
+            [jnp.asarray(leaf, dtype) for leaf in leaves],
+        )
+
+    def __call__(
+        self,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        node_type: Float[Array, "N types"],
+        nodes: Nodes,
+        theta: Float[Array, ""],
+        dt: float,
+    ) -> ActuatedMotion:
+        """The motion that the control gives to free bodies in a step of ``dt`` [s]."""
+        node_type = node_type * nodes.actuated[:, None]
+        by_control = self.scale * jnp.einsum("nt,tdu->ndu", node_type, self.matrix)
+        if nodes.control_of is not None:
+            by_control = by_control * nodes.control_of[:, None, : self.control_size]
+        if not self.servo:
+            still = jnp.zeros_like(position[:, 0])
+            return ActuatedMotion(still + 1.0, by_control, jnp.zeros_like(position), still, still)
+        k, c = node_type @ self.stiffness_root**2, node_type @ self.damping_root**2
+        inertia = 1.0 + theta * dt * (c + theta * dt * k)
+        by_velocity = c + theta * dt * k
+        constant = self.scale * node_type @ self.bias
+        constant = constant - k[:, None] * position - by_velocity[:, None] * velocity
+        return ActuatedMotion(
+            inertia=inertia,
+            by_control=by_control / inertia[:, None, None],
+            constant=constant / inertia[:, None],
+            stiffness=k / inertia,
+            damping=by_velocity / inertia,
+        )

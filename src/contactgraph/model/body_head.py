@@ -1,0 +1,299 @@
+"""The head of bodies as they are: types, servos, contacts with a direction, bounce and friction."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.model.actuation import ActuatedMotion, Actuation, actuated_slots
+from contactgraph.model.collision import Geometry
+from contactgraph.model.contact_solver import lifted_fraction
+from contactgraph.model.contacts import ContactMotion, Contacts, FreeBodies
+from contactgraph.model.heads import coupling_starts, with_hinge_springs
+from contactgraph.model.planes import mobile, plane_geometry
+from contactgraph.model.types import LocalInput, SpringMassDamper, Step
+
+_PACE = 5.0
+"""Scale of the numbers of each type in their parameters: each is a single number with a large
+effect, and so learns faster than a network's weights by this factor."""
+_MAX_COUPLING = 1.0 - 1e-3
+"""Coupling of a damper that is a thousand times as stiff as a mass of 1 in a step."""
+_IMPACT_SPEED = 0.1
+"""Change of velocity, m/s, from about which a step counts as an impact."""
+_MOST_DAMPED = 0.99
+"""Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""
+_LEAST_COUPLING = 0.5
+"""Of a touch and of the first type that holds: with less, the types could not be told apart."""
+_PLANE_LEARNED = 0.1
+"""Learned part of the distance from planes, as a share of what the data tell."""
+_DECELERATION = 10.0
+"""m/s^2; unit of decelerations by the ground."""
+_EARLY, _ONE_SIDED = 0.01, 2e-4
+"""Approach in a step, in units of `BodyHead.length`: of bodies that are about to touch, and from
+which a touch acts."""
+_SMALL = 1e-6
+
+
+class BodyHead(eqx.Module):
+    r"""Parameters of every node from types of bodies, their actuation, and the active edges.
+
+    Each node type has a mass, a damper and a deceleration by the ground, and shares in bounce and
+    friction of its touches, positive by construction; networks give every active edge a coupling (0
+    free, 1 rigid) and a spring. A *hold* couples two bodies in all directions, a *touch* along the
+    normal alone, and only while they approach each other; across it friction acts, up to its
+    coefficient times the normal impulse. `docs/model.md` derives the step:
+
+    $$ v' = v - H^{-1} (J^T \Lambda J + g) v - H_e^{-1} J^T \Lambda_e J v + \dots, \qquad
+       H = M + g + J^T \Lambda J, \quad H_e = M + J^T \Lambda_e J $$
+
+    The last term is the bounce. Both matrices that act on v are symmetric in the metric M with
+    eigenvalues in [0, 1), so that no contact adds energy, whatever the coefficients.
+    """
+
+    log_mass: Float[Array, " types"]
+    """Of the mass in kg, in units of `_PACE`; motion determines masses up to a common factor."""
+    damper_raw: Float[Array, " types"]
+    """Of the damper to the ground, 1/s: softplus(`_PACE` x - 6)."""
+    deceleration_raw: Float[Array, " types"]
+    """Of the deceleration by the ground, 10 m/s^2: softplus(`_PACE` x - 6)."""
+    bounce_raw: Float[Array, " types+1"]
+    """A touch bounces with sigmoid(`_PACE` (x_i + x_j) - 3). The last is that of planes."""
+    friction_raw: Float[Array, " types+1"]
+    """A touch has the coefficient of friction softplus(`_PACE` (x_i + x_j) - 4)."""
+    plane_distance: Float[Array, " types"]
+    """m, of a node from a plane that it touches, by the data; a tenth of it is learned."""
+    plane_raw: Float[Array, " types"]
+    """Of the learned part of that distance."""
+    edge: eqx.nn.MLP
+    actuation: Actuation
+    width: int = eqx.field(static=True)
+    node_types: int = eqx.field(static=True)
+    slots: int = eqx.field(static=True)
+    averaged: bool = eqx.field(static=True)
+    length: float = eqx.field(static=True)
+
+    def __init__(
+        self,
+        width: int,
+        node_types: int,
+        *,
+        length: float,
+        actuation: Actuation,
+        slots: int = 1,
+        averaged: bool = False,
+        key: PRNGKeyArray,
+    ):
+        """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``averaged``:
+        whether velocities are means over a step, as backward differences are."""
+        # Products have no weak type, with which the first training update would recompile.
+        self.log_mass = 0.0 * jnp.ones(node_types)
+        self.damper_raw, self.deceleration_raw = self.log_mass, self.log_mass
+        self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
+        self.friction_raw, self.plane_raw = self.bounce_raw, self.log_mass
+        self.plane_distance = 0.5 * length + self.log_mass
+        self.edge = eqx.nn.MLP(width, 3, width, 1, key=key)
+        self.actuation = actuation
+        self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
+        self.averaged = averaged
+
+    def drive(
+        self,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        control: Float[Array, " U"],
+        node_type: Float[Array, "N types"],
+        nodes: Nodes,
+        step: Step,
+    ) -> Float[Array, " W"]:
+        """Acceleration of every actuated node without contacts, m/s^2, node after node."""
+        motion = self.actuation(position, velocity, node_type, nodes, step.theta, step.dt)
+        free = motion.by_control @ control[: self.actuation.control_size] + motion.constant
+        return (actuated_slots(nodes, self.slots).T @ free).reshape(-1)
+
+    def __call__(
+        self,
+        local: LocalInput,
+        embedding: Float[Array, "N W"],
+        message: Float[Array, "active 2 E W"],
+        step: Step,
+    ) -> SpringMassDamper:
+        """Parameters of every node at one step."""
+        theta, dt, nodes, node_type = step.theta, step.dt, local.nodes, local.node_type
+        velocity, (count, dimension) = local.velocity, local.position.shape
+        motion = self.actuation(local.position, velocity, node_type, nodes, theta, dt)
+        mass = jnp.exp(_PACE * node_type @ self.log_mass) * motion.inertia
+        slots = actuated_slots(nodes, self.slots)
+        driving = jnp.einsum("n,ns,de->ndse", mass, slots, jnp.eye(dimension))
+        falls = jnp.zeros_like(velocity)
+        if nodes.gravity is not None and nodes.planes is not None:
+            falls = (mobile(nodes) & ~nodes.actuated)[:, None] * nodes.gravity
+        # What the control does in the step, as far as it is known, and until contacts hinder it.
+        driven = jnp.zeros_like(velocity)
+        if local.control_displacement is not None:
+            driven = nodes.actuated[:, None] * local.control_displacement / (theta * dt)
+        contacts = self._contacts(local, message, driven + dt * falls, step)
+        on_ground = jnp.ones(count)
+        if nodes.gravity is not None and nodes.planes is None:
+            # Bodies rest on a ground that nobody told of until an actuated one lifts them.
+            holding = contacts.coupling * (1.0 - contacts.touching)
+            lifted = lifted_fraction(local.actuated, holding, local.geometry, local.group_capacity)
+            on_ground = 1.0 - lifted
+            falls = (lifted * (1.0 - local.actuated))[:, None] * nodes.gravity
+        damper, slowing = (
+            on_ground * jax.nn.softplus(_PACE * node_type @ raw - 6.0)
+            for raw in (self.damper_raw, self.deceleration_raw)
+        )
+        bodies = FreeBodies(
+            mass=mass,
+            velocity=velocity,
+            ground_damper=dt * mass * damper,
+            deceleration=_DECELERATION * slowing,
+            weight=(mass[:, None] * falls)[..., None],
+            driving=driving.reshape(count, dimension, -1),
+            push=(mass[:, None] * (driven + dt * falls))[..., None],
+        )
+        solution = contacts.solve(bodies, dt, local.group_capacity)
+        parameters = self._parameters(local, motion, slots, solution, step)
+        if local.anchor is None:
+            return parameters
+        return with_hinge_springs(parameters, local, contacts.coupling[: len(local.weight)], step)
+
+    def _parameters(
+        self,
+        local: LocalInput,
+        motion: ActuatedMotion,
+        slots: Float[Array, "N S"],
+        solution: ContactMotion,
+        step: Step,
+    ) -> SpringMassDamper:
+        """The solution as a spring-mass-damper of every node, which `ThetaMethod` steps to it."""
+        theta, dt = step.theta, step.dt
+        count, dimension = local.position.shape
+        change, response = solution.velocity_change, solution.response
+        by_control = jnp.einsum("ns,ndu->sdu", slots, motion.by_control)
+        by_control = by_control.reshape(self.slots * dimension, by_control.shape[-1])
+        commands = step.control_size - by_control.shape[-1]
+        by_control = jnp.pad(by_control, ((0, 0), (0, commands)))  # commands move nothing
+        constant = (slots.T @ motion.constant).reshape(-1)
+        # What an actuated body carries moves with it: of the servo's spring and damper a node has
+        # the share of its response, relative to its own position and velocity.
+        share = response.reshape(count, dimension, self.slots, dimension)
+        share = jnp.einsum("ndsd->ns", share) / dimension
+        spring = dt**2 * share @ (slots.T @ motion.stiffness)
+        size = jnp.sqrt(jnp.sum(change**2, axis=-1) + _SMALL**2)
+        impact = (1.0 - solution.own_share) * size / (size + _IMPACT_SPEED)
+        damper = solution.ground_share + impact + dt * share @ (slots.T @ motion.damping)
+        damper = jnp.clip(damper, 0.0, _MOST_DAMPED - theta * spring)
+        # Dampers and springs slow the other forces too, but the solution includes the slowing.
+        undamped = (1.0 / (1.0 - theta * damper - theta**2 * spring))[:, None]
+        every = jnp.ones_like(change)
+        return SpringMassDamper(
+            response=(response @ by_control) * undamped[..., None],
+            stiffness_rate=undamped * spring[:, None] / dt**2 * every,
+            damping_rate=undamped * damper[:, None] / dt * every,
+            equilibrium=local.position + theta * dt * local.velocity,
+            equilibrium_velocity=local.velocity + change / (damper + _SMALL)[:, None],
+            impact_displacement=solution.impact_displacement,
+            acceleration=(response @ constant + solution.acceleration) * undamped,
+            unhindered_response=solution.held_response,
+        )
+
+    def _contacts(
+        self,
+        local: LocalInput,
+        message: Float[Array, "active 2 E W"],
+        driven: Float[Array, "N D"],
+        step: Step,
+    ) -> Contacts:
+        """Edges, then planes; ``driven`` [m/s] is the velocity that control and weight give."""
+        # The sum over directions does not depend on which node is the first.
+        out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
+        geometry, weight = local.geometry, local.weight.T
+        touch = jnp.zeros_like(weight[0])
+        if len(weight) > 1:
+            # Bodies that come nearer and do not meet in the step: a contact predicted too early.
+            early = geometry.approach > _EARLY * self.length
+            weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
+            weight = weight.at[0].multiply(
+                jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
+            )
+            touch = weight[0]
+        # Only a soft bond has a spring. The residue of one would push bodies that touch, and pull
+        # at a rigid bond, which keeps the distance that it has.
+        pushing = weight.at[:2].set(0.0)
+        start = coupling_starts(len(weight))
+        each = jax.nn.sigmoid(out[..., 0] + start[:, None])
+        each = each.at[:2].set(_LEAST_COUPLING + (1.0 - _LEAST_COUPLING) * each[:2])
+        coupling = jnp.sum(weight * each, axis=0)
+        rest = jnp.sum(weight * jax.nn.softplus(out[..., 2]), axis=0) * self.length
+        elastic, friction = self._laws(local, *geometry.edge_index)
+        touching = touch / jnp.maximum(jnp.sum(weight, axis=0), _SMALL)
+        bounce = touch * elastic
+        # A contact that bounces is over in an instant.
+        normal = geometry.normal + bounce[:, None] * (geometry.impact_normal - geometry.normal)
+        normal = normal / jnp.sqrt(jnp.sum(normal**2, axis=-1, keepdims=True))
+        contacts = Contacts(
+            geometry=dataclasses.replace(geometry, normal=normal),
+            damper=_damper(coupling),
+            spring=jnp.sum(pushing * jax.nn.softplus(out[..., 1] - 6.0), axis=0),
+            rest_length=rest,
+            touching=touching,
+            # Only a rigid bond begins by an impact; a soft one acts all through a step.
+            displacing_fraction=self._displacing(geometry, step) * (1.0 - sum(weight[2:])),
+            acting=1.0 - touching * geometry.time_of_impact * self.averaged,
+            bounce=bounce,
+            friction=friction,
+        )
+        if local.nodes.planes is None:
+            return contacts
+        return contacts.and_also(self._plane_contacts(local, driven, step))
+
+    def _plane_contacts(
+        self, local: LocalInput, driven: Float[Array, "N D"], step: Step
+    ) -> Contacts:
+        """Touches of nodes with planes; they have no belief, since geometry tells them."""
+        # Bodies that rest do not tell how much farther a plane might be.
+        part = 1.0 + _PLANE_LEARNED * jnp.tanh(_PACE * self.plane_raw)
+        distance = local.node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
+        motion = step.dt * (local.velocity + driven)
+        geometry = plane_geometry(local.position, local.velocity, motion, distance, local.nodes)
+        node = geometry.edge_index[0]
+        elastic, friction = self._laws(local, node)
+        meets = geometry.contact_jacobian[0, :, 0, 0]
+        closing = meets * jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
+        nothing = jnp.zeros_like(closing)
+        return Contacts(
+            geometry=geometry,
+            damper=_damper(closing),
+            spring=nothing,
+            rest_length=nothing,
+            touching=nothing + 1.0,
+            displacing_fraction=self._displacing(geometry, step),
+            acting=1.0 - geometry.time_of_impact * self.averaged,
+            bounce=closing * elastic,
+            friction=friction,
+        )
+
+    def _laws(
+        self, local: LocalInput, one: Int[Array, " C"], other: Int[Array, " C"] | None = None
+    ) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
+        """Bounce and coefficient of friction of touches between nodes, or with a plane."""
+
+        def both(raw: Float[Array, " types+1"]) -> Float[Array, " C"]:
+            each = local.node_type @ raw[:-1]
+            return _PACE * (each[one] + (raw[-1] if other is None else each[other]))
+
+        bounce = _MAX_COUPLING * jax.nn.sigmoid(both(self.bounce_raw) - 3.0)
+        return bounce, jax.nn.softplus(both(self.friction_raw) - 4.0)
+
+    def _displacing(self, geometry: Geometry, step: Step) -> Float[Array, " C"]:
+        if self.averaged:  # positions follow from such velocities
+            return jnp.zeros_like(geometry.fraction_after_impact)
+        return geometry.fraction_after_impact - step.theta
+
+
+def _damper(coupling: Float[Array, " C"]) -> Float[Array, " C"]:
+    return _MAX_COUPLING * coupling / (1.0 - _MAX_COUPLING * coupling)

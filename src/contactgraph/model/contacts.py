@@ -1,0 +1,252 @@
+"""Contacts with a direction, bounce and friction, solved implicitly for one step."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from contactgraph.model.block_inverse import (
+    MassMatrix,
+    relative_at_edges,
+    solve_block_diagonal,
+    solve_dense,
+    to_nodes,
+)
+from contactgraph.model.collision import Geometry
+
+_SLOW = 1e-4
+"""Speed, m/s, of bodies that friction stops within a step."""
+_LEAST_INVERSE = 1e-6
+"""1/kg; of a body that nothing moves."""
+
+
+class Contacts(eqx.Module):
+    r"""Contacts with a direction: a hold acts along and across the normal, a touch pushes only.
+
+    The change of velocity of a step without control is
+
+    $$ \Delta = -H^{-1} (J^T \Lambda J + g) v - H_e^{-1} J^T \Lambda_e J v, \qquad
+       H = M + g + J^T \Lambda J, \quad H_e = M + J^T \Lambda_e J, $$
+
+    plus springs and weight, with $\Lambda$ the dampers along and across each normal, times dt, and
+    $\Lambda_e = \mu\, e / (1 - e)$ along the normals, where $\mu$ is the reduced mass of the two
+    bodies: a pair alone then bounces by e. Both matrices that act on v are symmetric in the metric
+    M, with eigenvalues in [0, 1), so that kinetic energy never grows, whatever the coefficients.
+    """
+
+    geometry: Geometry
+    damper: Float[Array, " C"]
+    """Times dt, kg; along the normal, and across it where a contact holds."""
+    spring: Float[Array, " C"]
+    """Times dt^2, kg."""
+    rest_length: Float[Array, " C"]
+    """m"""
+    touching: Float[Array, " C"]
+    """1 where bodies only touch, 0 where they hold each other."""
+    displacing_fraction: Float[Array, " C"]
+    """See `ContactSolver`."""
+    acting: Float[Array, " C"]
+    """Share of the change of velocity that the velocity after the step shows, in [0, 1]; 1 but for
+    velocities that are means over the step in which bodies meet."""
+    bounce: Float[Array, " C"]
+    """e, in [0, 1): the share of the approach with which a touch parts."""
+    friction: Float[Array, " C"]
+    """Coulomb's coefficient of a touch."""
+
+    def solve(self, bodies: "FreeBodies", dt: float, capacity: int | None) -> "ContactMotion":
+        """One step of ``dt`` [s]; ``capacity``: most nodes that are coupled, None: no limit.
+
+        First without friction, which tells the normal impulses that bound it.
+        """
+        mass, count = bodies.mass, len(bodies.mass)
+        smooth = self.geometry.along(1.0 - self.touching)
+        normal = self.geometry.along(jnp.zeros_like(self.damper))
+        stiffness, holding = self.damper + self.spring, 1.0 - self.touching
+        mobility = self._mobility(mass)
+        elastic = self.bounce / ((1.0 - self.bounce) * mobility)
+        whole = self.geometry.along(jnp.ones_like(self.damper))
+        rebounds = [self.displacing_fraction * elastic, self.acting * elastic]
+        first, rebound, held = _solve_each(
+            mass,
+            [stiffness, elastic, holding * stiffness],
+            [smooth, normal, whole],
+            [
+                [self._impulse(smooth, count, dt), bodies.push],
+                [_pulled(each, normal, count) for each in rebounds],
+                [bodies.driving],
+            ],
+            capacity,
+        )
+        change = jnp.sum(first.parts[1] - first.parts[0], axis=-1)
+        ground, across = self._friction(bodies, change, first.diagonal, mobility, dt)
+        rough = self.geometry.along(jnp.maximum(across, holding))
+        slowing = self._impulse(rough, count, dt) + (ground[:, None] * bodies.velocity)[..., None]
+        displacing = _pulled(self.displacing_fraction * self.damper, rough, count)
+        vectors = [slowing, displacing, bodies.weight, bodies.driving]
+        solved = _solve(mass + ground, stiffness, rough, vectors, capacity)
+        return ContactMotion(
+            velocity_change=-jnp.sum(solved.parts[0] + rebound.parts[1], axis=-1),
+            impact_displacement=-dt * jnp.sum(solved.parts[1] + rebound.parts[0], axis=-1),
+            acceleration=jnp.sum(solved.parts[2], axis=-1),
+            response=solved.parts[3],
+            held_response=held.parts[0],
+            own_share=solved.diagonal * mass,
+            ground_share=solved.diagonal * ground,
+        )
+
+    @property
+    def coupling(self) -> Float[Array, " C"]:
+        """0 free to 1 rigid, for a mass of 1 kg."""
+        return self.damper / (1.0 + self.damper)
+
+    def and_also(self, other: "Contacts") -> "Contacts":
+        """These contacts, then the others."""
+        whole = self.geometry.along(jnp.ones_like(self.damper))
+        first = dataclasses.replace(self, geometry=whole)
+
+        by_end = ("edge_index", "contact_jacobian")  # the two ends are the first axis
+
+        def joined(path: tuple, one: Array, another: Array) -> Array:
+            return jnp.concatenate([one, another], axis=int(path[-1].name in by_end))
+
+        return jax.tree_util.tree_map_with_path(joined, first, other)
+
+    def _impulse(self, geometry: Geometry, count: int, dt: float) -> Float[Array, "N D 1"]:
+        stretch = geometry.displacement - self.rest_length[:, None] * geometry.direction
+        impulse = (self.damper + self.spring) * self.acting
+        impulse = impulse[:, None] * geometry.relative_velocity
+        impulse = impulse + self.spring[:, None] * stretch / dt
+        return to_nodes(impulse[..., None], geometry, count)
+
+    def _mobility(self, mass: Float[Array, " N"]) -> Float[Array, " C"]:
+        """Relative velocity of two free bodies for each unit of momentum between them, 1/kg."""
+        moves = jnp.any(self.geometry.contact_jacobian != 0.0, axis=(2, 3))
+        total = jnp.sum(moves / mass[self.geometry.edge_index], axis=0)
+        return jnp.maximum(total, _LEAST_INVERSE)
+
+    def _friction(
+        self,
+        bodies: "FreeBodies",
+        change: Float[Array, "N D"],
+        diagonal: Float[Array, " N"],
+        mobility: Float[Array, " C"],
+        dt: float,
+    ) -> tuple[Float[Array, " N"], Float[Array, " C"]]:
+        """Dampers to the ground, times dt [kg], and the roots of the dampers across each normal, in
+        units of those along it, by which friction reaches its bound and not more.
+
+        A damper c slows a body of effective mass m from v to v m / (m + c), so that it takes the
+        impulse p if c = p / (v - p / m).
+        """
+        velocity, diagonal, mobility, damper = jax.lax.stop_gradient(
+            (bodies.velocity + change, diagonal, mobility, self.damper)
+        )
+        speed = _length(velocity)
+        bound = bodies.mass * bodies.deceleration * dt
+        ground = bound / jnp.maximum(speed - bound * diagonal, _SLOW) + bodies.ground_damper
+        relative = relative_at_edges(velocity[..., None], self.geometry)[..., 0]
+        approach = jnp.sum(self.geometry.normal * relative, axis=-1)
+        across = _length(relative - approach[:, None] * self.geometry.normal)
+        normal_impulse = (1.0 + self.bounce) * jnp.maximum(-damper * approach, 0.0)
+        bound = self.friction * self.touching * normal_impulse
+        tangential = bound / jnp.maximum(across - bound * mobility, _SLOW)
+        share = tangential / jnp.maximum(damper, _LEAST_INVERSE)
+        return ground, jnp.sqrt(jnp.clip(share, _LEAST_INVERSE**2, 1.0))
+
+
+class FreeBodies(eqx.Module):
+    """The bodies of one step before contacts act on them."""
+
+    mass: Float[Array, " N"]
+    """kg, with what a servo adds."""
+    velocity: Float[Array, "N D"]
+    """m/s"""
+    ground_damper: Float[Array, " N"]
+    """Times dt, kg."""
+    deceleration: Float[Array, " N"]
+    """By the ground, m/s^2, until a body rests."""
+    weight: Float[Array, "N D 1"]
+    """N, times dt."""
+    driving: Float[Array, "N D W"]
+    """kg: momentum for each m/s that the free actuated nodes get."""
+    push: Float[Array, "N D 1"]
+    """kg m/s: momentum that control and weight give in the step, as far as they are known."""
+
+
+class ContactMotion(eqx.Module):
+    """Effect of one step on every node, of the whole scene solved together."""
+
+    velocity_change: Float[Array, "N D"]
+    """By contacts, springs and the ground, without control and weight; m/s."""
+    impact_displacement: Float[Array, "N D"]
+    """m; by how much impacts displace more than the change of velocity alone would."""
+    acceleration: Float[Array, "N D"]
+    """By weight, m/s^2."""
+    response: Float[Array, "N D W"]
+    """Share of the acceleration of each free actuated node and axis."""
+    held_response: Float[Array, "N D W"]
+    """The same, without edges that only touch."""
+    own_share: Float[Array, " N"]
+    """Share of its own momentum that a node keeps, in (0, 1]."""
+    ground_share: Float[Array, " N"]
+    """Share of its velocity that a node loses to the ground, in [0, 1)."""
+
+
+class _Solved(eqx.Module):
+    parts: list[Float[Array, "N D c"]]
+    diagonal: Float[Array, " N"]
+
+
+def _solve_each(
+    node: Float[Array, " N"],
+    stiffness: list[Float[Array, " C"]],
+    geometry: list[Geometry],
+    vectors: list[list[Float[Array, "N D c"]]],
+    capacity: int | None,
+) -> list[_Solved]:
+    """`_solve` of several scenes of the same bodies, as one batch: one program to compile."""
+    widths = [sum(part.shape[-1] for part in parts) for parts in vectors]
+    padded = []
+    for parts, width in zip(vectors, widths, strict=True):
+        filling = jnp.zeros((*parts[0].shape[:-1], max(widths) - width), parts[0].dtype)
+        padded.append(jnp.concatenate([*parts, filling], axis=-1))
+
+    def solve(stiffness: Array, jacobian: Array, right: Array) -> _Solved:
+        at = dataclasses.replace(geometry[0], contact_jacobian=jacobian)
+        return _solve(node, stiffness, at, [right], capacity)
+
+    jacobians = jnp.stack([each.contact_jacobian for each in geometry])
+    batch = jax.vmap(solve)(jnp.stack(stiffness), jacobians, jnp.stack(padded))
+    results = []
+    for index, parts in enumerate(vectors):
+        ends = np.cumsum([part.shape[-1] for part in parts]).tolist()
+        split = jnp.split(batch.parts[0][index], ends, axis=-1)[:-1]
+        results.append(_Solved(split, batch.diagonal[index]))
+    return results
+
+
+def _solve(
+    node: Float[Array, " N"],
+    stiffness: Float[Array, " C"],
+    geometry: Geometry,
+    vectors: list[Float[Array, "N D c"]],
+    capacity: int | None,
+) -> _Solved:
+    matrix, right = MassMatrix(node, stiffness, geometry), jnp.concatenate(vectors, axis=-1)
+    if capacity is None:
+        solved = solve_dense(matrix, right)
+    else:
+        solved = solve_block_diagonal(matrix, right, capacity)
+    splits = np.cumsum([part.shape[-1] for part in vectors])[:-1].tolist()
+    return _Solved(jnp.split(solved.solution, splits, axis=-1), solved.diagonal)
+
+
+def _pulled(damper: Float[Array, " C"], geometry: Geometry, count: int) -> Float[Array, "N D 1"]:
+    return to_nodes((damper[:, None] * geometry.relative_velocity)[..., None], geometry, count)
+
+
+def _length(vector: Float[Array, "n D"]) -> Float[Array, " n"]:
+    return jnp.sqrt(jnp.sum(vector**2, axis=-1) + _LEAST_INVERSE**2)

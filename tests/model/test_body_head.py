@@ -1,0 +1,129 @@
+"""Models of bodies as they are: types, servos, static bodies, planes, and their files."""
+
+import dataclasses
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.data.actuation_fit import ActuationFit
+from contactgraph.model import (
+    ContactDynamics,
+    ModelConfig,
+    ModelState,
+    Nodes,
+    bodies,
+    load_model,
+    save_model,
+    scene_nodes,
+)
+from contactgraph.model.filter import check_fit
+
+DT, STEPS = 0.05, 20
+TYPES = ("ball", "pillar", "hand")
+SERVO = ActuationFit(100.0 * np.eye(2), np.zeros(2), stiffness=100.0, damping=15.0, residual=0.0)
+CONFIG = ModelConfig(
+    2, 2, DT, 0.1, width=4, node_types=TYPES, actuation={"hand": SERVO}, averaged=True
+)
+
+
+@cache
+def model(config: ModelConfig = CONFIG) -> ContactDynamics:
+    """Fresh weights, on a ground without friction."""
+
+    def grounds(each: ContactDynamics) -> tuple:
+        head = each.local_dynamics.head
+        return head.damper_raw, head.deceleration_raw
+
+    slippery = [jnp.full(len(config.node_types), -10.0)] * 2
+    return eqx.tree_at(grounds, bodies(config, key=jax.random.key(0)), slippery)
+
+
+def scene(types: tuple[str, ...] = ("hand", "ball", "pillar"), **options) -> Scene:
+    static = np.array([name == "pillar" for name in types])
+    actuated = np.array([name == "hand" for name in types])
+    names = tuple(f"{name}-{index}" for index, name in enumerate(types))
+    return Scene(names, types, actuated, DT, static=static, **options)
+
+
+@eqx.filter_jit
+def follow(model: ContactDynamics, nodes: Nodes, position, velocity, controls) -> ModelState:
+    belief = model.initial_belief(position, velocity, nodes)
+    return model.rollout(ModelState(position, velocity, belief), controls, nodes)
+
+
+def test_a_free_servo_follows_its_own_equation() -> None:
+    nodes, target = scene_nodes(scene()), np.array([0.3, -0.2])
+    position = jnp.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
+    controls = jnp.tile(jnp.asarray(target), (STEPS, 1))
+    found = follow(model(), nodes, position, jnp.zeros((3, 2)), controls)
+    x, v, expected = np.zeros(2), np.zeros(2), []
+    for _ in range(STEPS):
+        pull = 100.0 * (target - x - DT * v) - 15.0 * v
+        v = v + DT * pull / (1.0 + 15.0 * DT + 100.0 * DT**2)
+        x = x + DT * v
+        expected.append(x)
+    np.testing.assert_allclose(found.position[:, 0], expected, atol=1e-5)
+    np.testing.assert_array_equal(found.position[:, 1:], np.tile(position[1:], (STEPS, 1, 1)))
+
+
+def test_a_stiff_servo_pushes_and_static_bodies_stay_exactly() -> None:
+    nodes = scene_nodes(scene())
+    position = jnp.array([[0.0, 0.0], [0.12, 0.0], [0.36, 0.0]])
+    heavy = eqx.tree_at(
+        lambda each: each.local_dynamics.head.log_mass, model(), jnp.array([0.0, 0.0, 0.5])
+    )
+    controls = jnp.tile(jnp.array([0.15, 0.0]), (STEPS, 1))
+    found = follow(heavy, nodes, position, jnp.zeros((3, 2)), controls)
+    assert np.all(np.isfinite(found.position))
+    np.testing.assert_array_equal(found.position[:, 2], np.tile(position[2], (STEPS, 1)))
+    ball = np.asarray(found.position[:, 1, 0])
+    assert ball[3] > 0.15, "the hand pushes the ball"
+    hand = np.asarray(found.position[:, 0, 0])
+    assert np.all(hand < ball - 0.08) and hand[3] > 0.04, "the ball hardly hinders the hand"
+
+
+def test_each_arm_follows_its_own_components() -> None:
+    config = dataclasses.replace(
+        CONFIG,
+        control_size=4,
+        driving_size=4,
+        actuated_nodes=2,
+        actuation={"hand": dataclasses.replace(SERVO, matrix=100.0 * np.tile(np.eye(2), 2))},
+    )
+    acts = np.zeros((2, 4), bool)
+    acts[0, :2], acts[1, 2:] = True, True
+    nodes = scene_nodes(scene(("hand", "hand"), control_of=acts))
+    start = jnp.array([[0.0, 0.0], [3.0, 0.0]])
+    control = jnp.tile(jnp.array([0.5, 0.0, 3.0, 0.5]), (60, 1))
+    found = follow(model.__wrapped__(config), nodes, start, jnp.zeros((2, 2)), control)
+    np.testing.assert_allclose(found.position[-1], [[0.5, 0.0], [3.0, 0.5]], atol=1e-2)
+
+
+def test_types_have_their_own_sizes() -> None:
+    sized = eqx.tree_at(
+        lambda each: each.features.log_size, model(), jnp.log(jnp.array([0.8, 1.2, 1.0])) / 5.0
+    )
+    edges = jnp.array([[0, 0, 1], [1, 2, 2]])
+    nodes = scene_nodes(scene())
+    found = sized.features.distances(nodes, edges, jnp.float32)
+    np.testing.assert_allclose(found, [0.09, 0.11, 0.1], rtol=1e-5)
+
+
+def test_files_keep_the_names_of_types(tmp_path) -> None:
+    path = tmp_path / "model.safetensors"
+    save_model(path, model())
+    again = load_model(path).model
+    assert again.features.types == TYPES
+    for one, other in zip(jax.tree.leaves(model()), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_type_that_the_model_does_not_know_is_an_error() -> None:
+    check_fit(model(), scene(), 2, "the data")
+    with pytest.raises(InvalidInputError, match=r"puck.*ball, pillar, hand"):
+        check_fit(model(), scene(("hand", "puck")), 2, "the data")
