@@ -115,6 +115,7 @@ class Train:
             LossTerms,
             RunFolder,
             TrainConfig,
+            body_defaults,
             check_contacts,
             defaults_from_data,
             estimate_sensor,
@@ -149,7 +150,12 @@ class Train:
         for part in (train, held_out):  # checked before a folder is created
             check_window_length(config.window_length, max(each.steps for each in part))
         devices = jax.local_devices()[: device_count(self.devices, options.batch_size)]
-        given = {} if distance is None else {"contact_distance": distance}
+        names = "contact_distance", "learned_contact_distance"
+        found: dict[str, Any] = {name: getattr(defaults, name) for name in names}
+        if options.model == "bodies":
+            found = {**vars(body_defaults(dataset))}
+        if distance is not None:
+            found |= {names[0]: distance, names[1]: not found.get("averaged", False)}
         model_config = ModelConfig(
             dataset.dimension,
             dataset.control_size,
@@ -158,7 +164,7 @@ class Train:
             weight=defaults.weight,
             control_gain=defaults.control_gain,
             edge_types=3 if options.edge_types is None else options.edge_types,
-            **defaults.of(options.model, given),
+            **found,
         )
         model = build(model_config, key=jax.random.key(options.seed))
         for each in dataset:

@@ -43,6 +43,17 @@ class Nodes(NamedTuple, Generic[Array]):
     """[..., D] m/s^2 on bodies that are neither actuated nor static. None: without weight."""
 
     @property
+    def mobile(self) -> Any:
+        """[..., N] bool: the nodes that exist and may move."""
+        mask, static = cast(Any, self.mask), cast(Any, self.static)
+        return mask if static is None else mask & ~static
+
+    @property
+    def passive(self) -> Any:
+        """[..., N] bool: those of them on which no control acts."""
+        return self.mobile & ~cast(Any, self.actuated)
+
+    @property
     def hinged(self) -> Any:
         """[..., N] bool: whether a node hangs on a hinge."""
         mask, anchor = cast(Any, self.mask), cast(Any, self.anchor)

@@ -13,7 +13,7 @@ from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import lifted_fraction
 from contactgraph.model.contacts import ContactMotion, Contacts, FreeBodies
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.planes import mobile, plane_geometry
+from contactgraph.model.planes import plane_geometry
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
 _PACE = 5.0
@@ -129,7 +129,7 @@ class BodyHead(eqx.Module):
         driving = jnp.einsum("n,ns,de->ndse", mass, slots, jnp.eye(dimension))
         falls = jnp.zeros_like(velocity)
         if nodes.gravity is not None and nodes.planes is not None:
-            falls = (mobile(nodes) & ~nodes.actuated)[:, None] * nodes.gravity
+            falls = nodes.passive[:, None] * nodes.gravity
         # What the control does in the step, as far as it is known, and until contacts hinder it.
         driven = jnp.zeros_like(velocity)
         if local.control_displacement is not None:
@@ -137,7 +137,7 @@ class BodyHead(eqx.Module):
         contacts = self._contacts(local, message, driven + dt * falls, step)
         on_ground = jnp.ones(count)
         if nodes.gravity is not None and nodes.planes is None:
-            # Bodies rest on a ground that nobody told of until an actuated one lifts them.
+            # Bodies rest on a ground that is not described until an actuated one lifts them.
             holding = contacts.coupling * (1.0 - contacts.touching)
             lifted = lifted_fraction(local.actuated, holding, local.geometry, local.group_capacity)
             on_ground = 1.0 - lifted

@@ -32,7 +32,7 @@ def plane_geometry(
     approach = -jnp.sum(normal * motion[node], axis=-1)
     gap = height - distance[node]
     time = jnp.clip(gap / jnp.maximum(approach, _LEAST_APPROACH), 0.0, 1.0)
-    meets = (approach > 0.0) & (time < 1.0) & mobile(nodes)[node] & jnp.any(normal != 0.0, axis=-1)
+    meets = (approach > 0.0) & (time < 1.0) & nodes.mobile[node] & jnp.any(normal != 0.0, axis=-1)
     jacobian = jnp.eye(dimension) * meets[:, None, None]
     return Geometry(
         edge_index=jnp.stack([node, node]),
@@ -50,8 +50,3 @@ def plane_geometry(
         contact_jacobian=jnp.stack([jacobian, jnp.zeros_like(jacobian)]),
         contact_distance=distance[node],
     )
-
-
-def mobile(nodes: Nodes) -> Array:
-    """[N] bool: the nodes that exist and may move."""
-    return nodes.mask if nodes.static is None else nodes.mask & ~nodes.static

@@ -43,9 +43,7 @@ class Window(eqx.Module):
     @property
     def learned(self) -> Bool[Array, "*B N"]:
         """The bodies whose motion is learned: those that exist and are not static."""
-        exists = jnp.asarray(self.nodes.mask)
-        static = self.nodes.static
-        return exists if static is None else exists & ~jnp.asarray(static)
+        return jnp.asarray(self.nodes.mobile)
 
     def part(self, begin: int, end: int) -> "Window":
         """The steps ``begin`` to ``end`` of a batch of windows."""
@@ -184,10 +182,7 @@ def has_resting_bodies(batch: TrajectoryBatch[np.ndarray]) -> bool:
     if nodes.anchor is not None:
         return False
     speed = np.linalg.norm(batch.velocity[:, :-1], axis=-1)
-    free = nodes.mask & ~nodes.actuated
-    if nodes.static is not None:
-        free = free & ~nodes.static
-    return bool(np.any((speed < _REST) & free[:, None, :] & batch.step_mask[:, :, None]))
+    return bool(np.any((speed < _REST) & nodes.passive[:, None, :] & batch.step_mask[:, :, None]))
 
 
 def add_distractor(
@@ -222,10 +217,7 @@ def add_distractor(
 
 def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array, "B N"]) -> Nodes:
     """One more node, of the type of the first that is neither actuated nor static."""
-    free = nodes.mask & ~nodes.actuated
-    if nodes.static is not None:
-        free = free & ~nodes.static
-    first = jnp.argmax(free, axis=1)[:, None]
+    first = jnp.argmax(nodes.passive, axis=1)[:, None]
 
     def appended(values: Array | None, last: Array | None = None) -> Array | None:
         if values is None:

@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -119,21 +118,6 @@ class DataDefaults:
     """See `ModelConfig.control_gain`. By least squares where the control is a displacement or a
     velocity: an arm that follows centimetres within a step has a gain of some hundreds, and
     training would take a thousand steps to get there. Else 1."""
-    bodies: BodyDefaults
-
-    def of(self, model: str, given: dict[str, float]) -> dict[str, Any]:
-        """Further arguments of a model's configuration, by the name of its preset.
-
-        A ``given`` contact distance [m] is where learning starts.
-        """
-        if model == "bodies":
-            averaged = (
-                {} if not given or self.bodies.averaged else {"learned_contact_distance": True}
-            )
-            return {**vars(self.bodies), **given, **averaged}
-        learned = self.learned_contact_distance or given
-        distance = {"contact_distance": self.contact_distance, **given}
-        return {**distance, "learned_contact_distance": bool(learned)}
 
 
 def defaults_from_data(dataset: Dataset) -> DataDefaults:
@@ -154,11 +138,12 @@ def defaults_from_data(dataset: Dataset) -> DataDefaults:
         weight=weight,
         rollout_from=0.0 if weight else 0.5,
         control_gain=_control_gain(dataset),
-        bodies=_body_defaults(dataset, distance),
     )
 
 
-def _body_defaults(dataset: Dataset, distance: float | None) -> BodyDefaults:
+def body_defaults(dataset: Dataset) -> BodyDefaults:
+    """Raises `InvalidInputError` as `defaults_from_data`, or where commands precede what drives."""
+    common = defaults_from_data(dataset)
     drives = driving_components(dataset)
     if not drives[: drives.sum()].all():
         raise InvalidInputError(
@@ -168,8 +153,12 @@ def _body_defaults(dataset: Dataset, distance: float | None) -> BodyDefaults:
     theta = fit_theta(dataset)
     averaged = theta > _AVERAGED
     return BodyDefaults(
-        contact_distance=_contact_distance(dataset) if distance is None else float(distance),
-        learned_contact_distance=distance is None and not averaged,
+        contact_distance=(
+            _contact_distance(dataset)
+            if common.learned_contact_distance
+            else common.contact_distance
+        ),
+        learned_contact_distance=common.learned_contact_distance and not averaged,
         node_types=_node_types(dataset),
         actuation=fit_actuation(dataset, 1.0 if averaged else theta),
         driving_size=int(drives.sum()),
