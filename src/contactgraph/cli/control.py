@@ -44,7 +44,7 @@ _LEARNED_COST_HORIZON = 2
 its demonstrations made: a plan that ends before their benefit would hover before the object."""
 
 _RECORDED = (
-    *("cost", "horizon", "replan_every", "false_alarms", "misses", "delay", "unmeasured"),
+    *("cost", "horizon", "starts", "replan_every", "false_alarms", "misses", "delay", "unmeasured"),
     *("position_noise", "velocity_noise", "infer_contacts"),
 )
 """Options that only a model takes; the JSON file repeats them."""
@@ -91,9 +91,14 @@ class Control:
     cost: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(the task's cost)")] = None
     """Cost file by learn-cost, to plan with in place of the task's own cost."""
     horizon: Annotated[
-        int | None, arg(metavar="INT", help_behavior_hint="(20; franka 50; twice with --cost)")
+        int | None,
+        arg(metavar="INT", help_behavior_hint="(20; pushing 30; franka 50; twice with --cost)"),
     ] = None
     """Planning horizon, steps."""
+    starts: Annotated[
+        int | None, arg(metavar="INT", help_behavior_hint="(64 for pushing, else 0)")
+    ] = None
+    """Ways round a body to push it that each plan compares, twice; 0: none."""
     replan_every: int = 1
     """Steps between plans; the plan's feedback acts in between."""
     deadline_ms: Annotated[float | None, arg(metavar="MS", help_behavior_hint="(optional)")] = None
@@ -150,12 +155,16 @@ class Control:
         )
         if self.model in _SCRIPTED:
             return self._write(self._by_policy(options), options)
-        horizon = known_task(self.task).horizon
+        known = known_task(self.task)
+        horizon, starts = known.horizon, known.starts
         if self.cost is not None:
             horizon *= _LEARNED_COST_HORIZON
         if self.horizon is not None:
             check_range("--horizon", self.horizon, 1, 1000)
             horizon = self.horizon
+        if self.starts is not None:
+            check_range("--starts", self.starts, 0, 10_000)
+            starts = self.starts
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, self.seed)
         if self.unmeasured and not faults.exact:
             raise InvalidInputError(
@@ -183,6 +192,7 @@ class Control:
                 self.seed,
                 cost=cost,
                 horizon=horizon,
+                starts=starts,
                 replan_every=self.replan_every,
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
                 faults=faults,
@@ -200,6 +210,7 @@ class Control:
             **{name: getattr(self, name) for name in _RECORDED},
             "cost": None if self.cost is None else str(self.cost),
             "horizon": horizon,
+            "starts": starts,
             "infer_contacts": by_motion is not None,
         }
         controlled = _Controlled(

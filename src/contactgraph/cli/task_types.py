@@ -112,6 +112,9 @@ class KnownTask:
     explorer: Callable[[], Policy] = ExplorationPolicy
     horizon: int = 20
     """Default planning horizon, steps."""
+    starts: int = 0
+    """Starts that plans are searched from by default; where what is touched is held, iLQR needs
+    none."""
     max_force: float | None = MAX_FORCE
     """Bound of the control on each axis, N."""
     summary: str = ""

@@ -31,5 +31,7 @@ from contactgraph.control.plan import Planner as Planner
 from contactgraph.control.plan import PlanStatus as PlanStatus
 from contactgraph.control.plan import shift_plan as shift_plan
 from contactgraph.control.riccati import LQRProblem as LQRProblem
+from contactgraph.control.search import SearchILQR as SearchILQR
+from contactgraph.control.search import searches as searches
 from contactgraph.control.subproblem import ActiveSetState as ActiveSetState
 from contactgraph.control.switching import SwitchingILQR as SwitchingILQR

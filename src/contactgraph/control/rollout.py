@@ -102,6 +102,10 @@ class SweptBounds(eqx.Module):
         nothing = jnp.full((rollouts, horizon, *like.shape), jnp.inf, like.dtype)
         return cls(nothing, -nothing)
 
+    def united(self) -> "SweptBounds":
+        """Around those of several searches, a leading axis, rollout by rollout."""
+        return SweptBounds(jnp.min(self.lower, axis=0), jnp.max(self.upper, axis=0))
+
     def with_rollout(
         self,
         index: Int[Array, ""],

@@ -192,8 +192,8 @@ class SwitchingILQR(ILQR):
 
 def _union(made: SweptBounds, trials: SweptBounds) -> SweptBounds:
     """Bounds [R, H, N, D] of all plans [C, R, H, N, D]; those of the trials are in the last."""
-    lower, upper = jnp.min(made.lower, axis=0), jnp.max(made.upper, axis=0)
+    united = made.united()
     return SweptBounds(
-        lower.at[-1].min(jnp.min(trials.lower, axis=(0, 1))),
-        upper.at[-1].max(jnp.max(trials.upper, axis=(0, 1))),
+        united.lower.at[-1].min(jnp.min(trials.lower, axis=(0, 1))),
+        united.upper.at[-1].max(jnp.max(trials.upper, axis=(0, 1))),
     )

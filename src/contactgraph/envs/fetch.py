@@ -124,7 +124,7 @@ def _fetch_map(which: FetchEnvironment) -> EnvironmentMap:
         goal=Entries(0, 3, "desired_goal"),
         cost=ChainCost(
             (0, 1),
-            np.array([3.0, 3.0, 3.0, 0.2, 0.2, 0.2]),
+            np.array([0.03, 0.03, 0.03, 0.002, 0.002, 0.002]),
             np.array([50.0, 50.0, 50.0, 1.0, 1.0, 1.0]),
             0.01,
         ),

@@ -10,7 +10,7 @@ from contactgraph.data import InvalidInputError
 from contactgraph.envs.adapter import AdaptedTask
 from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.environment_map import Entries, EnvironmentMap, MappedBody, MappedControl
-from contactgraph.envs.pickup import CONTROL_WEIGHT, GOAL_WEIGHTS, PICK_WEIGHTS
+from contactgraph.envs.pickup import GOAL_WEIGHTS
 from contactgraph.envs.push_policy import PushPolicy, PushStyle, RandomPushes
 
 SCALE = 0.001
@@ -19,6 +19,10 @@ TOLERANCE = 0.02
 """m. PushT's own success also demands the angle, which no cost of this package expresses yet."""
 MAX_STEPS = 150
 """Half of the environment's own limit: a push to any goal takes a quarter."""
+NEAR_WEIGHTS = np.array([0.03, 0.03, 0.002, 0.002])
+"""Of agent and block, so small that the agent may go round the block."""
+CONTROL_WEIGHT = 1e-4
+"""1/m^2. The control is a place on the table, and none is better than another."""
 AGENT_RADIUS = 0.015
 CENTRE = np.array([0.0, 0.045])
 """m, in the block's frame: its centre of mass in the simulator."""
@@ -86,7 +90,7 @@ def _pusht_map() -> EnvironmentMap:
             scale=(SCALE, SCALE),
         ),
         goal=(float(goal[0]), float(goal[1])),
-        cost=ChainCost((0, 1), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT),
+        cost=ChainCost((0, 1), NEAR_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT),
         max_steps=MAX_STEPS,
         tolerance=TOLERANCE,
         scale=SCALE,

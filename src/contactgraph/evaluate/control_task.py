@@ -8,7 +8,7 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits, SwitchingILQR
+from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits, SearchILQR, SwitchingILQR
 from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.envs.contract import Observation, Policy, Task
 from contactgraph.envs.episodes import episode_seeds, run_episode
@@ -39,6 +39,7 @@ def control_task(
     cost: SceneCost | None = None,
     horizon: int = 20,
     iterations: int = 5,
+    starts: int = 0,
     replan_every: int = 1,
     deadline: float | None = None,
     sensor: ContactSensor | None = None,
@@ -54,9 +55,9 @@ def control_task(
     ``cost`` None is the task's own; the limits of each component of the control are those of the
     task's action space. Episode ``i`` has the seed `collect` would give it. An episode that the
     task ends early is a failure unless the task calls it a success. ``horizon``, ``iterations``
-    and ``replan_every`` are `ILQR`'s and `MPC`'s, ``deadline`` is in seconds; ``node_capacity`` is
-    `MPCPolicy`'s. ``on_episode`` is called after each episode with the trajectory and the
-    controller's record.
+    and ``replan_every`` are `ILQR`'s and `MPC`'s, ``starts`` is `SearchILQR`'s (0: no search),
+    ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s. ``on_episode`` is called after
+    each episode with the trajectory and the controller's record.
 
     ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
     them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
@@ -65,7 +66,7 @@ def control_task(
     which ``noise`` is added.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
-    control, or a number is out of range.
+    control, a number is out of range, or a search is asked for with switches.
     """
     seeds = episode_seeds(episodes, seed)
     task, limits, observation = _first_scene(task_factory, seeds[0])
@@ -78,7 +79,11 @@ def control_task(
         each for each, kind in enumerate(task.scene.control_kind or ()) if kind == "switch"
     )
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
-    if switches:
+    if starts and switches:
+        raise InvalidInputError("starts must be 0 for a task with switches, which are searched for")
+    if starts:
+        ilqr = SearchILQR(horizon, iterations, limits, starts=starts)
+    elif switches:
         ilqr = SwitchingILQR(
             horizon,
             iterations + _LEAP_ROLLOUTS,

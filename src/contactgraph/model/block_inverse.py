@@ -15,7 +15,9 @@ from contactgraph.model.collision import Geometry
 from contactgraph.model.neighbor_list import sum_at_nodes
 
 _UNROLLED_SIZE = 6
-"""Rows up to which matrices are inverted, and multiplied, in unrolled operations that fuse."""
+"""Rows up to which matrices are inverted in unrolled operations that fuse."""
+_SUMMED_SIZE = 20
+"""Rows up to which matrices are multiplied as sums: in a batch a product is a call for each."""
 _ELIMINATED_SIZE = 32
 """Rows up to which a batch of matrices is inverted faster here than by LAPACK."""
 
@@ -117,7 +119,7 @@ def solve_dense(matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatri
 
 def product(one: Float[Array, "n m"], other: Float[Array, "m c"]) -> Float[Array, "n c"]:
     """The matrix product; of small matrices as a sum, which fuses with neighbouring operations."""
-    if max(one.shape) > _UNROLLED_SIZE:
+    if max(one.shape) > _SUMMED_SIZE:
         return one @ other
     return jnp.sum(one[:, :, None] * other[None], axis=1)
 

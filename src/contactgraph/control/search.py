@@ -1,0 +1,212 @@
+"""iLQR from the best of many starts: going round a body in order to push it, staying, going on.
+
+iLQR alone follows the contacts that a rollout happens to make: where a body must be pushed from its
+far side, its A and B do not see the body at all. So the model rolls out approaches of the bodies
+that the cost is about, by the actuated bodies that may touch them, and iLQR polishes the best.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from contactgraph.control.approaches import Approach, Draws, spread_approaches, varied_approaches
+from contactgraph.control.box_qp import AffinePolicy, solve_small
+from contactgraph.control.cost import Cost, QuadraticCost
+from contactgraph.control.ilqr import ILQR
+from contactgraph.control.plan import Plan
+from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.graph import pair_indices
+from contactgraph.model import (
+    ContactDynamics,
+    InvariantFeatures,
+    ModelState,
+    Nodes,
+    StepModel,
+    control_sensitivity,
+    take_step,
+)
+
+
+def searches(model: StepModel) -> bool:
+    """Whether `SearchILQR` plans with this model."""
+    return isinstance(model, ContactDynamics) and isinstance(model.features, InvariantFeatures)
+
+
+_ELITES = 8
+"""Approaches that the next round varies."""
+_RIDGE = 1e-6
+"""Of the mean square response to the control; controls that move nothing stay 0."""
+
+
+class SearchILQR(ILQR):
+    """`ILQR` that begins at the best of many approaches, or goes on with the guess.
+
+    Each of ``rounds`` rolls out ``starts`` approaches as one batch: the first from all sides, the
+    others near the best eight. The best one by its cost and the guess are each improved by `ILQR`,
+    and the cheaper plan is taken, so its cost is never above the guess's. To stay is among the
+    starts. The draws are the same in every call: equal states give equal plans.
+
+    The model must be a `ContactDynamics` with `InvariantFeatures`, whose contact distance says how
+    to go round a body, and whose unit of speeds how fast.
+    """
+
+    starts: int = eqx.field(static=True, default=64)
+    rounds: int = eqx.field(static=True, default=2)
+
+    def __check_init__(self) -> None:
+        if self.starts < _ELITES or self.rounds < 1:
+            raise InvalidInputError(
+                f"starts must be {_ELITES} or more and rounds 1 or more, found {self.starts} and "
+                f"{self.rounds}"
+            )
+
+    def solve(
+        self,
+        model: StepModel,
+        state: ModelState,
+        nodes: Nodes,
+        cost: Cost,
+        guess: AffinePolicy | None = None,
+    ) -> Plan:
+        """The cheaper of two plans; see `ILQR.solve`, whose rollouts alone ``iterations`` counts.
+
+        Raises `InvalidInputError` where the model is another.
+        """
+        if not searches(model):
+            raise InvalidInputError(
+                "a search for starts needs a ContactDynamics with InvariantFeatures, found "
+                f"{type(model).__name__}"
+            )
+        count, dimension = state.position.shape
+        quadratic = cost.quadratic(count)
+        if guess is None:
+            idle = self._idle(quadratic.control_size, quadratic.R.dtype)
+            guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
+        found = self._best_start(_Scene.of(model, state, nodes, quadratic))
+        begin = AffinePolicy(jnp.zeros_like(guess.K), found.astype(guess.k.dtype))
+        both = jax.tree.map(lambda one, other: jnp.stack([one, other]), guess, begin)
+        plans = jax.vmap(lambda each: ILQR.solve(self, model, state, nodes, quadratic, each))(both)
+        chosen = jnp.argmin(jnp.where(jnp.isfinite(plans.cost), plans.cost, jnp.inf))
+        plan = jax.tree.map(lambda leaf: leaf[chosen], plans)
+        swept = None if plans.swept is None else plans.swept.united()
+        return dataclasses.replace(plan, iterations=jnp.sum(plans.iterations), swept=swept)
+
+    def _best_start(self, scene: "_Scene") -> Float[Array, "H U"]:
+        """The controls of the cheapest approach."""
+        rng = np.random.default_rng(0)
+        dimension = scene.state.position.shape[1]
+        draws = [Draws.of(rng, self.starts, dimension) for _ in range(self.rounds)]
+        tried = eqx.filter_jit(jax.vmap(lambda each: scene.follow(each, self)))
+        up = scene.up
+        approaches = spread_approaches(draws[0], *scene.pushes(self.starts), up)
+        controls, costs = tried(approaches)
+        for again in draws[1:]:
+            best = jnp.argsort(costs)[:_ELITES]
+            near = varied_approaches(again, approaches.at(best), up)
+            all_tried = (approaches, controls, costs), (near, *tried(near))
+            approaches, controls, costs = jax.tree.map(
+                lambda one, other: jnp.concatenate([one, other]), *all_tried
+            )
+        return controls[jnp.argmin(costs)]
+
+
+class _Scene(eqx.Module):
+    """What the rollouts from a state have in common; controls of nodes that are driven alone.
+
+    A free node's velocity after a step is affine in the control, ``v' = A x + B u + offset``; the
+    control for a wanted one is the least squares solution, also while the node touches another.
+    """
+
+    model: ContactDynamics
+    speed: float
+    """m/s; the top speed of the data."""
+    state: ModelState
+    sensitivity: Float[Array, "N D W"]
+    nodes: Nodes
+    cost: QuadraticCost
+    inverse: Float[Array, "N U D"]
+    """The control for each m/s of the node."""
+    A: Float[Array, "N D 2"]
+    offset: Float[Array, "N D"]
+
+    @classmethod
+    def of(cls, model: StepModel, state: ModelState, nodes: Nodes, cost: QuadraticCost) -> "_Scene":
+        assert isinstance(model, ContactDynamics) and isinstance(model.features, InvariantFeatures)
+        alone = nodes._replace(candidate=jnp.zeros_like(nodes.candidate))
+        # Dry friction holds a body at rest, and hardly matters to one that is driven.
+        driven = jnp.where(nodes.actuated[:, None], model.features.speed * model.dt, 0.0)
+        driven = jnp.broadcast_to(driven, state.velocity.shape).astype(state.velocity.dtype)
+        moving = dataclasses.replace(state, control_displacement=driven)
+        free, _ = model.linear_step(moving, alone)
+        B = free.B[..., 1, :]
+        square = jnp.einsum("ndu,ndv->uvn", B, B)
+        size = len(square)
+        ridge = _RIDGE * jnp.trace(square) / size + jnp.finfo(B.dtype).tiny
+        inverse = solve_small(square + ridge * jnp.eye(size)[..., None], B.transpose(2, 1, 0))
+        return cls(
+            model=model,
+            speed=model.features.speed,
+            state=state,
+            sensitivity=control_sensitivity(model, state, nodes),
+            nodes=nodes,
+            cost=cost,
+            inverse=inverse.transpose(2, 0, 1),
+            A=free.A[..., 1, :],
+            offset=free.offset[..., 1],
+        )
+
+    @property
+    def up(self) -> Float[Array, " D"]:
+        """Unit vector against gravity; zeros where bodies have no weight."""
+        gravity = self.nodes.gravity
+        if gravity is None:
+            return jnp.zeros(self.state.position.shape[1])
+        return -gravity / jnp.maximum(jnp.sqrt(jnp.sum(gravity**2)), 1e-9)
+
+    def pushes(self, count: int) -> tuple[Array, Array, Array, float]:
+        """Actuated nodes [S], each with one that it may push, in turn; how far [m] that one is from
+        its goal, [S, D]; and the top speed."""
+        nodes, number = self.nodes, len(self.state.position)
+        wanted = nodes.passive
+        if self.cost.cost_node_ids is not None:
+            wanted = wanted & jnp.zeros(number, bool).at[self.cost.cost_node_ids].set(True)
+        first, second = pair_indices(number).T
+        one, other = np.concatenate([[first, second], [second, first]], axis=1)
+        candidate = jnp.concatenate([nodes.candidate, nodes.candidate])
+        may_push = candidate & nodes.actuated[one] & nodes.mask[one] & wanted[other]
+        pair = jnp.argsort(~may_push)[jnp.arange(count) % jnp.maximum(jnp.sum(may_push), 1)]
+        hand, body = jnp.asarray(one)[pair], jnp.asarray(other)[pair]
+        goal = self.cost.goal.reshape(-1, number, 2, self.state.position.shape[1])[-1, :, 0]
+        missing = (goal - self.state.position)[body]
+        return hand, body, missing, self.speed
+
+    def follow(
+        self, approach: Approach, planner: ILQR
+    ) -> tuple[Float[Array, "H U"], Float[Array, ""]]:
+        """The controls of one approach, rolled out; and their cost, infinite where not finite."""
+        hand, begin = approach.hand, self.state.position
+        edge = jnp.stack([hand, approach.body])[:, None]
+        distance = self.model.features.distances(self.nodes, edge, begin.dtype)
+        distance = jnp.broadcast_to(jnp.asarray(distance), (1,))[0]
+        inverse, A, offset = self.inverse[hand], self.A[hand], self.offset[hand]
+
+        def step(carry: tuple[ModelState, Array], _: None) -> tuple[Any, tuple[Array, Array]]:
+            state, sensitivity = carry
+            wanted = approach.velocity(state.position, begin, distance, self.model.dt)
+            x = jnp.stack([state.position[hand], state.velocity[hand]], axis=-1)
+            control = inverse @ (wanted - offset - jnp.sum(A * x, axis=-1))
+            control = control if planner.limits is None else planner.limits(control)
+            made = take_step(self.model, state, sensitivity, control, self.nodes)
+            after = made[0]
+            return made[:2], (jnp.stack([after.position, after.velocity], axis=1), control)
+
+        carry = self.state, self.sensitivity
+        _, (moved, controls) = jax.lax.scan(step, carry, None, length=planner.horizon)
+        start = jnp.stack([begin, self.state.velocity], axis=1)
+        total = self.cost(jnp.concatenate([start[None], moved]), controls)
+        return controls, jnp.where(jnp.isfinite(total), total, jnp.inf)

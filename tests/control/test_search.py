@@ -1,0 +1,147 @@
+"""Search over approaches: behind a body and push, never worse than going on, or stay."""
+
+import dataclasses
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from control_models import StickyBodies, nodes_of, state_of
+
+from contactgraph.control import ILQR, AffinePolicy, ControlLimits, SearchILQR, chain_cost
+from contactgraph.control.approaches import Approach
+from contactgraph.control.search import _Scene
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.data.actuation_fit import ActuationFit
+from contactgraph.model import ModelConfig, ModelState, bodies, scene_nodes
+
+DT, H, REACH = 0.05, 25, 0.1
+SERVO = ActuationFit(60.0 * np.eye(2), np.zeros(2), 0.0, 60.0, residual=0.0)
+CONFIG = ModelConfig(
+    2, 2, DT, REACH, width=4, node_types=("box", "hand"), actuation={"hand": SERVO}
+)
+LIMITS = ControlLimits(jnp.full(2, -1.0), jnp.full(2, 1.0))
+SCENE = Scene(("hand", "box"), ("hand", "box"), np.array([True, False]), DT)
+NODES = scene_nodes(SCENE)
+GOAL = np.array([0.0, 0.0])
+PLANNER = SearchILQR(H, 4, LIMITS, starts=32)
+COST = chain_cost((0, 1), [0.03, 0.03, 0.002, 0.002], [50.0, 50.0, 1.0, 1.0], 1e-3, GOAL, 2)
+
+
+@cache
+def model():
+    """Fresh weights: a touch pushes; the ground stops a box that nothing pushes."""
+    fresh = bodies(CONFIG, key=jax.random.key(0))
+    return eqx.tree_at(lambda each: each.local_dynamics.head.damper_raw, fresh, jnp.full(2, 3.0))
+
+
+def state(hand, box):
+    position = jnp.asarray(np.array([hand, box]), jnp.zeros(()).dtype)
+    still = jnp.zeros_like(position)
+    return ModelState(position, still, model().initial_belief(position, still, NODES))
+
+
+@eqx.filter_jit
+def solve(planner, state, guess=None):
+    return planner.solve(model(), state, NODES, COST, guess)
+
+
+def box_end(plan):
+    return np.asarray(plan.states)[-1, 1, 0]
+
+
+def test_it_goes_round_a_body_that_stands_between_the_hand_and_its_goal():
+    between = state([0.15, 0.01], [0.3, 0.0])
+    alone = solve(ILQR(H, 8, LIMITS), between)
+    found = solve(PLANNER, between)
+    assert np.linalg.norm(box_end(alone) - GOAL) > 0.29
+    assert np.linalg.norm(box_end(found) - GOAL) < 0.15
+    assert found.cost < 0.85 * alone.cost
+    controls = np.asarray(found.controls)
+    assert np.all((controls >= LIMITS.lower) & (controls <= LIMITS.upper))
+
+
+def test_the_running_plan_is_always_among_the_starts():
+    begin = state([0.5, 0.0], [0.3, 0.0])
+    first = solve(PLANNER, begin)
+    going_on = AffinePolicy(jnp.zeros_like(first.policy.K), first.controls)
+    few = dataclasses.replace(PLANNER, starts=8, rounds=1)
+    assert solve(few, begin, going_on).cost <= (1.0 + 1e-5) * first.cost
+
+
+def test_a_body_at_its_goal_is_left_alone():
+    plan = solve(PLANNER, state([0.25, 0.0], GOAL))
+    assert np.linalg.norm(box_end(plan) - GOAL) < 1e-3
+
+
+def test_equal_states_give_equal_plans():
+    begin = state([0.1, 0.2], [0.3, 0.0])
+    np.testing.assert_array_equal(solve(PLANNER, begin).controls, solve(PLANNER, begin).controls)
+
+
+def test_a_free_hand_moves_as_an_approach_wants():
+    begin = state([0.0, 0.5], [0.3, 0.0])
+    scene = _Scene.of(model(), begin, NODES, COST)
+    approach = made(direction=[1.0, 0.0], travel=0.2)
+    wanted = approach.velocity(begin.position, begin.position, jnp.asarray(REACH), DT)
+    controls, cost = eqx.filter_jit(lambda: scene.follow(approach, ILQR(H)))()
+    after = model().rollout(begin, controls, NODES)
+    np.testing.assert_allclose(after.velocity[0, 0], wanted, atol=0.02)
+    x = jnp.stack([after.position, after.velocity], axis=2)
+    x = jnp.concatenate([jnp.stack([begin.position, begin.velocity], axis=1)[None], x])
+    np.testing.assert_allclose(cost, COST(x, controls), rtol=1e-4)
+
+
+def made(direction, travel=1.0, dimension=2):
+    return Approach(
+        hand=jnp.asarray(0),
+        body=jnp.asarray(1),
+        direction=jnp.asarray(direction),
+        aside=jnp.zeros(dimension),
+        speed=jnp.asarray(0.4),
+        travel=jnp.asarray(travel),
+        approach_speed=jnp.asarray(1.0),
+    )
+
+
+def walk(approach, hand, body, steps):
+    """[steps+1, D] m: a hand that moves as wanted beside a body that does not move."""
+    begin, path = np.stack([hand, body]), [np.asarray(hand)]
+    for _ in range(steps):
+        now = jnp.asarray(np.stack([path[-1], body]))
+        path.append(path[-1] + DT * np.asarray(approach.velocity(now, begin, REACH, DT)))
+    return np.array(path)
+
+
+@pytest.mark.parametrize("start", [[0.3, 0.0], [0.15, 0.3], [0.12, -0.2]])
+def test_the_way_round_keeps_clear_of_the_body_and_ends_in_a_push(start):
+    path = walk(made([1.0, 0.0]), np.array(start), np.zeros(2), 40)
+    behind = int(np.argmax((path[:, 0] < 0.0) & (np.abs(path[:, 1]) < 0.5 * REACH)))
+    assert behind > 0
+    assert np.linalg.norm(path[:behind], axis=1).min() > 1.1 * REACH
+    velocity = np.diff(path, axis=0)[behind + 5] / DT
+    np.testing.assert_allclose(velocity, [0.4, 0.0], atol=0.06)
+
+
+def test_in_space_the_way_round_leads_over_the_body():
+    path = walk(made([1.0, 0.0, 0.0], dimension=3), np.array([0.2, 0.0, 0.0]), np.zeros(3), 40)
+    assert path[:, 2].max() > REACH
+    assert path[:, 2].min() > -1e-6
+
+
+def test_a_push_ends_where_it_should_and_no_travel_is_to_stay():
+    at_end = jnp.array([[0.1, 0.0], [0.2, 0.0]])
+    begin = jnp.array([[-0.1, 0.0], [0.0, 0.0]])
+    for travel, now in ((0.2, at_end), (0.0, begin)):
+        approach = made([1.0, 0.0], travel)
+        assert not np.any(approach.velocity(now, begin, jnp.asarray(REACH), DT))
+
+
+def test_what_it_cannot_search_with_is_refused():
+    with pytest.raises(InvalidInputError, match="starts must be 8"):
+        SearchILQR(H, 4, LIMITS, starts=4)
+    with pytest.raises(InvalidInputError, match="ContactDynamics"):
+        planar = state_of([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0]] * 2)
+        PLANNER.solve(StickyBodies(), planar, nodes_of(2, 2), COST)
