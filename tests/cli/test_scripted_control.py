@@ -52,6 +52,8 @@ def test_the_expert_controls_the_scenes_of_a_model(
         assert np.array_equal(one.control, other.control), "the demonstrator, without noise"
     ends = [np.linalg.norm(each.position[-1, 1] - each.scene.goal) for each in saved]
     assert values["goal_distance_m_mean"] == pytest.approx(np.mean(ends))
+    assert values["within_2cm_rate"] == np.mean(np.less(ends, 0.02))
+    assert values["within_1cm_rate"] == np.mean(np.less(ends, 0.01))
     assert f"end to goal, median        {100 * np.median(ends):.2f} cm" in captured.out
     ((path, scene),) = drawn
     first = saved.trajectories[0]
@@ -78,7 +80,7 @@ def test_what_needs_a_model_is_null(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         *("run", "task", "seed", "distractors", "episodes", "scenes"),
         *("success_rate", "success_interval", "goal_distance_m_median", "goal_distance_m_mean"),
         *("contact_speed_m_s", "slowest_before_contact_m_s", "slowest_before_contact_min_m_s"),
-        "touched_bystanders",
+        *("within_1cm_rate", "within_2cm_rate", "touched_bystanders"),
     }
     assert scripted.keys() <= by_model.keys()
 

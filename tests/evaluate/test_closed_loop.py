@@ -13,6 +13,7 @@ JSON_KEYS = {
     *("episodes", "seed", "success_rate", "success_interval", "contact_speed_m_s"),
     *("slowest_before_contact_m_s", "slowest_before_contact_min_m_s", "touched_bystanders"),
     *("scenes", "goal_distance_m_median", "goal_distance_m_mean"),
+    *("within_1cm_rate", "within_2cm_rate"),
     *("plan_ms_p50", "plan_ms_p99", "planned_windows", "planned_moved_objects"),
     *("n_step_rmse_planned_m", "n_step_rmse_planned_moving_m"),
     *("constant_velocity_planned_rmse_m", "frozen_contact_planned_rmse_m"),
@@ -112,6 +113,10 @@ def test_the_last_node_ends_at_a_distance_from_the_goal():
     assert found.goal_distance_m_median == pytest.approx(0.5)
     assert found.goal_distance_m_mean == pytest.approx((0.5 + 5.0 + 0.1) / 3)
     aimless = closed_loop_metrics([episode([1.0, 1.0])], [True], [(0, 1)], 0)
+    near = [ending((1.0, 1.015)), ending((1.0, 1.5)), ending((1.0, 1.002)), ending((1.0, 1.03))]
+    found = closed_loop_metrics(near, [True] * 4, [(0, 2, 1)] * 4, 0)
+    assert (found.within_1cm_rate, found.within_2cm_rate) == (0.25, 0.5)
+    assert aimless.within_1cm_rate is None
     assert aimless.goal_distance_m_median is aimless.goal_distance_m_mean is None
 
 

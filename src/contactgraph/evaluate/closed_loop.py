@@ -36,6 +36,9 @@ class ClosedLoopMetrics:
     goal_distance_m_median: float | None
     """From the chain's last node to the goal at the end of an episode, m."""
     goal_distance_m_mean: float | None
+    within_1cm_rate: float | None
+    """Share of the episodes that end less than 1 cm from the goal."""
+    within_2cm_rate: float | None
     contact_speed_m_s: float | None
     """Median speed in the last state before the first contact, m/s."""
     slowest_before_contact_m_s: float | None
@@ -119,6 +122,8 @@ def closed_loop_metrics(
         success_interval=_success_interval(succeeded, numbers),
         goal_distance_m_median=_median(distances),
         goal_distance_m_mean=float(np.mean(distances)) if distances else None,
+        within_1cm_rate=float(np.mean(np.less(distances, 0.01))) if distances else None,
+        within_2cm_rate=float(np.mean(np.less(distances, 0.02))) if distances else None,
         contact_speed_m_s=_median([each.contact_speed for each in approaches]),
         slowest_before_contact_m_s=_median(slowest),
         slowest_before_contact_min_m_s=min(slowest, default=None),
