@@ -402,6 +402,7 @@ def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str])
             "200 of 0.05 s",
             "2: gripper, target",
             "in 20 of 20",
+            "actuation   gripper: force, fits to ",
         ],
         "pickup": ["pickup: model, ", "command", "seed"],
     }.items():
@@ -435,6 +436,7 @@ def test_info_of_a_dataset_names_what_is_recorded(
         "holding in 1 of 2 trajectories",
         "orientation in 1 of 2 trajectories",
         "static 1",
+        "actuation hand: force, fits to 0 mm/s",
     ]
 
 

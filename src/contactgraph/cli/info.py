@@ -162,10 +162,23 @@ def _print_dataset(path: Path) -> None:
         "control": f"{_span(summary.control_size)}{f': {kinds}' if kinds else ''}",
         **{name: f"in {sum(has)} of {len(has)} trajectories" for name, has in recorded.items()},
         "static": _span(summary.static_count),
+        **_actuation(path),
         **{name: _text(value) for name, value in summary.metadata.items()},
     }
     for name, text in rows.items():
         print(f"  {name:<11} {text}")
+
+
+def _actuation(path: Path) -> dict[str, str]:
+    """A row that says how the control drives each actuated type; none without a control."""
+    from contactgraph.data import Dataset, InvalidInputError, read_trajectories
+    from contactgraph.train.config import body_defaults
+
+    try:
+        fits = body_defaults(Dataset(tuple(read_trajectories(path)))).actuation
+    except InvalidInputError as error:
+        return {"actuation": f"unknown ({error})"}
+    return {"actuation": "; ".join(f"{name}: {fit}" for name, fit in fits.items())} if fits else {}
 
 
 def _span(values: Any) -> str:

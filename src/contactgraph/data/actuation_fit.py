@@ -37,6 +37,15 @@ class ActuationFit:
     residual: float
     """m/s; root mean square of what the kept steps leave unexplained of the velocity."""
 
+    def __str__(self) -> str:
+        """What drives the type, in a line."""
+        kind = "force"
+        if self.stiffness:
+            kind = f"servo to a target, k {self.stiffness:.3g} 1/s^2, c {self.damping:.3g} 1/s"
+        elif self.damping:
+            kind = f"servo relative to the body, c {self.damping:.3g} 1/s"
+        return f"{kind}, fits to {1e3 * self.residual:.2g} mm/s"
+
 
 def driving_components(trajectories: Iterable[Trajectory]) -> np.ndarray:
     """[U] bool: the components of the control that move a body.
