@@ -12,12 +12,14 @@ import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.cli.known_tasks import TASKS
+from contactgraph.cli.models import stored_model
 from contactgraph.cli.task_types import TaskOptions
 from contactgraph.cli.tasks import task_factory
 from contactgraph.control import LearnedCost, describe_cost, read_cost
 from contactgraph.data import InvalidInputError, Scene, Trajectory, write_trajectories
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
 from contactgraph.evaluate import collect
+from contactgraph.model import AbsoluteFeatures, InvariantFeatures
 
 STEPS = 45
 """Of a run: beyond the touch, which comes after 16 to 25."""
@@ -197,6 +199,31 @@ def test_shipped_tasks_declare_their_largest_force(name: str) -> None:
     # Only a bound that is the same for all components and both directions is one number.
     alike = (box.high == box.high[0]).all() and (box.low == -box.high).all()
     assert TASKS[name].max_force == (box.high[0] if alike else None)
+
+
+@pytest.mark.parametrize(
+    ("features", "task", "options", "starts"),
+    [
+        (InvariantFeatures(), "pusht", (), 64),
+        (InvariantFeatures(), "pusht", ("--starts", "16"), 16),
+        (InvariantFeatures(), "pickup", (), 0),
+        (AbsoluteFeatures(), "pusht", (), 0),
+    ],
+)
+def test_control_searches_where_bodies_are_pushed_and_the_model_allows_it(
+    features: InvariantFeatures | AbsoluteFeatures,
+    task: str,
+    options: tuple[str, ...],
+    starts: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shipped = stored_model("pickup")
+    model = replace(shipped, features=features)
+    monkeypatch.setattr("contactgraph.cli.models.stored_model", lambda name: model)
+    monkeypatch.setattr("contactgraph.evaluate.control_task", asking)
+    with pytest.raises(Asked) as asked:
+        cli.run(["control", "pickup", task, *options])
+    assert asked.value.args[1]["starts"] == starts
 
 
 def test_control_plans_with_it(cost: Path, monkeypatch: pytest.MonkeyPatch) -> None:

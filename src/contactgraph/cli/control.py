@@ -134,7 +134,7 @@ class Control:
         from contactgraph.cli.output import check_writable, progress
         from contactgraph.cli.task_types import TaskOptions
         from contactgraph.cli.tasks import known_task, task_factory
-        from contactgraph.control import read_cost
+        from contactgraph.control import read_cost, searches
         from contactgraph.data import Dataset, InvalidInputError
         from contactgraph.evaluate import ObservationNoise, control_task, evaluate_open_loop
         from contactgraph.viz import check_animation, scene_trajectory
@@ -156,7 +156,7 @@ class Control:
         if self.model in _SCRIPTED:
             return self._write(self._by_policy(options), options)
         known = known_task(self.task)
-        horizon, starts = known.horizon, known.starts
+        horizon = known.horizon
         if self.cost is not None:
             horizon *= _LEARNED_COST_HORIZON
         if self.horizon is not None:
@@ -164,7 +164,6 @@ class Control:
             horizon = self.horizon
         if self.starts is not None:
             check_range("--starts", self.starts, 0, 10_000)
-            starts = self.starts
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, self.seed)
         if self.unmeasured and not faults.exact:
             raise InvalidInputError(
@@ -175,6 +174,9 @@ class Control:
         factory = task_factory(self.task, options)
         cost = None if self.cost is None else read_cost(self.cost)
         model = stored_model(self.model)
+        starts = self.starts
+        if starts is None:
+            starts = known.starts if searches(model) else 0
         asked, ignored = self.infer_contacts, self.ignore_motion
         by_motion = motion_evidence(model, asked, ignored, noise.position, noise.velocity)
         first: list[EpisodeRecord] = []
