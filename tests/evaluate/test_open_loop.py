@@ -42,6 +42,7 @@ JSON_KEYS = {
         for beliefs in ("", "_unmeasured", "_inferred")
     ),
     *("switch_time_error_s", "switch_time_error_unmeasured_s", "switch_time_error_inferred_s"),
+    "n_step_rmse_moving_by_type_m",
 }
 
 
@@ -74,6 +75,16 @@ def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):
     assert glued["n_step_rmse_free_m"] < 1e-4 and glued["n_step_rmse_contact_m"] > 0.03
     assert glued["edge_on_time"] == 0.0 and glued["edge_precision"] == 1.0
     assert glued.runs == 2 and glued.windows == 2 * 191 and glued.n_steps == 10
+
+
+def test_errors_by_type_are_those_of_the_moving_bodies_of_each_type(glued):
+    measured, moves = glued.detail.measured, glued.detail.moves
+    found = glued.to_json()["n_step_rmse_moving_by_type_m"]
+    for node, name in enumerate(("gripper", "object")):
+        assert found[name] == pytest.approx(
+            np.sqrt(measured.squared_error[:, :, node][moves[:, node]].mean())
+        )
+    assert found["gripper"] != found["object"]
 
 
 def test_edges_are_labelled_by_holding_where_it_is_recorded(pickups):
@@ -301,6 +312,7 @@ def test_a_model_that_explodes_is_reported_and_is_valid_json():
     assert found.to_json()["n_step_rmse_m"] is None
     assert found.to_json()["constant_velocity_rmse_m"] > 0
     json.dumps(found.to_json(), allow_nan=False)
+    assert set(found.to_json()["n_step_rmse_moving_by_type_m"].values()) == {None}
 
 
 def test_json_keys(glued):

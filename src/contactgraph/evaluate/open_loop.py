@@ -19,6 +19,7 @@ from contactgraph.evaluate.open_loop_metrics import (
     calibration_numbers,
     edge_numbers,
     error_numbers,
+    numbers_by_type,
     unbeaten_baselines,
 )
 from contactgraph.evaluate.prediction_windows import (
@@ -140,6 +141,7 @@ def evaluate_open_loop(
             {name: errors[f"{name}_rmse_moving_m"] for name in ("n_step", *detail.baselines)}
         ),
         detail=detail,
+        by_type=numbers_by_type(detail, [each.scene.node_type for each in dataset]),
     )
     taken = sorted(found.to_json().keys() & (metrics or {}))
     if taken:

@@ -2,9 +2,11 @@
 
 import enum
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from contactgraph.evaluate.calibration import Calibration
 from contactgraph.evaluate.edge_scores import edge_scores
@@ -42,6 +44,8 @@ class OpenLoopMetrics:
     """Baselines that the model is not better than: see `unbeaten_baselines`."""
     detail: OpenLoopDetail = field(repr=False, compare=False)
     """Every window on its own; not part of `to_json`."""
+    by_type: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
+    """See `numbers_by_type`."""
     extra: Mapping[str, float | None] = field(default_factory=dict, repr=False, compare=False)
     """Metrics of the caller's own, by name."""
 
@@ -64,10 +68,7 @@ class OpenLoopMetrics:
         Besides `numbers`, `Calibration.reliability` under the keys ``reliability…``, with the
         endings of `calibration_numbers`.
         """
-        finite = {
-            name: value if value is None or math.isfinite(value) else None
-            for name, value in {**self.numbers, **self.extra}.items()
-        }
+        finite = {name: _finite(value) for name, value in {**self.numbers, **self.extra}.items()}
         counts = ("runs", "windows", "n_steps", "diverged_windows")
         verdict = None if self.verdict is None else self.verdict.value
         reliability = {
@@ -75,7 +76,7 @@ class OpenLoopMetrics:
             for ending, found in _calibrations(self.detail).items()
         }
         named = {name: getattr(self, name) for name in counts}
-        return {**finite, **reliability, "verdict": verdict, **named}
+        return {**finite, **reliability, **self.by_type, "verdict": verdict, **named}
 
 
 def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
@@ -107,6 +108,31 @@ def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
         else detail.rmse(error, windows)
         for subset, windows in chosen.items()
         for (name, beliefs), error in squared.items()
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is None or math.isfinite(value) else None
+
+
+def numbers_by_type(
+    detail: OpenLoopDetail, node_types: Sequence[Sequence[str]]
+) -> dict[str, dict[str, float | None]]:
+    """The model's errors over moving bodies, m, of each node type; as in `error_numbers`.
+
+    ``node_types``: of every trajectory, by its index.
+    """
+    types = np.full(detail.moves.shape, "", object)
+    for row, index in enumerate(detail.trajectory):
+        types[row, : len(node_types[index])] = node_types[index]
+    beliefs = {"": detail.measured, "_inferred": detail.inferred}
+    return {
+        f"n_step_rmse_moving_by_type{ending}_m": {
+            name: _finite(detail.rmse(found.squared_error, detail.moves & (types == name)))
+            for name in sorted({name for each in node_types for name in each})
+        }
+        for ending, found in beliefs.items()
+        if found is not None
     }
 
 
