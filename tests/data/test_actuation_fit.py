@@ -1,5 +1,7 @@
 """Least squares of actuation, from trajectories with known servos and forces."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -62,6 +64,19 @@ def test_the_coefficients_of_free_motion_are_found_among_contacts(name: str) -> 
     assert fit.stiffness == pytest.approx(stiffness, rel=1e-3, abs=1e-6)
     assert fit.damping == pytest.approx(damping, rel=1e-3, abs=1e-6)
     assert fit.residual < 1e-6
+
+
+def test_steps_in_which_a_body_is_carried_tell_nothing_of_free_motion() -> None:
+    run = driven(np.eye(2), kind=("force", "force"), pushes=False)
+    position, velocity = run.position.copy(), run.velocity.copy()
+    for step in range(20, run.steps):  # both have the same mass
+        velocity[step + 1, 0] = velocity[step, 0] + 0.5 * DT * run.control[step]
+        position[step + 1, 0] = position[step, 0] + DT * velocity[step + 1, 0]
+    velocity[21:, 1] = velocity[21:, 0]
+    position[20:, 1] = position[20:, 0] + 0.05
+    carried = dataclasses.replace(run, position=position, velocity=velocity)
+    fit = fit_actuation([carried], 1.0)["hand"]
+    np.testing.assert_allclose(fit.matrix, np.eye(2), atol=1e-3)
 
 
 @pytest.mark.parametrize(("name", "sprung"), [("position", True), ("displacement", False)])

@@ -7,8 +7,16 @@ import numpy as np
 
 from contactgraph.data.trajectory import Trajectory
 
+_UNMOVED = 0.02
+"""Change of another body's velocity, as a share of the own one's root mean square, up to which a
+step is taken for free of contact."""
+_LEAST_FREE = 0.02
+"""Share of the steps that must be free in this sense."""
+_FAR = 0.5
+"""Quantile of those steps' distances to the nearest body from which a step is taken: another body
+may be held in its place."""
 _ALONE = 0.85
-"""Quantile of the distance to the nearest body from which a step is taken for free of contact."""
+"""The same of all steps, where too few are free."""
 _KEPT = 0.8
 """Share of those steps, the best explained ones, by which the next round fits."""
 _ROUNDS = 12
@@ -110,7 +118,7 @@ def fit_actuation(trajectories: Iterable[Trajectory], theta: float) -> dict[str,
 def _free_steps(
     bodies: list[tuple[Trajectory, int]], drives: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity, control and change of velocity of the steps far from other bodies."""
+    """Position, velocity, control and change of velocity of the steps without a contact."""
     parts = []
     for each, node in bodies:
         offset = np.linalg.norm(each.position - each.position[:, node : node + 1], axis=-1)
@@ -118,15 +126,21 @@ def _free_steps(
         acts = drives
         if each.scene.control_of is not None:
             acts = drives & each.scene.control_of[node]
-        velocity = each.velocity[:, node]
+        changes = np.diff(each.velocity, axis=0)
+        change, others = changes[:, node], np.linalg.norm(np.delete(changes, node, 1), axis=-1)
+        moved = others.max(axis=1, initial=0.0)
         nearest = np.minimum(offset[:-1], offset[1:]).min(axis=1, initial=np.inf)
         control = np.where(acts, each.control, 0.0)[:, drives]
-        change = velocity[1:] - velocity[:-1]
-        parts.append((each.position[:-1, node], velocity[:-1], control, change, nearest))
-    *rows, nearest = (np.concatenate(part) for part in zip(*parts, strict=True))
-    near = np.isfinite(nearest)
-    alone = nearest >= (np.quantile(nearest[near], _ALONE) if near.any() else 0.0)
-    position, velocity, control, change = (row[alone] for row in rows)
+        start = each.position[:-1, node], each.velocity[:-1, node]
+        parts.append((*start, control, change, moved, nearest))
+    *rows, moved, nearest = (np.concatenate(part) for part in zip(*parts, strict=True))
+    free = moved <= _UNMOVED * np.sqrt(np.mean(np.sum(rows[-1] ** 2, axis=-1)))
+    quantile = _FAR
+    if free.mean() < _LEAST_FREE:
+        free, quantile = np.ones_like(free), _ALONE
+    near = free & np.isfinite(nearest)
+    free &= nearest >= (np.quantile(nearest[near], quantile) if near.any() else 0.0)
+    position, velocity, control, change = (row[free] for row in rows)
     return position, velocity, control, change
 
 

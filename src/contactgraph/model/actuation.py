@@ -66,7 +66,7 @@ class Actuation(eqx.Module):
     dimension: int = eqx.field(static=True)
     control_size: int = eqx.field(static=True)
     servo: bool = eqx.field(static=True)
-    """Whether k, c and b are learned; else they are 0."""
+    """Whether there are k, c and b; else they are 0."""
     scale: float = eqx.field(static=True)
     """m/s^2; about the greatest acceleration by a unit of control."""
 
@@ -96,7 +96,7 @@ class Actuation(eqx.Module):
         control_size: int,
         fits: Mapping[str, ActuationFit],
     ) -> "Actuation":
-        """One that starts at what least squares say of each type's own motion."""
+        """What least squares say of each type's own motion."""
         servo = any(fit.damping or fit.stiffness for fit in fits.values())
         scale = max((float(abs(fit.matrix).max(initial=0.0)) for fit in fits.values()), default=0.0)
         scale = scale or 1.0
@@ -124,7 +124,12 @@ class Actuation(eqx.Module):
         theta: Float[Array, ""],
         dt: float,
     ) -> ActuatedMotion:
-        """The motion that the control gives to free bodies in a step of ``dt`` [s]."""
+        """The motion that the control gives to free bodies in a step of ``dt`` [s].
+
+        Nothing here is learned: steps with contacts would draw it away from what steps without tell
+        exactly.
+        """
+        self = jax.lax.stop_gradient(self)
         node_type = node_type * nodes.actuated[:, None]
         by_control = self.scale * jnp.einsum("nt,tdu->ndu", node_type, self.matrix)
         if nodes.control_of is not None:
