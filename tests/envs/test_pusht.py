@@ -76,13 +76,19 @@ def outline_distance(trajectory, step: int) -> float:
     return min(distances) - pusht.AGENT_RADIUS
 
 
-def test_contacts_are_where_the_outlines_meet(pushes: list) -> None:
-    touching, free = [], []
+def test_contacts_of_a_step_are_where_the_outlines_meet_in_it(pushes: list) -> None:
+    touching, free, parted = [], [], 0
     for trajectory in pushes[0] + pushes[2]:
-        for step in range(trajectory.steps + 1):
-            gap = outline_distance(trajectory, step)
-            (touching if trajectory.contact[step, 0, 1] else free).append(gap)
-    assert len(touching) > 50 and len(free) > 50
+        gap = [outline_distance(trajectory, step) for step in range(trajectory.steps + 1)]
+        speed = np.linalg.norm(trajectory.velocity[:, 1], axis=1)
+        for step in range(1, trajectory.steps + 1):
+            touched = trajectory.contact[step, 0, 1]
+            (touching if touched else free).append(
+                min(gap[step - 1 :][:2]) if touched else gap[step]
+            )
+            parted += touched and gap[step] > 1e-4
+            assert touched or speed[step] < speed[step - 1] + 1e-3  # it drives the block on
+    assert len(touching) > 50 and len(free) > 50 and parted > 0
     assert max(touching) < 1e-4 and min(free) > -1e-4
 
 

@@ -11,7 +11,7 @@ from contactgraph.data import InvalidInputError
 from contactgraph.envs.contract import ChainCost
 
 ContactReader = Callable[[gymnasium.Env[Any, Any]], np.ndarray]
-"""Which bodies touch now, ``[N, N]`` bool, as an environment's simulator knows it."""
+"""Which bodies touched in the last step, ``[N, N]`` bool, as the environment's simulator says."""
 
 
 @dataclass(frozen=True)

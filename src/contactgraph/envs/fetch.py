@@ -87,7 +87,33 @@ def _make_environment(task: str, identifier: str) -> gymnasium.Env[Any, Any]:
             f"{task} needs gymnasium-robotics ({error}): pip install 'contactgraph[fetch]'"
         ) from error
     gymnasium.register_envs(gymnasium_robotics)
-    return gymnasium.make(identifier, disable_env_checker=True)
+    return _WatchedContact(gymnasium.make(identifier, disable_env_checker=True))
+
+
+class _WatchedContact(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Knows whether gripper and object touched at any time in the last step, of 20 substeps."""
+
+    touched = False
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode; `touched` tells whether they touch."""
+        found = super().reset(**options)
+        self.touched = _touching(self.unwrapped)
+        return found
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Makes a step, in which MuJoCo calls back once it knows the contacts of a substep."""
+        inner: Any = self.unwrapped
+        self.touched, mujoco = False, inner._mujoco
+
+        def watch(model: Any, data: Any) -> None:
+            self.touched = self.touched or _touching(inner)
+
+        mujoco.set_mjcb_control(watch)
+        try:
+            return super().step(action)
+        finally:
+            mujoco.set_mjcb_control(None)
 
 
 def _fetch_map(which: FetchEnvironment) -> EnvironmentMap:
@@ -130,22 +156,26 @@ def _fetch_map(which: FetchEnvironment) -> EnvironmentMap:
         ),
         max_steps=50,
         success_key="is_success",
-        contact=_touching,
+        contact=_touched,
         planes=np.array([[0.0, 0.0, 1.0, _LOW]]),
         gravity=(0.0, 0.0, -9.81),
         metadata={"environment": which.identifier},
     )
 
 
-def _touching(environment: gymnasium.Env[Any, Any]) -> np.ndarray:
-    """[2, 2] bool: whether MuJoCo has a contact between the gripper and the object."""
-    inner: Any = environment.unwrapped
+def _touched(environment: gymnasium.Env[Any, Any]) -> np.ndarray:
+    """[2, 2] bool: whether gripper and object touched in the last step."""
+    assert isinstance(environment, _WatchedContact)
+    return environment.touched * ~np.eye(2, dtype=bool)
+
+
+def _touching(inner: Any) -> bool:
+    """Whether MuJoCo has a contact between the gripper and the object."""
     model, contacts = inner.model, inner.data.contact
     hand = [model.body(f"robot0:{name}").id for name in _HAND_BODIES]
     bodies = model.geom_bodyid[contacts.geom]
     of_hand, of_object = np.isin(bodies, hand), bodies == model.body("object0").id
-    touches = bool(np.any(of_hand[:, 0] & of_object[:, 1] | of_hand[:, 1] & of_object[:, 0]))
-    return np.array([[False, touches], [touches, False]])
+    return bool(np.any(of_hand & of_object[:, ::-1]))
 
 
 LEAD = DT / 0.65

@@ -53,7 +53,36 @@ def _make_environment() -> gymnasium.Env[Any, Any]:
         raise InvalidInputError(
             f"pusht needs gym-pusht ({error}): pip install 'contactgraph[pusht]'"
         ) from error
-    return gymnasium.make("gym_pusht/PushT-v0", disable_env_checker=True)
+    return _WatchedContact(gymnasium.make("gym_pusht/PushT-v0", disable_env_checker=True))
+
+
+class _WatchedContact(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Knows whether agent and block touched at any time in the last step, of ten substeps."""
+
+    touched = False
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode, in a new space; `touched` tells whether they touch."""
+        found = super().reset(**options)
+        inner: Any = self.unwrapped
+        count, pair = inner.collision_handeler.post_solve, {inner.agent, inner.block}
+
+        def watch(arbiter: Any, space: Any, data: Any) -> None:
+            count(arbiter, space, data)
+            self.touched |= {shape.body for shape in arbiter.shapes} == pair
+
+        inner.collision_handeler.post_solve = watch
+        self.touched = any(
+            one.shapes_collide(other).points
+            for one in inner.agent.shapes
+            for other in inner.block.shapes
+        )
+        return found
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Makes a step, in which the simulator calls back for each contact of each substep."""
+        self.touched = False
+        return super().step(action)
 
 
 def _pusht_map() -> EnvironmentMap:
@@ -94,20 +123,15 @@ def _pusht_map() -> EnvironmentMap:
         max_steps=MAX_STEPS,
         tolerance=TOLERANCE,
         scale=SCALE,
-        contact=_touching,
+        contact=_touched,
         planes=np.array([[1.0, 0.0, low], [-1.0, 0.0, -high], [0.0, 1.0, low], [0.0, -1.0, -high]]),
     )
 
 
-def _touching(environment: gymnasium.Env[Any, Any]) -> np.ndarray:
-    """[2, 2] bool: whether the simulator finds contact points between agent and block."""
-    inner: Any = environment.unwrapped
-    touches = any(
-        one.shapes_collide(other).points
-        for one in inner.agent.shapes
-        for other in inner.block.shapes
-    )
-    return np.array([[False, touches], [touches, False]])
+def _touched(environment: gymnasium.Env[Any, Any]) -> np.ndarray:
+    """[2, 2] bool: whether agent and block touched in the last step."""
+    assert isinstance(environment, _WatchedContact)
+    return environment.touched * ~np.eye(2, dtype=bool)
 
 
 STYLE = PushStyle(clearance=0.105, speed=0.2, lead=0.2, near_enough=0.015)
