@@ -22,6 +22,7 @@ from contactgraph.train.filter_loss import (
 from contactgraph.train.judged_steps import (
     held_where_near,
     judge_steps,
+    likeliest_types,
     predict_unobserved,
     random_segments,
     without_gradient,
@@ -170,3 +171,17 @@ def test_a_filter_trains_through_its_checks(recorded: Path) -> None:
     assert found.status is FitStatus.finished and [each.step for each in checks] == [4, 8, 12]
     assert all(np.isfinite(list(each.terms.values())).all() for each in checks)
     assert found.held_out_rmse_m < found.baselines.standing_still_rmse_m
+
+
+def test_the_steps_around_it_tell_the_type_of_a_step_that_leaves_it_open() -> None:
+    steps = 8
+    prior = jnp.tile(jnp.array([0.02, 0.49, 0.49]), (steps, 1, 1))
+    held = jnp.array([-6.0, -2.0, 0.0])
+    ratio = jnp.tile(jnp.where(jnp.eye(3, dtype=bool), held, -6.0), (steps, 1, 1, 1))
+    # By itself the fourth step would say free, by a little.
+    ratio = ratio.at[3, 0].set(jnp.where(jnp.eye(3, dtype=bool), jnp.array([0.0, -1, -2]), -6.0))
+    types = jnp.argmax(likeliest_types(prior, ratio), axis=-1)
+    np.testing.assert_array_equal(types, np.full((steps, 1), 2))
+    # Without evidence geometry decides.
+    apart = jnp.tile(jnp.array([0.98, 0.01, 0.01]), (steps, 1, 1))
+    assert not np.any(np.argmax(likeliest_types(apart, 0.0 * ratio), axis=-1))

@@ -14,7 +14,7 @@ from contactgraph.model.contact_belief import (
     without_change,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.motion_likelihood import edge_log_ratios, most_probable, motion_noise
+from contactgraph.model.motion_likelihood import edge_log_ratios, motion_noise
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import no_sensitivity, with_control_displacement
 from contactgraph.model.types import EncodedGraph, ModelState
@@ -29,6 +29,8 @@ it learns to predict for some 10 steps from a belief that motion has corrected."
 _APART = 0.1
 """Prior of contact, by the recorded distance, below which bodies certainly do not touch."""
 _LEAST = 1e-6
+_CHANGE = 0.1
+"""Probability a step that a hold begins or ends, where geometry does not tell."""
 
 
 class JudgedSteps(eqx.Module):
@@ -62,18 +64,46 @@ def held_where_near(prior: ContactBelief) -> Float[Array, "E K"]:
     return jax.nn.one_hot(index, types, dtype=prior.type_probability.dtype)
 
 
+def likeliest_types(
+    prior: Float[Array, "L E K"], log_ratio: Float[Array, "L E K K"]
+) -> Float[Array, "L E K"]:
+    """One-hot types of every edge in the steps of a window, each by the motion of all the steps.
+
+    One step often leaves open whether a body is held, those around it do not. Forward and backward
+    recursions of a hidden Markov model (Rabiner 1989, section III) whose touches come and go with
+    the geometry and whose holds last.
+    """
+    types = prior.shape[-1]
+    holds = jnp.arange(types) >= first_holding_type(types)
+    begins = prior * jnp.where(holds, _CHANGE, 1.0)
+    begins = begins / jnp.sum(begins, axis=-1, keepdims=True)
+    lasts = (1.0 - _CHANGE) * jnp.eye(types) + _CHANGE * prior[..., None, :]
+    change = jnp.where(holds[:, None], lasts, begins[..., None, :])
+    pairs = jnp.log(jnp.maximum(change, _LEAST)) + log_ratio
+
+    def forward(before: Array, pair: Array) -> tuple[Array, Array]:
+        after = jax.nn.logsumexp(before[:, :, None] + pair, axis=1)
+        return after, after
+
+    def backward(after: Array, pair: Array) -> tuple[Array, Array]:
+        return jax.nn.logsumexp(pair + after[:, None, :], axis=2), after
+
+    past = jax.lax.scan(forward, jnp.log(jnp.maximum(prior[0], _LEAST)), pairs)[1]
+    future = jax.lax.scan(backward, jnp.zeros_like(prior[0]), pairs, reverse=True)[1]
+    return jax.nn.one_hot(jnp.argmax(past + future, axis=-1), types, dtype=prior.dtype)
+
+
 def judge_steps(model: ContactDynamics, windows: Window, devices: int = 1) -> JudgedSteps:
     """The likelihood of the recorded motion of every step."""
     model = without_gradient(model)
     steps, noise = WindowSteps(model, windows, devices), motion_noise(model)
 
-    def judge(graph: EncodedGraph, control: Array, after: Motion) -> tuple[Array, Array]:
+    def judge(graph: EncodedGraph, control: Array, after: Motion) -> Array:
         prior = model.prior_belief(graph)
         state = ModelState(graph.position, graph.velocity, prior)
         joint = without_change(prior, noise.error_floor)
         first = held_where_near(prior)
-        ratio = edge_log_ratios(model, graph, state, joint, control, after, noise, first)
-        return ratio, most_probable(posterior_by_motion(prior, joint, ratio))
+        return edge_log_ratios(model, graph, state, joint, control, after, noise, first)
 
     def linear(graph: EncodedGraph, types: Array, control: Array) -> tuple[Array, Motion]:
         dynamics = model.linearize(model.cut_edges(graph, ContactBelief(types)))
@@ -84,7 +114,8 @@ def judge_steps(model: ContactDynamics, windows: Window, devices: int = 1) -> Ju
     inactive = jnp.zeros_like(free.prior).at[..., 0].set(1.0)
     sensitivity, unhindered = steps.each(linear, free, inactive, windows.control)
     graph = steps.encode(steps.displacement(sensitivity))
-    ratio, types = steps.each(judge, graph, windows.control, steps.after)
+    ratio = steps.each(judge, graph, windows.control, steps.after)
+    types = jax.vmap(likeliest_types)(graph.prior, ratio)
     sensitivity, _ = steps.each(linear, graph, types, windows.control)
     return JudgedSteps(steps.displacement(sensitivity), ratio, types, unhindered)
 
