@@ -85,7 +85,7 @@ def test_a_free_hand_moves_as_an_approach_wants():
     begin = state([0.0, 0.5], [0.3, 0.0])
     scene = _Scene.of(model(), begin, NODES, COST)
     approach = made(direction=[1.0, 0.0], travel=0.2)
-    wanted = approach.velocity(begin.position, begin.position, jnp.asarray(REACH), DT)
+    wanted, _ = approach.wanted(begin.position, False, begin.position, jnp.asarray(REACH), DT)
     controls, cost = eqx.filter_jit(lambda: scene.follow(approach, ILQR(H)))()
     after = model().rollout(begin, controls, NODES)
     np.testing.assert_allclose(after.velocity[0, 0], wanted, atol=0.02)
@@ -94,7 +94,7 @@ def test_a_free_hand_moves_as_an_approach_wants():
     np.testing.assert_allclose(cost, COST(x, controls), rtol=1e-4)
 
 
-def made(direction, travel=1.0, dimension=2):
+def made(direction, travel=1.0, dimension=2, grasps=False, commands=0):
     return Approach(
         hand=jnp.asarray(0),
         body=jnp.asarray(1),
@@ -103,6 +103,9 @@ def made(direction, travel=1.0, dimension=2):
         speed=jnp.asarray(0.4),
         travel=jnp.asarray(travel),
         approach_speed=jnp.asarray(1.0),
+        goal=jnp.full(dimension, 0.5),
+        grasps=jnp.asarray(grasps),
+        command=jnp.array([[1.0], [-1.0]])[:, :commands],
     )
 
 
@@ -111,7 +114,7 @@ def walk(approach, hand, body, steps):
     begin, path = np.stack([hand, body]), [np.asarray(hand)]
     for _ in range(steps):
         now = jnp.asarray(np.stack([path[-1], body]))
-        path.append(path[-1] + DT * np.asarray(approach.velocity(now, begin, REACH, DT)))
+        path.append(path[-1] + DT * np.asarray(approach.wanted(now, False, begin, REACH, DT)[0]))
     return np.array(path)
 
 
@@ -136,7 +139,31 @@ def test_a_push_ends_where_it_should_and_no_travel_is_to_stay():
     begin = jnp.array([[-0.1, 0.0], [0.0, 0.0]])
     for travel, now in ((0.2, at_end), (0.0, begin)):
         approach = made([1.0, 0.0], travel)
-        assert not np.any(approach.velocity(now, begin, jnp.asarray(REACH), DT))
+        assert not np.any(approach.wanted(now, False, begin, jnp.asarray(REACH), DT)[0])
+
+
+def test_a_grasp_closes_inside_the_body_and_takes_it_to_its_goal_once_it_holds():
+    """From above, open on the way; a push keeps its command."""
+    grasp = made([0.0, 0.0, -1.0], dimension=3, grasps=True, commands=1)
+    body, begin = np.zeros(3), np.array([[0.3, 0.1, 0.0], [0.0, 0.0, 0.0]])
+    path = walk(grasp, begin[0], body, 60)
+    lateral = np.linalg.norm(path[:, :2], axis=1)
+    low = np.linalg.norm(path, axis=1) < 1.1 * REACH
+    assert low.any()
+    assert np.all(lateral[low] < 0.35 * REACH)  # it does not come from the side
+    np.testing.assert_allclose(path[-1], body, atol=0.01)
+
+    def wanted(hand, held):
+        now = jnp.asarray(np.stack([hand, body]))
+        return grasp.wanted(now, held, begin, REACH, DT)
+
+    assert wanted(path[0], False)[1] == 1.0
+    assert wanted(path[-1], False)[1] == -1.0
+    velocity, command = wanted(path[-1], True)
+    assert command == -1.0
+    np.testing.assert_allclose(velocity, np.full(3, 1.0 / np.sqrt(3.0)), rtol=1e-3)
+    push = made([1.0, 0.0, 0.0], dimension=3, commands=1)
+    assert push.wanted(jnp.asarray(begin), False, begin, REACH, DT)[1] == -1.0
 
 
 def test_what_it_cannot_search_with_is_refused():

@@ -61,6 +61,8 @@ ADAPTED_TASKS = {
         fetch.pick_fixed_start,
         fetch.pick_fixed_start,
         fetch.pick_explorer,
+        horizon=30,
+        starts=64,
         max_force=None,
         summary="an arm grasps a block, lifts it and takes it to a goal in the air (MuJoCo)",
         title="A contact graph that grasps with fingers",

@@ -1,4 +1,4 @@
-"""Approaches: an actuated body goes round another and pushes it, as a policy of a few numbers."""
+"""Approaches: an actuated body goes to another to push or grasp it, as a policy of few numbers."""
 
 import dataclasses
 
@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 _STAND_OFF, _ROUND = 1.5, 1.9
 """Contact distances from the body: where a push begins, and on the way round."""
@@ -18,13 +18,20 @@ _BEHIND = 0.87
 """Cosine of the angle to the line of the push within which it goes straight behind the body."""
 _BESIDE = 0.5
 """Contact distances beside the line of a push at which the push has slid off."""
+_ALIGNED, _GRASPED = 0.3, 0.3
+"""Contact distances beside the line of a grasp within which the hand goes on to the body, and from
+the body within which it closes."""
 _GAIN = 0.25
 """Part of a distance that is to be covered in a step."""
 _TINY = 1e-9
 
 
 class Approach(eqx.Module):
-    """One approach, or a batch of ``S``: from where, how far beside, how fast, how far."""
+    """One approach, or a batch of ``S``: from where, how far beside, how fast, how far.
+
+    A grasp goes on to the middle of the body, gives the command there, and takes the body to its
+    goal once it holds it.
+    """
 
     hand: Int[Array, "*S"]
     """The actuated node that pushes."""
@@ -40,26 +47,37 @@ class Approach(eqx.Module):
     travel: Float[Array, "*S"]
     """m by which the body is pushed; 0: the hand stays."""
     approach_speed: Float[Array, "*S"]
-    """m/s on the way behind the body, at most."""
+    """m/s on the way behind the body, and with a body held, at most."""
+    goal: Float[Array, "*S D"]
+    """m; of the body."""
+    grasps: Bool[Array, "*S"]
+    command: Float[Array, "*S 2 C"]
+    """What components of the control that move nothing are while a body is not grasped, and when
+    it is; a push has the second throughout."""
 
     def at(self, index: Int[Array, " S"]) -> "Approach":
         """Some of a batch."""
         return jax.tree.map(lambda leaf: leaf[index], self)
 
-    def velocity(
+    def wanted(
         self,
         position: Float[Array, "N D"],
+        held: Bool[Array, ""],
         begin: Float[Array, "N D"],
         contact_distance: Float[Array, ""],
         dt: float,
-    ) -> Float[Array, " D"]:
-        """The wanted velocity [m/s] of the hand in a step; ``begin``: where the plan started."""
+    ) -> tuple[Float[Array, " D"], Float[Array, " C"]]:
+        """The wanted velocity [m/s] of the hand in a step, and the command.
+
+        ``held``: whether the hand holds the body; ``begin``: where the plan started.
+        """
         along = _unit(self.direction)
         aside = contact_distance * (self.aside - _dot(self.aside, along) * along)
         at = position[self.body]
         offset = position[self.hand] - at
-        missing = self.travel - _dot(at - begin[self.body], along)
         back = -_dot(offset, along)
+        pushed = _dot(at - begin[self.body], along)
+        missing = jnp.where(self.grasps, jnp.maximum(back, 0.0), self.travel - pushed)
         beside = offset + back * along - aside
         speed = jnp.clip(_GAIN * missing / dt, 0.0, self.speed)
         pushing = speed * along - _GAIN * beside / dt
@@ -75,9 +93,15 @@ class Approach(eqx.Module):
         wait = aside - _STAND_OFF * contact_distance * along
         aim = jnp.where(behind, wait, _ROUND * contact_distance * turned)
         going = 2.0 * _GAIN * (aim - offset) / dt
-        going = going * jnp.minimum(1.0, self.approach_speed / _length(going))
-        ready = (back > 0.0) & (_length(beside) < _BESIDE * contact_distance)
-        return jnp.where(missing > 0.0, jnp.where(ready, pushing, going), 0.0)
+        going = _slower(going, self.approach_speed)
+        inside = self.grasps & (_length(offset) < _GRASPED * contact_distance)
+        near_line = jnp.where(self.grasps, _ALIGNED, _BESIDE) * contact_distance
+        ready = (back > 0.0) & (_length(beside) < near_line) | inside
+        carries = self.grasps & held
+        velocity = jnp.where(self.grasps | (missing > 0.0), jnp.where(ready, pushing, going), 0.0)
+        carrying = _slower(_GAIN * (self.goal - at) / dt, self.approach_speed)
+        command = self.command[jnp.where(self.grasps & ~held & ~inside, 0, 1)]
+        return jnp.where(carries, carrying, velocity), command
 
 
 class Draws(eqx.Module):
@@ -88,52 +112,66 @@ class Draws(eqx.Module):
     speed: Float[np.ndarray, " S"]
     travel: Float[np.ndarray, " S"]
     approach_speed: Float[np.ndarray, " S"]
+    command: Float[np.ndarray, "S 1+C"]
+    """Of whether it grasps, and of each command."""
 
     @classmethod
-    def of(cls, rng: np.random.Generator, count: int, dimension: int) -> "Draws":
+    def of(cls, rng: np.random.Generator, count: int, dimension: int, commands: int) -> "Draws":
         """``count`` new ones."""
         vectors = rng.standard_normal((2, count, dimension))
-        return cls(*vectors, *rng.standard_normal((3, count)))
+        numbers = rng.standard_normal((3, count))
+        chosen = rng.standard_normal((count, 1 + commands))
+        return cls(vectors[0], vectors[1], numbers[0], numbers[1], numbers[2], chosen)
 
 
 def spread_approaches(
     draws: Draws,
     hand: Int[Array, " S"],
     body: Int[Array, " S"],
-    missing: Float[Array, "S D"],
+    position: Float[Array, "S D"],
+    goal: Float[Array, "S D"],
     top_speed: float,
     up: Float[Array, " D"],
+    commands: tuple[Float[Array, " C"], Float[Array, " C"]],
 ) -> Approach:
     """Approaches of all sides, every second one near the line to the goal; the first one stays.
 
     Speeds are spread evenly by their logarithm, from a twelfth of ``top_speed`` [m/s] on; on the
-    way from a third on.
+    way from a third on. With commands and a direction ``up`` about half are grasps, from above.
 
-    ``missing``: [m] from each body to its goal; ``up``: a unit vector along which none pushes, or
-    zeros.
+    ``position`` and ``goal``: [m] of each body; ``up``: a unit vector along which none pushes, or
+    zeros; ``commands``: least and greatest value of each.
     """
+    missing = goal - position
     distance = _length(missing)
+    grasps = (draws.command[:, 0] > 0.0) & (np.arange(len(hand)) > 0)
+    grasps = grasps & jnp.any(up != 0.0) & (draws.command.shape[1] > 1)
+    high = jnp.where(draws.command[:, 1:] > 0.0, commands[1], commands[0])
     wide = jnp.where(jnp.arange(len(hand)) % 2 == 0, 1.0, 0.25)[:, None]
     direction = missing / distance[:, None] + wide * draws.direction
     travel = distance * jnp.exp(0.3 * draws.travel)
     return Approach(
         hand=hand,
         body=body,
-        direction=_unit(_level(direction, up)),
-        aside=0.3 * jnp.asarray(draws.aside),
+        direction=jnp.where(grasps[:, None], -up, _unit(_level(direction, up))),
+        aside=jnp.where(grasps[:, None], 0.0, 0.3 * draws.aside),
         speed=top_speed * jnp.exp(-2.5 * jax.scipy.stats.norm.cdf(draws.speed)),
         travel=travel.at[0].set(0.0),
         approach_speed=top_speed * jnp.exp(-jax.scipy.stats.norm.cdf(draws.approach_speed)),
+        goal=goal,
+        grasps=grasps,
+        command=jnp.stack([commands[0] + commands[1] - high, high], axis=1),
     )
 
 
 def varied_approaches(draws: Draws, approaches: Approach, up: Float[Array, " D"]) -> Approach:
     """As many approaches near the given ones, of which there are fewer, as there are draws."""
     of = approaches.at(jnp.arange(len(draws.speed)) % len(approaches.speed))
+    turns = ~of.grasps[:, None]
     return dataclasses.replace(
         of,
-        direction=of.direction + _level(0.15 * jnp.asarray(draws.direction), up),
-        aside=of.aside + 0.1 * draws.aside,
+        direction=of.direction + turns * _level(0.15 * jnp.asarray(draws.direction), up),
+        aside=of.aside + 0.1 * turns * draws.aside,
         speed=of.speed * jnp.exp(0.2 * draws.speed),
         travel=of.travel * jnp.exp(0.15 * draws.travel),
         approach_speed=of.approach_speed * jnp.exp(0.2 * draws.approach_speed),
@@ -142,6 +180,10 @@ def varied_approaches(draws: Draws, approaches: Approach, up: Float[Array, " D"]
 
 def _level(vector: Float[Array, "S D"], up: Float[Array, " D"]) -> Float[Array, "S D"]:
     return vector - _dot(vector, up)[..., None] * up
+
+
+def _slower(velocity: Float[Array, "*S D"], most: Float[Array, "*S"]) -> Float[Array, "*S D"]:
+    return velocity * jnp.minimum(1.0, most / _length(velocity))[..., None]
 
 
 def _dot(one: Float[Array, "*S D"], other: Float[Array, "*S D"]) -> Float[Array, "*S"]:

@@ -59,6 +59,9 @@ class ILQR(eqx.Module):
     leaps: bool | Bool[Array, ""] = False
     """Whether the first trial is accepted whatever it costs: it may leave a local minimum, such as
     to hover before a touch that costs first and pays later."""
+    fixed: tuple[int, ...] = eqx.field(static=True, default=())
+    """Components of the control that stay as they are guessed: those whose effect A and B do not
+    tell, such as the command that closes a gripper."""
     swept_dt: float | None = eqx.field(static=True, default=None)
     """Length of the model's step, s: plans then hold the swept bounds of all trials."""
 
@@ -178,6 +181,9 @@ class ILQR(eqx.Module):
         self, reference: Rollout, part: QuadraticCost, damping: Float[Array, ""]
     ) -> Improvement:
         problem = problem_along(reference, part)
+        kept = jnp.zeros(part.R.shape[-1]).at[jnp.array(self.fixed, int)].set(1.0)
+        cheapest = -jnp.einsum("tij,tj->ti", problem.R, kept * reference.controls)
+        problem = dataclasses.replace(problem, r=cheapest)  # where it is
         return improve_policy(
             problem, reference.x[:-1], reference.controls, damping, self.limits, block_operator
         )

@@ -1,4 +1,4 @@
-"""iLQR from the best of many starts: going round a body in order to push it, staying, going on.
+"""iLQR from the best of many starts: going to a body to push or grasp it, staying, going on.
 
 iLQR alone follows the contacts that a rollout happens to make: where a body must be pushed from its
 far side, its A and B do not see the body at all. So the model rolls out approaches of the bodies
@@ -15,18 +15,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from contactgraph.control.approaches import Approach, Draws, spread_approaches, varied_approaches
-from contactgraph.control.box_qp import AffinePolicy, solve_small
+from contactgraph.control.box_qp import AffinePolicy, ControlLimits, solve_small
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.plan import Plan
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.graph import pair_indices
+from contactgraph.data.graph import edge_id, pair_indices
 from contactgraph.model import (
     ContactDynamics,
     InvariantFeatures,
     ModelState,
     Nodes,
     StepModel,
+    TransitionEdges,
     control_sensitivity,
     take_step,
 )
@@ -35,6 +36,12 @@ from contactgraph.model import (
 def searches(model: StepModel) -> bool:
     """Whether `SearchILQR` plans with this model."""
     return isinstance(model, ContactDynamics) and isinstance(model.features, InvariantFeatures)
+
+
+def _commands(model: StepModel) -> int:
+    """Number of the last components of the control, which move nothing, such as a gripper's."""
+    assert isinstance(model, ContactDynamics)
+    return model.inference.commands if isinstance(model.inference, TransitionEdges) else 0
 
 
 _ELITES = 8
@@ -87,10 +94,14 @@ class SearchILQR(ILQR):
         if guess is None:
             idle = self._idle(quadratic.control_size, quadratic.R.dtype)
             guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
+        moving = quadratic.control_size - _commands(model)
+        planner = dataclasses.replace(self, fixed=tuple(range(moving, quadratic.control_size)))
         found = self._best_start(_Scene.of(model, state, nodes, quadratic))
         begin = AffinePolicy(jnp.zeros_like(guess.K), found.astype(guess.k.dtype))
         both = jax.tree.map(lambda one, other: jnp.stack([one, other]), guess, begin)
-        plans = jax.vmap(lambda each: ILQR.solve(self, model, state, nodes, quadratic, each))(both)
+        plans = jax.vmap(lambda each: ILQR.solve(planner, model, state, nodes, quadratic, each))(
+            both
+        )
         chosen = jnp.argmin(jnp.where(jnp.isfinite(plans.cost), plans.cost, jnp.inf))
         plan = jax.tree.map(lambda leaf: leaf[chosen], plans)
         swept = None if plans.swept is None else plans.swept.united()
@@ -100,10 +111,15 @@ class SearchILQR(ILQR):
         """The controls of the cheapest approach."""
         rng = np.random.default_rng(0)
         dimension = scene.state.position.shape[1]
-        draws = [Draws.of(rng, self.starts, dimension) for _ in range(self.rounds)]
+        commands = scene.commands
+        draws = [Draws.of(rng, self.starts, dimension, commands) for _ in range(self.rounds)]
+        bounds = self.limits or ControlLimits(-jnp.ones(commands), jnp.ones(commands))
+        most = [each[len(each) - commands :] for each in (bounds.lower, bounds.upper)]
         tried = eqx.filter_jit(jax.vmap(lambda each: scene.follow(each, self)))
         up = scene.up
-        approaches = spread_approaches(draws[0], *scene.pushes(self.starts), up)
+        approaches = spread_approaches(
+            draws[0], *scene.pairs(self.starts), scene.speed, up, (most[0], most[1])
+        )
         controls, costs = tried(approaches)
         for again in draws[1:]:
             best = jnp.argsort(costs)[:_ELITES]
@@ -168,9 +184,14 @@ class _Scene(eqx.Module):
             return jnp.zeros(self.state.position.shape[1])
         return -gravity / jnp.maximum(jnp.sqrt(jnp.sum(gravity**2)), 1e-9)
 
-    def pushes(self, count: int) -> tuple[Array, Array, Array, float]:
-        """Actuated nodes [S], each with one that it may push, in turn; how far [m] that one is from
-        its goal, [S, D]; and the top speed."""
+    @property
+    def commands(self) -> int:
+        """Number of components of the control that move nothing."""
+        return _commands(self.model)
+
+    def pairs(self, count: int) -> tuple[Array, Array, Array, Array]:
+        """Actuated nodes [S], each with one that it may move, in turn; that one's position and goal
+        [S, D], m."""
         nodes, number = self.nodes, len(self.state.position)
         wanted = nodes.passive
         if self.cost.cost_node_ids is not None:
@@ -178,12 +199,11 @@ class _Scene(eqx.Module):
         first, second = pair_indices(number).T
         one, other = np.concatenate([[first, second], [second, first]], axis=1)
         candidate = jnp.concatenate([nodes.candidate, nodes.candidate])
-        may_push = candidate & nodes.actuated[one] & nodes.mask[one] & wanted[other]
-        pair = jnp.argsort(~may_push)[jnp.arange(count) % jnp.maximum(jnp.sum(may_push), 1)]
+        may_move = candidate & nodes.actuated[one] & nodes.mask[one] & wanted[other]
+        pair = jnp.argsort(~may_move)[jnp.arange(count) % jnp.maximum(jnp.sum(may_move), 1)]
         hand, body = jnp.asarray(one)[pair], jnp.asarray(other)[pair]
         goal = self.cost.goal.reshape(-1, number, 2, self.state.position.shape[1])[-1, :, 0]
-        missing = (goal - self.state.position)[body]
-        return hand, body, missing, self.speed
+        return hand, body, self.state.position[body], goal[body]
 
     def follow(
         self, approach: Approach, planner: ILQR
@@ -191,15 +211,20 @@ class _Scene(eqx.Module):
         """The controls of one approach, rolled out; and their cost, infinite where not finite."""
         hand, begin = approach.hand, self.state.position
         edge = jnp.stack([hand, approach.body])[:, None]
+        held = edge_id(jnp.min(edge), jnp.max(edge))
         distance = self.model.features.distances(self.nodes, edge, begin.dtype)
         distance = jnp.broadcast_to(jnp.asarray(distance), (1,))[0]
         inverse, A, offset = self.inverse[hand], self.A[hand], self.offset[hand]
 
         def step(carry: tuple[ModelState, Array], _: None) -> tuple[Any, tuple[Array, Array]]:
             state, sensitivity = carry
-            wanted = approach.velocity(state.position, begin, distance, self.model.dt)
+            holding = state.belief.over(None, len(self.nodes.candidate)).holding[held] > 0.5
+            wanted, command = approach.wanted(
+                state.position, holding, begin, distance, self.model.dt
+            )
             x = jnp.stack([state.position[hand], state.velocity[hand]], axis=-1)
             control = inverse @ (wanted - offset - jnp.sum(A * x, axis=-1))
+            control = control.at[len(control) - len(command) :].set(command)
             control = control if planner.limits is None else planner.limits(control)
             made = take_step(self.model, state, sensitivity, control, self.nodes)
             after = made[0]

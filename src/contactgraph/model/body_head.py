@@ -13,7 +13,7 @@ from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import lifted_fraction
 from contactgraph.model.contacts import ContactMotion, Contacts, FreeBodies
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.planes import plane_geometry
+from contactgraph.model.planes import on_planes, plane_geometry
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
 _PACE = 5.0
@@ -136,7 +136,9 @@ class BodyHead(eqx.Module):
             driven = nodes.actuated[:, None] * local.control_displacement / (theta * dt)
         contacts = self._contacts(local, message, driven + dt * falls, step)
         on_ground = jnp.ones(count)
-        if nodes.gravity is not None and nodes.planes is None:
+        if nodes.gravity is not None and nodes.planes is not None:
+            on_ground = on_planes(contacts.geometry, nodes)
+        elif nodes.gravity is not None:
             # Bodies rest on a ground that is not described until an actuated one lifts them.
             holding = contacts.coupling * (1.0 - contacts.touching)
             lifted = lifted_fraction(local.actuated, holding, local.geometry, local.group_capacity)
@@ -189,11 +191,10 @@ class BodyHead(eqx.Module):
         damper = jnp.clip(damper, 0.0, _MOST_DAMPED - theta * spring)
         # Dampers and springs slow the other forces too, but the solution includes the slowing.
         undamped = (1.0 / (1.0 - theta * damper - theta**2 * spring))[:, None]
-        every = jnp.ones_like(change)
         return SpringMassDamper(
             response=(response @ by_control) * undamped[..., None],
-            stiffness_rate=undamped * spring[:, None] / dt**2 * every,
-            damping_rate=undamped * damper[:, None] / dt * every,
+            stiffness_rate=jnp.broadcast_to(undamped * spring[:, None] / dt**2, change.shape),
+            damping_rate=jnp.broadcast_to(undamped * damper[:, None] / dt, change.shape),
             equilibrium=local.position + theta * dt * local.velocity,
             equilibrium_velocity=local.velocity + change / (damper + _SMALL)[:, None],
             impact_displacement=solution.impact_displacement,

@@ -50,3 +50,11 @@ def plane_geometry(
         contact_jacobian=jnp.stack([jacobian, jnp.zeros_like(jacobian)]),
         contact_distance=distance[node],
     )
+
+
+def on_planes(geometry: Geometry, nodes: Nodes) -> Float[Array, " N"]:
+    """1 for nodes that meet some plane in a step, else 0, where planes are the last contacts."""
+    assert nodes.planes is not None
+    count = len(nodes.mask)
+    meets = geometry.contact_jacobian[0, -count * len(nodes.planes) :, 0, 0]
+    return jnp.max(meets.reshape(count, -1), axis=1)
