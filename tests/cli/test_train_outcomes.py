@@ -50,7 +50,7 @@ def test_errors_stand_beside_their_baselines(
         f"training: 3 of 3 held-out error 37.500 cm (best 12.500), {baselines}",
     ]
     assert "warning" not in captured.err
-    said = captured.out.splitlines()
+    said = captured.out.splitlines()[-2:]
     assert said[0].endswith(
         f"model.safetensors: held-out error 12.500 cm, {baselines} over 8 steps; all steps done"
     )
@@ -64,7 +64,7 @@ def test_errors_stand_beside_their_baselines(
         (["--model", "gim-temp"], "gim-temp", "RecurrentEdges", 2000),
     ],
 )
-def test_the_default_model_is_the_filter_and_steps_depend_on_the_model(
+def test_the_default_model_for_forces_is_the_filter_and_steps_depend_on_the_model(
     recorded: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from contactgraph.cli.recipe import AUTO, recipe
+
 if TYPE_CHECKING:
     from contactgraph.model import ContactSensor
     from contactgraph.train import HeldOutBaselines
@@ -25,10 +27,11 @@ class Train:
         str,
         arg(
             metavar="NAME",
-            help="filter, bodies, gim-temp, gim-non-temp, no-gim, full-ab, paper-literal, "
+            help="auto (bodies where there are servos, planes, static or several actuated bodies, "
+            "else filter), filter, bodies, gim-temp, gim-non-temp, no-gim, full-ab, paper-literal, "
             "paper-literal-no-gim, or module:factory.",
         ),
-    ] = "filter"
+    ] = AUTO
     edge_types: Annotated[
         int | None, arg(metavar="K", help_behavior_hint="(default: 3; for filter and bodies)")
     ] = None
@@ -86,7 +89,6 @@ class Train:
             check_edge_types,
             contact_distance_text,
             held_out_text,
-            model_preset,
             sensor_text,
         )
         from contactgraph.cli.options import (
@@ -105,7 +107,6 @@ class Train:
             subsample,
             velocity_warning,
         )
-        from contactgraph.model import ModelConfig
         from contactgraph.model.filter import check_controls
         from contactgraph.model.io import save_model
         from contactgraph.train import (
@@ -115,9 +116,7 @@ class Train:
             LossTerms,
             RunFolder,
             TrainConfig,
-            body_defaults,
             check_contacts,
-            defaults_from_data,
             estimate_sensor,
             fit,
             initial_state,
@@ -131,8 +130,8 @@ class Train:
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
         if options.steps is None:
             # Multiples of `check_every`: a shorter last round would be a second program to compile.
-            options = replace(options, steps=750 if options.model in FILTERS else 2000)
-        build = model_preset(options.model)
+            quick = options.model in (AUTO, *FILTERS)
+            options = replace(options, steps=750 if quick else 2000)
         check_edge_types(options.model, options.edge_types)
         check_weight("--prior-weight", options.prior_weight)
         config = TrainConfig(
@@ -141,39 +140,25 @@ class Train:
             weights=LossTerms(prior=options.prior_weight),
         )
         check_range("--every", options.every, 1, 100_000)
-        dataset = subsample(read_trajectories(self.data), options.every)
-        defaults = defaults_from_data(dataset)
-        if options.rollout_from is None:
-            config = replace(config, rollout_from=defaults.rollout_from)
+        recorded = subsample(read_trajectories(self.data), options.every)
+        names = ("seed", "contact_distance", "edge_types", "rollout_from")
+        told = {name: getattr(options, name) for name in names}
+        chosen = recipe(recorded, options.model, **told)
+        options, dataset = replace(options, model=chosen.name), chosen.dataset
+        config = replace(config, rollout_from=chosen.rollout_from)
         checksum = sha256(self.data)
         train, held_out = split_by_trajectory(dataset, options.held_out, options.seed)
         for part in (train, held_out):  # checked before a folder is created
             check_window_length(config.window_length, max(each.steps for each in part))
         devices = jax.local_devices()[: device_count(self.devices, options.batch_size)]
-        names = "contact_distance", "learned_contact_distance"
-        found: dict[str, Any] = {name: getattr(defaults, name) for name in names}
-        if options.model == "bodies":
-            found = {**vars(body_defaults(dataset))}
-        if distance is not None:
-            found |= {names[0]: distance, names[1]: not found.get("averaged", False)}
-        model_config = ModelConfig(
-            dataset.dimension,
-            dataset.control_size,
-            dataset.dt,
-            hinges=defaults.hinges,
-            weight=defaults.weight,
-            control_gain=defaults.control_gain,
-            edge_types=3 if options.edge_types is None else options.edge_types,
-            **found,
-        )
-        model = build(model_config, key=jax.random.key(options.seed))
+        model = chosen.model()
         for each in dataset:
             check_controls(model, each.scene, each.control_size, str(self.data))
         estimates = choice("--sensor", options.sensor, {"exact": False, "estimate": True})
         for flag, used in (("--use-contacts", options.use_contacts), ("--sensor", estimates)):
             if used:
                 check_contacts(model, dataset, f"{flag}: {self.data}")
-        made_by = (options.model, model_config) if ":" in options.model else None
+        made_by = (options.model, chosen.config) if ":" in options.model else None
         state = initial_state(model, config, options.seed)
         spent = 0.0
         if self.resume:
@@ -213,10 +198,11 @@ class Train:
             }
             if baselines is not None:
                 result |= {f"held_out_{name}": value for name, value in asdict(baselines).items()}
-            best = replace(state.best_model, sensor=sensor)
+            best = replace(chosen.in_data_units(state.best_model), sensor=sensor)
             save_model(folder.model_path, best, {**summary, **result}, made_by)
 
-        warning = velocity_warning(dataset)
+        print("\n".join(["chosen by data and options:", *chosen.lines()]), flush=True)
+        warning = velocity_warning(recorded)
         if warning is not None:
             _warn(f"{self.data}: {warning}")
         with progress("training", config.steps) as bar:
@@ -250,7 +236,7 @@ class Train:
         )
         print(
             f"trained for {seconds:.0f} s, compilation included; contact distance "
-            f"{contact_distance_text(result.model)}"
+            f"{contact_distance_text(chosen.in_data_units(result.model))}"
             + ("" if sensor is None else f"; contact sensor: {sensor_text(sensor)}")
         )
         if not result.baselines.moving:

@@ -112,15 +112,14 @@ class Draws(eqx.Module):
     speed: Float[np.ndarray, " S"]
     travel: Float[np.ndarray, " S"]
     approach_speed: Float[np.ndarray, " S"]
-    command: Float[np.ndarray, "S 1+C"]
-    """Of whether it grasps, and of each command."""
+    command: Float[np.ndarray, "S C"]
 
     @classmethod
     def of(cls, rng: np.random.Generator, count: int, dimension: int, commands: int) -> "Draws":
         """``count`` new ones."""
         vectors = rng.standard_normal((2, count, dimension))
         numbers = rng.standard_normal((3, count))
-        chosen = rng.standard_normal((count, 1 + commands))
+        chosen = rng.standard_normal((count, commands))
         return cls(vectors[0], vectors[1], numbers[0], numbers[1], numbers[2], chosen)
 
 
@@ -137,16 +136,16 @@ def spread_approaches(
     """Approaches of all sides, every second one near the line to the goal; the first one stays.
 
     Speeds are spread evenly by their logarithm, from a twelfth of ``top_speed`` [m/s] on; on the
-    way from a third on. With commands and a direction ``up`` about half are grasps, from above.
+    way from a third on. With commands and a direction ``up`` all others are grasps, from above:
+    pushing with fingers is seldom seen in what a model learned from.
 
     ``position`` and ``goal``: [m] of each body; ``up``: a unit vector along which none pushes, or
     zeros; ``commands``: least and greatest value of each.
     """
     missing = goal - position
     distance = _length(missing)
-    grasps = (draws.command[:, 0] > 0.0) & (np.arange(len(hand)) > 0)
-    grasps = grasps & jnp.any(up != 0.0) & (draws.command.shape[1] > 1)
-    high = jnp.where(draws.command[:, 1:] > 0.0, commands[1], commands[0])
+    grasps = (jnp.arange(len(hand)) > 0) & jnp.any(up != 0.0) & (draws.command.shape[1] > 0)
+    high = jnp.where(draws.command > 0.0, commands[1], commands[0])
     wide = jnp.where(jnp.arange(len(hand)) % 2 == 0, 1.0, 0.25)[:, None]
     direction = missing / distance[:, None] + wide * draws.direction
     travel = distance * jnp.exp(0.3 * draws.travel)

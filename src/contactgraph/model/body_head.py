@@ -22,7 +22,7 @@ effect, and so learns faster than a network's weights by this factor."""
 _MAX_COUPLING = 1.0 - 1e-3
 """Coupling of a damper that is a thousand times as stiff as a mass of 1 in a step."""
 _IMPACT_SPEED = 0.1
-"""Change of velocity, m/s, from about which a step counts as an impact."""
+"""Change of velocity, in units of speed, from about which a step counts as an impact."""
 _MOST_DAMPED = 0.99
 """Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""
 _LEAST_COUPLING = 0.5
@@ -30,7 +30,7 @@ _LEAST_COUPLING = 0.5
 _PLANE_LEARNED = 0.1
 """Learned part of the distance from planes, as a share of what the data tell."""
 _DECELERATION = 10.0
-"""m/s^2; unit of decelerations by the ground."""
+"""Unit of decelerations by the ground, in units of speed a second."""
 _EARLY, _ONE_SIDED = 0.01, 2e-4
 """Approach in a step, in units of `BodyHead.length`: of bodies that are about to touch, and from
 which a touch acts."""
@@ -58,7 +58,7 @@ class BodyHead(eqx.Module):
     damper_raw: Float[Array, " types"]
     """Of the damper to the ground, 1/s: softplus(`_PACE` x - 6)."""
     deceleration_raw: Float[Array, " types"]
-    """Of the deceleration by the ground, 10 m/s^2: softplus(`_PACE` x - 6)."""
+    """Of the deceleration by the ground, in units of `_DECELERATION`: softplus(`_PACE` x - 6)."""
     bounce_raw: Float[Array, " types+1"]
     """A touch bounces with sigmoid(`_PACE` (x_i + x_j) - 3). The last is that of planes."""
     friction_raw: Float[Array, " types+1"]
@@ -74,6 +74,7 @@ class BodyHead(eqx.Module):
     slots: int = eqx.field(static=True)
     averaged: bool = eqx.field(static=True)
     length: float = eqx.field(static=True)
+    speed: float = eqx.field(static=True)
 
     def __init__(
         self,
@@ -84,10 +85,11 @@ class BodyHead(eqx.Module):
         actuation: Actuation,
         slots: int = 1,
         averaged: bool = False,
+        speed: float = 1.0,
         key: PRNGKeyArray,
     ):
         """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``averaged``:
-        whether velocities are means over a step, as backward differences are."""
+        whether velocities are means over a step; ``speed``: unit of speeds, m/s."""
         # Products have no weak type, with which the first training update would recompile.
         self.log_mass = 0.0 * jnp.ones(node_types)
         self.damper_raw, self.deceleration_raw = self.log_mass, self.log_mass
@@ -97,7 +99,7 @@ class BodyHead(eqx.Module):
         self.edge = eqx.nn.MLP(width, 3, width, 1, key=key)
         self.actuation = actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
-        self.averaged = averaged
+        self.averaged, self.speed = averaged, speed
 
     def drive(
         self,
@@ -127,23 +129,25 @@ class BodyHead(eqx.Module):
         mass = jnp.exp(_PACE * node_type @ self.log_mass) * motion.inertia
         slots = actuated_slots(nodes, self.slots)
         driving = jnp.einsum("n,ns,de->ndse", mass, slots, jnp.eye(dimension))
-        falls = jnp.zeros_like(velocity)
-        if nodes.gravity is not None and nodes.planes is not None:
-            falls = nodes.passive[:, None] * nodes.gravity
         # What the control does in the step, as far as it is known, and until contacts hinder it.
-        driven = jnp.zeros_like(velocity)
+        displaced = jnp.zeros_like(velocity)
         if local.control_displacement is not None:
-            driven = nodes.actuated[:, None] * local.control_displacement / (theta * dt)
-        contacts = self._contacts(local, message, driven + dt * falls, step)
-        on_ground = jnp.ones(count)
-        if nodes.gravity is not None and nodes.planes is not None:
-            on_ground = on_planes(contacts.geometry, nodes)
-        elif nodes.gravity is not None:
-            # Bodies rest on a ground that is not described until an actuated one lifts them.
-            holding = contacts.coupling * (1.0 - contacts.touching)
-            lifted = lifted_fraction(local.actuated, holding, local.geometry, local.group_capacity)
-            on_ground = 1.0 - lifted
-            falls = (lifted * (1.0 - local.actuated))[:, None] * nodes.gravity
+            displaced = local.control_displacement / (theta * dt)
+        driven = nodes.actuated[:, None] * displaced
+        contacts = self._contacts(local, message, step)
+        lifted, falling, capacity = local.actuated, jnp.zeros(count), local.group_capacity
+        if nodes.gravity is not None:
+            lifted = lifted_fraction(lifted, contacts.holding, local.geometry, capacity)
+            # On a ground that is not described, bodies rest until an actuated one lifts them.
+            falling = lifted * (1.0 - local.actuated) if nodes.planes is None else nodes.passive
+        on_ground = jnp.ones(count) if nodes.gravity is None else 1.0 - lifted
+        falls = falling[:, None] * (0.0 if nodes.gravity is None else nodes.gravity)
+        falls = jnp.broadcast_to(falls, velocity.shape)
+        if nodes.planes is not None:
+            # What is held goes with the hand, and falls on no plane.
+            meeting = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
+            contacts = contacts.and_also(self._plane_contacts(local, meeting, step))
+            on_ground = on_ground if nodes.gravity is None else on_planes(contacts.geometry, nodes)
         damper, slowing = (
             on_ground * jax.nn.softplus(_PACE * node_type @ raw - 6.0)
             for raw in (self.damper_raw, self.deceleration_raw)
@@ -152,10 +156,11 @@ class BodyHead(eqx.Module):
             mass=mass,
             velocity=velocity,
             ground_damper=dt * mass * damper,
-            deceleration=_DECELERATION * slowing,
+            deceleration=_DECELERATION * self.speed * slowing,
             weight=(mass[:, None] * falls)[..., None],
             driving=driving.reshape(count, dimension, -1),
             push=(mass[:, None] * (driven + dt * falls))[..., None],
+            speed=self.speed,
         )
         solution = contacts.solve(bodies, dt, local.group_capacity)
         parameters = self._parameters(local, motion, slots, solution, step)
@@ -172,8 +177,7 @@ class BodyHead(eqx.Module):
         step: Step,
     ) -> SpringMassDamper:
         """The solution as a spring-mass-damper of every node, which `ThetaMethod` steps to it."""
-        theta, dt = step.theta, step.dt
-        count, dimension = local.position.shape
+        theta, dt, (count, dimension) = step.theta, step.dt, local.position.shape
         change, response = solution.velocity_change, solution.response
         by_control = jnp.einsum("ns,ndu->sdu", slots, motion.by_control)
         by_control = by_control.reshape(self.slots * dimension, by_control.shape[-1])
@@ -185,7 +189,7 @@ class BodyHead(eqx.Module):
         share = response.reshape(count, dimension, self.slots, dimension)
         share = jnp.einsum("ndsd->ns", share) / dimension
         spring = dt**2 * share @ (slots.T @ motion.stiffness)
-        size = jnp.sqrt(jnp.sum(change**2, axis=-1) + _SMALL**2)
+        size = jnp.sqrt(jnp.sum((change / self.speed) ** 2, axis=-1) + _SMALL**2)
         impact = (1.0 - solution.own_share) * size / (size + _IMPACT_SPEED)
         damper = solution.ground_share + impact + dt * share @ (slots.T @ motion.damping)
         damper = jnp.clip(damper, 0.0, _MOST_DAMPED - theta * spring)
@@ -206,10 +210,9 @@ class BodyHead(eqx.Module):
         self,
         local: LocalInput,
         message: Float[Array, "active 2 E W"],
-        driven: Float[Array, "N D"],
         step: Step,
     ) -> Contacts:
-        """Edges, then planes; ``driven`` [m/s] is the velocity that control and weight give."""
+        """Contacts of the edges."""
         # The sum over directions does not depend on which node is the first.
         out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
         geometry, weight = local.geometry, local.weight.T
@@ -222,8 +225,7 @@ class BodyHead(eqx.Module):
                 jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
             )
             touch = weight[0]
-        # Only a soft bond has a spring. The residue of one would push bodies that touch, and pull
-        # at a rigid bond, which keeps the distance that it has.
+        # Only a soft bond has a spring: its residue would push bodies that touch or are held.
         pushing = weight.at[:2].set(0.0)
         start = coupling_starts(len(weight))
         each = jax.nn.sigmoid(out[..., 0] + start[:, None])
@@ -236,7 +238,7 @@ class BodyHead(eqx.Module):
         # A contact that bounces is over in an instant.
         normal = geometry.normal + bounce[:, None] * (geometry.impact_normal - geometry.normal)
         normal = normal / jnp.sqrt(jnp.sum(normal**2, axis=-1, keepdims=True))
-        contacts = Contacts(
+        return Contacts(
             geometry=dataclasses.replace(geometry, normal=normal),
             damper=_damper(coupling),
             spring=jnp.sum(pushing * jax.nn.softplus(out[..., 1] - 6.0), axis=0),
@@ -248,14 +250,12 @@ class BodyHead(eqx.Module):
             bounce=bounce,
             friction=friction,
         )
-        if local.nodes.planes is None:
-            return contacts
-        return contacts.and_also(self._plane_contacts(local, driven, step))
 
     def _plane_contacts(
         self, local: LocalInput, driven: Float[Array, "N D"], step: Step
     ) -> Contacts:
-        """Touches of nodes with planes; they have no belief, since geometry tells them."""
+        """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
+        velocity if they do not touch."""
         # Bodies that rest do not tell how much farther a plane might be.
         part = 1.0 + _PLANE_LEARNED * jnp.tanh(_PACE * self.plane_raw)
         distance = local.node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)

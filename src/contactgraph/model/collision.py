@@ -11,7 +11,7 @@ from contactgraph.model.hinge import HingedBodies
 
 _MIN_SQUARE = 1e-12
 _RESTING_SPEED = 0.01
-"""Relative speed, m/s, well below which nothing counts as an approach."""
+"""Relative speed, in units of speed, well below which nothing counts as an approach."""
 
 _REFINEMENTS = 3
 """Iterations for the time of impact under a force."""
@@ -86,12 +86,14 @@ def geometry(
     control_displacement: Float[Array, "N D"] | None = None,
     anchor: Float[Array, "N D"] | None = None,
     static: Bool[Array, " N"] | None = None,
+    speed: float = 1.0,
 ) -> Geometry:
     """The geometry of the edges at one step of `dt` [s]; finite where nodes coincide.
 
     Bodies touch `contact_distance` [m] apart, centre to centre: all of them, or each edge's.
     `control_displacement` [m] is how far the step's control alone moves the nodes, where known.
     `anchor` [m] is where nodes are hinged, NaN where they are not; `static` nodes never move.
+    `speed` [m/s] is the unit of speeds.
     """
     displacement, jacobian, sliding = _meeting(position, edge_index, anchor)
     if static is not None:
@@ -128,7 +130,7 @@ def geometry(
     time, meets = jnp.where(pressed, 0.0, time), meets | pressed
     # Bodies that stay coupled have relative velocities of rounding size, and no impact.
     square = jnp.sum((drifted + driven) ** 2, axis=-1)
-    impact = meets * square / (square + (_RESTING_SPEED * dt) ** 2)
+    impact = meets * square / (square + (_RESTING_SPEED * speed * dt) ** 2)
     distance = _norm(displacement)
     time_of_contact = jnp.where(meets, time, 0.0)[:, None]
     touching = displacement + time_of_contact * path

@@ -125,7 +125,7 @@ class ContactDynamics(eqx.Module):
         # Without types there are no static bodies.
         static = nodes.static if self.features.types else None
         known = control_displacement, nodes.anchor, static
-        edge_geometry = geometry(*where, self.dt, touch, *known)
+        edge_geometry = geometry(*where, self.dt, touch, *known, speed=self.features.speed)
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)

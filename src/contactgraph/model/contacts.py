@@ -18,7 +18,7 @@ from contactgraph.model.block_inverse import (
 from contactgraph.model.collision import Geometry
 
 _SLOW = 1e-4
-"""Speed, m/s, of bodies that friction stops within a step."""
+"""Speed, in units of speed, of bodies that friction stops within a step."""
 _LEAST_INVERSE = 1e-6
 """1/kg; of a body that nothing moves."""
 
@@ -102,6 +102,11 @@ class Contacts(eqx.Module):
         """0 free to 1 rigid, for a mass of 1 kg."""
         return self.damper / (1.0 + self.damper)
 
+    @property
+    def holding(self) -> Float[Array, " C"]:
+        """`coupling` where bodies hold each other, 0 where they touch."""
+        return self.coupling * (1.0 - self.touching)
+
     def and_also(self, other: "Contacts") -> "Contacts":
         """These contacts, then the others."""
         whole = self.geometry.along(jnp.ones_like(self.damper))
@@ -144,15 +149,15 @@ class Contacts(eqx.Module):
         velocity, diagonal, mobility, damper = jax.lax.stop_gradient(
             (bodies.velocity + change, diagonal, mobility, self.damper)
         )
-        speed = _length(velocity)
+        speed, slow = _length(velocity), _SLOW * bodies.speed
         bound = bodies.mass * bodies.deceleration * dt
-        ground = bound / jnp.maximum(speed - bound * diagonal, _SLOW) + bodies.ground_damper
+        ground = bound / jnp.maximum(speed - bound * diagonal, slow) + bodies.ground_damper
         relative = relative_at_edges(velocity[..., None], self.geometry)[..., 0]
         approach = jnp.sum(self.geometry.normal * relative, axis=-1)
         across = _length(relative - approach[:, None] * self.geometry.normal)
         normal_impulse = (1.0 + self.bounce) * jnp.maximum(-damper * approach, 0.0)
         bound = self.friction * self.touching * normal_impulse
-        tangential = bound / jnp.maximum(across - bound * mobility, _SLOW)
+        tangential = bound / jnp.maximum(across - bound * mobility, slow)
         share = tangential / jnp.maximum(damper, _LEAST_INVERSE)
         return ground, jnp.sqrt(jnp.clip(share, _LEAST_INVERSE**2, 1.0))
 
@@ -174,6 +179,8 @@ class FreeBodies(eqx.Module):
     """kg: momentum for each m/s that the free actuated nodes get."""
     push: Float[Array, "N D 1"]
     """kg m/s: momentum that control and weight give in the step, as far as they are known."""
+    speed: float = eqx.field(static=True, default=1.0)
+    """Unit of speeds, m/s."""
 
 
 class ContactMotion(eqx.Module):

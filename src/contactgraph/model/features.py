@@ -130,6 +130,11 @@ class AbsoluteFeatures(eqx.Module):
     """Whether nodes may be hinged; the radius vector from the hinge is a feature then."""
 
     @property
+    def speed(self) -> float:
+        """Unit of speeds, m/s."""
+        return 1.0
+
+    @property
     def types(self) -> tuple[str, ...]:
         """Names of node types: none."""
         return ()

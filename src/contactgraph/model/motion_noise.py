@@ -264,6 +264,17 @@ class PredictionNoise(eqx.Module):
         return spread - _log_density(observed, predicted, variance_x, variance_v, tail)
 
 
+def in_lengths(noise: PredictionNoise, length: float, like: PredictionNoise) -> PredictionNoise:
+    """The noise learned with a unit of ``length`` data units, in these; ``like``: one of those."""
+    shift = jnp.log(length) / _PACE
+    return eqx.tree_at(
+        lambda each: (each.log_position, each.log_velocity, each.log_drift, each.log_share),
+        like,
+        (noise.log_position + shift, noise.log_velocity + shift, noise.log_drift, noise.log_share),
+        is_leaf=lambda leaf: leaf is None,
+    )
+
+
 def _log_density(
     observed: Motion,
     predicted: Motion,

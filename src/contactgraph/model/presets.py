@@ -81,6 +81,8 @@ class ModelConfig:
     distance."""
     averaged: bool = False
     """Whether velocities are means over the step before, such as backward differences."""
+    speed: float = 1.0
+    """Unit of speeds, m/s; for data in other units than metres, what 1 m/s is in them."""
     theta: float = 0.55
     """Start of the learned implicitness: see `ThetaMethod`."""
     edge_types: int = 3
@@ -171,6 +173,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     model, width = gim_temp(config, key=model_key), config.width or 32
     features = InvariantFeatures(
         config.contact_distance,
+        config.speed,
         hinges=config.hinges,
         learned=config.learned_contact_distance,
         types=config.node_types or ("object", "actuated"),
@@ -185,6 +188,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         actuation=Actuation.from_fits(features.types, config.dimension, driving, config.actuation),
         slots=config.actuated_nodes,
         averaged=config.averaged,
+        speed=config.speed,
         key=jax.random.fold_in(model_key, 1),
     )
     near = [config.plane_distance.get(name, 0.5 * head.length) for name in features.types]

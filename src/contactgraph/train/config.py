@@ -70,7 +70,8 @@ _BOUNDS = {
 }
 
 
-_CONTACT_DISTANCE = 0.085
+CONTACT_DISTANCE = 0.085
+"""m; where data do not tell, about the distance at which bodies touch."""
 _AVERAGED = 0.95
 """Share of a change of velocity that displaces in its step, from which velocities are means."""
 _NEAREST = 0.005
@@ -132,7 +133,7 @@ def defaults_from_data(dataset: Dataset) -> DataDefaults:
         raise InvalidInputError(f"{_KEY} must be positive metres, found {distance!r}")
     weight = any(each.scene.has_weight for each in dataset)
     return DataDefaults(
-        contact_distance=_CONTACT_DISTANCE if distance is None else float(distance),
+        contact_distance=CONTACT_DISTANCE if distance is None else float(distance),
         learned_contact_distance=distance is None,
         hinges=any(each.scene.has_hinges for each in dataset),
         weight=weight,
@@ -184,7 +185,7 @@ def _contact_distance(dataset: Dataset) -> float:
     Where that is hardly ever seen: how near bodies come to each other in some trajectories.
     """
     if any(each.scene.has_hinges for each in dataset):
-        return _CONTACT_DISTANCE  # is that from a bar's middle line
+        return CONTACT_DISTANCE  # is that from a bar's middle line
     begins: list[np.ndarray] = []
     nearest: list[float] = []
     for each in dataset:
@@ -203,7 +204,7 @@ def _contact_distance(dataset: Dataset) -> float:
     if len(found) < _LEAST_BEGINNINGS:
         found, share = np.array(nearest), 1.0 - _FARTHER
     distance = float(np.quantile(found, share)) if len(found) else 0.0
-    return distance if distance > 0.0 else _CONTACT_DISTANCE
+    return distance if distance > 0.0 else CONTACT_DISTANCE
 
 
 def _plane_distances(dataset: Dataset) -> dict[str, float]:

@@ -1,0 +1,144 @@
+"""Choices of a training that follow from its data: the model, its properties, and units."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from contactgraph.data import Dataset
+    from contactgraph.model import ContactDynamics, ModelConfig
+    from contactgraph.train.units import Units
+
+AUTO = "auto"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Choices for one training; an option of the command overrides each."""
+
+    name: str
+    """Of the model's preset."""
+    seed: int
+    dataset: "Dataset"
+    """In the units of training."""
+    config: "ModelConfig"
+    """In the units of training."""
+    in_data: "ModelConfig"
+    """In those of the data."""
+    rollout_from: float
+    units: "Units | None"
+    """None: those of the data."""
+    reason: str
+    """For the model."""
+
+    def model(self) -> "ContactDynamics":
+        """With fresh weights, in the units of training."""
+        return self._build(self.config)
+
+    def in_data_units(self, model: "ContactDynamics") -> "ContactDynamics":
+        """A trained model, for the data."""
+        from contactgraph.train.units import in_data_units
+
+        if self.units is None:
+            return model
+        return in_data_units(model, self._build(self.in_data), self.units)
+
+    def _build(self, config: "ModelConfig") -> "ContactDynamics":
+        import jax
+
+        from contactgraph.cli.models import model_preset
+
+        return model_preset(self.name)(config, key=jax.random.key(self.seed))
+
+    def lines(self) -> list[str]:
+        """What was chosen, and why, for people."""
+        config = self.in_data
+        learned = "learned from there" if config.learned_contact_distance else "kept"
+        rows = {
+            "model": f"{self.name}, {self.reason}",
+            "contact distance": f"{config.contact_distance:.4g}, {learned}",
+            "rollouts": f"in the loss from {100 * self.rollout_from:.0f} % of the steps on",
+        }
+        if self.units is not None:
+            planes = ", ".join(f"{name} {far:.3g}" for name, far in config.plane_distance.items())
+            rows |= {
+                "types": f"{', '.join(config.node_types)}; {config.actuated_nodes} actuated",
+                "actuation": "; ".join(f"{n}: {fit}" for n, fit in config.actuation.items())
+                or "none",
+                "planes": f"touched at {planes}" if planes else "none",
+                "velocities": "means over a step" if config.averaged else "at the end of a step",
+                "unit of length": f"{self.units.length:g} of the data's",
+            }
+        return [f"  {name:<17} {text}" for name, text in rows.items()]
+
+
+def recipe(
+    dataset: "Dataset",
+    model: str = AUTO,
+    *,
+    seed: int = 0,
+    contact_distance: float | None = None,
+    edge_types: int | None = None,
+    rollout_from: float | None = None,
+) -> Recipe:
+    """None: by the data. Raises `InvalidInputError` where data and options do not fit."""
+    from contactgraph.model import ModelConfig
+    from contactgraph.train import body_defaults, defaults_from_data
+    from contactgraph.train.config import CONTACT_DISTANCE
+    from contactgraph.train.units import in_units, units_of
+
+    defaults = defaults_from_data(dataset)
+    reason = "as told"
+    if model == AUTO:
+        found = _beyond_points(dataset)
+        reason = f"since there are {found}" if found else "since forces drive bodies of one kind"
+        model = "bodies" if found else "filter"
+    names = "contact_distance", "learned_contact_distance"
+    given: dict[str, Any] = {name: getattr(defaults, name) for name in names}
+    units, raw = None, dataset
+    if model == "bodies":
+        given = vars(body_defaults(dataset))
+        distance = contact_distance or given[names[0]]
+        units = units_of(dataset, distance, CONTACT_DISTANCE)
+        dataset = in_units(dataset, units)
+
+    def config(part: "Dataset", length: float) -> ModelConfig:
+        found = dict(given) if units is None else {**vars(body_defaults(part)), "speed": length}
+        if contact_distance is not None:
+            told = contact_distance * length / (units.length if units else 1.0)
+            found |= {names[0]: told, names[1]: not found.get("averaged", False)}
+        return ModelConfig(
+            part.dimension,
+            part.control_size,
+            part.dt,
+            hinges=defaults.hinges,
+            weight=defaults.weight,
+            control_gain=defaults.control_gain,
+            edge_types=3 if edge_types is None else edge_types,
+            **found,
+        )
+
+    return Recipe(
+        name=model,
+        seed=seed,
+        dataset=dataset,
+        config=config(dataset, 1.0),
+        in_data=config(raw, units.length if units else 1.0),
+        rollout_from=defaults.rollout_from if rollout_from is None else rollout_from,
+        units=units,
+        reason=reason,
+    )
+
+
+def _beyond_points(dataset: "Dataset") -> str:
+    """What the data have that `filter` does not know; empty: nothing."""
+    from contactgraph.data.actuation_fit import SERVO_KINDS
+
+    scenes = [each.scene for each in dataset]
+    kinds = {kind for each in scenes for kind in each.control_kind or ()}
+    has = {
+        "servos": bool(kinds & set(SERVO_KINDS)),
+        "planes": any(each.planes is not None and len(each.planes) for each in scenes),
+        "static bodies": any(each.static is not None and each.static.any() for each in scenes),
+        "several actuated bodies": any(each.actuated.sum() > 1 for each in scenes),
+    }
+    return " and ".join(name for name, found in has.items() if found)
