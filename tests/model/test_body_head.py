@@ -12,6 +12,7 @@ import pytest
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.model import (
+    ContactBelief,
     ContactDynamics,
     ModelConfig,
     ModelState,
@@ -85,6 +86,37 @@ def test_a_stiff_servo_pushes_and_static_bodies_stay_exactly() -> None:
     assert ball[3] > 0.15, "the hand pushes the ball"
     hand = np.asarray(found.position[:, 0, 0])
     assert np.all(hand < ball - 0.08) and hand[3] > 0.04, "the ball hardly hinders the hand"
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_body_that_is_held_is_lifted_off_its_plane_and_slowed_no_more(held: bool) -> None:
+    """The ground slows by 5 m/s^2 what rests on the plane; a hand above the ball rises."""
+    options = {"planes": np.array([[0.0, 1.0, 0.0]]), "gravity": np.array([0.0, -9.81])}
+    nodes = scene_nodes(scene(("hand", "ball"), **options))
+    rough = eqx.tree_at(
+        lambda each: each.local_dynamics.head.deceleration_raw, model(), jnp.ones(3)
+    )
+    state = jnp.array([[0.0, 0.13], [0.0, 0.05]]), jnp.zeros((2, 2))
+    types = jnp.eye(3)[jnp.array([2 if held else 0])]
+
+    @eqx.filter_jit
+    def step(position: jax.Array, velocity: jax.Array, target: jax.Array) -> tuple:
+        moved = jnp.zeros((2, 2))
+        for _ in range(2):  # how far the control moves what is held, first not known
+            graph = rough.encode(position, velocity, nodes, moved)
+            linear = rough.linearize(rough.cut_edges(graph, ContactBelief(types)))
+            free = rough.drive(position, velocity, target, nodes)
+            moved = jnp.sum(linear.control_sensitivity * free, axis=-1)
+        return linear(position, velocity, target)
+
+    for _ in range(10):
+        state = step(*state, jnp.array([0.4, 0.4]))
+    hand, ball = np.asarray(state[0])
+    if held:
+        np.testing.assert_allclose(ball - hand, [0.0, -0.08], atol=0.02)
+        assert ball[1] > 0.15
+    else:
+        np.testing.assert_allclose(ball, [0.0, 0.05], atol=1e-3)
 
 
 def test_each_arm_follows_its_own_components() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
 from contactgraph.model import ModelConfig, gim_temp
-from contactgraph.train import defaults_from_data
+from contactgraph.train import body_defaults, defaults_from_data
 
 
 def trajectories(*scenes: Scene) -> Dataset:
@@ -93,3 +93,10 @@ def test_a_distance_that_is_none_is_refused(wrong) -> None:
 def test_trajectories_must_not_contradict_each_other() -> None:
     with pytest.raises(InvalidInputError, match="the same in all trajectories"):
         defaults_from_data(trajectories(scene(contact_distance=0.02), scene(contact_distance=0.03)))
+
+
+def test_a_component_that_drives_nobody_is_refused_for_bodies() -> None:
+    given = followed("displacement")
+    nobody = replace(given.scene, control_of=np.array([[True, False], [False, False]]))
+    with pytest.raises(InvalidInputError, match="trajectory 0: component 1 of the control, which"):
+        body_defaults(Dataset((replace(given, scene=nobody),)))

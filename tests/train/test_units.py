@@ -22,7 +22,9 @@ def recorded(seed: int) -> Trajectory:
     rng = np.random.default_rng(seed)
     position = np.zeros((STEPS + 1, 2, 2))
     position[0] = [[0.0, 0.0], [0.2, 0.02]]
-    control = np.hstack([rng.uniform(-0.01, [0.03, 0.01], (STEPS, 2)), rng.uniform(-1.0, 1.0, (STEPS, 1))])
+    control = np.hstack(
+        [rng.uniform(-0.01, [0.03, 0.01], (STEPS, 2)), rng.uniform(-1.0, 1.0, (STEPS, 1))]
+    )
     for step in range(STEPS):
         hand = position[step, 0] + 0.7 * control[step, :2]
         block = position[step, 1]

@@ -143,9 +143,17 @@ def defaults_from_data(dataset: Dataset) -> DataDefaults:
 
 
 def body_defaults(dataset: Dataset) -> BodyDefaults:
-    """Raises `InvalidInputError` as `defaults_from_data`, or where commands precede what drives."""
+    """Raises `InvalidInputError` as `defaults_from_data`, where commands precede what drives, or
+    where what drives acts on no node."""
     common = defaults_from_data(dataset)
     drives = driving_components(dataset)
+    for index, each in enumerate(dataset):
+        acts = each.scene.control_of
+        if acts is not None and np.any(drives & ~acts.any(axis=0)):
+            raise InvalidInputError(
+                f"trajectory {index}: component {int(np.argmax(drives & ~acts.any(axis=0)))} of "
+                "the control, which drives, must act on a node (control_of)"
+            )
     if not drives[: drives.sum()].all():
         raise InvalidInputError(
             "components of the control that drive bodies must come before commands, found "
