@@ -88,14 +88,27 @@ def test_a_stiff_servo_pushes_and_static_bodies_stay_exactly() -> None:
     assert np.all(hand < ball - 0.08) and hand[3] > 0.04, "the ball hardly hinders the hand"
 
 
+TABLE = {"planes": np.array([[0.0, 1.0, 0.0]]), "gravity": np.array([0.0, -9.81])}
+
+
+def on_rough_ground() -> ContactDynamics:
+    """What touches the ground is slowed by 3 m/s^2."""
+    return eqx.tree_at(lambda each: each.local_dynamics.head.deceleration_raw, model(), jnp.ones(3))
+
+
+def test_the_ground_slows_what_touches_it_and_nothing_in_the_air() -> None:
+    nodes = scene_nodes(scene(("ball", "ball", "hand"), **TABLE))
+    position = jnp.array([[0.0, 0.05], [1.0, 1.0], [5.0, 0.0]])
+    velocity = jnp.array([[1.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
+    after = follow(on_rough_ground(), nodes, position, velocity, jnp.zeros((1, 2))).velocity[0]
+    np.testing.assert_allclose(after[1], [1.0, -9.81 * DT], rtol=1e-3)
+    np.testing.assert_allclose(after[0], [1.0 - 10.0 * np.log1p(np.exp(-1.0)) * DT, 0.0], atol=0.01)
+
+
 @pytest.mark.parametrize("held", [True, False])
-def test_a_body_that_is_held_is_lifted_off_its_plane_and_slowed_no_more(held: bool) -> None:
-    """The ground slows by 5 m/s^2 what rests on the plane; a hand above the ball rises."""
-    options = {"planes": np.array([[0.0, 1.0, 0.0]]), "gravity": np.array([0.0, -9.81])}
-    nodes = scene_nodes(scene(("hand", "ball"), **options))
-    rough = eqx.tree_at(
-        lambda each: each.local_dynamics.head.deceleration_raw, model(), jnp.ones(3)
-    )
+def test_a_body_that_is_held_is_lifted_off_its_plane(held: bool) -> None:
+    """A hand above a ball that rests on a plane rises."""
+    nodes, rough = scene_nodes(scene(("hand", "ball"), **TABLE)), on_rough_ground()
     state = jnp.array([[0.0, 0.13], [0.0, 0.05]]), jnp.zeros((2, 2))
     types = jnp.eye(3)[jnp.array([2 if held else 0])]
 
