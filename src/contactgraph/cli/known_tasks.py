@@ -14,6 +14,8 @@ from contactgraph.cli.task_types import (
     refuse_option,
 )
 from contactgraph.envs import (
+    BankShotPolicy,
+    BankShotTask,
     BilliardsExpert,
     BilliardsTask,
     DoorExpert,
@@ -51,6 +53,17 @@ def _billiards(options: TaskOptions) -> TaskFactory:
     refuse_option("billiards", "--distractors", distractors, "counts its discs by --objects")
     task = BilliardsTask if options.objects is None else partial(BilliardsTask, options.objects)
     return partial(task, passive=options.passive, fixed_seed=options.fixed_seed)
+
+
+def _bank_shot(options: TaskOptions) -> TaskFactory:
+    for flag, given in (
+        ("--grasp", options.grasp),
+        ("--objects", options.objects),
+        ("--distractors", options.distractors or None),
+        ("--goal fixed", options.fixed_seed),
+    ):
+        refuse_option("bank-shot", flag, given, "has one ball and takes no options")
+    return BankShotTask
 
 
 _PLANAR_TARGETS = TaskTargets(
@@ -113,6 +126,17 @@ TASKS = {
             TestCondition("as-trained", "as trained", True),
             TestCondition("6-objects", "6 objects", False, objects=6),
         ),
+    ),
+    "bank-shot": KnownTask(
+        _bank_shot,
+        BankShotPolicy,
+        partial(BankShotPolicy, noise=0.0),
+        partial(BankShotPolicy, noise=0.0),
+        StrikingPolicy,
+        horizon=60,
+        starts=128,
+        summary="a cue strikes a ball to a goal that it reaches off a wall",
+        title="A contact graph that plays off the wall",
     ),
     **HIDDEN_CONTACT_TASKS,
     **ADAPTED_TASKS,

@@ -1,6 +1,8 @@
 """Simulated tasks and the scripted experts that record them."""
 
 from contactgraph.envs.adapter import AdaptedTask as AdaptedTask
+from contactgraph.envs.bank_shot import BankShotPolicy as BankShotPolicy
+from contactgraph.envs.bank_shot import BankShotTask as BankShotTask
 from contactgraph.envs.billiards import BilliardsTask as BilliardsTask
 from contactgraph.envs.billiards_policies import BilliardsExpert as BilliardsExpert
 from contactgraph.envs.billiards_policies import StrikingPolicy as StrikingPolicy

@@ -83,7 +83,7 @@ def sample_layout(
         places, radii = [target], [DISCS["ball"][1]]
         for kind in ["cue", *types]:
             radius = DISCS[kind][1]
-            place = _free_place(rng, np.array(places), np.array(radii), radius, line, kind)
+            place = free_place(rng, np.array(places), np.array(radii), radius, line, kind)
             if place is None:
                 break
             places.append(place)
@@ -92,7 +92,7 @@ def sample_layout(
             return BilliardsLayout(places[1], target, goal, np.reshape(places[2:], (-1, 2)))
 
 
-def _free_place(
+def free_place(
     rng: np.random.Generator,
     places: np.ndarray,
     radii: np.ndarray,
@@ -132,6 +132,8 @@ class BilliardsTask(GripperTask):
     ``objects`` is not in 1 to 8, or ``restitution`` not in 0 to 1.
     """
 
+    name = "billiards"
+
     def __init__(
         self,
         objects: int = 3,
@@ -159,10 +161,14 @@ class BilliardsTask(GripperTask):
         self._fixed_seed = fixed_seed
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_OBJECTS))
 
+    def layout(self, rng: np.random.Generator) -> BilliardsLayout:
+        """Start and goal of an episode."""
+        return sample_layout(rng, self._objects, self._fixed)
+
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed; at rest, unless it is passive."""
         rng = np.random.default_rng(seed)
-        layout = sample_layout(rng, self._objects, self._fixed)
+        layout = self.layout(rng)
         position = np.vstack([layout.cue, layout.target, layout.others])[int(self._passive) :]
         count = len(position)
         velocity = np.zeros((count, 2))
@@ -202,7 +208,7 @@ class BilliardsTask(GripperTask):
             control_kind=() if self._passive else ("force", "force"),
             planes=np.hstack([np.vstack([np.eye(2), -np.eye(2)]), np.tile(-TABLE, 2)[:, None]]),
             metadata={
-                "task": "billiards",
+                "task": self.name,
                 "seed": seed,
                 "objects": self._objects,
                 "passive": self._passive,

@@ -69,13 +69,18 @@ class BilliardsExpert:
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[2]`` N."""
         position, velocity = observation["position"], observation["velocity"]
-        shot = observation["goal"] - position[self._target]
+        shot = self.aim(position, observation["goal"])
+        missing = observation["goal"] - position[self._target]
         resting = np.linalg.norm(velocity[self._target]) <= AT_REST
         wanted = np.zeros(2)
-        if resting and np.linalg.norm(shot) > NEAR_GOAL:
+        if resting and np.linalg.norm(missing) > NEAR_GOAL:
             wanted = self._velocity(position, velocity[CUE], self._feasible(position, shot))
         force = self._mass[CUE] * (wanted - velocity[CUE]) / TIME_CONSTANT
         return force + self._noise()
+
+    def aim(self, position: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """[2] m: the shot that leads the target to the goal."""
+        return np.asarray(goal - position[self._target])
 
     def _feasible(self, position: np.ndarray, shot: np.ndarray) -> np.ndarray:
         """[2] m: the shot, turned as little as gives the cue a free position behind the target."""

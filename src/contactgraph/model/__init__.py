@@ -1,5 +1,6 @@
 """The model: inference of active contact edges, and local dynamics given them."""
 
+from contactgraph.model.body_head import BodyHead as BodyHead
 from contactgraph.model.collision import ClosestApproachPrior as ClosestApproachPrior
 from contactgraph.model.collision import DistancePrior as DistancePrior
 from contactgraph.model.collision import NoCutoff as NoCutoff

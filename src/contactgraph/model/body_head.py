@@ -11,7 +11,7 @@ from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.actuation import ActuatedMotion, Actuation, actuated_slots
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import lifted_fraction
-from contactgraph.model.contacts import ContactMotion, Contacts, FreeBodies
+from contactgraph.model.contacts import MAX_COUPLING, ContactMotion, Contacts, FreeBodies, damper_of
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
 from contactgraph.model.planes import on_planes, plane_geometry
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
@@ -19,8 +19,6 @@ from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 _PACE = 5.0
 """Scale of the numbers of each type in their parameters: each is a single number with a large
 effect, and so learns faster than a network's weights by this factor."""
-_MAX_COUPLING = 1.0 - 1e-3
-"""Coupling of a damper that is a thousand times as stiff as a mass of 1 in a step."""
 _IMPACT_SPEED = 0.1
 """Change of velocity, in units of speed, from about which a step counts as an impact."""
 _MOST_DAMPED = 0.99
@@ -215,8 +213,7 @@ class BodyHead(eqx.Module):
         """Contacts of the edges."""
         # The sum over directions does not depend on which node is the first.
         out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
-        geometry, weight = local.geometry, local.weight.T
-        touch = jnp.zeros_like(weight[0])
+        geometry, weight, touch = local.geometry, local.weight.T, jnp.zeros_like(local.weight[:, 0])
         if len(weight) > 1:
             # Bodies that come nearer and do not meet in the step: a contact predicted too early.
             early = geometry.approach > _EARLY * self.length
@@ -240,7 +237,7 @@ class BodyHead(eqx.Module):
         normal = normal / jnp.sqrt(jnp.sum(normal**2, axis=-1, keepdims=True))
         return Contacts(
             geometry=dataclasses.replace(geometry, normal=normal),
-            damper=_damper(coupling),
+            damper=damper_of(coupling),
             spring=jnp.sum(pushing * jax.nn.softplus(out[..., 1] - 6.0), axis=0),
             rest_length=rest,
             touching=touching,
@@ -256,27 +253,34 @@ class BodyHead(eqx.Module):
     ) -> Contacts:
         """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
         velocity if they do not touch."""
-        # Bodies that rest do not tell how much farther a plane might be.
-        part = 1.0 + _PLANE_LEARNED * jnp.tanh(_PACE * self.plane_raw)
-        distance = local.node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
+        distance, bounce = self.plane_touch(local.node_type)
         motion = step.dt * (local.velocity + driven)
         geometry = plane_geometry(local.position, local.velocity, motion, distance, local.nodes)
-        node = geometry.edge_index[0]
-        elastic, friction = self._laws(local, node)
+        _, friction = self._laws(local, node := geometry.edge_index[0])
         meets = geometry.contact_jacobian[0, :, 0, 0]
         closing = meets * jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
         nothing = jnp.zeros_like(closing)
         return Contacts(
             geometry=geometry,
-            damper=_damper(closing),
+            damper=damper_of(closing),
             spring=nothing,
             rest_length=nothing,
             touching=nothing + 1.0,
             displacing_fraction=self._displacing(geometry, step),
             acting=1.0 - geometry.time_of_impact * self.averaged,
-            bounce=closing * elastic,
+            bounce=closing * bounce[node],
             friction=friction,
         )
+
+    def plane_touch(
+        self, node_type: Float[Array, "N types"]
+    ) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+        """The distance [m] at which each node touches planes, and its bounce off them."""
+        # Bodies that rest do not tell how much farther a plane might be.
+        part = 1.0 + _PLANE_LEARNED * jnp.tanh(_PACE * self.plane_raw)
+        distance = node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
+        bounce = _PACE * (node_type @ self.bounce_raw[:-1] + self.bounce_raw[-1])
+        return distance, MAX_COUPLING * jax.nn.sigmoid(bounce - 3.0)
 
     def _laws(
         self, local: LocalInput, one: Int[Array, " C"], other: Int[Array, " C"] | None = None
@@ -287,14 +291,10 @@ class BodyHead(eqx.Module):
             each = local.node_type @ raw[:-1]
             return _PACE * (each[one] + (raw[-1] if other is None else each[other]))
 
-        bounce = _MAX_COUPLING * jax.nn.sigmoid(both(self.bounce_raw) - 3.0)
+        bounce = MAX_COUPLING * jax.nn.sigmoid(both(self.bounce_raw) - 3.0)
         return bounce, jax.nn.softplus(both(self.friction_raw) - 4.0)
 
     def _displacing(self, geometry: Geometry, step: Step) -> Float[Array, " C"]:
         if self.averaged:  # positions follow from such velocities
             return jnp.zeros_like(geometry.fraction_after_impact)
         return geometry.fraction_after_impact - step.theta
-
-
-def _damper(coupling: Float[Array, " C"]) -> Float[Array, " C"]:
-    return _MAX_COUPLING * coupling / (1.0 - _MAX_COUPLING * coupling)

@@ -17,6 +17,8 @@ from contactgraph.model.block_inverse import (
 )
 from contactgraph.model.collision import Geometry
 
+MAX_COUPLING = 1.0 - 1e-3
+"""Coupling of a damper that is a thousand times as stiff as a mass of 1 in a step."""
 _SLOW = 1e-4
 """Speed, in units of speed, of bodies that friction stops within a step."""
 _LEAST_INVERSE = 1e-6
@@ -160,6 +162,11 @@ class Contacts(eqx.Module):
         tangential = bound / jnp.maximum(across - bound * mobility, slow)
         share = tangential / jnp.maximum(damper, _LEAST_INVERSE)
         return ground, jnp.sqrt(jnp.clip(share, _LEAST_INVERSE**2, 1.0))
+
+
+def damper_of(coupling: Float[Array, " C"]) -> Float[Array, " C"]:
+    """The damper, times dt [kg], of a coupling from 0 free to 1 as rigid as there is."""
+    return MAX_COUPLING * coupling / (1.0 - MAX_COUPLING * coupling)
 
 
 class FreeBodies(eqx.Module):
