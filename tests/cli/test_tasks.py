@@ -31,6 +31,7 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "multi-pickup",
         "door",
         "billiards",
+        "bank-shot",
         "suction",
         "release",
         "delay",

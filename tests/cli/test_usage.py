@@ -76,9 +76,9 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a --out b --resume yes", "train does not take yes (see"),
         (
             "collect juggling --out a.h5",
-            "task must be one of pickup, multi-pickup, door, billiards, suction, release, delay, "
-            "sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, franka, "
-            "module:Class; found 'jugg",
+            "task must be one of pickup, multi-pickup, door, billiards, bank-shot, suction, "
+            "release, delay, sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, "
+            "franka, module:Class; found 'jugg",
         ),
         ("collect pickup --out a.h5 --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("collect pickup --out a.h5 --episodes -3", "--episodes must be 1 to 100000, found -3"),
@@ -129,7 +129,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a.h5 --out run --resume", "run: not a run folder (it has no config.json)"),
         (
             "train a.h5 --out run --model best",
-            "--model must be one of filter, bodies, gim-temp, gim-non-tem",
+            "--model must be one of auto, filter, bodies, gim-temp, gim-non-tem",
         ),
         ("train a.h5 --out run --steps 0", "steps must be 1 to 1000000000, found 0"),
         ("train a.h5 --out run --batch-size 999999999", "batch_size must be 1 to 65536"),
@@ -155,9 +155,9 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("control nobody pickup", "nobody: no such run folder or model file; models that ship are"),
         (
             "control nobody juggling",
-            "task must be one of pickup, multi-pickup, door, billiards, suction, release, delay, "
-            "sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, franka, "
-            "module:Class; found 'jugg",
+            "task must be one of pickup, multi-pickup, door, billiards, bank-shot, suction, "
+            "release, delay, sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, "
+            "franka, module:Class; found 'jugg",
         ),
         ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("control nobody pickup --horizon 0", "--horizon must be 1 to 1000, found 0"),

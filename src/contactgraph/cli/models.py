@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from contactgraph.cli.options import choice, load_object
+from contactgraph.cli.recipe import AUTO
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
     ContactDynamics,
@@ -195,7 +196,7 @@ def check_edge_types(model: str, edge_types: int | None) -> None:
     """Raises `InvalidInputError` where a model of this name has no number of types to choose."""
     from contactgraph.data import InvalidInputError
 
-    if edge_types is not None and model not in FILTERS and ":" not in model:
+    if edge_types is not None and model not in (AUTO, *FILTERS) and ":" not in model:
         raise InvalidInputError(
             f"--edge-types: {model} has no types to choose; it is for --model filter or bodies, "
             f"found {edge_types}"

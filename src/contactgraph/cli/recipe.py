@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+AUTO = "auto"
+"""In place of a model's name: chosen by the data."""
+
 if TYPE_CHECKING:
     from contactgraph.data import Dataset
     from contactgraph.model import ContactDynamics, ModelConfig
     from contactgraph.train.units import Units
-
-AUTO = "auto"
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,7 @@ class Train:
         from contactgraph.cli import CommandError
         from contactgraph.cli.models import (
             FILTERS,
+            MODELS,
             check_edge_types,
             contact_distance_text,
             held_out_text,
@@ -132,6 +133,8 @@ class Train:
             # Multiples of `check_every`: a shorter last round would be a second program to compile.
             quick = options.model in (AUTO, *FILTERS)
             options = replace(options, steps=750 if quick else 2000)
+        if ":" not in options.model:
+            choice("--model", options.model, {AUTO: None, **MODELS})
         check_edge_types(options.model, options.edge_types)
         check_weight("--prior-weight", options.prior_weight)
         config = TrainConfig(

@@ -86,7 +86,7 @@ class BankShotTask(BilliardsTask):
             across = _BLOCK * np.array([-direct[1], direct[0]]) / length
             pillars = np.stack([0.5 * (target + goal) + across, 0.5 * (target + goal) - across])
             ways = [bank_way(target, goal, wall) for wall in range(4)]
-            if not any(_possible(way, pillars) for way in ways):
+            if not any(possible(way, pillars) for way in ways):
                 continue
             places, radii = np.vstack([target, pillars]), np.array([_RADIUS, 0.06, 0.06])
             cue = free_place(rng, places, radii, DISCS["cue"][1], pillars, "cue")
@@ -124,7 +124,7 @@ class BankShotTask(BilliardsTask):
         return self._banked and super().solved(scene, position, contact)
 
 
-def _possible(way: np.ndarray, pillars: np.ndarray) -> bool:
+def possible(way: np.ndarray, pillars: np.ndarray) -> bool:
     """Whether a shot on this way is clear of the pillars, within the table, and not too long."""
     first, second = way
     shot = first[-1] - first[0]
@@ -139,12 +139,12 @@ def _possible(way: np.ndarray, pillars: np.ndarray) -> bool:
 
 
 class BankShotPolicy(BilliardsExpert):
-    """`BilliardsExpert` that aims off the wall whose way is clearest of pillars."""
+    """`BilliardsExpert` that aims off the wall of the shortest possible way."""
 
     def aim(self, position: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """[2] m: from the target to the image of the goal."""
         target, pillars = position[TARGET], position[TARGET + 1 :]
-        free = [clearance(bank_way(target, goal, wall), pillars) for wall in range(4)]
+        free = [possible(bank_way(target, goal, wall), pillars) for wall in range(4)]
         short = np.linalg.norm(images(goal) - target, axis=-1)
-        wall = int(np.argmin(short + 10.0 * (np.array(free) < _CLEAR)))
+        wall = int(np.argmin(short + 10.0 * ~np.array(free)))
         return np.asarray(images(goal)[wall] - target)
