@@ -5,8 +5,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from contactgraph.cli.options import choice, load_object
-from contactgraph.cli.recipe import AUTO
+from contactgraph.cli.options import AUTO, choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
     ContactDynamics,

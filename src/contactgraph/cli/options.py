@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 Value = TypeVar("Value")
 
+AUTO = "auto"
+"""In place of a model's name: chosen by the data."""
+
 ModelArgument = Positional[
     Annotated[
         str,

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-AUTO = "auto"
-"""In place of a model's name: chosen by the data."""
+from contactgraph.cli.options import AUTO
 
 if TYPE_CHECKING:
     from contactgraph.data import Dataset

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.recipe import AUTO, recipe
+from contactgraph.cli.options import AUTO
+from contactgraph.cli.recipe import recipe
 
 if TYPE_CHECKING:
     from contactgraph.model import ContactSensor

@@ -18,9 +18,9 @@ _BEHIND = 0.87
 """Cosine of the angle to the line of the push within which it goes straight behind the body."""
 _BESIDE = 0.5
 """Contact distances beside the line of a push at which the push has slid off."""
-_ALIGNED, _GRASPED = 0.3, 0.3
-"""Contact distances beside the line of a grasp within which the hand goes on to the body, and from
-the body within which it closes."""
+_ALIGNED, _GRASPED, _LOST = 0.3, 0.3, 0.5
+"""Contact distances beside the line of a grasp within which the hand goes on to the body; from the
+body within which it closes; and beyond which it holds nothing, whatever the belief says."""
 _GAIN = 0.25
 """Part of a distance that is to be covered in a step."""
 _TINY = 1e-9
@@ -97,10 +97,10 @@ class Approach(eqx.Module):
         inside = self.grasps & (_length(offset) < _GRASPED * contact_distance)
         near_line = jnp.where(self.grasps, _ALIGNED, _BESIDE) * contact_distance
         ready = (back > 0.0) & (_length(beside) < near_line) | inside
-        carries = self.grasps & held
+        carries = self.grasps & held & (_length(offset) < _LOST * contact_distance)
         velocity = jnp.where(self.grasps | (missing > 0.0), jnp.where(ready, pushing, going), 0.0)
         carrying = _slower(_GAIN * (self.goal - at) / dt, self.approach_speed)
-        command = self.command[jnp.where(self.grasps & ~held & ~inside, 0, 1)]
+        command = self.command[jnp.where(self.grasps & ~carries & ~inside, 0, 1)]
         return jnp.where(carries, carrying, velocity), command
 
 
