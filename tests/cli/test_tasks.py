@@ -31,7 +31,7 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "multi-pickup",
         "door",
         "billiards",
-        "bank-shot",
+        "blocked-shot",
         "suction",
         "release",
         "delay",

@@ -76,7 +76,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a --out b --resume yes", "train does not take yes (see"),
         (
             "collect juggling --out a.h5",
-            "task must be one of pickup, multi-pickup, door, billiards, bank-shot, suction, "
+            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, suction, "
             "release, delay, sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, "
             "franka, module:Class; found 'jugg",
         ),
@@ -155,7 +155,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("control nobody pickup", "nobody: no such run folder or model file; models that ship are"),
         (
             "control nobody juggling",
-            "task must be one of pickup, multi-pickup, door, billiards, bank-shot, suction, "
+            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, suction, "
             "release, delay, sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, "
             "franka, module:Class; found 'jugg",
         ),

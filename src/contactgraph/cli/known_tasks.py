@@ -15,9 +15,9 @@ from contactgraph.cli.task_types import (
 )
 from contactgraph.envs import (
     BankShotPolicy,
-    BankShotTask,
     BilliardsExpert,
     BilliardsTask,
+    BlockedShotTask,
     DoorExpert,
     DoorTask,
     MultiPickupTask,
@@ -55,15 +55,15 @@ def _billiards(options: TaskOptions) -> TaskFactory:
     return partial(task, passive=options.passive, fixed_seed=options.fixed_seed)
 
 
-def _bank_shot(options: TaskOptions) -> TaskFactory:
+def _blocked_shot(options: TaskOptions) -> TaskFactory:
     for flag, given in (
         ("--grasp", options.grasp),
         ("--objects", options.objects),
         ("--distractors", options.distractors or None),
         ("--goal fixed", options.fixed_seed),
     ):
-        refuse_option("bank-shot", flag, given, "has one ball and takes no options")
-    return BankShotTask
+        refuse_option("blocked-shot", flag, given, "has one ball and takes no options")
+    return BlockedShotTask
 
 
 _PLANAR_TARGETS = TaskTargets(
@@ -120,6 +120,8 @@ TASKS = {
         partial(BilliardsExpert, noise=0.0),
         partial(BilliardsExpert, noise=0.0),
         StrikingPolicy,
+        horizon=60,
+        starts=64,
         summary="a cue strikes a disc to a goal, on a table with walls, pillars and other discs",
         title="A contact graph that plays billiards",
         conditions=(
@@ -127,16 +129,16 @@ TASKS = {
             TestCondition("6-objects", "6 objects", False, objects=6),
         ),
     ),
-    "bank-shot": KnownTask(
-        _bank_shot,
+    "blocked-shot": KnownTask(
+        _blocked_shot,
         BankShotPolicy,
         partial(BankShotPolicy, noise=0.0),
         partial(BankShotPolicy, noise=0.0),
         StrikingPolicy,
         horizon=60,
-        starts=128,
-        summary="a cue strikes a ball to a goal that it reaches off a wall",
-        title="A contact graph that plays off the wall",
+        starts=64,
+        summary="a cue brings a ball to a goal whose direct way is blocked",
+        title="A contact graph that plays round pillars",
     ),
     **HIDDEN_CONTACT_TASKS,
     **ADAPTED_TASKS,

@@ -129,7 +129,6 @@ def spread_approaches(
     body: Int[Array, " S"],
     position: Float[Array, "S D"],
     goal: Float[Array, "S D"],
-    aim: Float[Array, "S D"],
     top_speed: float,
     up: Float[Array, " D"],
     commands: tuple[Float[Array, " C"], Float[Array, " C"]],
@@ -140,25 +139,22 @@ def spread_approaches(
     way from a third on. With commands and a direction ``up`` all others are grasps, from above:
     pushing with fingers is seldom seen in what a model learned from.
 
-    ``position`` and ``goal``: [m] of each body; ``aim`` [m]: another place than the goal asks for a
-    strike there, which is fast and soon over, as the body goes on by itself; ``up``: a unit vector
-    along which none pushes, or zeros; ``commands``: least and greatest value of each.
+    ``position`` and ``goal``: [m] of each body; ``up``: a unit vector along which none pushes, or
+    zeros; ``commands``: least and greatest value of each.
     """
-    missing, strikes = aim - position, jnp.any(aim != goal, axis=-1)
+    missing = goal - position
     distance = _length(missing)
-    slowest = jnp.where(strikes, 1.0, 2.5)
-    shorter = jnp.where(strikes, -2.5 * jax.scipy.stats.norm.cdf(draws.travel), 0.3 * draws.travel)
     grasps = (jnp.arange(len(hand)) > 0) & jnp.any(up != 0.0) & (draws.command.shape[1] > 0)
     high = jnp.where(draws.command > 0.0, commands[1], commands[0])
     wide = jnp.where(jnp.arange(len(hand)) % 2 == 0, 1.0, 0.25)[:, None]
     direction = missing / distance[:, None] + wide * draws.direction
-    travel = distance * jnp.exp(shorter)
+    travel = distance * jnp.exp(0.3 * draws.travel)
     return Approach(
         hand=hand,
         body=body,
         direction=jnp.where(grasps[:, None], -up, _unit(_level(direction, up))),
         aside=jnp.where(grasps[:, None], 0.0, 0.3 * draws.aside),
-        speed=top_speed * jnp.exp(-slowest * jax.scipy.stats.norm.cdf(draws.speed)),
+        speed=top_speed * jnp.exp(-2.5 * jax.scipy.stats.norm.cdf(draws.speed)),
         travel=travel.at[0].set(0.0),
         approach_speed=top_speed * jnp.exp(-jax.scipy.stats.norm.cdf(draws.approach_speed)),
         goal=goal,

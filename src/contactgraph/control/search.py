@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from contactgraph.control.approaches import Approach, Draws, spread_approaches, varied_approaches
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits, solve_small
@@ -22,7 +22,6 @@ from contactgraph.control.plan import Plan
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import edge_id, pair_indices
 from contactgraph.model import (
-    BodyHead,
     ContactDynamics,
     InvariantFeatures,
     ModelState,
@@ -47,9 +46,6 @@ def _commands(model: StepModel) -> int:
 
 _ELITES = 8
 """Approaches that the next round varies."""
-_BANKS, _ELASTIC, _LEVEL = 4, 0.3, 0.1
-"""Every how many-th start aims at an image of the goal in a plane; the least bounce off a plane for
-that; and how far its normal may point up."""
 _RIDGE = 1e-6
 """Of the mean square response to the control; controls that move nothing stay 0."""
 
@@ -100,6 +96,8 @@ class SearchILQR(ILQR):
             guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
         moving = quadratic.control_size - _commands(model)
         planner = dataclasses.replace(self, fixed=tuple(range(moving, quadratic.control_size)))
+        if planner.fixed:
+            planner = dataclasses.replace(planner, iterations=1)
         found = self._best_start(_Scene.of(model, state, nodes, quadratic))
         begin = AffinePolicy(jnp.zeros_like(guess.K), found.astype(guess.k.dtype))
         both = jax.tree.map(lambda one, other: jnp.stack([one, other]), guess, begin)
@@ -193,9 +191,9 @@ class _Scene(eqx.Module):
         """Number of components of the control that move nothing."""
         return _commands(self.model)
 
-    def pairs(self, count: int) -> tuple[Array, Array, Array, Array, Array]:
-        """Actuated nodes [S], each with one that it may move, in turn; that one's position, goal
-        and aim [S, D], m: the goal, or the image of the goal in a plane off which it bounces."""
+    def pairs(self, count: int) -> tuple[Array, Array, Array, Array]:
+        """Actuated nodes [S], each with one that it may move, in turn; that one's position and goal
+        [S, D], m."""
         nodes, number = self.nodes, len(self.state.position)
         wanted = nodes.passive
         if self.cost.cost_node_ids is not None:
@@ -207,21 +205,7 @@ class _Scene(eqx.Module):
         pair = jnp.argsort(~may_move)[jnp.arange(count) % jnp.maximum(jnp.sum(may_move), 1)]
         hand, body = jnp.asarray(one)[pair], jnp.asarray(other)[pair]
         goal = self.cost.goal.reshape(-1, number, 2, self.state.position.shape[1])[-1, :, 0]
-        return hand, body, self.state.position[body], goal[body], self._aims(body, goal[body])
-
-    def _aims(self, body: Int[Array, " S"], goal: Float[Array, "S D"]) -> Float[Array, "S D"]:
-        """Every fourth is the image in some plane, where that is elastic."""
-        head, planes = getattr(self.model.local_dynamics, "head", None), self.nodes.planes
-        if not isinstance(head, BodyHead) or planes is None:
-            return goal
-        distance, bounce = head.plane_touch(self.model.features.node_type(self.nodes, goal.dtype))
-        turn = np.arange(len(body))
-        plane = jnp.asarray(planes)[turn // _BANKS % len(planes)].astype(goal.dtype)
-        beyond = plane[:, -1] + distance[body] - jnp.sum(plane[:, :-1] * goal, axis=-1)
-        image = goal + 2.0 * beyond[:, None] * plane[:, :-1]
-        level = jnp.abs(plane[:, :-1] @ self.up) < _LEVEL
-        banked = (turn % _BANKS == _BANKS - 1) & (bounce[body] > _ELASTIC) & level
-        return jnp.where(banked[:, None], image, goal)
+        return hand, body, self.state.position[body], goal[body]
 
     def follow(
         self, approach: Approach, planner: ILQR

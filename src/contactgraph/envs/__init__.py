@@ -1,11 +1,11 @@
 """Simulated tasks and the scripted experts that record them."""
 
 from contactgraph.envs.adapter import AdaptedTask as AdaptedTask
-from contactgraph.envs.bank_shot import BankShotPolicy as BankShotPolicy
-from contactgraph.envs.bank_shot import BankShotTask as BankShotTask
 from contactgraph.envs.billiards import BilliardsTask as BilliardsTask
 from contactgraph.envs.billiards_policies import BilliardsExpert as BilliardsExpert
 from contactgraph.envs.billiards_policies import StrikingPolicy as StrikingPolicy
+from contactgraph.envs.blocked_shot import BankShotPolicy as BankShotPolicy
+from contactgraph.envs.blocked_shot import BlockedShotTask as BlockedShotTask
 from contactgraph.envs.carry_expert import CarryExpert as CarryExpert
 from contactgraph.envs.carry_expert import StickyExpert as StickyExpert
 from contactgraph.envs.carry_expert import SuctionExpert as SuctionExpert

@@ -253,10 +253,12 @@ class BodyHead(eqx.Module):
     ) -> Contacts:
         """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
         velocity if they do not touch."""
-        distance, bounce = self.plane_touch(local.node_type)
+        # Bodies that rest do not tell how much farther a plane might be.
+        part = 1.0 + _PLANE_LEARNED * jnp.tanh(_PACE * self.plane_raw)
+        distance = local.node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
         motion = step.dt * (local.velocity + driven)
         geometry = plane_geometry(local.position, local.velocity, motion, distance, local.nodes)
-        _, friction = self._laws(local, node := geometry.edge_index[0])
+        elastic, friction = self._laws(local, geometry.edge_index[0])
         meets = geometry.contact_jacobian[0, :, 0, 0]
         closing = meets * jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
         nothing = jnp.zeros_like(closing)
@@ -268,19 +270,9 @@ class BodyHead(eqx.Module):
             touching=nothing + 1.0,
             displacing_fraction=self._displacing(geometry, step),
             acting=1.0 - geometry.time_of_impact * self.averaged,
-            bounce=closing * bounce[node],
+            bounce=closing * elastic,
             friction=friction,
         )
-
-    def plane_touch(
-        self, node_type: Float[Array, "N types"]
-    ) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
-        """The distance [m] at which each node touches planes, and its bounce off them."""
-        # Bodies that rest do not tell how much farther a plane might be.
-        part = 1.0 + _PLANE_LEARNED * jnp.tanh(_PACE * self.plane_raw)
-        distance = node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
-        bounce = _PACE * (node_type @ self.bounce_raw[:-1] + self.bounce_raw[-1])
-        return distance, MAX_COUPLING * jax.nn.sigmoid(bounce - 3.0)
 
     def _laws(
         self, local: LocalInput, one: Int[Array, " C"], other: Int[Array, " C"] | None = None

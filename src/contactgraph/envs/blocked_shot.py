@@ -1,14 +1,9 @@
-"""The bank shot: billiards whose goal is reached off a wall, with a scripted shooter."""
-
-from typing import Any
+"""Billiards with the direct way blocked, and a scripted shooter that plays off a wall."""
 
 import numpy as np
 
-from contactgraph.data import Scene
 from contactgraph.envs.billiards import (
-    CUE,
     DISCS,
-    DT,
     RESTITUTION,
     TABLE,
     TARGET,
@@ -17,7 +12,6 @@ from contactgraph.envs.billiards import (
     free_place,
 )
 from contactgraph.envs.billiards_policies import BilliardsExpert
-from contactgraph.envs.contract import Observation
 
 _BLOCK = 0.07
 """Half the distance of the two pillars that stand in the direct way, m; the ball does not pass."""
@@ -61,19 +55,17 @@ def clearance(way: np.ndarray, pillars: np.ndarray) -> float:
     return float(np.linalg.norm(points - pillars, axis=-1).min())
 
 
-class BankShotTask(BilliardsTask):
-    """A cue strikes a ball to a goal that it reaches off a wall; a `contactgraph.envs.Task`.
+class BlockedShotTask(BilliardsTask):
+    """Billiards with one ball, whose direct way to the goal two pillars block.
 
-    Billiards with one object, whose direct way to the goal two pillars block. An episode succeeds
-    if the ball ends within 0.1 m of the goal and has bounced off a wall since the cue last touched
-    it.
+    A `contactgraph.envs.Task`. The ball may come off a wall, for which every layout has a clear
+    way, or round the pillars by several strikes.
     """
 
-    name = "bank-shot"
+    name = "blocked-shot"
 
     def __init__(self) -> None:
         super().__init__(objects=1)
-        self._banked, self._before = False, np.zeros((2, 2))
 
     def layout(self, rng: np.random.Generator) -> BilliardsLayout:
         """Samples layouts until the way off some wall is clear."""
@@ -92,36 +84,6 @@ class BankShotTask(BilliardsTask):
             cue = free_place(rng, places, radii, DISCS["cue"][1], pillars, "cue")
             if cue is not None:
                 return BilliardsLayout(cue, target, goal, pillars)
-
-    def begin(self, seed: int) -> tuple[Scene, Any]:
-        """Samples the scene of a seed, at rest."""
-        self._banked = False
-        return super().begin(seed)
-
-    def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Advances by a time step under the force ``action`` ``[2]`` N on the cue."""
-        world = self.running()
-        self._before = np.stack([world.position[TARGET], world.velocity[TARGET]])
-        return super().step(action)
-
-    def stepped(
-        self, info: dict[str, Any]
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Notices a bounce off a wall, and a touch of the cue."""
-        world = self.world
-        position, velocity = self._before
-        gap = TABLE - _RADIUS - np.sign(velocity) * position
-        turned = (velocity * world.velocity[TARGET] < 0.0) & (gap <= np.abs(velocity) * DT + 1e-3)
-        touched = world.contact[TARGET]
-        if touched[CUE]:
-            self._banked = False
-        elif np.any(turned) and not touched.any():
-            self._banked = True
-        return super().stepped(info)
-
-    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether the ball is within 0.1 m of the goal, off a wall."""
-        return self._banked and super().solved(scene, position, contact)
 
 
 def possible(way: np.ndarray, pillars: np.ndarray) -> bool:
