@@ -94,10 +94,14 @@ class SearchILQR(ILQR):
         if guess is None:
             idle = self._idle(quadratic.control_size, quadratic.R.dtype)
             guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
-        moving = quadratic.control_size - _commands(model)
-        planner = dataclasses.replace(self, fixed=tuple(range(moving, quadratic.control_size)))
-        if planner.fixed:
-            planner = dataclasses.replace(planner, iterations=1)
+        commands = _commands(model)
+        size = quadratic.control_size
+        # iLQR makes grasps faster than fingers hold; with commands the approach is the plan.
+        planner = dataclasses.replace(
+            self,
+            fixed=tuple(range(size - commands, size)),
+            iterations=1 if commands else self.iterations,
+        )
         found = self._best_start(_Scene.of(model, state, nodes, quadratic))
         begin = AffinePolicy(jnp.zeros_like(guess.K), found.astype(guess.k.dtype))
         both = jax.tree.map(lambda one, other: jnp.stack([one, other]), guess, begin)
