@@ -102,6 +102,9 @@ class SearchILQR(ILQR):
             fixed=tuple(range(size - commands, size)),
             iterations=1 if commands else self.iterations,
         )
+        # A shifted plan ends without control, which would let go of what it holds.
+        kept = guess.k[max(-2, -self.horizon), size - commands :]
+        guess = AffinePolicy(guess.K, guess.k.at[-1, size - commands :].set(kept))
         found = self._best_start(_Scene.of(model, state, nodes, quadratic))
         begin = AffinePolicy(jnp.zeros_like(guess.K), found.astype(guess.k.dtype))
         both = jax.tree.map(lambda one, other: jnp.stack([one, other]), guess, begin)

@@ -153,6 +153,7 @@ def _fetch_map(which: FetchEnvironment) -> EnvironmentMap:
             np.array([0.03, 0.03, 0.03, 0.002, 0.002, 0.002]),
             np.array([50.0, 50.0, 50.0, 1.0, 1.0, 1.0]),
             0.01,
+            command_weight=1e-6,  # to hold costs no more than to let go
         ),
         max_steps=50,
         success_key="is_success",
