@@ -64,6 +64,8 @@ class SearchILQR(ILQR):
 
     starts: int = eqx.field(static=True, default=64)
     rounds: int = eqx.field(static=True, default=2)
+    switching_cost: float = eqx.field(static=True, default=0.0)
+    """Added each time that a plan changes a command, first against the running plan."""
 
     def __check_init__(self) -> None:
         if self.starts < _ELITES or self.rounds < 1:
@@ -105,26 +107,43 @@ class SearchILQR(ILQR):
         # A shifted plan ends without control, which would let go of what it holds.
         kept = guess.k[max(-2, -self.horizon), size - commands :]
         guess = AffinePolicy(guess.K, guess.k.at[-1, size - commands :].set(kept))
-        found = self._best_start(_Scene.of(model, state, nodes, quadratic))
+        before = guess.k[0, size - commands :]
+        found = self._best_start(_Scene.of(model, state, nodes, quadratic), before)
         begin = AffinePolicy(jnp.zeros_like(guess.K), found.astype(guess.k.dtype))
         both = jax.tree.map(lambda one, other: jnp.stack([one, other]), guess, begin)
         plans = jax.vmap(lambda each: ILQR.solve(planner, model, state, nodes, quadratic, each))(
             both
         )
-        chosen = jnp.argmin(jnp.where(jnp.isfinite(plans.cost), plans.cost, jnp.inf))
+        costs = plans.cost + self._switching(before, plans.controls)
+        chosen = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
         plan = jax.tree.map(lambda leaf: leaf[chosen], plans)
         swept = None if plans.swept is None else plans.swept.united()
         return dataclasses.replace(plan, iterations=jnp.sum(plans.iterations), swept=swept)
 
-    def _best_start(self, scene: "_Scene") -> Float[Array, "H U"]:
-        """The controls of the cheapest approach."""
+    def _switching(
+        self, before: Float[Array, " C"], controls: Float[Array, "*S H U"]
+    ) -> Float[Array, "*S"]:
+        """The cost of changes of commands in plans that follow the command ``before``."""
+        commands = controls[..., controls.shape[-1] - len(before) :]
+        changes = jnp.diff(
+            commands, axis=-2, prepend=jnp.broadcast_to(before, commands[..., :1, :].shape)
+        )
+        return self.switching_cost * jnp.sum(changes != 0.0, axis=(-2, -1))
+
+    def _best_start(self, scene: "_Scene", before: Float[Array, " C"]) -> Float[Array, "H U"]:
+        """The controls of the cheapest approach; ``before``: the running plan's next command."""
         rng = np.random.default_rng(0)
         dimension = scene.state.position.shape[1]
         commands = scene.commands
         draws = [Draws.of(rng, self.starts, dimension, commands) for _ in range(self.rounds)]
         bounds = self.limits or ControlLimits(-jnp.ones(commands), jnp.ones(commands))
         most = [each[len(each) - commands :] for each in (bounds.lower, bounds.upper)]
-        tried = eqx.filter_jit(jax.vmap(lambda each: scene.follow(each, self)))
+        follow = eqx.filter_jit(jax.vmap(lambda each: scene.follow(each, self)))
+
+        def tried(approaches: Approach) -> tuple[Array, Array]:
+            controls, costs = follow(approaches)
+            return controls, costs + self._switching(before, controls)
+
         up = scene.up
         approaches = spread_approaches(
             draws[0], *scene.pairs(self.starts), scene.speed, up, (most[0], most[1])

@@ -154,6 +154,7 @@ def _fetch_map(which: FetchEnvironment) -> EnvironmentMap:
             np.array([50.0, 50.0, 50.0, 1.0, 1.0, 1.0]),
             0.01,
             command_weight=1e-6,  # to hold costs no more than to let go
+            switching_cost=0.01,
         ),
         max_steps=50,
         success_key="is_success",

@@ -82,7 +82,9 @@ def control_task(
     if starts and switches:
         raise InvalidInputError("starts must be 0 for a task with switches, which are searched for")
     if starts:
-        ilqr = SearchILQR(horizon, iterations, limits, starts=starts)
+        ilqr = SearchILQR(
+            horizon, iterations, limits, starts=starts, switching_cost=terms.switching_cost
+        )
     elif switches:
         ilqr = SwitchingILQR(
             horizon,
