@@ -65,6 +65,11 @@ class Recipe:
                 "actuation": "; ".join(f"{n}: {fit}" for n, fit in config.actuation.items())
                 or "none",
                 "planes": f"touched at {planes}" if planes else "none",
+                "slowed": ", ".join(
+                    f"{name} by {constant:.3g} and {by_speed:.3g} 1/s"
+                    for name, (constant, by_speed) in config.slowing.items()
+                )
+                or "not seen",
                 "velocities": "means over a step" if config.averaged else "at the end of a step",
                 "unit of length": f"{self.units.length:g} of the data's",
             }

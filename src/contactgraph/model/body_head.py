@@ -1,10 +1,12 @@
 """The head of bodies as they are: types, servos, contacts with a direction, bounce and friction."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.trajectory_batch import Nodes
@@ -98,6 +100,13 @@ class BodyHead(eqx.Module):
         self.actuation = actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
         self.averaged, self.speed = averaged, speed
+
+    def slowed(self, slowing: Sequence[tuple[float, float]]) -> "BodyHead":
+        """With these decelerations, m/s^2, and dampers, 1/s, by the ground, of each type."""
+        by_unit = np.array(slowing).T / np.array([[_DECELERATION * self.speed], [1.0]])
+        raw = (np.log(np.expm1(np.maximum(by_unit, np.log1p(np.exp(-6.0))))) + 6.0) / _PACE
+        parts = tuple(jnp.asarray(raw, self.damper_raw.dtype))
+        return eqx.tree_at(lambda each: (each.deceleration_raw, each.damper_raw), self, parts)
 
     def drive(
         self,

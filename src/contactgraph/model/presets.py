@@ -79,6 +79,9 @@ class ModelConfig:
     plane_distance: Mapping[str, float] = field(default_factory=dict)
     """m; how near each type of node comes to a plane, by name. Those left out: half the contact
     distance."""
+    slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Deceleration, m/s^2, and damper, 1/s, by the ground at the start of training, by type. Those
+    left out: nearly 0."""
     averaged: bool = False
     """Whether velocities are means over the step before, such as backward differences."""
     speed: float = 1.0
@@ -193,6 +196,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     )
     near = [config.plane_distance.get(name, 0.5 * head.length) for name in features.types]
     head = eqx.tree_at(lambda each: each.plane_distance, head, jnp.array(near))
+    head = head.slowed([config.slowing.get(name, (0.0, 0.0)) for name in features.types])
     size = features.edge_size(config.dimension)
     inference = TransitionEdges(
         EdgeNetwork(size + 1 + commands + features.node_types, width, key=messages_key),

@@ -14,6 +14,7 @@ from contactgraph.data.actuation_fit import (
 )
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.ground_fit import fit_slowing
 from contactgraph.train.loss import LossTerms
 
 
@@ -99,6 +100,7 @@ class BodyDefaults:
     plane_distance: dict[str, float]
     averaged: bool
     theta: float
+    slowing: dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -161,12 +163,11 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         )
     theta = fit_theta(dataset)
     averaged = theta > _AVERAGED
+    distance = common.contact_distance
+    if common.learned_contact_distance:
+        distance = _contact_distance(dataset)
     return BodyDefaults(
-        contact_distance=(
-            _contact_distance(dataset)
-            if common.learned_contact_distance
-            else common.contact_distance
-        ),
+        contact_distance=distance,
         learned_contact_distance=common.learned_contact_distance and not averaged,
         node_types=_node_types(dataset),
         actuation=fit_actuation(dataset, 1.0 if averaged else theta),
@@ -175,6 +176,7 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         plane_distance=_plane_distances(dataset),
         averaged=averaged,
         theta=theta,
+        slowing=fit_slowing(dataset, distance),
     )
 
 
