@@ -103,10 +103,10 @@ class BodyHead(eqx.Module):
 
     def slowed(self, slowing: Sequence[tuple[float, float]]) -> "BodyHead":
         """With these decelerations, m/s^2, and dampers, 1/s, by the ground, of each type."""
-        by_unit = np.array(slowing).T / np.array([[_DECELERATION * self.speed], [1.0]])
-        raw = (np.log(np.expm1(np.maximum(by_unit, np.log1p(np.exp(-6.0))))) + 6.0) / _PACE
-        parts = tuple(jnp.asarray(raw, self.damper_raw.dtype))
-        return eqx.tree_at(lambda each: (each.deceleration_raw, each.damper_raw), self, parts)
+        by_unit = np.array(slowing) / [_DECELERATION * self.speed, 1.0]
+        raw = np.log(np.expm1(np.maximum(by_unit, np.log1p(np.exp(-6.0))))) + 6.0
+        raw = jnp.asarray(raw.T / _PACE, self.damper_raw.dtype)
+        return eqx.tree_at(lambda each: (each.deceleration_raw, each.damper_raw), self, tuple(raw))
 
     def drive(
         self,

@@ -10,11 +10,11 @@ from contactgraph.data.actuation_fit import (
     ActuationFit,
     driving_components,
     fit_actuation,
+    fit_slowing,
     fit_theta,
 )
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.ground_fit import fit_slowing
 from contactgraph.train.loss import LossTerms
 
 

@@ -1,0 +1,42 @@
+"""How the ground slows bodies that slide by themselves, from their motion alone."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from contactgraph.data import Scene, Trajectory
+from contactgraph.data.actuation_fit import fit_slowing
+from contactgraph.envs import BilliardsTask, RestPolicy
+from contactgraph.evaluate import collect
+
+DT, STEPS = 0.05, 40
+
+
+def test_discs_on_a_table_of_box2d_are_slowed_by_coulombs_friction() -> None:
+    dataset = collect([partial(BilliardsTask, 3, passive=True)], [RestPolicy()], 6, 0)
+    for deceleration, damper in fit_slowing(dataset, 0.1).values():
+        assert deceleration == pytest.approx(0.05 * 9.81, rel=0.01)
+        assert damper == pytest.approx(0.0, abs=0.01)
+
+
+def slides(*, pushed: bool) -> Trajectory:
+    """A block slowed by v' = -0.5 - 2 v; or pushed by a hand that slows down by 5 m/s^2."""
+    speed = np.zeros(STEPS + 1)
+    speed[0] = 1.0
+    for step in range(STEPS):
+        lost = 5.0 if pushed else 0.5 + 2.0 * speed[step]
+        speed[step + 1] = max(0.0, speed[step] - DT * lost)
+    block = np.stack([np.cumsum(DT * speed), np.zeros(STEPS + 1)], axis=1)
+    behind = np.array([0.1, 0.0]) if pushed else np.array([2.0, 0.0])
+    velocity = np.stack([speed, np.zeros(STEPS + 1)], axis=1)
+    scene = Scene(("hand", "block"), ("hand", "block"), np.array([True, False]), DT)
+    both = np.stack([block - behind, block], axis=1), np.stack([velocity, velocity], axis=1)
+    return Trajectory(scene, *both, np.zeros((STEPS, 2)))
+
+
+def test_both_laws_are_told_apart_and_a_pushed_body_tells_nothing() -> None:
+    found = fit_slowing([slides(pushed=False), slides(pushed=True)], 0.1)
+    assert list(found) == ["block"]
+    np.testing.assert_allclose(found["block"], (0.5, 2.0), rtol=0.02)
+    assert not fit_slowing([slides(pushed=True)], 0.1)
