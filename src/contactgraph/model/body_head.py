@@ -105,8 +105,8 @@ class BodyHead(eqx.Module):
         """With these decelerations, m/s^2, and dampers, 1/s, by the ground, of each type."""
         by_unit = np.array(slowing) / [_DECELERATION * self.speed, 1.0]
         raw = np.log(np.expm1(np.maximum(by_unit, np.log1p(np.exp(-6.0))))) + 6.0
-        raw = jnp.asarray(raw.T / _PACE, self.damper_raw.dtype)
-        return eqx.tree_at(lambda each: (each.deceleration_raw, each.damper_raw), self, tuple(raw))
+        parts = tuple(jnp.asarray(raw.T / _PACE, self.damper_raw.dtype))
+        return eqx.tree_at(lambda each: (each.deceleration_raw, each.damper_raw), self, parts)
 
     def drive(
         self,
@@ -148,8 +148,9 @@ class BodyHead(eqx.Module):
             # On a ground that is not described, bodies rest until an actuated one lifts them.
             falling = lifted * (1.0 - local.actuated) if nodes.planes is None else nodes.passive
         on_ground = jnp.ones(count) if nodes.gravity is None else 1.0 - lifted
-        falls = falling[:, None] * (0.0 if nodes.gravity is None else nodes.gravity)
-        falls = jnp.broadcast_to(falls, velocity.shape)
+        falls = falling[:, None] * (
+            jnp.zeros(dimension) if nodes.gravity is None else nodes.gravity
+        )
         if nodes.planes is not None:
             # What is held goes with the hand, and falls on no plane.
             meeting = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
