@@ -91,8 +91,7 @@ class BodyHead(eqx.Module):
         """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``averaged``:
         whether velocities are means over a step; ``speed``: unit of speeds, m/s."""
         # Products have no weak type, with which the first training update would recompile.
-        self.log_mass = 0.0 * jnp.ones(node_types)
-        self.damper_raw, self.deceleration_raw = self.log_mass, self.log_mass
+        self.log_mass = self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
         self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
         self.friction_raw, self.plane_raw = self.bounce_raw, self.log_mass
         self.plane_distance = 0.5 * length + self.log_mass
@@ -140,7 +139,6 @@ class BodyHead(eqx.Module):
         displaced = jnp.zeros_like(velocity)
         if local.control_displacement is not None:
             displaced = local.control_displacement / (theta * dt)
-        driven = nodes.actuated[:, None] * displaced
         contacts = self._contacts(local, message, step)
         lifted, falling, capacity = local.actuated, jnp.zeros(count), local.group_capacity
         if nodes.gravity is not None:
@@ -148,9 +146,8 @@ class BodyHead(eqx.Module):
             # On a ground that is not described, bodies rest until an actuated one lifts them.
             falling = lifted * (1.0 - local.actuated) if nodes.planes is None else nodes.passive
         on_ground = jnp.ones(count) if nodes.gravity is None else 1.0 - lifted
-        falls = falling[:, None] * (
-            jnp.zeros(dimension) if nodes.gravity is None else nodes.gravity
-        )
+        gravity = jnp.zeros(dimension) if nodes.gravity is None else nodes.gravity
+        falls = falling[:, None] * gravity
         if nodes.planes is not None:
             # What is held goes with the hand, and falls on no plane.
             meeting = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
@@ -167,7 +164,7 @@ class BodyHead(eqx.Module):
             deceleration=_DECELERATION * self.speed * slowing,
             weight=(mass[:, None] * falls)[..., None],
             driving=driving.reshape(count, dimension, -1),
-            push=(mass[:, None] * (driven + dt * falls))[..., None],
+            push=(mass[:, None] * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
         )
         solution = contacts.solve(bodies, dt, local.group_capacity)
