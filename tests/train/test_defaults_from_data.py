@@ -95,8 +95,8 @@ def test_trajectories_must_not_contradict_each_other() -> None:
         defaults_from_data(trajectories(scene(contact_distance=0.02), scene(contact_distance=0.03)))
 
 
-def test_a_component_that_drives_nobody_is_refused_for_bodies() -> None:
+def test_a_component_that_drives_no_node_is_refused_for_bodies() -> None:
     given = followed("displacement")
-    nobody = replace(given.scene, control_of=np.array([[True, False], [False, False]]))
+    undriven = replace(given.scene, control_of=np.array([[True, False], [False, False]]))
     with pytest.raises(InvalidInputError, match="trajectory 0: component 1 of the control, which"):
-        body_defaults(Dataset((replace(given, scene=nobody),)))
+        body_defaults(Dataset((replace(given, scene=undriven),)))

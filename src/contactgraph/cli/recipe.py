@@ -99,35 +99,38 @@ def recipe(
         model = "bodies" if found else "filter"
     names = "contact_distance", "learned_contact_distance"
     given: dict[str, Any] = {name: getattr(defaults, name) for name in names}
-    units, raw = None, dataset
+    units, length = None, 1.0
     if model == "bodies":
         given = vars(body_defaults(dataset))
-        distance = contact_distance or given[names[0]]
-        units = units_of(dataset, distance, CONTACT_DISTANCE)
-        dataset = in_units(dataset, units)
+        units = units_of(dataset, contact_distance or given[names[0]], CONTACT_DISTANCE)
+        length = units.length
 
-    def config(part: "Dataset", length: float) -> ModelConfig:
-        found = dict(given) if units is None else {**vars(body_defaults(part)), "speed": length}
+    def config(given: dict[str, Any], speed: float) -> ModelConfig:
         if contact_distance is not None:
-            told = contact_distance * length / (units.length if units else 1.0)
-            found |= {names[0]: told, names[1]: not found.get("averaged", False)}
+            told = contact_distance * speed / length
+            given = given | {names[0]: told, names[1]: not given.get("averaged", False)}
         return ModelConfig(
-            part.dimension,
-            part.control_size,
-            part.dt,
+            dataset.dimension,
+            dataset.control_size,
+            dataset.dt,
+            speed=speed,
             hinges=defaults.hinges,
             weight=defaults.weight,
             control_gain=defaults.control_gain,
             edge_types=3 if edge_types is None else edge_types,
-            **found,
+            **given,
         )
 
+    in_data = config(given, length)
+    if units is not None:
+        dataset = in_units(dataset, units)
+        given = vars(body_defaults(dataset))
     return Recipe(
         name=model,
         seed=seed,
         dataset=dataset,
-        config=config(dataset, 1.0),
-        in_data=config(raw, units.length if units else 1.0),
+        config=config(given, 1.0),
+        in_data=in_data,
         rollout_from=defaults.rollout_from if rollout_from is None else rollout_from,
         units=units,
         reason=reason,
