@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 
-from contactgraph.cli.task_types import KnownTask, TaskFactory, TaskOptions, refuse_option
+from contactgraph.cli.task_types import KnownTask, TaskFactory, TaskOptions, without_options
 from contactgraph.envs import fetch
 from contactgraph.envs.adapter import AdaptedTask
 from contactgraph.envs.pusht import pusht_expert, pusht_explorer, pusht_fixed_start, pusht_task
@@ -11,11 +11,7 @@ from contactgraph.envs.pusht import pusht_expert, pusht_explorer, pusht_fixed_st
 
 def _factory(name: str, make: Callable[[], AdaptedTask], options: TaskOptions) -> TaskFactory:
     reason = "is another package's environment and takes no options"
-    refuse_option(name, "--distractors", options.distractors or None, reason)
-    refuse_option(name, "--objects", options.objects, reason)
-    refuse_option(name, "--grasp", options.grasp, reason)
-    refuse_option(name, "--goal fixed", options.fixed_seed, reason)
-    return make
+    return without_options(name, make, reason, options)
 
 
 ADAPTED_TASKS = {

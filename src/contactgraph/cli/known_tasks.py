@@ -12,6 +12,7 @@ from contactgraph.cli.task_types import (
     TaskTargets,
     TestCondition,
     refuse_option,
+    without_options,
 )
 from contactgraph.envs import (
     BankShotPolicy,
@@ -53,17 +54,6 @@ def _billiards(options: TaskOptions) -> TaskFactory:
     refuse_option("billiards", "--distractors", distractors, "counts its discs by --objects")
     task = BilliardsTask if options.objects is None else partial(BilliardsTask, options.objects)
     return partial(task, passive=options.passive, fixed_seed=options.fixed_seed)
-
-
-def _blocked_shot(options: TaskOptions) -> TaskFactory:
-    for flag, given in (
-        ("--grasp", options.grasp),
-        ("--objects", options.objects),
-        ("--distractors", options.distractors or None),
-        ("--goal fixed", options.fixed_seed),
-    ):
-        refuse_option("blocked-shot", flag, given, "has one ball and takes no options")
-    return BlockedShotTask
 
 
 _PLANAR_TARGETS = TaskTargets(
@@ -130,7 +120,12 @@ TASKS = {
         ),
     ),
     "blocked-shot": KnownTask(
-        _blocked_shot,
+        partial(
+            without_options,
+            "blocked-shot",
+            BlockedShotTask,
+            "has one ball and takes no options",
+        ),
         BankShotPolicy,
         partial(BankShotPolicy, noise=0.0),
         partial(BankShotPolicy, noise=0.0),

@@ -136,3 +136,14 @@ def refuse_option(task: str, flag: str, value: object, reason: str) -> None:
     """Raises `InvalidInputError` where an option that the task does not take is given."""
     if value is not None:
         raise InvalidInputError(f"{flag}: {task} {reason}, found {value!r}")
+
+
+def without_options(
+    name: str, make: Callable[[], Task], reason: str, options: TaskOptions
+) -> TaskFactory:
+    """The factory of a task without options; raises `InvalidInputError` where one is given."""
+    refuse_option(name, "--distractors", options.distractors or None, reason)
+    refuse_option(name, "--objects", options.objects, reason)
+    refuse_option(name, "--grasp", options.grasp, reason)
+    refuse_option(name, "--goal fixed", options.fixed_seed, reason)
+    return make

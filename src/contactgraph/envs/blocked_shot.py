@@ -95,7 +95,7 @@ def possible(way: np.ndarray, pillars: np.ndarray) -> bool:
     inside = np.all(np.abs(first[-1]) <= TABLE - _RADIUS + 1e-9)
     inside &= bool(np.all(np.abs(start) <= TABLE - 0.07))
     total = length + float(np.linalg.norm(second[-1] - second[0]))
-    run_up = np.stack([np.linspace(start, first[0], 30)])
+    run_up = np.linspace(start, first[0], 30)
     free = min(clearance(way, pillars), clearance(run_up, pillars)) >= _CLEAR
     return bool(inside) and length > 0.05 and total <= _LONGEST and free
 
