@@ -35,6 +35,24 @@ def slides(*, pushed: bool) -> Trajectory:
     return Trajectory(scene, *both, np.zeros((STEPS, 2)))
 
 
+def test_bodies_that_stop_within_a_step_tell_how_fast_they_do() -> None:
+    """At 4 m/s^2 and steps of 0.05 s a body of at most 0.4 m/s slides for two steps."""
+    rng, stops = np.random.default_rng(0), []
+    for _ in range(20):
+        first = rng.uniform(0.05, 0.4)
+        speed = np.maximum(first - 4.0 * DT * np.arange(STEPS + 1), 0.0)
+        stops.append(alone(speed))
+    deceleration, damper = fit_slowing(stops, 0.1)["block"]
+    assert deceleration + damper * 0.2 == pytest.approx(4.0, rel=0.05)
+
+
+def alone(speed: np.ndarray) -> Trajectory:
+    place = np.stack([np.cumsum(DT * speed), np.zeros_like(speed)], axis=1)[:, None]
+    velocity = np.stack([speed, np.zeros_like(speed)], axis=1)[:, None]
+    scene = Scene(("block",), ("block",), np.array([False]), DT)
+    return Trajectory(scene, place, velocity, np.zeros((len(speed) - 1, 2)))
+
+
 def test_both_laws_are_told_apart_and_a_pushed_body_tells_nothing() -> None:
     found = fit_slowing([slides(pushed=False), slides(pushed=True)], 0.1)
     assert list(found) == ["block"]

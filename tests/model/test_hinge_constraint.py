@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from model_scenes import jitted_geometry
 
-from contactgraph.model.hinge import HingeConstraint, hinge_constraint
+from contactgraph.model.shapes import HingeConstraint, hinge_constraint
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 HINGE, ARM = np.array([0.5, 0.5]), np.array([0.3, 0.4])

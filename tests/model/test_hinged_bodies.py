@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from model_scenes import jitted_geometry
 
-from contactgraph.model.hinge import HingedBodies
+from contactgraph.model.shapes import HingedBodies
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 HINGE, ARM = np.array([0.2, -0.1]), np.array([0.3, 0.4])

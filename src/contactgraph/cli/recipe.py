@@ -64,6 +64,7 @@ class Recipe:
                 "types": f"{', '.join(config.node_types)}; {config.actuated_nodes} actuated",
                 "actuation": "; ".join(f"{n}: {fit}" for n, fit in config.actuation.items())
                 or "none",
+                "shapes": "boxes of their size" if config.boxes else "round",
                 "planes": f"touched at {planes}" if planes else "none",
                 "slowed": ", ".join(
                     f"{name} by {constant:.3g} and {by_speed:.3g} 1/s"

@@ -4,7 +4,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.optimize
 
+from contactgraph.data.scene import box_distance
 from contactgraph.data.trajectory import Trajectory
 
 _UNMOVED = 0.02
@@ -35,8 +37,12 @@ _PARTS = 0.02
 """The same by which it must part in the step from one that is nearer."""
 _STRAIGHT = 0.99
 """Cosine of the turn of a velocity in a step, up to which no wall is met."""
-_GOES_ON = 0.3
-"""Share of the speed that is left after a step in which a body does not come to rest."""
+_RESTS = 0.3
+"""Share of the speed that is left at most after a step in which a body comes to rest."""
+_EXACT = 0.01
+"""Error, as a share of the median speed, from which a step counts less."""
+_SHARES = (0.01, 0.1, 0.5, 1.0)
+"""Of the median speed that the ground takes in a step, from which fits begin."""
 _MOVES = 0.02
 """Share of the greatest speed from which a body moves."""
 _LEAST_STEPS = 10
@@ -195,53 +201,68 @@ def _fit(
     )
 
 
+def distances(trajectory: Trajectory, boxes: bool) -> np.ndarray:
+    """[T+1, N, N] m: between the centres of bodies, of themselves infinite.
+
+    ``boxes``: those that have a size are boxes, see `box_distance`.
+    """
+    offset, half = trajectory.position[:, :, None] - trajectory.position[:, None], None
+    if boxes:
+        half = trajectory.scene.half_size
+    apart = np.linalg.norm(offset, axis=-1)
+    if half is not None:
+        apart = box_distance(offset, half[:, None] + half)
+    return apart + np.diag(np.full(trajectory.scene.node_count, np.inf))
+
+
 def fit_slowing(
-    trajectories: Iterable[Trajectory], contact_distance: float
+    trajectories: Iterable[Trajectory], contact_distance: float, boxes: bool = False
 ) -> dict[str, tuple[float, float]]:
     """Deceleration, m/s^2, and damper, 1/s, of each passive type that is seen to slide.
 
-    Trimmed least squares of -dv/dt = a + c v, both at least 0, over steps in which it does not gain
-    speed and parts from all bodies that are near.
+    Robust least squares of v' = max(v - dt (a + c v), 0), with a and c at least 0, over steps in
+    which it does not gain speed and parts from all bodies that are near: see `distances`.
     """
     rows: dict[str, list[np.ndarray]] = {}
+    dt = 1.0
     for each in trajectories:
-        scene, velocity = each.scene, each.velocity
-        offset = each.position[:, :, None] - each.position[:, None]
-        apart = np.linalg.norm(offset, axis=-1) + np.diag(np.full(scene.node_count, np.inf))
+        scene, velocity, dt = each.scene, each.velocity, each.scene.dt
+        apart = distances(each, boxes)
         far = np.minimum(apart[:-1], apart[1:]) > _CLEAR * contact_distance
         with np.errstate(invalid="ignore"):  # of a body from itself
             parts = apart[1:] - apart[:-1] > _PARTS * contact_distance
         clear = np.all(far | parts, axis=-1)
         speed = np.linalg.norm(velocity, axis=-1)
         before, after = speed[:-1], speed[1:]
-        product = before * after
-        straight = np.sum(velocity[:-1] * velocity[1:], axis=-1) > _STRAIGHT * product
-        goes_on = (
-            (after > _GOES_ON * before)
-            & (after < before)
-            & (before > _MOVES * speed.max(initial=0.0))
-        )
+        rests = after < _RESTS * before
+        straight = np.sum(velocity[:-1] * velocity[1:], axis=-1) > _STRAIGHT * before * after
+        slides = (after < before) & (before > _MOVES * speed.max(initial=0.0))
+        slides &= clear & (straight | rests) & ~scene.actuated
         if scene.gravity is not None and scene.has_weight:
             up = scene.gravity / np.linalg.norm(scene.gravity)
-            goes_on &= np.abs(velocity[:-1] @ up) < 0.1 * before
-        slides = clear & straight & goes_on & (product > 0.0) & ~scene.actuated
-        slowing = (before - after) / scene.dt
+            slides &= np.abs(velocity[:-1] @ up) < 0.1 * before
         for node, name in enumerate(scene.node_type):
-            found = np.stack([before[:, node], slowing[:, node]], axis=1)[slides[:, node]]
+            found = np.stack([before[:, node], after[:, node]], axis=1)[slides[:, node]]
             rows.setdefault(name, []).append(found)
     fits = {name: np.concatenate(found) for name, found in rows.items()}
-    return {name: _slowing(*rows.T) for name, rows in fits.items() if len(rows) >= _LEAST_STEPS}
+    return {
+        name: _slowing(rows[:, 0], rows[:, 1], dt)
+        for name, rows in fits.items()
+        if len(rows) >= _LEAST_STEPS
+    }
 
 
-def _slowing(speed: np.ndarray, slowing: np.ndarray) -> tuple[float, float]:
-    """Of both together, or of one alone where the other would speed bodies up."""
-    kept, best = np.ones(len(speed), bool), np.zeros(2)
-    for _ in range(_ROUNDS):
-        v, y = speed[kept], slowing[kept]
-        both = np.linalg.lstsq(np.stack([np.ones_like(v), v], axis=1), y, rcond=None)[0]
-        alone = [np.array([y.mean(), 0.0]), np.array([0.0, (v @ y) / (v @ v)])]
-        tried = [np.maximum(each, 0.0) for each in (alone if (both < 0.0).any() else [both])]
-        best = min(tried, key=lambda each: float(np.sum((y - each[0] - each[1] * v) ** 2)))
-        off = np.abs(slowing - best[0] - best[1] * speed)
-        kept = off <= np.quantile(off, _KEPT)
-    return float(best[0]), float(best[1])
+def _slowing(before: np.ndarray, after: np.ndarray, dt: float) -> tuple[float, float]:
+    unit = float(np.median(before))
+
+    def residual(shares: np.ndarray) -> np.ndarray:
+        return np.maximum(before - shares[0] * unit - shares[1] * before, 0.0) - after
+
+    fits = [
+        scipy.optimize.least_squares(
+            residual, [share, 0.01], bounds=(0.0, np.inf), loss="soft_l1", f_scale=_EXACT * unit
+        )
+        for share in _SHARES
+    ]
+    constant, by_speed = min(fits, key=lambda each: each.cost).x
+    return float(constant) * unit / dt, float(by_speed) / dt

@@ -43,7 +43,7 @@ class Scene:
     """[N] radius, m, where it is known. Serves drawing only; training never reads it."""
     size: np.ndarray | None = None
     """[N, D] side lengths of a box around each node's position, along the axes, m; NaN throughout
-    for a node that is no box. None: no node is. Serves drawing only; training never reads it."""
+    for a node that is no box. None: no node is."""
     candidate_edges: np.ndarray | None = None
     """[E, 2] int: pairs of nodes that could touch. None: every pair."""
     static: np.ndarray | None = None
@@ -119,6 +119,11 @@ class Scene:
     def node_count(self) -> int:
         """N, the number of nodes."""
         return len(self.node_name)
+
+    @property
+    def half_size(self) -> np.ndarray | None:
+        """[N, D] m, half the sides of each box; 0 for other nodes. None: no node is a box."""
+        return None if self.size is None else 0.5 * np.nan_to_num(self.size)
 
     @property
     def has_weight(self) -> bool:
@@ -239,3 +244,11 @@ def _is_convex(outline: np.ndarray) -> bool:
 
 def _set(instance: object, name: str, value: object) -> None:
     object.__setattr__(instance, name, value)
+
+
+def box_distance(offset: np.ndarray, half_size: np.ndarray) -> np.ndarray:
+    """[...] m: the distance of a point at ``offset`` [..., D] m from a box's centre to the box, as
+    if that were a ball of half its shortest side."""
+    beyond = np.abs(offset) - half_size
+    gap = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+    return np.asarray(gap + np.minimum(beyond.max(axis=-1), 0.0) + half_size.min(axis=-1))

@@ -41,6 +41,8 @@ class Nodes(NamedTuple, Generic[Array]):
     padding is 0. None: there are no planes."""
     gravity: Array | None = None
     """[..., D] m/s^2 on bodies that are neither actuated nor static. None: without weight."""
+    half_size: Array | None = None
+    """[..., N, D] m: half the sides of the box that a node is; 0 for others. None: none is one."""
 
     @property
     def mobile(self) -> Any:
@@ -159,6 +161,7 @@ class PresentProperties:
     planes: int
     """Most planes of a scene; 0: none has any."""
     gravity: bool
+    boxes: bool
 
 
 def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
@@ -170,6 +173,7 @@ def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
         control_of=any(each.control_of is not None and each.actuated.sum() > 1 for each in scenes),
         planes=max(0 if each.planes is None else len(each.planes) for each in scenes),
         gravity=any(each.has_weight for each in scenes),
+        boxes=any(each.size is not None for each in scenes),
     )
 
 
@@ -210,4 +214,5 @@ def pad_nodes(
         control_of=control_of,
         planes=planes if present.planes else None,
         gravity=weight if present.gravity else None,
+        half_size=padded(scene.half_size, 0.0, float, dimension) if present.boxes else None,
     )

@@ -27,6 +27,8 @@ _MOST_DAMPED = 0.99
 """Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""
 _LEAST_COUPLING = 0.5
 """Of a touch and of the first type that holds: with less, the types could not be told apart."""
+_ROUGH = 0.35
+"""Start of `friction_raw`: coefficients are 0.47 between bodies, and 0.02 on planes."""
 _PLANE_LEARNED = 0.1
 """Learned part of the distance from planes, as a share of what the data tell."""
 _DECELERATION = 10.0
@@ -93,7 +95,9 @@ class BodyHead(eqx.Module):
         # Products have no weak type, with which the first training update would recompile.
         self.log_mass = self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
         self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
-        self.friction_raw, self.plane_raw = self.bounce_raw, self.log_mass
+        # Without friction only a hold would explain a body that goes along with what pushes it.
+        self.friction_raw = (_ROUGH * jnp.ones(node_types + 1)).at[-1].set(-_ROUGH)
+        self.plane_raw = self.log_mass
         self.plane_distance = 0.5 * length + self.log_mass
         self.edge = eqx.nn.MLP(width, 3, width, 1, key=key)
         self.actuation = actuation

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.model.hinge import HingedBodies
+from contactgraph.model.shapes import HingedBodies, box_displacement
 
 _MIN_SQUARE = 1e-12
 _RESTING_SPEED = 0.01
@@ -26,7 +26,8 @@ class Geometry(eqx.Module):
     edge_index: Int[Array, "2 E"]
     """First and second node of each edge."""
     displacement: Float[Array, "E D"]
-    """From the first to the second node, m; between the closest points where one is hinged."""
+    """From the first to the second node, m; between the closest points where one is hinged, and
+    see `box_displacement` where one is a box."""
     relative_velocity: Float[Array, "E D"]
     """Of the second node against the first, m/s, at the point of contact."""
     distance: Float[Array, " E"]
@@ -87,15 +88,20 @@ def geometry(
     anchor: Float[Array, "N D"] | None = None,
     static: Bool[Array, " N"] | None = None,
     speed: float = 1.0,
+    half_size: Float[Array, "N D"] | None = None,
 ) -> Geometry:
     """The geometry of the edges at one step of `dt` [s]; finite where nodes coincide.
 
     Bodies touch `contact_distance` [m] apart, centre to centre: all of them, or each edge's.
     `control_displacement` [m] is how far the step's control alone moves the nodes, where known.
     `anchor` [m] is where nodes are hinged, NaN where they are not; `static` nodes never move.
-    `speed` [m/s] is the unit of speeds.
+    `speed` [m/s] is the unit of speeds. `half_size` [m] is that of nodes that are boxes.
     """
     displacement, jacobian, sliding = _meeting(position, edge_index, anchor)
+    if half_size is not None:
+        displacement, sliding = box_displacement(
+            displacement, jnp.sum(half_size[edge_index], axis=0)
+        )
     if static is not None:
         jacobian = jnp.where(static[edge_index][..., None, None], 0.0, jacobian)
 

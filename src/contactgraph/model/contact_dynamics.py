@@ -114,6 +114,7 @@ class ContactDynamics(eqx.Module):
         ``control_displacement`` and ``command`` are those of a `ModelState`; ``contact_distance``
         [m] is each edge's own, None: that of the features.
         """
+        nodes = nodes if self.features.boxes else nodes._replace(half_size=None)
         edges = self._edges(position, velocity, nodes, control_displacement)
         moving = velocity
         if edges.edge_id is not None:
@@ -121,11 +122,10 @@ class ContactDynamics(eqx.Module):
             moving = jnp.where(edges.fits, velocity, jnp.nan)
         touch = self.features.distances(nodes, edges.edge_index, position.dtype)
         touch = touch if contact_distance is None else contact_distance
-        where = position, moving, edges.edge_index
+        at = position, moving, edges.edge_index
         # Without types there are no static bodies.
-        static = nodes.static if self.features.types else None
-        known = control_displacement, nodes.anchor, static
-        edge_geometry = geometry(*where, self.dt, touch, *known, speed=self.features.speed)
+        known = control_displacement, nodes.anchor, nodes.static if self.features.types else None
+        edge_geometry = geometry(*at, self.dt, touch, *known, self.features.speed, nodes.half_size)
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
@@ -174,9 +174,8 @@ class ContactDynamics(eqx.Module):
         still = stillness(geometry)[:, None]
         command = jnp.zeros(self.control_size) if command is None else command
         acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None]
-        known = jnp.concatenate(
-            [still, acting * command[self.control_size - self.inference.commands :]], axis=-1
-        )
+        acting = acting * command[self.control_size - self.inference.commands :]
+        known = jnp.concatenate([still, acting], axis=-1)
         return jnp.concatenate([features, jnp.stack([known, known]).astype(features.dtype)], -1)
 
     def _edges(
@@ -189,7 +188,8 @@ class ContactDynamics(eqx.Module):
         if self.neighbor_list is None:
             return all_pairs(len(position))
         assert isinstance(self.cutoff, SmoothCutoff)
-        bound = travel_bound(position, velocity, control_displacement, nodes.anchor, self.dt)
+        known = control_displacement, nodes.anchor, self.dt, nodes.half_size
+        bound = travel_bound(position, velocity, *known)
         return self.neighbor_list(position, bound, nodes.mask, self.cutoff.outer)
 
     def predict_belief(self, belief: ContactBelief, graph: EncodedGraph) -> ContactBelief:

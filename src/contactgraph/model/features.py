@@ -40,6 +40,7 @@ class InvariantFeatures(eqx.Module):
     hinges: bool = eqx.field(static=True)
     learned: bool = eqx.field(static=True)
     types: tuple[str, ...] = eqx.field(static=True)
+    boxes: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -48,12 +49,14 @@ class InvariantFeatures(eqx.Module):
         hinges: bool = False,
         learned: bool = True,
         types: tuple[str, ...] = (),
+        boxes: bool = False,
     ):
         """`hinges`: whether nodes may be hinged; `learned`: whether the contact distance is.
 
         It is identified by impacts within one step, not by a grasp that takes several steps.
         `types`: names of the node types, passive ones first, actuated ones last; without names,
         bodies are of one size, and their types are whether they are actuated and hinged.
+        `boxes`: whether nodes that have a size are boxes; see `box_displacement`.
         """
         # A product has no weak type, with which the first training update would recompile.
         self.contact_distance = length * jnp.ones(()) if learned else length
@@ -62,6 +65,7 @@ class InvariantFeatures(eqx.Module):
         self.hinges = hinges
         self.learned = learned
         self.types = types
+        self.boxes = boxes
         self.log_size = 0.0 * jnp.ones(len(types)) if types else None
 
     @property
@@ -138,6 +142,11 @@ class AbsoluteFeatures(eqx.Module):
     def types(self) -> tuple[str, ...]:
         """Names of node types: none."""
         return ()
+
+    @property
+    def boxes(self) -> bool:
+        """Whether nodes that have a size are boxes."""
+        return False
 
     @property
     def node_types(self) -> int:

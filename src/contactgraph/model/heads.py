@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import ContactSolution, ContactSolver, lifted_fraction
-from contactgraph.model.hinge import hinge_constraint
+from contactgraph.model.shapes import hinge_constraint
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step, own_component
 
 _PACE = 5.0

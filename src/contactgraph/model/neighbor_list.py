@@ -139,12 +139,15 @@ def travel_bound(
     control_displacement: Float[Array, "N D"] | None,
     anchor: Float[Array, "N D"] | None,
     dt: float,
+    half_size: Float[Array, "N D"] | None = None,
 ) -> Float[Array, " N"]:
     """Largest distance [m] from a node's position at which its body may be met in a step of `dt`
     [s]; arguments as of `geometry`."""
     bound = dt * jnp.linalg.norm(velocity, axis=-1)
     if control_displacement is not None:
         bound = bound + jnp.linalg.norm(control_displacement, axis=-1)
+    if half_size is not None:  # a corner is farther from the centre than the nearest side
+        bound = bound + jnp.linalg.norm(half_size, axis=-1) - jnp.min(half_size, axis=-1)
     if anchor is None:
         return bound
     # A bar's far end is a radius from its middle, and twice as fast.

@@ -79,6 +79,8 @@ class ModelConfig:
     plane_distance: Mapping[str, float] = field(default_factory=dict)
     """m; how near each type of node comes to a plane, by name. Those left out: half the contact
     distance."""
+    boxes: bool = False
+    """Whether nodes that have a size are boxes along the axes; else all are round."""
     slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Deceleration, m/s^2, and damper, 1/s, by the ground at the start of training, by type. Those
     left out: nearly 0."""
@@ -180,6 +182,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         hinges=config.hinges,
         learned=config.learned_contact_distance,
         types=config.node_types or ("object", "actuated"),
+        boxes=config.boxes,
     )
     driving = config.driving_size
     driving = min(config.dimension, config.control_size) if driving is None else driving

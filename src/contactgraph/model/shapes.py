@@ -1,4 +1,4 @@
-"""Hinged bodies: their geometry, and the constraint that keeps bodies on circles about hinges."""
+"""Shapes of bodies: bars about hinges, with the constraint that keeps them there, and boxes."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,6 +10,8 @@ _MIN_SQUARE = 1e-12
 _MIN_WEIGHT = 1e-9
 _RESTING_SPEED = 0.1
 """Relative speed, m/s, well below which two coupled bodies are at rest against each other."""
+_LEAST_GAP = 1e-6
+"""Of a distance from a box, in units of its sides, below which a point counts as inside."""
 
 
 class HingedBodies(eqx.Module):
@@ -134,3 +136,31 @@ def hinge_constraint(
         radius=jnp.sqrt(jnp.sum((position - center) ** 2, axis=-1) + _MIN_WEIGHT),
         strength=jnp.where(bodies.hinged, 1.0, strength),
     )
+
+
+def box_displacement(
+    displacement: Float[Array, "E D"], half_size: Float[Array, "E D"]
+) -> tuple[Float[Array, "E D"], list[Float[Array, "E D"]]]:
+    r"""The displacement of a point from a box as if that were a ball, and directions of sliding.
+
+    ``displacement`` [m] is that from the box's centre; of two boxes, ``half_size`` [m] is the sum
+    of both. With $n$ the unit vector from the nearest point of the box, $g$ the distance from there
+    (negative within the box) and $r$ half of its shortest side, the result is $(g + r) n$: on that
+    side, as far as the centre is. A point before a side slides along it (unit vectors, else 0)
+    without coming nearer. Where ``half_size`` is 0 the displacement stays as it is.
+    """
+    beyond = jnp.abs(displacement) - half_size
+    sign = jnp.where(displacement < 0.0, -1.0, 1.0)
+    outside = sign * jnp.maximum(beyond, 0.0)
+    square = jnp.sum(outside**2, axis=-1, keepdims=True)
+    inside = square <= (_LEAST_GAP * jnp.min(half_size, axis=-1, keepdims=True)) ** 2
+    gap = jnp.sqrt(jnp.where(inside, 1.0, square))
+    nearest_side = beyond == jnp.max(beyond, axis=-1, keepdims=True)
+    normal = jnp.where(inside, sign * nearest_side, outside / gap)
+    gap = jnp.where(inside, jnp.max(beyond, axis=-1, keepdims=True), gap)
+    is_box = jnp.any(half_size > 0.0, axis=-1, keepdims=True)
+    radius = jnp.min(half_size, axis=-1, keepdims=True)
+    moved = jnp.where(is_box, (gap + radius) * normal, displacement)
+    slides = is_box & (normal == 0.0)
+    axes = jnp.eye(displacement.shape[-1], dtype=displacement.dtype)
+    return moved, [slides[:, index, None] * axis for index, axis in enumerate(axes)]

@@ -225,16 +225,20 @@ def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array,
         last = jnp.zeros_like(values[:, :1]) if last is None else last
         return jnp.concatenate([values, last], axis=1)
 
-    types = nodes.type_id
-    same = None if types is None else jnp.take_along_axis(types, first, axis=1)
+    def of_first(values: Array | None) -> Array | None:
+        if values is None:
+            return None
+        return jnp.take_along_axis(values, first.reshape(-1, *(1,) * (values.ndim - 1)), axis=1)
+
     return nodes._replace(
         actuated=appended(nodes.actuated),
         mask=appended(nodes.mask, exists[:, None]),
         # `pair_indices` lists the pairs of a new last node after all others.
         candidate=appended(nodes.candidate, edges),
-        type_id=appended(types, same),
+        type_id=appended(nodes.type_id, of_first(nodes.type_id)),
         static=appended(nodes.static),
         control_of=appended(nodes.control_of),
+        half_size=appended(nodes.half_size, of_first(nodes.half_size)),
     )
 
 

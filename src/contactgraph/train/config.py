@@ -3,11 +3,13 @@
 import math
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from contactgraph.data.actuation_fit import (
     ActuationFit,
+    distances,
     driving_components,
     fit_actuation,
     fit_slowing,
@@ -99,6 +101,7 @@ class BodyDefaults:
     actuated_nodes: int
     plane_distance: dict[str, float]
     averaged: bool
+    boxes: bool
     theta: float
     slowing: dict[str, tuple[float, float]]
 
@@ -163,9 +166,12 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         )
     theta = fit_theta(dataset)
     averaged = theta > _AVERAGED
-    distance = common.contact_distance
+    distance, boxes = common.contact_distance, False
     if common.learned_contact_distance:
-        distance = _contact_distance(dataset)
+        round_, box = (_contact_distance(dataset, each) for each in (False, True))
+        # Shapes that are right let bodies touch at one distance.
+        boxes = box.spread < round_.spread
+        distance = box.distance if boxes else round_.distance
     return BodyDefaults(
         contact_distance=distance,
         learned_contact_distance=common.learned_contact_distance and not averaged,
@@ -175,8 +181,9 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         actuated_nodes=max(1, *(int(each.scene.actuated.sum()) for each in dataset)),
         plane_distance=_plane_distances(dataset),
         averaged=averaged,
+        boxes=boxes,
         theta=theta,
-        slowing=fit_slowing(dataset, distance),
+        slowing=fit_slowing(dataset, distance, boxes),
     )
 
 
@@ -189,32 +196,41 @@ def _node_types(dataset: Dataset) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for _, name in names))
 
 
-def _contact_distance(dataset: Dataset) -> float:
-    """The distance, m, from the nearest body at which bodies that rest begin to move.
+class _Touching(NamedTuple):
+    distance: float
+    """m"""
+    spread: float
+    """From the first to the last tenth, in units of the distance; infinite where not known."""
+
+
+def _contact_distance(dataset: Dataset, boxes: bool) -> _Touching:
+    """The distance from the nearest body at which bodies that rest begin to move.
 
     Where that is hardly ever seen: how near bodies come to each other in some trajectories.
+    ``boxes``: bodies that have a size are boxes.
     """
     if any(each.scene.has_hinges for each in dataset):
-        return CONTACT_DISTANCE  # is that from a bar's middle line
+        return _Touching(CONTACT_DISTANCE, np.inf)  # is that from a bar's middle line
     begins: list[np.ndarray] = []
     nearest: list[float] = []
     for each in dataset:
-        position, count = each.position, each.scene.node_count
-        if count < 2:
+        if each.scene.node_count < 2:
             continue
-        apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
-        apart = np.min(apart + np.where(np.eye(count, dtype=bool), np.inf, 0.0), axis=-1)
+        apart = np.min(distances(each, boxes), axis=-1)
         speed = np.linalg.norm(each.velocity, axis=-1)
         moves = speed > _MOVES * speed.max(initial=0.0)
         begin = ~moves[:-1] & moves[1:] & ~each.scene.actuated
         begins.append(np.minimum(apart[:-1], apart[1:])[begin])
         nearest.append(float(apart.min()))
     found = np.concatenate(begins) if begins else np.zeros(0)
-    share = _FARTHER
+    share, spread = _FARTHER, np.inf
     if len(found) < _LEAST_BEGINNINGS:
         found, share = np.array(nearest), 1.0 - _FARTHER
+    elif np.median(found) > 0.0:
+        spread = float(np.diff(np.quantile(found, [1.0 - _FARTHER, _FARTHER]))[0])
+        spread = spread / float(np.median(found))
     distance = float(np.quantile(found, share)) if len(found) else 0.0
-    return distance if distance > 0.0 else CONTACT_DISTANCE
+    return _Touching(distance if distance > 0.0 else CONTACT_DISTANCE, spread)
 
 
 def _plane_distances(dataset: Dataset) -> dict[str, float]:
