@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.model.types import Nodes
@@ -87,6 +87,11 @@ class Actuation(eqx.Module):
         self.stiffness_root, self.damping_root = 0.0 * jnp.ones(types), 0.0 * jnp.ones(types)
         self.types, self.dimension, self.control_size = types, dimension, control_size
         self.servo, self.scale = servo, scale
+
+    @property
+    def by_servo(self) -> Bool[Array, " types"]:
+        """The types that a servo moves, and no mere force."""
+        return self.stiffness_root + self.damping_root > 0.0
 
     @classmethod
     def from_fits(

@@ -19,8 +19,7 @@ from contactgraph.model.planes import on_planes, plane_geometry
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
 _PACE = 5.0
-"""Scale of the numbers of each type in their parameters: each is a single number with a large
-effect, and so learns faster than a network's weights by this factor."""
+"""Scale of each type's numbers in their parameters, which learn faster than weights by this."""
 _IMPACT_SPEED = 0.1
 """Change of velocity, in units of speed, from about which a step counts as an impact."""
 _MOST_DAMPED = 0.99
@@ -28,15 +27,16 @@ _MOST_DAMPED = 0.99
 _LEAST_COUPLING = 0.5
 """Of a touch and of the first type that holds: with less, the types could not be told apart."""
 _ROUGH = 0.35
-"""Start of `friction_raw`: coefficients are 0.47 between bodies, and 0.02 on planes."""
+"""Start of `friction_raw`: 0.47 between bodies, else only holds explain that they go along."""
 _PLANE_LEARNED = 0.1
 """Learned part of the distance from planes, as a share of what the data tell."""
 _DECELERATION = 10.0
 """Unit of decelerations by the ground, in units of speed a second."""
 _EARLY, _ONE_SIDED = 0.01, 2e-4
-"""Approach in a step, in units of `BodyHead.length`: of bodies that are about to touch, and from
-which a touch acts."""
+"""Approaches in a step, in units of `BodyHead.length`: before a touch, and from which one acts."""
 _SMALL = 1e-6
+_SERVO_MASS = 100.0
+"""Start of the mass of what a servo moves: it pushes, and hardly gives way."""
 
 
 class BodyHead(eqx.Module):
@@ -93,12 +93,12 @@ class BodyHead(eqx.Module):
         """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``averaged``:
         whether velocities are means over a step; ``speed``: unit of speeds, m/s."""
         # Products have no weak type, with which the first training update would recompile.
-        self.log_mass = self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
+        self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
+        self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / _PACE
         self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
-        # Without friction only a hold would explain a body that goes along with what pushes it.
         self.friction_raw = (_ROUGH * jnp.ones(node_types + 1)).at[-1].set(-_ROUGH)
-        self.plane_raw = self.log_mass
-        self.plane_distance = 0.5 * length + self.log_mass
+        self.plane_raw = self.damper_raw
+        self.plane_distance = 0.5 * length + self.damper_raw
         self.edge = eqx.nn.MLP(width, 3, width, 1, key=key)
         self.actuation = actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
