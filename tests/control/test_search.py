@@ -81,13 +81,17 @@ def test_equal_states_give_equal_plans():
     np.testing.assert_array_equal(solve(PLANNER, begin).controls, solve(PLANNER, begin).controls)
 
 
-def test_a_free_hand_moves_as_an_approach_wants():
+@pytest.mark.parametrize("wall", [None, 0.58], ids=["free", "near a wall"])
+def test_a_hand_moves_as_an_approach_wants(wall):
+    """Also beside a wall, which it touches at half of the contact distance."""
     begin = state([0.0, 0.5], [0.3, 0.0])
-    scene = _Scene.of(model(), begin, NODES, COST)
+    planes = None if wall is None else np.array([[0.0, -1.0, -wall]])
+    nodes = scene_nodes(dataclasses.replace(SCENE, planes=planes))
+    scene = _Scene.of(model(), begin, nodes, COST)
     approach = made(direction=[1.0, 0.0], travel=0.2)
     wanted, _ = approach.wanted(begin.position, False, begin.position, jnp.asarray(REACH), DT)
     controls, cost = eqx.filter_jit(lambda: scene.follow(approach, ILQR(H)))()
-    after = model().rollout(begin, controls, NODES)
+    after = model().rollout(begin, controls, nodes)
     np.testing.assert_allclose(after.velocity[0, 0], wanted, atol=0.02)
     x = jnp.stack([after.position, after.velocity], axis=2)
     x = jnp.concatenate([jnp.stack([begin.position, begin.velocity], axis=1)[None], x])

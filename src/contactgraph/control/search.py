@@ -181,7 +181,7 @@ class _Scene(eqx.Module):
     @classmethod
     def of(cls, model: StepModel, state: ModelState, nodes: Nodes, cost: QuadraticCost) -> "_Scene":
         assert isinstance(model, ContactDynamics) and isinstance(model.features, InvariantFeatures)
-        alone = nodes._replace(candidate=jnp.zeros_like(nodes.candidate))
+        alone = nodes._replace(candidate=jnp.zeros_like(nodes.candidate), planes=None)
         # Dry friction holds a body at rest, and hardly matters to one that is driven.
         driven = jnp.where(nodes.actuated[:, None], model.features.speed * model.dt, 0.0)
         driven = jnp.broadcast_to(driven, state.velocity.shape).astype(state.velocity.dtype)
