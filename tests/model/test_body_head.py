@@ -72,6 +72,18 @@ def test_a_free_servo_follows_its_own_equation() -> None:
     np.testing.assert_array_equal(found.position[:, 1:], np.tile(position[1:], (STEPS, 1, 1)))
 
 
+def test_a_free_servo_is_linear_in_its_state_as_its_equation() -> None:
+    nodes = scene_nodes(scene())
+    position = jnp.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
+    velocity = jnp.array([[0.4, -0.3], [0.0, 0.0], [0.0, 0.0]])
+    state = ModelState(position, velocity, model().initial_belief(position, velocity, nodes))
+    linear, _ = eqx.filter_jit(model().linear_step)(state, nodes)
+    inertia = 1.0 + 15.0 * DT + 100.0 * DT**2
+    by_position, by_velocity = -100.0 * DT / inertia, 1.0 / inertia
+    expected = np.broadcast_to([by_position, by_velocity], (2, 2))
+    np.testing.assert_allclose(linear.A[0, :, 1], expected, rtol=1e-3)
+
+
 def test_a_stiff_servo_pushes_and_static_bodies_stay_exactly() -> None:
     nodes = scene_nodes(scene())
     position = jnp.array([[0.0, 0.0], [0.12, 0.0], [0.36, 0.0]])

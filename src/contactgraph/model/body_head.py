@@ -201,7 +201,8 @@ class BodyHead(eqx.Module):
         size = jnp.sqrt(jnp.sum((change / self.speed) ** 2, axis=-1) + _SMALL**2)
         impact = (1.0 - solution.own_share) * size / (size + _IMPACT_SPEED)
         damper = solution.ground_share + impact + dt * share @ (slots.T @ motion.damping)
-        damper = jnp.clip(damper, 0.0, _MOST_DAMPED - theta * spring)
+        # An implicit spring damps by itself, which `ActuatedMotion.damping` includes.
+        damper = jnp.clip(damper - theta * spring, 0.0, _MOST_DAMPED - theta * spring)
         # Dampers and springs slow the other forces too, but the solution includes the slowing.
         undamped = (1.0 / (1.0 - theta * damper - theta**2 * spring))[:, None]
         return SpringMassDamper(
