@@ -46,6 +46,16 @@ def test_weight_and_hinges_are_detected_in_any_trajectory() -> None:
     assert not defaults_from_data(trajectories(replace(scene(), gravity=np.zeros(2)))).weight
 
 
+def test_planes_stop_only_the_types_that_stay_before_them() -> None:
+    walled = replace(scene(), planes=np.array([[1.0, 0.0, 0.0]]))
+    position = np.zeros((201, 2, 2))
+    position[:, 0, 0] = np.linspace(-0.03, 0.4, 201)  # the hand passes the plane
+    position[:, 1, 0] = np.linspace(0.05, 0.4, 201)
+    moved = Trajectory(walled, position, np.zeros_like(position), np.zeros((200, 2)))
+    found = body_defaults(Dataset((moved,))).plane_distance
+    assert found["hand"] == -0.03 and 0.05 <= found["block"] < 0.06
+
+
 def followed(kind: str, count: int = 40) -> Trajectory:
     """v' = 0.3 v + 16 u along both axes, with steps of 0.04 s: a gain of 400."""
     control = np.random.default_rng(0).normal(size=(count, 2))

@@ -234,7 +234,10 @@ def _contact_distance(dataset: Dataset, boxes: bool) -> _Touching:
 
 
 def _plane_distances(dataset: Dataset) -> dict[str, float]:
-    """How near each type comes to any plane, m, but for the nearest of its states."""
+    """How near each type comes to any plane, m, but for the nearest of its states.
+
+    Of a type that planes do not stop: how far it gets behind them, below 0.
+    """
     heights: dict[str, list[np.ndarray]] = {}
     for each in dataset:
         planes = each.scene.planes
@@ -242,10 +245,12 @@ def _plane_distances(dataset: Dataset) -> dict[str, float]:
             height = np.min(each.position @ planes[:, :-1].T - planes[:, -1], axis=-1)
             for node, name in enumerate(each.scene.node_type):
                 heights.setdefault(name, []).append(height[:, node])
-    nearest = {
-        name: float(np.quantile(np.concatenate(found), _NEAREST)) for name, found in heights.items()
-    }
-    return {name: value for name, value in nearest.items() if value > 0.0}
+    nearest: dict[str, float] = {}
+    for name, found in heights.items():
+        height = np.concatenate(found)
+        near = float(np.quantile(height, _NEAREST))
+        nearest[name] = near if near > 0.0 else float(height.min())
+    return nearest
 
 
 _FOLLOWED = ("displacement", "velocity")
