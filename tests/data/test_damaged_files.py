@@ -43,6 +43,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
         control_kind=("force", "switch"),
         control_of=np.array([[True, True], [False, False], [False, False]]),
         planes=np.array([[0.6, 0.8, -1.0], [0.0, 1.0, 0.0]]),
+        reach=np.array([[[-1.0, np.nan], [1.0, 2.0]], *np.full((2, 2, 2), np.nan)]),
         polygons=(np.array([[0, 0], [1, 0], [0, 1]]), np.array([[0, 0], [1, 0], [1, 1], [0, 1]])),
         polygon_of=np.array([2, 2]),
         metadata={"seed": 3},
@@ -85,6 +86,7 @@ def assert_same_or_refused(path: Path, original: Path) -> None:
                 np.testing.assert_array_equal(ours.contact, theirs.contact)
                 np.testing.assert_array_equal(ours.orientation, theirs.orientation)
                 np.testing.assert_array_equal(ours.scene.planes, theirs.scene.planes)
+                np.testing.assert_array_equal(ours.scene.reach, theirs.scene.reach)
                 assert ours.scene.control_kind == theirs.scene.control_kind
                 assert ours.scene.node_name == theirs.scene.node_name
                 assert ours.scene.node_type == theirs.scene.node_type
@@ -115,7 +117,7 @@ def test_everything_written_is_under_a_checksum(good: Path) -> None:
         assert good.read_bytes()[8] == 3, "superblock version"
         check("/", file)
         file.visititems(check)
-    assert len(arrays) == 2 * 24
+    assert len(arrays) == 2 * 25
 
 
 @settings(max_examples=300, deadline=None)
@@ -255,6 +257,22 @@ HOLDING_WITHOUT_CONTACT[3, [1, 2], [2, 1]] = True
         (put("planes", np.ones((1, 4))), f"{RUN}: planes must have shape (P, D+1) = (P, 3)"),
         (put("planes", [[1, 0, 0], [0.6, 0.9, 1]]), "found [0.6, 0.9, 1.0] in row 1"),
         (put("planes", [[1, 0, np.inf]]), f"{RUN}: planes must be a normal of length 1 and a fin"),
+        (put("reach", np.ones((3, 2, 3))), f"{RUN}: reach must have shape (N, 2, D) = (3, 2, 2)"),
+        (
+            put("reach", [[[1, 0], [0, 1]]] * 3),
+            f"{RUN}: reach must be lower bounds below upper ones, each finite or NaN for none, "
+            "found [[1.0, 0.0], [0.0, 1.0]] for 'gripper'",
+        ),
+        (
+            put("reach", np.full((3, 2, 2), np.inf)),
+            f"{RUN}: reach must be lower bounds below upper ones, each finite or NaN for none, "
+            "found [[inf, inf], [inf, inf]] for 'gripper'",
+        ),
+        (
+            put("reach", [[[0, 0], [1, 1]]] * 3),
+            f"{RUN}: reach must be NaN for nodes that are not actuated, found [[0.0, 0.0], [1.0, "
+            "1.0]] for 'käse'",
+        ),
         (put("polygons", np.ones((7, 2))), f"{RUN}: polygons must be finite and convex"),
         (put("polygons", np.full((7, 2), np.nan)), f"{RUN}: polygons must be finite and convex"),
         (put("polygons", np.ones((7, 3))), f"{RUN}: polygons must have shape (V, 2) with V >= 3"),

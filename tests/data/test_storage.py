@@ -85,6 +85,7 @@ def datasets(draw: st.DrawFn) -> Dataset:
             "orientation": quaternion if dimension == 3 else angle[..., None],
             "angular_velocity": quaternion[..., 1:] if dimension == 3 else angle[..., None],
         }
+        box = np.array([[-1.0], [2.0]]) * np.ones(dimension)
         outlines = draw(st.none() | st.lists(st.integers(3, 6), max_size=3))
         if dimension != 2:
             outlines = None
@@ -93,6 +94,7 @@ def datasets(draw: st.DrawFn) -> Dataset:
             control_kind=tuple(draw(kinds)) if draw(st.booleans()) else None,
             control_of=draw(hnp.arrays(bool, (nodes, control_size))),
             planes=np.eye(dimension, dimension + 1) if draw(st.booleans()) else None,
+            reach=np.where(actuated[:, None, None], box, np.nan) if draw(st.booleans()) else None,
             polygons=None if outlines is None else tuple(regular(each) for each in outlines),
             polygon_of=None if outlines is None else np.zeros(len(outlines), dtype=np.int64),
             node_name=tuple(draw(st.lists(text, min_size=nodes, max_size=nodes, unique=True))),
@@ -131,7 +133,7 @@ def assert_same(found: Dataset, expected: Dataset) -> None:
             assert_same_array(getattr(ours, name), getattr(theirs, name))
         for name in ("actuated", "anchor", "goal", "mass", "radius", "size", "candidate_edges"):
             assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
-        for name in ("static", "control_of", "planes", "polygon_of"):
+        for name in ("static", "control_of", "planes", "reach", "polygon_of"):
             assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
         polygons = ours.scene.polygons, theirs.scene.polygons
         assert (polygons[0] is None) == (polygons[1] is None)

@@ -1,5 +1,7 @@
 """Resting bodies put into windows keep their distance and change nothing recorded."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,6 +63,15 @@ def test_recorded_nodes_are_unchanged() -> None:
     np.testing.assert_array_equal(after.nodes.mask[:, :2], before.nodes.mask)
     np.testing.assert_array_equal(after.nodes.actuated[:, :2], before.nodes.actuated)
     np.testing.assert_array_equal(after.nodes.candidate[:, :1], before.nodes.candidate)
+
+
+def test_its_reach_has_no_bounds() -> None:
+    before = windows(np.random.default_rng(1).normal(size=(4, 3, 2, 2)), [True, True])
+    reach = jnp.tile(jnp.array([[[-1.0, -1.0], [1.0, 1.0]]]), (4, 2, 1, 1))
+    before = dataclasses.replace(before, nodes=before.nodes._replace(reach=reach))
+    after = add_distractor(before, NEAREST, FARTHEST, jax.random.key(0)).nodes.reach
+    np.testing.assert_array_equal(after[:, :2], reach)
+    assert after.shape == (4, 3, 2, 2) and np.isnan(after[:, 2]).all()
 
 
 def test_without_space_a_distractor_is_masked() -> None:

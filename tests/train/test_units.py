@@ -40,6 +40,7 @@ def recorded(seed: int) -> Trajectory:
         gravity=np.array([0.0, -9.81]),
         control_kind=("displacement", "displacement", "other"),
         planes=np.array([[0.0, 1.0, -0.05]]),
+        reach=np.array([[[-1.0, np.nan], [1.0, np.nan]], np.full((2, 2), np.nan)]),
     )
     return Trajectory(scene, position, velocity, control)
 
@@ -57,6 +58,7 @@ def test_a_training_sees_the_same_numbers_whatever_the_units() -> None:
             expected = getattr(one, name).astype(np.float32)
             np.testing.assert_array_equal(getattr(two, name).astype(np.float32), expected)
         np.testing.assert_allclose(two.scene.planes, one.scene.planes, rtol=1e-12)
+        np.testing.assert_allclose(two.scene.reach, one.scene.reach, rtol=1e-12)
         np.testing.assert_allclose(two.scene.gravity, one.scene.gravity, rtol=1e-12)
     assert other.config.contact_distance == pytest.approx(metres.config.contact_distance)
     assert any("1000 of the data" in line for line in other.lines())

@@ -147,6 +147,7 @@ def _beyond_points(dataset: "Dataset") -> str:
     has = {
         "servos": bool(kinds & set(SERVO_KINDS)),
         "planes": any(each.planes is not None and len(each.planes) for each in scenes),
+        "bounds of reach": any(each.has_reach for each in scenes),
         "static bodies": any(each.static is not None and each.static.any() for each in scenes),
         "several actuated bodies": any(each.actuated.sum() > 1 for each in scenes),
     }

@@ -165,6 +165,11 @@ def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:
     mask: Any = np.asarray(nodes.mask)[ids] & real
     candidate: Any = np.asarray(nodes.candidate)[edge] & exists
 
+    reach: Any = None
+    if nodes.reach is not None:
+        bounds = np.asarray(nodes.reach)
+        reach = np.where(real[:, None, None], bounds[ids], bounds.dtype.type(np.nan))
+
     def of_nodes(values: Any) -> Any:
         return None if values is None else np.where(real, np.asarray(values)[ids], 0)
 
@@ -177,6 +182,7 @@ def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:
         static=of_nodes(nodes.static),
         control_of=None if nodes.control_of is None else np.asarray(nodes.control_of)[ids],
         half_size=None if nodes.half_size is None else np.asarray(nodes.half_size)[ids],
+        reach=reach,
     )
 
 

@@ -58,6 +58,9 @@ class Scene:
     planes: np.ndarray | None = None
     """[P, D+1] rows of a unit normal n and an offset o, m: space is free where n·x >= o. None: not
     known."""
+    reach: np.ndarray | None = None
+    """[N, 2, D] m: lower and upper bounds of the position of an actuated body, such as a robot's
+    workspace; NaN where there is none. None: not known."""
     polygons: tuple[np.ndarray, ...] | None = None
     """[P] convex outlines [V, 2] of nodes in the plane, in the body's frame, m. None: not known."""
     polygon_of: np.ndarray | None = None
@@ -110,6 +113,10 @@ class Scene:
             _set(self, "control_of", _checked_control_of(self.control_of, count))
         if self.planes is not None:
             _set(self, "planes", _checked_planes(self.planes, dimension))
+        if self.reach is not None:
+            _set(
+                self, "reach", _checked_reach(self.reach, self.actuated, dimension, self.node_name)
+            )
         if self.polygons is not None or self.polygon_of is not None:
             polygons, nodes = _checked_polygons(self.polygons, self.polygon_of, count, dimension)
             _set(self, "polygons", polygons)
@@ -129,6 +136,11 @@ class Scene:
     def has_weight(self) -> bool:
         """Whether bodies have weight."""
         return self.gravity is not None and bool(np.any(self.gravity != 0.0))
+
+    @property
+    def has_reach(self) -> bool:
+        """Whether the reach of some node is bounded."""
+        return self.reach is not None and bool(np.any(np.isfinite(self.reach)))
 
     @property
     def has_hinges(self) -> bool:
@@ -200,6 +212,27 @@ def _checked_planes(planes: np.ndarray, dimension: int) -> np.ndarray:
             f"found {planes[plane].tolist()} in row {plane}"
         )
     return planes
+
+
+def _checked_reach(
+    reach: np.ndarray, actuated: np.ndarray, dimension: int, names: tuple[str, ...]
+) -> np.ndarray:
+    reach = np.asarray(reach, dtype=np.float64)
+    shape = (len(actuated), 2, dimension)
+    if reach.shape != shape:
+        raise InvalidInputError(f"reach must have shape (N, 2, D) = {shape}, found {reach.shape}")
+    wrong = np.any(np.isinf(reach), axis=(1, 2)) | np.any(reach[:, 0] >= reach[:, 1], axis=1)
+    for node in np.flatnonzero(wrong):
+        raise InvalidInputError(
+            "reach must be lower bounds below upper ones, each finite or NaN for none, "
+            f"found {reach[node].tolist()} for {names[node]!r}"
+        )
+    for node in np.flatnonzero(~actuated & np.any(np.isfinite(reach), axis=(1, 2))):
+        raise InvalidInputError(
+            f"reach must be NaN for nodes that are not actuated, found "
+            f"{reach[node].tolist()} for {names[node]!r}"
+        )
+    return reach
 
 
 def _checked_polygons(

@@ -43,6 +43,8 @@ class Nodes(NamedTuple, Generic[Array]):
     """[..., D] m/s^2 on bodies that are neither actuated nor static. None: without weight."""
     half_size: Array | None = None
     """[..., N, D] m: half the sides of the box that a node is; 0 for others. None: none is one."""
+    reach: Array | None = None
+    """[..., N, 2, D] m, see `Scene.reach`; NaN where there is no bound. None: nowhere."""
 
     @property
     def mobile(self) -> Any:
@@ -162,6 +164,7 @@ class PresentProperties:
     """Most planes of a scene; 0: none has any."""
     gravity: bool
     boxes: bool
+    reach: bool
 
 
 def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
@@ -174,6 +177,7 @@ def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
         planes=max(0 if each.planes is None else len(each.planes) for each in scenes),
         gravity=any(each.has_weight for each in scenes),
         boxes=any(each.size is not None for each in scenes),
+        reach=any(each.has_reach for each in scenes),
     )
 
 
@@ -215,4 +219,5 @@ def pad_nodes(
         planes=planes if present.planes else None,
         gravity=weight if present.gravity else None,
         half_size=padded(scene.half_size, 0.0, float, dimension) if present.boxes else None,
+        reach=padded(scene.reach, np.nan, float, 2, dimension) if present.reach else None,
     )

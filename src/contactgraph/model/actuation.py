@@ -1,5 +1,6 @@
 """Actuation: how the control drives the actuated bodies."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
@@ -9,7 +10,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.actuation_fit import ActuationFit
-from contactgraph.model.types import Nodes
+from contactgraph.model.block_inverse import relative_at_edges
+from contactgraph.model.contacts import ContactMotion
+from contactgraph.model.types import LocalInput, Nodes, Step
 
 
 class ActuatedMotion(eqx.Module):
@@ -26,11 +29,68 @@ class ActuatedMotion(eqx.Module):
     damping: Float[Array, " N"]
     """(c + theta dt k) / n, 1/s: the same of a velocity of 1 m/s."""
 
+    def stopped_at_reach(
+        self, driven: Float[Array, "N D"], local: LocalInput, step: Step
+    ) -> tuple["ActuatedMotion", Float[Array, "N D"], LocalInput]:
+        """The motion of actuators that stop at the bounds of their reach, what they then add to the
+        velocity in the step (``driven`` [m/s] without bounds), and the input with nodes braked.
+
+        Where a node would leave its reach, the control has no effect along that axis: the node
+        comes to the bound in the step, and does not turn back. Contacts meet it braked, so that
+        they add no energy.
+        """
+        theta, dt, velocity = step.theta, step.dt, local.velocity
+        end = local.position + dt * (velocity + theta * driven)
+        stop = within_reach(end, local)
+        leaves = end != stop
+        after = velocity + ((stop - local.position) / dt - velocity) / theta
+        after = jnp.where((end - stop) * after > 0.0, after, 0.0)
+        slower = jnp.where(leaves & (jnp.abs(after) < jnp.abs(velocity)), after, velocity)
+        driven = jnp.where(leaves, after - slower, driven)
+        stopped = dataclasses.replace(
+            self,
+            by_control=jnp.where(leaves[..., None], 0.0, self.by_control),
+            constant=jnp.where(leaves, driven / dt, self.constant),
+        )
+        change = relative_at_edges((slower - velocity)[..., None], local.geometry)[..., 0]
+        relative = local.geometry.relative_velocity + change
+        geometry = dataclasses.replace(local.geometry, relative_velocity=relative)
+        return stopped, driven, dataclasses.replace(local, velocity=slower, geometry=geometry)
+
+    def kept_within_reach(
+        self,
+        solution: ContactMotion,
+        driven: Float[Array, "N D"],
+        slots: Float[Array, "N S"],
+        local: LocalInput,
+        braked: LocalInput,
+        step: Step,
+    ) -> ContactMotion:
+        """The motion of all nodes, also as ``local`` [m/s] is braked, and displaced so that none
+        ends outside its reach: a fast node does not stop at once, and others may push it."""
+        slowing = solution.acceleration + (braked.velocity - local.velocity) / step.dt
+        change = solution.velocity_change + step.dt * slowing
+        change = change + solution.response @ (slots.T @ driven).reshape(-1)
+        displaced = solution.impact_displacement
+        end = local.position + step.dt * (local.velocity + step.theta * change) + displaced
+        displaced = displaced + (within_reach(end, local) - end)
+        return dataclasses.replace(solution, acceleration=slowing, impact_displacement=displaced)
+
 
 def actuated_slots(nodes: Nodes, slots: int) -> Float[Array, "N slots"]:
     """One-hot: which of the actuated nodes each one is; 0 for others."""
     index = jnp.cumsum(nodes.actuated) - 1
     return jax.nn.one_hot(jnp.where(nodes.actuated, index, -1), slots)
+
+
+def within_reach(end: Float[Array, "N D"], local: LocalInput) -> Float[Array, "N D"]:
+    """The place, m, nearest to the ``end`` of a step that is in a node's reach, or not farther
+    outside than the node is."""
+    bounds, position = local.nodes.reach, local.position
+    assert bounds is not None
+    low = jnp.where(jnp.isnan(bounds[:, 0]), -jnp.inf, jnp.minimum(bounds[:, 0], position))
+    high = jnp.where(jnp.isnan(bounds[:, 1]), jnp.inf, jnp.maximum(bounds[:, 1], position))
+    return jnp.clip(end, low, high)
 
 
 class Actuation(eqx.Module):

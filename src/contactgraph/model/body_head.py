@@ -143,7 +143,10 @@ class BodyHead(eqx.Module):
         displaced = jnp.zeros_like(velocity)
         if local.control_displacement is not None:
             displaced = local.control_displacement / (theta * dt)
-        contacts = self._contacts(local, message, step)
+        braked = local
+        if nodes.reach is not None:
+            motion, displaced, braked = motion.stopped_at_reach(displaced, local, step)
+        contacts = self._contacts(braked, message, step)
         lifted, falling, capacity = local.actuated, jnp.zeros(count), local.group_capacity
         if nodes.gravity is not None:
             lifted = lifted_fraction(lifted, contacts.holding, local.geometry, capacity)
@@ -155,7 +158,7 @@ class BodyHead(eqx.Module):
         if nodes.planes is not None:
             # What is held goes with the hand, and falls on no plane.
             meeting = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
-            contacts = contacts.and_also(self._plane_contacts(local, meeting, step))
+            contacts = contacts.and_also(self._plane_contacts(braked, meeting, step))
             on_ground = on_ground if nodes.gravity is None else on_planes(contacts.geometry, nodes)
         damper, slowing = (
             on_ground * jax.nn.softplus(_PACE * node_type @ raw - 6.0)
@@ -163,7 +166,7 @@ class BodyHead(eqx.Module):
         )
         bodies = FreeBodies(
             mass=mass,
-            velocity=velocity,
+            velocity=braked.velocity,
             ground_damper=dt * mass * damper,
             deceleration=_DECELERATION * self.speed * slowing,
             weight=(mass[:, None] * falls)[..., None],
@@ -172,6 +175,8 @@ class BodyHead(eqx.Module):
             speed=self.speed,
         )
         solution = contacts.solve(bodies, dt, local.group_capacity)
+        if nodes.reach is not None:
+            solution = motion.kept_within_reach(solution, displaced, slots, local, braked, step)
         parameters = self._parameters(local, motion, slots, solution, step)
         if local.anchor is None:
             return parameters
@@ -217,10 +222,7 @@ class BodyHead(eqx.Module):
         )
 
     def _contacts(
-        self,
-        local: LocalInput,
-        message: Float[Array, "active 2 E W"],
-        step: Step,
+        self, local: LocalInput, message: Float[Array, "active 2 E W"], step: Step
     ) -> Contacts:
         """Contacts of the edges."""
         # The sum over directions does not depend on which node is the first.
@@ -299,6 +301,5 @@ class BodyHead(eqx.Module):
         return bounce, jax.nn.softplus(both(self.friction_raw) - 4.0)
 
     def _displacing(self, geometry: Geometry, step: Step) -> Float[Array, " C"]:
-        if self.averaged:  # positions follow from such velocities
-            return jnp.zeros_like(geometry.fraction_after_impact)
-        return geometry.fraction_after_impact - step.theta
+        # Positions follow from velocities that are means.
+        return (1.0 - self.averaged) * (geometry.fraction_after_impact - step.theta)

@@ -230,6 +230,7 @@ def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array,
             return None
         return jnp.take_along_axis(values, first.reshape(-1, *(1,) * (values.ndim - 1)), axis=1)
 
+    unbounded = None if nodes.reach is None else jnp.full_like(nodes.reach[:, :1], jnp.nan)
     return nodes._replace(
         actuated=appended(nodes.actuated),
         mask=appended(nodes.mask, exists[:, None]),
@@ -239,6 +240,7 @@ def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array,
         static=appended(nodes.static),
         control_of=appended(nodes.control_of),
         half_size=appended(nodes.half_size, of_first(nodes.half_size)),
+        reach=appended(nodes.reach, unbounded),
     )
 
 

@@ -96,7 +96,7 @@ def _trajectory(each: Trajectory, units: Units) -> Trajectory:
 def _scene(scene: Scene, length: float) -> Scene:
     given: dict[str, Any] = {
         name: getattr(scene, name) / length
-        for name in ("anchor", "goal", "gravity", "radius", "size")
+        for name in ("anchor", "goal", "gravity", "radius", "size", "reach")
         if getattr(scene, name) is not None
     }
     if scene.planes is not None:
