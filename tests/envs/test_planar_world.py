@@ -413,3 +413,27 @@ def test_a_body_has_one_shape():
 def test_substeps_out_of_range():
     with pytest.raises(InvalidInputError, match="substeps must be at least 1, found 0"):
         PlanarWorld([disc([0.0, 0.0])], DT, substeps=0)
+
+
+def test_a_disc_stops_at_the_bounds_of_its_reach_and_others_pass():
+    reach = np.array([[-0.3, np.nan], [0.2, 0.1]])
+    bodies = [
+        disc([0.0, 0.0], restitution=0.9, reach=reach),
+        disc([-0.5, 0.4], [1.0, 0.0], restitution=0.9),
+    ]
+    world, found = PlanarWorld(bodies, 0.05), []
+    for step, push in enumerate([10.0] * 15 + [-10.0] * 15):
+        world.step(np.array([[push, push], [0.0, 0.0]]))
+        found.append(world.position[0])
+        if step == 14:
+            np.testing.assert_allclose(world.velocity[0], 0.0, atol=1e-6)
+    np.testing.assert_allclose(found[14], [0.2, 0.1], atol=1e-3)
+    np.testing.assert_allclose(found[29][0], -0.3, atol=1e-3)
+    assert found[29][1] < -1.0
+    np.testing.assert_allclose(world.position[1], [1.0, 0.4], atol=1e-4)
+    assert not world.contact.any(), "a bound is no body"
+
+
+def test_a_reach_is_for_discs_that_move():
+    with pytest.raises(InvalidInputError, match="reach is for discs that move, in no group"):
+        disc([0.0, 0.0], static=True, reach=np.zeros((2, 2)))

@@ -58,6 +58,8 @@ class BilliardsLayout:
     """[2] m."""
     others: np.ndarray
     """[O + P, 2] m: further objects, then pillars."""
+    reach: np.ndarray | None = None
+    """[2, 2] m: bounds of the cue's position, see `Scene.reach`. None: the whole table."""
 
 
 def sample_layout(
@@ -188,9 +190,14 @@ class BilliardsTask(GripperTask):
                 restitution=self._restitution,
                 friction=FRICTION,
                 ground_friction=0.0 if static[index] else GROUND_FRICTION,
+                reach=layout.reach if self._types[index] == "cue" else None,
             )
             for index in range(count)
         ]
+        reach = None
+        if layout.reach is not None:
+            reach = np.full((count, 2, 2), np.nan)
+            reach[CUE] = layout.reach
         scene = Scene(
             node_name=(
                 *["cue"] * (not self._passive),
@@ -207,6 +214,7 @@ class BilliardsTask(GripperTask):
             static=static,
             control_kind=() if self._passive else ("force", "force"),
             planes=np.hstack([np.vstack([np.eye(2), -np.eye(2)]), np.tile(-TABLE, 2)[:, None]]),
+            reach=reach,
             metadata={
                 "task": self.name,
                 "seed": seed,

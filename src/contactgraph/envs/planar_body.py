@@ -43,6 +43,8 @@ class PlanarBody:
     """1/s, of the velocity and the angular velocity: v' = -damping v."""
     group: int = 0
     """Bodies of the same negative group pass through one another."""
+    reach: np.ndarray | None = None
+    """[2, 2] m: lower and upper bounds of a disc's middle, NaN for none, at which it stops."""
 
     def __post_init__(self) -> None:
         if (self.radius is None) == (self.half_size is None):
@@ -59,6 +61,8 @@ class PlanarBody:
             if not good:
                 found = size.tolist() if name == "size" else getattr(self, name)
                 raise InvalidInputError(f"{name} of a body must be {valid}, found {found}")
+        if self.reach is not None and (self.radius is None or self.static or self.group):
+            raise InvalidInputError("reach is for discs that move, in no group")
         if self.ground_friction and (self.static or self.rotates or self.anchor is not None):
             raise InvalidInputError("ground_friction is for bodies that move and cannot rotate")
 

@@ -1,4 +1,4 @@
-"""Joints between two bodies of a `PlanarWorld`, given Box2D's own world and bodies."""
+"""Joints and walls of a `PlanarWorld`, given Box2D's own world and bodies."""
 
 import math
 from dataclasses import dataclass
@@ -28,6 +28,36 @@ class Pad:
         for name in ("stiffness", "damping"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise InvalidInputError(f"{name} must be above 0, found {getattr(self, name)}")
+
+
+_FAR = 100.0
+"""Half the length of a bound, m: no body gets round it."""
+
+
+def walls_around(world: Any, corners: np.ndarray, scale: float) -> None:
+    """Four walls without friction, number -1; ``corners`` ``[2, 2]`` m: the lower and the upper."""
+    (left, low), (right, high) = corners
+    points = [(left, low), (right, low), (right, high), (left, high)]
+    body = world.CreateStaticBody(userData=-1)
+    for start, end in zip(points, points[1:] + points[:1], strict=True):
+        _edge(body, np.array([start, end]) * scale)
+
+
+def bounds_of_reach(world: Any, reach: np.ndarray, distance: float, own: int, scale: float) -> None:
+    """Walls, number -2, that only bodies of Box2D's group ``own`` meet.
+
+    ``reach`` ``[2, 2]`` m: lower and upper bounds, NaN for none; ``distance`` m: of a bound behind.
+    """
+    body = world.CreateStaticBody(userData=-2)
+    for side, axis in np.argwhere(np.isfinite(reach)):
+        ends = np.array([[-_FAR, -_FAR], [_FAR, _FAR]])
+        ends[:, axis] = reach[side, axis] + (distance if side else -distance)
+        _edge(body, ends * scale, groupIndex=own, maskBits=0)
+
+
+def _edge(body: Any, ends: np.ndarray, **which: int) -> None:
+    start, end = ends.tolist()
+    body.CreateEdgeFixture(vertices=[start, end], friction=0.0, restitution=0.0, **which)
 
 
 def joints_between(world: Any, ends: list[Any], pad: Pad | None, scale: float) -> list[Any]:

@@ -25,7 +25,13 @@ import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.envs.planar_body import PlanarBody
-from contactgraph.envs.planar_joints import Pad, joints_between, total_force
+from contactgraph.envs.planar_joints import (
+    Pad,
+    bounds_of_reach,
+    joints_between,
+    total_force,
+    walls_around,
+)
 
 with warnings.catch_warnings():
     # Its wrapper warns of a deprecation on import and crashes if warnings are errors.
@@ -68,6 +74,8 @@ class _ContactListener(Box2D.b2ContactListener):
         pair = _pair(contact)
         if pair[0] >= 0:  # else a wall, which is no node
             self.pairs.add(pair)
+        elif pair[0] < -1:  # a bound of reach: else the body's restitution counts, the larger one
+            contact.restitution = 0.0
 
     def EndContact(self, contact: Box2D.b2Contact) -> None:
         """Called by Box2D, also where a joint takes the place of a contact."""
@@ -108,7 +116,7 @@ class PlanarWorld:
         self._joints: dict[tuple[int, int], list[Box2D.b2Joint]] = {}
         self._touched: set[tuple[int, int]] = set()
         if walls is not None:
-            self._surround(np.asarray(walls, dtype=np.float64))
+            walls_around(self._world, walls + np.array([[-_SKIN], [_SKIN]]), SCALE)
         self._hold = hold
         if hold is not None:
             hold.reset(self)
@@ -137,7 +145,7 @@ class PlanarWorld:
                 density=1.0,
                 friction=body.friction,
                 restitution=body.restitution,
-                groupIndex=body.group,
+                groupIndex=body.group if body.reach is None else index + 1,
             ),
         )
         created.userData = index
@@ -151,16 +159,10 @@ class PlanarWorld:
             )
         if hinged:
             created.angularVelocity = body.spin
+        if body.reach is not None:
+            distance = float(body.size[0]) + _SKIN
+            bounds_of_reach(self._world, body.reach, distance, index + 1, SCALE)
         return created
-
-    def _surround(self, walls: np.ndarray) -> None:
-        (left, low), (right, high) = walls[0] - _SKIN, walls[1] + _SKIN
-        corners = list(np.array([[left, low], [right, low], [right, high], [left, high]]))
-        body = self._world.CreateStaticBody()
-        body.userData = -1
-        for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
-            edge = Box2D.b2EdgeShape(vertices=[_inside(start), _inside(end)])
-            body.CreateFixture(shape=edge, friction=0.0, restitution=0.0)
 
     @property
     def position(self) -> np.ndarray:
