@@ -216,6 +216,12 @@ def test_argmax_takes_the_most_probable_type_and_passes_the_gradient_on() -> Non
     np.testing.assert_array_equal(slope, weight)
 
 
+def test_doubt_between_touch_and_hold_does_not_part_bodies() -> None:
+    beliefs = np.array([[0.4, 0.25, 0.35], [0.4, 0.35, 0.25], [0.5, 0.3, 0.2]], np.float32)
+    taken = np.argmax(compiled(ArgmaxSample(), beliefs, None), axis=-1)
+    np.testing.assert_array_equal(taken, [2, 1, 0])
+
+
 def test_gumbel_draws_with_the_right_frequency() -> None:
     count = 20_000
     keys = jax.random.split(jax.random.PRNGKey(0), count)

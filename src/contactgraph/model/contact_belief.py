@@ -250,20 +250,30 @@ def pair_posterior(
     return jax.nn.softmax(jnp.log(jnp.maximum(joint, _MIN_JOINT)) + log_ratios, axis=(-2, -1))
 
 
+def likeliest_type(type_probability: Float[Array, "*T K"]) -> Int[Array, "*T"]:
+    """Free where that is at least as probable as all active types together, else the likeliest.
+
+    Touch and hold are the same motion while bodies are pressed together. Were each compared with
+    *free* alone, doubt between the two would part bodies that are probably in contact.
+    """
+    active = 1 + jnp.argmax(type_probability[..., 1:], axis=-1)
+    return jnp.where(type_probability[..., 0] >= 0.5, 0, active)
+
+
 class ArgmaxSample(eqx.Module):
-    """The most probable type; the gradient passes straight through to the probability."""
+    """`likeliest_type`; the gradient passes straight through to the probability."""
 
     def __call__(
         self, type_probability: Float[Array, "*T E K"], key: PRNGKeyArray | None
     ) -> Float[Array, "*T E K"]:
         """One-hot edge types. No key is needed."""
-        return _straight_through(type_probability, type_probability)
+        return _straight_through(type_probability, likeliest_type(type_probability))
 
 
 class GumbelSample(eqx.Module):
     """A sample of the probability (Gumbel-max), straight through to a softened sample.
 
-    Without a key it is the most probable type, so that plans are deterministic.
+    Without a key it is the `likeliest_type`, so that plans are deterministic.
     """
 
     temperature: float = eqx.field(static=True, default=1.0)
@@ -273,14 +283,15 @@ class GumbelSample(eqx.Module):
     ) -> Float[Array, "*T E K"]:
         """One-hot edge types."""
         if key is None:
-            return _straight_through(type_probability, type_probability)
+            return _straight_through(type_probability, likeliest_type(type_probability))
         logits = jnp.log(jnp.clip(type_probability, _MIN_PROBABILITY, 1.0))
         noisy = logits + jax.random.gumbel(key, logits.shape, logits.dtype)
         # Where the soft sample is used the probability itself must not gain mass at exactly 0.
         noisy = jnp.where(type_probability > 0, noisy, -jnp.inf)
-        return _straight_through(jax.nn.softmax(noisy / self.temperature, axis=-1), noisy)
+        drawn = jnp.argmax(noisy, axis=-1)
+        return _straight_through(jax.nn.softmax(noisy / self.temperature, axis=-1), drawn)
 
 
-def _straight_through(soft: Array, scores: Array) -> Array:
-    hard = jax.nn.one_hot(jnp.argmax(scores, axis=-1), scores.shape[-1], dtype=soft.dtype)
+def _straight_through(soft: Array, index: Array) -> Array:
+    hard = jax.nn.one_hot(index, soft.shape[-1], dtype=soft.dtype)
     return hard + soft - jax.lax.stop_gradient(soft)

@@ -27,6 +27,7 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.contact_belief import (
     ContactBelief,
     cast_like,
+    likeliest_type,
     pair_posterior,
     posterior_by_motion,
     without_change,
@@ -238,7 +239,7 @@ def _as_if_touching(model: ContactDynamics, state: ModelState, nodes: Nodes) -> 
 def most_probable(belief: ContactBelief) -> Float[Array, "E K"]:
     """The likeliest type of every edge, one-hot."""
     types = belief.type_probability
-    return jax.nn.one_hot(jnp.argmax(types, axis=-1), types.shape[-1], dtype=types.dtype)
+    return jax.nn.one_hot(likeliest_type(types), types.shape[-1], dtype=types.dtype)
 
 
 def _nearest(graph: EncodedGraph) -> Int[Array, " considered"]:
