@@ -18,6 +18,7 @@ from contactgraph.control.approaches import Approach, Draws, spread_approaches, 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits, solve_small
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.ilqr import ILQR
+from contactgraph.control.lanes import in_lanes
 from contactgraph.control.plan import Plan
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import edge_id, pair_indices
@@ -110,10 +111,11 @@ class SearchILQR(ILQR):
         before = guess.k[0, size - commands :]
         found = self._best_start(_Scene.of(model, state, nodes, quadratic), before)
         begin = AffinePolicy(jnp.zeros_like(guess.K), found.astype(guess.k.dtype))
-        both = jax.tree.map(lambda one, other: jnp.stack([one, other]), guess, begin)
-        plans = jax.vmap(lambda each: ILQR.solve(planner, model, state, nodes, quadratic, each))(
+        both = jax.tree.map(lambda one, other: jnp.stack([one, other], axis=-1), guess, begin)
+        plans = in_lanes(lambda each: ILQR.solve(planner, model, state, nodes, quadratic, each), 2)(
             both
         )
+        plans = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), plans)
         costs = plans.cost + self._switching(before, plans.controls)
         chosen = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
         plan = jax.tree.map(lambda leaf: leaf[chosen], plans)
@@ -138,10 +140,12 @@ class SearchILQR(ILQR):
         draws = [Draws.of(rng, self.starts, dimension, commands) for _ in range(self.rounds)]
         bounds = self.limits or ControlLimits(-jnp.ones(commands), jnp.ones(commands))
         most = [each[len(each) - commands :] for each in (bounds.lower, bounds.upper)]
-        follow = eqx.filter_jit(jax.vmap(lambda each: scene.follow(each, self)))
+        follow = eqx.filter_jit(in_lanes(lambda each: scene.follow(each, self), self.starts))
 
         def tried(approaches: Approach) -> tuple[Array, Array]:
-            controls, costs = follow(approaches)
+            behind = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), approaches)
+            controls, costs = follow(behind)
+            controls = jnp.moveaxis(controls, -1, 0)
             return controls, costs + self._switching(before, controls)
 
         up = scene.up

@@ -113,7 +113,8 @@ def solve_dense(matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatri
     edge, node = jnp.repeat(matrix.edge, size), jnp.repeat(matrix.node, size)
     inverse = _dense_inverse(product(jacobian.T, edge[:, None] * jacobian) + jnp.diag(node))
     solution = product(inverse, vectors.reshape(count * size, -1)).reshape(vectors.shape)
-    diagonal = jnp.mean(jnp.diagonal(inverse).reshape(count, size), axis=1)
+    diagonal = jnp.sum(inverse * jnp.eye(count * size, dtype=inverse.dtype), axis=1)
+    diagonal = jnp.mean(diagonal.reshape(count, size), axis=1)
     return MassMatrixSolution(solution, diagonal)
 
 

@@ -196,7 +196,7 @@ def _closest_approach(
     along = jnp.clip(-jnp.sum(begin * chord_path, axis=-1) / square, 0.0, 1.0)
     apart = jnp.sum((begin + along[..., None] * chord_path) ** 2, axis=-1)
     chord = jnp.argmin(apart, axis=0)
-    part = jnp.take_along_axis(along, chord[None], axis=0)[0]
+    part = jnp.sum(jnp.where(jnp.arange(chords)[:, None] == chord, along, 0.0), axis=0)
     return (chord + part) / chords, jnp.sqrt(jnp.min(apart, axis=0) + _MIN_SQUARE)
 
 

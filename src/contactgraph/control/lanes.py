@@ -1,0 +1,299 @@
+"""`jax.vmap` along the last axis: many small problems side by side in a core's vector lanes.
+
+XLA's loops run along the last axis. With a batch in front, loops over arrays of two or three
+numbers have two or three rounds; with the batch behind, they fill vectors.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal
+from jaxtyping import Array
+
+_Made = TypeVar("_Made")
+
+_ELEMENTWISE = """abs add add_any and ceil clamp convert_element_type copy cos div eq erf erf_inv
+exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg not or
+pow rem round rsqrt select_n sign sin sqrt square stop_gradient sub tan tanh xor"""
+_ALONG_AXES = """argmax argmin cummax cummin cumprod cumsum reduce_and reduce_max reduce_min
+reduce_or reduce_prod rev split squeeze"""
+"""Operations that name the axes on which they act, and treat all others alike."""
+_CALLS = {"jit": "jaxpr", "pjit": "jaxpr"} | dict.fromkeys(
+    ("closed_call", "custom_jvp_call", "custom_vjp_call"), "call_jaxpr"
+)
+_WRITTEN_OUT, _FEW_TERMS = 16, 7
+"""Most terms of a sum that is written out as additions, and of a matrix product that is."""
+
+
+class _Lanes:
+    """A value of each lane; one without this is the same in all lanes."""
+
+    def __init__(self, value: Array) -> None:
+        self.value = value
+        """[..., lanes]"""
+
+
+def in_lanes(function: Callable[..., _Made], lanes: int) -> Callable[..., _Made]:
+    """``jax.vmap(function, in_axes=-1, out_axes=-1)`` of ``lanes`` calls, to rounding.
+
+    It reads the function's operations one by one. Those that it does not know go through
+    `jax.vmap`, with the batch in front. It is not made for gradients.
+    """
+
+    def mapped(*arguments: Any) -> Any:
+        leaves, tree = jax.tree.flatten(arguments)
+        one = [jax.ShapeDtypeStruct(leaf.shape[:-1], leaf.dtype) for leaf in leaves]
+        closed, shape = jax.make_jaxpr(function, return_shape=True)(*jax.tree.unflatten(tree, one))
+        made = _evaluate(closed, [_Lanes(leaf) for leaf in leaves], lanes)
+        made = [_spread(each, lanes) for each in made]
+        return jax.tree.unflatten(jax.tree.structure(shape), made)
+
+    return mapped
+
+
+def _evaluate(closed: ClosedJaxpr, inputs: Sequence[Any], lanes: int) -> list[Any]:
+    known: dict[Any, Any] = dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
+    known.update(zip(closed.jaxpr.invars, inputs, strict=True))
+
+    def read(atom: Any) -> Any:
+        dtype = atom.aval.dtype
+        return np.asarray(atom.val, dtype) if isinstance(atom, Literal) else known[atom]
+
+    for equation in closed.jaxpr.eqns:
+        made = _apply(equation, [read(atom) for atom in equation.invars], lanes)
+        known.update(zip(equation.outvars, made, strict=True))
+    return [read(atom) for atom in closed.jaxpr.outvars]
+
+
+def _apply(equation: Any, values: list[Any], lanes: int) -> list[Any]:
+    """The results of one operation."""
+    name, params = equation.primitive.name, equation.params
+    if name in _CALLS:
+        return _evaluate(params[_CALLS[name]], values, lanes)
+    if not any(isinstance(each, _Lanes) for each in values):
+        return _bind(equation, values, params)
+    if name in _LOOPS:
+        return _LOOPS[name](params, values, lanes)
+    shapes = [atom.aval.shape for atom in equation.invars]
+    result = equation.outvars[0].aval.shape
+    others = any(isinstance(each, _Lanes) for each in values[1:])
+    written_out, operands = None, values
+    changed: dict[str, Any] | None = None
+    if name in _ELEMENTWISE.split():
+        operands, changed = [_operand(each, result, lanes) for each in values], {}
+    elif name in _ALONG_AXES.split():
+        changed = {}
+    elif name in ("concatenate", "stack"):
+        operands, changed = [_spread(each, lanes) for each in values], {}
+    elif name == "reduce_sum":
+        written_out = _sum(values[0].value, params["axes"])
+    elif name == "dot_general":
+        written_out = _product(params, shapes, values)
+    elif name == "dynamic_slice" and others:
+        written_out = _own_slices(values, shapes[0], params["slice_sizes"], lanes)
+    elif name.startswith("scatter") and not isinstance(values[1], _Lanes):
+        operands = [_spread(values[0], lanes), values[1], _spread(values[2], lanes)]
+        numbers = params["dimension_numbers"]
+        windows = (*numbers.update_window_dims, len(shapes[2]))
+        changed = {"dimension_numbers": numbers._replace(update_window_dims=windows)}
+    elif not others:
+        changed = _of_array(name, params, len(result), lanes)
+        if name == "dynamic_slice":
+            operands = [*values, np.zeros((), equation.invars[1].aval.dtype)]
+    if written_out is not None:
+        return [_Lanes(written_out)]
+    arrays = [each.value if isinstance(each, _Lanes) else each for each in operands]
+    if changed is not None:
+        return [_Lanes(each) for each in _bind(equation, arrays, {**params, **changed})]
+    axes = [-1 if isinstance(each, _Lanes) else None for each in operands]
+    each_lane = jax.vmap(lambda *each: _bind(equation, each, params), in_axes=axes, out_axes=-1)
+    return [_Lanes(each) for each in each_lane(*arrays)]
+
+
+def _bind(equation: Any, operands: Sequence[Any], params: dict[str, Any]) -> list[Any]:
+    made = equation.primitive.bind(*map(jnp.asarray, operands), **params)
+    return list(made) if equation.primitive.multiple_results else [made]
+
+
+def _of_array(name: str, params: dict[str, Any], rank: int, lanes: int) -> dict[str, Any] | None:
+    """What parameters become where the first operand alone has lanes; None: not known.
+
+    ``rank``: the result's without lanes.
+    """
+    if name == "broadcast_in_dim":
+        axes = (*params["broadcast_dimensions"], rank)
+        return {"shape": (*params["shape"], lanes), "broadcast_dimensions": axes}
+    if name == "reshape" and params["dimensions"] is None:
+        return {"new_sizes": (*params["new_sizes"], lanes)}
+    if name == "transpose":
+        return {"permutation": (*params["permutation"], rank)}
+    if name == "slice":
+        begin, end = (*params["start_indices"], 0), (*params["limit_indices"], lanes)
+        strides = params["strides"]
+        strides = None if strides is None else (*strides, 1)
+        return {"start_indices": begin, "limit_indices": end, "strides": strides}
+    if name == "pad":
+        return {"padding_config": (*params["padding_config"], (0, 0, 0))}
+    if name == "dynamic_slice":
+        return {"slice_sizes": (*params["slice_sizes"], lanes)}
+    if name == "gather":
+        numbers = params["dimension_numbers"]
+        numbers = numbers._replace(offset_dims=(*numbers.offset_dims, rank))
+        return {"dimension_numbers": numbers, "slice_sizes": (*params["slice_sizes"], lanes)}
+    return None
+
+
+def _spread(value: Any, lanes: int) -> Array:
+    if isinstance(value, _Lanes):
+        return value.value
+    axes = tuple(range(jnp.ndim(value)))
+    return jax.lax.broadcast_in_dim(jnp.asarray(value), (*jnp.shape(value), lanes), axes)
+
+
+def _operand(value: Any, shape: tuple[int, ...], lanes: int) -> Array:
+    """[*shape, lanes] of a value of this shape, or of a number."""
+    array = _spread(value, lanes)
+    if array.ndim == len(shape) + 1:
+        return array
+    return jax.lax.broadcast_in_dim(array, (*shape, lanes), (len(shape),))
+
+
+def _sum(array: Array, axes: Sequence[int]) -> Array:
+    """Along short axes, written out: XLA fuses additions, and calls a library for other sums."""
+    for axis in sorted(axes, reverse=True):
+        count = array.shape[axis]
+        if 0 < count <= _WRITTEN_OUT:
+            parts = [jax.lax.index_in_dim(array, i, axis, keepdims=False) for i in range(count)]
+            array = sum(parts[1:], parts[0])
+        else:
+            array = jnp.sum(array, axis=axis)
+    return array
+
+
+def _product(params: dict[str, Any], shapes: list[tuple[int, ...]], values: list[Any]) -> Any:
+    """A sum of products; None where a matrix that all lanes share makes it one matrix product."""
+    contracted, batch = params["dimension_numbers"]
+    shared = [not isinstance(each, _Lanes) for each in values]
+    terms = math.prod(shapes[0][axis] for axis in contracted[0])
+    if any(shared) and not batch[0] and terms > _FEW_TERMS:
+        return None
+    free = [
+        [axis for axis in range(len(shape)) if axis not in (*contracted[end], *batch[end])]
+        for end, shape in enumerate(shapes)
+    ]
+    sides = []
+    for end, value in enumerate(values):
+        array = jnp.asarray(value)[..., None] if shared[end] else value.value
+        order = (*batch[end], *free[end], *contracted[end], array.ndim - 1)
+        begin = len(batch[end]) + (len(free[0]) if end == 0 else 0)  # of the other's free axes
+        others = tuple(range(begin, begin + len(free[1 - end])))
+        sides.append(jnp.expand_dims(array.transpose(order), others))
+    first = len(batch[0]) + len(free[0]) + len(free[1])
+    return _sum(sides[0] * sides[1], range(first, first + len(contracted[0])))
+
+
+def _own_slices(
+    values: Sequence[Any], shape: tuple[int, ...], sizes: tuple[int, ...], lanes: int
+) -> Array | None:
+    """The row of each lane, selected from the few that there are; None: slices are no rows."""
+    array = _spread(values[0], lanes)
+    for axis, (begin, count, size) in enumerate(zip(values[1:], shape, sizes, strict=True)):
+        if size == count:
+            continue
+        if size != 1:
+            return None
+        rows = [jax.lax.index_in_dim(array, i, axis) for i in range(count)]
+        array, first = rows[-1], _spread(begin, lanes)
+        for i, row in reversed(list(enumerate(rows[:-1]))):
+            array = jnp.where(first <= i, row, array)
+    return array
+
+
+def _scan(params: dict[str, Any], values: list[Any], lanes: int) -> list[Any]:
+    constants, carried = params["num_consts"], params["num_carry"]
+    fixed, start = values[:constants], values[constants : constants + carried]
+    along = values[constants + carried :]
+    mapped = [isinstance(each, _Lanes) for each in along]
+    arrays = [each.value if isinstance(each, _Lanes) else jnp.asarray(each) for each in along]
+
+    def step(carry: list[Any], slices: list[Array]) -> list[Any]:
+        return _evaluate(params["jaxpr"], [*fixed, *carry, *_marked(slices, mapped)], lanes)
+
+    one = [each[0] for each in arrays]
+    differs = _differing(lambda carry: step(carry, one)[:carried], start, lanes)
+    of_result: list[bool] = []
+
+    def body(carry: list[Array], slices: list[Array]) -> tuple[list[Array], list[Array]]:
+        made = step(_marked(carry, differs), slices)
+        of_result[:] = [isinstance(each, _Lanes) for each in made[carried:]]
+        results = [each.value if isinstance(each, _Lanes) else each for each in made[carried:]]
+        return _arrays(made[:carried], differs, lanes), results
+
+    kinds = {key: params[key] for key in ("length", "reverse", "unroll")}
+    last, made = jax.lax.scan(body, _arrays(start, differs, lanes), arrays, **kinds)
+    return [*_marked(last, differs), *_marked(made, of_result)]
+
+
+def _while(params: dict[str, Any], values: list[Any], lanes: int) -> list[Any]:
+    """Until no lane goes on; those that do not go on stay as they are."""
+    ends = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
+    of_condition, of_body, start = values[: ends[0]], values[ends[0] : ends[1]], values[ends[1] :]
+
+    def goes_on(carry: list[Any]) -> Any:
+        return _evaluate(params["cond_jaxpr"], [*of_condition, *carry], lanes)[0]
+
+    def step(carry: list[Any]) -> list[Any]:
+        going = goes_on(carry)
+        made = _evaluate(params["body_jaxpr"], [*of_body, *carry], lanes)
+        if not isinstance(going, _Lanes):
+            return made
+        after, before = ([_spread(each, lanes) for each in every] for every in (made, carry))
+        pairs = zip(after, before, strict=True)
+        return [_Lanes(jnp.where(going.value, new, old)) for new, old in pairs]
+
+    def any_goes_on(carry: list[Array]) -> Array:
+        going = goes_on(_marked(carry, differs))
+        return jnp.any(going.value) if isinstance(going, _Lanes) else going
+
+    differs = _differing(step, start, lanes)
+    last = jax.lax.while_loop(
+        any_goes_on,
+        lambda carry: _arrays(step(_marked(carry, differs)), differs, lanes),
+        _arrays(start, differs, lanes),
+    )
+    return _marked(last, differs)
+
+
+_LOOPS = {"scan": _scan, "while": _while}
+
+
+def _differing(
+    step: Callable[[list[Any]], list[Any]], start: Sequence[Any], lanes: int
+) -> list[bool]:
+    """Which of the values that a loop carries come to differ between lanes."""
+    differs = [isinstance(each, _Lanes) for each in start]
+    while True:
+        found = list(differs)
+
+        def traced(carry: list[Array], differs: list[bool], found: list[bool]) -> None:
+            for index, made in enumerate(step(_marked(carry, differs))):
+                found[index] |= isinstance(made, _Lanes)
+
+        arrays = _arrays(start, differs, lanes)
+        jax.eval_shape(lambda carry: traced(carry, differs, found), arrays)  # noqa: B023
+        if found == differs:
+            return differs
+        differs = found
+
+
+def _marked(arrays: Sequence[Array], differs: Sequence[bool]) -> list[Any]:
+    return [_Lanes(each) if lane else each for each, lane in zip(arrays, differs, strict=True)]
+
+
+def _arrays(values: Sequence[Any], differs: Sequence[bool], lanes: int) -> list[Array]:
+    pairs = zip(values, differs, strict=True)
+    return [_spread(each, lanes) if lane else jnp.asarray(each) for each, lane in pairs]
