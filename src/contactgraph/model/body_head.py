@@ -97,8 +97,7 @@ class BodyHead(eqx.Module):
         self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / _PACE
         self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
         self.friction_raw = (_ROUGH * jnp.ones(node_types + 1)).at[-1].set(-_ROUGH)
-        self.plane_raw = self.damper_raw
-        self.plane_distance = 0.5 * length + self.damper_raw
+        self.plane_raw, self.plane_distance = self.damper_raw, 0.5 * length + self.damper_raw
         self.edge = eqx.nn.MLP(width, 3, width, 1, key=key)
         self.actuation = actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
@@ -140,21 +139,19 @@ class BodyHead(eqx.Module):
         slots = actuated_slots(nodes, self.slots)
         driving = jnp.einsum("n,ns,de->ndse", mass, slots, jnp.eye(dimension))
         # What the control does in the step, as far as it is known, and until contacts hinder it.
-        displaced = jnp.zeros_like(velocity)
+        displaced, braked = jnp.zeros_like(velocity), local
         if local.control_displacement is not None:
             displaced = local.control_displacement / (theta * dt)
-        braked = local
         if nodes.reach is not None:
             motion, displaced, braked = motion.stopped_at_reach(displaced, local, step)
         contacts = self._contacts(braked, message, step)
-        lifted, falling, capacity = local.actuated, jnp.zeros(count), local.group_capacity
+        lifted, capacity = local.actuated, local.group_capacity
+        on_ground, falls = jnp.ones(count), jnp.zeros_like(velocity)
         if nodes.gravity is not None:
             lifted = lifted_fraction(lifted, contacts.holding, local.geometry, capacity)
             # On a ground that is not described, bodies rest until an actuated one lifts them.
             falling = lifted * (1.0 - local.actuated) if nodes.planes is None else nodes.passive
-        on_ground = jnp.ones(count) if nodes.gravity is None else 1.0 - lifted
-        gravity = jnp.zeros(dimension) if nodes.gravity is None else nodes.gravity
-        falls = falling[:, None] * gravity
+            on_ground, falls = 1.0 - lifted, falling[:, None] * nodes.gravity
         if nodes.planes is not None:
             # What is held goes with the hand, and falls on no plane.
             meeting = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
@@ -195,8 +192,7 @@ class BodyHead(eqx.Module):
         change, response = solution.velocity_change, solution.response
         by_control = jnp.einsum("ns,ndu->sdu", slots, motion.by_control)
         by_control = by_control.reshape(self.slots * dimension, by_control.shape[-1])
-        commands = step.control_size - by_control.shape[-1]
-        by_control = jnp.pad(by_control, ((0, 0), (0, commands)))  # commands move nothing
+        by_control = jnp.pad(by_control, ((0, 0), (0, step.control_size - by_control.shape[-1])))
         constant = (slots.T @ motion.constant).reshape(-1)
         # What an actuated body carries moves with it: of the servo's spring and damper a node has
         # the share of its response, relative to its own position and velocity.
@@ -232,9 +228,8 @@ class BodyHead(eqx.Module):
             # Bodies that come nearer and do not meet in the step: a contact predicted too early.
             early = geometry.approach > _EARLY * self.length
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
-            weight = weight.at[0].multiply(
-                jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
-            )
+            closing = jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
+            weight = weight.at[0].multiply(closing)
             touch = weight[0]
         # Only a soft bond has a spring: its residue would push bodies that touch or are held.
         pushing = weight.at[:2].set(0.0)
