@@ -21,6 +21,7 @@ from contactgraph.model import (
     hidden_markov_filter,
     two_type_belief,
 )
+from contactgraph.model.motion_noise import PredictionNoise
 
 NOISE = MotionNoise()
 REST = jnp.zeros(2)
@@ -273,3 +274,17 @@ def test_a_touch_acts_all_through_a_step_or_for_a_part_of_it() -> None:
     assert whole[1, 0] < -1.0 and whole[0, 0] < -5.0 and whole[2, 2] < -5.0
     # Half as likely as a touch that ends in the step: how probable that is, the filter knows.
     assert part[1, 0] - part[1, 1] == pytest.approx(np.log(2.0), abs=0.05)
+
+
+@pytest.mark.parametrize("drifts", [True, False])
+def test_bodies_learn_how_exact_motion_is_but_not_their_shares(drifts) -> None:
+    """Residuals of 0 would shrink both."""
+    moved, still = jnp.ones((1, 2)), jnp.zeros((1, 2))
+
+    def score(noise: PredictionNoise) -> jax.Array:
+        motions = (moved, moved), (still, still), (moved, moved)
+        return jnp.sum(noise.score(still, *motions, jnp.ones((1, 1)), 0.1))
+
+    gradient = jax.grad(score)(PredictionNoise(2, drifts=drifts))
+    assert gradient.log_velocity > 0.0
+    assert (gradient.log_share[0] == 0.0) == drifts

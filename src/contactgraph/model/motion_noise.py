@@ -12,8 +12,6 @@ from contactgraph.data.errors import InvalidInputError
 _LEAST_POSITION, _LEAST_VELOCITY, _LEAST_SHARE = 5e-5, 1e-3, 0.01
 """Least scales, in lengths, lengths a second, and 1. Only the steps that a type explains well count
 for its scales, so that without a bound they would shrink, and steps that fit less well drop out."""
-_MOST_SHARE = 0.5
-"""Greatest relative error of a type's effect; beyond, its steps would be taken for any other's."""
 
 Motion = tuple[Float[Array, "N D"], Float[Array, "N D"]]
 """Position [m] and velocity [m/s] of every node."""
@@ -197,7 +195,7 @@ class PredictionNoise(eqx.Module):
 
     log_drift: Float[Array, ""] | None
     """The same of the error of a velocity, in units of the speed before. None: it is not learned,
-    nor is there a greatest share."""
+    but shares are: their steps would fit better and better, and all others drop out."""
 
     log_share: Float[Array, " active"]
     """The same of the error of each active type's effect, in units of the effect."""
@@ -209,7 +207,7 @@ class PredictionNoise(eqx.Module):
     def __init__(self, edge_types: int, length: float = 0.1, drifts: bool = False) -> None:
         """``length`` [m] is the unit of the least scales: about the distance of a contact.
 
-        ``drifts``: whether errors may grow with the speed.
+        ``drifts``: whether errors may grow with the speed, and the shares stay as they are.
         """
         start = MotionNoise()
         self.edge_types, self.length = edge_types, length
@@ -232,8 +230,8 @@ class PredictionNoise(eqx.Module):
     @property
     def share(self) -> Float[Array, " active"]:
         """Of the effect of each active type."""
-        most = _MOST_SHARE if self.drifts else jnp.inf
-        return jnp.clip(jnp.exp(_PACE * self.log_share), _LEAST_SHARE, most)
+        share = jnp.maximum(jnp.exp(_PACE * self.log_share), _LEAST_SHARE)
+        return jax.lax.stop_gradient(share) if self.drifts else share
 
     @property
     def drift(self) -> Float[Array, ""] | float:
