@@ -4,7 +4,9 @@ XLA's loops run along the last axis. With a batch in front, loops over arrays of
 numbers have two or three rounds; with the batch behind, they fill vectors.
 """
 
+import functools
 import math
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -16,25 +18,22 @@ from jaxtyping import Array
 
 _Made = TypeVar("_Made")
 
-_ELEMENTWISE = """abs add add_any and ceil clamp convert_element_type copy cos div eq erf erf_inv
-exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg not or
-pow rem round rsqrt select_n sign sin sqrt square stop_gradient sub tan tanh xor"""
-_ALONG_AXES = """argmax argmin cummax cummin cumprod cumsum reduce_and reduce_max reduce_min
-reduce_or reduce_prod rev split squeeze"""
+_ELEMENTWISE = """abs add add_any and ceil clamp convert_element_type copy div eq exp expm1 floor ge
+gt integer_pow is_finite le log log1p logistic lt max min mul ne neg not or pow rsqrt select_n sign
+sqrt square stop_gradient sub tanh"""
+_ALONG_AXES = "argmax argmin cumsum reduce_and reduce_max reduce_min reduce_or rev split squeeze"
 """Operations that name the axes on which they act, and treat all others alike."""
-_CALLS = {"jit": "jaxpr", "pjit": "jaxpr"} | dict.fromkeys(
-    ("closed_call", "custom_jvp_call", "custom_vjp_call"), "call_jaxpr"
-)
+_CALLS = "jit pjit closed_call custom_jvp_call custom_vjp_call"
 _WRITTEN_OUT, _FEW_TERMS = 16, 7
 """Most terms of a sum that is written out as additions, and of a matrix product that is."""
 
 
 class _Lanes:
-    """A value of each lane; one without this is the same in all lanes."""
+    """A value [..., lanes] of each lane; one without this is the same in all lanes."""
 
-    def __init__(self, value: Array) -> None:
-        self.value = value
-        """[..., lanes]"""
+    def __init__(self, value: Array, factors: Sequence[Array] | None = None) -> None:
+        self.value, self.factors = value, factors or (value,)
+        """Factors, so that a sum of products need not write the products to memory."""
 
 
 def in_lanes(function: Callable[..., _Made], lanes: int) -> Callable[..., _Made]:
@@ -72,8 +71,8 @@ def _evaluate(closed: ClosedJaxpr, inputs: Sequence[Any], lanes: int) -> list[An
 def _apply(equation: Any, values: list[Any], lanes: int) -> list[Any]:
     """The results of one operation."""
     name, params = equation.primitive.name, equation.params
-    if name in _CALLS:
-        return _evaluate(params[_CALLS[name]], values, lanes)
+    if name in _CALLS.split():
+        return _evaluate(params["jaxpr" if "jaxpr" in params else "call_jaxpr"], values, lanes)
     if not any(isinstance(each, _Lanes) for each in values):
         return _bind(equation, values, params)
     if name in _LOOPS:
@@ -90,7 +89,7 @@ def _apply(equation: Any, values: list[Any], lanes: int) -> list[Any]:
     elif name in ("concatenate", "stack"):
         operands, changed = [_spread(each, lanes) for each in values], {}
     elif name == "reduce_sum":
-        written_out = _sum(values[0].value, params["axes"])
+        written_out = _sum(values[0].factors, params["axes"])
     elif name == "dot_general":
         written_out = _product(params, shapes, values)
     elif name == "dynamic_slice" and others:
@@ -108,7 +107,8 @@ def _apply(equation: Any, values: list[Any], lanes: int) -> list[Any]:
         return [_Lanes(written_out)]
     arrays = [each.value if isinstance(each, _Lanes) else each for each in operands]
     if changed is not None:
-        return [_Lanes(each) for each in _bind(equation, arrays, {**params, **changed})]
+        factors = arrays if name == "mul" else None
+        return [_Lanes(each, factors) for each in _bind(equation, arrays, {**params, **changed})]
     axes = [-1 if isinstance(each, _Lanes) else None for each in operands]
     each_lane = jax.vmap(lambda *each: _bind(equation, each, params), in_axes=axes, out_axes=-1)
     return [_Lanes(each) for each in each_lane(*arrays)]
@@ -133,8 +133,7 @@ def _of_array(name: str, params: dict[str, Any], rank: int, lanes: int) -> dict[
         return {"permutation": (*params["permutation"], rank)}
     if name == "slice":
         begin, end = (*params["start_indices"], 0), (*params["limit_indices"], lanes)
-        strides = params["strides"]
-        strides = None if strides is None else (*strides, 1)
+        strides = params["strides"] and (*params["strides"], 1)
         return {"start_indices": begin, "limit_indices": end, "strides": strides}
     if name == "pad":
         return {"padding_config": (*params["padding_config"], (0, 0, 0))}
@@ -162,16 +161,18 @@ def _operand(value: Any, shape: tuple[int, ...], lanes: int) -> Array:
     return jax.lax.broadcast_in_dim(array, (*shape, lanes), (len(shape),))
 
 
-def _sum(array: Array, axes: Sequence[int]) -> Array:
-    """Along short axes, written out: XLA fuses additions, and calls a library for other sums."""
+def _sum(factors: Sequence[Array], axes: Sequence[int]) -> Array:
+    """Of products, along short axes written out: of others XLA makes calls of a library."""
+    product = functools.partial(functools.reduce, operator.mul)
     for axis in sorted(axes, reverse=True):
-        count = array.shape[axis]
+        count = max(each.shape[axis] for each in factors)
         if 0 < count <= _WRITTEN_OUT:
-            parts = [jax.lax.index_in_dim(array, i, axis, keepdims=False) for i in range(count)]
-            array = sum(parts[1:], parts[0])
+            row = functools.partial(jax.lax.index_in_dim, axis=axis, keepdims=False)
+            rows = [[row(each, i % each.shape[axis]) for each in factors] for i in range(count)]
+            factors = [functools.reduce(operator.add, map(product, rows))]
         else:
-            array = jnp.sum(array, axis=axis)
-    return array
+            factors = [jnp.sum(product(factors), axis=axis)]
+    return product(factors)
 
 
 def _product(params: dict[str, Any], shapes: list[tuple[int, ...]], values: list[Any]) -> Any:
@@ -193,7 +194,7 @@ def _product(params: dict[str, Any], shapes: list[tuple[int, ...]], values: list
         others = tuple(range(begin, begin + len(free[1 - end])))
         sides.append(jnp.expand_dims(array.transpose(order), others))
     first = len(batch[0]) + len(free[0]) + len(free[1])
-    return _sum(sides[0] * sides[1], range(first, first + len(contracted[0])))
+    return _sum(sides, range(first, first + len(contracted[0])))
 
 
 def _own_slices(
@@ -218,7 +219,7 @@ def _scan(params: dict[str, Any], values: list[Any], lanes: int) -> list[Any]:
     fixed, start = values[:constants], values[constants : constants + carried]
     along = values[constants + carried :]
     mapped = [isinstance(each, _Lanes) for each in along]
-    arrays = [each.value if isinstance(each, _Lanes) else jnp.asarray(each) for each in along]
+    arrays = _arrays(along, mapped, lanes)
 
     def step(carry: list[Any], slices: list[Array]) -> list[Any]:
         return _evaluate(params["jaxpr"], [*fixed, *carry, *_marked(slices, mapped)], lanes)
@@ -230,7 +231,7 @@ def _scan(params: dict[str, Any], values: list[Any], lanes: int) -> list[Any]:
     def body(carry: list[Array], slices: list[Array]) -> tuple[list[Array], list[Array]]:
         made = step(_marked(carry, differs), slices)
         of_result[:] = [isinstance(each, _Lanes) for each in made[carried:]]
-        results = [each.value if isinstance(each, _Lanes) else each for each in made[carried:]]
+        results = _arrays(made[carried:], of_result, lanes)
         return _arrays(made[:carried], differs, lanes), results
 
     kinds = {key: params[key] for key in ("length", "reverse", "unroll")}
@@ -279,12 +280,11 @@ def _differing(
     while True:
         found = list(differs)
 
-        def traced(carry: list[Array], differs: list[bool], found: list[bool]) -> None:
-            for index, made in enumerate(step(_marked(carry, differs))):
-                found[index] |= isinstance(made, _Lanes)
+        def traced(carry: list[Array]) -> None:
+            for index, made in enumerate(step(_marked(carry, differs))):  # noqa: B023
+                found[index] |= isinstance(made, _Lanes)  # noqa: B023
 
-        arrays = _arrays(start, differs, lanes)
-        jax.eval_shape(lambda carry: traced(carry, differs, found), arrays)  # noqa: B023
+        jax.eval_shape(traced, _arrays(start, differs, lanes))
         if found == differs:
             return differs
         differs = found
