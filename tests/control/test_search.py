@@ -1,7 +1,7 @@
 """Search over approaches: behind a body and push, never worse than going on, or stay."""
 
 import dataclasses
-from functools import cache
+from functools import cache, partial
 
 import equinox as eqx
 import jax
@@ -12,6 +12,7 @@ from control_models import StickyBodies, nodes_of, state_of
 
 from contactgraph.control import ILQR, AffinePolicy, ControlLimits, SearchILQR, chain_cost
 from contactgraph.control.approaches import Approach
+from contactgraph.control.lanes import in_lanes
 from contactgraph.control.search import _Scene
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.data.actuation_fit import ActuationFit
@@ -96,6 +97,17 @@ def test_a_hand_moves_as_an_approach_wants(wall):
     x = jnp.stack([after.position, after.velocity], axis=2)
     x = jnp.concatenate([jnp.stack([begin.position, begin.velocity], axis=1)[None], x])
     np.testing.assert_allclose(cost, COST(x, controls), rtol=1e-4)
+
+
+def test_approaches_in_lanes_end_as_they_do_one_by_one():
+    scene = _Scene.of(model(), state([0.1, 0.2], [0.3, 0.0]), NODES, COST.quadratic(2))
+    ends = [made([np.cos(turn), np.sin(turn)]) for turn in (0.0, 1.0, 3.0)]
+    follow = partial(scene.follow, planner=ILQR(H, limits=LIMITS))
+    lanes = jax.tree.map(lambda *each: jnp.stack(each, axis=-1), *ends)
+    together = eqx.filter_jit(in_lanes(follow, len(ends)))(lanes)
+    alone = eqx.filter_jit(jax.vmap(follow, in_axes=-1, out_axes=-1))(lanes)
+    for one, other in zip(together, alone, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-4)
 
 
 def made(direction, travel=1.0, dimension=2, grasps=False, commands=0):
