@@ -163,17 +163,22 @@ def spread_approaches(
     )
 
 
-def varied_approaches(draws: Draws, approaches: Approach, up: Float[Array, " D"]) -> Approach:
-    """As many approaches near the given ones, of which there are fewer, as there are draws."""
+def varied_approaches(
+    draws: Draws, approaches: Approach, up: Float[Array, " D"], width: float = 1.0
+) -> Approach:
+    """As many approaches near the given ones, of which there are fewer, as there are draws.
+
+    ``width``: of the draws about them.
+    """
     of = approaches.at(jnp.arange(len(draws.speed)) % len(approaches.speed))
     turns = ~of.grasps[:, None]
     return dataclasses.replace(
         of,
-        direction=of.direction + turns * _level(0.15 * jnp.asarray(draws.direction), up),
-        aside=of.aside + 0.1 * turns * draws.aside,
-        speed=of.speed * jnp.exp(0.2 * draws.speed),
-        travel=of.travel * jnp.exp(0.15 * draws.travel),
-        approach_speed=of.approach_speed * jnp.exp(0.2 * draws.approach_speed),
+        direction=of.direction + turns * _level(0.15 * width * jnp.asarray(draws.direction), up),
+        aside=of.aside + 0.1 * width * turns * draws.aside,
+        speed=of.speed * jnp.exp(0.2 * width * draws.speed),
+        travel=of.travel * jnp.exp(0.15 * width * draws.travel),
+        approach_speed=of.approach_speed * jnp.exp(0.2 * width * draws.approach_speed),
     )
 
 

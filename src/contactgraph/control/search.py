@@ -47,6 +47,8 @@ def _commands(model: StepModel) -> int:
 
 _ELITES = 8
 """Approaches that the next round varies."""
+_NARROWER = 0.5
+"""Width of each further round, in units of that before."""
 _RIDGE = 1e-6
 """Of the mean square response to the control; controls that move nothing stay 0."""
 
@@ -55,9 +57,10 @@ class SearchILQR(ILQR):
     """`ILQR` that begins at the best of many approaches, or goes on with the guess.
 
     Each of ``rounds`` rolls out ``starts`` approaches as one batch: the first from all sides, the
-    others near the best eight. The best one by its cost and the guess are each improved by `ILQR`,
-    and the cheaper plan is taken, so its cost is never above the guess's. To stay is among the
-    starts. The draws are the same in every call: equal states give equal plans.
+    others near the best eight, each half as wide as that before. The best one by its cost and the
+    guess are each improved by `ILQR`, and the cheaper plan is taken, so its cost is never above the
+    guess's. To stay is among the starts. The draws are the same in every call: equal states give
+    equal plans.
 
     The model must be a `ContactDynamics` with `InvariantFeatures`, whose contact distance says how
     to go round a body, and whose unit of speeds how fast.
@@ -153,9 +156,9 @@ class SearchILQR(ILQR):
             draws[0], *scene.pairs(self.starts), scene.speed, up, (most[0], most[1])
         )
         controls, costs = tried(approaches)
-        for again in draws[1:]:
+        for index, again in enumerate(draws[1:]):
             best = jnp.argsort(costs)[:_ELITES]
-            near = varied_approaches(again, approaches.at(best), up)
+            near = varied_approaches(again, approaches.at(best), up, _NARROWER**index)
             all_tried = (approaches, controls, costs), (near, *tried(near))
             approaches, controls, costs = jax.tree.map(
                 lambda one, other: jnp.concatenate([one, other]), *all_tried
