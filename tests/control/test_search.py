@@ -11,7 +11,7 @@ import pytest
 from control_models import StickyBodies, nodes_of, state_of
 
 from contactgraph.control import ILQR, AffinePolicy, ControlLimits, SearchILQR, chain_cost
-from contactgraph.control.approaches import Approach
+from contactgraph.control.approaches import Approach, Draws, varied_approaches
 from contactgraph.control.lanes import in_lanes
 from contactgraph.control.search import _Scene
 from contactgraph.data import InvalidInputError, Scene
@@ -75,6 +75,15 @@ def test_the_running_plan_is_always_among_the_starts():
 def test_a_body_at_its_goal_is_left_alone():
     plan = solve(PLANNER, state([0.25, 0.0], GOAL))
     assert np.linalg.norm(box_end(plan) - GOAL) < 1e-3
+
+
+def test_a_narrower_round_stays_nearer_to_what_it_varies():
+    draws = Draws.of(np.random.default_rng(0), 8, 2, 0)
+    of = jax.tree.map(lambda leaf: leaf[None], made(direction=[1.0, 0.0], travel=0.2))
+    wide, narrow = (varied_approaches(draws, of, jnp.zeros(2), width) for width in (1.0, 0.5))
+    turned, less = wide.direction - of.direction, narrow.direction - of.direction
+    np.testing.assert_allclose(less, 0.5 * turned, atol=1e-6)
+    np.testing.assert_allclose(np.log(narrow.travel / 0.2), 0.5 * np.log(wide.travel / 0.2), 1e-4)
 
 
 def test_equal_states_give_equal_plans():
