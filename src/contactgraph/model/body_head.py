@@ -26,8 +26,8 @@ _MOST_DAMPED = 0.99
 """Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""
 _LEAST_COUPLING = 0.5
 """Of a touch and of the first type that holds: with less, the types could not be told apart."""
-_ROUGH = 0.35
-"""Start of `friction_raw`: 0.47 between bodies, else only holds explain that they go along."""
+_ROUGH = 0.454
+"""Start of `friction_raw`: 1 between bodies, else only holds explain that they go along."""
 _PLANE_LEARNED = 0.1
 """Learned part of the distance from planes, as a share of what the data tell."""
 _DECELERATION = 10.0
