@@ -70,6 +70,15 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
         fetch.fetch_task(fetch.PUSH)
 
 
+@pytest.mark.parametrize("found", ["3.7.0", "4.0.0"])
+def test_a_mujoco_with_other_physics_is_refused(
+    found: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fetch, "version", lambda name: found)
+    with pytest.raises(InvalidInputError, match=f"needs a MuJoCo below 3.7, found {found}"):
+        fetch.fetch_task(fetch.PUSH)
+
+
 @pytest.mark.parametrize("name", ["push", "pick"])
 def test_the_fixed_start_succeeds(name: str, episodes: dict[str, list[list]]) -> None:
     for trajectory in episodes[name][0]:

@@ -3,6 +3,7 @@
 from contextlib import redirect_stderr
 from dataclasses import dataclass
 from functools import partial
+from importlib.metadata import version
 from io import StringIO
 from typing import Any
 
@@ -16,6 +17,8 @@ from contactgraph.envs.environment_map import Entries, EnvironmentMap, MappedBod
 from contactgraph.envs.pick_policy import PickPolicy
 from contactgraph.envs.push_policy import PushPolicy, PushStyle, RandomPushes
 
+NEWEST_MUJOCO = (3, 6)
+"""With newer ones gymnasium-robotics 1.4 holds the hand less firmly, or fails."""
 DT = 0.04
 MAX_DISPLACEMENT = 0.05
 """m: what the action 1 asks of the hand in one step. It moves by some 0.65 of that."""
@@ -86,6 +89,11 @@ def _make_environment(task: str, identifier: str) -> gymnasium.Env[Any, Any]:
         raise InvalidInputError(
             f"{task} needs gymnasium-robotics ({error}): pip install 'contactgraph[fetch]'"
         ) from error
+    found = version("mujoco")
+    if tuple(map(int, found.split(".")[:2])) > NEWEST_MUJOCO:
+        raise InvalidInputError(
+            f"{task} needs a MuJoCo below 3.7, found {found}: pip install 'contactgraph[fetch]'"
+        )
     gymnasium.register_envs(gymnasium_robotics)
     return _WatchedContact(gymnasium.make(identifier, disable_env_checker=True))
 
