@@ -168,7 +168,7 @@ def varied_approaches(
 ) -> Approach:
     """As many approaches near the given ones, of which there are fewer, as there are draws.
 
-    ``width``: of the draws about them.
+    ``width`` scales how far from the given ones they are.
     """
     of = approaches.at(jnp.arange(len(draws.speed)) % len(approaches.speed))
     turns = ~of.grasps[:, None]

@@ -206,11 +206,11 @@ def distances(trajectory: Trajectory, boxes: bool) -> np.ndarray:
 
     ``boxes``: those that have a size are boxes, see `box_distance`.
     """
-    offset, half = trajectory.position[:, :, None] - trajectory.position[:, None], None
-    if boxes:
-        half = trajectory.scene.half_size
-    apart = np.linalg.norm(offset, axis=-1)
-    if half is not None:
+    offset = trajectory.position[:, :, None] - trajectory.position[:, None]
+    half = trajectory.scene.half_size if boxes else None
+    if half is None:
+        apart = np.linalg.norm(offset, axis=-1)
+    else:
         apart = box_distance(offset, half[:, None] + half)
     return apart + np.diag(np.full(trajectory.scene.node_count, np.inf))
 
