@@ -220,8 +220,9 @@ def fit_slowing(
 ) -> dict[str, tuple[float, float]]:
     """Deceleration, m/s^2, and damper, 1/s, of each passive type that is seen to slide.
 
-    Robust least squares of v' = max(v - dt (a + c v), 0), with a and c at least 0, over steps in
-    which it does not gain speed and parts from all bodies that are near: see `distances`.
+    Robust least squares of v' = w / (1 + dt c w / v) with w = max(v - dt a, 0), the implicit step
+    of `Contacts`, with a and c at least 0, over steps in which it does not gain speed and parts
+    from all bodies that are near: see `distances`.
     """
     rows: dict[str, list[np.ndarray]] = {}
     dt = 1.0
@@ -256,7 +257,8 @@ def _slowing(before: np.ndarray, after: np.ndarray, dt: float) -> tuple[float, f
     unit = float(np.median(before))
 
     def residual(shares: np.ndarray) -> np.ndarray:
-        return np.maximum(before - shares[0] * unit - shares[1] * before, 0.0) - after
+        left = np.maximum(before - shares[0] * unit, 0.0)
+        return left / (1.0 + shares[1] * left / before) - after
 
     fits = [
         scipy.optimize.least_squares(

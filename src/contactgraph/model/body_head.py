@@ -1,7 +1,6 @@
 """The head of bodies as they are: types, servos, contacts with a direction, bounce and friction."""
 
 import dataclasses
-from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -18,7 +17,7 @@ from contactgraph.model.heads import coupling_starts, with_hinge_springs
 from contactgraph.model.planes import on_planes, plane_geometry
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
-_PACE = 5.0
+PACE = 5.0
 """Scale of each type's numbers in their parameters, which learn faster than weights by this."""
 _IMPACT_SPEED = 0.1
 """Change of velocity, in units of speed, from about which a step counts as an impact."""
@@ -30,7 +29,7 @@ _ROUGH = 0.454
 """Start of `friction_raw`: 1 between bodies, else only holds explain that they go along."""
 _PLANE_LEARNED = 0.1
 """Learned part of the distance from planes, as a share of what the data tell."""
-_DECELERATION = 10.0
+DECELERATION = 10.0
 """Unit of decelerations by the ground, in units of speed a second."""
 _EARLY, _ONE_SIDED = 0.01, 2e-4
 """Approaches in a step, in units of `BodyHead.length`: before a touch, and from which one acts."""
@@ -56,15 +55,15 @@ class BodyHead(eqx.Module):
     """
 
     log_mass: Float[Array, " types"]
-    """Of the mass in kg, in units of `_PACE`; motion determines masses up to a common factor."""
+    """Of the mass in kg, in units of `PACE`; motion determines masses up to a common factor."""
     damper_raw: Float[Array, " types"]
-    """Of the damper to the ground, 1/s: softplus(`_PACE` x - 6)."""
+    """Of the damper to the ground, 1/s: softplus(`PACE` x - 6)."""
     deceleration_raw: Float[Array, " types"]
-    """Of the deceleration by the ground, in units of `_DECELERATION`: softplus(`_PACE` x - 6)."""
+    """Of the deceleration by the ground, in units of `DECELERATION`: softplus(`PACE` x - 6)."""
     bounce_raw: Float[Array, " types+1"]
-    """A touch bounces with sigmoid(`_PACE` (x_i + x_j) - 3). The last is that of planes."""
+    """A touch bounces with sigmoid(`PACE` (x_i + x_j) - 3). The last is that of planes."""
     friction_raw: Float[Array, " types+1"]
-    """A touch has the coefficient of friction softplus(`_PACE` (x_i + x_j) - 4)."""
+    """A touch has the coefficient of friction softplus(`PACE` (x_i + x_j) - 4)."""
     plane_distance: Float[Array, " types"]
     """m, of a node from a plane that it touches, by the data; a tenth of it is learned."""
     plane_raw: Float[Array, " types"]
@@ -94,7 +93,7 @@ class BodyHead(eqx.Module):
         whether velocities are means over a step; ``speed``: unit of speeds, m/s."""
         # Products have no weak type, with which the first training update would recompile.
         self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
-        self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / _PACE
+        self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / PACE
         self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
         self.friction_raw = (_ROUGH * jnp.ones(node_types + 1)).at[-1].set(-_ROUGH)
         self.plane_raw, self.plane_distance = self.damper_raw, 0.5 * length + self.damper_raw
@@ -102,13 +101,6 @@ class BodyHead(eqx.Module):
         self.actuation = actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
         self.averaged, self.speed = averaged, speed
-
-    def slowed(self, slowing: Sequence[tuple[float, float]]) -> "BodyHead":
-        """With these decelerations, m/s^2, and dampers, 1/s, by the ground, of each type."""
-        by_unit = np.array(slowing) / [_DECELERATION * self.speed, 1.0]
-        raw = np.log(np.expm1(np.maximum(by_unit, np.log1p(np.exp(-6.0))))) + 6.0
-        parts = tuple(jnp.asarray(raw.T / _PACE, self.damper_raw.dtype))
-        return eqx.tree_at(lambda each: (each.deceleration_raw, each.damper_raw), self, parts)
 
     def drive(
         self,
@@ -135,7 +127,7 @@ class BodyHead(eqx.Module):
         theta, dt, nodes, node_type = step.theta, step.dt, local.nodes, local.node_type
         velocity, (count, dimension) = local.velocity, local.position.shape
         motion = self.actuation(local.position, velocity, node_type, nodes, theta, dt)
-        mass = jnp.exp(_PACE * node_type @ self.log_mass) * motion.inertia
+        mass = jnp.exp(PACE * node_type @ self.log_mass) * motion.inertia
         slots = actuated_slots(nodes, self.slots)
         driving = jnp.einsum("n,ns,de->ndse", mass, slots, jnp.eye(dimension))
         # What the control does in the step, as far as it is known, and until contacts hinder it.
@@ -158,14 +150,14 @@ class BodyHead(eqx.Module):
             contacts = contacts.and_also(self._plane_contacts(braked, meeting, step))
             on_ground = on_ground if nodes.gravity is None else on_planes(contacts.geometry, nodes)
         damper, slowing = (
-            on_ground * jax.nn.softplus(_PACE * node_type @ raw - 6.0)
+            on_ground * jax.nn.softplus(PACE * node_type @ raw - 6.0)
             for raw in (self.damper_raw, self.deceleration_raw)
         )
         bodies = FreeBodies(
             mass=mass,
             velocity=braked.velocity,
             ground_damper=dt * mass * damper,
-            deceleration=_DECELERATION * self.speed * slowing,
+            deceleration=DECELERATION * self.speed * slowing,
             weight=(mass[:, None] * falls)[..., None],
             driving=driving.reshape(count, dimension, -1),
             push=(mass[:, None] * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
@@ -263,7 +255,7 @@ class BodyHead(eqx.Module):
         """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
         velocity if they do not touch."""
         # Bodies that rest do not tell how much farther a plane might be.
-        part = 1.0 + _PLANE_LEARNED * jnp.tanh(_PACE * self.plane_raw)
+        part = 1.0 + _PLANE_LEARNED * jnp.tanh(PACE * self.plane_raw)
         distance = local.node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
         motion = step.dt * (local.velocity + driven)
         geometry = plane_geometry(local.position, local.velocity, motion, distance, local.nodes)
@@ -290,7 +282,7 @@ class BodyHead(eqx.Module):
 
         def both(raw: Float[Array, " types+1"]) -> Float[Array, " C"]:
             each = local.node_type @ raw[:-1]
-            return _PACE * (each[one] + (raw[-1] if other is None else each[other]))
+            return PACE * (each[one] + (raw[-1] if other is None else each[other]))
 
         bounce = MAX_COUPLING * jax.nn.sigmoid(both(self.bounce_raw) - 3.0)
         return bounce, jax.nn.softplus(both(self.friction_raw) - 4.0)

@@ -16,8 +16,10 @@ from jaxtyping import PRNGKeyArray
 
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
 from contactgraph.model.body_head import BodyHead
+from contactgraph.model.body_starts import with_impacts, with_slowing
 from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
@@ -84,6 +86,8 @@ class ModelConfig:
     slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Deceleration, m/s^2, and damper, 1/s, by the ground at the start of training, by type. Those
     left out: nearly 0."""
+    impacts: Mapping[tuple[str, str], Impacts] = field(default_factory=dict)
+    """Bounce, friction and ratios of masses at the start of training, of pairs of types."""
     averaged: bool = False
     """Whether velocities are means over the step before, such as backward differences."""
     speed: float = 1.0
@@ -199,7 +203,8 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     )
     near = [config.plane_distance.get(name, 0.5 * head.length) for name in features.types]
     head = eqx.tree_at(lambda each: each.plane_distance, head, jnp.array(near))
-    head = head.slowed([config.slowing.get(name, (0.0, 0.0)) for name in features.types])
+    head = with_slowing(head, [config.slowing.get(name, (0.0, 0.0)) for name in features.types])
+    head = with_impacts(head, config.impacts, features.types)
     size = features.edge_size(config.dimension)
     inference = TransitionEdges(
         EdgeNetwork(size + 1 + commands + features.node_types, width, key=messages_key),

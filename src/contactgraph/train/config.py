@@ -17,6 +17,7 @@ from contactgraph.data.actuation_fit import (
 )
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.impact_fit import Impacts, fit_impacts
 from contactgraph.train.loss import LossTerms
 
 
@@ -104,6 +105,7 @@ class BodyDefaults:
     boxes: bool
     theta: float
     slowing: dict[str, tuple[float, float]]
+    impacts: dict[tuple[str, str], Impacts]
 
 
 @dataclass(frozen=True)
@@ -172,11 +174,12 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         # Shapes that are right let bodies touch at one distance.
         boxes = box.spread < round_.spread
         distance = box.distance if boxes else round_.distance
+    actuation = fit_actuation(dataset, 1.0 if averaged else theta)
     return BodyDefaults(
         contact_distance=distance,
         learned_contact_distance=common.learned_contact_distance and not averaged,
         node_types=_node_types(dataset),
-        actuation=fit_actuation(dataset, 1.0 if averaged else theta),
+        actuation=actuation,
         driving_size=int(drives.sum()),
         actuated_nodes=max(1, *(int(each.scene.actuated.sum()) for each in dataset)),
         plane_distance=_plane_distances(dataset),
@@ -184,6 +187,8 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         boxes=boxes,
         theta=theta,
         slowing=fit_slowing(dataset, distance, boxes),
+        # Of means over a step nothing tells the velocities before and after.
+        impacts={} if averaged else fit_impacts(dataset, actuation),
     )
 
 

@@ -1,0 +1,147 @@
+"""Bounce, friction and masses from impacts that trajectories show, before any training."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from contactgraph.data.actuation_fit import ActuationFit, driving_components
+from contactgraph.data.trajectory import Trajectory
+
+PLANE = "plane"
+"""Stands for planes where types are named."""
+_KINKS = 0.05
+"""Change of velocity, in units of the greatest speed, from which a body met something."""
+_MEETS = 0.1
+"""Speed along or across the normal in these units, from which an impact tells something."""
+_STRAIGHT = 0.1
+"""Of the way in a step: how far paths before and after an impact may miss each other."""
+_MOSTLY = 0.9
+"""Cosine of the angle between the change of velocity and the normal, at least."""
+_LEAST_IMPACTS = 10
+_EXACT = 0.01
+"""Error in units of the greatest speed, from which an impact counts less."""
+
+
+@dataclass(frozen=True)
+class Impacts:
+    """What bodies of two types show where they strike each other."""
+
+    bounce: float
+    """Share of the speed of approach with which they part."""
+    friction: float | None
+    """Coulomb's coefficient; None where too few slide on each other to the end."""
+    mass_ratio: float | None
+    """Of the first type's mass to the second's; None where either does not move."""
+
+
+def fit_impacts(
+    trajectories: Iterable[Trajectory], actuation: Mapping[str, ActuationFit]
+) -> dict[tuple[str, str], Impacts]:
+    """By the names of two types in their order, or of a type and `PLANE`.
+
+    Robust fits over impacts of bodies that no servo moves with each other and with planes.
+    Straight paths before and after tell time and normal; the relative velocity tells bounce and
+    friction, whatever the masses, and momentum tells the ratio of masses. Pairs of which fewer than
+    ten impacts are seen are left out.
+    """
+    seen: dict[tuple[str, str], list[np.ndarray]] = {}
+    for each in trajectories:
+        for pair, impact in _impacts(each, _pushed(each, actuation)):
+            seen.setdefault(pair, []).append(impact)
+    return {
+        pair: _fitted(np.array(found))
+        for pair, found in seen.items()
+        if len(found) >= _LEAST_IMPACTS
+    }
+
+
+def _pushed(each: Trajectory, actuation: Mapping[str, ActuationFit]) -> np.ndarray:
+    """[T, N, D] m/s: change of velocity by forces on actuated bodies; NaN of what servos move."""
+    scene, drives = each.scene, driving_components([each])
+    pushed = np.zeros((len(each.control), scene.node_count, scene.dimension))
+    for node in np.flatnonzero(scene.actuated):
+        fit = actuation.get(scene.node_type[node])
+        acts = drives if scene.control_of is None else drives & scene.control_of[node]
+        known = fit is not None and not (fit.stiffness or fit.damping)
+        control = np.where(acts, each.control, 0.0)[:, drives]
+        pushed[:, node] = scene.dt * (control @ fit.matrix.T + fit.bias) if known else np.nan
+    return pushed
+
+
+def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, str], np.ndarray]]:
+    """Of every impact the types; and in units of the greatest speed the approach, the parting, the
+    speeds across the normal before and after; and the ratio of masses, NaN for none."""
+    scene, kind = each.scene, each.scene.node_type
+    unit = float(np.linalg.norm(each.velocity, axis=-1).max(initial=0.0)) or 1.0
+    # As if forces acted in the middle of a step, half before the impact and half after it.
+    before = (each.velocity[:-1] + 0.5 * pushed) / unit
+    after = (each.velocity[1:] - 0.5 * pushed) / unit
+    meets = ~(np.linalg.norm(after - before, axis=-1) <= _KINKS)
+    fixed = np.flatnonzero(np.zeros(len(kind), bool) if scene.static is None else scene.static)
+    normals = np.zeros((0, scene.dimension)) if scene.planes is None else scene.planes[:, :-1]
+    for step in np.flatnonzero(meets.any(axis=1)):
+        x, v = each.position[step : step + 2], np.stack([before[step], after[step]])
+        struck = np.flatnonzero(meets[step])
+        if len(struck) > 2 or np.isnan(v[0, struck]).any():
+            continue
+        one, found = struck[0], []
+        for other in struck[1:] if len(struck) == 2 else fixed:
+            first, second = sorted((one, other), key=lambda node: kind[node])
+            relative = v[:, second] - v[:, first]
+            normal = _normal(x[:, second] - x[:, first], relative, scene.dt * unit)
+            change = np.diff(v[:, [first, second]] @ normal, axis=0)[0]
+            ratio = -change[1] / change[0] if len(struck) == 2 and change[0] else np.nan
+            found.append((kind[first], kind[second], _along(relative, normal, ratio)))
+        if len(struck) == 1:
+            found += [(kind[one], PLANE, _along(v[:, one], n, np.nan)) for n in normals]
+        likely = [each for each in found if each[2][0] > _MEETS and each[2][1] > 0.0]
+        if len(likely) == 1:
+            yield likely[0][:2], likely[0][2]
+
+
+def _normal(displacement: np.ndarray, velocity: np.ndarray, dt: float) -> np.ndarray:
+    """[D] from displacements and relative velocities before and after: where straight paths meet;
+    zeros where they do not meet within the step."""
+    (begin, end), (before, after) = displacement, velocity
+    kink = before - after
+    time = (end - begin - dt * after) @ kink / max(float(kink @ kink), 1e-12)
+    place = begin + time * before
+    off = np.linalg.norm(place + (dt - time) * after - end)
+    if not (0.0 <= time <= dt and off < _STRAIGHT * dt):
+        return np.zeros_like(begin)
+    return np.asarray(place / max(float(np.linalg.norm(place)), 1e-12))
+
+
+def _along(velocity: np.ndarray, normal: np.ndarray, mass_ratio: float) -> np.ndarray:
+    """[5] a row of `_impacts`; zeros where the change is not mostly along the normal."""
+    before, after = velocity
+    change = after - before
+    if change @ normal < _MOSTLY * np.linalg.norm(change):
+        return np.zeros(5)
+    across = before - before @ normal * normal
+    size = max(float(np.linalg.norm(across)), 1e-12)
+    return np.array([-before @ normal, after @ normal, size, after @ across / size, mass_ratio])
+
+
+def _fitted(rows: np.ndarray) -> Impacts:
+    approach, parting, before, after, ratio = rows.T
+    slides = (before > _MEETS) & (after > _MEETS)
+    friction = None
+    if slides.sum() >= _LEAST_IMPACTS:
+        friction = _slope((approach + parting)[slides], (before - after)[slides])
+    ratio = ratio[ratio > 0.0]
+    return Impacts(
+        bounce=min(_slope(approach, parting), 1.0),
+        friction=friction,
+        mass_ratio=float(np.median(ratio)) if len(ratio) >= _LEAST_IMPACTS else None,
+    )
+
+
+def _slope(x: np.ndarray, y: np.ndarray) -> float:
+    """At least 0, of a robust line; the ground, which slows bodies too, gives its offset."""
+    fit = scipy.optimize.least_squares(
+        lambda line: line[0] * x + line[1] - y, [0.5, 0.0], loss="soft_l1", f_scale=_EXACT
+    )
+    return max(float(fit.x[0]), 0.0)

@@ -1,0 +1,88 @@
+"""Numbers of the types of a `BodyHead` that trajectories tell before any training."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from contactgraph.data.impact_fit import PLANE, Impacts
+from contactgraph.model.body_head import DECELERATION, PACE, BodyHead
+
+_LEAST, _MOST = 0.01, 0.99
+"""Bounce and friction from which training still gets away."""
+
+
+def with_slowing(head: BodyHead, slowing: Sequence[tuple[float, float]]) -> BodyHead:
+    """With these decelerations, m/s^2, and dampers, 1/s, by the ground, of each type."""
+    by_unit = np.array(slowing) / [DECELERATION * head.speed, 1.0]
+    raw = _inverse_softplus(np.maximum(by_unit, np.log1p(np.exp(-6.0)))) + 6.0
+    deceleration, damper = raw.T / PACE
+    return _with(head, deceleration_raw=deceleration, damper_raw=damper)
+
+
+def with_impacts(
+    head: BodyHead, impacts: Mapping[tuple[str, str], Impacts], types: tuple[str, ...]
+) -> BodyHead:
+    """With masses, bounce and friction that fit what pairs of types show, by least squares.
+
+    Those of pairs are sums of what each type has, and a type that is not seen has what the others
+    have on average.
+    """
+    names = (*types, PLANE)
+    pairs = {pair: each for pair, each in impacts.items() if set(pair) <= set(names)}
+    ratios = {pair: np.log(each.mass_ratio) for pair, each in pairs.items() if each.mass_ratio}
+    bounce = {pair: _logit(each.bounce) + 3.0 for pair, each in pairs.items()}
+    friction = {
+        pair: _inverse_softplus(np.clip(each.friction, _LEAST, None)) + 4.0
+        for pair, each in pairs.items()
+        if each.friction is not None
+    }
+    start = PACE * np.append(head.log_mass, 0.0)
+    log_mass = _fitted(start, _rows(ratios, names, -1.0), ratios.values())[:-1]
+    return _with(
+        head,
+        log_mass=log_mass / PACE,
+        bounce_raw=_shares(PACE * np.asarray(head.bounce_raw), bounce, names) / PACE,
+        friction_raw=_shares(PACE * np.asarray(head.friction_raw), friction, names) / PACE,
+    )
+
+
+def _shares(
+    start: np.ndarray, sums: Mapping[tuple[str, str], float], names: tuple[str, ...]
+) -> np.ndarray:
+    """[types+1] whose sums are those of the pairs, from a start that is the mean of bodies'."""
+    of_bodies = [each for pair, each in sums.items() if PLANE not in pair]
+    if of_bodies:
+        mean = 0.5 * float(np.mean(of_bodies))
+        start = np.append(np.full(len(start) - 1, mean), start[-2] + start[-1] - mean)
+    return _fitted(start, _rows(sums, names, 1.0), sums.values())
+
+
+def _rows(pairs: Iterable[tuple[str, str]], names: tuple[str, ...], second: float) -> np.ndarray:
+    """[pairs, types+1]: 1 for the first type of each pair, plus ``second`` for the second."""
+    each = np.eye(len(names))
+    rows = [each[names.index(a)] + second * each[names.index(b)] for a, b in pairs]
+    return np.reshape(rows, (-1, len(names)))
+
+
+def _fitted(start: np.ndarray, rows: np.ndarray, values: Iterable[float]) -> np.ndarray:
+    """The least squares solution nearest to ``start``."""
+    missing = np.array(list(values)) - rows @ start
+    return np.asarray(start + np.linalg.pinv(rows) @ missing)
+
+
+def _with(head: BodyHead, **values: np.ndarray) -> BodyHead:
+    typed = {name: jnp.asarray(each, head.log_mass.dtype) for name, each in values.items()}
+    return eqx.tree_at(
+        lambda each: [getattr(each, name) for name in typed], head, list(typed.values())
+    )
+
+
+def _logit(share: float) -> float:
+    share = float(np.clip(share, _LEAST, _MOST))
+    return float(np.log(share / (1.0 - share)))
+
+
+def _inverse_softplus(value: np.ndarray | float) -> np.ndarray:
+    return np.asarray(np.log(np.expm1(value)))
