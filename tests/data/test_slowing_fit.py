@@ -21,12 +21,13 @@ def test_discs_on_a_table_of_box2d_are_slowed_by_coulombs_friction() -> None:
 
 
 def slides(*, pushed: bool) -> Trajectory:
-    """A block slowed by v' = -0.5 - 2 v; or pushed by a hand that slows down by 5 m/s^2."""
+    """A block slowed by 0.5 m/s^2 and 2 1/s; or pushed by a hand that slows down by 5 m/s^2."""
     speed = np.zeros(STEPS + 1)
     speed[0] = 1.0
     for step in range(STEPS):
-        lost = 5.0 if pushed else 0.5 + 2.0 * speed[step]
-        speed[step + 1] = max(0.0, speed[step] - DT * lost)
+        left = max(0.0, speed[step] - DT * (5.0 if pushed else 0.5))
+        share = 0.0 if pushed else DT * 2.0 * left / max(speed[step], 1e-9)
+        speed[step + 1] = left / (1.0 + share)
     block = np.stack([np.cumsum(DT * speed), np.zeros(STEPS + 1)], axis=1)
     behind = np.array([0.1, 0.0]) if pushed else np.array([2.0, 0.0])
     velocity = np.stack([speed, np.zeros(STEPS + 1)], axis=1)

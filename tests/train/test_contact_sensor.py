@@ -13,11 +13,10 @@ from training import CONFIG, first_state, split
 from contactgraph.data import Dataset, InvalidInputError, Nodes, strip_contacts
 from contactgraph.model import ContactSensor, ModelConfig, hidden_markov_filter
 from contactgraph.train import check_contacts, fit
-from contactgraph.train import contact_reports as reports_module
+from contactgraph.train import judged_steps as reports_module
 from contactgraph.train.batch import Window
-from contactgraph.train.contact_reports import random_reports
 from contactgraph.train.filter_loss import _denial_score, filter_loss
-from contactgraph.train.judged_steps import judge_steps
+from contactgraph.train.judged_steps import judge_steps, random_reports
 from contactgraph.train.sensor_estimate import ReportedSteps, likeliest_sensor
 
 MODEL = hidden_markov_filter(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(0))

@@ -64,9 +64,11 @@ def _pushed(each: Trajectory, actuation: Mapping[str, ActuationFit]) -> np.ndarr
     for node in np.flatnonzero(scene.actuated):
         fit = actuation.get(scene.node_type[node])
         acts = drives if scene.control_of is None else drives & scene.control_of[node]
-        known = fit is not None and not (fit.stiffness or fit.damping)
+        if fit is None or fit.stiffness or fit.damping:
+            pushed[:, node] = np.nan
+            continue
         control = np.where(acts, each.control, 0.0)[:, drives]
-        pushed[:, node] = scene.dt * (control @ fit.matrix.T + fit.bias) if known else np.nan
+        pushed[:, node] = scene.dt * (control @ fit.matrix.T + fit.bias)
     return pushed
 
 

@@ -12,10 +12,10 @@ from contactgraph.evaluate.control_task import control_by_policy as control_by_p
 from contactgraph.evaluate.control_task import control_task as control_task
 from contactgraph.evaluate.edge_scores import EstimatedContacts as EstimatedContacts
 from contactgraph.evaluate.edge_scores import estimated_contacts as estimated_contacts
-from contactgraph.evaluate.forgetting import Forgetting as Forgetting
-from contactgraph.evaluate.forgetting import forgetting as forgetting
+from contactgraph.evaluate.model_diagnostics import Forgetting as Forgetting
 from contactgraph.evaluate.model_diagnostics import ModelDiagnostics as ModelDiagnostics
 from contactgraph.evaluate.model_diagnostics import RolloutGrowth as RolloutGrowth
+from contactgraph.evaluate.model_diagnostics import forgetting as forgetting
 from contactgraph.evaluate.model_diagnostics import model_diagnostics as model_diagnostics
 from contactgraph.evaluate.model_diagnostics import rollout_growth as rollout_growth
 from contactgraph.evaluate.mpc_policy import MPCPolicy as MPCPolicy

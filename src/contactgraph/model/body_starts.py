@@ -34,7 +34,7 @@ def with_impacts(
     ratios = {pair: np.log(each.mass_ratio) for pair, each in pairs.items() if each.mass_ratio}
     bounce = {pair: _logit(each.bounce) + 3.0 for pair, each in pairs.items()}
     friction = {
-        pair: _inverse_softplus(np.clip(each.friction, _LEAST, None)) + 4.0
+        pair: float(_inverse_softplus(max(each.friction, _LEAST))) + 4.0
         for pair, each in pairs.items()
         if each.friction is not None
     }
@@ -80,7 +80,7 @@ def _with(head: BodyHead, **values: np.ndarray) -> BodyHead:
 
 
 def _logit(share: float) -> float:
-    share = float(np.clip(share, _LEAST, _MOST))
+    share = min(max(share, _LEAST), _MOST)
     return float(np.log(share / (1.0 - share)))
 
 

@@ -21,6 +21,7 @@ MAX_COUPLING = 1.0 - 1e-3
 """Coupling of a damper that is a thousand times as stiff as a mass of 1 in a step."""
 _SLOW = 1e-4
 """Speed, in units of speed, of bodies that friction stops within a step."""
+_LEAST_BOUNCE = 1e-3
 _LEAST_INVERSE = 1e-6
 """1/kg; of a body that nothing moves."""
 
@@ -65,7 +66,7 @@ class Contacts(eqx.Module):
         """
         mass, count = bodies.mass, len(bodies.mass)
         smooth = self.geometry.along(1.0 - self.touching)
-        normal = self.geometry.along(jnp.zeros_like(self.damper))
+        normal = self._at_impact(self.geometry.along(jnp.zeros_like(self.damper)), bodies)
         stiffness, holding = self.damper + self.spring, 1.0 - self.touching
         mobility = self._mobility(mass)
         elastic = self.bounce / ((1.0 - self.bounce) * mobility)
@@ -120,6 +121,18 @@ class Contacts(eqx.Module):
             return jnp.concatenate([one, another], axis=int(path[-1].name in by_end))
 
         return jax.tree_util.tree_map_with_path(joined, first, other)
+
+    def _at_impact(self, normal: Geometry, bodies: "FreeBodies") -> Geometry:
+        """With the relative velocity of which a bounce gives back its share.
+
+        It is that at the impact, less what control and weight still add to the approach after it,
+        in units of the bounce: what is pushed on does not part.
+        """
+        added = relative_at_edges(bodies.push / bodies.mass[:, None, None], normal)[..., 0]
+        after = (1.0 - normal.time_of_impact) / jnp.maximum(self.bounce, _LEAST_BOUNCE)
+        met = normal.relative_velocity + (normal.time_of_impact - after)[:, None] * added
+        closing = jnp.sum(normal.normal * met, axis=-1, keepdims=True) < 0.0
+        return dataclasses.replace(normal, relative_velocity=jnp.where(closing, met, 0.0))
 
     def _impulse(self, geometry: Geometry, count: int, dt: float) -> Float[Array, "N D 1"]:
         stretch = geometry.displacement - self.rest_length[:, None] * geometry.direction

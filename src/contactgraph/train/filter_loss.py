@@ -26,10 +26,11 @@ from contactgraph.model.features import stillness
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.types import EncodedGraph, LinearDynamics
 from contactgraph.train.batch import Window
-from contactgraph.train.contact_reports import SensorReports, random_reports
 from contactgraph.train.judged_steps import (
     JudgedSteps,
+    SensorReports,
     judge_steps,
+    random_reports,
     random_segments,
     seen_or_not,
     without_gradient,

@@ -1,4 +1,4 @@
-"""The likelihood of every recorded step's motion, which training learns from without gradient."""
+"""Evidence of recorded steps: the likelihood of their motion, and contacts as sensors report."""
 
 import dataclasses
 
@@ -7,13 +7,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from contactgraph.data.dataset import Dataset
+from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.contact_belief import (
     ContactBelief,
     first_holding_type,
+    late_rate,
     posterior_by_motion,
     without_change,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.motion_likelihood import edge_log_ratios, motion_noise
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import no_sensitivity, with_control_displacement
@@ -31,6 +35,8 @@ _APART = 0.1
 _LEAST = 1e-6
 _CHANGE = 0.1
 """Probability a step that a hold begins or ends, where geometry does not tell."""
+_MOST_WRONG, _LATEST = 0.1, 3
+"""Largest error rates, and longest delay [steps], of the sensors of training."""
 
 
 class JudgedSteps(eqx.Module):
@@ -223,3 +229,51 @@ def predict_unobserved(
     )
     displacement = jnp.where(begins[..., None], judged.displacement, displacement)
     return replaced, dataclasses.replace(judged, displacement=displacement, log_ratio=ratio)
+
+
+def check_contacts(model: ContactDynamics, dataset: Dataset, what: str) -> None:
+    """Raises `InvalidInputError` where ``what`` lacks a filter, or any trajectory its contacts."""
+    if not isinstance(model.inference, TransitionEdges):
+        raise InvalidInputError(
+            f"{what}: the model must be a filter (--model filter), found "
+            f"{type(model.inference).__name__}"
+        )
+    lacking = sum(each.contact is None for each in dataset)
+    if lacking:
+        raise InvalidInputError(
+            f"{what}: {lacking} of {len(dataset)} trajectories have no contact field; it must be "
+            "in every trajectory"
+        )
+
+
+class SensorReports(eqx.Module):
+    """What one sensor a trajectory reports of the state that each step leads to."""
+
+    report: Float[Array, "B T E"]
+    """1 contact, 0 none, NaN nothing."""
+    false_alarm: Float[Array, " B"]
+    """As the correction assumes it: see `ContactSensor`."""
+    miss: Float[Array, " B"]
+
+
+def random_reports(
+    contact: Float[Array, "B T+1 E"], key: PRNGKeyArray, used: Bool[Array, "B T"]
+) -> SensorReports:
+    """Reports of recorded contacts at random error rates and delays, in the steps ``used``."""
+    false_key, miss_key, delay_key, error_key = jax.random.split(key, 4)
+    count, states, _ = contact.shape
+    false_alarm, miss = (
+        jax.random.uniform(each, (count,), maxval=_MOST_WRONG) for each in (false_key, miss_key)
+    )
+    delay = jax.random.randint(delay_key, (count,), 0, _LATEST + 1)
+    wrong = jnp.where(contact > 0.5, miss[:, None, None], false_alarm[:, None, None])
+    is_wrong = jax.random.uniform(error_key, contact.shape) < wrong
+    read = jnp.where(is_wrong, 1.0 - contact, contact)
+    about = jnp.arange(1, states) - delay[:, None]
+    known = used & (about >= 0)
+    report = jnp.take_along_axis(read, jnp.maximum(about, 0)[..., None], axis=1)
+    return SensorReports(
+        jnp.where(known[..., None], report, jnp.nan),
+        jnp.asarray(late_rate(false_alarm, delay)),
+        jnp.asarray(late_rate(miss, delay)),
+    )

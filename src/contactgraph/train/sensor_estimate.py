@@ -21,9 +21,8 @@ from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.filter import on_device
 from contactgraph.model.types import EncodedGraph
 from contactgraph.train.batch import Window
-from contactgraph.train.contact_reports import check_contacts
 from contactgraph.train.filter_loss import encoded_steps, predict_and_score
-from contactgraph.train.judged_steps import judge_steps
+from contactgraph.train.judged_steps import check_contacts, judge_steps
 
 _LATEST = 3
 """Longest delay considered, steps."""
