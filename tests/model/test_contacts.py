@@ -22,11 +22,14 @@ THETA = 0.55
 
 
 @jax.jit
-def stepped(position, velocity, mass, bounce, friction, deceleration, static, averaged):
-    """State after a step in which all pairs that meet touch; velocities, positions [N, 2]."""
+def stepped(position, velocity, mass, bounce, friction, deceleration, static, averaged, pushed):
+    """State after a step in which all pairs that meet touch; velocities, positions [N, 2].
+
+    ``pushed`` m/s: what forces would change velocities by without contacts.
+    """
     count = len(mass)
     edges = jnp.asarray(pair_indices(count)).T
-    found = geometry(position, velocity, edges, DT, TOUCH, None, None, static)
+    found = geometry(position, velocity, edges, DT, TOUCH, THETA * DT * pushed, None, static)
     meets = (found.fraction_after_impact > 0.0).astype(float)
     nothing = jnp.zeros(edges.shape[1])
     contacts = Contacts(
@@ -40,12 +43,14 @@ def stepped(position, velocity, mass, bounce, friction, deceleration, static, av
         bounce=bounce * meets,
         friction=nothing + friction,
     )
+    push, slowing = (mass[:, None] * pushed)[..., None], 0.0 * mass + deceleration
     zero = jnp.zeros((count, 2, 1))
-    bodies = FreeBodies(mass, velocity, 0.0 * mass, 0.0 * mass + deceleration, zero, zero, zero)
+    bodies = FreeBodies(mass, velocity, 0.0 * mass, slowing, push / DT, zero, push)
     moved = contacts.solve(bodies, DT, None)
-    after = velocity + moved.velocity_change
+    change = moved.velocity_change + DT * moved.acceleration
+    after = velocity + change
     theta = jnp.where(averaged, 1.0, THETA)
-    middle = velocity + theta * moved.velocity_change
+    middle = velocity + theta * change
     return after, position + DT * middle + moved.impact_displacement
 
 
@@ -54,7 +59,8 @@ def step(position, velocity, mass, bounce=0.0, friction=0.0, deceleration=0.0, *
     arrays = (np.asarray(each, float) for each in (position, velocity, mass))
     numbers = (np.asarray(each, float) for each in (bounce, friction, deceleration))
     flags = np.asarray(static), np.asarray(options.get("averaged", False))
-    return tuple(map(np.asarray, stepped(*arrays, *numbers, *flags)))
+    pushed = np.asarray(options.get("pushed", np.zeros((len(mass), 2))), float)
+    return tuple(map(np.asarray, stepped(*arrays, *numbers, *flags, pushed)))
 
 
 START = np.array([[0.0, 0.0], [0.12, 0.03]])
@@ -80,6 +86,21 @@ def test_a_pair_bounces_by_its_coefficient_at_the_time_of_impact(bounce: float) 
     where = START + time * STRIKES + (DT - time) * expected
     np.testing.assert_allclose(position, where, atol=1e-4)
     np.testing.assert_allclose(MASS @ velocity, MASS @ STRIKES, atol=1e-9)
+
+
+@pytest.mark.parametrize("bounce", [0.0, 0.9])
+@pytest.mark.parametrize("gap", [0.001, 0.03, 0.08])
+def test_a_force_counts_until_the_impact_and_then_moves_one_body(bounce: float, gap: float) -> None:
+    """10 N drive a cue of 1 kg at 1.5 m/s into a ball of 3 kg: head on, early or late in a step."""
+    start, pushed = np.array([[0.0, 0.0], [TOUCH + gap, 0.0]]), np.array([[0.5, 0.0], [0.0, 0.0]])
+    velocity, _ = step(start, [[1.5, 0.0], [0.0, 0.0]], MASS, bounce, pushed=pushed)
+    by_force = THETA * 0.5  # gap = DT (1.5 t + by_force t^2)
+    time = (np.sqrt(1.5**2 + 4.0 * by_force * gap / DT) - 1.5) / (2.0 * by_force)
+    struck = 0.25 * (1.0 + bounce) * (1.5 + time * 0.5)
+    together = 0.25 * 2.0  # the cue pushes on, if it does not bounce
+    expected = struck if bounce else together
+    np.testing.assert_allclose(velocity[1], [expected, 0.0], atol=4e-3)
+    np.testing.assert_allclose(MASS @ velocity, [2.0, 0.0], atol=1e-9)
 
 
 def test_velocities_that_are_means_show_an_impact_in_its_part_of_the_step() -> None:
