@@ -11,7 +11,7 @@ import pytest
 from control_models import StickyBodies, nodes_of, state_of
 
 from contactgraph.control import ILQR, AffinePolicy, ControlLimits, SearchILQR, chain_cost
-from contactgraph.control.approaches import Approach, Draws, varied_approaches
+from contactgraph.control.approaches import Approach
 from contactgraph.control.lanes import in_lanes
 from contactgraph.control.search import _Scene
 from contactgraph.data import InvalidInputError, Scene
@@ -77,13 +77,18 @@ def test_a_body_at_its_goal_is_left_alone():
     assert np.linalg.norm(box_end(plan) - GOAL) < 1e-3
 
 
-def test_a_narrower_round_stays_nearer_to_what_it_varies():
-    draws = Draws.of(np.random.default_rng(0), 8, 2, 0)
-    of = jax.tree.map(lambda leaf: leaf[None], made(direction=[1.0, 0.0], travel=0.2))
-    wide, narrow = (varied_approaches(draws, of, jnp.zeros(2), width) for width in (1.0, 0.5))
-    turned, less = wide.direction - of.direction, narrow.direction - of.direction
-    np.testing.assert_allclose(less, 0.5 * turned, atol=1e-6)
-    np.testing.assert_allclose(np.log(narrow.travel / 0.2), 0.5 * np.log(wide.travel / 0.2), 1e-4)
+def test_every_second_start_aims_at_an_image_in_a_wall_but_none_in_the_ground():
+    """Walls at x = -1 and y = 2; gravity makes of the second a ceiling, which is no wall."""
+    planes = np.array([[1.0, 0.0, -1.0], [0.0, -1.0, -2.0]])
+    for gravity, walls in ((None, 2), (np.array([0.0, -9.81]), 1)):
+        nodes = scene_nodes(dataclasses.replace(SCENE, planes=planes, gravity=gravity))
+        scene = _Scene.of(model(), state([0.1, 0.2], [0.3, 0.0]), nodes, COST)
+        *_, goal, aim = map(np.asarray, scene.pairs(8))
+        np.testing.assert_allclose(goal, np.tile(GOAL, (8, 1)))
+        np.testing.assert_allclose(aim[::2], goal[::2])
+        images = {tuple(each) for each in aim[1::2].round(5) if not np.allclose(each, GOAL)}
+        x, y = map(float, GOAL)
+        assert images == set([(round(-2.0 - x, 5), y), (x, round(4.0 - y, 5))][:walls])
 
 
 def test_equal_states_give_equal_plans():
@@ -126,7 +131,7 @@ def test_approaches_in_lanes_end_as_they_do_one_by_one():
             np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-8)
 
 
-def made(direction, travel=1.0, dimension=2, grasps=False, commands=0):
+def made(direction, travel=1.0, dimension=2, grasps=False, commands=0, swerve=None):
     return Approach(
         hand=jnp.asarray(0),
         body=jnp.asarray(1),
@@ -134,11 +139,24 @@ def made(direction, travel=1.0, dimension=2, grasps=False, commands=0):
         aside=jnp.zeros(dimension),
         speed=jnp.asarray(0.4),
         travel=jnp.asarray(travel),
+        run_up=jnp.asarray(1.5),
+        swerve=jnp.asarray(swerve or [0.0] * dimension),
         approach_speed=jnp.asarray(1.0),
         goal=jnp.full(dimension, 0.5),
         grasps=jnp.asarray(grasps),
         command=jnp.array([[1.0], [-1.0]])[:, :commands],
     )
+
+
+def test_an_approach_that_swerves_comes_from_another_side():
+    start, wait = np.array([-1.0, 0.4]), np.array([-1.5 * REACH, 0.0])
+    for swerve, least, most in ((0.0, 0.0, 0.01), (0.8, 0.1, 0.4)):
+        path = walk(made([1.0, 0.0], swerve=[0.0, swerve]), start, np.zeros(2), 40)
+        arrives = int(np.argmin(np.linalg.norm(path - wait, axis=1)))
+        assert np.linalg.norm(path[arrives] - wait) < 0.05
+        line = np.interp(path[:arrives, 0], [start[0], wait[0]], [start[1], wait[1]])
+        beside = np.abs(path[:arrives, 1] - line).max()
+        assert least <= beside <= most
 
 
 def walk(approach, hand, body, steps):

@@ -195,7 +195,6 @@ class Control:
                 cost=cost,
                 horizon=horizon,
                 starts=starts,
-                rounds=known.rounds,
                 replan_every=self.replan_every,
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
                 faults=faults,

@@ -132,7 +132,6 @@ TASKS = {
         StrikingPolicy,
         horizon=100,
         starts=64,
-        rounds=5,
         summary="a cue brings a ball to a goal that only a bank off a wall reaches",
         title="A contact graph that plays off walls",
     ),

@@ -115,8 +115,6 @@ class KnownTask:
     starts: int = 0
     """Starts that plans are searched from by default; where what is touched is held, iLQR needs
     none."""
-    rounds: int = 2
-    """Rounds of that search by default."""
     max_force: float | None = MAX_FORCE
     """Bound of the control on each axis, N."""
     summary: str = ""

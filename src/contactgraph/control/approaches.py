@@ -5,11 +5,14 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 _STAND_OFF, _ROUND = 1.5, 1.9
-"""Contact distances from the body: where a push begins, and on the way round."""
+"""Contact distances from the body: where a push begins at the nearest, and on the way round."""
+_FASTEST = 1.5
+"""Speed of pushes, in units of the top speed."""
+_BANKED = 0.1
+"""Spread about the line to an image of the goal."""
 _CLEAR = 1.2
 """Contact distances within which it first goes straight away, as its shape may be hooked in."""
 _AHEAD = 0.7
@@ -27,7 +30,7 @@ _TINY = 1e-9
 
 
 class Approach(eqx.Module):
-    """One approach, or a batch of ``S``: from where, how far beside, how fast, how far.
+    """One approach, or a batch of ``S``: which way, from where, how far beside, how fast, how far.
 
     A grasp goes on to the middle of the body, gives the command there, and takes the body to its
     goal once it holds it.
@@ -46,6 +49,11 @@ class Approach(eqx.Module):
     """m/s of the push, at most."""
     travel: Float[Array, "*S"]
     """m by which the body is pushed; 0: the hand stays."""
+    run_up: Float[Array, "*S"]
+    """Contact distances behind the body from which the push begins."""
+    swerve: Float[Array, "*S D"]
+    """Velocity beside the straight way behind the body, in units of that along it: round what
+    stands in the way. Its part along the way is left out."""
     approach_speed: Float[Array, "*S"]
     """m/s on the way behind the body, and with a body held, at most."""
     goal: Float[Array, "*S D"]
@@ -90,9 +98,11 @@ class Approach(eqx.Module):
         near = _length(offset) < _CLEAR * contact_distance
         turned = jnp.where(near, outward, turned)
         behind = _dot(outward, along) < -_BEHIND
-        wait = aside - _STAND_OFF * contact_distance * along
+        wait = aside - self.run_up * contact_distance * along
         aim = jnp.where(behind, wait, _ROUND * contact_distance * turned)
         going = 2.0 * _GAIN * (aim - offset) / dt
+        heading = _unit(going)
+        going += _length(going) * (self.swerve - _dot(self.swerve, heading) * heading)
         going = _slower(going, self.approach_speed)
         inside = self.grasps & (_length(offset) < _GRASPED * contact_distance)
         near_line = jnp.where(self.grasps, _ALIGNED, _BESIDE) * contact_distance
@@ -107,20 +117,25 @@ class Approach(eqx.Module):
 class Draws(eqx.Module):
     """Standard normal numbers, from which approaches are made; ``S`` of each."""
 
-    direction: Float[np.ndarray, "S D"]
-    aside: Float[np.ndarray, "S D"]
-    speed: Float[np.ndarray, " S"]
-    travel: Float[np.ndarray, " S"]
-    approach_speed: Float[np.ndarray, " S"]
-    command: Float[np.ndarray, "S C"]
+    direction: Float[Array, "S D"]
+    aside: Float[Array, "S D"]
+    swerve: Float[Array, "S D"]
+    speed: Float[Array, " S"]
+    travel: Float[Array, " S"]
+    run_up: Float[Array, " S"]
+    approach_speed: Float[Array, " S"]
+    command: Float[Array, "S C"]
 
     @classmethod
-    def of(cls, rng: np.random.Generator, count: int, dimension: int, commands: int) -> "Draws":
+    def of(cls, key: PRNGKeyArray, count: int, dimension: int, commands: int) -> "Draws":
         """``count`` new ones."""
-        vectors = rng.standard_normal((2, count, dimension))
-        numbers = rng.standard_normal((3, count))
-        chosen = rng.standard_normal((count, commands))
-        return cls(vectors[0], vectors[1], numbers[0], numbers[1], numbers[2], chosen)
+        of_vectors, of_numbers, of_commands = jax.random.split(key, 3)
+        vectors = jax.random.normal(of_vectors, (3, count, dimension))
+        numbers = jax.random.normal(of_numbers, (4, count))
+        chosen = jax.random.normal(of_commands, (count, commands))
+        direction, aside, swerve = vectors
+        speed, travel, run_up, approach_speed = numbers
+        return cls(direction, aside, swerve, speed, travel, run_up, approach_speed, chosen)
 
 
 def spread_approaches(
@@ -129,6 +144,7 @@ def spread_approaches(
     body: Int[Array, " S"],
     position: Float[Array, "S D"],
     goal: Float[Array, "S D"],
+    aim: Float[Array, "S D"],
     top_speed: float,
     up: Float[Array, " D"],
     commands: tuple[Float[Array, " C"], Float[Array, " C"]],
@@ -136,26 +152,31 @@ def spread_approaches(
     """Approaches of all sides, every second one near the line to the goal; the first one stays.
 
     Speeds are spread evenly by their logarithm, from a twelfth of ``top_speed`` [m/s] on; on the
-    way from a third on. With commands and a direction ``up`` all others are grasps, from above:
-    pushing with fingers is seldom seen in what a model learned from.
+    way from a third on. Half of them swerve. With commands and a direction ``up`` all others are
+    grasps, from above: pushing with fingers is seldom seen in what a model learned from.
 
-    ``position`` and ``goal``: [m] of each body; ``up``: a unit vector along which none pushes, or
+    ``position``, ``goal`` and ``aim``: [m] of each body, and where to push it, which is the goal or
+    an image of it; ``up``: a unit vector along which none pushes, or
     zeros; ``commands``: least and greatest value of each.
     """
-    missing = goal - position
+    missing = aim - position
     distance = _length(missing)
     grasps = (jnp.arange(len(hand)) > 0) & jnp.any(up != 0.0) & (draws.command.shape[1] > 0)
     high = jnp.where(draws.command > 0.0, commands[1], commands[0])
+    banked = jnp.any(aim != goal, axis=-1)[:, None]
     wide = jnp.where(jnp.arange(len(hand)) % 2 == 0, 1.0, 0.25)[:, None]
+    wide = jnp.where(banked, _BANKED, wide)
     direction = missing / distance[:, None] + wide * draws.direction
     travel = distance * jnp.exp(0.3 * draws.travel)
     return Approach(
         hand=hand,
         body=body,
         direction=jnp.where(grasps[:, None], -up, _unit(_level(direction, up))),
-        aside=jnp.where(grasps[:, None], 0.0, 0.3 * draws.aside),
-        speed=top_speed * jnp.exp(-2.5 * jax.scipy.stats.norm.cdf(draws.speed)),
+        aside=jnp.where(grasps[:, None], 0.0, jnp.where(banked, _BANKED, 0.3) * draws.aside),
+        speed=_FASTEST * top_speed * jnp.exp(-2.9 * jax.scipy.stats.norm.cdf(draws.speed)),
         travel=travel.at[0].set(0.0),
+        run_up=_STAND_OFF * jnp.exp(jax.scipy.stats.norm.cdf(draws.run_up)),
+        swerve=jnp.where((jnp.arange(len(hand)) % 4 < 2)[:, None], 0.0, draws.swerve),
         approach_speed=top_speed * jnp.exp(-jax.scipy.stats.norm.cdf(draws.approach_speed)),
         goal=goal,
         grasps=grasps,
@@ -163,22 +184,19 @@ def spread_approaches(
     )
 
 
-def varied_approaches(
-    draws: Draws, approaches: Approach, up: Float[Array, " D"], width: float = 1.0
-) -> Approach:
-    """As many approaches near the given ones, of which there are fewer, as there are draws.
-
-    ``width`` scales how far from the given ones they are.
-    """
+def varied_approaches(draws: Draws, approaches: Approach, up: Float[Array, " D"]) -> Approach:
+    """As many approaches near the given ones, of which there are fewer, as there are draws."""
     of = approaches.at(jnp.arange(len(draws.speed)) % len(approaches.speed))
     turns = ~of.grasps[:, None]
     return dataclasses.replace(
         of,
-        direction=of.direction + turns * _level(0.15 * width * jnp.asarray(draws.direction), up),
-        aside=of.aside + 0.1 * width * turns * draws.aside,
-        speed=of.speed * jnp.exp(0.2 * width * draws.speed),
-        travel=of.travel * jnp.exp(0.15 * width * draws.travel),
-        approach_speed=of.approach_speed * jnp.exp(0.2 * width * draws.approach_speed),
+        direction=of.direction + turns * _level(0.15 * draws.direction, up),
+        aside=of.aside + 0.1 * turns * draws.aside,
+        speed=of.speed * jnp.exp(0.2 * draws.speed),
+        travel=of.travel * jnp.exp(0.15 * draws.travel),
+        run_up=of.run_up * jnp.exp(0.1 * draws.run_up),
+        swerve=of.swerve + 0.1 * draws.swerve,
+        approach_speed=of.approach_speed * jnp.exp(0.2 * draws.approach_speed),
     )
 
 

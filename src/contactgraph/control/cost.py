@@ -85,6 +85,7 @@ def chain_cost(
     node_count: int,
     control_size: int | None = None,
     command_weight: float | None = None,
+    terminal_weight: float = 1.0,
 ) -> QuadraticCost:
     """A cost that ties each node of the chain to the next, and the last to the goal, as the paper.
 
@@ -95,7 +96,8 @@ def chain_cost(
     **Arguments:** ``chain``: nodes, gripper first. ``pick_weights``, ``goal_weights``: [2D],
     D on positions, then D on velocities. ``goal``: [D] m. ``node_count``: N, the capacity.
     ``control_size``: U; D where it is not given. ``command_weight``: on the squares of components
-    beyond D, such as a switch; None: ``control_weight``.
+    beyond D, such as a switch; None: ``control_weight``. ``terminal_weight``: factor on the last
+    step's cost of the state.
 
     Raises `InvalidInputError` where a weight is negative or a shape or node does not fit.
     """
@@ -109,6 +111,8 @@ def chain_cost(
         raise InvalidInputError(f"chain must name nodes 0 to {node_count - 1}, found {chain}")
     if not control_weight > 0:
         raise InvalidInputError(f"control_weight must be positive, found {control_weight}")
+    if not terminal_weight >= 0:
+        raise InvalidInputError(f"terminal_weight must be at least 0, found {terminal_weight}")
     if not (command_weight is None or command_weight > 0):
         raise InvalidInputError(f"command_weight must be positive, found {command_weight}")
     pick = _checked_weights("pick_weights", pick_weights, 2 * dimension)
@@ -131,6 +135,7 @@ def chain_cost(
         Q=jnp.asarray(Q.reshape(node_count * size, node_count * size)),
         R=jnp.asarray(R),
         goal=jnp.asarray(target.reshape(-1)),
+        terminal_weight=jnp.asarray(float(terminal_weight)),
         cost_node_ids=jnp.asarray(np.asarray(chain, dtype=np.int32)),
     )
 

@@ -47,8 +47,8 @@ def _commands(model: StepModel) -> int:
 
 _ELITES = 8
 """Approaches that the next round varies."""
-_NARROWER = 0.5
-"""Width of each further round, in units of that before."""
+_LEVEL = 0.1
+"""How far the normal of a wall off which a body may bounce points up, at most."""
 _RIDGE = 1e-6
 """Of the mean square response to the control; controls that move nothing stay 0."""
 
@@ -57,10 +57,11 @@ class SearchILQR(ILQR):
     """`ILQR` that begins at the best of many approaches, or goes on with the guess.
 
     Each of ``rounds`` rolls out ``starts`` approaches as one batch: the first from all sides, the
-    others near the best eight, each half as wide as that before. The best one by its cost and the
-    guess are each improved by `ILQR`, and the cheaper plan is taken, so its cost is never above the
-    guess's. To stay is among the starts. The draws are the same in every call: equal states give
-    equal plans.
+    others near the best eight. Where there are walls, every second one aims at an image of the goal
+    in one of them. The best one by its cost and the guess are each improved by `ILQR`, and the
+    cheaper plan is taken, so its cost is never above the guess's. To stay is among the starts. The
+    draws follow from the positions: equal states give equal plans, and from step to step others
+    are tried.
 
     The model must be a `ContactDynamics` with `InvariantFeatures`, whose contact distance says how
     to go round a body, and whose unit of speeds how fast.
@@ -137,10 +138,12 @@ class SearchILQR(ILQR):
 
     def _best_start(self, scene: "_Scene", before: Float[Array, " C"]) -> Float[Array, "H U"]:
         """The controls of the cheapest approach; ``before``: the running plan's next command."""
-        rng = np.random.default_rng(0)
-        dimension = scene.state.position.shape[1]
+        position = scene.state.position
+        bits = jax.lax.bitcast_convert_type(position.astype(jnp.float32), jnp.uint32)
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(0), jnp.sum(bits)), self.rounds)
+        dimension = position.shape[1]
         commands = scene.commands
-        draws = [Draws.of(rng, self.starts, dimension, commands) for _ in range(self.rounds)]
+        draws = [Draws.of(key, self.starts, dimension, commands) for key in keys]
         bounds = self.limits or ControlLimits(-jnp.ones(commands), jnp.ones(commands))
         most = [each[len(each) - commands :] for each in (bounds.lower, bounds.upper)]
         follow = eqx.filter_jit(in_lanes(lambda each: scene.follow(each, self), self.starts))
@@ -156,9 +159,9 @@ class SearchILQR(ILQR):
             draws[0], *scene.pairs(self.starts), scene.speed, up, (most[0], most[1])
         )
         controls, costs = tried(approaches)
-        for index, again in enumerate(draws[1:]):
+        for again in draws[1:]:
             best = jnp.argsort(costs)[:_ELITES]
-            near = varied_approaches(again, approaches.at(best), up, _NARROWER**index)
+            near = varied_approaches(again, approaches.at(best), up)
             all_tried = (approaches, controls, costs), (near, *tried(near))
             approaches, controls, costs = jax.tree.map(
                 lambda one, other: jnp.concatenate([one, other]), *all_tried
@@ -224,9 +227,9 @@ class _Scene(eqx.Module):
         """Number of components of the control that move nothing."""
         return _commands(self.model)
 
-    def pairs(self, count: int) -> tuple[Array, Array, Array, Array]:
-        """Actuated nodes [S], each with one that it may move, in turn; that one's position and goal
-        [S, D], m."""
+    def pairs(self, count: int) -> tuple[Array, Array, Array, Array, Array]:
+        """Actuated nodes [S], each with one that it may move, in turn; that one's position, goal
+        and aim [S, D], m: every second one's is an image of the goal, in one wall after another."""
         nodes, number = self.nodes, len(self.state.position)
         wanted = nodes.passive
         if self.cost.cost_node_ids is not None:
@@ -238,7 +241,15 @@ class _Scene(eqx.Module):
         pair = jnp.argsort(~may_move)[jnp.arange(count) % jnp.maximum(jnp.sum(may_move), 1)]
         hand, body = jnp.asarray(one)[pair], jnp.asarray(other)[pair]
         goal = self.cost.goal.reshape(-1, number, 2, self.state.position.shape[1])[-1, :, 0]
-        return hand, body, self.state.position[body], goal[body]
+        position, goal = self.state.position[body], goal[body]
+        if nodes.planes is None or not len(nodes.planes):
+            return hand, body, position, goal, goal
+        turn = np.arange(count)
+        wall = nodes.planes[turn // 2 % len(nodes.planes)]
+        normal, before = wall[:, :-1], jnp.sum(wall[:, :-1] * goal, axis=-1) - wall[:, -1]
+        banked = (turn % 2 == 1) & (jnp.abs(normal @ self.up) < _LEVEL)
+        image = goal - 2.0 * before[:, None] * normal
+        return hand, body, position, goal, jnp.where(banked[:, None], image, goal)
 
     def follow(
         self, approach: Approach, planner: ILQR

@@ -244,10 +244,11 @@ class BilliardsTask(GripperTask):
         return float(np.linalg.norm(target - scene.goal)) <= GOAL_RADIUS
 
     def cost_terms(self) -> ChainCost:
-        """Cue to target and target to goal, with the weights of the pickup."""
+        """Cue to target and target to goal, with the weights of the pickup; the end counts most."""
         return ChainCost(
             chain=(0,) if self._passive else (CUE, TARGET),
             pick_weights=np.array([3.0, 3.0, 0.2, 0.2]),
             goal_weights=np.array([50.0, 50.0, 1.0, 1.0]),
             control_weight=0.01,
+            terminal_weight=100.0,
         )

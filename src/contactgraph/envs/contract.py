@@ -141,6 +141,8 @@ class ChainCost:
     """On the squared control, 1/N^2."""
     command_weight: float | None = None
     """On the squares of its components beyond D, such as a switch. None: `control_weight`."""
+    terminal_weight: float = 1.0
+    """Factor on the cost of the last state of a plan: where only the end counts."""
     switching_cost: float = 0.0
     """Added each time that a plan switches a command on: against chattering."""
     placed_radius: float = 0.0

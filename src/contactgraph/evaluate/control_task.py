@@ -40,7 +40,6 @@ def control_task(
     horizon: int = 20,
     iterations: int = 5,
     starts: int = 0,
-    rounds: int = 2,
     replan_every: int = 1,
     deadline: float | None = None,
     sensor: ContactSensor | None = None,
@@ -56,9 +55,9 @@ def control_task(
     ``cost`` None is the task's own; the limits of each component of the control are those of the
     task's action space. Episode ``i`` has the seed `collect` would give it. An episode that the
     task ends early is a failure unless the task calls it a success. ``horizon``, ``iterations``
-    and ``replan_every`` are `ILQR`'s and `MPC`'s, ``starts`` (0: no search) and ``rounds`` are
-    `SearchILQR`'s, ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s. ``on_episode``
-    is called after each episode with the trajectory and the controller's record.
+    and ``replan_every`` are `ILQR`'s and `MPC`'s, ``starts`` is `SearchILQR`'s (0: no search),
+    ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s. ``on_episode`` is called after
+    each episode with the trajectory and the controller's record.
 
     ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
     them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
@@ -88,7 +87,6 @@ def control_task(
             iterations,
             limits,
             starts=starts,
-            rounds=rounds,
             switching_cost=terms.switching_cost,
         )
     elif switches:

@@ -90,6 +90,7 @@ class TaskCost:
             node_count,
             self.control_size,
             self.terms.command_weight,
+            self.terms.terminal_weight,
         )
 
 
