@@ -45,6 +45,9 @@ _SHARES = (0.01, 0.1, 0.5, 1.0)
 """Of the median speed that the ground takes in a step, from which fits begin."""
 _MOVES = 0.02
 """Share of the greatest speed from which a body moves."""
+_MOST_DAMPED = 1.0
+"""Of a damper times dt: with a greater one a step hardly depends on it, and training that starts
+there does not get away."""
 _LEAST_STEPS = 10
 
 
@@ -267,4 +270,4 @@ def _slowing(before: np.ndarray, after: np.ndarray, dt: float) -> tuple[float, f
         for share in _SHARES
     ]
     constant, by_speed = min(fits, key=lambda each: each.cost).x
-    return float(constant) * unit / dt, float(by_speed) / dt
+    return float(constant) * unit / dt, min(float(by_speed), _MOST_DAMPED) / dt
