@@ -23,6 +23,7 @@ from contactgraph.control.plan import Plan
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import edge_id, pair_indices
 from contactgraph.model import (
+    BodyHead,
     ContactDynamics,
     InvariantFeatures,
     ModelState,
@@ -47,8 +48,9 @@ def _commands(model: StepModel) -> int:
 
 _ELITES = 8
 """Approaches that the next round varies."""
-_LEVEL = 0.1
-"""How far the normal of a wall off which a body may bounce points up, at most."""
+_LEVEL, _ELASTIC = 0.1, 0.3
+"""Of a wall off which a body may be played: how far its normal points up at most, and how much the
+body bounces off it at least."""
 _RIDGE = 1e-6
 """Of the mean square response to the control; controls that move nothing stay 0."""
 
@@ -57,11 +59,11 @@ class SearchILQR(ILQR):
     """`ILQR` that begins at the best of many approaches, or goes on with the guess.
 
     Each of ``rounds`` rolls out ``starts`` approaches as one batch: the first from all sides, the
-    others near the best eight. Where there are walls, every second one aims at an image of the goal
-    in one of them. The best one by its cost and the guess are each improved by `ILQR`, and the
-    cheaper plan is taken, so its cost is never above the guess's. To stay is among the starts. The
-    draws follow from the positions: equal states give equal plans, and from step to step others
-    are tried.
+    others near the best eight. Where bodies bounce off walls, every second one aims at an image of
+    the goal in one of them. The best one by its cost and the guess are each improved by `ILQR`, and
+    the cheaper plan is taken, so its cost is never above the guess's. To stay is among the starts.
+    The draws follow from the positions: equal states give equal plans, and from step to step
+    others are tried.
 
     The model must be a `ContactDynamics` with `InvariantFeatures`, whose contact distance says how
     to go round a body, and whose unit of speeds how fast.
@@ -229,7 +231,8 @@ class _Scene(eqx.Module):
 
     def pairs(self, count: int) -> tuple[Array, Array, Array, Array, Array]:
         """Actuated nodes [S], each with one that it may move, in turn; that one's position, goal
-        and aim [S, D], m: every second one's is an image of the goal, in one wall after another."""
+        and aim [S, D], m: every second one's is an image of the goal in one wall after another, if
+        the body bounces off walls."""
         nodes, number = self.nodes, len(self.state.position)
         wanted = nodes.passive
         if self.cost.cost_node_ids is not None:
@@ -242,12 +245,14 @@ class _Scene(eqx.Module):
         hand, body = jnp.asarray(one)[pair], jnp.asarray(other)[pair]
         goal = self.cost.goal.reshape(-1, number, 2, self.state.position.shape[1])[-1, :, 0]
         position, goal = self.state.position[body], goal[body]
-        if nodes.planes is None or not len(nodes.planes):
+        head = getattr(self.model.local_dynamics, "head", None)
+        if nodes.planes is None or not len(nodes.planes) or not isinstance(head, BodyHead):
             return hand, body, position, goal, goal
+        bounce, _ = head.laws(self.model.features.node_type(nodes, position.dtype), body)
         turn = np.arange(count)
         wall = nodes.planes[turn // 2 % len(nodes.planes)]
         normal, before = wall[:, :-1], jnp.sum(wall[:, :-1] * goal, axis=-1) - wall[:, -1]
-        banked = (turn % 2 == 1) & (jnp.abs(normal @ self.up) < _LEVEL)
+        banked = (turn % 2 == 1) & (jnp.abs(normal @ self.up) < _LEVEL) & (bounce > _ELASTIC)
         image = goal - 2.0 * before[:, None] * normal
         return hand, body, position, goal, jnp.where(banked[:, None], image, goal)
 

@@ -230,7 +230,7 @@ class BodyHead(eqx.Module):
         each = each.at[:2].set(_LEAST_COUPLING + (1.0 - _LEAST_COUPLING) * each[:2])
         coupling = jnp.sum(weight * each, axis=0)
         rest = jnp.sum(weight * jax.nn.softplus(out[..., 2]), axis=0) * self.length
-        elastic, friction = self._laws(local, *geometry.edge_index)
+        elastic, friction = self.laws(local.node_type, *geometry.edge_index)
         touching = touch / jnp.maximum(jnp.sum(weight, axis=0), _SMALL)
         bounce = touch * elastic
         # A contact that bounces is over in an instant.
@@ -259,7 +259,7 @@ class BodyHead(eqx.Module):
         distance = local.node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
         motion = step.dt * (local.velocity + driven)
         geometry = plane_geometry(local.position, local.velocity, motion, distance, local.nodes)
-        elastic, friction = self._laws(local, geometry.edge_index[0])
+        elastic, friction = self.laws(local.node_type, geometry.edge_index[0])
         meets = geometry.contact_jacobian[0, :, 0, 0]
         closing = meets * jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
         nothing = jnp.zeros_like(closing)
@@ -275,13 +275,16 @@ class BodyHead(eqx.Module):
             friction=friction,
         )
 
-    def _laws(
-        self, local: LocalInput, one: Int[Array, " C"], other: Int[Array, " C"] | None = None
+    def laws(
+        self,
+        node_type: Float[Array, "N types"],
+        one: Int[Array, " C"],
+        other: Int[Array, " C"] | None = None,
     ) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
-        """Bounce and coefficient of friction of touches between nodes, or with a plane."""
+        """Bounce and coefficient of friction of touches of nodes with others, or with planes."""
 
         def both(raw: Float[Array, " types+1"]) -> Float[Array, " C"]:
-            each = local.node_type @ raw[:-1]
+            each = node_type @ raw[:-1]
             return PACE * (each[one] + (raw[-1] if other is None else each[other]))
 
         bounce = MAX_COUPLING * jax.nn.sigmoid(both(self.bounce_raw) - 3.0)
