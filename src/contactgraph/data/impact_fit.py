@@ -43,8 +43,8 @@ def fit_impacts(
 
     Robust fits over impacts of bodies that no servo moves with each other and with planes.
     Straight paths before and after tell time and normal; the relative velocity tells bounce and
-    friction, whatever the masses, and momentum tells the ratio of masses. Pairs of which fewer than
-    ten impacts are seen are left out.
+    friction (up to 0.48), whatever the masses, and momentum tells the ratio of masses. Pairs of
+    which fewer than ten impacts are seen are left out.
     """
     seen: dict[tuple[str, str], list[np.ndarray]] = {}
     for each in trajectories:
