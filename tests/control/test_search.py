@@ -77,13 +77,6 @@ def test_a_body_at_its_goal_is_left_alone():
     assert np.linalg.norm(box_end(plan) - GOAL) < 1e-3
 
 
-def test_a_body_within_the_errors_of_the_model_is_left_alone_and_one_beyond_is_pushed():
-    """They are taken for a tenth of the contact distance, which is 1 cm."""
-    near, far = (solve(PLANNER, state([0.25, 0.0], [off, 0.0])) for off in (0.005, 0.05))
-    np.testing.assert_allclose(box_end(near), [0.005, 0.0], atol=1e-4)
-    assert np.linalg.norm(box_end(far)) < 0.02
-
-
 @pytest.mark.parametrize(("bounce_raw", "images"), [(0.0, 0), (0.5, 4)])
 def test_every_second_start_aims_at_an_image_in_a_wall_off_which_the_body_bounces(
     bounce_raw: float, images: int

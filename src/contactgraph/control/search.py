@@ -48,9 +48,6 @@ def _commands(model: StepModel) -> int:
 
 _ELITES = 8
 """Approaches that the next round varies."""
-_RESOLVED = 0.1
-"""Contact distances: a new start must save more than what bodies cost that are off by this, or
-among the many that are tried in an episode an error of the model wins."""
 _LEVEL, _ELASTIC = 0.1, 0.3
 """Of a wall off which a body may be played: how far its normal points up at most, and how much the
 body bounces off it at least."""
@@ -64,8 +61,7 @@ class SearchILQR(ILQR):
     Each of ``rounds`` rolls out ``starts`` approaches as one batch: the first from all sides, the
     others near the best eight. Where bodies bounce off walls, every second one aims at an image of
     the goal in one of them. The best one by its cost and the guess are each improved by `ILQR`, and
-    the cheaper plan is taken, the guess's unless the other is clearly cheaper, so its cost is never
-    above the guess's. To stay is among the starts.
+    the cheaper plan is taken, so its cost is never above the guess's. To stay is among the starts.
     The draws follow from the positions: equal states give equal plans, and from step to step
     others are tried.
 
@@ -107,7 +103,8 @@ class SearchILQR(ILQR):
         if guess is None:
             idle = self._idle(quadratic.control_size, quadratic.R.dtype)
             guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
-        commands, size = _commands(model), quadratic.control_size
+        commands = _commands(model)
+        size = quadratic.control_size
         # iLQR makes grasps faster than fingers hold; with commands the approach is the plan.
         planner = dataclasses.replace(
             self,
@@ -126,19 +123,10 @@ class SearchILQR(ILQR):
         )
         plans = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), plans)
         costs = plans.cost + self._switching(before, plans.controls)
-        costs = costs.at[1].add(self._unresolved(model, nodes, quadratic))
         chosen = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
         plan = jax.tree.map(lambda leaf: leaf[chosen], plans)
         swept = None if plans.swept is None else plans.swept.united()
         return dataclasses.replace(plan, iterations=jnp.sum(plans.iterations), swept=swept)
-
-    def _unresolved(self, model: Any, nodes: Nodes, cost: QuadraticCost) -> Float[Array, ""]:
-        """The cost of passive bodies that are off by `_RESOLVED` all along a plan."""
-        Q, _, _ = cost.over(self.horizon)
-        weight = jnp.diagonal(Q, axis1=1, axis2=2).reshape(len(Q), len(nodes.mask), 2, -1)
-        of_position = jnp.mean(jnp.sum(weight[:, :, 0], axis=0), axis=-1)
-        off = _RESOLVED * model.features.contact_distance
-        return jnp.sum(jnp.where(nodes.passive, of_position, 0.0)) * off**2
 
     def _switching(
         self, before: Float[Array, " C"], controls: Float[Array, "*S H U"]
