@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 _STAND_OFF, _ROUND = 1.5, 1.9
 """Contact distances from the body: where a push begins at the nearest, and on the way round."""
 _FASTEST = 1.5
-"""Speed of pushes, in units of the top speed."""
+"""Greatest speed of pushes, in units of the top speed."""
 _BANKED = 0.1
 """Spread about the line to an image of the goal."""
 _CLEAR = 1.2
@@ -151,13 +151,14 @@ def spread_approaches(
 ) -> Approach:
     """Approaches of all sides, every second one near the line to the goal; the first one stays.
 
-    Speeds are spread evenly by their logarithm, from a twelfth of ``top_speed`` [m/s] on; on the
-    way from a third on. Half of them swerve. With commands and a direction ``up`` all others are
-    grasps, from above: pushing with fingers is seldom seen in what a model learned from.
+    Speeds are spread evenly by their logarithm, from a twelfth of ``top_speed`` [m/s] to 1.5 times
+    it; on the way from a third to all of it. Half of them swerve. With commands and a direction
+    ``up`` all others are grasps, from above: pushing with fingers is seldom seen in what a model
+    learned from.
 
     ``position``, ``goal`` and ``aim``: [m] of each body, and where to push it, which is the goal or
-    an image of it; ``up``: a unit vector along which none pushes, or
-    zeros; ``commands``: least and greatest value of each.
+    an image of it; ``up``: a unit vector along which none pushes, or zeros; ``commands``: least and
+    greatest value of each.
     """
     missing = aim - position
     distance = _length(missing)

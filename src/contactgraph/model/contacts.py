@@ -22,6 +22,7 @@ MAX_COUPLING = 1.0 - 1e-3
 _SLOW = 1e-4
 """Speed, in units of speed, of bodies that friction stops within a step."""
 _LEAST_BOUNCE = 1e-3
+"""By which is divided: with less, what presses bodies together keeps them together."""
 _LEAST_INVERSE = 1e-6
 """1/kg; of a body that nothing moves."""
 
