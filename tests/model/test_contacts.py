@@ -45,7 +45,8 @@ def stepped(position, velocity, mass, bounce, friction, deceleration, static, av
     )
     push, slowing = (mass[:, None] * pushed)[..., None], 0.0 * mass + deceleration
     zero = jnp.zeros((count, 2, 1))
-    bodies = FreeBodies(mass, velocity, 0.0 * mass, slowing, push / DT, zero, push)
+    coordinates = jnp.tile(mass[:, None], 2)
+    bodies = FreeBodies(coordinates, velocity, 0.0 * mass, slowing, push / DT, zero, push)
     moved = contacts.solve(bodies, DT, None)
     change = moved.velocity_change + DT * moved.acceleration
     after = velocity + change
@@ -221,7 +222,7 @@ def test_a_ball_bounces_off_a_plane_and_rests_on_it() -> None:
         zero = jnp.zeros((1, 2, 1))
         push = weight[..., None]
         bodies = FreeBodies(
-            jnp.ones(1), velocity, jnp.zeros(1), jnp.zeros(1), push / DT, zero, push
+            jnp.ones((1, 2)), velocity, jnp.zeros(1), jnp.zeros(1), push / DT, zero, push
         )
         moved = contacts.solve(bodies, DT, None)
         change = moved.velocity_change + DT * moved.acceleration

@@ -32,7 +32,13 @@ from contactgraph.model import (
     rollout,
     stack_state,
 )
-from contactgraph.model.filter import check_fit, dtype_of, filter_trajectory, on_device
+from contactgraph.model.filter import (
+    check_fit,
+    dtype_of,
+    filter_trajectory,
+    on_device,
+    turn_length_of,
+)
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.types import SpringMassDamper
 
@@ -67,7 +73,8 @@ def model_diagnostics(
     check_fit(model, trajectory.scene, trajectory.control_size, "the trajectory")
     recorded = Dataset((trajectory,))
     labelled = with_edge_labels(recorded)
-    batch = pad_trajectories(labelled, node_capacity, contacts=measured)
+    turn_length = turn_length_of(model)
+    batch = pad_trajectories(labelled, node_capacity, contacts=measured, turn_length=turn_length)
     count, edges = trajectory.scene.node_count, pair_indices(trajectory.scene.node_count)
     if sensor is None:
         sensor = replace(default_sensor(model), reports_touch=labelled is recorded)
@@ -126,7 +133,8 @@ def rollout_growth(model: StepModel, dataset: Dataset, steps: int) -> RolloutGro
         check_fit(model, each.scene, each.control_size, "the data")
     if steps < 1:
         raise InvalidInputError(f"steps must be at least 1, found {steps}")
-    batch = pad_trajectories(dataset, steps=max(steps, *(each.steps for each in dataset)))
+    longest, turn_length = max(steps, *(each.steps for each in dataset)), turn_length_of(model)
+    batch = pad_trajectories(dataset, steps=longest, turn_length=turn_length)
     device = on_device(batch, dtype_of(model))
     moved = np.concatenate([batch.position, batch.velocity], axis=-1)
     norms = np.linalg.norm(moved, axis=(2, 3))
@@ -218,7 +226,7 @@ def forgetting(
     dtype, edges = dtype_of(model), pair_count(bodies)
     last = measurements - 1 + round(later_s / model.dt)
     distance = float(model.features.contact_distance)
-    place = np.zeros((bodies, model.dimension), dtype)
+    place = np.zeros((bodies, model.coordinates), dtype)
     place[:, 0] = distance * np.arange(bodies)
     contact = np.full((last + 1, edges), np.nan, dtype)
     contact[:measurements] = 0.0

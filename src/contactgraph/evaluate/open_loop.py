@@ -16,6 +16,7 @@ from contactgraph.evaluate.baselines import (
 from contactgraph.evaluate.open_loop_metrics import (
     ORACLE,
     OpenLoopMetrics,
+    angle_numbers,
     calibration_numbers,
     edge_numbers,
     error_numbers,
@@ -136,7 +137,12 @@ def evaluate_open_loop(
         windows=len(detail.start),
         n_steps=steps,
         diverged_windows=int(diverged.sum()),
-        numbers={**errors, **edge_numbers(detail), **calibration_numbers(detail)},
+        numbers={
+            **errors,
+            **angle_numbers(detail),
+            **edge_numbers(detail),
+            **calibration_numbers(detail),
+        },
         unbeaten=unbeaten_baselines(
             {name: errors[f"{name}_rmse_moving_m"] for name in ("n_step", *detail.baselines)}
         ),

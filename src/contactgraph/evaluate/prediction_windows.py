@@ -24,7 +24,11 @@ from contactgraph.model import (
     ReallocatingModel,
     StepModel,
 )
-from contactgraph.model.filter import dtype_of, on_device
+from contactgraph.model.filter import dtype_of, on_device, turn_length_of
+
+
+TURNS_RAD = np.deg2rad(0.5)
+"""Angle from the one at a window's start that a body must reach to count as turning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +37,9 @@ class WindowPredictions:
 
     squared_error: np.ndarray
     """[W, H, N] m^2: squared distance between predicted and recorded position, 0 in padding."""
+    squared_angle: np.ndarray | None
+    """[W, H, N] rad^2: squared error of the angle, 0 where it is not known. None: the model predicts
+    none."""
     edge_active: np.ndarray
     """[W, H, E] bool: predicted contacts of each step."""
     touch_on_time: np.ndarray
@@ -76,6 +83,10 @@ class OpenLoopDetail:
     requested."""
     baselines: Mapping[str, np.ndarray | None]
     """[W, H, N] m^2: squared error of each baseline; None where one is not known."""
+    turns: np.ndarray
+    """[W, N] bool: whether a body gets more than `TURNS_RAD` away from its angle at the start."""
+    constant_velocity_angle: np.ndarray
+    """[W, H, N] rad^2: squared error of the angle of bodies that keep turning as at the start."""
 
     @property
     def contact_changes(self) -> np.ndarray | None:
@@ -145,6 +156,7 @@ def trajectory_detail(
     # At least two nodes, because a graph without edges is not supported.
     capacity = max(2, *(each.scene.node_count for each in dataset))
     longest = max(each.steps for each in dataset)
+    turn_length = turn_length_of(lists.given)
     pairs = pair_indices(capacity)
     recorded = _windows(trajectory.position, steps)
     contact = None
@@ -159,12 +171,23 @@ def trajectory_detail(
         squared = np.where(np.isfinite(squared), squared, np.inf)
         return np.pad(squared, ((0, 0), (0, 0), (0, capacity - count)))
 
+    angle = np.zeros((len(trajectory.position), count, 1))
+    rate = angle
+    if trajectory.orientation is not None and trajectory.scene.dimension == 2:
+        angle = trajectory.orientation
+        rate = rate if trajectory.angular_velocity is None else trajectory.angular_velocity
+    angles = _windows(angle, steps)
+
+    def angle_error(predicted: np.ndarray) -> np.ndarray:
+        squared = np.square(predicted - angles[:, 1:])[..., 0]
+        return np.pad(np.nan_to_num(squared), ((0, 0), (0, 0), (0, capacity - count)))
+
     def predicted(
         model: StepModel, contacts: np.ndarray | None, noise: MotionNoise | None = None
     ) -> TrajectoryPrediction:
         # A report with faults may deny a contact that is recorded as holding.
         known = replace(trajectory, contact=contacts, holding=None)
-        batch = pad_trajectories((known,), capacity, longest)
+        batch = pad_trajectories((known,), capacity, longest, turn_length=turn_length)
         padded = on_device(batch.at(0), dtype_of(model))
         all_starts = jnp.arange(longest - steps + 1)
         return predict_trajectory(model, padded, all_starts, steps, sensor, noise)
@@ -181,8 +204,13 @@ def trajectory_detail(
         now = EdgeCounts()
         if contact is not None:
             now = edge_counts(made[None], contact[None, 1:], edge_exists[:1])
+        position = np.asarray(prediction.position, np.float64)
+        dimension, turned = trajectory.scene.dimension, None
+        if turn_length is not None:
+            turned = angle_error(position[:starts, :, :count, dimension:] / turn_length)
         return WindowPredictions(
-            squared_error=error(np.asarray(prediction.position, np.float64)),
+            squared_error=error(position[..., :dimension]),
+            squared_angle=turned,
             edge_active=np.asarray(prediction.edge_active)[:starts],
             touch_on_time=coming[touches] > 0.5,
             now=now,
@@ -207,6 +235,7 @@ def trajectory_detail(
         positions = baseline(trajectory, steps)
         return None if positions is None else error(positions)
 
+    elapsed = np.arange(1, steps + 1)[:, None, None]
     exists = np.broadcast_to(np.arange(capacity) < count, (starts, capacity))
     edge_exists = np.logical_and(exists[:, pairs[:, 0]], exists[:, pairs[:, 1]])
     moves = moving_bodies(recorded)
@@ -231,6 +260,13 @@ def trajectory_detail(
         unmeasured=unmeasured,
         inferred=inferred,
         baselines={name: compared(baseline) for name, baseline in baselines.items()},
+        turns=np.pad(
+            np.any(np.abs(angles - angles[:, :1]) > TURNS_RAD, axis=(1, 3)),
+            ((0, 0), (0, capacity - count)),
+        ),
+        constant_velocity_angle=angle_error(
+            angle[:starts, None] + trajectory.scene.dt * elapsed * rate[:starts, None]
+        ),
     )
 
 

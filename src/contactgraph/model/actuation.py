@@ -20,7 +20,7 @@ class ActuatedMotion(eqx.Module):
 
     inertia: Float[Array, " N"]
     """n, by which the servo multiplies the mass of its body; 1 without one."""
-    by_control: Float[Array, "N D U"]
+    by_control: Float[Array, "N G U"]
     """Acceleration of the free body for each component of the control, m/s^2 a unit."""
     constant: Float[Array, "N D"]
     """Acceleration of the free body without control, m/s^2."""
@@ -52,10 +52,10 @@ class ActuatedMotion(eqx.Module):
             by_control=jnp.where(leaves[..., None], 0.0, self.by_control),
             constant=jnp.where(leaves, driven / dt, self.constant),
         )
-        change = relative_at_edges((slower - velocity)[..., None], local.geometry)[..., 0]
-        relative = local.geometry.relative_velocity + change
-        geometry = dataclasses.replace(local.geometry, relative_velocity=relative)
-        return stopped, driven, dataclasses.replace(local, velocity=slower, geometry=geometry)
+        change = relative_at_edges((slower - velocity)[..., None], local.contact_points)[..., 0]
+        relative = local.contact_points.relative_velocity + change
+        points = dataclasses.replace(local.contact_points, relative_velocity=relative)
+        return stopped, driven, dataclasses.replace(local, velocity=slower, contact_points=points)
 
     def kept_within_reach(
         self,
@@ -88,6 +88,8 @@ def within_reach(end: Float[Array, "N D"], local: LocalInput) -> Float[Array, "N
     outside than the node is."""
     bounds, position = local.nodes.reach, local.position
     assert bounds is not None
+    turn = ((0, 0), (0, 0), (0, position.shape[1] - bounds.shape[2]))
+    bounds = jnp.pad(bounds, turn, constant_values=jnp.nan)
     low = jnp.where(jnp.isnan(bounds[:, 0]), -jnp.inf, jnp.minimum(bounds[:, 0], position))
     high = jnp.where(jnp.isnan(bounds[:, 1]), jnp.inf, jnp.maximum(bounds[:, 1], position))
     return jnp.clip(end, low, high)
@@ -199,6 +201,8 @@ class Actuation(eqx.Module):
         by_control = self.scale * jnp.einsum("nt,tdu->ndu", node_type, self.matrix)
         if nodes.control_of is not None:
             by_control = by_control * nodes.control_of[:, None, : self.control_size]
+        turn = ((0, 0), (0, position.shape[1] - self.dimension))  # which nothing drives
+        by_control = jnp.pad(by_control, (*turn, (0, 0)))
         if not self.servo:
             still = jnp.zeros_like(position[:, 0])
             return ActuatedMotion(still + 1.0, by_control, jnp.zeros_like(position), still, still)
@@ -206,7 +210,9 @@ class Actuation(eqx.Module):
         inertia = 1.0 + theta * dt * (c + theta * dt * k)
         by_velocity = c + theta * dt * k
         constant = self.scale * node_type @ self.bias
+        position, velocity = position[:, : self.dimension], velocity[:, : self.dimension]
         constant = constant - k[:, None] * position - by_velocity[:, None] * velocity
+        constant = jnp.pad(constant, turn)
         return ActuatedMotion(
             inertia=inertia,
             by_control=by_control / inertia[:, None, None],

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
+from contactgraph.data.trajectory_batch import coordinate_count
 from contactgraph.model.body_head import BodyHead
 from contactgraph.model.collision import (
     ClosestApproachPrior,
@@ -43,6 +44,7 @@ from contactgraph.model.neighbor_list import (
     edge_count,
     travel_bound,
 )
+from contactgraph.model.polygons import POINTS, polygon_meeting
 from contactgraph.model.rollout import control_sensitivity, rollout, take_step
 from contactgraph.model.types import (
     EncodedGraph,
@@ -84,6 +86,11 @@ class ContactDynamics(eqx.Module):
     sensor: ContactSensor | None = None
     """The sensor of the data, as far as it was estimated: see `default_sensor`."""
 
+    @property
+    def coordinates(self) -> int:
+        """G, the coordinates of a body: see `generalized_coordinates`."""
+        return coordinate_count(self.dimension, self.features.turn_length)
+
     def __check_init__(self) -> None:
         if not self.dt > 0:
             raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
@@ -114,7 +121,7 @@ class ContactDynamics(eqx.Module):
         ``control_displacement`` and ``command`` are those of a `ModelState`; ``contact_distance``
         [m] is each edge's own, None: that of the features.
         """
-        nodes = nodes if self.features.boxes else nodes._replace(half_size=None)
+        nodes, turn_length = self._with_shapes(nodes), self.features.turn_length
         edges = self._edges(position, velocity, nodes, control_displacement)
         moving = velocity
         if edges.edge_id is not None:
@@ -125,7 +132,14 @@ class ContactDynamics(eqx.Module):
         at = position, moving, edges.edge_index
         # Without types there are no static bodies.
         known = control_displacement, nodes.anchor, nodes.static if self.features.types else None
-        edge_geometry = geometry(*at, self.dt, touch, *known, self.features.speed, nodes.half_size)
+        shapes = None
+        if turn_length is not None and nodes.outlines is not None:
+            turns = self.features.turns(nodes, position.dtype)
+            known_shapes = turns, edges.edge_index, turn_length, self.features.length
+            shapes = polygon_meeting(nodes.outlines, position, *known_shapes)
+            touch = jnp.tile(jnp.broadcast_to(touch, edges.edge_index.shape[1:]), POINTS)
+        points = geometry(*at, self.dt, touch, *known, self.features.speed, nodes.half_size, shapes)
+        edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
@@ -137,6 +151,7 @@ class ContactDynamics(eqx.Module):
             velocity=velocity,
             nodes=nodes,
             geometry=edge_geometry,
+            contact_points=points,
             edge_id=edges.edge_id,
             node_features=node_features,
             edge_features=edge_features,
@@ -145,6 +160,15 @@ class ContactDynamics(eqx.Module):
             prior=self._prior(edge_geometry, weight),
             control_displacement=control_displacement,
         )
+
+    def _with_shapes(self, nodes: Nodes) -> Nodes:
+        """The nodes with those shapes that the model uses."""
+        if not self.features.boxes:
+            nodes = nodes._replace(half_size=None)
+        if self.features.turn_length is None:
+            return nodes._replace(outlines=None)
+        points = jnp.zeros((len(nodes.mask), 1, 1, 2))
+        return nodes._replace(outlines=points if nodes.outlines is None else nodes.outlines)
 
     def encode_state(
         self, state: ModelState, nodes: Nodes, contact_distance: Float[Array, " E"] | None = None
@@ -188,9 +212,10 @@ class ContactDynamics(eqx.Module):
         if self.neighbor_list is None:
             return all_pairs(len(position))
         assert isinstance(self.cutoff, SmoothCutoff)
-        known = control_displacement, nodes.anchor, self.dt, nodes.half_size
+        known = control_displacement, nodes.anchor, self.dt, nodes.half_size, nodes.outlines
         bound = travel_bound(position, velocity, *known)
-        return self.neighbor_list(position, bound, nodes.mask, self.cutoff.outer)
+        place = position[:, : self.dimension]
+        return self.neighbor_list(place, bound, nodes.mask, self.cutoff.outer)
 
     def predict_belief(self, belief: ContactBelief, graph: EncodedGraph) -> ContactBelief:
         """Stage 2: the belief about the step. An edge beyond the cutoff is inactive, surely."""
@@ -228,6 +253,8 @@ class ContactDynamics(eqx.Module):
             edge_features=graph.edge_features,
             weight=edge_active[:, 1:] * graph.weight[:, None],
             geometry=graph.geometry,
+            contact_points=graph.contact_points,
+            turns=self.features.turns(graph.nodes, dtype),
             anchor=graph.nodes.anchor,
             nodes=graph.nodes,
             control_displacement=graph.control_displacement,

@@ -41,6 +41,8 @@ class InvariantFeatures(eqx.Module):
     learned: bool = eqx.field(static=True)
     types: tuple[str, ...] = eqx.field(static=True)
     boxes: bool = eqx.field(static=True)
+    turning: tuple[str, ...] = eqx.field(static=True)
+    turn_length: float | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -50,6 +52,8 @@ class InvariantFeatures(eqx.Module):
         learned: bool = True,
         types: tuple[str, ...] = (),
         boxes: bool = False,
+        turning: tuple[str, ...] = (),
+        turn_length: float | None = None,
     ):
         """`hinges`: whether nodes may be hinged; `learned`: whether the contact distance is.
 
@@ -57,6 +61,8 @@ class InvariantFeatures(eqx.Module):
         `types`: names of the node types, passive ones first, actuated ones last; without names,
         bodies are of one size, and their types are whether they are actuated and hinged.
         `boxes`: whether nodes that have a size are boxes; see `box_displacement`.
+        `turning`: the types of bodies that turn, and `turn_length` [m] see `generalized_coordinates`
+        (None: none does).
         """
         # A product has no weak type, with which the first training update would recompile.
         self.contact_distance = length * jnp.ones(()) if learned else length
@@ -66,6 +72,8 @@ class InvariantFeatures(eqx.Module):
         self.learned = learned
         self.types = types
         self.boxes = boxes
+        self.turning = turning
+        self.turn_length = turn_length
         self.log_size = 0.0 * jnp.ones(len(types)) if types else None
 
     @property
@@ -85,6 +93,13 @@ class InvariantFeatures(eqx.Module):
             return jax.nn.one_hot(index, len(self.types), dtype=dtype)
         known = np.array([type_id(name) for name in self.types])
         return (nodes.type_id[:, None] == known).astype(dtype)
+
+    def turns(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, " N"]:
+        """1 for bodies that turn, else 0."""
+        if not self.turning:
+            return jnp.zeros(nodes.mask.shape, dtype)
+        of_type = np.array([name in self.turning for name in self.types], dtype)
+        return self.node_type(nodes, dtype) @ of_type * nodes.mobile
 
     def distances(
         self, nodes: Nodes, edge_index: Int[Array, "2 E"], dtype: DTypeLike
@@ -147,6 +162,15 @@ class AbsoluteFeatures(eqx.Module):
     def boxes(self) -> bool:
         """Whether nodes that have a size are boxes."""
         return False
+
+    @property
+    def turn_length(self) -> float | None:
+        """None: no body turns."""
+        return None
+
+    def turns(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, " N"]:
+        """0: no body turns."""
+        return jnp.zeros(nodes.mask.shape, dtype)
 
     @property
     def node_types(self) -> int:

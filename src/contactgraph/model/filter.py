@@ -95,6 +95,11 @@ def dtype_of(model: object) -> np.dtype:
     return np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
 
 
+def turn_length_of(model: object) -> float | None:
+    """The unit of turns, m, of a model of bodies that turn: see `generalized_coordinates`."""
+    return model.features.turn_length if isinstance(model, ContactDynamics) else None
+
+
 class FilteredTrajectory(eqx.Module):
     """Beliefs along a trajectory, each from its past alone, and the dynamics that assume them."""
 

@@ -18,7 +18,7 @@ from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
-from contactgraph.model.body_head import BodyHead
+from contactgraph.model.body_head import PACE, BodyHead
 from contactgraph.model.body_starts import with_impacts, with_slowing
 from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample
@@ -83,6 +83,11 @@ class ModelConfig:
     distance."""
     boxes: bool = False
     """Whether nodes that have a size are boxes along the axes; else all are round."""
+    turn_length: float | None = None
+    """See `generalized_coordinates`, m. None: no body turns."""
+    inertia: Mapping[str, float] = field(default_factory=dict)
+    """Squared radius of gyration at the start of training, in units of `turn_length`, of each type
+    that turns."""
     slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Deceleration, m/s^2, and damper, 1/s, by the ground at the start of training, by type. Those
     left out: nearly 0."""
@@ -187,6 +192,8 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         learned=config.learned_contact_distance,
         types=config.node_types or ("object", "actuated"),
         boxes=config.boxes,
+        turning=tuple(config.inertia),
+        turn_length=config.turn_length,
     )
     driving = config.driving_size
     driving = min(config.dimension, config.control_size) if driving is None else driving
@@ -199,10 +206,14 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         slots=config.actuated_nodes,
         averaged=config.averaged,
         speed=config.speed,
+        turn_length=config.turn_length,
         key=jax.random.fold_in(model_key, 1),
     )
     near = [config.plane_distance.get(name, 0.5 * head.length) for name in features.types]
     head = eqx.tree_at(lambda each: each.plane_distance, head, jnp.array(near))
+    if config.turn_length is not None:
+        inertia = jnp.log(jnp.array([config.inertia.get(name, 1.0) for name in features.types]))
+        head = eqx.tree_at(lambda each: each.log_inertia, head, inertia / PACE)
     head = with_slowing(head, [config.slowing.get(name, (0.0, 0.0)) for name in features.types])
     head = with_impacts(head, config.impacts, features.types)
     size = features.edge_size(config.dimension)

@@ -195,6 +195,9 @@ class EncodedGraph(eqx.Module):
     """m/s"""
     nodes: Nodes
     geometry: Geometry
+    contact_points: Geometry
+    """The places at which the nodes of edges meet, one or more of each, the nearest of all edges
+    first."""
     edge_id: Int[Array, " E"] | None
     """`Edges.edge_id`."""
     node_features: Float[Array, "N F"]
@@ -229,6 +232,10 @@ class LocalInput(eqx.Module):
     nodes: Nodes
     control_displacement: Float[Array, "N D"] | None
     """m; see `ModelState`."""
+    contact_points: Geometry | None = None
+    """See `EncodedGraph`."""
+    turns: Float[Array, " N"] | None = None
+    """1 for bodies that turn, else 0."""
     group_capacity: int | None = eqx.field(static=True, default=None)
     """Most nodes that are coupled, directly or through others. None: no limit."""
 

@@ -69,10 +69,11 @@ def fit(
     if config.use_contacts:
         check_contacts(state.model, train, "training with contacts")
     labelled = with_edge_labels(train) if config.use_contacts else train
-    batch = pad_trajectories(labelled, contacts=config.use_contacts)
+    turn_length = state.model.features.turn_length
+    batch = pad_trajectories(labelled, contacts=config.use_contacts, turn_length=turn_length)
     source = _window_source(batch, config)
     source = dataclasses.replace(source, reports_touch=labelled is train)
-    other = pad_trajectories(held_out, contacts=False)
+    other = pad_trajectories(held_out, contacts=False, turn_length=turn_length)
     burn = 0
     if isinstance(state.model.inference, TransitionEdges):
         burn = max(0, min(_BURN, min(each.steps for each in held_out) - config.window_length))

@@ -114,7 +114,8 @@ def belief_timeline(
 
     def observed(contact: np.ndarray | None) -> TrajectoryBatch[Array]:
         known = replace(trajectory, contact=contact, holding=None)
-        return on_device(pad_trajectories((known,), nodes, steps).at(0), dtype_of(model))
+        batch = pad_trajectories((known,), nodes, steps, turn_length=turn_length_of(model))
+        return on_device(batch.at(0), dtype_of(model))
 
     measured, unmeasured = observed(trajectory.contact), observed(None)
     sensor = replace(default_sensor(model), reports_touch=labelled is dataset)
