@@ -19,13 +19,18 @@ from contactgraph.envs import (
     BilliardsExpert,
     BilliardsTask,
     BlockedShotTask,
+    DominoesTask,
     DoorExpert,
     DoorTask,
     MultiPickupTask,
     PickupExpert,
     PickupTask,
+    RestPolicy,
+    StackTask,
     StrikingPolicy,
+    TossTask,
 )
+from contactgraph.envs.shaped_tasks import VerticalTask
 
 
 def _pickup(options: TaskOptions) -> TaskFactory:
@@ -54,6 +59,14 @@ def _billiards(options: TaskOptions) -> TaskFactory:
     refuse_option("billiards", "--distractors", distractors, "counts its discs by --objects")
     task = BilliardsTask if options.objects is None else partial(BilliardsTask, options.objects)
     return partial(task, passive=options.passive, fixed_seed=options.fixed_seed)
+
+
+def _passive(task: type[VerticalTask], summary: str) -> KnownTask:
+    """A task in which nothing is driven."""
+    factory = partial(without_options, task.name, task, "takes no options")
+    return KnownTask(
+        factory, RestPolicy, RestPolicy, explorer=RestPolicy, passive=True, summary=summary
+    )
 
 
 _PLANAR_TARGETS = TaskTargets(
@@ -112,6 +125,7 @@ TASKS = {
         StrikingPolicy,
         horizon=60,
         starts=64,
+        passive=True,
         summary="a cue strikes a disc to a goal, on a table with walls, pillars and other discs",
         title="A contact graph that plays billiards",
         conditions=(
@@ -135,6 +149,9 @@ TASKS = {
         summary="a cue brings a ball to a goal that only a bank off a wall reaches",
         title="A contact graph that plays off walls",
     ),
+    "toss": _passive(TossTask, "a box is tossed onto the floor (MuJoCo)"),
+    "dominoes": _passive(DominoesTask, "a row of ten dominoes falls, as far as it does (MuJoCo)"),
+    "stack": _passive(StackTask, "three boxes stand on one another (MuJoCo)"),
     **HIDDEN_CONTACT_TASKS,
     **ADAPTED_TASKS,
 }

@@ -78,7 +78,10 @@ Grasp = Annotated[
 ]
 Passive = Annotated[
     bool,
-    arg(help="Billiards without the cue: nothing is driven, and the discs start with velocities."),
+    arg(
+        help="Nothing is driven: billiards without the cue, whose discs start with velocities; "
+        "toss, dominoes and stack are always so."
+    ),
 ]
 FalseAlarms = Annotated[
     float,
