@@ -44,7 +44,7 @@ HEAVY = {
 }
 """Libraries that are slow to import or optional: one module knows each of them."""
 
-FILES = {"contactgraph": 169, "contactgraph_franka": 60, "contactgraph_studies": 32}
+FILES = {"contactgraph": 170, "contactgraph_franka": 60, "contactgraph_studies": 32}
 LINES = {"contactgraph": 30_600, "contactgraph_franka": 9_000, "contactgraph_studies": 5_250}
 LONGEST_FILE = 300
 MODULES_BEHIND = {
