@@ -35,6 +35,8 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "toss",
         "dominoes",
         "stack",
+        "chain",
+        "unknown-mass",
         "suction",
         "release",
         "delay",

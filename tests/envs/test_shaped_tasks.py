@@ -5,7 +5,10 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import (
+    ChainTask,
     DominoesTask,
+    ExplorationPolicy,
+    PickupExpert,
     RestPolicy,
     StackTask,
     TossTask,
@@ -63,7 +66,7 @@ def gap(one, other):
     return best
 
 
-@pytest.mark.parametrize("task", [TossTask, StackTask])
+@pytest.mark.parametrize("task", [TossTask, StackTask, ChainTask])
 def test_the_contract_is_kept(task):
     check_task(task)
 
@@ -192,3 +195,51 @@ def test_a_stack_stands(stacks):
         assert vertices(run)[..., 1].min() > -1e-4
         np.testing.assert_allclose(run.position[0, :, 1], [0.03, 0.09, 0.15])
         assert np.ptp(run.position[0, :, 0]) > 1e-3 and run.scene.metadata["success"] is True
+
+
+@pytest.fixture(scope="module")
+def dragged():
+    return [run_episode(ChainTask(), PickupExpert(), seed) for seed in range(5)] + [
+        run_episode(ChainTask(), ExplorationPolicy(), seed) for seed in range(5)
+    ]
+
+
+def hinge_gaps(run):
+    """[T+1, 2] m: gripper to the link's near end, and the link's far end to the target's."""
+    along = np.concatenate([np.cos(run.orientation), np.sin(run.orientation)], axis=-1)
+    near, far = run.position - 0.1 * along, run.position + 0.1 * along
+    gaps = [near[:, 1] - run.position[:, 0], far[:, 1] - near[:, 2]]
+    return np.linalg.norm(np.stack(gaps, axis=1), axis=-1)
+
+
+def test_a_chain_keeps_together_and_bends(dragged):
+    for run in dragged:
+        scene = run.scene
+        assert scene.node_type == ("gripper", "link", "link") and scene.polygon_of.tolist() == [
+            1,
+            2,
+        ]
+        np.testing.assert_allclose(np.ptp(scene.polygons[0], axis=0), [0.2, 0.03])
+        assert hinge_gaps(run).max() < 1e-4
+        expected = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
+        assert (run.holding == expected).all() and (run.contact >= run.holding).all()
+        assert not run.orientation[:, 0].any() and not run.angular_velocity[:, 0].any()
+        assert not run.velocity[0].any()
+        bend = run.orientation[:, 2, 0] - run.orientation[:, 1, 0]
+        assert abs(bend[0]) < 1e-6
+    assert np.abs(bend).max() > 0.5
+    assert all(run.scene.metadata["success"] for run in dragged[:5])
+
+
+def test_a_chain_that_nothing_drives_slows_down():
+    task = ChainTask()
+    task.reset(seed=1)
+    for _ in range(20):
+        task.step(np.array([5.0, -2.0]))
+    mass, inertia = task.scene.mass, np.array([0.0, 1.0, 1.0]) * 0.3 * (0.2**2 + 0.03**2) / 12.0
+    kept = []
+    for _ in range(40):
+        seen, *_ = task.step(np.zeros(2))
+        moving = mass * np.sum(seen["velocity"] ** 2, axis=-1)
+        kept.append(np.sum(moving + inertia * seen["angular_velocity"][:, 0] ** 2) / 2.0)
+    assert kept[0] > 1.0 and np.diff(kept).max() < 0.0 and kept[-1] < 0.3 * kept[0]

@@ -19,9 +19,11 @@ from contactgraph.envs import (
     BilliardsExpert,
     BilliardsTask,
     BlockedShotTask,
+    ChainTask,
     DominoesTask,
     DoorExpert,
     DoorTask,
+    ForcedPush,
     MultiPickupTask,
     PickupExpert,
     PickupTask,
@@ -29,6 +31,7 @@ from contactgraph.envs import (
     StackTask,
     StrikingPolicy,
     TossTask,
+    UnknownMassTask,
 )
 from contactgraph.envs.shaped_tasks import VerticalTask
 
@@ -59,6 +62,12 @@ def _billiards(options: TaskOptions) -> TaskFactory:
     refuse_option("billiards", "--distractors", distractors, "counts its discs by --objects")
     task = BilliardsTask if options.objects is None else partial(BilliardsTask, options.objects)
     return partial(task, passive=options.passive, fixed_seed=options.fixed_seed)
+
+
+def _unknown_mass(options: TaskOptions) -> TaskFactory:
+    refuse_option("unknown-mass", "--grasp", options.grasp, "has no fingers to close")
+    refuse_option("unknown-mass", "--objects", options.objects, "has 1 target")
+    return partial(UnknownMassTask, options.distractors, fixed_seed=options.fixed_seed)
 
 
 def _passive(task: type[VerticalTask], summary: str) -> KnownTask:
@@ -152,6 +161,28 @@ TASKS = {
     "toss": _passive(TossTask, "a box is tossed onto the floor (MuJoCo)"),
     "dominoes": _passive(DominoesTask, "a row of ten dominoes falls, as far as it does (MuJoCo)"),
     "stack": _passive(StackTask, "three boxes stand on one another (MuJoCo)"),
+    "chain": KnownTask(
+        partial(without_options, "chain", ChainTask, "takes no options"),
+        PickupExpert,
+        partial(PickupExpert, noise=0.0),
+        summary="a gripper drags two links, joined by a hinge, to a goal",
+        title="A contact graph that drags a chain",
+    ),
+    "unknown-mass": KnownTask(
+        _unknown_mass,
+        ForcedPush,
+        partial(ForcedPush, noise=0.0, variety=0.0),
+        partial(ForcedPush, noise=0.0, variety=0.0),
+        partial(ForcedPush, random=True),
+        horizon=30,
+        starts=64,
+        summary="a pusher moves a block of unknown mass to a goal",
+        title="A contact graph that pushes blocks of unknown mass",
+        conditions=(
+            TestCondition("as-trained", "as trained", True),
+            TestCondition("3-distractors", "3 distractors", False, distractors=3),
+        ),
+    ),
     **HIDDEN_CONTACT_TASKS,
     **ADAPTED_TASKS,
 }

@@ -114,11 +114,13 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
 
     def observed(self) -> Observation:
         """The observation of the present state."""
+        assert self._episode is not None
+        scene, world = self._episode
         return {
-            "position": self.world.position,
-            "velocity": self.world.velocity,
-            "contact": self.world.contact.astype(np.int8),
-            "goal": np.array(self.scene.goal),
+            "position": world.position,
+            "velocity": world.velocity,
+            "contact": world.contact.astype(np.int8),
+            "goal": np.array(scene.goal),
         }
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Tasks whose bodies have a shape and turn: boxes under gravity, and a chain that is dragged."""
+"""The base of tasks whose bodies turn, and boxes under gravity: a toss, dominoes, a stack."""
 
 from abc import abstractmethod
 from dataclasses import replace
@@ -101,10 +101,10 @@ class VerticalTask(ShapedTask):
 
     def begin(self, seed: int) -> "tuple[Scene, VerticalWorld]":
         """Samples the scene of a seed."""
-        from contactgraph.envs.mujoco_world import GRAVITY, SIMULATOR, VerticalWorld
+        from contactgraph.envs import mujoco_world
 
         boxes, spin = self.boxes(np.random.default_rng(seed))
-        world, count = VerticalWorld(boxes, spin, DT, self.contact_time), self._count
+        world, count = mujoco_world.VerticalWorld(boxes, spin, DT, self.contact_time), self._count
         scene = Scene(
             node_name=(self.kind,)
             if count == 1
@@ -113,7 +113,7 @@ class VerticalTask(ShapedTask):
             actuated=np.zeros(count, dtype=bool),
             dt=DT,
             goal=boxes[-1].position,
-            gravity=GRAVITY,
+            gravity=mujoco_world.GRAVITY,
             mass=np.array([box.mass for box in boxes]),
             static=np.zeros(count, dtype=bool),
             control_kind=(),
@@ -124,7 +124,7 @@ class VerticalTask(ShapedTask):
                 "task": self.name,
                 "seed": seed,
                 "friction": boxes[0].friction,
-                "simulator": SIMULATOR,
+                "simulator": mujoco_world.SIMULATOR,
                 "substeps": world.substeps,
                 "contact_time": self.contact_time,
             },
