@@ -74,7 +74,13 @@ def _passive(task: type[VerticalTask], summary: str) -> KnownTask:
     """A task in which nothing is driven."""
     factory = partial(without_options, task.name, task, "takes no options")
     return KnownTask(
-        factory, RestPolicy, RestPolicy, explorer=RestPolicy, passive=True, summary=summary
+        factory,
+        RestPolicy,
+        RestPolicy,
+        explorer=RestPolicy,
+        passive=True,
+        max_force=None,
+        summary=summary,
     )
 
 
