@@ -28,7 +28,7 @@ from contactgraph.envs.pickup import (
 from contactgraph.envs.pickup_layout import HALF_WIDTH, RADIUS, sample_layout
 from contactgraph.envs.planar_body import PlanarBody
 from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
-from contactgraph.envs.push_policy import PushPolicy, PushStyle, RandomPushes
+from contactgraph.envs.push_policy import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
 
 MASSES = (0.5, 2.0)
 """Of the lightest and the heaviest block, kg."""
@@ -38,8 +38,6 @@ GROUND_FRICTION = 0.1
 """Coulomb's coefficient between a block and the table: a deceleration of 0.98 m/s^2."""
 GOAL_RADIUS = 0.02
 """The target must end within this distance of the goal, m."""
-NEAR_WEIGHTS = np.array([0.03, 0.03, 0.002, 0.002])
-"""Of pusher and target, so small that the pusher may go round the target."""
 
 
 class UnknownMassTask(GripperTask):
