@@ -69,9 +69,9 @@ class Approach(eqx.Module):
 
     def wanted(
         self,
-        position: Float[Array, "N D"],
+        position: Float[Array, "N G"],
         held: Bool[Array, ""],
-        begin: Float[Array, "N D"],
+        begin: Float[Array, "N G"],
         contact_distance: Float[Array, ""],
         dt: float,
     ) -> tuple[Float[Array, " D"], Float[Array, " C"]]:
@@ -80,6 +80,7 @@ class Approach(eqx.Module):
         ``held``: whether the hand holds the body; ``begin``: where the plan started.
         """
         along = _unit(self.direction)
+        position, begin = position[:, : len(along)], begin[:, : len(along)]
         aside = contact_distance * (self.aside - _dot(self.aside, along) * along)
         at = position[self.body]
         offset = position[self.hand] - at

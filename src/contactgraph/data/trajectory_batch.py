@@ -46,7 +46,7 @@ class Nodes(NamedTuple, Generic[Array]):
     reach: Array | None = None
     """[..., N, 2, D] m, see `Scene.reach`; NaN where there is no bound. None: nowhere."""
     outlines: Array | None = None
-    """[..., N, P, V, 2] m: convex polygons in the body's frame, counter-clockwise, their last vertex
+    """[..., N, P, V, 2] m: convex polygons in the body's frame, counter-clockwise, the last vertex
     and the last polygon repeated; 0 throughout for a body without. None: no body has one."""
 
     @property
@@ -134,9 +134,12 @@ def pad_trajectories(
     contact = np.full((count, longest + 1, edges), np.nan) if contacts else None
     for index, each in enumerate(trajectories):
         real = slice(0, each.steps + 1), slice(0, each.scene.node_count)
-        position[index][real], velocity[index][real] = generalized_coordinates(
+        moved = generalized_coordinates(
             turn_length, each.position, each.velocity, each.orientation, each.angular_velocity
         )
+        if turn_length is not None:
+            _check_turns(each, *moved)
+        position[index][real], velocity[index][real] = np.nan_to_num(moved)
         control[index, : each.steps] = each.control
         if contact is not None and each.contact is not None:
             # The edges of fewer nodes are a prefix of those of the capacity: see `pair_indices`.
@@ -155,6 +158,18 @@ def pad_trajectories(
     )
 
 
+def _check_turns(trajectory: Trajectory, position: np.ndarray, velocity: np.ndarray) -> None:
+    """Raises `InvalidInputError` where a body with an outline has no orientation at some step."""
+    for name, values in (("orientation", position), ("angular_velocity", velocity)):
+        for node in np.flatnonzero(np.isnan(values).any(axis=(0, 2))):
+            if trajectory.scene.outlines_of(int(node)):
+                step = int(np.flatnonzero(np.isnan(values[:, node]).any(axis=1))[0])
+                raise InvalidInputError(
+                    f"{name} must be known of bodies with an outline, but that of "
+                    f"{trajectory.scene.node_name[node]!r} is not at step {step}"
+                )
+
+
 def coordinate_count(dimension: int, turn_length: float | None) -> int:
     """G, the coordinates of a body of `generalized_coordinates`."""
     return dimension if turn_length is None else 3 * (dimension - 1)
@@ -170,7 +185,7 @@ def generalized_coordinates(
     """Positions [..., G] m and velocities [..., G] m/s of bodies, with their turn in lengths.
 
     The first D are those given. Then come, unless ``turn_length`` [m] is None, the angle [rad] in
-    the plane times that length, and its rate; 0 where they are not known.
+    the plane times that length, and its rate; NaN where they are not known.
     """
     if turn_length is None:
         return position, velocity
@@ -178,7 +193,7 @@ def generalized_coordinates(
         raise InvalidInputError("turn_length must be None but in the plane")
     unknown = np.full((*position.shape[:-1], 1), np.nan)
     turn, rate = (
-        turn_length * np.nan_to_num(unknown if each is None else each)
+        turn_length * (unknown if each is None else each)
         for each in (orientation, angular_velocity)
     )
     return np.concatenate([position, turn], axis=-1), np.concatenate([velocity, rate], axis=-1)

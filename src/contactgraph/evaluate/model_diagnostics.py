@@ -32,12 +32,13 @@ from contactgraph.model import (
     rollout,
     stack_state,
 )
+from contactgraph.model.contact_dynamics import turn_length_of
 from contactgraph.model.filter import (
     check_fit,
     dtype_of,
     filter_trajectory,
     on_device,
-    turn_length_of,
+    trajectory_for,
 )
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.types import SpringMassDamper
@@ -73,12 +74,10 @@ def model_diagnostics(
     check_fit(model, trajectory.scene, trajectory.control_size, "the trajectory")
     recorded = Dataset((trajectory,))
     labelled = with_edge_labels(recorded)
-    turn_length = turn_length_of(model)
-    batch = pad_trajectories(labelled, node_capacity, contacts=measured, turn_length=turn_length)
     count, edges = trajectory.scene.node_count, pair_indices(trajectory.scene.node_count)
     if sensor is None:
         sensor = replace(default_sensor(model), reports_touch=labelled is recorded)
-    observed = on_device(batch.at(0), dtype_of(model))
+    observed = trajectory_for(model, labelled.trajectories[0], node_capacity, contacts=measured)
     posterior, prior, *_ = filtered_beliefs(model, observed, sensor, None)
     parameters = None
     if isinstance(model.local_dynamics, SpringMassDamperDynamics):

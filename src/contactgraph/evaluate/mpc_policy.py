@@ -201,7 +201,9 @@ class MPCPolicy:
         """The feedback of the plan's first step; raises before the first control step."""
         if self._scene is None or not self._steps:
             raise InvalidInputError("no feedback: the policy has made no step since reset")
-        feedback = plan_feedback(self._steps[-1].plan, self._scene.dt, self._capacity)
+        feedback = plan_feedback(
+            self._steps[-1].plan, self._scene.dt, self._capacity, self._scene.dimension
+        )
         return partial(feedback.within, 0)
 
     def record(self) -> EpisodeRecord:

@@ -1,8 +1,7 @@
 """Predictions from every recorded state, beside the recorded trajectories, window by window."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +10,6 @@ from contactgraph.data import (
     Dataset,
     Trajectory,
     moving_bodies,
-    pad_trajectories,
     pair_indices,
 )
 from contactgraph.evaluate.baselines import Baseline
@@ -24,8 +22,8 @@ from contactgraph.model import (
     ReallocatingModel,
     StepModel,
 )
-from contactgraph.model.filter import dtype_of, on_device, turn_length_of
-
+from contactgraph.model.contact_dynamics import turn_length_of
+from contactgraph.model.filter import trajectory_for
 
 TURNS_RAD = np.deg2rad(0.5)
 """Angle from the one at a window's start that a body must reach to count as turning."""
@@ -38,8 +36,7 @@ class WindowPredictions:
     squared_error: np.ndarray
     """[W, H, N] m^2: squared distance between predicted and recorded position, 0 in padding."""
     squared_angle: np.ndarray | None
-    """[W, H, N] rad^2: squared error of the angle, 0 where it is not known. None: the model predicts
-    none."""
+    """[W, H, N] rad^2: of the angle, 0 where it is not known. None: the model predicts none."""
     edge_active: np.ndarray
     """[W, H, E] bool: predicted contacts of each step."""
     touch_on_time: np.ndarray
@@ -187,8 +184,7 @@ def trajectory_detail(
     ) -> TrajectoryPrediction:
         # A report with faults may deny a contact that is recorded as holding.
         known = replace(trajectory, contact=contacts, holding=None)
-        batch = pad_trajectories((known,), capacity, longest, turn_length=turn_length)
-        padded = on_device(batch.at(0), dtype_of(model))
+        padded = trajectory_for(model, known, capacity, longest)
         all_starts = jnp.arange(longest - steps + 1)
         return predict_trajectory(model, padded, all_starts, steps, sensor, noise)
 
@@ -268,31 +264,6 @@ def trajectory_detail(
             angle[:starts, None] + trajectory.scene.dt * elapsed * rate[:starts, None]
         ),
     )
-
-
-def concatenated_details(parts: Sequence[OpenLoopDetail]) -> OpenLoopDetail:
-    """The windows of several trajectories, one after the other."""
-    return _concatenated(parts)
-
-
-def _concatenated(parts: Sequence[Any]) -> Any:
-    """Arrays one after the other, counts added, field by field; None where any part has None."""
-    first = parts[0]
-    if any(each is None for each in parts):
-        return None
-    if isinstance(first, np.ndarray):
-        return np.concatenate(parts)
-    if isinstance(first, EdgeCounts):
-        return sum(parts, EdgeCounts())
-    if isinstance(first, Calibration):
-        return sum(parts[1:], first)
-    if isinstance(first, dict):
-        return {name: _concatenated([each[name] for each in parts]) for name in first}
-    if not isinstance(first, OpenLoopDetail | WindowPredictions):
-        return first
-    names = [each.name for each in fields(first)]
-    values = {name: _concatenated([getattr(each, name) for each in parts]) for name in names}
-    return type(first)(**values)
 
 
 def _windows(per_state: np.ndarray, steps: int) -> np.ndarray:

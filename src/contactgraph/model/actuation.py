@@ -12,7 +12,13 @@ from jaxtyping import Array, Bool, Float
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.model.block_inverse import relative_at_edges
 from contactgraph.model.contacts import ContactMotion
-from contactgraph.model.types import LocalInput, Nodes, Step
+from contactgraph.model.types import LocalInput, Nodes, SpringMassDamper, Step
+
+_MOST_DAMPED = 0.99
+"""Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""
+_IMPACT_SPEED = 0.1
+"""Change of velocity, in units of speed, from about which a step counts as an impact."""
+_SMALL = 1e-6
 
 
 class ActuatedMotion(eqx.Module):
@@ -55,7 +61,7 @@ class ActuatedMotion(eqx.Module):
         change = relative_at_edges((slower - velocity)[..., None], local.contact_points)[..., 0]
         relative = local.contact_points.relative_velocity + change
         points = dataclasses.replace(local.contact_points, relative_velocity=relative)
-        return stopped, driven, dataclasses.replace(local, velocity=slower, contact_points=points)
+        return stopped, driven, dataclasses.replace(local, velocity=slower, points=points)
 
     def kept_within_reach(
         self,
@@ -75,6 +81,50 @@ class ActuatedMotion(eqx.Module):
         end = local.position + step.dt * (local.velocity + step.theta * change) + displaced
         displaced = displaced + (within_reach(end, local) - end)
         return dataclasses.replace(solution, acceleration=slowing, impact_displacement=displaced)
+
+    def parameters(
+        self,
+        local: LocalInput,
+        slots: Float[Array, "N S"],
+        solution: ContactMotion,
+        step: Step,
+        speed: float,
+    ) -> SpringMassDamper:
+        """The solution as a spring-mass-damper of every node, which `ThetaMethod` steps to it.
+
+        ``speed``: unit of speeds, m/s.
+        """
+        theta, dt, (count, coordinates) = step.theta, step.dt, local.position.shape
+        change, response = solution.velocity_change, solution.response
+        dimension = response.shape[-1] // slots.shape[1]
+        by_control = jnp.einsum("ns,ndu->sdu", slots, self.by_control[:, :dimension])
+        by_control = by_control.reshape(slots.shape[1] * dimension, by_control.shape[-1])
+        by_control = jnp.pad(by_control, ((0, 0), (0, step.control_size - by_control.shape[-1])))
+        constant = (slots.T @ self.constant)[:, :dimension].reshape(-1)
+        # What an actuated body carries moves with it: of the servo's spring and damper a node has
+        # the share of its response, relative to its own position and velocity.
+        share = response.reshape(count, coordinates, slots.shape[1], dimension)[:, :dimension]
+        share = jnp.einsum("ndsd->ns", share) / dimension
+        moves = jnp.arange(coordinates) < dimension
+        spring = dt**2 * (share @ (slots.T @ self.stiffness))[:, None] * moves
+        size = jnp.sqrt(jnp.sum((change / speed) ** 2, axis=-1, keepdims=True) + _SMALL**2)
+        impact = (1.0 - solution.own_share) * size / (size + _IMPACT_SPEED)
+        damper = dt * (share @ (slots.T @ self.damping))[:, None] * moves
+        damper = damper + solution.ground_share + impact
+        # An implicit spring damps by itself, which `ActuatedMotion.damping` includes.
+        damper = jnp.clip(damper - theta * spring, 0.0, _MOST_DAMPED - theta * spring)
+        # Dampers and springs slow the other forces too, but the solution includes the slowing.
+        undamped = 1.0 / (1.0 - theta * damper - theta**2 * spring)
+        return SpringMassDamper(
+            response=(response @ by_control) * undamped[..., None],
+            stiffness_rate=undamped * spring / dt**2,
+            damping_rate=undamped * damper / dt,
+            equilibrium=local.position + theta * dt * local.velocity,
+            equilibrium_velocity=local.velocity + change / (damper + _SMALL),
+            impact_displacement=solution.impact_displacement,
+            acceleration=(response @ constant + solution.acceleration) * undamped,
+            unhindered_response=solution.held_response,
+        )
 
 
 def actuated_slots(nodes: Nodes, slots: int) -> Float[Array, "N slots"]:

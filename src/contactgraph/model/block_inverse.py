@@ -61,7 +61,7 @@ def find_groups(joins: Bool[Array, " E"], edge_index: Int[Array, "2 E"], count: 
 class MassMatrix(eqx.Module):
     """H as a linear operator, with `d` rows for each node: 1 where no hinge turns velocities."""
 
-    node: Float[Array, "N #d"]
+    node: Float[Array, "N d"] | Float[Array, "N 1"]
     """Diagonal part, kg."""
     edge: Float[Array, " E"]
     """Stiffness of each edge, kg."""

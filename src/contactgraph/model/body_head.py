@@ -9,20 +9,17 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.model.actuation import ActuatedMotion, Actuation, actuated_slots
-from contactgraph.model.collision import Geometry, as_near
+from contactgraph.model.actuation import Actuation, actuated_slots
+from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import lifted_fraction
-from contactgraph.model.contacts import MAX_COUPLING, ContactMotion, Contacts, FreeBodies, damper_of
+from contactgraph.model.contacts import MAX_COUPLING, Contacts, FreeBodies, damper_of
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
 from contactgraph.model.planes import on_planes, plane_contacts, plane_geometry
+from contactgraph.model.polygons import as_near
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
 PACE = 5.0
 """Scale of each type's numbers in their parameters, which learn faster than weights by this."""
-_IMPACT_SPEED = 0.1
-"""Change of velocity, in units of speed, from about which a step counts as an impact."""
-_MOST_DAMPED = 0.99
-"""Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""
 _LEAST_COUPLING = 0.5
 """Of a touch and of the first type that holds: with less, the types could not be told apart."""
 _ROUGH = 0.454
@@ -34,7 +31,7 @@ DECELERATION = 10.0
 _EARLY, _ONE_SIDED = 0.01, 2e-4
 """Approaches in a step, in units of `BodyHead.length`: before a touch, and from which one acts."""
 _NEAREST = 0.02
-"""In units of `BodyHead.length`: points of contact farther than the nearest by more do not touch."""
+"""In units of `BodyHead.length`: points that are farther than the nearest by more do not touch."""
 _SMALL = 1e-6
 _SERVO_MASS = 100.0
 """Start of the mass of what a servo moves: it pushes, and hardly gives way."""
@@ -71,8 +68,7 @@ class BodyHead(eqx.Module):
     plane_raw: Float[Array, " types"]
     """Of the learned part of that distance."""
     log_inertia: Float[Array, " types"] | None
-    """Of the squared radius of gyration in units of `turn_length`, in units of `PACE`. None: no body
-    turns."""
+    """Of the squared radius of gyration by that of `turn_length`, in units of `PACE`, or none."""
     edge: eqx.nn.MLP
     actuation: Actuation
     width: int = eqx.field(static=True)
@@ -185,51 +181,10 @@ class BodyHead(eqx.Module):
         solution = contacts.solve(bodies, dt, local.group_capacity)
         if nodes.reach is not None:
             solution = motion.kept_within_reach(solution, displaced, slots, local, braked, step)
-        parameters = self._parameters(local, motion, slots, solution, step)
+        parameters = motion.parameters(local, slots, solution, step, self.speed)
         if local.anchor is None:
             return parameters
         return with_hinge_springs(parameters, local, contacts.coupling[: len(local.weight)], step)
-
-    def _parameters(
-        self,
-        local: LocalInput,
-        motion: ActuatedMotion,
-        slots: Float[Array, "N S"],
-        solution: ContactMotion,
-        step: Step,
-    ) -> SpringMassDamper:
-        """The solution as a spring-mass-damper of every node, which `ThetaMethod` steps to it."""
-        theta, dt, (count, coordinates) = step.theta, step.dt, local.position.shape
-        dimension = self.actuation.dimension
-        change, response = solution.velocity_change, solution.response
-        by_control = jnp.einsum("ns,ndu->sdu", slots, motion.by_control[:, :dimension])
-        by_control = by_control.reshape(self.slots * dimension, by_control.shape[-1])
-        by_control = jnp.pad(by_control, ((0, 0), (0, step.control_size - by_control.shape[-1])))
-        constant = (slots.T @ motion.constant)[:, :dimension].reshape(-1)
-        # What an actuated body carries moves with it: of the servo's spring and damper a node has
-        # the share of its response, relative to its own position and velocity.
-        share = response.reshape(count, coordinates, self.slots, dimension)[:, :dimension]
-        share = jnp.einsum("ndsd->ns", share) / dimension
-        moves = jnp.arange(coordinates) < dimension
-        spring = dt**2 * (share @ (slots.T @ motion.stiffness))[:, None] * moves
-        size = jnp.sqrt(jnp.sum((change / self.speed) ** 2, axis=-1, keepdims=True) + _SMALL**2)
-        impact = (1.0 - solution.own_share) * size / (size + _IMPACT_SPEED)
-        damper = dt * (share @ (slots.T @ motion.damping))[:, None] * moves
-        damper = damper + solution.ground_share + impact
-        # An implicit spring damps by itself, which `ActuatedMotion.damping` includes.
-        damper = jnp.clip(damper - theta * spring, 0.0, _MOST_DAMPED - theta * spring)
-        # Dampers and springs slow the other forces too, but the solution includes the slowing.
-        undamped = 1.0 / (1.0 - theta * damper - theta**2 * spring)
-        return SpringMassDamper(
-            response=(response @ by_control) * undamped[..., None],
-            stiffness_rate=undamped * spring / dt**2,
-            damping_rate=undamped * damper / dt,
-            equilibrium=local.position + theta * dt * local.velocity,
-            equilibrium_velocity=local.velocity + change / (damper + _SMALL),
-            impact_displacement=solution.impact_displacement,
-            acceleration=(response @ constant + solution.acceleration) * undamped,
-            unhindered_response=solution.held_response,
-        )
 
     def _contacts(
         self, local: LocalInput, message: Float[Array, "active 2 E W"], step: Step

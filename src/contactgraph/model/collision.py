@@ -218,15 +218,6 @@ def _norm(vector: Float[Array, "*C E D"]) -> Float[Array, "*C E"]:
     return jnp.sqrt(jnp.sum(vector**2, axis=-1) + _MIN_SQUARE)
 
 
-def as_near(points: Geometry, nearest: Geometry, tolerance: float) -> Float[Array, " C"]:
-    """1 for points of contact that come as near as the nearest of their edge, or touch, else down
-    to 0 within about a ``tolerance`` [m]; rows as of `EncodedGraph.contact_points`."""
-    touch = jnp.maximum(nearest.closest_approach, nearest.contact_distance)
-    count = len(points.distance) // max(1, len(touch))
-    excess = jax.nn.relu(points.closest_approach - jnp.tile(touch, count))
-    return jnp.exp(-((excess / tolerance) ** 2))
-
-
 class DistancePrior(eqx.Module):
     r"""The paper's prior: probability of contact from the present distance $d$ of two nodes.
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.model.collision import Geometry
 from contactgraph.model.shapes import Meeting
 
 POINTS = 2
@@ -130,6 +131,15 @@ def contact_points(
         on_second=jnp.where(back, on_one, on_other),
         on_face=on_face,
     )
+
+
+def as_near(points: Geometry, nearest: Geometry, tolerance: float) -> Float[Array, " C"]:
+    """1 for points of contact that come as near as the nearest of their edge, or touch, else down
+    to 0 within about a ``tolerance`` [m]; rows as of `EncodedGraph.contact_points`."""
+    touch = jnp.maximum(nearest.closest_approach, nearest.contact_distance)
+    count = len(points.distance) // max(1, len(touch))
+    excess = jax.nn.relu(points.closest_approach - jnp.tile(touch, count))
+    return jnp.exp(-((excess / tolerance) ** 2))
 
 
 def plane_points(

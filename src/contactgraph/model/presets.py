@@ -11,16 +11,20 @@ from typing import Protocol
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
-from contactgraph.model.body_head import PACE, BodyHead
-from contactgraph.model.body_starts import with_impacts, with_slowing
-from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
+from contactgraph.model.body_head import BodyHead
+from contactgraph.model.body_starts import with_impacts, with_shapes, with_slowing
+from contactgraph.model.collision import (
+    ClosestApproachPrior,
+    DistancePrior,
+    NoCutoff,
+    SmoothCutoff,
+)
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import (
@@ -64,11 +68,9 @@ class ModelConfig:
     weight: bool = False
     """Whether bodies have weight and rest on the ground until lifted; see `GroundSupport`."""
     learned_contact_distance: bool = True
-    """Whether `contact_distance` is only the start of a learned one. This, `weight` and
-    `control_gain` apply to `gim_temp`, `gim_non_temp` and `no_gim`."""
+    """Whether `contact_distance` is only the start of a learned one."""
     control_gain: float = 1.0
-    """Start of the learned acceleration of actuated nodes for each unit of control, m/s^2; 1 where
-    the control is a force on about 1 kg."""
+    """Start of the learned acceleration of actuated nodes, m/s^2 a unit; 1: a force on 1 kg."""
     node_types: tuple[str, ...] = ()
     """Names of the types of nodes, passive ones first, then actuated ones; only for
     `bodies`, as what follows. Empty: they are not told."""
@@ -79,18 +81,15 @@ class ModelConfig:
     actuated_nodes: int = 1
     """Most actuated nodes of a scene."""
     plane_distance: Mapping[str, float] = field(default_factory=dict)
-    """m; how near each type of node comes to a plane, by name. Those left out: half the contact
-    distance."""
+    """m; how near each type comes to a plane. Those left out: half the contact distance."""
     boxes: bool = False
     """Whether nodes that have a size are boxes along the axes; else all are round."""
     turn_length: float | None = None
     """See `generalized_coordinates`, m. None: no body turns."""
     inertia: Mapping[str, float] = field(default_factory=dict)
-    """Squared radius of gyration at the start of training, in units of `turn_length`, of each type
-    that turns."""
+    """Squared radius of gyration at the start, in units of `turn_length`, of types that turn."""
     slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Deceleration, m/s^2, and damper, 1/s, by the ground at the start of training, by type. Those
-    left out: nearly 0."""
+    """Deceleration, m/s^2, and damper, 1/s, by the ground at the start, by type; else nearly 0."""
     impacts: Mapping[tuple[str, str], Impacts] = field(default_factory=dict)
     """Bounce, friction and ratios of masses at the start of training, of pairs of types."""
     averaged: bool = False
@@ -116,7 +115,6 @@ class Preset(Protocol):
 
     def __call__(self, config: ModelConfig, /, *, key: PRNGKeyArray) -> ContactDynamics:
         """The model for this configuration."""
-        ...
 
 
 def gim_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
@@ -209,11 +207,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         turn_length=config.turn_length,
         key=jax.random.fold_in(model_key, 1),
     )
-    near = [config.plane_distance.get(name, 0.5 * head.length) for name in features.types]
-    head = eqx.tree_at(lambda each: each.plane_distance, head, jnp.array(near))
-    if config.turn_length is not None:
-        inertia = jnp.log(jnp.array([config.inertia.get(name, 1.0) for name in features.types]))
-        head = eqx.tree_at(lambda each: each.log_inertia, head, inertia / PACE)
+    head = with_shapes(head, config.plane_distance, config.inertia, features.types)
     head = with_slowing(head, [config.slowing.get(name, (0.0, 0.0)) for name in features.types])
     head = with_impacts(head, config.impacts, features.types)
     size = features.edge_size(config.dimension)

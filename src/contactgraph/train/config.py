@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
@@ -25,7 +25,7 @@ from contactgraph.train.loss import LossTerms
 from contactgraph.train.turning import (
     find_turning,
     outline_distances,
-    plane_heights,
+    plane_distances,
     round_distances,
 )
 
@@ -87,8 +87,6 @@ CONTACT_DISTANCE = 0.085
 """m; where data do not tell, about the distance at which bodies touch."""
 _AVERAGED = 0.95
 """Share of a change of velocity that displaces in its step, from which velocities are means."""
-_NEAREST = 0.005
-"""Share of the states that may lie nearer to a plane than a body that touches it."""
 _MOVES, _LEAST_BEGINNINGS = 0.02, 10
 """Share of a trajectory's greatest speed from which a body moves; and how often that must begin for
 the distance of contact to be seen from it."""
@@ -203,7 +201,7 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         actuation=actuation,
         driving_size=int(drives.sum()),
         actuated_nodes=max(1, *(int(each.scene.actuated.sum()) for each in dataset)),
-        plane_distance=_plane_distances(dataset, {} if turning is None else turning.inertia),
+        plane_distance=plane_distances(dataset, {} if turning is None else turning.inertia),
         averaged=averaged,
         boxes=boxes,
         theta=theta,
@@ -260,30 +258,6 @@ def _contact_distance(dataset: Dataset, distances: Callable[[Trajectory], np.nda
         spread = spread / float(np.median(found))
     distance = float(np.quantile(found, share)) if len(found) else 0.0
     return _Touching(distance if distance > 0.0 else CONTACT_DISTANCE, spread)
-
-
-def _plane_distances(dataset: Dataset, shaped: Collection[str]) -> dict[str, float]:
-    """How near each type comes to any plane, m, but for the nearest of its states.
-
-    Of a type that planes do not stop: how far it gets behind them, below 0. Outlines of the types
-    ``shaped`` touch planes themselves.
-    """
-    heights: dict[str, list[np.ndarray]] = {}
-    for each in dataset:
-        planes = each.scene.planes
-        if planes is not None and len(planes):
-            height = np.min(each.position @ planes[:, :-1].T - planes[:, -1], axis=-1)
-            height = plane_heights(each) if shaped else height
-            for node, name in enumerate(each.scene.node_type):
-                heights.setdefault(name, []).append(height[:, node])
-    nearest: dict[str, float] = {}
-    for name, found in heights.items():
-        height = np.concatenate(found)
-        near = float(np.quantile(height, _NEAREST))
-        nearest[name] = near if near > 0.0 else float(height.min())
-        if name in shaped:
-            nearest[name] = min(near, 0.0)
-    return nearest
 
 
 _FOLLOWED = ("displacement", "velocity")

@@ -23,9 +23,8 @@ from contactgraph.train.batch import (
     window_source,
 )
 from contactgraph.train.config import TrainConfig
-from contactgraph.train.dead_network import equals_constant_velocity, has_dead_units
 from contactgraph.train.fit_state import FitProgress, FitResult, FitState, FitStatus, with_lists
-from contactgraph.train.held_out import held_out_windows
+from contactgraph.train.held_out import equals_constant_velocity, has_dead_units, held_out_windows
 from contactgraph.train.judged_steps import check_contacts
 
 _BURN = 20

@@ -1,5 +1,6 @@
 """Bodies that turn, as data show them: their types and inertia, and gaps between outlines."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import jax
@@ -14,6 +15,8 @@ from contactgraph.data.trajectory import Trajectory
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model.polygons import contact_points, placed
 
+_NEAREST = 0.005
+"""Share of the states that may lie nearer to a plane than a body that touches it."""
 _TURNS = 1e-3
 """rad; by which a body must turn, so that it counts as one that does."""
 
@@ -102,13 +105,37 @@ def round_distances(trajectory: Trajectory) -> np.ndarray:
     return np.where(count == 0, np.inf, gaps * np.where(count == 1, 2.0, 1.0))
 
 
+def plane_distances(dataset: Dataset, shaped: Collection[str]) -> dict[str, float]:
+    """How near each type comes to any plane, m, but for the nearest of its states.
+
+    Of a type that planes do not stop: how far it gets behind them, below 0. Outlines of the types
+    ``shaped`` touch planes themselves.
+    """
+    heights: dict[str, list[np.ndarray]] = {}
+    for each in dataset:
+        planes = each.scene.planes
+        if planes is not None and len(planes):
+            height = np.min(each.position @ planes[:, :-1].T - planes[:, -1], axis=-1)
+            height = plane_heights(each) if shaped else height
+            for node, name in enumerate(each.scene.node_type):
+                heights.setdefault(name, []).append(height[:, node])
+    nearest: dict[str, float] = {}
+    for name, found in heights.items():
+        height = np.concatenate(found)
+        near = float(np.quantile(height, _NEAREST))
+        nearest[name] = near if near > 0.0 else float(height.min())
+        if name in shaped:
+            nearest[name] = min(near, 0.0)
+    return nearest
+
+
 def plane_heights(trajectory: Trajectory) -> np.ndarray:
     """[T+1, N] m: of the lowest point of a body's outline, or its centre, above any plane."""
     scene, position = trajectory.scene, trajectory.position
     assert scene.planes is not None
     heights = position @ scene.planes[:, :-1].T - scene.planes[:, -1]
     if trajectory.orientation is not None:
-        for node in np.flatnonzero(_has_outline(scene)):
+        for node in np.flatnonzero(_has_outline(scene)).tolist():
             vertices = np.concatenate(scene.outlines_of(node))
             angle = np.nan_to_num(trajectory.orientation[:, node])
             x, y = vertices.T
@@ -119,4 +146,4 @@ def plane_heights(trajectory: Trajectory) -> np.ndarray:
 
 
 def _has_outline(scene: Scene) -> np.ndarray:
-    return np.isin(np.arange(scene.node_count), scene.polygon_of)
+    return np.array([bool(scene.outlines_of(node)) for node in range(scene.node_count)])
