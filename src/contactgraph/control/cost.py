@@ -92,7 +92,30 @@ class QuadraticCost(eqx.Module):
             )
         if turn_length is None:
             return self
-        of_node = (node_count, 2, known)
+        unit = np.ones(coordinates)
+        unit[dimension:] = turn_length / self.turn_length
+        whole = self._with_coordinates(node_count, coordinates, unit, xp)
+        return replace(whole, turn_length=turn_length)
+
+    def with_angle(
+        self, node: int, angle: float, weight: float, node_count: int
+    ) -> "QuadraticCost":
+        """Also ``weight`` [1/rad^2] times the squared difference of a body's angle from ``angle``
+        [rad], at every step; a cost in the plane, of which it becomes one with turns."""
+        whole = self._with_coordinates(node_count, 3, np.ones(3))
+        index = 6 * node + 2
+        return replace(
+            whole,
+            Q=whole.Q.at[..., index, index].add(weight),
+            goal=whole.goal.at[..., index].set(angle),
+        )
+
+    def _with_coordinates(
+        self, node_count: int, coordinates: int, unit: np.ndarray, xp: Any = jnp
+    ) -> "QuadraticCost":
+        """With G = ``coordinates`` a node, in these units; those beyond its own cost nothing."""
+        known = self.goal.shape[-1] // (2 * node_count)
+        of_node, size = (node_count, 2, known), 2 * node_count * coordinates
         Q = self.Q.reshape(*self.Q.shape[:-2], *of_node, *of_node)
         goal = self.goal.reshape(*self.goal.shape[:-1], *of_node)
         more = (0, coordinates - known)
@@ -101,16 +124,12 @@ class QuadraticCost(eqx.Module):
             widths = [more if axis - values.ndim in axes else (0, 0) for axis in range(values.ndim)]
             return xp.pad(values, widths)
 
-        unit = np.ones(coordinates)
-        unit[dimension:] = turn_length / self.turn_length
-        size = 2 * node_count * coordinates
         Q = padded(Q, (-4, -1)) / (unit[:, None, None, None] * unit)
         goal = padded(goal, (-1,)) * unit
         return replace(
             self,
             Q=Q.reshape(*self.Q.shape[:-2], size, size).astype(self.Q.dtype),
             goal=goal.reshape(*self.goal.shape[:-1], size).astype(self.goal.dtype),
-            turn_length=turn_length,
         )
 
     def over(self, horizon: int) -> tuple[Array, Array, Array]:

@@ -228,10 +228,10 @@ class _Scene(eqx.Module):
         """Number of components of the control that move nothing."""
         return _commands(self.model)
 
-    def pairs(self, count: int) -> tuple[Array, Array, Array, Array, Array]:
+    def pairs(self, count: int) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Actuated nodes [S], each with one that it may move, in turn; that one's position, goal
         and aim [S, D], m: every second one's is an image of the goal in one wall after another, if
-        the body bounces off walls."""
+        the body bounces off walls; and how far it is to turn, m."""
         nodes, number = self.nodes, len(self.state.position)
         wanted = nodes.passive
         if self.cost.cost_node_ids is not None:
@@ -242,20 +242,22 @@ class _Scene(eqx.Module):
         may_move = candidate & nodes.actuated[one] & nodes.mask[one] & wanted[other]
         pair = jnp.argsort(~may_move)[jnp.arange(count) % jnp.maximum(jnp.sum(may_move), 1)]
         hand, body = jnp.asarray(one)[pair], jnp.asarray(other)[pair]
-        goal = self.cost.goal.reshape(-1, number, 2, self.state.position.shape[1])[-1, :, 0]
-        position, goal = (
-            each[body, : self.model.dimension] for each in (self.state.position, goal)
-        )
+        position = self.state.position[body]
+        goal = self.cost.goal.reshape(-1, number, 2, position.shape[1])[-1, body, 0]
+        weight = jnp.diagonal(self.cost.over(1)[0][-1]).reshape(number, 2, -1)[body, 0]
+        turn = jnp.where(weight > 0.0, jnp.abs(goal - position), 0.0)[:, self.model.dimension :]
+        turn = jnp.sum(turn, axis=-1)
+        position, goal = (each[:, : self.model.dimension] for each in (position, goal))
         head = getattr(self.model.local_dynamics, "head", None)
         if nodes.planes is None or not len(nodes.planes) or not isinstance(head, BodyHead):
-            return hand, body, position, goal, goal
+            return hand, body, position, goal, goal, turn
         bounce, _ = head.laws(self.model.features.node_type(nodes, position.dtype), body)
-        turn = np.arange(count)
-        wall = nodes.planes[turn // 2 % len(nodes.planes)]
+        start = np.arange(count)
+        wall = nodes.planes[start // 2 % len(nodes.planes)]
         normal, before = wall[:, :-1], jnp.sum(wall[:, :-1] * goal, axis=-1) - wall[:, -1]
-        banked = (turn % 2 == 1) & (jnp.abs(normal @ self.up) < _LEVEL) & (bounce > _ELASTIC)
+        banked = (start % 2 == 1) & (jnp.abs(normal @ self.up) < _LEVEL) & (bounce > _ELASTIC)
         image = goal - 2.0 * before[:, None] * normal
-        return hand, body, position, goal, jnp.where(banked[:, None], image, goal)
+        return hand, body, position, goal, jnp.where(banked[:, None], image, goal), turn
 
     def follow(
         self, approach: Approach, planner: ILQR

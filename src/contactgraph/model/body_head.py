@@ -123,6 +123,45 @@ class BodyHead(eqx.Module):
             -1
         )
 
+    def coasting(
+        self,
+        velocity: Float[Array, "N G"],
+        node_type: Float[Array, "N types"],
+        nodes: Nodes,
+        dt: float,
+    ) -> Float[Array, "N G"]:
+        """Velocity of every node after a step of ``dt`` [s] in which the ground alone slows it.
+
+        With weight and a ground that is not described nothing tells what rests on it: as given.
+        """
+        if nodes.gravity is not None:
+            return velocity
+        damper, slowing = self._slowing(node_type)
+        energy = jnp.sum(self._mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
+        speed = jnp.sqrt(energy + (_SMALL * self.speed) ** 2)
+        left = jax.nn.relu(1.0 - dt * slowing / speed) / (1.0 + dt * damper)
+        return jax.lax.stop_gradient(left)[:, None] * velocity
+
+    def _slowing(
+        self, node_type: Float[Array, "N types"]
+    ) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+        """Damper, 1/s, and deceleration, m/s^2, of every node by the ground."""
+        damper, deceleration = (
+            jax.nn.softplus(PACE * node_type @ raw - 6.0)
+            for raw in (self.damper_raw, self.deceleration_raw)
+        )
+        return damper, DECELERATION * self.speed * deceleration
+
+    def _mass_ratio(
+        self, node_type: Float[Array, "N types"], coordinates: int
+    ) -> Float[Array, "N G"]:
+        """The mass of every coordinate, in units of that of the body."""
+        ratio = jnp.ones((len(node_type), coordinates))
+        if self.log_inertia is None:
+            return ratio
+        inertia = jnp.exp(PACE * node_type @ self.log_inertia)
+        return ratio.at[:, self.actuation.dimension :].multiply(inertia[:, None])
+
     def __call__(
         self,
         local: LocalInput,
@@ -136,10 +175,7 @@ class BodyHead(eqx.Module):
         dimension = self.actuation.dimension
         motion = self.actuation(local.position, velocity, node_type, nodes, theta, dt)
         mass = jnp.exp(PACE * node_type @ self.log_mass) * motion.inertia
-        mass = jnp.tile(mass[:, None], coordinates)
-        if self.log_inertia is not None:
-            inertia = jnp.exp(PACE * node_type @ self.log_inertia)
-            mass = mass.at[:, dimension:].multiply(inertia[:, None])
+        mass = mass[:, None] * self._mass_ratio(node_type, coordinates)
         slots = actuated_slots(nodes, self.slots)
         driving = jnp.einsum("nd,ns,de->ndse", mass, slots, jnp.eye(coordinates, dimension))
         # What the control does in the step, as far as it is known, and until contacts hinder it.
@@ -164,15 +200,12 @@ class BodyHead(eqx.Module):
             planes = self._plane_contacts(braked, meeting, step)
             contacts = contacts.and_also(planes)
             on_ground = on_ground if nodes.gravity is None else on_planes(planes.geometry, nodes)
-        damper, slowing = (
-            on_ground * jax.nn.softplus(PACE * node_type @ raw - 6.0)
-            for raw in (self.damper_raw, self.deceleration_raw)
-        )
+        damper, slowing = (on_ground * each for each in self._slowing(node_type))
         bodies = FreeBodies(
             mass=mass,
             velocity=braked.velocity,
             ground_damper=dt * damper,
-            deceleration=DECELERATION * self.speed * slowing,
+            deceleration=slowing,
             weight=(mass * falls)[..., None],
             driving=driving.reshape(count, coordinates, -1),
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],

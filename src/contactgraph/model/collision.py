@@ -100,6 +100,7 @@ def geometry(
     speed: float = 1.0,
     half_size: Float[Array, "N D"] | None = None,
     shapes: Meeting | None = None,
+    coasting: Float[Array, "N G"] | None = None,
 ) -> Geometry:
     """The geometry of the edges at one step of `dt` [s]; finite where nodes coincide.
 
@@ -128,7 +129,7 @@ def geometry(
         return motion
 
     relative_velocity = relative(velocity)
-    drifted = dt * approach(relative_velocity)
+    drifted = dt * approach(relative_velocity if coasting is None else relative(coasting))
     driven, chords, refinements = jnp.zeros_like(drifted), 1, 1
     if control_displacement is not None:
         driven, chords = approach(relative(control_displacement)), _CHORDS

@@ -137,7 +137,7 @@ class ContactDynamics(eqx.Module):
         static = nodes.static if self.features.types else None  # not known without types
         known = control_displacement, nodes.anchor, static, self.features.speed, nodes.half_size
         at = position, moving, edges.edge_index, self.dt, touch
-        points = geometry(*at, *known, meeting)
+        points = geometry(*at, *known, meeting, self._coasting(moving, nodes))
         edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
@@ -245,6 +245,15 @@ class ContactDynamics(eqx.Module):
         """The next step's dynamics and the belief that they assume, given the intended control."""
         stages = self.stages(state, nodes)
         return stages.dynamics, stages.belief
+
+    def _coasting(self, velocity: Float[Array, "N G"], nodes: Nodes) -> Float[Array, "N G"]:
+        """Velocities after a step without contacts and control."""
+        head = getattr(self.local_dynamics, "head", None)
+        if not isinstance(head, BodyHead):
+            return velocity
+        return head.coasting(
+            velocity, self.features.node_type(nodes, velocity.dtype), nodes, self.dt
+        )
 
     def drive(
         self,
