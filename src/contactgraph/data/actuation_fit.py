@@ -45,7 +45,7 @@ _SHARES = (0.01, 0.1, 0.5, 1.0)
 """Of the median speed that the ground takes in a step, from which fits begin."""
 _MOVES = 0.02
 """Share of the greatest speed from which a body moves."""
-_MOST_DAMPED = 1.0
+_MOST_DAMPED = 10.0
 """Of a damper times dt: with a greater one a step hardly depends on it, and training that starts
 there does not get away."""
 _LEAST_STEPS = 10

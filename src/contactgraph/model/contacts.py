@@ -89,7 +89,8 @@ class Contacts(eqx.Module):
         rough = self.geometry.along(jnp.maximum(across, holding))
         slowing = self._impulse(rough, count, dt) + (ground * bodies.velocity)[..., None]
         displacing = _pulled(self.displacing_fraction * self.damper, rough, count)
-        vectors = [slowing, displacing, bodies.weight, bodies.driving]
+        driven = [self._until_impact(each, rough, mass) for each in (bodies.weight, bodies.driving)]
+        vectors = [slowing, displacing, *driven]
         solved = _solve(mass + ground, stiffness, rough, vectors, capacity)
         return ContactMotion(
             velocity_change=-jnp.sum(solved.parts[0] + rebound.parts[1], axis=-1),
@@ -124,13 +125,11 @@ class Contacts(eqx.Module):
         return jax.tree_util.tree_map_with_path(joined, first, other)
 
     def _at_impact(self, normal: Geometry, bodies: "FreeBodies") -> Geometry:
-        """With the relative velocity of which a bounce gives back its share.
-
-        It is that at the impact, less what control and weight still add to the approach after it,
-        in units of the bounce: what is pushed on does not part.
-        """
+        """With the relative velocity of which a bounce gives back its share: that at the impact, less
+        what control and weight add to the approach after it, by which what is pushed on stays."""
         added = relative_at_edges(bodies.push / bodies.mass[..., None], normal)[..., 0]
-        after = (1.0 - normal.time_of_impact) / jnp.maximum(self.bounce, _LEAST_BOUNCE)
+        pushes = jnp.sum(normal.normal * added, axis=-1) < 0.0
+        after = (1.0 - normal.time_of_impact) / jnp.maximum(self.bounce, _LEAST_BOUNCE) * pushes
         met = normal.relative_velocity + (normal.time_of_impact - after)[:, None] * added
         closing = jnp.sum(normal.normal * met, axis=-1, keepdims=True) < 0.0
         return dataclasses.replace(normal, relative_velocity=jnp.where(closing, met, 0.0))
@@ -141,6 +140,14 @@ class Contacts(eqx.Module):
         impulse = impulse[:, None] * geometry.relative_velocity
         impulse = impulse + self.spring[:, None] * stretch / dt
         return to_nodes(impulse[..., None], geometry, count)
+
+    def _until_impact(
+        self, momentum: Float[Array, "N G c"], geometry: Geometry, mass: Float[Array, "N G"]
+    ) -> Float[Array, "N G c"]:
+        """Momentum, kg m/s, with what contacts leave to it, as they begin only in the step."""
+        free = relative_at_edges(momentum / mass[..., None], geometry)
+        late = self.damper * (1.0 - self.acting)
+        return momentum + to_nodes(late[:, None, None] * free, geometry, len(mass))
 
     def _mobility(self, mass: Float[Array, "N G"]) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
         """Relative velocity of two free bodies for each unit of momentum between them, along the
