@@ -42,6 +42,7 @@ def stepped(position, velocity, mass, bounce, friction, deceleration, static, av
         acting=jnp.where(averaged, 1.0 - found.time_of_impact, 1.0),
         bounce=bounce * meets,
         friction=nothing + friction,
+        until_impact=nothing,
     )
     push, slowing = (mass[:, None] * pushed)[..., None], 0.0 * mass + deceleration
     zero = jnp.zeros((count, 2, 1))
@@ -218,6 +219,7 @@ def test_a_ball_bounces_off_a_plane_and_rests_on_it() -> None:
             acting=nothing + 1.0,
             bounce=bounce * meets,
             friction=nothing,
+            until_impact=nothing,
         )
         zero = jnp.zeros((1, 2, 1))
         push = weight[..., None]

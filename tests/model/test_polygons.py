@@ -91,8 +91,10 @@ def test_gaps_and_points_are_those_of_a_geometry_library(kinds: tuple[str, str])
     np.testing.assert_allclose(
         gap[apart], shapely.distance(one, other)[apart], rtol=2e-4, atol=1e-6
     )
-    # Overlapping: of polygons only those where a vertex is inside of the other have a vertex there.
-    assert np.all(gap[~apart] < 2e-3)
+    shallow = ~apart & (shapely.area(shapely.intersection(one, other)) < 1e-6)
+    assert (
+        np.all(np.abs(gap[shallow]) < 2e-3) or not SHAPES[kinds[1]]
+    )  # a disc's centre has no area
     on_first = shapely.points(np.asarray(found.on_first)[apart, 0, 0])
     on_second = shapely.points(np.asarray(found.on_second)[apart, 0, 0])
     assert np.all(shapely.distance(on_first, one[apart]) < 1e-6 + 0.015 * gap[apart])
@@ -208,7 +210,7 @@ def test_a_box_topples_onto_its_side_and_rests() -> None:
     np.testing.assert_allclose(position[-1, :, 1], 0.03, atol=2e-3)
     np.testing.assert_allclose(np.sin(position[-1, :, 2] / TURN_LENGTH), 0.0, atol=0.05)
     np.testing.assert_allclose(velocity[-1], 0.0, atol=0.05)
-    np.testing.assert_allclose(position[:, 1], position[:1, 1], atol=1e-3)  # at rest from the start
+    assert np.abs(position[:, 1] - position[0, 1]).max() < 1e-4  # it was at rest from the start
 
 
 @pytest.mark.parametrize(("angle", "speed"), [(0.7, 0.0), (1.2, 0.5), (0.4, -0.8)])

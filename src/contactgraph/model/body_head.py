@@ -264,6 +264,7 @@ class BodyHead(eqx.Module):
             acting=1.0 - touching * geometry.time_of_impact * self.averaged,
             bounce=bounce,
             friction=friction,
+            until_impact=step.theta * geometry.time_of_impact**2 * (1.0 - self.averaged),
         )
 
     def _plane_contacts(

@@ -59,6 +59,8 @@ class Contacts(eqx.Module):
     """e, in [0, 1): the share of the approach with which a touch parts."""
     friction: Float[Array, " C"]
     """Coulomb's coefficient of a touch."""
+    until_impact: Float[Array, " C"]
+    """Displacement by control and weight before the impact, in dt times what they add to v."""
 
     def solve(self, bodies: "FreeBodies", dt: float, capacity: int | None) -> "ContactMotion":
         """One step of ``dt`` [s]; ``capacity``: most nodes that are coupled, None: no limit.
@@ -88,15 +90,16 @@ class Contacts(eqx.Module):
         ground, across = self._friction(bodies, change, first.diagonal, mobility_across, dt)
         rough = self.geometry.along(jnp.maximum(across, holding))
         slowing = self._impulse(rough, count, dt) + (ground * bodies.velocity)[..., None]
-        displacing = _pulled(self.displacing_fraction * self.damper, rough, count)
-        driven = [self._until_impact(each, rough, mass) for each in (bodies.weight, bodies.driving)]
-        vectors = [slowing, displacing, *driven]
-        solved = _solve(mass + ground, stiffness, rough, vectors, capacity)
+        displacing = -self._left(self.until_impact, bodies.push, rough, mass)
+        displacing += _pulled(self.displacing_fraction * self.damper, rough, count)
+        driven = jnp.concatenate([bodies.weight, bodies.driving], axis=-1)
+        driven += self._left(1.0 - self.acting, driven, rough, mass)
+        solved = _solve(mass + ground, stiffness, rough, [slowing, displacing, driven], capacity)
         return ContactMotion(
             velocity_change=-jnp.sum(solved.parts[0] + rebound.parts[1], axis=-1),
             impact_displacement=-dt * jnp.sum(solved.parts[1] + rebound.parts[0], axis=-1),
-            acceleration=jnp.sum(solved.parts[2], axis=-1),
-            response=solved.parts[3],
+            acceleration=solved.parts[2][..., 0],
+            response=solved.parts[2][..., 1:],
             held_response=held.parts[0],
             own_share=solved.diagonal * mass,
             ground_share=solved.diagonal * ground,
@@ -125,8 +128,8 @@ class Contacts(eqx.Module):
         return jax.tree_util.tree_map_with_path(joined, first, other)
 
     def _at_impact(self, normal: Geometry, bodies: "FreeBodies") -> Geometry:
-        """With the relative velocity of which a bounce gives back its share: that at the impact, less
-        what control and weight add to the approach after it, by which what is pushed on stays."""
+        """With the velocity of which a bounce gives back its share: that at the impact, less what
+        control and weight add to the approach after it, so that what is pushed on does not part."""
         added = relative_at_edges(bodies.push / bodies.mass[..., None], normal)[..., 0]
         pushes = jnp.sum(normal.normal * added, axis=-1) < 0.0
         after = (1.0 - normal.time_of_impact) / jnp.maximum(self.bounce, _LEAST_BOUNCE) * pushes
@@ -141,13 +144,12 @@ class Contacts(eqx.Module):
         impulse = impulse + self.spring[:, None] * stretch / dt
         return to_nodes(impulse[..., None], geometry, count)
 
-    def _until_impact(
-        self, momentum: Float[Array, "N G c"], geometry: Geometry, mass: Float[Array, "N G"]
+    def _left(
+        self, share: Float[Array, " C"], momentum: Array, geometry: Geometry, mass: Array
     ) -> Float[Array, "N G c"]:
-        """Momentum, kg m/s, with what contacts leave to it, as they begin only in the step."""
+        """Momentum [kg m/s] of the contacts that keeps this share of what would be without them."""
         free = relative_at_edges(momentum / mass[..., None], geometry)
-        late = self.damper * (1.0 - self.acting)
-        return momentum + to_nodes(late[:, None, None] * free, geometry, len(mass))
+        return to_nodes((share * self.damper)[:, None, None] * free, geometry, len(mass))
 
     def _mobility(self, mass: Float[Array, "N G"]) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
         """Relative velocity of two free bodies for each unit of momentum between them, along the

@@ -96,6 +96,7 @@ def plane_contacts(
         acting=1.0 - geometry.time_of_impact * averaged,
         bounce=closing * laws[0],
         friction=laws[1],
+        until_impact=geometry.time_of_impact * (1.0 - averaged),
     )
 
 
