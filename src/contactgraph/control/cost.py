@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.contact_dynamics import ContactDynamics, turn_length_of
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.features import turn_length_of
 
 
 class Cost(Protocol):

@@ -19,7 +19,7 @@ from contactgraph.data import (
     with_edge_labels,
 )
 from contactgraph.model import LinearDynamics, StepModel, default_sensor
-from contactgraph.model.contact_dynamics import turn_length_of
+from contactgraph.model.features import turn_length_of
 from contactgraph.model.filter import (
     FilteredTrajectory,
     check_fit,

@@ -32,7 +32,7 @@ from contactgraph.model import (
     rollout,
     stack_state,
 )
-from contactgraph.model.contact_dynamics import turn_length_of
+from contactgraph.model.features import turn_length_of
 from contactgraph.model.filter import (
     check_fit,
     dtype_of,

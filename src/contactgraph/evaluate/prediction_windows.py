@@ -22,7 +22,7 @@ from contactgraph.model import (
     ReallocatingModel,
     StepModel,
 )
-from contactgraph.model.contact_dynamics import turn_length_of
+from contactgraph.model.features import turn_length_of
 from contactgraph.model.filter import trajectory_for
 
 TURNS_RAD = np.deg2rad(0.5)

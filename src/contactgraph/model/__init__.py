@@ -14,7 +14,6 @@ from contactgraph.model.contact_belief import correct as correct
 from contactgraph.model.contact_belief import default_sensor as default_sensor
 from contactgraph.model.contact_belief import two_type_belief as two_type_belief
 from contactgraph.model.contact_dynamics import ContactDynamics as ContactDynamics
-from contactgraph.model.contact_dynamics import turn_length_of as turn_length_of
 from contactgraph.model.edge_inference import AllEdges as AllEdges
 from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
 from contactgraph.model.edge_inference import PriorEdges as PriorEdges
@@ -22,6 +21,7 @@ from contactgraph.model.edge_inference import RecurrentEdges as RecurrentEdges
 from contactgraph.model.edge_inference import TransitionEdges as TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures as AbsoluteFeatures
 from contactgraph.model.features import InvariantFeatures as InvariantFeatures
+from contactgraph.model.features import turn_length_of as turn_length_of
 from contactgraph.model.heads import CoupledHead as CoupledHead
 from contactgraph.model.heads import PerDegreeHead as PerDegreeHead
 from contactgraph.model.interaction_cutoff import InteractionCutoff as InteractionCutoff

@@ -119,9 +119,7 @@ class BodyHead(eqx.Module):
         """Acceleration of every actuated node without contacts, m/s^2, node after node."""
         motion = self.actuation(position, velocity, node_type, nodes, step.theta, step.dt)
         free = motion.by_control @ control[: self.actuation.control_size] + motion.constant
-        return (actuated_slots(nodes, self.slots).T @ free)[:, : self.actuation.dimension].reshape(
-            -1
-        )
+        return (actuated_slots(nodes, self.slots).T @ free)[:, : self.actuation.dimension].ravel()
 
     def coasting(
         self,
@@ -142,9 +140,7 @@ class BodyHead(eqx.Module):
         left = jax.nn.relu(1.0 - dt * slowing / speed) / (1.0 + dt * damper)
         return jax.lax.stop_gradient(left)[:, None] * velocity
 
-    def _slowing(
-        self, node_type: Float[Array, "N types"]
-    ) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+    def _slowing(self, node_type: Float[Array, "N types"]) -> tuple[Array, Array]:
         """Damper, 1/s, and deceleration, m/s^2, of every node by the ground."""
         damper, deceleration = (
             jax.nn.softplus(PACE * node_type @ raw - 6.0)
@@ -152,11 +148,9 @@ class BodyHead(eqx.Module):
         )
         return damper, DECELERATION * self.speed * deceleration
 
-    def _mass_ratio(
-        self, node_type: Float[Array, "N types"], coordinates: int
-    ) -> Float[Array, "N G"]:
+    def _mass_ratio(self, node_type: Float[Array, "N types"], size: int) -> Float[Array, "N G"]:
         """The mass of every coordinate, in units of that of the body."""
-        ratio = jnp.ones((len(node_type), coordinates))
+        ratio = jnp.ones((len(node_type), size))
         if self.log_inertia is None:
             return ratio
         inertia = jnp.exp(PACE * node_type @ self.log_inertia)
@@ -277,10 +271,8 @@ class BodyHead(eqx.Module):
         distance = local.node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
         motion = step.dt * (local.velocity + driven)
         at = local.position, local.velocity, motion, distance, local.nodes
-        if self.turn_length is None or local.nodes.outlines is None:
-            geometry = plane_geometry(*at)
-        else:
-            geometry = plane_geometry(*at, local.turns, self.turn_length, self.length)
+        shape = () if self.turn_length is None else (local.turns, self.turn_length, self.length)
+        geometry = plane_geometry(*at, *shape)
         laws = self.laws(local.node_type, geometry.edge_index[0])
         closing = jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
         return plane_contacts(

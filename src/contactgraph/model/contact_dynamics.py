@@ -137,7 +137,11 @@ class ContactDynamics(eqx.Module):
         static = nodes.static if self.features.types else None  # not known without types
         known = control_displacement, nodes.anchor, static, self.features.speed, nodes.half_size
         at = position, moving, edges.edge_index, self.dt, touch
-        points = geometry(*at, *known, meeting, self._coasting(moving, nodes))
+        head, types = getattr(self.local_dynamics, "head", None), self.features.node_type
+        coasting = None
+        if isinstance(head, BodyHead):
+            coasting = head.coasting(moving, types(nodes, moving.dtype), nodes, self.dt)
+        points = geometry(*at, *known, meeting, coasting)
         edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
@@ -246,15 +250,6 @@ class ContactDynamics(eqx.Module):
         stages = self.stages(state, nodes)
         return stages.dynamics, stages.belief
 
-    def _coasting(self, velocity: Float[Array, "N G"], nodes: Nodes) -> Float[Array, "N G"]:
-        """Velocities after a step without contacts and control."""
-        head = getattr(self.local_dynamics, "head", None)
-        if not isinstance(head, BodyHead):
-            return velocity
-        return head.coasting(
-            velocity, self.features.node_type(nodes, velocity.dtype), nodes, self.dt
-        )
-
     def drive(
         self,
         position: Float[Array, "N D"],
@@ -301,8 +296,3 @@ class ContactDynamics(eqx.Module):
             raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
         local = self.stages(state, nodes).local
         return self.local_dynamics.parameters(local, self.dt, self.control_size)
-
-
-def turn_length_of(model: object) -> float | None:
-    """The unit of turns, m, of a model of bodies that turn: see `generalized_coordinates`."""
-    return model.features.turn_length if isinstance(model, ContactDynamics) else None

@@ -250,6 +250,11 @@ def with_commands(
     return jnp.concatenate([features, jnp.stack([known, known]).astype(features.dtype)], -1)
 
 
+def turn_length_of(model: object) -> float | None:
+    """The unit of turns, m, of a model of bodies that turn: see `generalized_coordinates`."""
+    return getattr(getattr(model, "features", None), "turn_length", None)
+
+
 def shaped(nodes: Nodes, features: InvariantFeatures | AbsoluteFeatures) -> Nodes:
     """The nodes with those shapes that a model of such features uses."""
     if not features.boxes:

@@ -18,7 +18,8 @@ from contactgraph.data import (
     pad_trajectories,
 )
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast_like, correct
-from contactgraph.model.contact_dynamics import ContactDynamics, turn_length_of
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.features import turn_length_of
 from contactgraph.model.local_dynamics import FreeLinearDynamics
 from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
 from contactgraph.model.rollout import control_sensitivity, with_control_displacement
