@@ -107,7 +107,7 @@ console.log(JSON.stringify({ filled, ...sceneBounds(clock.scene) }));
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
 @pytest.mark.parametrize(
     ("step", "angle"),
-    [(STATE, 3.0 + 0.35 * STATE), (STATE + 0.5, 3.0 + 0.35 * (STATE + 0.5)), (UNKNOWN, 0.0)],
+    [(0.5, 3.0 + 0.35 * 0.5), (STATE, 3.0 + 0.35 * STATE), (UNKNOWN, 0.0)],
 )
 def test_the_page_draws_polygons_turned(tee, step, angle):
     """The page's own scripts on a canvas that only notes what it fills, in metres."""
