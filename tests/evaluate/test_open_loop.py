@@ -3,14 +3,15 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run, scene_of
 
-from contactgraph.data import Dataset, InvalidInputError, Trajectory, strip_contacts
+from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import OpenLoopDetail, SensorFaults, collect, evaluate_open_loop
-from contactgraph.model import ModelConfig, gim_temp
+from contactgraph.model import ModelConfig, bodies, gim_temp
 
 PREDICTIONS = {
     "n_step": ("", "_unmeasured", "_inferred"),
@@ -43,6 +44,8 @@ JSON_KEYS = {
     ),
     *("switch_time_error_s", "switch_time_error_unmeasured_s", "switch_time_error_inferred_s"),
     "n_step_rmse_moving_by_type_m",
+    *(f"angle_rmse{beliefs}_rad" for beliefs in ("", "_unmeasured", "_inferred")),
+    "constant_velocity_angle_rmse_rad",
 }
 
 
@@ -349,3 +352,32 @@ def test_a_horizon_of_no_whole_steps_or_longer_than_every_trajectory(untrained, 
     message = r"the horizon must be a multiple of the time step, 0.05 s, up to 0.25 s"
     with pytest.raises(InvalidInputError, match=message):
         evaluate_open_loop(untrained, Dataset((random_run(2, 5, 0),)), horizon_s=horizon)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_errors_of_angles_are_those_of_bodies_that_turn(known: bool) -> None:
+    """A box spins by 2 rad/s, of which the recording says so, or 0."""
+    square = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    scene = Scene(
+        *(("box", "other"), ("box", "box"), np.zeros(2, bool), DT),
+        polygons=(square, square),
+        polygon_of=np.arange(2),
+    )
+    still = np.broadcast_to([[0.0, 0.0], [2.0, 0.0]], (9, 2, 2))
+    turn = np.zeros((9, 2, 1))
+    turn[:, 0, 0] = 2.0 * DT * np.arange(9)
+    rate = np.full_like(turn, 2.0 * known) * [[1.0], [0.0]]
+    recorded = Trajectory(
+        scene, still, 0.0 * still, np.zeros((8, 0)), orientation=turn, angular_velocity=rate
+    )
+    config = ModelConfig(2, 0, DT, width=4, node_types=("box",), turn_length=0.1)
+    model = bodies(replace(config, inertia={"box": 1.0}), key=jax.random.key(0))
+    head = model.local_dynamics.head
+    slippery = eqx.tree_at(
+        lambda each: [each.damper_raw, each.deceleration_raw], head, [jnp.full(1, -9.0)] * 2
+    )
+    model = eqx.tree_at(lambda each: each.local_dynamics.head, model, slippery)
+    found = evaluate_open_loop(model, Dataset((recorded,)), horizon_s=2 * DT).to_json()
+    expected = 0.0 if known else 2.0 * DT * np.sqrt(np.mean(np.square([1.0, 2.0])))
+    assert found["angle_rmse_rad"] == pytest.approx(expected, abs=1e-5)
+    assert found["constant_velocity_angle_rmse_rad"] == pytest.approx(expected, abs=1e-9)
