@@ -109,8 +109,8 @@ def pad_trajectories(
     contacts: bool = True,
     turn_length: float | None = None,
 ) -> TrajectoryBatch[np.ndarray]:
-    """Pad to ``steps`` (default: the longest) and ``node_capacity`` (default: the most nodes, two or
-    more, as a graph without edges is not supported).
+    """Pad to ``steps`` (default: the longest) and ``node_capacity`` (default: the most nodes, but
+    at least two, as a graph without edges is not supported).
 
     Contact labels are left out unless ``contacts``. ``turn_length`` [m]: see
     `generalized_coordinates`. Raises `InvalidInputError` where a trajectory has more nodes than the
