@@ -217,14 +217,12 @@ def _candidates(
     # Above a face the nearest point is inside of it, and the way there is its normal.
     above = inside[..., None] | (height > (1.0 - _ON_FACE) * jnp.sqrt(apart))
     on_face = jnp.any(chosen & is_side & above, axis=-1)
-    ends = [
-        jnp.sum(jnp.where(chosen[..., None], each, 0.0), axis=-2)
-        for each in jnp.broadcast_arrays(begin, end)
-    ]
-    gap, normal, on_one, on_other = _between(vertices[:, :, :, None], *ends, on_face)
+    corners = (jnp.where(chosen[..., None], each, 0.0) for each in (begin, end))
+    first, last = (jnp.sum(each, axis=-2) for each in corners)
+    gap, normal, on_one, on_other = _between(vertices[:, :, :, None], first, last, on_face)
     extended = jnp.any(vertices != vertices[:, :, :1], axis=(2, 3))
-    first = jnp.arange(vertices.shape[2]) == 0
-    counts = jnp.where(extended[..., None], extended[::-1, :, None], first)
+    counts = jnp.arange(vertices.shape[2]) == 0
+    counts = jnp.where(extended[..., None], extended[::-1, :, None], counts)
     forth = jnp.array([1.0, -1.0]).reshape(2, *(1,) * (normal.ndim - 1))
     result = (
         jnp.where(counts[..., None], gap, jnp.inf),
