@@ -15,6 +15,7 @@ from contactgraph.cli.task_types import (
     without_options,
 )
 from contactgraph.envs import (
+    AttractionTask,
     BankShotPolicy,
     BilliardsExpert,
     BilliardsTask,
@@ -24,6 +25,8 @@ from contactgraph.envs import (
     MultiPickupTask,
     PickupExpert,
     PickupTask,
+    RestPolicy,
+    SpringsTask,
     StrikingPolicy,
 )
 
@@ -54,6 +57,16 @@ def _billiards(options: TaskOptions) -> TaskFactory:
     refuse_option("billiards", "--distractors", distractors, "counts its discs by --objects")
     task = BilliardsTask if options.objects is None else partial(BilliardsTask, options.objects)
     return partial(task, passive=options.passive, fixed_seed=options.fixed_seed)
+
+
+def _relations(
+    name: str, task: type[SpringsTask] | type[AttractionTask], options: TaskOptions
+) -> TaskFactory:
+    refuse_option(name, "--grasp", options.grasp, "has no fingers to close")
+    distractors = options.distractors or None
+    refuse_option(name, "--distractors", distractors, "counts its bodies by --objects")
+    refuse_option(name, "--goal fixed", options.fixed_seed, "has no goal")
+    return task if options.objects is None else partial(task, options.objects)
 
 
 _PLANAR_TARGETS = TaskTargets(
@@ -134,6 +147,22 @@ TASKS = {
         starts=64,
         summary="a cue brings a ball to a goal that only a bank off a wall reaches",
         title="A contact graph that plays off walls",
+    ),
+    "springs": KnownTask(
+        partial(_relations, "springs", SpringsTask),
+        RestPolicy,
+        RestPolicy,
+        explorer=RestPolicy,
+        summary="bodies on springs that nothing shows; nothing is driven",
+        title="A contact graph that finds springs",
+    ),
+    "attraction": KnownTask(
+        partial(_relations, "attraction", AttractionTask),
+        RestPolicy,
+        RestPolicy,
+        explorer=RestPolicy,
+        summary="bodies of one type attract those of another within a radius; nothing is driven",
+        title="A contact graph that finds one-way attraction",
     ),
     **HIDDEN_CONTACT_TASKS,
     **ADAPTED_TASKS,

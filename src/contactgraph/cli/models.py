@@ -25,6 +25,7 @@ from contactgraph.model import (
     no_gim,
     paper_literal,
     paper_literal_no_gim,
+    relations,
     shipped_model,
     shipped_models,
 )
@@ -38,6 +39,7 @@ FILTERS = ("filter", "bodies")
 MODELS: dict[str, Preset] = {
     "filter": hidden_markov_filter,
     "bodies": bodies,
+    "relations": relations,
     "gim-temp": gim_temp,
     "gim-non-temp": gim_non_temp,
     "no-gim": no_gim,

@@ -100,6 +100,7 @@ def recipe(
     from contactgraph.model import ModelConfig
     from contactgraph.train import body_defaults, defaults_from_data
     from contactgraph.train.config import CONTACT_DISTANCE
+    from contactgraph.train.relation_loss import typical_distance
     from contactgraph.train.units import in_units, units_of
 
     defaults = defaults_from_data(dataset)
@@ -116,6 +117,12 @@ def recipe(
         units = units_of(dataset, contact_distance or given[names[0]], CONTACT_DISTANCE)
         length = units.length
 
+    if model == "relations":
+        types = (name for each in dataset for name in each.scene.node_type)
+        distance = typical_distance(dataset)
+        given = dict(zip(names, (distance, False), strict=True))
+        given["node_types"] = tuple(sorted(set(types)))
+
     def config(given: dict[str, Any], speed: float) -> ModelConfig:
         if contact_distance is not None:
             told = contact_distance * speed / length
@@ -128,7 +135,7 @@ def recipe(
             hinges=defaults.hinges,
             weight=defaults.weight,
             control_gain=defaults.control_gain,
-            edge_types=3 if edge_types is None else edge_types,
+            edge_types=(2 if model == "relations" else 3) if edge_types is None else edge_types,
             **given,
         )
 

@@ -37,3 +37,5 @@ from contactgraph.envs.pickup import pickup_success as pickup_success
 from contactgraph.envs.push_policy import PushPolicy as PushPolicy
 from contactgraph.envs.push_policy import PushStyle as PushStyle
 from contactgraph.envs.push_policy import RandomPushes as RandomPushes
+from contactgraph.envs.relation_tasks import AttractionTask as AttractionTask
+from contactgraph.envs.relation_tasks import SpringsTask as SpringsTask

@@ -33,7 +33,10 @@ from contactgraph.model.contact_belief import (
     without_change,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.edge_inference import StaticEdges
+from contactgraph.model.force_laws import RelationDynamics
 from contactgraph.model.motion_noise import Motion, MotionNoise
+from contactgraph.model.relations import motion_sums, with_evidence
 from contactgraph.model.rollout import control_sensitivity, drive, with_control_displacement
 from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 
@@ -102,14 +105,35 @@ def correct_by_motion(
     finite: the first of a trajectory has none before it, and a bad one is no evidence for either of
     its steps.
     """
-    evidence = contact_log_likelihood_ratio(
-        model, before, motion_log_odds, control, observed, nodes, noise
-    )
     arrays = (before.position, before.velocity, *observed)
     usable = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in arrays]))
-    after = cast_like(evidence.corrected, carried), evidence.motion_log_odds
     unchanged = carried, motion_log_odds
+    if isinstance(model.inference, StaticEdges):
+        known = _with_relations(model, before, control, observed, nodes, noise)
+        after = cast_like(known, carried), motion_log_odds
+    else:
+        evidence = contact_log_likelihood_ratio(
+            model, before, motion_log_odds, control, observed, nodes, noise
+        )
+        after = cast_like(evidence.corrected, carried), evidence.motion_log_odds
     return jax.tree.map(lambda new, old: jnp.where(usable, new, old), after, unchanged)
+
+
+def _with_relations(
+    model: ContactDynamics,
+    before: ModelState,
+    control: Float[Array, " U"],
+    observed: Motion,
+    nodes: Nodes,
+    noise: MotionNoise,
+) -> ContactBelief:
+    """The belief of `StaticEdges` after one more step: all edges at once."""
+    assert isinstance(model.local_dynamics, RelationDynamics)
+    local = model.cut_edges(model.encode_state(before, nodes), before.belief)
+    effects, residual = model.local_dynamics.evidence(local, model.dt, control, observed[1])
+    # Both velocities of a step are observed.
+    scale = jnp.sqrt(model.local_dynamics.noise(effects) ** 2 + 2.0 * noise.velocity**2)
+    return with_evidence(before.belief, *motion_sums(effects, residual, scale))
 
 
 def contact_log_likelihood_ratio(

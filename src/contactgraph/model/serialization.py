@@ -1,8 +1,8 @@
 """Models as plain data: weights by path, and constructor arguments by name.
 
-``{"type": "SmoothCutoff", "arguments": {"inner": 0.15, "outer": 0.25}}`` stands for
-``SmoothCutoff(inner=0.15, outer=0.25)``. Names from a file are only looked up in the tables below,
-and values are checked against the constructors' annotations before anything is called.
+``{"type": "SmoothCutoff", "arguments": {"outer": 0.25}}`` stands for ``SmoothCutoff(outer=0.25)``.
+Names from a file are only looked up in the tables below, and values are checked against the
+constructors' annotations before anything is called.
 """
 
 import dataclasses
@@ -26,6 +26,7 @@ from contactgraph.model.contact_belief import ArgmaxSample, ContactSensor, Gumbe
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import EdgeInference
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
+from contactgraph.model.force_laws import ExpectedTypes, RelationDynamics
 from contactgraph.model.heads import CoupledHead, GroundSupport, PerDegreeHead
 from contactgraph.model.local_dynamics import (
     FreeLinearDynamics,
@@ -57,9 +58,8 @@ OLD_NAMES = {
 def module_arrays(tree: Any) -> dict[str, np.ndarray]:
     """Every array of a tree (modules, optimiser states, lists, …) by its path, dtypes kept.
 
-    A path reads like ``inference.message_passing.steps.0.edge.weight``. Leaves that are no arrays
-    (activation functions, Python numbers) are left out. Raises `InvalidInputError` where a leaf
-    is a typed random key (store its `jax.random.key_data`) or two paths read the same.
+    A path reads like ``inference.message_passing.steps.0.edge.weight``. Other leaves are left out.
+    Raises `InvalidInputError` where a leaf is a typed random key or two paths read the same.
     """
     arrays: dict[str, np.ndarray] = {}
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
@@ -79,9 +79,8 @@ def module_arrays(tree: Any) -> dict[str, np.ndarray]:
 def with_arrays(tree: Tree, arrays: Mapping[str, np.ndarray], where: str) -> Tree:
     """The tree with its arrays replaced by those of `module_arrays`, also under old names.
 
-    The tree's own arrays determine shapes and dtypes, and may be shapes alone
-    (`jax.ShapeDtypeStruct`). Raises `InvalidInputError`, starting with `where`, for an array that
-    is missing, unknown, or of another shape or dtype.
+    The tree's own arrays, or `jax.ShapeDtypeStruct`, determine shapes and dtypes. Raises
+    `InvalidInputError`, starting with `where`, for an array that is missing, unknown or unfit.
     """
     left = {
         ".".join(OLD_NAMES.get(part, part) for part in name.split(".")): array
@@ -142,6 +141,7 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         CoupledHead,
         DistancePrior,
         EdgeNetwork,
+        ExpectedTypes,
         FreeLinearDynamics,
         GroundSupport,
         GumbelSample,
@@ -150,6 +150,7 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         NoCutoff,
         PerDegreeHead,
         PredictionNoise,
+        RelationDynamics,
         SmoothCutoff,
         SpringMassDamperDynamics,
         ThetaMethod,
@@ -164,8 +165,8 @@ _MAX_SIZE = 1024
 def describe(model: ContactDynamics) -> Description:
     """The model's construction, without weights, as data that JSON can represent.
 
-    Its neighbor list is left out, because it is made for a scene and changes no prediction. Raises
-    `InvalidInputError` for parts that are not of this package.
+    Its neighbor list is left out: it changes no prediction. Raises `InvalidInputError` for parts
+    that are not of this package.
     """
     if isinstance(model, ContactDynamics):
         model = dataclasses.replace(model, neighbor_list=None)
@@ -219,8 +220,7 @@ def _build(value: object, allowed: tuple[type, ...], where: str) -> Any:
     if not isinstance(name, str) or _CLASSES.get(name) not in allowed:
         raise InvalidInputError(f"{where}.type: must be {_names(allowed)}, found {_short(name)}")
     expected = _arguments(_CLASSES[name])
-    needed = _needed(_CLASSES[name])
-    if not isinstance(given, dict) or not needed <= set(given) <= set(expected):
+    if not isinstance(given, dict) or not _needed(_CLASSES[name]) <= set(given) <= set(expected):
         found = sorted(given) if isinstance(given, dict) else given
         raise InvalidInputError(
             f"{where}.arguments: must be those of {name} ({', '.join(expected) or 'none'}), "

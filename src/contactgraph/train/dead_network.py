@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import AllEdges, TransitionEdges
+from contactgraph.model.force_laws import ForceLaws
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.model.neighbor_list import edge_count
 from contactgraph.train.batch import Window
@@ -45,8 +46,9 @@ def has_dead_units(model: ContactDynamics, windows: Window) -> bool:
 
 
 def _networks(model: ContactDynamics) -> list[MessagePassing | EdgeNetwork]:
-    if isinstance(model.inference, AllEdges):
-        return model.local_dynamics.message_passing.types
+    passing = model.local_dynamics.message_passing
+    if isinstance(model.inference, AllEdges) and not isinstance(passing, ForceLaws):
+        return passing.types
     network = getattr(model.inference, "message_passing", None)
     return [] if network is None else [network]
 
