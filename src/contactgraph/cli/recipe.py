@@ -97,6 +97,7 @@ def recipe(
     rollout_from: float | None = None,
 ) -> Recipe:
     """None: by the data. Raises `InvalidInputError` where data and options do not fit."""
+    from contactgraph.data import InvalidInputError
     from contactgraph.model import ModelConfig
     from contactgraph.train import body_defaults, defaults_from_data
     from contactgraph.train.config import CONTACT_DISTANCE
@@ -118,6 +119,8 @@ def recipe(
         length = units.length
 
     if model == "relations":
+        if defaults.hinges:
+            raise InvalidInputError("--model relations: it has no hinges, but some bodies have")
         types = (name for each in dataset for name in each.scene.node_type)
         distance = typical_distance(dataset)
         given = dict(zip(names, (distance, False), strict=True))

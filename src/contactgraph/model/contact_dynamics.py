@@ -2,8 +2,7 @@
 
 One step is ``encode`` (the graph, independent of the belief), ``predict_belief`` (which edges will
 be active), ``cut_edges`` (sample them and remove the others), ``linearize`` (local dynamics given
-the active edges), and the linear step itself. `ContactDynamics.stages` composes the first four;
-training calls the same functions, but encodes all states in parallel and scans only over beliefs.
+the active edges), and the linear step itself. Training encodes all states in parallel.
 """
 
 import dataclasses
@@ -167,7 +166,10 @@ class ContactDynamics(eqx.Module):
         nodes: Nodes,
         command: Float[Array, " U"] | None,
     ) -> Float[Array, "2 E F"]:
-        """The edge features; for a filter also stillness, and commands on actuated ends."""
+        """The edge features, or strengths of relations; for a filter also stillness, commands."""
+        if isinstance(self.local_dynamics, RelationDynamics):
+            types = self.features.node_type(nodes, features.dtype)
+            return self.local_dynamics.strength(geometry.distance, geometry.edge_index, types)
         if not isinstance(self.inference, TransitionEdges):
             return features
         still = stillness(geometry)[:, None]

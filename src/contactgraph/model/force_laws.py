@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.model.local_dynamics import ThetaMethod
 from contactgraph.model.types import LinearDynamics, LocalInput, SpringMassDamper, own_component
@@ -34,17 +34,23 @@ _FIRST_DAMPING = 1e-2
 """1/s"""
 _PACE = 5.0
 """Scale of logarithms in their parameters, so that they learn as fast as networks."""
+_GRID = np.linspace(0.02, 2.0, 100)
+"""Distances in units of `length`, at which the greatest force is looked for."""
+_LEAST_PEAK = 1e-9
 _HALF = 0.5
 """Implicitness of the step: the midpoint rule."""
 
 
 class ForceLaw(eqx.Module):
-    """Acceleration along the displacement, as a share of it, by distance; a network."""
+    """Acceleration along the displacement, as a share of it, by distance; a network.
+
+    Its units are piecewise linear, because laws have corners, such as the end of their range.
+    """
 
     network: eqx.nn.MLP
 
     def __init__(self, width: int, *, key: PRNGKeyArray):
-        network = eqx.nn.MLP(2, "scalar", width, 2, jax.nn.tanh, key=key)
+        network = eqx.nn.MLP(2, "scalar", width, 2, jax.nn.relu, key=key)
         last = network.layers[-1]
         scaled = _SOFT * last.weight
         self.network = eqx.tree_at(lambda each: each.layers[-1].weight, network, scaled)
@@ -126,8 +132,36 @@ class RelationDynamics(eqx.Module):
         kind, share = local.node_type, self.message_passing.share
         of_first = jnp.einsum("ars,er,es->ea", share, kind[first], kind[second])
         of_second = jnp.einsum("ars,er,es->ea", share, kind[second], kind[first])
-        toward = jnp.stack(laws, -1)[..., None] * displacement[:, None, :]
+        nodes = local.nodes
+        exists = nodes.candidate & nodes.mask[first] & nodes.mask[second]
+        law = jnp.where(exists[:, None], jnp.stack(laws, -1), 0.0)
+        toward = law[..., None] * displacement[:, None, :]
         return jnp.stack([of_first[..., None] * toward, -of_second[..., None] * toward])
+
+    def strength(
+        self, distance: Float[Array, " E"], edge_index: Int[Array, "2 E"], node_type: Array
+    ) -> Float[Array, "2 E active"]:
+        """Greatest acceleration of both ends at this distance or farther, by each type.
+
+        It is a share of the greatest at any distance: 0 beyond the range of a relation.
+        """
+        first, second = node_type[edge_index]
+        share = jnp.abs(self.message_passing.share)
+        shares = [
+            jnp.einsum("ars,er,es->ea", share, one, other)
+            for one, other in ((first, second), (second, first))
+        ]
+        grid, distance = jnp.asarray(_GRID, distance.dtype), distance / self.length
+
+        def size(law: ForceLaw) -> tuple[Array, Array]:
+            on_grid = jnp.abs(jax.vmap(law)(grid) * grid)
+            here = jnp.abs(jax.vmap(law)(distance) * distance)
+            beyond = jnp.max(jnp.where(grid >= distance[:, None], on_grid, 0.0), axis=-1)
+            return jnp.maximum(here, beyond), jnp.max(on_grid)
+
+        sizes, peaks = zip(*map(size, self.message_passing.types), strict=True)
+        peak = jnp.maximum(jnp.stack(peaks) * jnp.max(share, axis=(1, 2)), _LEAST_PEAK)
+        return jnp.stack(shares) * jnp.stack(sizes, -1) / peak
 
     def parameters(self, local: LocalInput, dt: float, control_size: int) -> SpringMassDamper:
         """The parameters of every node at one step of `dt` [s], each [N, D]."""

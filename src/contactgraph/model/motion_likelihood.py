@@ -109,7 +109,7 @@ def correct_by_motion(
     usable = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in arrays]))
     unchanged = carried, motion_log_odds
     if isinstance(model.inference, StaticEdges):
-        known = _with_relations(model, before, control, observed, nodes, noise)
+        known = _with_relations(model, carried, before, control, observed, nodes, noise)
         after = cast_like(known, carried), motion_log_odds
     else:
         evidence = contact_log_likelihood_ratio(
@@ -121,6 +121,7 @@ def correct_by_motion(
 
 def _with_relations(
     model: ContactDynamics,
+    carried: ContactBelief,
     before: ModelState,
     control: Float[Array, " U"],
     observed: Motion,
@@ -133,7 +134,7 @@ def _with_relations(
     effects, residual = model.local_dynamics.evidence(local, model.dt, control, observed[1])
     # Both velocities of a step are observed.
     scale = jnp.sqrt(model.local_dynamics.noise(effects) ** 2 + 2.0 * noise.velocity**2)
-    return with_evidence(before.belief, *motion_sums(effects, residual, scale))
+    return with_evidence(carried, *motion_sums(effects, residual, scale))
 
 
 def contact_log_likelihood_ratio(

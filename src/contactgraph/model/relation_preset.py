@@ -16,10 +16,13 @@ _EVERYWHERE = 1e9
 def relations(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     """Force laws along all pairs that last for a trajectory: see `RelationDynamics`.
 
-    ``config.contact_distance`` [m] is the unit of distances, about that of the bodies.
+    ``config.contact_distance`` [m] is the unit of distances, about that of the bodies. Hinges,
+    planes and impacts do not act in it.
     """
     types = config.node_types or ("object", "actuated")
-    features = InvariantFeatures(config.contact_distance, learned=False, types=types)
+    features = InvariantFeatures(
+        config.contact_distance, hinges=config.hinges, learned=False, types=types
+    )
     return ContactDynamics(
         inference=StaticEdges(len(types), config.edge_types),
         local_dynamics=RelationDynamics(

@@ -12,8 +12,11 @@ and the evidence of all steps is two sums, :math:`G = \sum \Phi^\top \Phi / \sig
 
 Their factors are found by mean field, one edge at a time given the beliefs about all others, from
 the least-squares solution on. A belief carries the sums (`ContactBelief.memory`), so that nothing
-that was seen is forgotten and no decision of an early step binds a later one.
+that was seen is forgotten and no decision of an early step binds a later one. Its probabilities are
+those of types that act at the present distance.
 """
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,6 +27,10 @@ from jaxtyping import Array, Float, Int
 from contactgraph.model.contact_belief import ContactBelief
 
 _SWEEPS = 8
+_WEAK = 0.01
+"""Share of a relation's greatest force, below which it is out of range."""
+_ROUNDING = 1e-5
+"""Of probabilities; a greater change is a report."""
 _LEAST = 1e-6
 """Least probability of a type, so that a sensor's report can still change it."""
 
@@ -50,25 +57,34 @@ class StaticEdges(eqx.Module):
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
         edge_index: Int[Array, "2 E"],
-    ) -> Float[Array, "E K"]:
-        """The logarithm of every edge's prior; the types come first in ``node``."""
+    ) -> Float[Array, "E K+active"]:
+        """The logarithm of every edge's prior, and 1 for each active type that is within its range.
+
+        The types come first in ``node``; ``edge`` is `RelationDynamics.strength`.
+        """
         first, second = node[edge_index, : self.node_types]
         both = self.log_prior + jnp.swapaxes(self.log_prior, 0, 1)
-        return jax.nn.log_softmax(0.5 * jnp.einsum("ei,ej,ijk->ek", first, second, both))
+        log_prior = jax.nn.log_softmax(0.5 * jnp.einsum("ei,ej,ijk->ek", first, second, both))
+        absent = jnp.log(jnp.full_like(log_prior[:1], _LEAST).at[:, 0].set(1.0))
+        log_prior = jnp.where(weight[:, None] > 0, log_prior, absent)
+        return jnp.concatenate([log_prior, jnp.max(edge, axis=0) > _WEAK], axis=-1)
 
-    def first_belief(self, embedding: Float[Array, "E K"]) -> ContactBelief:
+    def first_belief(self, embedding: Float[Array, "E K+active"]) -> ContactBelief:
         """The belief before the first observation, with sums of 0."""
-        edges, types = embedding.shape
-        sums = jnp.zeros((edges, (types - 1) * (edges * (types - 1) + 1)), embedding.dtype)
-        unseen = jnp.zeros_like(embedding[:, :1])
-        memory = jnp.concatenate([unseen, embedding, embedding, sums], axis=-1)
-        return ContactBelief(jnp.exp(embedding), None, memory)
+        log_prior, acts = jnp.split(embedding, [self.edge_types], axis=-1)
+        edges, active = acts.shape
+        b, G = jnp.zeros_like(acts), jnp.zeros((edges, edges * active**2), acts.dtype)
+        return _Seen(log_prior, log_prior, acts, b, G).belief()
 
     def predict(
-        self, belief: ContactBelief, embedding: Float[Array, "E K"], prior: Float[Array, "E K"]
+        self,
+        belief: ContactBelief,
+        embedding: Float[Array, "E K+active"],
+        prior: Float[Array, "E K"],
     ) -> ContactBelief:
-        """The same belief: relations last."""
-        return belief
+        """The belief about the next step: relations last, and act within their range."""
+        seen = _Seen.by(belief)
+        return seen._replace(acts=embedding[:, self.edge_types :]).belief(belief.edge_id)
 
 
 def motion_sums(
@@ -101,26 +117,63 @@ def edge_posterior(
 
     q = jax.lax.scan(visit, q, jnp.tile(jnp.arange(edges), _SWEEPS))[0]
     types_of = jnp.concatenate([1.0 - jnp.sum(q, axis=-1, keepdims=True), q], axis=-1)
-    return jnp.clip(types_of, _LEAST, 1.0)
+    types_of = jnp.maximum(types_of, _LEAST)
+    return types_of / jnp.sum(types_of, axis=-1, keepdims=True)
+
+
+class _Seen(NamedTuple):
+    """What a belief of `StaticEdges` carries in its memory, after a number that others use."""
+
+    log_prior: Float[Array, "E K"]
+    """With all that was reported by sensors."""
+    log_types: Float[Array, "E K"]
+    """Posterior of the types, whether they act or not."""
+    acts: Float[Array, "E active"]
+    """1 where a type acts at the present distance, else 0."""
+    b: Float[Array, "E active"]
+    G: Float[Array, "E E*active^2"]
+
+    @classmethod
+    def by(cls, belief: ContactBelief) -> "_Seen":
+        """What has changed the belief since it was made, a sensor's report, joins the prior."""
+        assert belief.memory is not None, "a belief of this inference carries sums"
+        types = belief.edge_types
+        parts = jnp.split(
+            belief.memory, np.cumsum([1, types, types, types - 1, types - 1]), axis=-1
+        )
+        seen = cls(*parts[1:])
+        reported = [
+            jnp.log(jnp.maximum(each, _LEAST)) for each in (belief.type_probability, seen.types)
+        ]
+        told = jnp.abs(belief.type_probability - seen.types) > _ROUNDING
+        change = jnp.where(jnp.any(told, axis=-1, keepdims=True), reported[0] - reported[1], 0.0)
+        log_prior, log_types = seen.log_prior + change, seen.log_types + change
+        normal = jax.nn.log_softmax
+        return seen._replace(log_prior=normal(log_prior), log_types=normal(log_types))
+
+    @property
+    def types(self) -> Float[Array, "E K"]:
+        """Probability of the types that act."""
+        active = jnp.exp(self.log_types[:, 1:]) * self.acts
+        return jnp.concatenate([1.0 - jnp.sum(active, axis=-1, keepdims=True), active], axis=-1)
+
+    def belief(self, edge_id: Int[Array, " E"] | None = None) -> ContactBelief:
+        """The belief that carries this."""
+        unseen = jnp.zeros_like(self.b[:, :1])
+        return ContactBelief(self.types, edge_id, jnp.concatenate([unseen, *self], axis=-1))
 
 
 def with_evidence(
     belief: ContactBelief, G: Float[Array, "Z Z"], b: Float[Array, " Z"]
 ) -> ContactBelief:
-    """The belief after further steps, of which G and b are the sums.
+    """The belief after further steps, of which G and b are the sums."""
+    seen = _Seen.by(belief)
+    b, G = seen.b.ravel() + b, seen.G.reshape(G.shape) + G
+    after = jnp.log(edge_posterior(seen.log_prior, G, b))
+    sums = {"b": b.reshape(seen.b.shape), "G": G.reshape(seen.G.shape)}
+    return seen._replace(log_types=after, **sums).belief(belief.edge_id)
 
-    What has changed the types since the last steps, such as a sensor's report, joins the prior.
-    """
-    assert belief.memory is not None, "a belief of this inference carries sums"
-    edges, types = belief.type_probability.shape
-    active = types - 1
-    unseen, prior, last, old_b, old_G = jnp.split(
-        belief.memory, np.cumsum([1, types, types, active]), axis=-1
-    )
-    now = jnp.log(jnp.maximum(belief.type_probability, _LEAST))
-    prior = jax.nn.log_softmax(prior + now - last)
-    b = old_b.ravel() + b
-    G = old_G.reshape(edges * active, edges * active) + G
-    after = edge_posterior(prior, G, b)
-    kept = [unseen, prior, jnp.log(after), b.reshape(edges, active), G.reshape(edges, -1)]
-    return ContactBelief(after, belief.edge_id, jnp.concatenate(kept, axis=-1))
+
+def lasting_types(belief: ContactBelief) -> Float[Array, "E K"]:
+    """Probability of the types of edges, also of those out of their range at present."""
+    return jnp.exp(_Seen.by(belief).log_types)

@@ -15,7 +15,7 @@ from contactgraph.data.dataset import Dataset
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.force_laws import RelationDynamics
-from contactgraph.model.relations import StaticEdges, motion_sums, with_evidence
+from contactgraph.model.relations import StaticEdges, lasting_types, motion_sums, with_evidence
 from contactgraph.model.types import EncodedGraph
 from contactgraph.train.batch import Window
 from contactgraph.train.judged_steps import without_gradient
@@ -41,7 +41,7 @@ def relation_loss(
     """`LossTerms.likelihood` alone; ``trajectories`` are whole ones, real in the masked steps."""
     graph, effects, residual = _evidence(model, trajectories, step_mask)
     known = jax.lax.stop_gradient((graph, effects, residual))
-    belief = _posterior(without_gradient(model), *known).type_probability
+    belief = jax.vmap(lasting_types)(_posterior(without_gradient(model), *known))
     active = model.inference.edge_types - 1
     p = belief[:, :, 1:]
     moved = effects.reshape(*effects.shape[:-1], -1, active)
@@ -53,7 +53,8 @@ def relation_loss(
     noise = local.noise(jax.lax.stop_gradient(effects))[..., None]
     score = 0.5 * error / noise**2 + jnp.log(noise)
     real = (step_mask[:, :, None] & trajectories.learned[:, None])[..., None]
-    surprise = -jnp.sum(belief * graph.embedding[:, 0], axis=-1)
+    log_prior = graph.embedding[:, 0, :, : active + 1]
+    surprise = -jnp.sum(belief * log_prior, axis=-1)
     zero = jnp.zeros(())
     return LossTerms(
         prediction=zero,
@@ -83,8 +84,8 @@ def _evidence(
     assert isinstance(local, RelationDynamics)
 
     def of_step(graph: EncodedGraph, control: Array, after: Array) -> tuple[Array, Array]:
-        unknown = ContactBelief(jnp.exp(graph.embedding))
-        return local.evidence(model.cut_edges(graph, unknown), model.dt, control, after)
+        free = model.cut_edges(graph, ContactBelief(graph.prior))
+        return local.evidence(free, model.dt, control, after)
 
     effects, residual = steps.each(of_step, graph, windows.control, windows.velocity[:, 1:])
     real = step_mask[:, :, None, None]
