@@ -32,6 +32,8 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "door",
         "billiards",
         "blocked-shot",
+        "springs",
+        "attraction",
         "suction",
         "release",
         "delay",

@@ -76,8 +76,8 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a --out b --resume yes", "train does not take yes (see"),
         (
             "collect juggling --out a.h5",
-            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, suction, "
-            "release, delay, sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, "
+            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, springs, "
+            "attraction, suction, release, delay, sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, "
             "franka, module:Class; found 'jugg",
         ),
         ("collect pickup --out a.h5 --episodes 0", "--episodes must be 1 to 100000, found 0"),
@@ -155,8 +155,8 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("control nobody pickup", "nobody: no such run folder or model file; models that ship are"),
         (
             "control nobody juggling",
-            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, suction, "
-            "release, delay, sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, "
+            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, springs, "
+            "attraction, suction, release, delay, sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, "
             "franka, module:Class; found 'jugg",
         ),
         ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),
