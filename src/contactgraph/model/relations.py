@@ -1,4 +1,4 @@
-r"""Which relations hold, when they never change: all that a trajectory shows, by Bayes' rule.
+r"""Inference of relations that never change: all that a trajectory shows, by Bayes' rule.
 
 Relations couple bodies, so the motion of a step speaks about all edges of a body at once. But the
 velocity that it leads to is linear in the edge types z, one-hot:
