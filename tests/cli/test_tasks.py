@@ -32,6 +32,11 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "door",
         "billiards",
         "blocked-shot",
+        "toss",
+        "dominoes",
+        "stack",
+        "chain",
+        "unknown-mass",
         "springs",
         "attraction",
         "suction",
@@ -111,8 +116,22 @@ def test_collect_without_a_cue(tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert "--passive: nothing is driven" in capsys.readouterr().err
 
 
-def test_only_billiards_is_passive() -> None:
-    message = r"^--passive: only billiards moves without a control, found door"
+def test_what_always_moves_by_itself_needs_no_option(tmp_path: Path) -> None:
+    command = ["collect", "stack", "--episodes", "2", "--out"]
+    assert cli.run([*command, str(tmp_path / "one.h5"), "--passive"]) == 0
+    assert cli.run([*command, str(tmp_path / "other.h5")]) == 0
+    one, other = (read_trajectories(tmp_path / name) for name in ("one.h5", "other.h5"))
+    for each, same in zip(one, other, strict=True):
+        assert each.control.shape == (100, 0) and each.orientation is not None
+        assert each.scene.polygons is not None and each.angular_velocity is not None
+        assert (each.position == same.position).all()
+    first, second = one
+    assert (first.position[0] != second.position[0]).any()
+
+
+def test_what_can_be_passive() -> None:
+    names = "billiards, toss, dominoes, stack"
+    message = f"^--passive: only {names} move without a control, found door"
     with pytest.raises(InvalidInputError, match=message):
         task_factory("door", TaskOptions(passive=True))
     with pytest.raises(InvalidInputError, match=r"^--distractors: billiards counts its discs"):

@@ -76,9 +76,10 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a --out b --resume yes", "train does not take yes (see"),
         (
             "collect juggling --out a.h5",
-            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, springs, "
-            "attraction, suction, release, delay, sticky, bonds, pusht, fetch-push, fetch-slide, "
-            "fetch-pick-and-place, franka, module:Class; found 'jugg",
+            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, toss, "
+            "dominoes, stack, chain, unknown-mass, springs, attraction, suction, release, delay, "
+            "sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, franka, "
+            "module:Class; found 'jugg",
         ),
         ("collect pickup --out a.h5 --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("collect pickup --out a.h5 --episodes -3", "--episodes must be 1 to 100000, found -3"),
@@ -155,9 +156,10 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("control nobody pickup", "nobody: no such run folder or model file; models that ship are"),
         (
             "control nobody juggling",
-            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, springs, "
-            "attraction, suction, release, delay, sticky, bonds, pusht, fetch-push, fetch-slide, "
-            "fetch-pick-and-place, franka, module:Class; found 'jugg",
+            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, toss, "
+            "dominoes, stack, chain, unknown-mass, springs, attraction, suction, release, delay, "
+            "sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, franka, "
+            "module:Class; found 'jugg",
         ),
         ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("control nobody pickup --horizon 0", "--horizon must be 1 to 1000, found 0"),
@@ -275,15 +277,16 @@ def test_resuming_without_a_checkpoint(
     assert said == f"{run}/config.json: steps must be a number, found 'many'"
 
 
-def test_mujoco_missing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("task", ["franka", "toss"])
+def test_mujoco_missing(task: str, tmp_path: Path) -> None:
     main = "import sys; from contactgraph.cli.main import main; sys.modules['mujoco'] = None; "
     finished = subprocess.run(
-        [sys.executable, "-c", main + "main(sys.argv[1:])", "collect", "franka", "--out", "a.h5"],
+        [sys.executable, "-c", main + "main(sys.argv[1:])", "collect", task, "--out", "a.h5"],
         cwd=tmp_path,
         capture_output=True,
         text=True,
     )
-    said = "contactgraph: franka needs MuJoCo: pip install 'contactgraph[mujoco]'\n"
+    said = "contactgraph: MuJoCo is not installed: pip install 'contactgraph[mujoco]'\n"
     assert (finished.returncode, finished.stdout, finished.stderr) == (2, "", said)
     assert not any(tmp_path.iterdir())
 

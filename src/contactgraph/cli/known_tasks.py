@@ -20,15 +20,22 @@ from contactgraph.envs import (
     BilliardsExpert,
     BilliardsTask,
     BlockedShotTask,
+    ChainTask,
+    DominoesTask,
     DoorExpert,
     DoorTask,
+    ForcedPush,
     MultiPickupTask,
     PickupExpert,
     PickupTask,
     RestPolicy,
     SpringsTask,
+    StackTask,
     StrikingPolicy,
+    TossTask,
+    UnknownMassTask,
 )
+from contactgraph.envs.shaped_tasks import VerticalTask
 
 
 def _pickup(options: TaskOptions) -> TaskFactory:
@@ -67,6 +74,26 @@ def _relations(
     refuse_option(name, "--distractors", distractors, "counts its bodies by --objects")
     refuse_option(name, "--goal fixed", options.fixed_seed, "has no goal")
     return task if options.objects is None else partial(task, options.objects)
+
+
+def _unknown_mass(options: TaskOptions) -> TaskFactory:
+    refuse_option("unknown-mass", "--grasp", options.grasp, "has no fingers to close")
+    refuse_option("unknown-mass", "--objects", options.objects, "has 1 target")
+    return partial(UnknownMassTask, options.distractors, fixed_seed=options.fixed_seed)
+
+
+def _passive(task: type[VerticalTask], summary: str) -> KnownTask:
+    """A task in which nothing is driven."""
+    factory = partial(without_options, task.name, task, "takes no options")
+    return KnownTask(
+        factory,
+        RestPolicy,
+        RestPolicy,
+        explorer=RestPolicy,
+        passive=True,
+        max_force=None,
+        summary=summary,
+    )
 
 
 _PLANAR_TARGETS = TaskTargets(
@@ -125,6 +152,7 @@ TASKS = {
         StrikingPolicy,
         horizon=60,
         starts=64,
+        passive=True,
         summary="a cue strikes a disc to a goal, on a table with walls, pillars and other discs",
         title="A contact graph that plays billiards",
         conditions=(
@@ -147,6 +175,31 @@ TASKS = {
         starts=64,
         summary="a cue brings a ball to a goal that only a bank off a wall reaches",
         title="A contact graph that plays off walls",
+    ),
+    "toss": _passive(TossTask, "a box is tossed onto the floor (MuJoCo)"),
+    "dominoes": _passive(DominoesTask, "a row of ten dominoes falls, as far as it does (MuJoCo)"),
+    "stack": _passive(StackTask, "three boxes stand on one another (MuJoCo)"),
+    "chain": KnownTask(
+        partial(without_options, "chain", ChainTask, "takes no options"),
+        PickupExpert,
+        partial(PickupExpert, noise=0.0),
+        summary="a gripper drags two links, joined by a hinge, to a goal",
+        title="A contact graph that drags a chain",
+    ),
+    "unknown-mass": KnownTask(
+        _unknown_mass,
+        ForcedPush,
+        partial(ForcedPush, noise=0.0, variety=0.0),
+        partial(ForcedPush, noise=0.0, variety=0.0),
+        partial(ForcedPush, random=True),
+        horizon=30,
+        starts=64,
+        summary="a pusher moves a block of unknown mass to a goal",
+        title="A contact graph that pushes blocks of unknown mass",
+        conditions=(
+            TestCondition("as-trained", "as trained", True),
+            TestCondition("3-distractors", "3 distractors", False, distractors=3),
+        ),
     ),
     "springs": KnownTask(
         partial(_relations, "springs", SpringsTask),

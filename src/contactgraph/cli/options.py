@@ -44,8 +44,8 @@ TaskArgument = Positional[
 Distractors = Annotated[
     int,
     arg(
-        help="Further bodies: pickups, suction, release, delay and sticky 0 to 20, door 0 to 10, "
-        "franka 0 to 5."
+        help="Further bodies: pickups, suction, release, delay, sticky and unknown-mass 0 to 20, "
+        "door 0 to 10, franka 0 to 5."
     ),
 ]
 Objects = Annotated[
@@ -78,7 +78,10 @@ Grasp = Annotated[
 ]
 Passive = Annotated[
     bool,
-    arg(help="Billiards without the cue: nothing is driven, and the discs start with velocities."),
+    arg(
+        help="Nothing is driven: billiards without the cue, whose discs start with velocities; "
+        "toss, dominoes and stack are always so."
+    ),
 ]
 FalseAlarms = Annotated[
     float,

@@ -117,6 +117,8 @@ class KnownTask:
     none."""
     max_force: float | None = MAX_FORCE
     """Bound of the control on each axis, N."""
+    passive: bool = False
+    """Whether it moves without a control, or can."""
     summary: str = ""
     """One line for the list of tasks."""
     title: str = "A contact graph learned from recorded trajectories"

@@ -89,9 +89,9 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
     if options.radius is not None and name != "pickup" and ":" not in name:
         known_task(name)
         raise InvalidInputError(f"--radius: only pickup has bodies of another size, found {name}")
-    if options.passive and name != "billiards" and ":" not in name:
-        known_task(name)
-        raise InvalidInputError(f"--passive: only billiards moves without a control, found {name}")
+    if options.passive and ":" not in name and not known_task(name).passive:
+        names = ", ".join(each for each, task in TASKS.items() if task.passive)
+        raise InvalidInputError(f"--passive: only {names} move without a control, found {name}")
     if options.hidden_switch and name != "suction" and ":" not in name:
         known_task(name)
         raise InvalidInputError(f"--hidden-switch: only suction has a switch, found {name}")

@@ -9,6 +9,7 @@ from contactgraph.envs.blocked_shot import BlockedShotTask as BlockedShotTask
 from contactgraph.envs.carry_expert import CarryExpert as CarryExpert
 from contactgraph.envs.carry_expert import StickyExpert as StickyExpert
 from contactgraph.envs.carry_expert import SuctionExpert as SuctionExpert
+from contactgraph.envs.chain import ChainTask as ChainTask
 from contactgraph.envs.check_task import check_task as check_task
 from contactgraph.envs.contract import ChainCost as ChainCost
 from contactgraph.envs.contract import Observation as Observation
@@ -39,3 +40,9 @@ from contactgraph.envs.push_policy import PushStyle as PushStyle
 from contactgraph.envs.push_policy import RandomPushes as RandomPushes
 from contactgraph.envs.relation_tasks import AttractionTask as AttractionTask
 from contactgraph.envs.relation_tasks import SpringsTask as SpringsTask
+from contactgraph.envs.shaped_tasks import DominoesTask as DominoesTask
+from contactgraph.envs.shaped_tasks import StackTask as StackTask
+from contactgraph.envs.shaped_tasks import TossTask as TossTask
+from contactgraph.envs.shaped_tasks import fallen as fallen
+from contactgraph.envs.unknown_mass import ForcedPush as ForcedPush
+from contactgraph.envs.unknown_mass import UnknownMassTask as UnknownMassTask

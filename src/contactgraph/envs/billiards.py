@@ -1,13 +1,11 @@
 """The billiards task: discs on a table with walls and pillars, which a driven cue strikes."""
 
 from dataclasses import dataclass
-from typing import Any
 
-import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.gripper_task import DT, GripperTask, fixed_layout, fixed_metadata
 from contactgraph.envs.planar_body import PlanarBody
 from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
@@ -149,9 +147,8 @@ class BilliardsTask(GripperTask):
             raise InvalidInputError(f"restitution must be 0 to 1, found {restitution}")
         driven = not passive
         steps = MAX_STEPS if driven else PASSIVE_STEPS
-        super().__init__(driven + objects + PILLARS, steps, float(TABLE.max()))
-        if passive:
-            self.action_space = gymnasium.spaces.Box(0.0, 0.0, (0,), np.float64)
+        count = driven + objects + PILLARS
+        super().__init__(count, steps, float(TABLE.max()), passive=passive)
         self._types = (
             *["cue"] * driven,
             *(_type_of(index) for index in range(objects)),
@@ -229,14 +226,6 @@ class BilliardsTask(GripperTask):
             },
         )
         return scene, PlanarWorld(bodies, DT, walls=np.array([-TABLE, TABLE]))
-
-    def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Advances by a time step under the force ``action`` ``[2]`` N on the cue, or ``[0]``."""
-        if not self._passive:
-            return super().step(action)
-        world = self.running()
-        world.step(np.zeros_like(world.position))
-        return self.stepped({})
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the target is within 0.1 m of the goal."""

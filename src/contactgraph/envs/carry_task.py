@@ -1,7 +1,6 @@
 """The base of tasks in which a gripper carries bodies and geometry does not tell its holds."""
 
 from abc import abstractmethod
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -91,20 +90,9 @@ class CarryTask(GripperTask):
         scene = disc_scene(layout, names, metadata)
         return scene, _world(layout, self._substeps, rule)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Samples a scene; everything starts at rest."""
-        observation, info = super().reset(seed=seed, options=options)
-        return {**observation, "holding": self.carrying().holding.astype(np.int8)}, info
-
-    def stepped(
-        self, info: dict[str, Any]
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """The return value of `step` once the world has advanced; ``info`` is added to it."""
-        observation, reward, terminated, truncated, info = super().stepped(info)
-        holding = self.carrying().holding.astype(np.int8)
-        return {**observation, "holding": holding}, reward, terminated, truncated, info
+    def observed(self) -> Observation:
+        """The observation of the present state, with what is held."""
+        return {**super().observed(), "holding": self.carrying().holding.astype(np.int8)}
 
     def carrying(self) -> PlanarWorld:
         """The current episode's world."""

@@ -44,7 +44,8 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     The control ``[D]`` N is a force on the gripper, at most ``max_force`` N on each axis. The
     reward is the negative distance, m, from the last node of the cost's chain to the goal. An
     episode always runs for ``max_steps`` steps. ``extent`` m bounds the start positions and the
-    goal on each axis; ``mass`` kg is the gripper's.
+    goal on each axis; ``mass`` kg is the gripper's. ``passive``: nothing is driven, and the control
+    is empty.
 
     A subclass defines the start of an episode, its success, and its cost.
     """
@@ -61,9 +62,11 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         dt: float = DT,
         max_force: float = MAX_FORCE,
         mass: float = MASS,
+        passive: bool = False,
     ) -> None:
         self.max_steps = max_steps
-        bounds = gymnasium.spaces.Box(-max_force, max_force, (dimension,), np.float64)
+        size = 0 if passive else dimension
+        bounds = gymnasium.spaces.Box(-max_force, max_force, (size,), np.float64)
         self.action_space = bounds
         # The largest distance and speed that the largest force gives a body in one episode.
         speed = max_force / mass * max_steps * dt
@@ -75,7 +78,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
 
     @abstractmethod
     def begin(self, seed: int) -> tuple[Scene, World]:
-        """Samples the scene of a seed, with everything at rest."""
+        """Samples the scene of a seed; where something is driven, with everything at rest."""
 
     @abstractmethod
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
@@ -102,18 +105,30 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Samples a scene; everything starts at rest."""
+        """Samples a scene."""
         super().reset(seed=seed)
         # Every episode has a seed, also if none is given.
         scene_seed = int(self.np_random.integers(2**31)) if seed is None else seed
         self._steps, self._episode = 0, self.begin(scene_seed)
-        return _observation(*self._episode), {}
+        return self.observed(), {}
+
+    def observed(self) -> Observation:
+        """The observation of the present state."""
+        assert self._episode is not None
+        scene, world = self._episode
+        return {
+            "position": world.position,
+            "velocity": world.velocity,
+            "contact": world.contact.astype(np.int8),
+            "goal": np.array(scene.goal),
+        }
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advances by ``scene.dt`` under the force ``action`` ``[D]`` N, clipped to its bounds."""
         force = np.zeros(self._shape)
         # A further component, such as a switch, moves nothing by itself.
-        force[GRIPPER] = self.bounded(action)[: self._shape[1]]
+        driving = self.bounded(action)[: self._shape[1]]
+        force[GRIPPER, : len(driving)] = driving
         self.running().step(force)
         return self.stepped({})
 
@@ -137,7 +152,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         """The return value of `step` once the world has advanced; ``info`` is added to it."""
         assert self._episode is not None
         self._steps += 1
-        observation = _observation(*self._episode)
+        observation = self.observed()
         last = observation["position"][self.cost_terms().chain[-1]]
         reward = -float(np.linalg.norm(last - observation["goal"]))
         over = self._steps == self.max_steps
@@ -149,15 +164,6 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
             return False
         scene, world = self._episode
         return self.solved(scene, world.position, world.contact)
-
-
-def _observation(scene: Scene, world: World) -> Observation:
-    return {
-        "position": world.position,
-        "velocity": world.velocity,
-        "contact": world.contact.astype(np.int8),
-        "goal": np.array(scene.goal),
-    }
 
 
 def _observation_space(

@@ -8,6 +8,9 @@ from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
 from contactgraph.envs.experts import CorrelatedNoise
 
+NEAR_WEIGHTS = np.array([0.03, 0.03, 0.002, 0.002])
+"""Costs in the plane of what pushes and the body, so small that it may go round the body."""
+
 _BEHIND = np.deg2rad(30.0)
 """Within this angle of the line from goal to object the hand goes straight behind it."""
 _LEVELLING = 8.0

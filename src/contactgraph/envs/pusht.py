@@ -11,7 +11,7 @@ from contactgraph.envs.adapter import AdaptedTask
 from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.environment_map import Entries, EnvironmentMap, MappedBody, MappedControl
 from contactgraph.envs.pickup import GOAL_WEIGHTS
-from contactgraph.envs.push_policy import PushPolicy, PushStyle, RandomPushes
+from contactgraph.envs.push_policy import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
 
 SCALE = 0.001
 """m per pixel: PushT names no unit of length; so its table is half a metre wide."""
@@ -19,8 +19,6 @@ TOLERANCE = 0.02
 """m. PushT's own success also demands the angle, which no cost of this package expresses yet."""
 MAX_STEPS = 150
 """Half of the environment's own limit: a push to any goal takes a quarter."""
-NEAR_WEIGHTS = np.array([0.03, 0.03, 0.002, 0.002])
-"""Of agent and block, so small that the agent may go round the block."""
 CONTROL_WEIGHT = 1e-4
 """1/m^2. The control is a place on the table, and none is better than another."""
 AGENT_RADIUS = 0.015

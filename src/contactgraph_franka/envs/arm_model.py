@@ -1,30 +1,15 @@
-"""The arm's MuJoCo model: inverse kinematics, impedance control and joint limits.
-
-No other module of this package imports MuJoCo itself.
-"""
+"""The arm's MuJoCo model: inverse kinematics, impedance control and joint limits."""
 
 import math
-import os
 import warnings
 from importlib.resources import files
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
+from contactgraph.envs.mujoco_world import mujoco as mujoco
 from contactgraph_franka.envs.pickup import APPARENT_MASS
 
-try:
-    import mujoco as mujoco
-except ModuleNotFoundError as error:
-    raise InvalidInputError("franka needs MuJoCo: pip install 'contactgraph[mujoco]'") from error
-except (AttributeError, ImportError, RuntimeError) as error:
-    # MuJoCo loads OpenGL during its import.
-    raise InvalidInputError(
-        f"MuJoCo cannot load the OpenGL of MUJOCO_GL={os.environ.get('MUJOCO_GL')}: unset it, or "
-        "name one that is there (egl, osmesa or glfw)"
-    ) from error
-
-SIMULATOR = f"mujoco {mujoco.__version__}"
 JOINTS = 7
 HOME = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 1.9, np.pi / 4])
 """rad; the posture that resolves the redundancy of the elbow."""

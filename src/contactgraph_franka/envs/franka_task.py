@@ -11,8 +11,8 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Feedback, Observation
 from contactgraph.envs.gripper_task import GRIPPER, GripperTask, fixed_layout, fixed_metadata
+from contactgraph.envs.mujoco_world import SIMULATOR
 from contactgraph_franka.envs.arm_model import (
-    SIMULATOR,
     arm_xml,
     inverse_kinematics,
     mujoco,

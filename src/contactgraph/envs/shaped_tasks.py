@@ -1,0 +1,246 @@
+"""The base of tasks whose bodies turn, and boxes under gravity: a toss, dominoes, a stack."""
+
+from abc import abstractmethod
+from dataclasses import replace
+from typing import TYPE_CHECKING, Protocol, cast
+
+import gymnasium
+import numpy as np
+
+from contactgraph.data import Scene
+from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.gripper_task import GripperTask, World
+from contactgraph.envs.pickup import CONTROL_WEIGHT, GOAL_WEIGHTS, PICK_WEIGHTS
+from contactgraph.envs.planar_body import PlanarBody
+
+if TYPE_CHECKING:
+    from contactgraph.envs.mujoco_world import VerticalWorld
+
+BOX = np.array([0.05, 0.03])
+"""Half the sides of a tossed or stacked box, m."""
+BOX_MASS = 0.5
+"""kg"""
+BOX_FRICTION = 0.4
+DT = 0.02
+"""Time between two steps of boxes, s."""
+STANDING_STILL = 0.001
+"""A stack stands if no box has moved by more, m, or turned by more, rad."""
+AT_REST = 0.01
+"""Speed, m/s, and angular velocity, rad/s, of a body at rest, at most."""
+
+_MOST_ANGLE, _MOST_RATE = 1e3, 1e3
+"""rad, rad/s: bounds of what is observed."""
+
+
+class TurningWorld(World, Protocol):
+    """Bodies in the plane that turn."""
+
+    @property
+    def angle(self) -> np.ndarray:
+        """``[N]`` rad, counter-clockwise, not wrapped."""
+
+    @property
+    def angular_velocity(self) -> np.ndarray:
+        """``[N]`` rad/s."""
+
+
+class ShapedTask(GripperTask):
+    """A task in the plane that observes orientation and angular velocity; arguments as there."""
+
+    def __init__(
+        self, count: int, max_steps: int, extent: float, dt: float, *, passive: bool = False
+    ) -> None:
+        super().__init__(count, max_steps, extent, dt=dt, passive=passive)
+        spaces = cast(gymnasium.spaces.Dict, self.observation_space).spaces
+        for name, most in (("orientation", _MOST_ANGLE), ("angular_velocity", _MOST_RATE)):
+            spaces[name] = gymnasium.spaces.Box(-most, most, (count, 1), np.float64)
+
+    def observed(self) -> Observation:
+        """The observation of the present state, with orientation and angular velocity."""
+        world = cast(TurningWorld, self.world)
+        turning = {
+            "orientation": world.angle[:, None],
+            "angular_velocity": world.angular_velocity[:, None],
+        }
+        return {**super().observed(), **turning}
+
+    def cost_terms(self) -> ChainCost:
+        """The last node to the goal, with the weights of the pickup."""
+        return ChainCost((self._shape[0] - 1,), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
+
+
+def box_outline(half_size: np.ndarray) -> np.ndarray:
+    """[4, 2] m: the corners of a box in its own frame, counter-clockwise."""
+    return np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half_size
+
+
+class VerticalTask(ShapedTask):
+    """Boxes of one type in a vertical plane above a floor, on MuJoCo; nothing is driven.
+
+    Nodes are the boxes. The axes are x to the right and y up, the floor is the plane y = 0. The
+    control is empty. Contacts are those between boxes during the step that leads to a state. The
+    goal, which nothing steers to, is where the last box starts. A subclass defines the boxes.
+    """
+
+    name: str
+    kind: str
+    """Node type of the boxes."""
+    contact_time = 1.5e-3
+    """s, of the simulator's contacts: no overlap is deeper than 1 mm."""
+
+    def __init__(self, count: int, max_steps: int, extent: float) -> None:
+        # Raises `InvalidInputError` if MuJoCo is missing.
+        import contactgraph.envs.mujoco_world  # noqa: F401
+
+        super().__init__(count, max_steps, extent, DT, passive=True)
+        self._count = count
+
+    @abstractmethod
+    def boxes(self, rng: np.random.Generator) -> tuple[list[PlanarBody], np.ndarray]:
+        """The boxes of an episode, and their angular velocities ``[N]`` rad/s."""
+
+    def begin(self, seed: int) -> "tuple[Scene, VerticalWorld]":
+        """Samples the scene of a seed."""
+        from contactgraph.envs import mujoco_world
+
+        boxes, spin = self.boxes(np.random.default_rng(seed))
+        world, count = mujoco_world.VerticalWorld(boxes, spin, DT, self.contact_time), self._count
+        scene = Scene(
+            node_name=(self.kind,)
+            if count == 1
+            else tuple(f"{self.kind}-{i}" for i in range(count)),
+            node_type=(self.kind,) * count,
+            actuated=np.zeros(count, dtype=bool),
+            dt=DT,
+            goal=boxes[-1].position,
+            gravity=mujoco_world.GRAVITY,
+            mass=np.array([box.mass for box in boxes]),
+            static=np.zeros(count, dtype=bool),
+            control_kind=(),
+            planes=np.array([[0.0, 1.0, 0.0]]),
+            polygons=tuple(box_outline(box.size) for box in boxes),
+            polygon_of=np.arange(count),
+            metadata={
+                "task": self.name,
+                "seed": seed,
+                "friction": boxes[0].friction,
+                "simulator": mujoco_world.SIMULATOR,
+                "substeps": world.substeps,
+                "contact_time": self.contact_time,
+            },
+        )
+        return scene, world
+
+
+class TossTask(VerticalTask):
+    """A box of 10 by 6 cm and 0.5 kg, tossed onto the floor; a `contactgraph.envs.Task`.
+
+    It starts 0.2 to 0.5 m high at any angle, with up to 1.5 m/s sideways, 1 m/s up or down and
+    12 rad/s. The coefficient of friction is 0.4. An episode runs for 75 steps of 0.02 s, and
+    succeeds if the box is at rest at its end.
+    """
+
+    name = "toss"
+    kind = "box"
+    contact_time = 7e-4
+
+    def __init__(self) -> None:
+        super().__init__(1, 75, 1.0)
+
+    def boxes(self, rng: np.random.Generator) -> tuple[list[PlanarBody], np.ndarray]:
+        """One box in flight."""
+        height, angle = rng.uniform([0.2, -np.pi], [0.5, np.pi])
+        velocity = rng.uniform([-1.5, -1.0], [1.5, 1.0])
+        box = _box(BOX, BOX_MASS, BOX_FRICTION, 0.0, height)
+        return [replace(box, velocity=velocity, angle=angle)], rng.uniform(-12.0, 12.0, 1)
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether the box is at rest."""
+        world = cast(TurningWorld, self.world)
+        return bool(
+            max(np.abs(world.velocity).max(), np.abs(world.angular_velocity).max()) <= AT_REST
+        )
+
+
+DOMINO = np.array([0.01, 0.05])
+"""Half the sides of a domino, m."""
+DOMINO_MASS = 0.2
+"""kg"""
+DOMINO_FRICTION = 0.3
+DOMINOES = 10
+FALLEN = np.pi / 4.0
+"""A domino that has turned by more has fallen, rad."""
+
+
+def fallen(orientation: np.ndarray) -> np.ndarray:
+    """[...] bool: which dominoes have fallen, by their ``orientation`` [..., 1] rad."""
+    return np.asarray(np.abs(orientation[..., 0]) > FALLEN)
+
+
+class DominoesTask(VerticalTask):
+    """Ten dominoes in a row, the first of them tipped over; a `contactgraph.envs.Task`.
+
+    Dominoes are 10 cm high, 2 cm thick and 0.2 kg heavy, with a coefficient of friction of 0.3.
+    The gaps between them are 2.5 to 7 cm; in two scenes of three, one gap behind the second domino
+    is 8 to 16 cm, so that the rest of the row may keep standing. The first domino starts upright,
+    turning about its lower front edge at 3 to 6 rad/s, of which 2.4 tip it over. An episode runs
+    for 100 steps of 0.02 s, and succeeds if all have fallen at its end (`fallen`).
+    """
+
+    name = "dominoes"
+    kind = "domino"
+
+    def __init__(self) -> None:
+        super().__init__(DOMINOES, 100, 1.0)
+
+    def boxes(self, rng: np.random.Generator) -> tuple[list[PlanarBody], np.ndarray]:
+        """The row, from left to right."""
+        gaps = rng.uniform(0.025, 0.07, DOMINOES - 1)
+        wide, width = int(rng.integers(1, DOMINOES - 1)), rng.uniform(0.08, 0.16)
+        if rng.random() < 2.0 / 3.0:
+            gaps[wide] = width
+        places = np.concatenate([[0.0], np.cumsum(gaps + 2.0 * DOMINO[0])])
+        row = [_box(DOMINO, DOMINO_MASS, DOMINO_FRICTION, x, DOMINO[1]) for x in places]
+        rate = rng.uniform(3.0, 6.0)
+        row[0] = replace(row[0], velocity=rate * DOMINO[::-1])
+        return row, np.concatenate([[-rate], np.zeros(DOMINOES - 1)])
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether all dominoes have fallen."""
+        return bool(fallen(self.observed()["orientation"]).all())
+
+
+class StackTask(VerticalTask):
+    """Three boxes of 10 by 6 cm and 0.5 kg, at rest on one another; a `contactgraph.envs.Task`.
+
+    Each stands up to 2 cm beside the middle of the stack. The coefficient of friction is 0.4. An
+    episode runs for 100 steps of 0.02 s, and succeeds if no box has moved by 1 mm or 1 mrad.
+    """
+
+    name = "stack"
+    kind = "box"
+
+    def __init__(self) -> None:
+        super().__init__(3, 100, 1.0)
+
+    def boxes(self, rng: np.random.Generator) -> tuple[list[PlanarBody], np.ndarray]:
+        """The stack, from below."""
+        places = rng.uniform(-0.02, 0.02, 3)
+        heights = BOX[1] * (1.0 + 2.0 * np.arange(3))
+        stack = [
+            _box(BOX, BOX_MASS, BOX_FRICTION, x, y) for x, y in zip(places, heights, strict=True)
+        ]
+        return stack, np.zeros(3)
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether the boxes are where they were."""
+        start = self.boxes(np.random.default_rng(int(scene.metadata["seed"])))[0]
+        moved = np.linalg.norm(position - [box.position for box in start], axis=-1)
+        turned = np.abs(self.observed()["orientation"])
+        return bool(max(moved.max(), turned.max()) <= STANDING_STILL)
+
+
+def _box(half_size: np.ndarray, mass: float, friction: float, x: float, y: float) -> PlanarBody:
+    """An upright box at rest."""
+    place = np.array([x, y])
+    return PlanarBody(place, mass, half_size=half_size, rotates=True, friction=friction)

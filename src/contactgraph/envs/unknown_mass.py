@@ -1,0 +1,154 @@
+"""The task ``unknown-mass``: blocks that look alike and weigh differently are pushed to a goal."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.experts import CorrelatedNoise
+from contactgraph.envs.gripper_task import (
+    DT,
+    GRIPPER,
+    MASS,
+    MAX_FORCE,
+    GripperTask,
+    fixed_layout,
+    fixed_metadata,
+)
+from contactgraph.envs.pickup import (
+    CONTROL_WEIGHT,
+    GOAL_WEIGHTS,
+    MAX_DISTRACTORS,
+    MAX_STEPS,
+    TARGET,
+    check_counts,
+    disc_scene,
+)
+from contactgraph.envs.pickup_layout import HALF_WIDTH, RADIUS, sample_layout
+from contactgraph.envs.planar_body import PlanarBody
+from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
+from contactgraph.envs.push_policy import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
+
+MASSES = (0.5, 2.0)
+"""Of the lightest and the heaviest block, kg."""
+FRICTION = 0.3
+"""Coulomb's coefficient between two bodies."""
+GROUND_FRICTION = 0.1
+"""Coulomb's coefficient between a block and the table: a deceleration of 0.98 m/s^2."""
+GOAL_RADIUS = 0.02
+"""The target must end within this distance of the goal, m."""
+
+
+class UnknownMassTask(GripperTask):
+    """A pusher moves a block of unknown mass to a goal; a `contactgraph.envs.Task`.
+
+    Nodes are the pusher (0), the target (1) and ``distractors`` further blocks. All are discs of
+    radius 0.04 m that do not rotate. The pusher has 1 kg, and the control ``[2]`` N is a force on
+    it. A block has 0.5 to 2 kg, drawn for each block of each episode, evenly in their logarithm;
+    `Scene.mass` tells it, and nothing that is observed does. Blocks slide on a table with a
+    coefficient of 0.1, so that all of them slow down alike; between two bodies it is 0.3, and
+    impacts do not bounce. An episode runs for 200 steps, and succeeds if the target is within 2 cm
+    of the goal at its end.
+
+    ``fixed_seed`` is the seed of a scene whose target and goal every episode shares. Raises
+    `InvalidInputError` where ``distractors`` is not in 0 to 20.
+    """
+
+    name = "unknown-mass"
+
+    def __init__(self, distractors: int = 0, fixed_seed: int | None = None) -> None:
+        check_counts(distractors, 1)
+        super().__init__(2 + distractors, MAX_STEPS, HALF_WIDTH)
+        self._distractors, self._fixed_seed = distractors, fixed_seed
+        self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, 1, MAX_DISTRACTORS))
+
+    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
+        """Samples the scene of a seed, with everything at rest."""
+        layout = sample_layout(np.random.default_rng(seed), 1, self._distractors, self._fixed)
+        # A stream of its own: the draws of the layout depend on the number of distractors.
+        low, high = np.log(MASSES)
+        drawn = np.random.default_rng([seed, 1]).uniform(low, high, 1 + self._distractors)
+        mass = np.concatenate([[MASS], np.exp(drawn)])
+        metadata: dict[str, str | int | float | bool] = {
+            "task": self.name,
+            "seed": seed,
+            "distractors": self._distractors,
+            "friction": FRICTION,
+            "ground_friction": GROUND_FRICTION,
+            "goal_radius": GOAL_RADIUS,
+            "simulator": SIMULATOR,
+            "substeps": 10,
+            **fixed_metadata(self._fixed_seed),
+        }
+        scene = disc_scene(layout, ("target",), metadata)
+        scene = replace(
+            scene,
+            node_name=("pusher", *scene.node_name[1:]),
+            node_type=("pusher", *["block"] * (1 + self._distractors)),
+            mass=mass,
+            control_kind=("force", "force"),
+        )
+        bodies = [
+            PlanarBody(
+                place,
+                mass[node],
+                radius=RADIUS,
+                friction=FRICTION,
+                ground_friction=0.0 if node == GRIPPER else GROUND_FRICTION,
+            )
+            for node, place in enumerate(layout.position)
+        ]
+        return scene, PlanarWorld(bodies, DT)
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether the target is within 2 cm of the goal."""
+        return bool(np.linalg.norm(position[TARGET] - scene.goal) <= GOAL_RADIUS)
+
+    def cost_terms(self) -> ChainCost:
+        """The target to the goal; hardly the pusher to the target."""
+        return ChainCost((GRIPPER, TARGET), NEAR_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
+
+
+STYLE = PushStyle(clearance=0.13, speed=0.6, lead=1.0, near_enough=0.01, approach=2.0)
+"""Of all scripted pushes. With a lead of 1 s, their displacement is the wanted velocity."""
+TIME_CONSTANT = 0.06
+"""Of the pusher's approach to a wanted velocity, s."""
+MOST_RESISTANCE = 4.0
+"""Force of a pushed block that is made up for, at most, N."""
+
+
+class ForcedPush:
+    """Pushes by a force: a velocity controller under `PushPolicy`, or `RandomPushes`.
+
+    It makes up for the resistance that the last step has shown, so that a heavy block is pushed at
+    the wanted speed, too. ``variety`` is that of the pushes; ``random``: in random directions,
+    within the area of the start, for exploration. ``noise`` N is the standard deviation of a
+    force added on each axis, correlated over two steps.
+    """
+
+    def __init__(self, noise: float = 0.5, variety: float = 0.3, random: bool = False) -> None:
+        inside = replace(STYLE, reach=HALF_WIDTH * np.array([[-1.0, -1.0], [1.0, 1.0]]))
+        self._push = RandomPushes(inside) if random else PushPolicy(STYLE, variety=variety)
+        self._noise = CorrelatedNoise(noise, 2.0)
+        self._force, self._velocity = np.zeros(2), np.zeros(2)
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode; raises `InvalidInputError` where no force pushes a block."""
+        if scene.control_kind != ("force", "force") or not scene.actuated[GRIPPER]:
+            raise InvalidInputError(
+                "a push by a force needs an actuated node 0 and a control of two forces, found "
+                f"nodes {list(scene.node_name)} and {scene.control_kind}"
+            )
+        self._push.reset(replace(scene, control_kind=("displacement", "displacement")), seed)
+        self._noise.reset(scene.dimension, seed)
+        self._force, self._velocity = np.zeros(2), np.zeros(2)
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[2]`` N."""
+        velocity = observation["velocity"][GRIPPER]
+        resistance = self._force - MASS * (velocity - self._velocity) / DT
+        force = MASS * (self._push(observation) - velocity) / TIME_CONSTANT + self._noise()
+        force += np.clip(resistance, -MOST_RESISTANCE, MOST_RESISTANCE)
+        self._force, self._velocity = np.clip(force, -MAX_FORCE, MAX_FORCE), velocity
+        return self._force
