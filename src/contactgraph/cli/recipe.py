@@ -101,8 +101,7 @@ def recipe(
     from contactgraph.model import ModelConfig
     from contactgraph.train import body_defaults, defaults_from_data
     from contactgraph.train.config import CONTACT_DISTANCE
-    from contactgraph.train.relation_loss import typical_distance
-    from contactgraph.train.units import in_units, units_of
+    from contactgraph.train.units import in_units, typical_distance, units_of
 
     defaults = defaults_from_data(dataset)
     reason = "as told"

@@ -2,7 +2,8 @@
 
 One step is ``encode`` (the graph, independent of the belief), ``predict_belief`` (which edges will
 be active), ``cut_edges`` (sample them and remove the others), ``linearize`` (local dynamics given
-the active edges), and the linear step itself. Training encodes all states in parallel.
+the active edges), and the linear step itself. `ContactDynamics.stages` composes the first four;
+training calls the same functions, but encodes all states in parallel and scans only over beliefs.
 """
 
 import dataclasses
@@ -31,9 +32,8 @@ from contactgraph.model.contact_belief import (
     spread_over_types,
     without_change,
 )
-from contactgraph.model.edge_inference import EdgeInference, StaticEdges, TransitionEdges
+from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, stillness
-from contactgraph.model.force_laws import ExpectedTypes, RelationDynamics
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
 from contactgraph.model.motion_noise import PredictionNoise
 from contactgraph.model.neighbor_list import (
@@ -62,16 +62,17 @@ _CHECKPOINTED_EDGES = 500
 class ContactDynamics(eqx.Module):
     """Predicts which edges are active and how the nodes move, one step at a time.
 
-    Any object with the same methods can take a part's place: see `docs/extending.md`. Every method
-    takes one scene at one step. Raises `InvalidInputError` where numbers of edge types disagree.
+    Every part is a constructor argument, and any object with the same methods can take its place:
+    see `docs/extending.md`. Every method takes one scene at one step; `jax.vmap` makes batches.
+    Raises `InvalidInputError` where the number of edge types and of networks for them disagree.
     """
 
     inference: EdgeInference
-    local_dynamics: SpringMassDamperDynamics | FreeLinearDynamics | RelationDynamics
+    local_dynamics: SpringMassDamperDynamics | FreeLinearDynamics
     features: InvariantFeatures | AbsoluteFeatures
     prior: DistancePrior | ClosestApproachPrior
     cutoff: SmoothCutoff | NoCutoff
-    sample: ArgmaxSample | GumbelSample | ExpectedTypes
+    sample: ArgmaxSample | GumbelSample
     dt: float = eqx.field(static=True)
     """s"""
     dimension: int = eqx.field(static=True)
@@ -110,7 +111,8 @@ class ContactDynamics(eqx.Module):
     ) -> EncodedGraph:
         """Stage 1: geometry, features and edge embeddings.
 
-        ``contact_distance`` [m] is each edge's own, None: that of the features.
+        ``control_displacement`` and ``command`` are those of a `ModelState`; ``contact_distance``
+        [m] is each edge's own, None: that of the features.
         """
         nodes = nodes if self.features.boxes else nodes._replace(half_size=None)
         edges = self._edges(position, velocity, nodes, control_displacement)
@@ -166,10 +168,7 @@ class ContactDynamics(eqx.Module):
         nodes: Nodes,
         command: Float[Array, " U"] | None,
     ) -> Float[Array, "2 E F"]:
-        """The edge features, or strengths of relations; for a filter also stillness, commands."""
-        if isinstance(self.local_dynamics, RelationDynamics):
-            types = self.features.node_type(nodes, features.dtype)
-            return self.local_dynamics.strength(geometry.distance, geometry.edge_index, types)
+        """The edge features; for a filter also stillness, and commands on actuated ends."""
         if not isinstance(self.inference, TransitionEdges):
             return features
         still = stillness(geometry)[:, None]
@@ -269,9 +268,7 @@ class ContactDynamics(eqx.Module):
         return local.head.drive(position, velocity, control, types, nodes, step)
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
-        """The geometric prior, with a clock that has not run; of `StaticEdges` their own."""
-        if isinstance(self.inference, StaticEdges):
-            return self.inference.first_belief(graph.embedding)
+        """The geometric prior, with a clock that has not run."""
         size = getattr(self.inference, "carried_size", 0)
         memory = jnp.zeros((graph.prior.shape[0], size), graph.prior.dtype) if size else None
         return ContactBelief(graph.prior, graph.edge_id, memory)
@@ -293,8 +290,11 @@ class ContactDynamics(eqx.Module):
         return rollout(self, first, controls, nodes, checkpoint=large)
 
     def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
-        """Those of the next step, each [N, D]; `TypeError` where local dynamics have none."""
-        if isinstance(self.local_dynamics, FreeLinearDynamics):
+        """The spring-mass-damper parameters of the next step, each [N, D].
+
+        Raises `TypeError` where the local dynamics have no such parameters.
+        """
+        if not isinstance(self.local_dynamics, SpringMassDamperDynamics):
             raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
         local = self.stages(state, nodes).local
         return self.local_dynamics.parameters(local, self.dt, self.control_size)

@@ -14,7 +14,6 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.model.contact_belief import ContactBelief, bounded_softmax, kept_share
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
-from contactgraph.model.relations import StaticEdges
 
 _MEMORY = 8
 """Size of an edge's clock."""
@@ -287,6 +286,4 @@ def _edge_embedding(
     return jax.vmap(output)(message[0] + message[1])
 
 
-EdgeInference = (
-    TransitionEdges | RecurrentEdges | MemorylessEdges | AllEdges | PriorEdges | StaticEdges
-)
+EdgeInference = TransitionEdges | RecurrentEdges | MemorylessEdges | AllEdges | PriorEdges

@@ -4,7 +4,7 @@ import dataclasses
 
 from contactgraph.model.collision import SmoothCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import AllEdges, PriorEdges, StaticEdges
+from contactgraph.model.edge_inference import AllEdges, PriorEdges
 from contactgraph.model.heads import CoupledHead
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.message_passing import EdgeNetwork
@@ -41,7 +41,7 @@ def interaction_cutoff(model: object) -> InteractionCutoff | None:
     if not isinstance(dynamics, SpringMassDamperDynamics):
         return None
     networks = list(dynamics.message_passing.types)
-    if not isinstance(inference, AllEdges | PriorEdges | StaticEdges):
+    if not isinstance(inference, AllEdges | PriorEdges):
         networks.append(inference.message_passing)
     if not all(isinstance(network, EdgeNetwork) for network in networks):
         return None

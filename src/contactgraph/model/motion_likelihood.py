@@ -17,6 +17,7 @@ motion are remembered by the model alone.
 """
 
 import dataclasses
+from abc import abstractmethod
 
 import equinox as eqx
 import jax
@@ -24,6 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.model.contact_belief import (
     ContactBelief,
     cast_like,
@@ -33,10 +35,7 @@ from contactgraph.model.contact_belief import (
     without_change,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import StaticEdges
-from contactgraph.model.force_laws import RelationDynamics
 from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.relations import motion_sums, with_evidence
 from contactgraph.model.rollout import control_sensitivity, drive, with_control_displacement
 from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 
@@ -61,6 +60,30 @@ class MotionEvidence(eqx.Module):
     """Log-odds, at least 0, of contact by the motion of recent steps: the filter's memory."""
     corrected: ContactBelief
     """[E, K] by `log_ratio`; bit for bit as predicted where that is 0."""
+
+
+class TrajectoryModel(ContactDynamics):
+    """A model whose edges last, so that all of a trajectory tells them and is learned from."""
+
+    @abstractmethod
+    def with_motion(
+        self,
+        carried: ContactBelief,
+        before: ModelState,
+        control: Float[Array, " U"],
+        observed: Motion,
+        nodes: Nodes,
+        noise: MotionNoise,
+    ) -> ContactBelief:
+        """The belief after one more step."""
+
+    @abstractmethod
+    def trajectory_belief(self, trajectory: TrajectoryBatch[Array]) -> ContactBelief:
+        """The belief after the motion of all steps of one trajectory."""
+
+    @abstractmethod
+    def trajectory_loss(self, trajectory: TrajectoryBatch[Array]) -> Float[Array, ""]:
+        """What training minimises, of one trajectory, nat."""
 
 
 def motion_noise(
@@ -107,34 +130,15 @@ def correct_by_motion(
     """
     arrays = (before.position, before.velocity, *observed)
     usable = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in arrays]))
-    unchanged = carried, motion_log_odds
-    if isinstance(model.inference, StaticEdges):
-        known = _with_relations(model, carried, before, control, observed, nodes, noise)
-        after = cast_like(known, carried), motion_log_odds
+    given = control, observed, nodes, noise
+    if isinstance(model, TrajectoryModel):
+        corrected, odds = model.with_motion(carried, before, *given), motion_log_odds
     else:
-        evidence = contact_log_likelihood_ratio(
-            model, before, motion_log_odds, control, observed, nodes, noise
-        )
-        after = cast_like(evidence.corrected, carried), evidence.motion_log_odds
+        evidence = contact_log_likelihood_ratio(model, before, motion_log_odds, *given)
+        corrected, odds = evidence.corrected, evidence.motion_log_odds
+    after = cast_like(corrected, carried), odds
+    unchanged = carried, motion_log_odds
     return jax.tree.map(lambda new, old: jnp.where(usable, new, old), after, unchanged)
-
-
-def _with_relations(
-    model: ContactDynamics,
-    carried: ContactBelief,
-    before: ModelState,
-    control: Float[Array, " U"],
-    observed: Motion,
-    nodes: Nodes,
-    noise: MotionNoise,
-) -> ContactBelief:
-    """The belief of `StaticEdges` after one more step: all edges at once."""
-    assert isinstance(model.local_dynamics, RelationDynamics)
-    local = model.cut_edges(model.encode_state(before, nodes), before.belief)
-    effects, residual = model.local_dynamics.evidence(local, model.dt, control, observed[1])
-    # Both velocities of a step are observed.
-    scale = jnp.sqrt(model.local_dynamics.noise(effects) ** 2 + 2.0 * noise.velocity**2)
-    return with_evidence(carried, *motion_sums(effects, residual, scale))
 
 
 def contact_log_likelihood_ratio(

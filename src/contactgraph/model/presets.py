@@ -162,7 +162,6 @@ def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDy
         key=rates_key,
     )
     size, dynamics = features.edge_size(config.dimension), model.local_dynamics
-    assert isinstance(dynamics, SpringMassDamperDynamics)
     types = list(dynamics.message_passing.types)  # the first type that holds
     for index in range(1, config.edge_types - 1):
         fresh = EdgeNetwork(size, config.width or 32, key=jax.random.fold_in(key, index))
@@ -250,12 +249,10 @@ def full_ab(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     """Recurrent edges with a cutoff, as in `gim_temp`, but free matrices of absolute positions."""
     config = dataclasses.replace(config, width=config.width or 32)
     model = paper_literal(config, key=key)
-    dynamics = model.local_dynamics
-    assert isinstance(dynamics, SpringMassDamperDynamics)
     return dataclasses.replace(
         model,
         local_dynamics=FreeLinearDynamics(
-            dynamics.message_passing,
+            model.local_dynamics.message_passing,
             dimension=config.dimension,
             control_size=config.control_size,
             key=jax.random.fold_in(key, 1),

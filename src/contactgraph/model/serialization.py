@@ -1,8 +1,8 @@
 """Models as plain data: weights by path, and constructor arguments by name.
 
-``{"type": "SmoothCutoff", "arguments": {"outer": 0.25}}`` stands for ``SmoothCutoff(outer=0.25)``.
-Names from a file are only looked up in the tables below, and values are checked against the
-constructors' annotations before anything is called.
+``{"type": "SmoothCutoff", "arguments": {"inner": 0.15, "outer": 0.25}}`` stands for
+``SmoothCutoff(inner=0.15, outer=0.25)``. Names from a file are only looked up in the tables below,
+and values are checked against the constructors' annotations before anything is called.
 """
 
 import dataclasses
@@ -35,6 +35,8 @@ from contactgraph.model.local_dynamics import (
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.model.motion_noise import PredictionNoise
+from contactgraph.model.relation_model import RelationModel
+from contactgraph.model.relations import StaticEdges
 
 Tree = TypeVar("Tree")
 Description = dict[str, Any]
@@ -128,6 +130,7 @@ def _name(path: tuple[Any, ...]) -> str:
     return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
+_MODELS = ContactDynamics, RelationModel
 _CLASSES: dict[str, type[eqx.Module]] = {
     known.__name__: known
     for known in (
@@ -136,7 +139,6 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         ArgmaxSample,
         BodyHead,
         ClosestApproachPrior,
-        ContactDynamics,
         ContactSensor,
         CoupledHead,
         DistancePrior,
@@ -153,9 +155,11 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         RelationDynamics,
         SmoothCutoff,
         SpringMassDamperDynamics,
+        StaticEdges,
         ThetaMethod,
         TypedMessagePassing,
         *typing.get_args(EdgeInference),
+        *_MODELS,
     )
 }
 _MAX_SIZE = 1024
@@ -165,12 +169,12 @@ _MAX_SIZE = 1024
 def describe(model: ContactDynamics) -> Description:
     """The model's construction, without weights, as data that JSON can represent.
 
-    Its neighbor list is left out: it changes no prediction. Raises `InvalidInputError` for parts
-    that are not of this package.
+    Its neighbor list is left out, because it is made for a scene and changes no prediction. Raises
+    `InvalidInputError` for parts that are not of this package.
     """
     if isinstance(model, ContactDynamics):
         model = dataclasses.replace(model, neighbor_list=None)
-    return _describe(model, (ContactDynamics,), "model")
+    return _describe(model, _MODELS, "model")
 
 
 def build(description: object, where: str) -> ContactDynamics:
@@ -182,11 +186,7 @@ def build(description: object, where: str) -> ContactDynamics:
         description = with_current_names(description)
     except RecursionError as error:
         raise InvalidInputError(f"{where}: must not be nested this deeply") from error
-
-    def construct() -> ContactDynamics:
-        return _build(description, (ContactDynamics,), where)
-
-    return eqx.filter_eval_shape(construct)
+    return eqx.filter_eval_shape(lambda: _build(description, _MODELS, where))
 
 
 def _describe(module: object, allowed: tuple[type, ...], where: str) -> Description:

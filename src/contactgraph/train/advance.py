@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.features import InvariantFeatures
-from contactgraph.model.relations import StaticEdges
+from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.train.batch import BatchSplit, Window, WindowSource, add_distractor
 from contactgraph.train.config import TrainConfig
 from contactgraph.train.filter_loss import (
@@ -26,7 +26,6 @@ from contactgraph.train.fit_state import FitState
 from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
 from contactgraph.train.judged_steps import JudgedSteps, judge_steps, judge_trajectories
 from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
-from contactgraph.train.relation_loss import relation_loss
 
 _PERIOD, _FILTER_STEPS = 25, 100
 """Steps of the dynamics, and those of the filter that follow on newly judged trajectories in the
@@ -159,8 +158,8 @@ def advance_steps(
         return windows
 
     filtered = isinstance(state.model.inference, TransitionEdges)
-    if isinstance(state.model.inference, StaticEdges):
-        with_rollout = None  # relations are learned along whole trajectories
+    if isinstance(state.model, TrajectoryModel):
+        with_rollout = None  # It is learned along whole trajectories.
 
     def loss(
         params: ContactDynamics,
@@ -169,9 +168,11 @@ def advance_steps(
         key: PRNGKeyArray,
     ) -> tuple[Array, LossTerms]:
         model = eqx.combine(params, static)
-        if isinstance(model.inference, StaticEdges):
-            whole, real, _ = source.draw_trajectories(config.batch_size, key)
-            terms = relation_loss(model, whole, real)
+        if isinstance(model, TrajectoryModel):
+            every, real, _ = source.draw_trajectories(config.batch_size, key)
+            score = jnp.mean(jax.vmap(model.trajectory_loss)(every.trajectories(real)))
+            zero = jnp.zeros(())
+            terms = LossTerms(zero, zero, zero, zero, likelihood=score, noise=zero)
         elif judged is None:
             terms = window_loss(model, windows, key, False, devices)
         else:

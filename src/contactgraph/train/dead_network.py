@@ -8,7 +8,6 @@ from jaxtyping import Array, Float
 
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import AllEdges, TransitionEdges
-from contactgraph.model.force_laws import ForceLaws
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.model.neighbor_list import edge_count
 from contactgraph.train.batch import Window
@@ -46,9 +45,8 @@ def has_dead_units(model: ContactDynamics, windows: Window) -> bool:
 
 
 def _networks(model: ContactDynamics) -> list[MessagePassing | EdgeNetwork]:
-    passing = model.local_dynamics.message_passing
-    if isinstance(model.inference, AllEdges) and not isinstance(passing, ForceLaws):
-        return passing.types
+    if isinstance(model.inference, AllEdges):
+        return model.local_dynamics.message_passing.types
     network = getattr(model.inference, "message_passing", None)
     return [] if network is None else [network]
 

@@ -15,12 +15,11 @@ from jaxtyping import Array, Bool, Float
 from contactgraph.data.windows import moving_bodies
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.model.neighbor_list import edge_count
-from contactgraph.model.relations import StaticEdges
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.filter_loss import corrected_beliefs
 from contactgraph.train.loss import chunked_vmap, predict_window
-from contactgraph.train.relation_loss import related_beliefs
 
 _WINDOWS = 256
 
@@ -101,9 +100,12 @@ def rollout_rmse(model: ContactDynamics, held_out: HeldOutWindows) -> Float[Arra
         return jnp.sum((states.position - window.position[1:]) ** 2, axis=-1)
 
     windows, before = held_out.windows, held_out.before
-    belief = None
-    if before is not None:
-        static = isinstance(model.inference, StaticEdges)
-        belief = (related_beliefs if static else corrected_beliefs)(model, before)
+    if before is None:
+        belief = None
+    elif isinstance(model, TrajectoryModel):
+        real = jnp.ones(before.control.shape[:2], bool)
+        belief = jax.vmap(model.trajectory_belief)(before.trajectories(real))
+    else:
+        belief = corrected_beliefs(model, before)
     edges = edge_count(model.neighbor_list, windows.position.shape[-2])
     return mean_rmse(chunked_vmap(squared_error, (windows, belief), edges), held_out.counted)

@@ -13,7 +13,7 @@ from contactgraph.envs.relation_tasks import SPRING_DT, SPRING_STIFFNESS
 from contactgraph.model import ModelConfig, relations, scene_nodes
 from contactgraph.train import TrainConfig, fit, initial_state
 from contactgraph.train.batch import Window
-from contactgraph.train.relation_loss import related_beliefs, typical_distance
+from contactgraph.train.units import typical_distance
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,8 @@ def test_training_without_labels_finds_stiffness_and_springs(runs):
     assert result.held_out_rmse_m < 0.2 * result.baselines.constant_velocity_rmse_m
     windows = [_window(each) for each in bare[20:]]
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *windows)
-    believed = np.asarray(related_beliefs(result.model, batch).probability) > 0.5
+    whole = batch.trajectories(jnp.ones(batch.control.shape[:2], bool))
+    believed = np.asarray(jax.vmap(result.model.trajectory_belief)(whole).probability) > 0.5
     first, second = pair_indices(5).T
     joined = [each.contact[0][first, second] for each in runs[20:]]
     assert np.mean(believed == np.stack(joined)) >= 0.975
