@@ -130,7 +130,7 @@ def test_what_always_moves_by_itself_needs_no_option(tmp_path: Path) -> None:
 
 
 def test_what_can_be_passive() -> None:
-    names = "billiards, toss, dominoes, stack"
+    names = "billiards, toss, dominoes, stack, springs, attraction"
     message = f"^--passive: only {names} move without a control, found door"
     with pytest.raises(InvalidInputError, match=message):
         task_factory("door", TaskOptions(passive=True))
