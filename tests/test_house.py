@@ -44,8 +44,8 @@ HEAVY = {
 }
 """Libraries that are slow to import or optional: one module knows each of them."""
 
-FILES = {"contactgraph": 170, "contactgraph_franka": 60, "contactgraph_studies": 32}
-LINES = {"contactgraph": 30_600, "contactgraph_franka": 9_000, "contactgraph_studies": 5_250}
+FILES = {"contactgraph": 174, "contactgraph_franka": 60, "contactgraph_studies": 32}
+LINES = {"contactgraph": 31_300, "contactgraph_franka": 9_000, "contactgraph_studies": 5_250}
 LONGEST_FILE = 300
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 25,  # a prediction step
