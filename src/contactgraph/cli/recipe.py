@@ -59,6 +59,8 @@ class Recipe:
             "contact distance": f"{config.contact_distance:.4g}, {learned}",
             "rollouts": f"in the loss from {100 * self.rollout_from:.0f} % of the steps on",
         }
+        if self.name == "relations":
+            rows = {"model": rows["model"], "unit of laws": f"{config.contact_distance:.4g} m"}
         if self.units is not None:
             planes = ", ".join(f"{name} {far:.3g}" for name, far in config.plane_distance.items())
             rows |= {
