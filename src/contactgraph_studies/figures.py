@@ -12,15 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from contactgraph.data import (
-    Dataset,
     atomic_write,
-    pad_trajectories,
     pair_indices,
     read_trajectories,
     with_edge_labels,
 )
 from contactgraph.model import ContactSensor, motion_noise
-from contactgraph.model.filter import dtype_of, filter_trajectory, on_device
+from contactgraph.model.filter import filter_trajectory, trajectory_for
 from contactgraph.model.io import load_model
 from contactgraph.viz import SceneTrajectory, scene_trajectory, write_summary_figure
 from contactgraph.viz.scene_picture import CONTACT_COLOUR, INK, SOFT, body_colour
@@ -102,8 +100,7 @@ def filter_figure(model: Path, data: Path) -> Figure | None:
     changes = [np.abs(np.diff(each.astype(int), axis=0)).sum(axis=0) for each in labels]
     chosen = int(np.argmax([each.max() for each in changes]))
     edge, label = int(np.argmax(changes[chosen])), labels[chosen]
-    batch = pad_trajectories(Dataset((recorded.trajectories[chosen],)), contacts=False)
-    one = on_device(batch.at(0), dtype_of(trained))
+    one = trajectory_for(trained, recorded.trajectories[chosen], contacts=False)
     time = np.arange(len(label)) * recorded.dt
     figure = new_figure(8.0, 2.6)
     axes = figure.subplots()

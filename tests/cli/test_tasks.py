@@ -45,6 +45,7 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "sticky",
         "bonds",
         "pusht",
+        "pusht-pose",
         "fetch-push",
         "fetch-slide",
         "fetch-pick-and-place",

@@ -78,8 +78,8 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
             "collect juggling --out a.h5",
             "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, toss, "
             "dominoes, stack, chain, unknown-mass, springs, attraction, suction, release, delay, "
-            "sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, franka, "
-            "module:Class; found 'jugg",
+            "sticky, bonds, pusht, pusht-pose, fetch-push, fetch-slide, fetch-pick-and-place, "
+            "franka, module:Class; found 'jugg",
         ),
         ("collect pickup --out a.h5 --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("collect pickup --out a.h5 --episodes -3", "--episodes must be 1 to 100000, found -3"),
@@ -158,8 +158,8 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
             "control nobody juggling",
             "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, toss, "
             "dominoes, stack, chain, unknown-mass, springs, attraction, suction, release, delay, "
-            "sticky, bonds, pusht, fetch-push, fetch-slide, fetch-pick-and-place, franka, "
-            "module:Class; found 'jugg",
+            "sticky, bonds, pusht, pusht-pose, fetch-push, fetch-slide, fetch-pick-and-place, "
+            "franka, module:Class; found 'jugg",
         ),
         ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("control nobody pickup --horizon 0", "--horizon must be 1 to 1000, found 0"),

@@ -136,3 +136,16 @@ def test_no_scene_begins_in_contact_and_exploration_moves_the_block(pushes: list
 def test_gentle_and_rough_pushes_differ_in_speed(pushes: list) -> None:
     speed = [np.linalg.norm(each.velocity[:, 0], axis=1).max() for each in pushes[1]]
     assert max(speed) > 1.2 * min(speed)
+
+
+def test_the_pose_task_succeeds_where_the_t_covers_its_outline_at_the_goal() -> None:
+    check_task(pusht.pusht_pose_task)
+    task = pusht.pusht_pose_task()
+    run = run_episode(task, RestPolicy(), 3)
+    assert run.steps == task.max_steps == 300 and not task.success()
+    assert run.scene.metadata["best_score"] == task.best_score() < 0.9
+    task.reset(seed=3)
+    block = task.environment.unwrapped.block
+    block.angle, block.position = float(pusht.GOAL_ANGLE), tuple(pusht.GOAL / pusht.SCALE)
+    task.step(run.position[0, 0])
+    assert task.success() and task.best_score() > 0.95

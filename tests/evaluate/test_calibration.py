@@ -17,10 +17,10 @@ from contactgraph.model import (
     ContactSensor,
     ModelConfig,
     MotionNoise,
+    NoCutoff,
     PriorEdges,
     gim_temp,
 )
-from contactgraph.model.collision import NoCutoff
 
 DT = 0.05
 WINDOWS = "contactgraph.evaluate.prediction_windows"

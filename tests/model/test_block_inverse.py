@@ -37,7 +37,7 @@ def scene(hinges: bool) -> tuple[MassMatrix, jnp.ndarray]:
     holding = {(0, 4), (2, 4), (1, 6)}
     holds = np.array([tuple(pair) in holding for pair in pairs.tolist()])
     stiff = jnp.asarray(np.where(holds, rng.uniform(1, 9, len(pairs)), 0.0))
-    matrix = MassMatrix(jnp.asarray(rng.uniform(0.5, 2.0, COUNT)), stiff, edge_geometry)
+    matrix = MassMatrix(jnp.asarray(rng.uniform(0.5, 2.0, (COUNT, 1))), stiff, edge_geometry)
     columns = 3 if hinges else 4
     return matrix, jnp.asarray(rng.normal(size=(COUNT, matrix.size, columns)))
 
@@ -52,7 +52,7 @@ def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
             edge_geometry = dataclasses.replace(matrix.geometry, contact_jacobian=edge_jacobian)
             solved = solve(MassMatrix(node, stiff, edge_geometry), vectors)
             weights = jnp.arange(1.0, 1.0 + solved.solution.size).reshape(solved.solution.shape)
-            share = jnp.arange(1.0, COUNT + 1.0)
+            share = jnp.arange(1.0, COUNT + 1.0)[:, None]
             return jnp.sum(jnp.sin(weights) * solved.solution) + jnp.sum(
                 share * solved.diagonal
             ), solved

@@ -42,10 +42,12 @@ def stepped(position, velocity, mass, bounce, friction, deceleration, static, av
         acting=jnp.where(averaged, 1.0 - found.time_of_impact, 1.0),
         bounce=bounce * meets,
         friction=nothing + friction,
+        until_impact=nothing,
     )
     push, slowing = (mass[:, None] * pushed)[..., None], 0.0 * mass + deceleration
     zero = jnp.zeros((count, 2, 1))
-    bodies = FreeBodies(mass, velocity, 0.0 * mass, slowing, push / DT, zero, push)
+    coordinates = jnp.tile(mass[:, None], 2)
+    bodies = FreeBodies(coordinates, velocity, 0.0 * mass, slowing, push / DT, zero, push)
     moved = contacts.solve(bodies, DT, None)
     change = moved.velocity_change + DT * moved.acceleration
     after = velocity + change
@@ -217,11 +219,12 @@ def test_a_ball_bounces_off_a_plane_and_rests_on_it() -> None:
             acting=nothing + 1.0,
             bounce=bounce * meets,
             friction=nothing,
+            until_impact=nothing,
         )
         zero = jnp.zeros((1, 2, 1))
         push = weight[..., None]
         bodies = FreeBodies(
-            jnp.ones(1), velocity, jnp.zeros(1), jnp.zeros(1), push / DT, zero, push
+            jnp.ones((1, 2)), velocity, jnp.zeros(1), jnp.zeros(1), push / DT, zero, push
         )
         moved = contacts.solve(bodies, DT, None)
         change = moved.velocity_change + DT * moved.acceleration

@@ -18,7 +18,7 @@ from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.model.presets import Preset, full_ab, paper_literal, paper_literal_no_gim
 from contactgraph.train import FitStatus
 from contactgraph.train.batch import Window, window_source
-from contactgraph.train.dead_network import equals_constant_velocity, has_dead_units
+from contactgraph.train.held_out import equals_constant_velocity, has_dead_units
 
 CONFIGURATION = ModelConfig(2, 2, 0.05, width=8)
 

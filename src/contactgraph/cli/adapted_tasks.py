@@ -6,7 +6,13 @@ from functools import partial
 from contactgraph.cli.task_types import KnownTask, TaskFactory, TaskOptions, without_options
 from contactgraph.envs import fetch
 from contactgraph.envs.adapter import AdaptedTask
-from contactgraph.envs.pusht import pusht_expert, pusht_explorer, pusht_fixed_start, pusht_task
+from contactgraph.envs.pusht import (
+    pusht_expert,
+    pusht_explorer,
+    pusht_fixed_start,
+    pusht_pose_task,
+    pusht_task,
+)
 
 
 def _factory(name: str, make: Callable[[], AdaptedTask], options: TaskOptions) -> TaskFactory:
@@ -26,6 +32,18 @@ ADAPTED_TASKS = {
         max_force=None,
         summary="an agent pushes a T to a goal (gym-pusht; success by position, at any angle)",
         title="A contact graph that pushes a T",
+    ),
+    "pusht-pose": KnownTask(
+        partial(_factory, "pusht-pose", pusht_pose_task),
+        pusht_expert,
+        pusht_fixed_start,
+        pusht_fixed_start,
+        pusht_explorer,
+        horizon=30,
+        starts=64,
+        max_force=None,
+        summary="as pusht, with its own success: the T covers 95 % of its outline at the goal",
+        title="A contact graph that pushes a T to a pose",
     ),
     "fetch-push": KnownTask(
         partial(_factory, "fetch-push", partial(fetch.fetch_task, fetch.PUSH)),

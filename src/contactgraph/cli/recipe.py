@@ -67,7 +67,9 @@ class Recipe:
                 "types": f"{', '.join(config.node_types)}; {config.actuated_nodes} actuated",
                 "actuation": "; ".join(f"{n}: {fit}" for n, fit in config.actuation.items())
                 or "none",
-                "shapes": "boxes of their size" if config.boxes else "round",
+                "shapes": f"outlines of {', '.join(config.inertia)}, which turn"
+                if config.inertia
+                else ("boxes of their size" if config.boxes else "round"),
                 "planes": f"touched at {planes}" if planes else "none",
                 "slowed": ", ".join(
                     f"{name} by {constant:.3g} and {by_speed:.3g} 1/s"
@@ -162,6 +164,7 @@ def recipe(
 def _beyond_points(dataset: "Dataset") -> str:
     """What the data have that `filter` does not know; empty: nothing."""
     from contactgraph.data.actuation_fit import SERVO_KINDS
+    from contactgraph.train.turning import find_turning
 
     scenes = [each.scene for each in dataset]
     kinds = {kind for each in scenes for kind in each.control_kind or ()}
@@ -171,5 +174,6 @@ def _beyond_points(dataset: "Dataset") -> str:
         "bounds of reach": any(each.has_reach for each in scenes),
         "static bodies": any(each.static is not None and each.static.any() for each in scenes),
         "several actuated bodies": any(each.actuated.sum() > 1 for each in scenes),
+        "bodies that turn": find_turning(dataset) is not None,
     }
     return " and ".join(name for name, found in has.items() if found)

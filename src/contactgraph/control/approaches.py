@@ -69,9 +69,9 @@ class Approach(eqx.Module):
 
     def wanted(
         self,
-        position: Float[Array, "N D"],
+        position: Float[Array, "N G"],
         held: Bool[Array, ""],
-        begin: Float[Array, "N D"],
+        begin: Float[Array, "N G"],
         contact_distance: Float[Array, ""],
         dt: float,
     ) -> tuple[Float[Array, " D"], Float[Array, " C"]]:
@@ -80,6 +80,7 @@ class Approach(eqx.Module):
         ``held``: whether the hand holds the body; ``begin``: where the plan started.
         """
         along = _unit(self.direction)
+        position, begin = position[:, : len(along)], begin[:, : len(along)]
         aside = contact_distance * (self.aside - _dot(self.aside, along) * along)
         at = position[self.body]
         offset = position[self.hand] - at
@@ -145,6 +146,7 @@ def spread_approaches(
     position: Float[Array, "S D"],
     goal: Float[Array, "S D"],
     aim: Float[Array, "S D"],
+    turn: Float[Array, " S"],
     top_speed: float,
     up: Float[Array, " D"],
     commands: tuple[Float[Array, " C"], Float[Array, " C"]],
@@ -157,11 +159,11 @@ def spread_approaches(
     learned from.
 
     ``position``, ``goal`` and ``aim``: [m] of each body, and where to push it, which is the goal or
-    an image of it; ``up``: a unit vector along which none pushes, or zeros; ``commands``: least and
-    greatest value of each.
+    an image of it; ``turn`` [m]: how far it is to turn, which takes pushes from any side; ``up``: a
+    unit vector along which none pushes, or zeros; ``commands``: least and greatest value of each.
     """
     missing = aim - position
-    distance = _length(missing)
+    distance = jnp.sqrt(_length(missing) ** 2 + turn**2)
     grasps = (jnp.arange(len(hand)) > 0) & jnp.any(up != 0.0) & (draws.command.shape[1] > 0)
     high = jnp.where(draws.command > 0.0, commands[1], commands[0])
     banked = jnp.any(aim != goal, axis=-1)[:, None]

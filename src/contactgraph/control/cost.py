@@ -2,7 +2,8 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import Protocol
+from dataclasses import replace
+from typing import Any, Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,6 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.features import turn_length_of
 
 
 class Cost(Protocol):
@@ -43,6 +46,9 @@ class QuadraticCost(eqx.Module):
     exactly zero: naming the ``M`` nodes that have one makes the backward pass cost what ``M``
     nodes cost and changes no answer. Rows of other nodes are ignored.
     """
+    turn_length: float = eqx.field(static=True, default=1.0)
+    """m; unit of turns, where ``n = 2NG`` includes them: 1 for angles in rad and rates in rad/s.
+    See `contactgraph.data.generalized_coordinates`."""
 
     @property
     def control_size(self) -> int:
@@ -66,6 +72,66 @@ class QuadraticCost(eqx.Module):
     def quadratic(self, node_count: int) -> "QuadraticCost":
         """Itself: the `Cost` that is one already."""
         return self
+
+    def fitted(self, model: object, node_count: int, xp: Any = jnp) -> "QuadraticCost":
+        """The cost in the coordinates of the model's states; a cost of positions alone weighs no
+        turn.
+
+        ``xp``: jnp, or np for a cost of NumPy arrays. Raises `InvalidInputError` where ``goal`` has
+        neither 2ND entries nor, for bodies that turn, 2NG.
+        """
+        found, turn_length = self.goal.shape[-1], turn_length_of(model)
+        known, rest = divmod(found, 2 * node_count)
+        dimension = known
+        if turn_length is not None:
+            assert isinstance(model, ContactDynamics)
+            dimension, coordinates = model.dimension, model.coordinates
+            rest = rest or known not in (dimension, coordinates)
+        if rest:
+            raise InvalidInputError(
+                f"cost.goal must have 2ND entries for the capacity N = {node_count}, found {found}"
+            )
+        if turn_length is None:
+            return self
+        unit = np.ones(coordinates)
+        unit[dimension:] = turn_length / self.turn_length
+        whole = self._with_coordinates(node_count, coordinates, unit, xp)
+        return replace(whole, turn_length=turn_length)
+
+    def with_angle(
+        self, node: int, angle: float, weight: float, node_count: int
+    ) -> "QuadraticCost":
+        """Also ``weight`` [1/rad^2] times the squared difference of a body's angle from ``angle``
+        [rad], at every step; a cost in the plane, of which it becomes one with turns."""
+        whole = self._with_coordinates(node_count, 3, np.ones(3))
+        index = 6 * node + 2
+        return replace(
+            whole,
+            Q=whole.Q.at[..., index, index].add(weight),
+            goal=whole.goal.at[..., index].set(angle),
+        )
+
+    def _with_coordinates(
+        self, node_count: int, coordinates: int, unit: np.ndarray, xp: Any = jnp
+    ) -> "QuadraticCost":
+        """With G = ``coordinates`` a node, in these units; those beyond its own cost nothing."""
+        known = self.goal.shape[-1] // (2 * node_count)
+        of_node, size = (node_count, 2, known), 2 * node_count * coordinates
+        Q = self.Q.reshape(*self.Q.shape[:-2], *of_node, *of_node)
+        goal = self.goal.reshape(*self.goal.shape[:-1], *of_node)
+        more = (0, coordinates - known)
+
+        def padded(values: Any, axes: tuple[int, ...]) -> Any:
+            widths = [more if axis - values.ndim in axes else (0, 0) for axis in range(values.ndim)]
+            return xp.pad(values, widths)
+
+        Q = padded(Q, (-4, -1)) / (unit[:, None, None, None] * unit)
+        goal = padded(goal, (-1,)) * unit
+        return replace(
+            self,
+            Q=Q.reshape(*self.Q.shape[:-2], size, size).astype(self.Q.dtype),
+            goal=goal.reshape(*self.goal.shape[:-1], size).astype(self.goal.dtype),
+        )
 
     def over(self, horizon: int) -> tuple[Array, Array, Array]:
         """``Q [H+1,n,n]``, ``R [H,U,U]`` and ``goal [H+1,n]``, one a step."""

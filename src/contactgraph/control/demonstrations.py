@@ -19,6 +19,7 @@ from contactgraph.data import (
     with_edge_labels,
 )
 from contactgraph.model import LinearDynamics, StepModel, default_sensor
+from contactgraph.model.features import turn_length_of
 from contactgraph.model.filter import (
     FilteredTrajectory,
     check_fit,
@@ -75,7 +76,7 @@ def demonstrations_of(
     free = np.ones_like(controls) if limits is None else _within(controls, limits)
     dtype = filtered.dynamics.A.dtype
     kept = jax.tree.map(
-        lambda block: jax.vmap(lambda one, chosen: one[:-1, chosen])(block, nodes),
+        lambda block: jax.vmap(lambda one, chosen: one[:-1, chosen, :dimension])(block, nodes),
         filtered.dynamics,
     )
     A, B, offset = jax.jit(LinearDynamics.stacked)(kept)
@@ -125,7 +126,7 @@ def filter_demonstrations(model: StepModel, demonstrations: Dataset) -> Filtered
                 f"demonstration {number}: control must have at least one axis, found none"
             )
         check_fit(model, trajectory.scene, trajectory.control_size, f"demonstration {number}")
-    batch = pad_trajectories(with_edge_labels(demonstrations))
+    batch = pad_trajectories(with_edge_labels(demonstrations), turn_length=turn_length_of(model))
     return _filtered(model, on_device(batch, dtype_of(model)))
 
 

@@ -11,27 +11,40 @@ from pathlib import Path
 
 import numpy as np
 
-from contactgraph.data import InvalidInputError, pair_indices
+from contactgraph.data import InvalidInputError, generalized_coordinates, pair_indices
 
 Observation = Mapping[str, np.ndarray]
-"""``position`` [n, D] m and ``velocity`` [n, D] m/s of the first n nodes; other keys are ignored,
-so that a task's observation can be handed over as it is."""
+"""``position`` [n, D] m and ``velocity`` [n, D] m/s of the first n nodes, for models of bodies that
+turn also ``orientation`` [n, 1] rad and ``angular_velocity`` [n, 1] rad/s, NaN for those that do
+not; other keys are ignored, so that a task's observation can be handed over as it is."""
 
 Motion = tuple[np.ndarray, np.ndarray]
-"""Position m and velocity m/s of all nodes, each [N, D]."""
+"""Position m and velocity m/s of all nodes, each [N, G]."""
 
 
 def padded_motion(
-    observation: Observation, capacity: int, dimension: int, dtype: np.dtype
+    observation: Observation,
+    capacity: int,
+    dimension: int,
+    dtype: np.dtype,
+    turn_length: float | None = None,
 ) -> Motion:
-    """Position and velocity, zero for nodes that were not observed.
+    """Position and velocity [N, G], zero for nodes that were not observed.
 
-    Values may be non-finite. Raises `InvalidInputError` where a shape does not fit.
+    ``turn_length`` [m]: see `generalized_coordinates`. Values may be non-finite. Raises
+    `InvalidInputError` where a shape does not fit, or a key is missing.
     """
-    return (
-        _padded(observation, "position", capacity, dimension, dtype),
-        _padded(observation, "velocity", capacity, dimension, dtype),
-    )
+    sizes = {"position": dimension, "velocity": dimension}
+    if turn_length is not None:
+        sizes |= {"orientation": 1, "angular_velocity": 1}
+    for name in sizes:
+        if name not in observation:
+            raise InvalidInputError(
+                f"observation must have {' and '.join(sizes)}, found {sorted(observation)}"
+            )
+    found = [_padded(observation, name, capacity, size, dtype) for name, size in sizes.items()]
+    position, velocity = generalized_coordinates(turn_length, *found)
+    return position.astype(dtype, copy=False), velocity.astype(dtype, copy=False)
 
 
 def edge_contacts(
@@ -113,10 +126,6 @@ def _pairs(count: int) -> np.ndarray:
 def _padded(
     observation: Observation, name: str, capacity: int, dimension: int, dtype: np.dtype
 ) -> np.ndarray:
-    if name not in observation:
-        raise InvalidInputError(
-            f"observation must have position and velocity, found {sorted(observation)}"
-        )
     # A copy: a robot may write its next observation into the same array during the step.
     value = np.array(observation[name], dtype)
     if value.ndim != 2 or value.shape[1] != dimension or len(value) > capacity:

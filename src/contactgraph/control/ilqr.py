@@ -80,7 +80,7 @@ class ILQR(eqx.Module):
         control could be rolled out, and the controls are zero (or the nearest within limits).
         """
         count, dimension = state.position.shape
-        quadratic = cost.quadratic(count)
+        quadratic = cost.quadratic(count).fitted(model, count)
         ids = quadratic.cost_node_ids
         ids = jnp.arange(count) if ids is None else ids
         part = block_cost(quadratic, ids, dimension, self.horizon)

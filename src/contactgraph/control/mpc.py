@@ -28,6 +28,7 @@ from contactgraph.model import (
     StepModel,
     check_motion_model,
     default_sensor,
+    turn_length_of,
 )
 
 _State = TypeVar("_State", bound="MPCState")
@@ -173,7 +174,10 @@ class MPC:
         ids = np.asarray(plan.node_ids)
         count, dimension = np.shape(observation["position"])
         capacity = max(count, int(ids.max()) + 1)
-        position, velocity = padded_motion(observation, capacity, dimension, self.dtype)
+        turn_length = turn_length_of(self.config.model)
+        position, velocity = padded_motion(
+            observation, capacity, dimension, self.dtype, turn_length
+        )
         first: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[0], plan.policy)
         x = np.stack([position[ids], velocity[ids]], axis=1)
         # A node without a gain may be anywhere, or not observed.
@@ -185,26 +189,28 @@ class MPC:
     def checked(self, nodes: Nodes, cost: Cost) -> tuple[Nodes, QuadraticCost]:
         """In shapes that fit, on the device, without weak types: these would compile again."""
         capacity = len(nodes.mask)
-        quadratic = cost.quadratic(capacity)
-        size = quadratic.goal.shape[-1]
-        if size % (2 * capacity):
-            raise InvalidInputError(
-                f"cost.goal must have 2ND entries for the capacity N = {capacity}, found {size}"
-            )
 
         def typed(value: Any) -> np.ndarray:
             array = np.asarray(value)
             return array.astype(self.dtype) if np.issubdtype(array.dtype, np.floating) else array
 
         # Made by NumPy and moved: each `jax.numpy` call would compile a program of its own.
-        return jax.device_put(jax.tree.map(typed, (nodes, quadratic)))
+        nodes, quadratic = jax.tree.map(typed, (nodes, cost.quadratic(capacity)))
+        return jax.device_put((nodes, quadratic.fitted(self.config.model, capacity, np)))
 
     def motion(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> Motion:
-        """Of all nodes [N, D]; zero for padding, whatever was observed there."""
+        """Of all nodes [N, G]; zero for padding, whatever was observed there."""
         mask = np.asarray(nodes.mask)[:, None]
-        dimension = cost.goal.shape[-1] // (2 * len(mask))
-        motion = padded_motion(observation, len(mask), dimension, self.dtype)
-        return np.where(mask, motion[0], 0), np.where(mask, motion[1], 0)
+        coordinates = cost.goal.shape[-1] // (2 * len(mask))
+        model = self.config.model
+        dimension = getattr(model, "dimension", coordinates)
+        position, velocity = padded_motion(
+            observation, len(mask), dimension, self.dtype, turn_length_of(model)
+        )
+        matters = np.repeat(mask, coordinates, axis=1)
+        if coordinates > dimension and nodes.outlines is not None:
+            matters[:, dimension:] &= np.any(np.asarray(nodes.outlines), axis=(1, 2, 3))[:, None]
+        return np.where(matters, position, 0), np.where(matters, velocity, 0)
 
     def first_motion(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> Motion:
         """As `motion`; raises `InvalidInputError` where it is not finite."""

@@ -99,7 +99,7 @@ class SearchILQR(ILQR):
                 f"{type(model).__name__}"
             )
         count, dimension = state.position.shape
-        quadratic = cost.quadratic(count)
+        quadratic = cost.quadratic(count).fitted(model, count)
         if guess is None:
             idle = self._idle(quadratic.control_size, quadratic.R.dtype)
             guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
@@ -143,9 +143,8 @@ class SearchILQR(ILQR):
         position = scene.state.position
         bits = jax.lax.bitcast_convert_type(position.astype(jnp.float32), jnp.uint32)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(0), jnp.sum(bits)), self.rounds)
-        dimension = position.shape[1]
         commands = scene.commands
-        draws = [Draws.of(key, self.starts, dimension, commands) for key in keys]
+        draws = [Draws.of(key, self.starts, scene.model.dimension, commands) for key in keys]
         bounds = self.limits or ControlLimits(-jnp.ones(commands), jnp.ones(commands))
         most = [each[len(each) - commands :] for each in (bounds.lower, bounds.upper)]
         follow = eqx.filter_jit(in_lanes(lambda each: scene.follow(each, self), self.starts))
@@ -182,13 +181,13 @@ class _Scene(eqx.Module):
     speed: float
     """m/s; the top speed of the data."""
     state: ModelState
-    sensitivity: Float[Array, "N D W"]
+    sensitivity: Float[Array, "N G W"]
     nodes: Nodes
     cost: QuadraticCost
     inverse: Float[Array, "N U D"]
     """The control for each m/s of the node."""
-    A: Float[Array, "N D 2"]
-    offset: Float[Array, "N D"]
+    A: Float[Array, "N G 2"]
+    offset: Float[Array, "N G"]
 
     @classmethod
     def of(cls, model: StepModel, state: ModelState, nodes: Nodes, cost: QuadraticCost) -> "_Scene":
@@ -199,7 +198,7 @@ class _Scene(eqx.Module):
         driven = jnp.broadcast_to(driven, state.velocity.shape).astype(state.velocity.dtype)
         moving = dataclasses.replace(state, control_displacement=driven)
         free, _ = model.linear_step(moving, alone)
-        B = free.B[..., 1, :]
+        B = free.B[:, : model.dimension, 1, :]
         square = jnp.einsum("ndu,ndv->uvn", B, B)
         size = len(square)
         ridge = _RIDGE * jnp.trace(square) / size + jnp.finfo(B.dtype).tiny
@@ -221,7 +220,7 @@ class _Scene(eqx.Module):
         """Unit vector against gravity; zeros where bodies have no weight."""
         gravity = self.nodes.gravity
         if gravity is None:
-            return jnp.zeros(self.state.position.shape[1])
+            return jnp.zeros(self.model.dimension)
         return -gravity / jnp.maximum(jnp.sqrt(jnp.sum(gravity**2)), 1e-9)
 
     @property
@@ -229,10 +228,10 @@ class _Scene(eqx.Module):
         """Number of components of the control that move nothing."""
         return _commands(self.model)
 
-    def pairs(self, count: int) -> tuple[Array, Array, Array, Array, Array]:
+    def pairs(self, count: int) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Actuated nodes [S], each with one that it may move, in turn; that one's position, goal
         and aim [S, D], m: every second one's is an image of the goal in one wall after another, if
-        the body bounces off walls."""
+        the body bounces off walls; and how far it is to turn, m."""
         nodes, number = self.nodes, len(self.state.position)
         wanted = nodes.passive
         if self.cost.cost_node_ids is not None:
@@ -243,18 +242,22 @@ class _Scene(eqx.Module):
         may_move = candidate & nodes.actuated[one] & nodes.mask[one] & wanted[other]
         pair = jnp.argsort(~may_move)[jnp.arange(count) % jnp.maximum(jnp.sum(may_move), 1)]
         hand, body = jnp.asarray(one)[pair], jnp.asarray(other)[pair]
-        goal = self.cost.goal.reshape(-1, number, 2, self.state.position.shape[1])[-1, :, 0]
-        position, goal = self.state.position[body], goal[body]
+        position = self.state.position[body]
+        goal = self.cost.goal.reshape(-1, number, 2, position.shape[1])[-1, body, 0]
+        weight = jnp.diagonal(self.cost.over(1)[0][-1]).reshape(number, 2, -1)[body, 0]
+        turn = jnp.where(weight > 0.0, jnp.abs(goal - position), 0.0)[:, self.model.dimension :]
+        turn = jnp.sum(turn, axis=-1)
+        position, goal = (each[:, : self.model.dimension] for each in (position, goal))
         head = getattr(self.model.local_dynamics, "head", None)
         if nodes.planes is None or not len(nodes.planes) or not isinstance(head, BodyHead):
-            return hand, body, position, goal, goal
+            return hand, body, position, goal, goal, turn
         bounce, _ = head.laws(self.model.features.node_type(nodes, position.dtype), body)
-        turn = np.arange(count)
-        wall = nodes.planes[turn // 2 % len(nodes.planes)]
+        start = np.arange(count)
+        wall = nodes.planes[start // 2 % len(nodes.planes)]
         normal, before = wall[:, :-1], jnp.sum(wall[:, :-1] * goal, axis=-1) - wall[:, -1]
-        banked = (turn % 2 == 1) & (jnp.abs(normal @ self.up) < _LEVEL) & (bounce > _ELASTIC)
+        banked = (start % 2 == 1) & (jnp.abs(normal @ self.up) < _LEVEL) & (bounce > _ELASTIC)
         image = goal - 2.0 * before[:, None] * normal
-        return hand, body, position, goal, jnp.where(banked[:, None], image, goal)
+        return hand, body, position, goal, jnp.where(banked[:, None], image, goal), turn
 
     def follow(
         self, approach: Approach, planner: ILQR
@@ -263,8 +266,13 @@ class _Scene(eqx.Module):
         hand, begin = approach.hand, self.state.position
         edge = jnp.stack([hand, approach.body])[:, None]
         held = edge_id(jnp.min(edge), jnp.max(edge))
-        distance = self.model.features.distances(self.nodes, edge, begin.dtype)
+        features = self.model.features
+        assert isinstance(features, InvariantFeatures)
+        distance = features.distances(self.nodes, edge, begin.dtype)
         distance = jnp.broadcast_to(jnp.asarray(distance), (1,))[0]
+        if self.nodes.outlines is not None:  # the distances are those of round bodies
+            extent = jnp.max(jnp.linalg.norm(self.nodes.outlines, axis=-1), axis=(1, 2))[edge]
+            distance += jnp.sum(jax.nn.relu(extent - 0.5 * features.length))
         inverse, A, offset = self.inverse[hand], self.A[hand], self.offset[hand]
 
         def step(carry: tuple[ModelState, Array], _: None) -> tuple[Any, tuple[Array, Array]]:
@@ -274,7 +282,8 @@ class _Scene(eqx.Module):
                 state.position, holding, begin, distance, self.model.dt
             )
             x = jnp.stack([state.position[hand], state.velocity[hand]], axis=-1)
-            control = inverse @ (wanted - offset - jnp.sum(A * x, axis=-1))
+            drift = offset + jnp.sum(A * x, axis=-1)
+            control = inverse @ (wanted - drift[: len(wanted)])
             control = control.at[len(control) - len(command) :].set(command)
             control = control if planner.limits is None else planner.limits(control)
             made = take_step(self.model, state, sensitivity, control, self.nodes)

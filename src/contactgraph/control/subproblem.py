@@ -182,6 +182,7 @@ def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:
         static=of_nodes(nodes.static),
         control_of=None if nodes.control_of is None else np.asarray(nodes.control_of)[ids],
         half_size=None if nodes.half_size is None else np.asarray(nodes.half_size)[ids],
+        outlines=None if nodes.outlines is None else np.asarray(nodes.outlines)[ids],
         reach=reach,
     )
 

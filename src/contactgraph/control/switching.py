@@ -75,7 +75,7 @@ class SwitchingILQR(ILQR):
         ``iterations`` counts the rollouts of all schedules.
         """
         count, dimension = state.position.shape
-        quadratic = cost.quadratic(count)
+        quadratic = cost.quadratic(count).fitted(model, count)
         if guess is None:
             idle = self._idle(quadratic.control_size, quadratic.R.dtype)
             guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)

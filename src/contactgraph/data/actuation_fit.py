@@ -1,6 +1,6 @@
 """Least squares of motion without contact, before any training: actuation, and sliding."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +45,7 @@ _SHARES = (0.01, 0.1, 0.5, 1.0)
 """Of the median speed that the ground takes in a step, from which fits begin."""
 _MOVES = 0.02
 """Share of the greatest speed from which a body moves."""
-_MOST_DAMPED = 1.0
+_MOST_DAMPED = 10.0
 """Of a damper times dt: with a greater one a step hardly depends on it, and training that starts
 there does not get away."""
 _LEAST_STEPS = 10
@@ -219,19 +219,21 @@ def distances(trajectory: Trajectory, boxes: bool) -> np.ndarray:
 
 
 def fit_slowing(
-    trajectories: Iterable[Trajectory], contact_distance: float, boxes: bool = False
+    trajectories: Iterable[Trajectory],
+    contact_distance: float,
+    distances: Callable[[Trajectory], np.ndarray],
 ) -> dict[str, tuple[float, float]]:
     """Deceleration, m/s^2, and damper, 1/s, of each passive type that is seen to slide.
 
     Robust least squares of v' = w / (1 + dt c w / v) with w = max(v - dt a, 0), the implicit step
     of `Contacts`, with a and c at least 0, over steps in which it does not gain speed and parts
-    from all bodies that are near: see `distances`.
+    from all bodies that are near: ``distances`` [T+1, N, N] m are those of a trajectory.
     """
     rows: dict[str, list[np.ndarray]] = {}
     dt = 1.0
     for each in trajectories:
         scene, velocity, dt = each.scene, each.velocity, each.scene.dt
-        apart = distances(each, boxes)
+        apart = distances(each)
         far = np.minimum(apart[:-1], apart[1:]) > _CLEAR * contact_distance
         with np.errstate(invalid="ignore"):  # of a body from itself
             parts = apart[1:] - apart[:-1] > _PARTS * contact_distance

@@ -132,6 +132,13 @@ class Scene:
         """[N, D] m, half the sides of each box; 0 for other nodes. None: no node is a box."""
         return None if self.size is None else 0.5 * np.nan_to_num(self.size)
 
+    def outlines_of(self, node: int) -> list[np.ndarray]:
+        """The convex outlines [V, 2] m of a node, each counter-clockwise; none where not known."""
+        if self.polygons is None or self.polygon_of is None:
+            return []
+        mine = [self.polygons[index] for index in np.flatnonzero(self.polygon_of == node)]
+        return [each if signed_area(each) > 0.0 else each[::-1] for each in mine]
+
     @property
     def has_weight(self) -> bool:
         """Whether bodies have weight."""
@@ -273,6 +280,12 @@ def _is_convex(outline: np.ndarray) -> bool:
     following = np.roll(side, -1, axis=0)
     turn = side[:, 0] * following[:, 1] - side[:, 1] * following[:, 0]
     return bool(turn.any() and (np.all(turn >= 0.0) or np.all(turn <= 0.0)))
+
+
+def signed_area(outline: np.ndarray) -> float:
+    """m^2, of an outline [V, 2] m; positive where it runs counter-clockwise."""
+    following = np.roll(outline, -1, axis=0)
+    return float(0.5 * np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))
 
 
 def _set(instance: object, name: str, value: object) -> None:

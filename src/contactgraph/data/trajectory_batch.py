@@ -45,6 +45,9 @@ class Nodes(NamedTuple, Generic[Array]):
     """[..., N, D] m: half the sides of the box that a node is; 0 for others. None: none is one."""
     reach: Array | None = None
     """[..., N, 2, D] m, see `Scene.reach`; NaN where there is no bound. None: nowhere."""
+    outlines: Array | None = None
+    """[..., N, P, V, 2] m: convex polygons in the body's frame, counter-clockwise, the last vertex
+    and the last polygon repeated; 0 throughout for a body without. None: no body has one."""
 
     @property
     def mobile(self) -> Any:
@@ -72,9 +75,9 @@ class TrajectoryBatch(NamedTuple, Generic[Array]):
     """
 
     position: Array
-    """[..., T+1, N, D] m."""
+    """[..., T+1, N, G] m: `generalized_coordinates`, of which the first D are the position."""
     velocity: Array
-    """[..., T+1, N, D] m/s."""
+    """[..., T+1, N, G] m/s."""
     control: Array
     """[..., T, U] N."""
     contact: Array | None
@@ -104,11 +107,13 @@ def pad_trajectories(
     node_capacity: int | None = None,
     steps: int | None = None,
     contacts: bool = True,
+    turn_length: float | None = None,
 ) -> TrajectoryBatch[np.ndarray]:
     """Pad to ``steps`` (default: the longest) and ``node_capacity`` (default: the most nodes).
 
-    Contact labels are left out unless ``contacts``. Raises `InvalidInputError` where a trajectory
-    has more nodes than the capacity.
+    Contact labels are left out unless ``contacts``. ``turn_length`` [m]: see
+    `generalized_coordinates`. Raises `InvalidInputError` where a trajectory has more nodes than the
+    capacity.
     """
     trajectories = tuple(trajectories)
     capacity = max(each.scene.node_count for each in trajectories)
@@ -121,14 +126,20 @@ def pad_trajectories(
         capacity = node_capacity
     count, first = len(trajectories), trajectories[0]
     longest = max(each.steps for each in trajectories) if steps is None else steps
-    position = np.zeros((count, longest + 1, capacity, first.scene.dimension))
+    size = coordinate_count(first.scene.dimension, turn_length)
+    position = np.zeros((count, longest + 1, capacity, size))
     velocity = np.zeros_like(position)
     control = np.zeros((count, longest, first.control_size))
     edges = capacity * (capacity - 1) // 2
     contact = np.full((count, longest + 1, edges), np.nan) if contacts else None
     for index, each in enumerate(trajectories):
         real = slice(0, each.steps + 1), slice(0, each.scene.node_count)
-        position[index][real], velocity[index][real] = each.position, each.velocity
+        moved = generalized_coordinates(
+            turn_length, each.position, each.velocity, each.orientation, each.angular_velocity
+        )
+        if turn_length is not None:
+            _check_turns(each, *moved)
+        position[index][real], velocity[index][real] = np.nan_to_num(moved)
         control[index, : each.steps] = each.control
         if contact is not None and each.contact is not None:
             # The edges of fewer nodes are a prefix of those of the capacity: see `pair_indices`.
@@ -145,6 +156,47 @@ def pad_trajectories(
         nodes=Nodes._make(None if leaves[0] is None else np.stack(leaves) for leaves in nodes),
         steps=np.array([each.steps for each in trajectories]),
     )
+
+
+def _check_turns(trajectory: Trajectory, position: np.ndarray, velocity: np.ndarray) -> None:
+    """Raises `InvalidInputError` where a body with an outline has no orientation at some step."""
+    for name, values in (("orientation", position), ("angular_velocity", velocity)):
+        for node in np.flatnonzero(np.isnan(values).any(axis=(0, 2))):
+            if trajectory.scene.outlines_of(int(node)):
+                step = int(np.flatnonzero(np.isnan(values[:, node]).any(axis=1))[0])
+                raise InvalidInputError(
+                    f"{name} must be known of bodies with an outline, but that of "
+                    f"{trajectory.scene.node_name[node]!r} is not at step {step}"
+                )
+
+
+def coordinate_count(dimension: int, turn_length: float | None) -> int:
+    """G, the coordinates of a body of `generalized_coordinates`."""
+    return dimension if turn_length is None else 3 * (dimension - 1)
+
+
+def generalized_coordinates(
+    turn_length: float | None,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    orientation: np.ndarray | None = None,
+    angular_velocity: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [..., G] m and velocities [..., G] m/s of bodies, with their turn in lengths.
+
+    The first D are those given. Then come, unless ``turn_length`` [m] is None, the angle [rad] in
+    the plane times that length, and its rate; NaN where they are not known.
+    """
+    if turn_length is None:
+        return position, velocity
+    if position.shape[-1] != 2:
+        raise InvalidInputError("turn_length must be None but in the plane")
+    unknown = np.full((*position.shape[:-1], 1), np.nan)
+    turn, rate = (
+        turn_length * (unknown if each is None else each)
+        for each in (orientation, angular_velocity)
+    )
+    return np.concatenate([position, turn], axis=-1), np.concatenate([velocity, rate], axis=-1)
 
 
 def type_id(name: str) -> int:
@@ -165,6 +217,8 @@ class PresentProperties:
     gravity: bool
     boxes: bool
     reach: bool
+    outlines: tuple[int, int]
+    """Most polygons of a node, and most vertices of a polygon; 0: there are none."""
 
 
 def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
@@ -178,6 +232,10 @@ def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
         gravity=any(each.has_weight for each in scenes),
         boxes=any(each.size is not None for each in scenes),
         reach=any(each.has_reach for each in scenes),
+        outlines=(
+            max(0 if each.polygons is None else _most_polygons(each) for each in scenes),
+            max((len(outline) for each in scenes for outline in each.polygons or ()), default=0),
+        ),
     )
 
 
@@ -220,4 +278,21 @@ def pad_nodes(
         gravity=weight if present.gravity else None,
         half_size=padded(scene.half_size, 0.0, float, dimension) if present.boxes else None,
         reach=padded(scene.reach, np.nan, float, 2, dimension) if present.reach else None,
+        outlines=_padded_outlines(scene, capacity, *present.outlines)
+        if present.outlines[0]
+        else None,
     )
+
+
+def _most_polygons(scene: Scene) -> int:
+    return int(np.bincount(np.asarray(scene.polygon_of, int), minlength=1).max(initial=0))
+
+
+def _padded_outlines(scene: Scene, capacity: int, count: int, vertices: int) -> np.ndarray:
+    """[capacity, count, vertices, 2] m: see `Nodes.outlines`."""
+    outlines = np.zeros((capacity, count, vertices, 2))
+    for node in range(scene.node_count):
+        for index, polygon in enumerate(scene.outlines_of(node)):
+            padding = np.repeat(polygon[-1:], vertices - len(polygon), axis=0)
+            outlines[node, index:] = np.concatenate([polygon, padding])
+    return outlines

@@ -47,7 +47,7 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
         self._scene: Scene | None = None
         self._state: BodyState | None = None
         self._info: dict[str, Any] = {}
-        self._steps, self._over = 0, True
+        self._steps, self._over, self._best = 0, True, -np.inf
 
     @property
     def scene(self) -> Scene:
@@ -63,7 +63,7 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
         super().reset(seed=seed)
         # Every episode has a seed, also if none is given.
         scene_seed = int(self.np_random.integers(2**31)) if seed is None else seed
-        self._steps, self._over, self._info = 0, False, {}
+        self._steps, self._over, self._info, self._best = 0, False, {}, -np.inf
         start = partial(self.environment.reset, seed=scene_seed, options=options)
         for _ in range(_START_TRIES):
             raw, _ = self._guarded(scene_seed, start)
@@ -90,6 +90,8 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
             seed, lambda: self.environment.step(self._environment_action(control))
         )
         self._steps += 1
+        if self.environment_map.score_key is not None:
+            self._best = max(self._best, float(self._info[self.environment_map.score_key]))
         self._state = read_state(self.environment_map, raw, self._state)
         terminated = bool(terminated) or not self._inside()
         truncated = bool(truncated) or self._steps == self.max_steps
@@ -111,6 +113,10 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
             return bool(self._info[key])
         last = self._state.position[self.environment_map.cost.chain[-1]]
         return bool(np.linalg.norm(last - self.scene.goal) <= tolerance)
+
+    def best_score(self) -> float | None:
+        """The best of the episode's scores. None: the environment has none."""
+        return None if self.environment_map.score_key is None else self._best
 
     def cost_terms(self) -> ChainCost:
         """The map's cost."""

@@ -77,6 +77,14 @@ class Renderable(Protocol):
         """
 
 
+@runtime_checkable
+class ScoredTask(Protocol):
+    """A task that also tells how well an episode has gone, the more the better."""
+
+    def best_score(self) -> float | None:
+        """The best of all steps of the episode. None: it has no scores."""
+
+
 class Policy(Protocol):
     """A controller of a task."""
 
@@ -145,6 +153,10 @@ class ChainCost:
     """Factor on the cost of the last state of a plan: where only the end counts."""
     switching_cost: float = 0.0
     """Added each time that a plan switches a command on: against chattering."""
+    goal_angle: float | None = None
+    """rad; of the last node at the goal, any turns of 2 pi from it. None: any angle."""
+    angle_weight: float = 0.0
+    """On the squared difference of its angle from there, 1/rad^2."""
     placed_radius: float = 0.0
     """m; nothing is left to be picked up, and `pick_weights` count as 0, while the last node is
     nearer to the goal: otherwise what has put it down would go on touching it."""
@@ -168,6 +180,6 @@ class ChainCost:
             raise InvalidInputError(f"control_weight must be positive, found {self.control_weight}")
         if not (self.command_weight is None or self.command_weight > 0.0):
             raise InvalidInputError(f"command_weight must be positive, found {self.command_weight}")
-        for name in ("switching_cost", "placed_radius"):
+        for name in ("switching_cost", "placed_radius", "angle_weight"):
             if not getattr(self, name) >= 0.0:
                 raise InvalidInputError(f"{name} must be at least 0, found {getattr(self, name)}")

@@ -116,6 +116,9 @@ class EnvironmentMap:
     """m: a final distance of the chain's last body to the goal that is a success."""
     success_key: str | None = None
     """The entry of the environment's ``info`` that says success, where there is no tolerance."""
+    score_key: str | None = None
+    """The entry of ``info`` that tells how well a step is, the more the better. None: there is
+    none."""
     dimension: int = 2
     """D."""
     scale: float = 1.0

@@ -17,6 +17,7 @@ from contactgraph.envs.contract import (
     Observation,
     Policy,
     Renderable,
+    ScoredTask,
     Task,
 )
 from contactgraph.parallel import Executor, map_in_order
@@ -69,6 +70,9 @@ def run_episode(
         "policy": type(policy).__name__,
         "success": task.success(),
     }
+    best_score = task.best_score() if isinstance(task, ScoredTask) else None
+    if best_score is not None:
+        metadata["best_score"] = best_score
 
     def recorded(name: str) -> np.ndarray | None:
         return np.stack([each[name] for each in observations]) if name in observation else None

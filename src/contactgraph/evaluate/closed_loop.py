@@ -39,6 +39,8 @@ class ClosedLoopMetrics:
     within_1cm_rate: float | None
     """Share of the episodes that end less than 1 cm from the goal."""
     within_2cm_rate: float | None
+    best_score_mean: float | None
+    """Mean of each episode's best score, such as the overlap with a goal; see `ScoredTask`."""
     contact_speed_m_s: float | None
     """Median speed in the last state before the first contact, m/s."""
     slowest_before_contact_m_s: float | None
@@ -113,6 +115,8 @@ def closed_loop_metrics(
     approaches = [one for each in episodes if (one := approach(*each)) is not None]
     slowest = [each.slowest for each in approaches if each.slowest is not None]
     touched = [_touched_distractor(*each) for each in episodes]
+    known = (each.scene.metadata.get("best_score") for each in trajectories)
+    scores = [float(each) for each in known if each is not None]
     times = np.asarray(plan_ms, dtype=np.float64)
     return ClosedLoopMetrics(
         episodes=len(trajectories),
@@ -124,6 +128,7 @@ def closed_loop_metrics(
         goal_distance_m_mean=float(np.mean(distances)) if distances else None,
         within_1cm_rate=float(np.mean(np.less(distances, 0.01))) if distances else None,
         within_2cm_rate=float(np.mean(np.less(distances, 0.02))) if distances else None,
+        best_score_mean=float(np.mean(scores)) if scores else None,
         contact_speed_m_s=_median([each.contact_speed for each in approaches]),
         slowest_before_contact_m_s=_median(slowest),
         slowest_before_contact_min_m_s=min(slowest, default=None),

@@ -21,7 +21,13 @@ from contactgraph.evaluate.plan_tracking import (
     plan_tracking_error,
 )
 from contactgraph.evaluate.sensor_faults import ObservationNoise, SensorFaults
-from contactgraph.model import ContactSensor, MotionNoise, StepModel, default_sensor
+from contactgraph.model import (
+    ContactSensor,
+    MotionNoise,
+    StepModel,
+    default_sensor,
+    turn_length_of,
+)
 from contactgraph.model.filter import check_fit
 
 _EXACT = SensorFaults()
@@ -105,7 +111,9 @@ def control_task(
         deadline,
         motion_noise=motion_noise,
     )
-    scene_cost = TaskCost.of(terms, control_size, task.cost_terms) if cost is None else cost
+    turns = turn_length_of(model) is not None
+    own_cost = TaskCost.of(terms, control_size, task.cost_terms, turns)
+    scene_cost = own_cost if cost is None else cost
     _check_cost(scene_cost, task, control_size)
     policy = MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise)
 

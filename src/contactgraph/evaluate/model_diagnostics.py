@@ -32,7 +32,14 @@ from contactgraph.model import (
     rollout,
     stack_state,
 )
-from contactgraph.model.filter import check_fit, dtype_of, filter_trajectory, on_device
+from contactgraph.model.features import turn_length_of
+from contactgraph.model.filter import (
+    check_fit,
+    dtype_of,
+    filter_trajectory,
+    on_device,
+    trajectory_for,
+)
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.types import SpringMassDamper
 
@@ -67,11 +74,10 @@ def model_diagnostics(
     check_fit(model, trajectory.scene, trajectory.control_size, "the trajectory")
     recorded = Dataset((trajectory,))
     labelled = with_edge_labels(recorded)
-    batch = pad_trajectories(labelled, node_capacity, contacts=measured)
     count, edges = trajectory.scene.node_count, pair_indices(trajectory.scene.node_count)
     if sensor is None:
         sensor = replace(default_sensor(model), reports_touch=labelled is recorded)
-    observed = on_device(batch.at(0), dtype_of(model))
+    observed = trajectory_for(model, labelled.trajectories[0], node_capacity, contacts=measured)
     posterior, prior, *_ = filtered_beliefs(model, observed, sensor, None)
     parameters = None
     if isinstance(model.local_dynamics, SpringMassDamperDynamics):
@@ -126,7 +132,8 @@ def rollout_growth(model: StepModel, dataset: Dataset, steps: int) -> RolloutGro
         check_fit(model, each.scene, each.control_size, "the data")
     if steps < 1:
         raise InvalidInputError(f"steps must be at least 1, found {steps}")
-    batch = pad_trajectories(dataset, steps=max(steps, *(each.steps for each in dataset)))
+    longest, turn_length = max(steps, *(each.steps for each in dataset)), turn_length_of(model)
+    batch = pad_trajectories(dataset, steps=longest, turn_length=turn_length)
     device = on_device(batch, dtype_of(model))
     moved = np.concatenate([batch.position, batch.velocity], axis=-1)
     norms = np.linalg.norm(moved, axis=(2, 3))
@@ -218,7 +225,7 @@ def forgetting(
     dtype, edges = dtype_of(model), pair_count(bodies)
     last = measurements - 1 + round(later_s / model.dt)
     distance = float(model.features.contact_distance)
-    place = np.zeros((bodies, model.dimension), dtype)
+    place = np.zeros((bodies, model.coordinates), dtype)
     place[:, 0] = distance * np.arange(bodies)
     contact = np.full((last + 1, edges), np.nan, dtype)
     contact[:measurements] = 0.0

@@ -47,6 +47,10 @@ class TaskCost:
     """[D] m"""
     placed: bool = False
     """Whether the chain's last node lies at the goal: see `ChainCost.placed_radius`."""
+    turns: bool = False
+    """Whether states include angles, so that the cost of the angle counts."""
+    angle: float = 0.0
+    """rad; the one that is equal to `ChainCost.goal_angle` and nearest to the node's own."""
     current_terms: Callable[[], ChainCost] | None = None
     """The terms in the scene that the task was reset to last; None: ``terms`` in every scene."""
 
@@ -56,9 +60,11 @@ class TaskCost:
         terms: ChainCost,
         control_size: int,
         current_terms: Callable[[], ChainCost] | None = None,
+        turns: bool = False,
     ) -> "TaskCost":
         """The cost before its scene is known."""
-        return cls(terms, control_size, terms.chain, current_terms=current_terms)
+        turns = turns and terms.goal_angle is not None
+        return cls(terms, control_size, terms.chain, turns=turns, current_terms=current_terms)
 
     def in_scene(self, scene: Scene) -> "TaskCost":
         """The cost with the scene's goal."""
@@ -71,17 +77,24 @@ class TaskCost:
         """The cost along the chain in another order."""
         return replace(self, order=tuple(nodes))
 
-    def seeing(self, position: np.ndarray) -> "TaskCost":
-        """The cost where the nodes are at ``position`` [N, D] m."""
-        away = np.linalg.norm(position[self.order[-1]] - self.goal)
+    def seeing(self, observation: Observation) -> "TaskCost":
+        """The cost where the nodes are as observed."""
+        last, angle = self.order[-1], self.angle
+        away = np.linalg.norm(observation["position"][last] - self.goal)
         placed = bool(away < self.terms.placed_radius)
-        return self if placed == self.placed else replace(self, placed=placed)
+        if self.turns and np.isfinite(observation["orientation"][last, 0]):
+            assert self.terms.goal_angle is not None
+            missing = self.terms.goal_angle - observation["orientation"][last, 0]
+            angle = float(self.terms.goal_angle - 2.0 * np.pi * np.round(missing / (2.0 * np.pi)))
+        if placed == self.placed and angle == self.angle:
+            return self
+        return replace(self, placed=placed, angle=angle)
 
     def quadratic(self, node_count: int) -> QuadraticCost:
         """The chain's cost; the goal must be known."""
         if self.goal is None:
             raise InvalidInputError("the task's cost has no goal yet; use in_scene first")
-        return chain_cost(
+        cost = chain_cost(
             self.order,
             self.terms.pick_weights * (not self.placed),
             self.terms.goal_weights,
@@ -92,6 +105,9 @@ class TaskCost:
             self.terms.command_weight,
             self.terms.terminal_weight,
         )
+        if not self.turns:
+            return cost
+        return cost.with_angle(self.order[-1], self.angle, self.terms.angle_weight, node_count)
 
 
 _EXACT = SensorFaults()
@@ -183,7 +199,7 @@ class MPCPolicy:
             contacts,
             self._state,
             self._applied,
-            cost=self._changed_cost(observation["position"]),
+            cost=self._changed_cost(observation),
         )
         control = np.asarray(plan.controls[0], dtype=np.float64)  # waits for the plan
         took = time.perf_counter() - begin
@@ -201,7 +217,9 @@ class MPCPolicy:
         """The feedback of the plan's first step; raises before the first control step."""
         if self._scene is None or not self._steps:
             raise InvalidInputError("no feedback: the policy has made no step since reset")
-        feedback = plan_feedback(self._steps[-1].plan, self._scene.dt, self._capacity)
+        feedback = plan_feedback(
+            self._steps[-1].plan, self._scene.dt, self._capacity, self._scene.dimension
+        )
         return partial(feedback.within, 0)
 
     def record(self) -> EpisodeRecord:
@@ -235,11 +253,11 @@ class MPCPolicy:
             return None
         return self._sensor(observation.get("holding", observation["contact"]))
 
-    def _changed_cost(self, position: np.ndarray) -> SceneCost | None:
-        """The cost with nodes at ``position`` [N, D] m; None: it is that of the last step."""
+    def _changed_cost(self, observation: Observation) -> SceneCost | None:
+        """The cost where the nodes are as observed; None: it is that of the last step."""
         before, order = self._scene_cost, self._order
         if isinstance(before, TaskCost):
-            self._scene_cost = before.seeing(position)
+            self._scene_cost = before.seeing(observation)
         self._order = self._grasped_first(self._state)
         if self._scene_cost is before and self._order == order:
             return None

@@ -1,8 +1,9 @@
 """Open-loop evaluation: predictions of recorded trajectories from every one of their states."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +14,12 @@ from contactgraph.evaluate.baselines import (
     fixed_contact_oracle,
     standing_still,
 )
+from contactgraph.evaluate.calibration import Calibration
+from contactgraph.evaluate.edge_scores import EdgeCounts
 from contactgraph.evaluate.open_loop_metrics import (
     ORACLE,
     OpenLoopMetrics,
+    angle_numbers,
     calibration_numbers,
     edge_numbers,
     error_numbers,
@@ -24,7 +28,7 @@ from contactgraph.evaluate.open_loop_metrics import (
 )
 from contactgraph.evaluate.prediction_windows import (
     OpenLoopDetail,
-    concatenated_details,
+    WindowPredictions,
     trajectory_detail,
 )
 from contactgraph.evaluate.sensor_faults import SensorFaults
@@ -113,7 +117,7 @@ def evaluate_open_loop(
             f"contact field; it must be in every trajectory"
         )
     lists = ReallocatingModel(model, dataset)
-    detail = concatenated_details(
+    detail = _concatenated(
         [
             trajectory_detail(
                 lists,
@@ -136,7 +140,12 @@ def evaluate_open_loop(
         windows=len(detail.start),
         n_steps=steps,
         diverged_windows=int(diverged.sum()),
-        numbers={**errors, **edge_numbers(detail), **calibration_numbers(detail)},
+        numbers={
+            **errors,
+            **angle_numbers(detail),
+            **edge_numbers(detail),
+            **calibration_numbers(detail),
+        },
         unbeaten=unbeaten_baselines(
             {name: errors[f"{name}_rmse_moving_m"] for name in ("n_step", *detail.baselines)}
         ),
@@ -170,3 +179,23 @@ def _reported(trajectory: Trajectory, faults: SensorFaults, index: int) -> np.nd
     if trajectory.contact is None:
         return None
     return faults.reported(trajectory.contact, trajectory.scene, index)
+
+
+def _concatenated(parts: Sequence[Any]) -> Any:
+    """Arrays one after the other, counts added, field by field; None where any part has None."""
+    first = parts[0]
+    if any(each is None for each in parts):
+        return None
+    if isinstance(first, np.ndarray):
+        return np.concatenate(parts)
+    if isinstance(first, EdgeCounts):
+        return sum(parts, EdgeCounts())
+    if isinstance(first, Calibration):
+        return sum(parts[1:], first)
+    if isinstance(first, dict):
+        return {name: _concatenated([each[name] for each in parts]) for name in first}
+    if not isinstance(first, OpenLoopDetail | WindowPredictions):
+        return first
+    names = [each.name for each in fields(first)]
+    values = {name: _concatenated([getattr(each, name) for each in parts]) for name in names}
+    return type(first)(**values)

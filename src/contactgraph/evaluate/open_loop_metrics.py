@@ -111,6 +111,24 @@ def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
     }
 
 
+def angle_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
+    """Root mean square errors of the angle, rad, over bodies that turn in a window, and its steps.
+
+    ``angle_rmse`` is the model's, with the endings of `error_numbers`. None: the model has no
+    angle, or nothing turns.
+    """
+    found = {
+        "angle_rmse": detail.measured.squared_angle,
+        "angle_rmse_unmeasured": detail.unmeasured.squared_angle,
+        "angle_rmse_inferred": None if detail.inferred is None else detail.inferred.squared_angle,
+        "constant_velocity_angle_rmse": detail.constant_velocity_angle,
+    }
+    return {
+        f"{name}_rad": None if squared is None else detail.rmse(squared, detail.turns)
+        for name, squared in found.items()
+    }
+
+
 def _finite(value: float | None) -> float | None:
     return value if value is None or math.isfinite(value) else None
 

@@ -199,17 +199,19 @@ def planned_positions(
     states = np.asarray(plan.states, np.float64)
     ahead = dt * np.arange(len(states))[:, None, None]
     whole = position + ahead * velocity
-    whole[:, node_ids] = states[:, slots, 0]
+    whole[:, node_ids] = states[:, slots, 0, : position.shape[1]]
     return whole
 
 
-def plan_feedback(plan: Plan, dt: float, capacity: int) -> PlanFeedback:
+def plan_feedback(plan: Plan, dt: float, capacity: int, dimension: int) -> PlanFeedback:
     """The feedback along a plan with steps of ``dt`` s, padded to a ``capacity`` of nodes.
 
-    It does not depend on nodes that are not active.
+    It does not depend on nodes that are not active, nor on turns, but on D = ``dimension`` degrees
+    of freedom a node.
     """
     node_ids, slots = _present(plan, capacity)
     states, gains = np.asarray(plan.states, float), np.asarray(plan.policy.K, float)
+    states, gains = states[..., :dimension], gains[..., :dimension]
     all_states = np.zeros((len(states), capacity, *states.shape[2:]))
     all_gains = np.zeros((*gains.shape[:2], capacity, *gains.shape[3:]))
     all_states[:, node_ids], all_gains[:, :, node_ids] = states[:, slots], gains[:, :, slots]

@@ -1,8 +1,7 @@
 """Predictions from every recorded state, beside the recorded trajectories, window by window."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +10,6 @@ from contactgraph.data import (
     Dataset,
     Trajectory,
     moving_bodies,
-    pad_trajectories,
     pair_indices,
 )
 from contactgraph.evaluate.baselines import Baseline
@@ -24,7 +22,11 @@ from contactgraph.model import (
     ReallocatingModel,
     StepModel,
 )
-from contactgraph.model.filter import dtype_of, on_device
+from contactgraph.model.features import turn_length_of
+from contactgraph.model.filter import trajectory_for
+
+TURNS_RAD = np.deg2rad(0.5)
+"""Angle from the one at a window's start that a body must reach to count as turning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +35,8 @@ class WindowPredictions:
 
     squared_error: np.ndarray
     """[W, H, N] m^2: squared distance between predicted and recorded position, 0 in padding."""
+    squared_angle: np.ndarray | None
+    """[W, H, N] rad^2: of the angle, 0 where it is not known. None: the model predicts none."""
     edge_active: np.ndarray
     """[W, H, E] bool: predicted contacts of each step."""
     touch_on_time: np.ndarray
@@ -76,6 +80,10 @@ class OpenLoopDetail:
     requested."""
     baselines: Mapping[str, np.ndarray | None]
     """[W, H, N] m^2: squared error of each baseline; None where one is not known."""
+    turns: np.ndarray
+    """[W, N] bool: whether a body gets more than `TURNS_RAD` away from its angle at the start."""
+    constant_velocity_angle: np.ndarray
+    """[W, H, N] rad^2: squared error of the angle of bodies that keep turning as at the start."""
 
     @property
     def contact_changes(self) -> np.ndarray | None:
@@ -145,6 +153,7 @@ def trajectory_detail(
     # At least two nodes, because a graph without edges is not supported.
     capacity = max(2, *(each.scene.node_count for each in dataset))
     longest = max(each.steps for each in dataset)
+    turn_length = turn_length_of(lists.given)
     pairs = pair_indices(capacity)
     recorded = _windows(trajectory.position, steps)
     contact = None
@@ -159,13 +168,23 @@ def trajectory_detail(
         squared = np.where(np.isfinite(squared), squared, np.inf)
         return np.pad(squared, ((0, 0), (0, 0), (0, capacity - count)))
 
+    angle = np.zeros((len(trajectory.position), count, 1))
+    rate = angle
+    if trajectory.orientation is not None and trajectory.scene.dimension == 2:
+        angle = trajectory.orientation
+        rate = rate if trajectory.angular_velocity is None else trajectory.angular_velocity
+    angles = _windows(angle, steps)
+
+    def angle_error(predicted: np.ndarray) -> np.ndarray:
+        squared = np.square(predicted - angles[:, 1:])[..., 0]
+        return np.pad(np.nan_to_num(squared), ((0, 0), (0, 0), (0, capacity - count)))
+
     def predicted(
         model: StepModel, contacts: np.ndarray | None, noise: MotionNoise | None = None
     ) -> TrajectoryPrediction:
         # A report with faults may deny a contact that is recorded as holding.
         known = replace(trajectory, contact=contacts, holding=None)
-        batch = pad_trajectories((known,), capacity, longest)
-        padded = on_device(batch.at(0), dtype_of(model))
+        padded = trajectory_for(model, known, capacity, longest)
         all_starts = jnp.arange(longest - steps + 1)
         return predict_trajectory(model, padded, all_starts, steps, sensor, noise)
 
@@ -181,8 +200,13 @@ def trajectory_detail(
         now = EdgeCounts()
         if contact is not None:
             now = edge_counts(made[None], contact[None, 1:], edge_exists[:1])
+        position = np.asarray(prediction.position, np.float64)
+        dimension, turned = trajectory.scene.dimension, None
+        if turn_length is not None:
+            turned = angle_error(position[:starts, :, :count, dimension:] / turn_length)
         return WindowPredictions(
-            squared_error=error(np.asarray(prediction.position, np.float64)),
+            squared_error=error(position[..., :dimension]),
+            squared_angle=turned,
             edge_active=np.asarray(prediction.edge_active)[:starts],
             touch_on_time=coming[touches] > 0.5,
             now=now,
@@ -207,6 +231,7 @@ def trajectory_detail(
         positions = baseline(trajectory, steps)
         return None if positions is None else error(positions)
 
+    elapsed = np.arange(1, steps + 1)[:, None, None]
     exists = np.broadcast_to(np.arange(capacity) < count, (starts, capacity))
     edge_exists = np.logical_and(exists[:, pairs[:, 0]], exists[:, pairs[:, 1]])
     moves = moving_bodies(recorded)
@@ -231,32 +256,14 @@ def trajectory_detail(
         unmeasured=unmeasured,
         inferred=inferred,
         baselines={name: compared(baseline) for name, baseline in baselines.items()},
+        turns=np.pad(
+            np.any(np.abs(angles - angles[:, :1]) > TURNS_RAD, axis=(1, 3)),
+            ((0, 0), (0, capacity - count)),
+        ),
+        constant_velocity_angle=angle_error(
+            angle[:starts, None] + trajectory.scene.dt * elapsed * rate[:starts, None]
+        ),
     )
-
-
-def concatenated_details(parts: Sequence[OpenLoopDetail]) -> OpenLoopDetail:
-    """The windows of several trajectories, one after the other."""
-    return _concatenated(parts)
-
-
-def _concatenated(parts: Sequence[Any]) -> Any:
-    """Arrays one after the other, counts added, field by field; None where any part has None."""
-    first = parts[0]
-    if any(each is None for each in parts):
-        return None
-    if isinstance(first, np.ndarray):
-        return np.concatenate(parts)
-    if isinstance(first, EdgeCounts):
-        return sum(parts, EdgeCounts())
-    if isinstance(first, Calibration):
-        return sum(parts[1:], first)
-    if isinstance(first, dict):
-        return {name: _concatenated([each[name] for each in parts]) for name in first}
-    if not isinstance(first, OpenLoopDetail | WindowPredictions):
-        return first
-    names = [each.name for each in fields(first)]
-    values = {name: _concatenated([getattr(each, name) for each in parts]) for name in names}
-    return type(first)(**values)
 
 
 def _windows(per_state: np.ndarray, steps: int) -> np.ndarray:

@@ -21,6 +21,7 @@ from contactgraph.model.edge_inference import RecurrentEdges as RecurrentEdges
 from contactgraph.model.edge_inference import TransitionEdges as TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures as AbsoluteFeatures
 from contactgraph.model.features import InvariantFeatures as InvariantFeatures
+from contactgraph.model.features import turn_length_of as turn_length_of
 from contactgraph.model.heads import CoupledHead as CoupledHead
 from contactgraph.model.heads import PerDegreeHead as PerDegreeHead
 from contactgraph.model.interaction_cutoff import InteractionCutoff as InteractionCutoff

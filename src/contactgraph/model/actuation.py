@@ -12,7 +12,13 @@ from jaxtyping import Array, Bool, Float
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.model.block_inverse import relative_at_edges
 from contactgraph.model.contacts import ContactMotion
-from contactgraph.model.types import LocalInput, Nodes, Step
+from contactgraph.model.types import LocalInput, Nodes, SpringMassDamper, Step
+
+_MOST_DAMPED = 0.99
+"""Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""
+_IMPACT_SPEED = 0.1
+"""Change of velocity, in units of speed, from about which a step counts as an impact."""
+_SMALL = 1e-6
 
 
 class ActuatedMotion(eqx.Module):
@@ -20,7 +26,7 @@ class ActuatedMotion(eqx.Module):
 
     inertia: Float[Array, " N"]
     """n, by which the servo multiplies the mass of its body; 1 without one."""
-    by_control: Float[Array, "N D U"]
+    by_control: Float[Array, "N G U"]
     """Acceleration of the free body for each component of the control, m/s^2 a unit."""
     constant: Float[Array, "N D"]
     """Acceleration of the free body without control, m/s^2."""
@@ -52,10 +58,10 @@ class ActuatedMotion(eqx.Module):
             by_control=jnp.where(leaves[..., None], 0.0, self.by_control),
             constant=jnp.where(leaves, driven / dt, self.constant),
         )
-        change = relative_at_edges((slower - velocity)[..., None], local.geometry)[..., 0]
-        relative = local.geometry.relative_velocity + change
-        geometry = dataclasses.replace(local.geometry, relative_velocity=relative)
-        return stopped, driven, dataclasses.replace(local, velocity=slower, geometry=geometry)
+        change = relative_at_edges((slower - velocity)[..., None], local.contact_points)[..., 0]
+        relative = local.contact_points.relative_velocity + change
+        points = dataclasses.replace(local.contact_points, relative_velocity=relative)
+        return stopped, driven, dataclasses.replace(local, velocity=slower, points=points)
 
     def kept_within_reach(
         self,
@@ -76,6 +82,50 @@ class ActuatedMotion(eqx.Module):
         displaced = displaced + (within_reach(end, local) - end)
         return dataclasses.replace(solution, acceleration=slowing, impact_displacement=displaced)
 
+    def parameters(
+        self,
+        local: LocalInput,
+        slots: Float[Array, "N S"],
+        solution: ContactMotion,
+        step: Step,
+        speed: float,
+    ) -> SpringMassDamper:
+        """The solution as a spring-mass-damper of every node, which `ThetaMethod` steps to it.
+
+        ``speed``: unit of speeds, m/s.
+        """
+        theta, dt, (count, coordinates) = step.theta, step.dt, local.position.shape
+        change, response = solution.velocity_change, solution.response
+        dimension = response.shape[-1] // slots.shape[1]
+        by_control = jnp.einsum("ns,ndu->sdu", slots, self.by_control[:, :dimension])
+        by_control = by_control.reshape(slots.shape[1] * dimension, by_control.shape[-1])
+        by_control = jnp.pad(by_control, ((0, 0), (0, step.control_size - by_control.shape[-1])))
+        constant = (slots.T @ self.constant)[:, :dimension].reshape(-1)
+        # What an actuated body carries moves with it: of the servo's spring and damper a node has
+        # the share of its response, relative to its own position and velocity.
+        share = response.reshape(count, coordinates, slots.shape[1], dimension)[:, :dimension]
+        share = jnp.einsum("ndsd->ns", share) / dimension
+        moves = jnp.arange(coordinates) < dimension
+        spring = dt**2 * (share @ (slots.T @ self.stiffness))[:, None] * moves
+        size = jnp.sqrt(jnp.sum((change / speed) ** 2, axis=-1, keepdims=True) + _SMALL**2)
+        impact = (1.0 - solution.own_share) * size / (size + _IMPACT_SPEED)
+        damper = dt * (share @ (slots.T @ self.damping))[:, None] * moves
+        damper = damper + solution.ground_share + impact
+        # An implicit spring damps by itself, which `ActuatedMotion.damping` includes.
+        damper = jnp.clip(damper - theta * spring, 0.0, _MOST_DAMPED - theta * spring)
+        # Dampers and springs slow the other forces too, but the solution includes the slowing.
+        undamped = 1.0 / (1.0 - theta * damper - theta**2 * spring)
+        return SpringMassDamper(
+            response=(response @ by_control) * undamped[..., None],
+            stiffness_rate=undamped * spring / dt**2,
+            damping_rate=undamped * damper / dt,
+            equilibrium=local.position + theta * dt * local.velocity,
+            equilibrium_velocity=local.velocity + change / (damper + _SMALL),
+            impact_displacement=solution.impact_displacement,
+            acceleration=(response @ constant + solution.acceleration) * undamped,
+            unhindered_response=solution.held_response,
+        )
+
 
 def actuated_slots(nodes: Nodes, slots: int) -> Float[Array, "N slots"]:
     """One-hot: which of the actuated nodes each one is; 0 for others."""
@@ -88,6 +138,8 @@ def within_reach(end: Float[Array, "N D"], local: LocalInput) -> Float[Array, "N
     outside than the node is."""
     bounds, position = local.nodes.reach, local.position
     assert bounds is not None
+    turn = ((0, 0), (0, 0), (0, position.shape[1] - bounds.shape[2]))
+    bounds = jnp.pad(bounds, turn, constant_values=jnp.nan)
     low = jnp.where(jnp.isnan(bounds[:, 0]), -jnp.inf, jnp.minimum(bounds[:, 0], position))
     high = jnp.where(jnp.isnan(bounds[:, 1]), jnp.inf, jnp.maximum(bounds[:, 1], position))
     return jnp.clip(end, low, high)
@@ -199,6 +251,8 @@ class Actuation(eqx.Module):
         by_control = self.scale * jnp.einsum("nt,tdu->ndu", node_type, self.matrix)
         if nodes.control_of is not None:
             by_control = by_control * nodes.control_of[:, None, : self.control_size]
+        turn = ((0, 0), (0, position.shape[1] - self.dimension))  # which nothing drives
+        by_control = jnp.pad(by_control, (*turn, (0, 0)))
         if not self.servo:
             still = jnp.zeros_like(position[:, 0])
             return ActuatedMotion(still + 1.0, by_control, jnp.zeros_like(position), still, still)
@@ -206,7 +260,9 @@ class Actuation(eqx.Module):
         inertia = 1.0 + theta * dt * (c + theta * dt * k)
         by_velocity = c + theta * dt * k
         constant = self.scale * node_type @ self.bias
+        position, velocity = position[:, : self.dimension], velocity[:, : self.dimension]
         constant = constant - k[:, None] * position - by_velocity[:, None] * velocity
+        constant = jnp.pad(constant, turn)
         return ActuatedMotion(
             inertia=inertia,
             by_control=by_control / inertia[:, None, None],

@@ -61,7 +61,7 @@ def find_groups(joins: Bool[Array, " E"], edge_index: Int[Array, "2 E"], count: 
 class MassMatrix(eqx.Module):
     """H as a linear operator, with `d` rows for each node: 1 where no hinge turns velocities."""
 
-    node: Float[Array, " N"]
+    node: Float[Array, "N d"] | Float[Array, "N 1"]
     """Diagonal part, kg."""
     edge: Float[Array, " E"]
     """Stiffness of each edge, kg."""
@@ -72,10 +72,15 @@ class MassMatrix(eqx.Module):
         """d, rows per node."""
         return self.geometry.contact_jacobian.shape[-1]
 
+    @property
+    def rows(self) -> Float[Array, "N d"]:
+        """The diagonal part of every row."""
+        return jnp.broadcast_to(self.node, (len(self.node), self.size))
+
     def __call__(self, x: Float[Array, "N d c"]) -> Float[Array, "N d c"]:
         """The product with c vectors."""
         on_edges = self.edge[:, None, None] * relative_at_edges(x, self.geometry)
-        return self.node[:, None, None] * x + to_nodes(on_edges, self.geometry, x.shape[0])
+        return self.node[:, :, None] * x + to_nodes(on_edges, self.geometry, x.shape[0])
 
 
 class MassMatrixSolution(eqx.Module):
@@ -83,8 +88,8 @@ class MassMatrixSolution(eqx.Module):
 
     solution: Float[Array, "N d c"]
     """Its products with c vectors."""
-    diagonal: Float[Array, " N"]
-    """Its diagonal, averaged over a node's rows; 1/kg."""
+    diagonal: Float[Array, "N d"]
+    """Its diagonal; 1/kg."""
 
 
 def relative_at_edges(x: Float[Array, "N d c"], geometry: Geometry) -> Float[Array, "E d c"]:
@@ -110,12 +115,14 @@ def solve_dense(matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatri
     """Solve by the inverse of the whole matrix."""
     count, size = matrix.node.shape[0], matrix.size
     jacobian = _dense_jacobian(matrix.geometry, count)
-    edge, node = jnp.repeat(matrix.edge, size), jnp.repeat(matrix.node, size)
+    edge, node = (
+        jnp.repeat(matrix.edge, matrix.geometry.contact_jacobian.shape[2]),
+        matrix.rows.ravel(),
+    )
     inverse = _dense_inverse(product(jacobian.T, edge[:, None] * jacobian) + jnp.diag(node))
     solution = product(inverse, vectors.reshape(count * size, -1)).reshape(vectors.shape)
     diagonal = jnp.sum(inverse * jnp.eye(count * size, dtype=inverse.dtype), axis=1)
-    diagonal = jnp.mean(diagonal.reshape(count, size), axis=1)
-    return MassMatrixSolution(solution, diagonal)
+    return MassMatrixSolution(solution, diagonal.reshape(count, size))
 
 
 def product(one: Float[Array, "n m"], other: Float[Array, "m c"]) -> Float[Array, "n c"]:
@@ -132,7 +139,7 @@ def _dense_jacobian(geometry: Geometry, count: int) -> Float[Array, "Ed Nd"]:
     first, second = geometry.incidence(count)
     blocks = second[:, None, :, None] * jacobian[1][:, :, None, :]
     blocks = blocks - first[:, None, :, None] * jacobian[0][:, :, None, :]
-    return blocks.reshape(-1, count * size)
+    return blocks.reshape(blocks.shape[0] * blocks.shape[1], count * size)
 
 
 def solve_block_diagonal(
@@ -156,7 +163,7 @@ def solve_block_diagonal(
 
     solution = jax.lax.custom_linear_solve(matrix, vectors, solve, symmetric=True)
     jacobian = matrix.geometry.contact_jacobian
-    diagonal = _diagonal(matrix.node, matrix.edge, jacobian, edge_index, groups, inverse)
+    diagonal = _diagonal(matrix.rows, matrix.edge, jacobian, edge_index, groups, inverse)
     return MassMatrixSolution(solution, diagonal)
 
 
@@ -175,7 +182,7 @@ def _blocks(matrix: MassMatrix, groups: Groups, capacity: int) -> Float[Array, "
     identity = jnp.eye(size, dtype=matrix.node.dtype)
     own = edge * jnp.einsum("seji,sejk->seik", jacobian, jacobian)
     own = sum_at_nodes(own, geometry.edge_index, count)
-    own = own + matrix.node[:, None, None] * identity
+    own = own + matrix.rows[:, :, None] * identity
     cross = -edge * jnp.einsum("eji,ejk->eik", jacobian[0], jacobian[1])
     joins = matrix.edge > 0
     node = jnp.arange(count)
@@ -231,16 +238,16 @@ def _dense_inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[A
 
 @jax.custom_jvp
 def _diagonal(
-    node: Float[Array, " N"],
+    node: Float[Array, "N d"],
     edge: Float[Array, " E"],
-    jacobian: Float[Array, "2 E d d"],
+    jacobian: Float[Array, "2 E i d"],
     edge_index: Int[Array, "2 E"],
     groups: Groups,
     inverse: Float[Array, "N s d s d"],
-) -> Float[Array, " N"]:
+) -> Float[Array, "N d"]:
     """The diagonal of the inverse, from its blocks by group."""
     blocks = inverse[groups.group, groups.slot, :, groups.slot, :]
-    return jnp.trace(blocks, axis1=1, axis2=2) / blocks.shape[-1]
+    return jnp.diagonal(blocks, axis1=1, axis2=2)
 
 
 @_diagonal.defjvp
@@ -248,21 +255,22 @@ def _diagonal_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     # With c a node's column of the inverse, its entry changes by -c^T dH c.
     _, _, _, edge_index, groups, inverse = primals
 
-    def square(node: Array, edge: Array, jacobian: Array) -> Float[Array, " N"]:
+    def square(node: Array, edge: Array, jacobian: Array) -> Float[Array, "N d"]:
         """c^T H c of every node's own columns, which are zero outside of its group."""
-        size = inverse.shape[2]
-        inside = jnp.zeros(inverse.shape[:2], node.dtype).at[groups.group, groups.slot].set(node)
-        total = jnp.einsum("gm,gmisk->gs", inside, inverse**2)
+        inside = jnp.zeros(inverse.shape[:3], node.dtype).at[groups.group, groups.slot].set(node)
+        total = jnp.einsum("gmi,gmisk->gsk", inside, inverse**2)
         # [2, E, d, s, d]: columns of its group as they appear at each end of an edge.
         at_end = inverse[groups.group[edge_index], groups.slot[edge_index]]
         at_end = jnp.einsum("teij,tejsk->teisk", jacobian, at_end)
         same = groups.group[edge_index[0]] == groups.group[edge_index[1]]
-        both = jnp.sum((at_end[1] - at_end[0]) ** 2, axis=(1, 3))
-        alone = jnp.sum(at_end**2, axis=(2, 4))
-        split = jnp.stack([jnp.where(same[:, None], both, alone[0]), alone[1]])
-        split = split.at[1].multiply(~same[:, None])
-        at_groups = sum_at_nodes(edge[:, None] * split, groups.group[edge_index], inverse.shape[0])
-        return (total + at_groups)[groups.group, groups.slot] / size
+        both = jnp.sum((at_end[1] - at_end[0]) ** 2, axis=1)
+        alone = jnp.sum(at_end**2, axis=2)
+        split = jnp.stack([jnp.where(same[:, None, None], both, alone[0]), alone[1]])
+        split = split.at[1].multiply(~same[:, None, None])
+        at_groups = sum_at_nodes(
+            edge[:, None, None] * split, groups.group[edge_index], inverse.shape[0]
+        )
+        return (total + at_groups)[groups.group, groups.slot]
 
     change = jax.jvp(square, primals[:3], tangents[:3])[1]
     return _diagonal(*primals), -change

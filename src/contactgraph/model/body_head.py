@@ -9,20 +9,17 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.model.actuation import ActuatedMotion, Actuation, actuated_slots
+from contactgraph.model.actuation import Actuation, actuated_slots
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import lifted_fraction
-from contactgraph.model.contacts import MAX_COUPLING, ContactMotion, Contacts, FreeBodies, damper_of
+from contactgraph.model.contacts import MAX_COUPLING, Contacts, FreeBodies, damper_of
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.planes import on_planes, plane_geometry
+from contactgraph.model.planes import on_planes, plane_contacts, plane_geometry
+from contactgraph.model.polygons import as_near
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
 PACE = 5.0
 """Scale of each type's numbers in their parameters, which learn faster than weights by this."""
-_IMPACT_SPEED = 0.1
-"""Change of velocity, in units of speed, from about which a step counts as an impact."""
-_MOST_DAMPED = 0.99
-"""Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""
 _LEAST_COUPLING = 0.5
 """Of a touch and of the first type that holds: with less, the types could not be told apart."""
 _ROUGH = 0.454
@@ -33,6 +30,8 @@ DECELERATION = 10.0
 """Unit of decelerations by the ground, in units of speed a second."""
 _EARLY, _ONE_SIDED = 0.01, 2e-4
 """Approaches in a step, in units of `BodyHead.length`: before a touch, and from which one acts."""
+_NEAREST = 0.02
+"""In units of `BodyHead.length`: points that are farther than the nearest by more do not touch."""
 _SMALL = 1e-6
 _SERVO_MASS = 100.0
 """Start of the mass of what a servo moves: it pushes, and hardly gives way."""
@@ -68,6 +67,8 @@ class BodyHead(eqx.Module):
     """m, of a node from a plane that it touches, by the data; a tenth of it is learned."""
     plane_raw: Float[Array, " types"]
     """Of the learned part of that distance."""
+    log_inertia: Float[Array, " types"] | None
+    """Of the squared radius of gyration by that of `turn_length`, in units of `PACE`, or none."""
     edge: eqx.nn.MLP
     actuation: Actuation
     width: int = eqx.field(static=True)
@@ -76,6 +77,7 @@ class BodyHead(eqx.Module):
     averaged: bool = eqx.field(static=True)
     length: float = eqx.field(static=True)
     speed: float = eqx.field(static=True)
+    turn_length: float | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -87,10 +89,12 @@ class BodyHead(eqx.Module):
         slots: int = 1,
         averaged: bool = False,
         speed: float = 1.0,
+        turn_length: float | None = None,
         key: PRNGKeyArray,
     ):
         """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``averaged``:
-        whether velocities are means over a step; ``speed``: unit of speeds, m/s."""
+        whether velocities are means over a step; ``speed``: unit of speeds, m/s; ``turn_length``
+        [m]: see `generalized_coordinates`; None: no body turns."""
         # Products have no weak type, with which the first training update would recompile.
         self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
         self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / PACE
@@ -100,7 +104,8 @@ class BodyHead(eqx.Module):
         self.edge = eqx.nn.MLP(width, 3, width, 1, key=key)
         self.actuation = actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
-        self.averaged, self.speed = averaged, speed
+        self.averaged, self.speed, self.turn_length = averaged, speed, turn_length
+        self.log_inertia = None if turn_length is None else self.damper_raw
 
     def drive(
         self,
@@ -114,7 +119,42 @@ class BodyHead(eqx.Module):
         """Acceleration of every actuated node without contacts, m/s^2, node after node."""
         motion = self.actuation(position, velocity, node_type, nodes, step.theta, step.dt)
         free = motion.by_control @ control[: self.actuation.control_size] + motion.constant
-        return (actuated_slots(nodes, self.slots).T @ free).reshape(-1)
+        return (actuated_slots(nodes, self.slots).T @ free)[:, : self.actuation.dimension].ravel()
+
+    def coasting(
+        self,
+        velocity: Float[Array, "N G"],
+        node_type: Float[Array, "N types"],
+        nodes: Nodes,
+        dt: float,
+    ) -> Float[Array, "N G"]:
+        """Velocity of every node after a step of ``dt`` [s] in which the ground alone slows it.
+
+        With weight and a ground that is not described nothing tells what rests on it: as given.
+        """
+        if nodes.gravity is not None:
+            return velocity
+        damper, slowing = self._slowing(node_type)
+        energy = jnp.sum(self._mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
+        speed = jnp.sqrt(energy + (_SMALL * self.speed) ** 2)
+        left = jax.nn.relu(1.0 - dt * slowing / speed) / (1.0 + dt * damper)
+        return jax.lax.stop_gradient(left)[:, None] * velocity
+
+    def _slowing(self, node_type: Float[Array, "N types"]) -> tuple[Array, Array]:
+        """Damper, 1/s, and deceleration, m/s^2, of every node by the ground."""
+        damper, deceleration = (
+            jax.nn.softplus(PACE * node_type @ raw - 6.0)
+            for raw in (self.damper_raw, self.deceleration_raw)
+        )
+        return damper, DECELERATION * self.speed * deceleration
+
+    def _mass_ratio(self, node_type: Float[Array, "N types"], size: int) -> Float[Array, "N G"]:
+        """The mass of every coordinate, in units of that of the body."""
+        ratio = jnp.ones((len(node_type), size))
+        if self.log_inertia is None:
+            return ratio
+        inertia = jnp.exp(PACE * node_type @ self.log_inertia)
+        return ratio.at[:, self.actuation.dimension :].multiply(inertia[:, None])
 
     def __call__(
         self,
@@ -125,11 +165,13 @@ class BodyHead(eqx.Module):
     ) -> SpringMassDamper:
         """Parameters of every node at one step."""
         theta, dt, nodes, node_type = step.theta, step.dt, local.nodes, local.node_type
-        velocity, (count, dimension) = local.velocity, local.position.shape
+        velocity, (count, coordinates) = local.velocity, local.position.shape
+        dimension = self.actuation.dimension
         motion = self.actuation(local.position, velocity, node_type, nodes, theta, dt)
         mass = jnp.exp(PACE * node_type @ self.log_mass) * motion.inertia
+        mass = mass[:, None] * self._mass_ratio(node_type, coordinates)
         slots = actuated_slots(nodes, self.slots)
-        driving = jnp.einsum("n,ns,de->ndse", mass, slots, jnp.eye(dimension))
+        driving = jnp.einsum("nd,ns,de->ndse", mass, slots, jnp.eye(coordinates, dimension))
         # What the control does in the step, as far as it is known, and until contacts hinder it.
         displaced, braked = jnp.zeros_like(velocity), local
         if local.control_displacement is not None:
@@ -140,74 +182,36 @@ class BodyHead(eqx.Module):
         lifted, capacity = local.actuated, local.group_capacity
         on_ground, falls = jnp.ones(count), jnp.zeros_like(velocity)
         if nodes.gravity is not None:
-            lifted = lifted_fraction(lifted, contacts.holding, local.geometry, capacity)
+            holding = contacts.holding[: len(local.weight)]
+            lifted = lifted_fraction(lifted, holding, local.geometry, capacity)
             # On a ground that is not described, bodies rest until an actuated one lifts them.
             falling = lifted * (1.0 - local.actuated) if nodes.planes is None else nodes.passive
-            on_ground, falls = 1.0 - lifted, falling[:, None] * nodes.gravity
+            gravity = jnp.pad(nodes.gravity, (0, coordinates - dimension))
+            on_ground, falls = 1.0 - lifted, falling[:, None] * gravity
         if nodes.planes is not None:
             # What is held goes with the hand, and falls on no plane.
             meeting = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
-            contacts = contacts.and_also(self._plane_contacts(braked, meeting, step))
-            on_ground = on_ground if nodes.gravity is None else on_planes(contacts.geometry, nodes)
-        damper, slowing = (
-            on_ground * jax.nn.softplus(PACE * node_type @ raw - 6.0)
-            for raw in (self.damper_raw, self.deceleration_raw)
-        )
+            planes = self._plane_contacts(braked, meeting, step)
+            contacts = contacts.and_also(planes)
+            on_ground = on_ground if nodes.gravity is None else on_planes(planes.geometry, nodes)
+        damper, slowing = (on_ground * each for each in self._slowing(node_type))
         bodies = FreeBodies(
             mass=mass,
             velocity=braked.velocity,
-            ground_damper=dt * mass * damper,
-            deceleration=DECELERATION * self.speed * slowing,
-            weight=(mass[:, None] * falls)[..., None],
-            driving=driving.reshape(count, dimension, -1),
-            push=(mass[:, None] * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
+            ground_damper=dt * damper,
+            deceleration=slowing,
+            weight=(mass * falls)[..., None],
+            driving=driving.reshape(count, coordinates, -1),
+            push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
         )
         solution = contacts.solve(bodies, dt, local.group_capacity)
         if nodes.reach is not None:
             solution = motion.kept_within_reach(solution, displaced, slots, local, braked, step)
-        parameters = self._parameters(local, motion, slots, solution, step)
+        parameters = motion.parameters(local, slots, solution, step, self.speed)
         if local.anchor is None:
             return parameters
         return with_hinge_springs(parameters, local, contacts.coupling[: len(local.weight)], step)
-
-    def _parameters(
-        self,
-        local: LocalInput,
-        motion: ActuatedMotion,
-        slots: Float[Array, "N S"],
-        solution: ContactMotion,
-        step: Step,
-    ) -> SpringMassDamper:
-        """The solution as a spring-mass-damper of every node, which `ThetaMethod` steps to it."""
-        theta, dt, (count, dimension) = step.theta, step.dt, local.position.shape
-        change, response = solution.velocity_change, solution.response
-        by_control = jnp.einsum("ns,ndu->sdu", slots, motion.by_control)
-        by_control = by_control.reshape(self.slots * dimension, by_control.shape[-1])
-        by_control = jnp.pad(by_control, ((0, 0), (0, step.control_size - by_control.shape[-1])))
-        constant = (slots.T @ motion.constant).reshape(-1)
-        # What an actuated body carries moves with it: of the servo's spring and damper a node has
-        # the share of its response, relative to its own position and velocity.
-        share = response.reshape(count, dimension, self.slots, dimension)
-        share = jnp.einsum("ndsd->ns", share) / dimension
-        spring = dt**2 * share @ (slots.T @ motion.stiffness)
-        size = jnp.sqrt(jnp.sum((change / self.speed) ** 2, axis=-1) + _SMALL**2)
-        impact = (1.0 - solution.own_share) * size / (size + _IMPACT_SPEED)
-        damper = solution.ground_share + impact + dt * share @ (slots.T @ motion.damping)
-        # An implicit spring damps by itself, which `ActuatedMotion.damping` includes.
-        damper = jnp.clip(damper - theta * spring, 0.0, _MOST_DAMPED - theta * spring)
-        # Dampers and springs slow the other forces too, but the solution includes the slowing.
-        undamped = (1.0 / (1.0 - theta * damper - theta**2 * spring))[:, None]
-        return SpringMassDamper(
-            response=(response @ by_control) * undamped[..., None],
-            stiffness_rate=jnp.broadcast_to(undamped * spring[:, None] / dt**2, change.shape),
-            damping_rate=jnp.broadcast_to(undamped * damper[:, None] / dt, change.shape),
-            equilibrium=local.position + theta * dt * local.velocity,
-            equilibrium_velocity=local.velocity + change / (damper + _SMALL)[:, None],
-            impact_displacement=solution.impact_displacement,
-            acceleration=(response @ constant + solution.acceleration) * undamped,
-            unhindered_response=solution.held_response,
-        )
 
     def _contacts(
         self, local: LocalInput, message: Float[Array, "active 2 E W"], step: Step
@@ -215,7 +219,14 @@ class BodyHead(eqx.Module):
         """Contacts of the edges."""
         # The sum over directions does not depend on which node is the first.
         out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
-        geometry, weight, touch = local.geometry, local.weight.T, jnp.zeros_like(local.weight[:, 0])
+        geometry, weight = local.contact_points, local.weight.T
+        points = geometry.edge_index.shape[1] // max(1, weight.shape[1])
+        if points > 1:
+            out = jnp.tile(out, (1, points, 1))
+            weight = jnp.tile(weight, (1, points)) * as_near(
+                geometry, local.geometry, _NEAREST * self.length
+            )
+        touch = jnp.zeros_like(weight[0])
         if len(weight) > 1:
             # Bodies that come nearer and do not meet in the step: a contact predicted too early.
             early = geometry.approach > _EARLY * self.length
@@ -247,6 +258,7 @@ class BodyHead(eqx.Module):
             acting=1.0 - touching * geometry.time_of_impact * self.averaged,
             bounce=bounce,
             friction=friction,
+            until_impact=step.theta * geometry.time_of_impact**2 * (1.0 - self.averaged),
         )
 
     def _plane_contacts(
@@ -258,21 +270,13 @@ class BodyHead(eqx.Module):
         part = 1.0 + _PLANE_LEARNED * jnp.tanh(PACE * self.plane_raw)
         distance = local.node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
         motion = step.dt * (local.velocity + driven)
-        geometry = plane_geometry(local.position, local.velocity, motion, distance, local.nodes)
-        elastic, friction = self.laws(local.node_type, geometry.edge_index[0])
-        meets = geometry.contact_jacobian[0, :, 0, 0]
-        closing = meets * jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
-        nothing = jnp.zeros_like(closing)
-        return Contacts(
-            geometry=geometry,
-            damper=damper_of(closing),
-            spring=nothing,
-            rest_length=nothing,
-            touching=nothing + 1.0,
-            displacing_fraction=self._displacing(geometry, step),
-            acting=1.0 - geometry.time_of_impact * self.averaged,
-            bounce=closing * elastic,
-            friction=friction,
+        at = local.position, local.velocity, motion, distance, local.nodes
+        shape = () if self.turn_length is None else (local.turns, self.turn_length, self.length)
+        geometry = plane_geometry(*at, *shape)
+        laws = self.laws(local.node_type, geometry.edge_index[0])
+        closing = jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
+        return plane_contacts(
+            geometry, closing, laws, self._displacing(geometry, step), self.averaged
         )
 
     def laws(

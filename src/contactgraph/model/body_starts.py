@@ -13,6 +13,21 @@ _LEAST, _MOST = 0.01, 0.99
 """Bounce and friction from which training still gets away."""
 
 
+def with_shapes(
+    head: BodyHead,
+    plane_distance: Mapping[str, float],
+    inertia: Mapping[str, float],
+    types: Sequence[str],
+) -> BodyHead:
+    """With this ``plane_distance`` and ``inertia``, see `ModelConfig`."""
+    near = [plane_distance.get(name, 0.5 * head.length) for name in types]
+    head = eqx.tree_at(lambda each: each.plane_distance, head, jnp.array(near))
+    if head.log_inertia is None:
+        return head
+    inertias = jnp.log(jnp.array([inertia.get(name, 1.0) for name in types]))
+    return eqx.tree_at(lambda each: each.log_inertia, head, inertias / PACE)
+
+
 def with_slowing(head: BodyHead, slowing: Sequence[tuple[float, float]]) -> BodyHead:
     """With these decelerations, m/s^2, and dampers, 1/s, by the ground, of each type."""
     by_unit = np.array(slowing) / [DECELERATION * head.speed, 1.0]

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.model.shapes import HingedBodies, box_displacement
+from contactgraph.model.shapes import Meeting, meeting
 
 _MIN_SQUARE = 1e-12
 _RESTING_SPEED = 0.01
@@ -50,9 +50,9 @@ class Geometry(eqx.Module):
     fraction_after_impact: Float[Array, " E"]
     """One minus the time of impact, as a share of the step in [0, 1]; the impact is where the two
     nodes, if nothing hindered them, would be a contact distance apart. 0 where they do not meet."""
-    contact_jacobian: Float[Array, "2 E d d"]
-    """Maps the velocities of both nodes to their velocities at the point of contact; d = D where
-    there are hinges, else ones with d = 1. 0 for a node that never moves."""
+    contact_jacobian: Float[Array, "2 E d c"]
+    """Maps the velocities of both nodes to their velocities at the point of contact; D by D where
+    there are hinges, D by G where bodies turn, else ones, 1 by 1. 0 for a node that never moves."""
     contact_distance: Float[Array, " E"]
     """m, of the two nodes when they touch, centre to centre or to a bar's middle line."""
 
@@ -60,6 +60,16 @@ class Geometry(eqx.Module):
         """1 where an edge has one of `count` nodes as its first or second node, else 0."""
         node = jnp.arange(count)
         return (self.edge_index[..., None] == node).astype(self.contact_jacobian.dtype)
+
+    def first(self, count: int) -> "Geometry":
+        """That of the first ``count`` rows."""
+        by_end = ("edge_index", "contact_jacobian")  # the two ends are the first axis
+        return type(self)(
+            **{
+                name: leaf[:, :count] if name in by_end else leaf[:count]
+                for name, leaf in vars(self).items()
+            }
+        )
 
     def along(self, across: Float[Array, " E"]) -> "Geometry":
         """The same, with only that share of each edge's velocities across its normal.
@@ -79,35 +89,36 @@ class Geometry(eqx.Module):
 
 
 def geometry(
-    position: Float[Array, "N D"],
-    velocity: Float[Array, "N D"],
+    position: Float[Array, "N G"],
+    velocity: Float[Array, "N G"],
     edge_index: Int[Array, "2 E"],
     dt: float,
     contact_distance: Float[Array, "*E"] | float,
-    control_displacement: Float[Array, "N D"] | None = None,
+    control_displacement: Float[Array, "N G"] | None = None,
     anchor: Float[Array, "N D"] | None = None,
     static: Bool[Array, " N"] | None = None,
     speed: float = 1.0,
     half_size: Float[Array, "N D"] | None = None,
+    shapes: Meeting | None = None,
+    coasting: Float[Array, "N G"] | None = None,
 ) -> Geometry:
     """The geometry of the edges at one step of `dt` [s]; finite where nodes coincide.
 
     Bodies touch `contact_distance` [m] apart, centre to centre: all of them, or each edge's.
     `control_displacement` [m] is how far the step's control alone moves the nodes, where known.
     `anchor` [m] is where nodes are hinged, NaN where they are not; `static` nodes never move.
-    `speed` [m/s] is the unit of speeds. `half_size` [m] is that of nodes that are boxes.
+    `speed` [m/s] is the unit of speeds. `half_size` [m] is that of nodes that are boxes. `shapes`
+    tells where bodies meet that have shapes and turn; rows are then its own.
     """
-    displacement, jacobian, sliding = _meeting(position, edge_index, anchor)
-    if half_size is not None:
-        displacement, sliding = box_displacement(
-            displacement, jnp.sum(half_size[edge_index], axis=0)
-        )
+    if shapes is None:
+        shapes = meeting(position, edge_index, anchor, half_size)
+    displacement, jacobian, sliding, edge_index = shapes
     if static is not None:
         jacobian = jnp.where(static[edge_index][..., None, None], 0.0, jacobian)
 
-    def relative(motion: Float[Array, "N D"]) -> Float[Array, "E D"]:
+    def relative(motion: Float[Array, "N G"]) -> Float[Array, "E D"]:
         at_ends = motion[edge_index]
-        if anchor is not None:
+        if jacobian.shape[-1] > 1:
             at_ends = jnp.einsum("eijk,eik->eij", jacobian, at_ends)
         return at_ends[1] - at_ends[0]
 
@@ -118,7 +129,7 @@ def geometry(
         return motion
 
     relative_velocity = relative(velocity)
-    drifted = dt * approach(relative_velocity)
+    drifted = dt * approach(relative_velocity if coasting is None else relative(coasting))
     driven, chords, refinements = jnp.zeros_like(drifted), 1, 1
     if control_displacement is not None:
         driven, chords = approach(relative(control_displacement)), _CHORDS
@@ -161,22 +172,6 @@ def geometry(
         contact_jacobian=jacobian,
         contact_distance=jnp.broadcast_to(jnp.asarray(contact_distance), distance.shape),
     )
-
-
-def _meeting(
-    position: Float[Array, "N D"], edge_index: Int[Array, "2 E"], anchor: Float[Array, "N D"] | None
-) -> tuple[Float[Array, "E D"], Float[Array, "2 E d d"], list[Float[Array, "E D"]]]:
-    """Displacements [m] at the points of contact, Jacobians, and directions of sliding."""
-    first, second = edge_index
-    if anchor is None:
-        one = jnp.ones((2, first.shape[0], 1, 1), position.dtype)
-        return position[second] - position[first], one, []
-    bodies = HingedBodies(position, anchor)
-    begin, begin_sliding = bodies.closest_point(first, position[second])
-    end, end_sliding = bodies.closest_point(second, position[first])
-    of_first = bodies.contact_jacobian(first, position[second])
-    of_second = bodies.contact_jacobian(second, position[first])
-    return end - begin, jnp.stack([of_first, of_second]), [begin_sliding, end_sliding]
 
 
 def _closest_approach(

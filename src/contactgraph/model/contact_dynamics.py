@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
+from contactgraph.data.trajectory_batch import coordinate_count
 from contactgraph.model.body_head import BodyHead
 from contactgraph.model.collision import (
     ClosestApproachPrior,
@@ -33,7 +34,7 @@ from contactgraph.model.contact_belief import (
     without_change,
 )
 from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
-from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, stillness
+from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, shaped, with_commands
 from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
 from contactgraph.model.motion_noise import PredictionNoise
 from contactgraph.model.neighbor_list import (
@@ -43,6 +44,7 @@ from contactgraph.model.neighbor_list import (
     edge_count,
     travel_bound,
 )
+from contactgraph.model.polygons import POINTS
 from contactgraph.model.rollout import control_sensitivity, rollout, take_step
 from contactgraph.model.types import (
     EncodedGraph,
@@ -84,6 +86,11 @@ class ContactDynamics(eqx.Module):
     sensor: ContactSensor | None = None
     """The sensor of the data, as far as it was estimated: see `default_sensor`."""
 
+    @property
+    def coordinates(self) -> int:
+        """G, the coordinates of a body: see `generalized_coordinates`."""
+        return coordinate_count(self.dimension, self.features.turn_length)
+
     def __check_init__(self) -> None:
         if not self.dt > 0:
             raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
@@ -114,29 +121,44 @@ class ContactDynamics(eqx.Module):
         ``control_displacement`` and ``command`` are those of a `ModelState`; ``contact_distance``
         [m] is each edge's own, None: that of the features.
         """
-        nodes = nodes if self.features.boxes else nodes._replace(half_size=None)
-        edges = self._edges(position, velocity, nodes, control_displacement)
+        nodes = shaped(nodes, self.features)
+        moved = position, velocity, control_displacement, nodes.anchor, self.dt
+        bound = travel_bound(*moved, nodes.half_size, nodes.outlines)
+        edges = self._edges(position, bound, nodes.mask)
         moving = velocity
         if edges.edge_id is not None:
             # A step that exceeds a capacity predicts NaN for every node.
             moving = jnp.where(edges.fits, velocity, jnp.nan)
         touch = self.features.distances(nodes, edges.edge_index, position.dtype)
         touch = touch if contact_distance is None else contact_distance
-        at = position, moving, edges.edge_index
-        # Without types there are no static bodies.
-        known = control_displacement, nodes.anchor, nodes.static if self.features.types else None
-        edge_geometry = geometry(*at, self.dt, touch, *known, self.features.speed, nodes.half_size)
+        meeting = self.features.meeting(nodes, position, edges.edge_index)
+        if meeting is not None:
+            touch = jnp.tile(jnp.broadcast_to(touch, edges.edge_index.shape[1:]), POINTS)
+        static = nodes.static if self.features.types else None  # not known without types
+        known = control_displacement, nodes.anchor, static, self.features.speed, nodes.half_size
+        at = position, moving, edges.edge_index, self.dt, touch
+        head, types = getattr(self.local_dynamics, "head", None), self.features.node_type
+        coasting = None
+        if isinstance(head, BodyHead):
+            coasting = head.coasting(moving, types(nodes, moving.dtype), nodes, self.dt)
+        points = geometry(*at, *known, meeting, coasting)
+        edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
-        seen = self._known_to_inference(edge_features, edge_geometry, nodes, command)
+        seen = edge_features
+        if isinstance(self.inference, TransitionEdges):
+            command = jnp.zeros(self.control_size) if command is None else command
+            last = command[self.control_size - self.inference.commands :]
+            seen = with_commands(edge_features, edge_geometry, nodes, last)
         embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
         return EncodedGraph(
             position=position,
             velocity=velocity,
             nodes=nodes,
             geometry=edge_geometry,
+            contact_points=points,
             edge_id=edges.edge_id,
             node_features=node_features,
             edge_features=edge_features,
@@ -155,42 +177,16 @@ class ContactDynamics(eqx.Module):
 
     def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
         """The prior by distance, its active part spread evenly over the active types."""
-        active = self.prior(geometry) * weight
         approach = None
         if isinstance(self.prior, ClosestApproachPrior) and self.prior.parting:
             approach = jax.lax.stop_gradient(geometry.approach / geometry.contact_distance)
-        return spread_over_types(active, approach, self.inference.edge_types)
+        return spread_over_types(self.prior(geometry) * weight, approach, self.inference.edge_types)
 
-    def _known_to_inference(
-        self,
-        features: Float[Array, "2 E G"],
-        geometry: Geometry,
-        nodes: Nodes,
-        command: Float[Array, " U"] | None,
-    ) -> Float[Array, "2 E F"]:
-        """The edge features; for a filter also stillness, and commands on actuated ends."""
-        if not isinstance(self.inference, TransitionEdges):
-            return features
-        still = stillness(geometry)[:, None]
-        command = jnp.zeros(self.control_size) if command is None else command
-        acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None]
-        acting = acting * command[self.control_size - self.inference.commands :]
-        known = jnp.concatenate([still, acting], axis=-1)
-        return jnp.concatenate([features, jnp.stack([known, known]).astype(features.dtype)], -1)
-
-    def _edges(
-        self,
-        position: Float[Array, "N D"],
-        velocity: Float[Array, "N D"],
-        nodes: Nodes,
-        control_displacement: Float[Array, "N D"] | None,
-    ) -> Edges:
+    def _edges(self, position: Array, bound: Float[Array, " N"], mask: Array) -> Edges:
         if self.neighbor_list is None:
             return all_pairs(len(position))
         assert isinstance(self.cutoff, SmoothCutoff)
-        known = control_displacement, nodes.anchor, self.dt, nodes.half_size
-        bound = travel_bound(position, velocity, *known)
-        return self.neighbor_list(position, bound, nodes.mask, self.cutoff.outer)
+        return self.neighbor_list(position[:, : self.dimension], bound, mask, self.cutoff.outer)
 
     def predict_belief(self, belief: ContactBelief, graph: EncodedGraph) -> ContactBelief:
         """Stage 2: the belief about the step. An edge beyond the cutoff is inactive, surely."""
@@ -228,6 +224,8 @@ class ContactDynamics(eqx.Module):
             edge_features=graph.edge_features,
             weight=edge_active[:, 1:] * graph.weight[:, None],
             geometry=graph.geometry,
+            points=graph.contact_points,
+            turns=self.features.turns(graph.nodes, dtype),
             anchor=graph.nodes.anchor,
             nodes=graph.nodes,
             control_displacement=graph.control_displacement,

@@ -75,7 +75,7 @@ class ContactSolver(eqx.Module):
         """
         count, dimension = velocity.shape
         stiffness = self.damper + self.spring
-        matrix = MassMatrix(self.mass + self.ground_damper, stiffness, geometry)
+        matrix = MassMatrix((self.mass + self.ground_damper)[:, None], stiffness, geometry)
         size = matrix.size
 
         def columns(vectors: Float[Array, "n D"]) -> Float[Array, "n d c"]:
@@ -110,7 +110,7 @@ class ContactSolver(eqx.Module):
             velocity_change=-change.reshape(count, dimension),
             impact_displacement=-dt * moved.reshape(count, dimension),
             response=response @ jnp.eye(dimension, control_size),
-            own_share=solved.diagonal * self.mass,
+            own_share=jnp.mean(solved.diagonal, axis=1) * self.mass,
             ground_share=jnp.trace(ground, axis1=1, axis2=2) / size,
             acceleration=weighed[0].reshape(count, dimension) if weighed else None,
         )

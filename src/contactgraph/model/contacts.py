@@ -59,6 +59,8 @@ class Contacts(eqx.Module):
     """e, in [0, 1): the share of the approach with which a touch parts."""
     friction: Float[Array, " C"]
     """Coulomb's coefficient of a touch."""
+    until_impact: Float[Array, " C"]
+    """Displacement by control and weight before the impact, in dt times what they add to v."""
 
     def solve(self, bodies: "FreeBodies", dt: float, capacity: int | None) -> "ContactMotion":
         """One step of ``dt`` [s]; ``capacity``: most nodes that are coupled, None: no limit.
@@ -69,7 +71,7 @@ class Contacts(eqx.Module):
         smooth = self.geometry.along(1.0 - self.touching)
         normal = self._at_impact(self.geometry.along(jnp.zeros_like(self.damper)), bodies)
         stiffness, holding = self.damper + self.spring, 1.0 - self.touching
-        mobility = self._mobility(mass)
+        mobility, mobility_across = self._mobility(mass)
         elastic = self.bounce / ((1.0 - self.bounce) * mobility)
         whole = self.geometry.along(jnp.ones_like(self.damper))
         rebounds = [self.displacing_fraction * elastic, self.acting * elastic]
@@ -85,17 +87,19 @@ class Contacts(eqx.Module):
             capacity,
         )
         change = jnp.sum(first.parts[1] - first.parts[0], axis=-1)
-        ground, across = self._friction(bodies, change, first.diagonal, mobility, dt)
+        ground, across = self._friction(bodies, change, first.diagonal, mobility_across, dt)
         rough = self.geometry.along(jnp.maximum(across, holding))
-        slowing = self._impulse(rough, count, dt) + (ground[:, None] * bodies.velocity)[..., None]
-        displacing = _pulled(self.displacing_fraction * self.damper, rough, count)
-        vectors = [slowing, displacing, bodies.weight, bodies.driving]
-        solved = _solve(mass + ground, stiffness, rough, vectors, capacity)
+        slowing = self._impulse(rough, count, dt) + (ground * bodies.velocity)[..., None]
+        displacing = -self._left(self.until_impact, bodies.push, rough, mass)
+        displacing += _pulled(self.displacing_fraction * self.damper, rough, count)
+        driven = jnp.concatenate([bodies.weight, bodies.driving], axis=-1)
+        driven += self._left(1.0 - self.acting, driven, rough, mass)
+        solved = _solve(mass + ground, stiffness, rough, [slowing, displacing, driven], capacity)
         return ContactMotion(
             velocity_change=-jnp.sum(solved.parts[0] + rebound.parts[1], axis=-1),
             impact_displacement=-dt * jnp.sum(solved.parts[1] + rebound.parts[0], axis=-1),
-            acceleration=jnp.sum(solved.parts[2], axis=-1),
-            response=solved.parts[3],
+            acceleration=solved.parts[2][..., 0],
+            response=solved.parts[2][..., 1:],
             held_response=held.parts[0],
             own_share=solved.diagonal * mass,
             ground_share=solved.diagonal * ground,
@@ -124,50 +128,66 @@ class Contacts(eqx.Module):
         return jax.tree_util.tree_map_with_path(joined, first, other)
 
     def _at_impact(self, normal: Geometry, bodies: "FreeBodies") -> Geometry:
-        """With the relative velocity of which a bounce gives back its share.
-
-        It is that at the impact, less what control and weight still add to the approach after it,
-        in units of the bounce: what is pushed on does not part.
-        """
-        added = relative_at_edges(bodies.push / bodies.mass[:, None, None], normal)[..., 0]
-        after = (1.0 - normal.time_of_impact) / jnp.maximum(self.bounce, _LEAST_BOUNCE)
+        """With the velocity of which a bounce gives back its share: that at the impact, less what
+        control and weight add to the approach after it, so that what is pushed on does not part."""
+        added = relative_at_edges(bodies.push / bodies.mass[..., None], normal)[..., 0]
+        pushes = jnp.sum(normal.normal * added, axis=-1) < 0.0
+        after = (1.0 - normal.time_of_impact) / jnp.maximum(self.bounce, _LEAST_BOUNCE) * pushes
         met = normal.relative_velocity + (normal.time_of_impact - after)[:, None] * added
         closing = jnp.sum(normal.normal * met, axis=-1, keepdims=True) < 0.0
         return dataclasses.replace(normal, relative_velocity=jnp.where(closing, met, 0.0))
 
-    def _impulse(self, geometry: Geometry, count: int, dt: float) -> Float[Array, "N D 1"]:
+    def _impulse(self, geometry: Geometry, count: int, dt: float) -> Float[Array, "N G 1"]:
         stretch = geometry.displacement - self.rest_length[:, None] * geometry.direction
         impulse = (self.damper + self.spring) * self.acting
         impulse = impulse[:, None] * geometry.relative_velocity
         impulse = impulse + self.spring[:, None] * stretch / dt
         return to_nodes(impulse[..., None], geometry, count)
 
-    def _mobility(self, mass: Float[Array, " N"]) -> Float[Array, " C"]:
-        """Relative velocity of two free bodies for each unit of momentum between them, 1/kg."""
-        moves = jnp.any(self.geometry.contact_jacobian != 0.0, axis=(2, 3))
-        total = jnp.sum(moves / mass[self.geometry.edge_index], axis=0)
-        return jnp.maximum(total, _LEAST_INVERSE)
+    def _left(
+        self, share: Float[Array, " C"], momentum: Array, geometry: Geometry, mass: Array
+    ) -> Float[Array, "N G c"]:
+        """Momentum [kg m/s] of the contacts that keeps this share of what would be without them."""
+        free = relative_at_edges(momentum / mass[..., None], geometry)
+        return to_nodes((share * self.damper)[:, None, None] * free, geometry, len(mass))
+
+    def _mobility(self, mass: Float[Array, "N G"]) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
+        """Relative velocity of two free bodies for each unit of momentum between them, along the
+        normal and, on average, across it; 1/kg."""
+        jacobian = self.geometry.contact_jacobian
+        if jacobian.shape[-1] == 1:
+            jacobian = jacobian * jnp.eye(mass.shape[1])
+        per_row = jacobian**2 / mass[self.geometry.edge_index][:, :, None]
+        normal = jnp.einsum("ei,seij->sej", self.geometry.normal, jacobian)
+        along = jnp.sum(normal**2 / mass[self.geometry.edge_index], axis=(0, 2))
+        total = jnp.sum(per_row, axis=(0, 2, 3))
+        across = (total - along) / (self.geometry.normal.shape[1] - 1)
+        return jnp.maximum(along, _LEAST_INVERSE), jnp.maximum(across, _LEAST_INVERSE)
 
     def _friction(
         self,
         bodies: "FreeBodies",
-        change: Float[Array, "N D"],
-        diagonal: Float[Array, " N"],
+        change: Float[Array, "N G"],
+        diagonal: Float[Array, "N G"],
         mobility: Float[Array, " C"],
         dt: float,
-    ) -> tuple[Float[Array, " N"], Float[Array, " C"]]:
+    ) -> tuple[Float[Array, "N G"], Float[Array, " C"]]:
         """Dampers to the ground, times dt [kg], and the roots of the dampers across each normal, in
         units of those along it, by which friction reaches its bound and not more.
 
         A damper c slows a body of effective mass m from v to v m / (m + c), so that it takes the
-        impulse p if c = p / (v - p / m).
+        impulse p if c = p / (v - p / m). On the ground a body that turns counts with the speed of
+        its radius of gyration, as an ellipsoid of forces has it (Howe and Cutkosky 1996).
         """
         velocity, diagonal, mobility, damper = jax.lax.stop_gradient(
             (bodies.velocity + change, diagonal, mobility, self.damper)
         )
-        speed, slow = _length(velocity), _SLOW * bodies.speed
-        bound = bodies.mass * bodies.deceleration * dt
-        ground = bound / jnp.maximum(speed - bound * diagonal, slow) + bodies.ground_damper
+        slow = _SLOW * bodies.speed
+        per_mass = jax.lax.stop_gradient(bodies.mass / bodies.mass[:, :1])
+        speed = _length(jnp.sqrt(per_mass) * velocity)[:, None]
+        bound = bodies.mass * bodies.deceleration[:, None] * dt
+        ground = bound / jnp.maximum(speed - bound * diagonal, slow)
+        ground = ground + bodies.ground_damper[:, None] * bodies.mass
         relative = relative_at_edges(velocity[..., None], self.geometry)[..., 0]
         approach = jnp.sum(self.geometry.normal * relative, axis=-1)
         across = _length(relative - approach[:, None] * self.geometry.normal)
@@ -186,19 +206,19 @@ def damper_of(coupling: Float[Array, " C"]) -> Float[Array, " C"]:
 class FreeBodies(eqx.Module):
     """The bodies of one step before contacts act on them."""
 
-    mass: Float[Array, " N"]
-    """kg, with what a servo adds."""
-    velocity: Float[Array, "N D"]
+    mass: Float[Array, "N G"]
+    """kg, with what a servo adds; of a turn the inertia, over the squared length of its unit."""
+    velocity: Float[Array, "N G"]
     """m/s"""
     ground_damper: Float[Array, " N"]
-    """Times dt, kg."""
+    """Times dt, in units of the mass."""
     deceleration: Float[Array, " N"]
     """By the ground, m/s^2, until a body rests."""
-    weight: Float[Array, "N D 1"]
+    weight: Float[Array, "N G 1"]
     """N, times dt."""
-    driving: Float[Array, "N D W"]
+    driving: Float[Array, "N G W"]
     """kg: momentum for each m/s that the free actuated nodes get."""
-    push: Float[Array, "N D 1"]
+    push: Float[Array, "N G 1"]
     """kg m/s: momentum that control and weight give in the step, as far as they are known."""
     speed: float = eqx.field(static=True, default=1.0)
     """Unit of speeds, m/s."""
@@ -207,32 +227,32 @@ class FreeBodies(eqx.Module):
 class ContactMotion(eqx.Module):
     """Effect of one step on every node, of the whole scene solved together."""
 
-    velocity_change: Float[Array, "N D"]
+    velocity_change: Float[Array, "N G"]
     """By contacts, springs and the ground, without control and weight; m/s."""
-    impact_displacement: Float[Array, "N D"]
+    impact_displacement: Float[Array, "N G"]
     """m; by how much impacts displace more than the change of velocity alone would."""
-    acceleration: Float[Array, "N D"]
+    acceleration: Float[Array, "N G"]
     """By weight, m/s^2."""
-    response: Float[Array, "N D W"]
+    response: Float[Array, "N G W"]
     """Share of the acceleration of each free actuated node and axis."""
-    held_response: Float[Array, "N D W"]
+    held_response: Float[Array, "N G W"]
     """The same, without edges that only touch."""
-    own_share: Float[Array, " N"]
+    own_share: Float[Array, "N G"]
     """Share of its own momentum that a node keeps, in (0, 1]."""
-    ground_share: Float[Array, " N"]
+    ground_share: Float[Array, "N G"]
     """Share of its velocity that a node loses to the ground, in [0, 1)."""
 
 
 class _Solved(eqx.Module):
-    parts: list[Float[Array, "N D c"]]
-    diagonal: Float[Array, " N"]
+    parts: list[Float[Array, "N G c"]]
+    diagonal: Float[Array, "N G"]
 
 
 def _solve_each(
-    node: Float[Array, " N"],
+    node: Float[Array, "N G"],
     stiffness: list[Float[Array, " C"]],
     geometry: list[Geometry],
-    vectors: list[list[Float[Array, "N D c"]]],
+    vectors: list[list[Float[Array, "N G c"]]],
     capacity: int | None,
 ) -> list[_Solved]:
     """`_solve` of several scenes of the same bodies, as one batch: one program to compile."""
@@ -257,10 +277,10 @@ def _solve_each(
 
 
 def _solve(
-    node: Float[Array, " N"],
+    node: Float[Array, "N G"],
     stiffness: Float[Array, " C"],
     geometry: Geometry,
-    vectors: list[Float[Array, "N D c"]],
+    vectors: list[Float[Array, "N G c"]],
     capacity: int | None,
 ) -> _Solved:
     matrix, right = MassMatrix(node, stiffness, geometry), jnp.concatenate(vectors, axis=-1)
@@ -272,7 +292,7 @@ def _solve(
     return _Solved(jnp.split(solved.solution, splits, axis=-1), solved.diagonal)
 
 
-def _pulled(damper: Float[Array, " C"], geometry: Geometry, count: int) -> Float[Array, "N D 1"]:
+def _pulled(damper: Float[Array, " C"], geometry: Geometry, count: int) -> Float[Array, "N G 1"]:
     return to_nodes((damper[:, None] * geometry.relative_velocity)[..., None], geometry, count)
 
 

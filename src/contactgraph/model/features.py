@@ -9,6 +9,8 @@ from jaxtyping import Array, Float, Int
 
 from contactgraph.data.trajectory_batch import type_id
 from contactgraph.model.collision import Geometry
+from contactgraph.model.polygons import polygon_meeting
+from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import Nodes
 
 _NEAR = 0.03
@@ -41,6 +43,8 @@ class InvariantFeatures(eqx.Module):
     learned: bool = eqx.field(static=True)
     types: tuple[str, ...] = eqx.field(static=True)
     boxes: bool = eqx.field(static=True)
+    turning: tuple[str, ...] = eqx.field(static=True)
+    turn_length: float | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -50,6 +54,8 @@ class InvariantFeatures(eqx.Module):
         learned: bool = True,
         types: tuple[str, ...] = (),
         boxes: bool = False,
+        turning: tuple[str, ...] = (),
+        turn_length: float | None = None,
     ):
         """`hinges`: whether nodes may be hinged; `learned`: whether the contact distance is.
 
@@ -57,6 +63,8 @@ class InvariantFeatures(eqx.Module):
         `types`: names of the node types, passive ones first, actuated ones last; without names,
         bodies are of one size, and their types are whether they are actuated and hinged.
         `boxes`: whether nodes that have a size are boxes; see `box_displacement`.
+        `turning`: the types of bodies that turn; `turn_length` [m]: see `generalized_coordinates`,
+        None where none does.
         """
         # A product has no weak type, with which the first training update would recompile.
         self.contact_distance = length * jnp.ones(()) if learned else length
@@ -66,6 +74,8 @@ class InvariantFeatures(eqx.Module):
         self.learned = learned
         self.types = types
         self.boxes = boxes
+        self.turning = turning
+        self.turn_length = turn_length
         self.log_size = 0.0 * jnp.ones(len(types)) if types else None
 
     @property
@@ -85,6 +95,23 @@ class InvariantFeatures(eqx.Module):
             return jax.nn.one_hot(index, len(self.types), dtype=dtype)
         known = np.array([type_id(name) for name in self.types])
         return (nodes.type_id[:, None] == known).astype(dtype)
+
+    def turns(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, " N"]:
+        """1 for bodies that turn, else 0."""
+        if not self.turning:
+            return jnp.zeros(nodes.mask.shape, dtype)
+        of_type = np.array([name in self.turning for name in self.types], dtype)
+        return self.node_type(nodes, dtype) @ of_type * nodes.mobile
+
+    def meeting(
+        self, nodes: Nodes, position: Float[Array, "N G"], edge_index: Int[Array, "2 E"]
+    ) -> Meeting | None:
+        """The `polygon_meeting` of nodes `shaped`; None where no body turns."""
+        if self.turn_length is None or nodes.outlines is None:
+            return None
+        turns = self.turns(nodes, position.dtype)
+        units = self.turn_length, self.length
+        return polygon_meeting(nodes.outlines, position, turns, edge_index, *units)
 
     def distances(
         self, nodes: Nodes, edge_index: Int[Array, "2 E"], dtype: DTypeLike
@@ -149,6 +176,21 @@ class AbsoluteFeatures(eqx.Module):
         return False
 
     @property
+    def turn_length(self) -> float | None:
+        """None: no body turns."""
+        return None
+
+    def turns(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, " N"]:
+        """0: no body turns."""
+        return jnp.zeros(nodes.mask.shape, dtype)
+
+    def meeting(
+        self, nodes: Nodes, position: Float[Array, "N G"], edge_index: Int[Array, "2 E"]
+    ) -> Meeting | None:
+        """None: bodies are round."""
+        return None
+
+    @property
     def node_types(self) -> int:
         """Number of node types."""
         return 4 if self.hinges else 2
@@ -194,6 +236,33 @@ def stillness(geometry: Geometry) -> Float[Array, "*B E"]:
     touch = jax.lax.stop_gradient(geometry.contact_distance)
     approach = (geometry.distance - geometry.closest_approach) / touch
     return jnp.exp(-((approach / _STILL) ** 2))
+
+
+def with_commands(
+    features: Float[Array, "2 E F"],
+    geometry: Geometry,
+    nodes: Nodes,
+    command: Float[Array, " C"],
+) -> Float[Array, "2 E F+1+C"]:
+    """The edge features, then stillness, and the commands on actuated ends."""
+    acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None] * command
+    known = jnp.concatenate([stillness(geometry)[:, None], acting], axis=-1)
+    return jnp.concatenate([features, jnp.stack([known, known]).astype(features.dtype)], -1)
+
+
+def turn_length_of(model: object) -> float | None:
+    """The unit of turns, m, of a model of bodies that turn: see `generalized_coordinates`."""
+    return getattr(getattr(model, "features", None), "turn_length", None)
+
+
+def shaped(nodes: Nodes, features: InvariantFeatures | AbsoluteFeatures) -> Nodes:
+    """The nodes with those shapes that a model of such features uses."""
+    if not features.boxes:
+        nodes = nodes._replace(half_size=None)
+    if features.turn_length is None:
+        return nodes._replace(outlines=None)
+    points = jnp.zeros((len(nodes.mask), 1, 1, 2))
+    return nodes._replace(outlines=points if nodes.outlines is None else nodes.outlines)
 
 
 def _node_type(nodes: Nodes, hinges: bool, dtype: DTypeLike) -> Float[Array, "N node_types"]:

@@ -10,9 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from contactgraph.data import InvalidInputError, Scene, TrajectoryBatch
+from contactgraph.data import (
+    InvalidInputError,
+    Scene,
+    Trajectory,
+    TrajectoryBatch,
+    pad_trajectories,
+)
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast_like, correct
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.features import turn_length_of
 from contactgraph.model.local_dynamics import FreeLinearDynamics
 from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
 from contactgraph.model.rollout import control_sensitivity, with_control_displacement
@@ -51,6 +58,10 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
             f"{other} has nodes of type {', '.join(unknown)}, which the model does not know; it "
             f"knows {', '.join(model.features.types)}"
         )
+    if model.features.turn_length is not None and scene.polygons is None:
+        raise InvalidInputError(
+            f"the model is for bodies that turn, but {other} has no polygons, their outlines"
+        )
     if model.features.hinges and not scene.has_hinges:
         raise InvalidInputError(
             f"the model is for bodies on hinges, but {other} has no anchor, the position of "
@@ -86,6 +97,18 @@ def on_device(batch: TrajectoryBatch[np.ndarray], dtype: np.dtype) -> Trajectory
         return jnp.asarray(leaf, dtype if np.issubdtype(leaf.dtype, np.floating) else None)
 
     return jax.tree.map(moved, batch)
+
+
+def trajectory_for(
+    model: object,
+    trajectory: Trajectory,
+    node_capacity: int | None = None,
+    steps: int | None = None,
+    contacts: bool = True,
+) -> TrajectoryBatch[Array]:
+    """One trajectory in the coordinates of the model, without a batch axis: `pad_trajectories`."""
+    size = node_capacity, steps, contacts, turn_length_of(model)
+    return on_device(pad_trajectories((trajectory,), *size).at(0), dtype_of(model))
 
 
 def dtype_of(model: object) -> np.dtype:

@@ -265,7 +265,7 @@ def _of_dtype(shapes: ContactDynamics, dtype: np.dtype) -> ContactDynamics:
 
 def _check_fit(model: ContactDynamics, where: str) -> None:
     """Trace one step of two nodes, to check that the parts fit together."""
-    still = jnp.zeros((2, model.dimension))
+    still = jnp.zeros((2, model.coordinates))
     nodes = Nodes(jnp.array([True, False]), jnp.ones(2, bool), jnp.ones(1, bool))
 
     def step(control: jax.Array) -> ModelState:

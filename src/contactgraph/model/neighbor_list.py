@@ -140,6 +140,7 @@ def travel_bound(
     anchor: Float[Array, "N D"] | None,
     dt: float,
     half_size: Float[Array, "N D"] | None = None,
+    outlines: Float[Array, "N P V 2"] | None = None,
 ) -> Float[Array, " N"]:
     """Largest distance [m] from a node's position at which its body may be met in a step of `dt`
     [s]; arguments as of `geometry`."""
@@ -148,6 +149,8 @@ def travel_bound(
         bound = bound + jnp.linalg.norm(control_displacement, axis=-1)
     if half_size is not None:  # a corner is farther from the centre than the nearest side
         bound = bound + jnp.linalg.norm(half_size, axis=-1) - jnp.min(half_size, axis=-1)
+    if outlines is not None:
+        bound = bound + jnp.max(jnp.linalg.norm(outlines, axis=-1), axis=(1, 2))
     if anchor is None:
         return bound
     # A bar's far end is a radius from its middle, and twice as fast.

@@ -5,39 +5,61 @@ from jaxtyping import Array, Float
 
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.collision import Geometry
+from contactgraph.model.contacts import Contacts, damper_of
+from contactgraph.model.polygons import POINTS, levers, placed, plane_points
 
 _LEAST_APPROACH = 1e-9
 """m"""
 
 
 def plane_geometry(
-    position: Float[Array, "N D"],
-    velocity: Float[Array, "N D"],
-    motion: Float[Array, "N D"],
+    position: Float[Array, "N G"],
+    velocity: Float[Array, "N G"],
+    motion: Float[Array, "N G"],
     distance: Float[Array, " N"],
     nodes: Nodes,
+    turns: Float[Array, " N"] | None = None,
+    turn_length: float = 1.0,
+    length: float = 1.0,
 ) -> Geometry:
     """The geometry of every node with every plane in a step.
 
     A node at ``velocity`` [m/s], which would move by ``motion`` [m] if no contact hindered it,
     touches a plane at ``distance`` [m]. The second node of such an edge is the first again,
     with a contact Jacobian of 0; that of the first is 0, too, unless the two meet in the step.
+    With ``turns`` bodies have outlines, and each has `plane_points`: see `polygon_meeting`.
     """
     assert nodes.planes is not None
-    count, dimension = position.shape
-    planes = jnp.tile(nodes.planes, (count, 1))  # [N P, D+1], those of the first node first
-    node = jnp.repeat(jnp.arange(count), len(nodes.planes))
-    normal = planes[:, :-1]
-    height = jnp.sum(normal * position[node], axis=-1) - planes[:, -1]
-    approach = -jnp.sum(normal * motion[node], axis=-1)
+    planes, points = nodes.planes, 1 if turns is None else POINTS
+    dimension = planes.shape[1] - 1
+    # Rows are those of the first node first, then of its first plane.
+    node = jnp.repeat(jnp.arange(len(position)), len(planes) * points)
+    rows = jnp.repeat(jnp.tile(planes, (len(position), 1)), points, axis=0)
+    normal = rows[:, :-1]
+    if turns is None:
+        height = jnp.sum(normal * position[node], axis=-1) - rows[:, -1]
+        jacobian = jnp.broadcast_to(jnp.eye(dimension), (len(node), dimension, dimension))
+    else:
+        assert nodes.outlines is not None
+        shapes = placed(nodes.outlines, position[:, :2], position[:, 2] / turn_length)
+        height, lowest = (
+            leaf.reshape(len(node), *leaf.shape[3:])
+            for leaf in plane_points(shapes, planes, length)
+        )
+        jacobian = levers(lowest, position, turns, node, turn_length)
+
+    def moved(motion: Float[Array, "N G"]) -> Float[Array, "C D"]:
+        return jnp.einsum("cdg,cg->cd", jacobian, motion[node])
+
+    approach = -jnp.sum(normal * moved(motion), axis=-1)
     gap = height - distance[node]
     time = jnp.clip(gap / jnp.maximum(approach, _LEAST_APPROACH), 0.0, 1.0)
     meets = (approach > 0.0) & (time < 1.0) & nodes.mobile[node] & jnp.any(normal != 0.0, axis=-1)
-    jacobian = jnp.eye(dimension) * meets[:, None, None]
+    acting = jacobian * meets[:, None, None]
     return Geometry(
         edge_index=jnp.stack([node, node]),
         displacement=-height[:, None] * normal,
-        relative_velocity=-velocity[node] * meets[:, None],
+        relative_velocity=-moved(velocity) * meets[:, None],
         distance=height,
         predicted_distance=height - approach,
         closest_approach=height - jnp.maximum(approach, 0.0),
@@ -47,14 +69,42 @@ def plane_geometry(
         approach=approach,
         time_of_impact=jnp.where(meets, time, 0.0),
         fraction_after_impact=(1.0 - time) * meets,
-        contact_jacobian=jnp.stack([jacobian, jnp.zeros_like(jacobian)]),
+        contact_jacobian=jnp.stack([acting, jnp.zeros_like(acting)]),
         contact_distance=distance[node],
     )
 
 
+def plane_contacts(
+    geometry: Geometry,
+    closing: Float[Array, " C"],
+    laws: tuple[Float[Array, " C"], Float[Array, " C"]],
+    displacing_fraction: Float[Array, " C"],
+    averaged: bool,
+) -> Contacts:
+    """Touches of a `plane_geometry`, with the ``laws`` of bounce and friction.
+
+    ``closing`` is 1 where a node approaches, else 0; ``averaged``: see `BodyHead`.
+    """
+    closing, nothing = meets_plane(geometry) * closing, jnp.zeros_like(closing)
+    return Contacts(
+        geometry=geometry,
+        damper=damper_of(closing),
+        spring=nothing,
+        rest_length=nothing,
+        touching=nothing + 1.0,
+        displacing_fraction=displacing_fraction,
+        acting=1.0 - geometry.time_of_impact * averaged,
+        bounce=closing * laws[0],
+        friction=laws[1],
+        until_impact=geometry.time_of_impact * (1.0 - averaged),
+    )
+
+
+def meets_plane(geometry: Geometry) -> Float[Array, " C"]:
+    """1 for the rows of a `plane_geometry` whose node meets the plane in the step, else 0."""
+    return geometry.contact_jacobian[0, :, 0, 0]
+
+
 def on_planes(geometry: Geometry, nodes: Nodes) -> Float[Array, " N"]:
-    """1 for nodes that meet some plane in a step, else 0, where planes are the last contacts."""
-    assert nodes.planes is not None
-    count = len(nodes.mask)
-    meets = geometry.contact_jacobian[0, -count * len(nodes.planes) :, 0, 0]
-    return jnp.max(meets.reshape(count, -1), axis=1)
+    """1 for nodes that meet some plane in a step, else 0; ``geometry`` is of planes alone."""
+    return jnp.max(meets_plane(geometry).reshape(len(nodes.mask), -1), axis=1)

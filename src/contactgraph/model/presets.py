@@ -11,7 +11,6 @@ from typing import Protocol
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
 from contactgraph.data.actuation_fit import ActuationFit
@@ -19,8 +18,13 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
 from contactgraph.model.body_head import BodyHead
-from contactgraph.model.body_starts import with_impacts, with_slowing
-from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
+from contactgraph.model.body_starts import with_impacts, with_shapes, with_slowing
+from contactgraph.model.collision import (
+    ClosestApproachPrior,
+    DistancePrior,
+    NoCutoff,
+    SmoothCutoff,
+)
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import (
@@ -64,11 +68,9 @@ class ModelConfig:
     weight: bool = False
     """Whether bodies have weight and rest on the ground until lifted; see `GroundSupport`."""
     learned_contact_distance: bool = True
-    """Whether `contact_distance` is only the start of a learned one. This, `weight` and
-    `control_gain` apply to `gim_temp`, `gim_non_temp` and `no_gim`."""
+    """Whether `contact_distance` is only the start of a learned one."""
     control_gain: float = 1.0
-    """Start of the learned acceleration of actuated nodes for each unit of control, m/s^2; 1 where
-    the control is a force on about 1 kg."""
+    """Start of the learned acceleration of actuated nodes, m/s^2 a unit; 1: a force on 1 kg."""
     node_types: tuple[str, ...] = ()
     """Names of the types of nodes, passive ones first, then actuated ones; only for
     `bodies`, as what follows. Empty: they are not told."""
@@ -79,13 +81,15 @@ class ModelConfig:
     actuated_nodes: int = 1
     """Most actuated nodes of a scene."""
     plane_distance: Mapping[str, float] = field(default_factory=dict)
-    """m; how near each type of node comes to a plane, by name. Those left out: half the contact
-    distance."""
+    """m; how near each type comes to a plane. Those left out: half the contact distance."""
     boxes: bool = False
     """Whether nodes that have a size are boxes along the axes; else all are round."""
+    turn_length: float | None = None
+    """See `generalized_coordinates`, m. None: no body turns."""
+    inertia: Mapping[str, float] = field(default_factory=dict)
+    """Squared radius of gyration at the start, in units of `turn_length`, of types that turn."""
     slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Deceleration, m/s^2, and damper, 1/s, by the ground at the start of training, by type. Those
-    left out: nearly 0."""
+    """Deceleration, m/s^2, and damper, 1/s, by the ground at the start, by type; else nearly 0."""
     impacts: Mapping[tuple[str, str], Impacts] = field(default_factory=dict)
     """Bounce, friction and ratios of masses at the start of training, of pairs of types."""
     averaged: bool = False
@@ -111,7 +115,6 @@ class Preset(Protocol):
 
     def __call__(self, config: ModelConfig, /, *, key: PRNGKeyArray) -> ContactDynamics:
         """The model for this configuration."""
-        ...
 
 
 def gim_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
@@ -187,6 +190,8 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         learned=config.learned_contact_distance,
         types=config.node_types or ("object", "actuated"),
         boxes=config.boxes,
+        turning=tuple(config.inertia),
+        turn_length=config.turn_length,
     )
     driving = config.driving_size
     driving = min(config.dimension, config.control_size) if driving is None else driving
@@ -199,10 +204,10 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         slots=config.actuated_nodes,
         averaged=config.averaged,
         speed=config.speed,
+        turn_length=config.turn_length,
         key=jax.random.fold_in(model_key, 1),
     )
-    near = [config.plane_distance.get(name, 0.5 * head.length) for name in features.types]
-    head = eqx.tree_at(lambda each: each.plane_distance, head, jnp.array(near))
+    head = with_shapes(head, config.plane_distance, config.inertia, features.types)
     head = with_slowing(head, [config.slowing.get(name, (0.0, 0.0)) for name in features.types])
     head = with_impacts(head, config.impacts, features.types)
     size = features.edge_size(config.dimension)

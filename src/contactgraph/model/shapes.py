@@ -1,5 +1,7 @@
 """Shapes of bodies: bars about hinges, with the constraint that keeps them there, and boxes."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -12,6 +14,43 @@ _RESTING_SPEED = 0.1
 """Relative speed, m/s, well below which two coupled bodies are at rest against each other."""
 _LEAST_GAP = 1e-6
 """Of a distance from a box, in units of its sides, below which a point counts as inside."""
+
+
+class Meeting(NamedTuple):
+    """Places at which bodies meet, a row each."""
+
+    displacement: Float[Array, "C D"]
+    """m; from the first body to the second, see `Geometry`."""
+    jacobian: Float[Array, "2 C d c"]
+    """See `Geometry.contact_jacobian`."""
+    sliding: list[Float[Array, "C D"]]
+    """Directions, unit vectors or 0, in which they slide without coming nearer."""
+    edge_index: Int[Array, "2 C"]
+    """Both bodies."""
+
+
+def meeting(
+    position: Float[Array, "N D"],
+    edge_index: Int[Array, "2 E"],
+    anchor: Float[Array, "N D"] | None,
+    half_size: Float[Array, "N D"] | None,
+) -> Meeting:
+    """The places of round bodies, of bars about an ``anchor`` [m] and of boxes along the axes."""
+    first, second = edge_index
+    jacobian, sliding = jnp.ones((2, first.shape[0], 1, 1), position.dtype), []
+    displacement = position[second] - position[first]
+    if anchor is not None:
+        bodies = HingedBodies(position, anchor)
+        begin, begin_sliding = bodies.closest_point(first, position[second])
+        end, end_sliding = bodies.closest_point(second, position[first])
+        of_first = bodies.contact_jacobian(first, position[second])
+        of_second = bodies.contact_jacobian(second, position[first])
+        displacement, sliding = end - begin, [begin_sliding, end_sliding]
+        jacobian = jnp.stack([of_first, of_second])
+    if half_size is not None:
+        half_size = jnp.sum(half_size[edge_index], axis=0)
+        displacement, sliding = box_displacement(displacement, half_size)
+    return Meeting(displacement, jacobian, sliding, edge_index)
 
 
 class HingedBodies(eqx.Module):

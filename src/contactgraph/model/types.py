@@ -195,6 +195,9 @@ class EncodedGraph(eqx.Module):
     """m/s"""
     nodes: Nodes
     geometry: Geometry
+    contact_points: Geometry
+    """The places at which the nodes of edges meet, one or more of each, the nearest of all edges
+    first."""
     edge_id: Int[Array, " E"] | None
     """`Edges.edge_id`."""
     node_features: Float[Array, "N F"]
@@ -229,8 +232,17 @@ class LocalInput(eqx.Module):
     nodes: Nodes
     control_displacement: Float[Array, "N D"] | None
     """m; see `ModelState`."""
+    points: Geometry | None = None
+    """See `contact_points`. None: those of `geometry`."""
+    turns: Float[Array, " N"] | None = None
+    """1 for bodies that turn, else 0."""
     group_capacity: int | None = eqx.field(static=True, default=None)
     """Most nodes that are coupled, directly or through others. None: no limit."""
+
+    @property
+    def contact_points(self) -> Geometry:
+        """See `EncodedGraph`."""
+        return self.geometry if self.points is None else self.points
 
 
 class StepStages(eqx.Module):

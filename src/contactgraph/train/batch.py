@@ -207,9 +207,16 @@ def add_distractor(
     """
     batch, states, count, dimension = windows.position.shape
     keys = jax.random.split(key, batch)
+    place = windows.position
+    if windows.nodes.outlines is not None:
+        # An outline lies within a circle about its node, which any turn of it keeps.
+        place = place[..., :2]
+        wide = 2.0 * jnp.max(jnp.linalg.norm(windows.nodes.outlines, axis=-1))
+        nearest, farthest = nearest + wide, farthest + wide
     drawn, clear = jax.vmap(
         lambda position, mask, key: _distractor_position(position, mask, nearest, farthest, key)
-    )(windows.position, windows.nodes.mask, keys)
+    )(place, windows.nodes.mask, keys)
+    drawn = jnp.pad(drawn, ((0, 0), (0, dimension - drawn.shape[1])))
     position = jnp.broadcast_to(drawn[:, None, None, :], (batch, states, 1, dimension))
     edges = jnp.ones((batch, count), bool)
     return dataclasses.replace(
@@ -246,6 +253,7 @@ def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array,
         control_of=appended(nodes.control_of),
         half_size=appended(nodes.half_size, of_first(nodes.half_size)),
         reach=appended(nodes.reach, unbounded),
+        outlines=appended(nodes.outlines, of_first(nodes.outlines)),
     )
 
 

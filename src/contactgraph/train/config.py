@@ -2,7 +2,9 @@
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +20,14 @@ from contactgraph.data.actuation_fit import (
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.impact_fit import Impacts, fit_impacts
+from contactgraph.data.trajectory import Trajectory
 from contactgraph.train.loss import LossTerms
+from contactgraph.train.turning import (
+    find_turning,
+    outline_distances,
+    plane_distances,
+    round_distances,
+)
 
 
 @dataclass(frozen=True)
@@ -78,8 +87,6 @@ CONTACT_DISTANCE = 0.085
 """m; where data do not tell, about the distance at which bodies touch."""
 _AVERAGED = 0.95
 """Share of a change of velocity that displaces in its step, from which velocities are means."""
-_NEAREST = 0.005
-"""Share of the states that may lie nearer to a plane than a body that touches it."""
 _MOVES, _LEAST_BEGINNINGS = 0.02, 10
 """Share of a trajectory's greatest speed from which a body moves; and how often that must begin for
 the distance of contact to be seen from it."""
@@ -104,6 +111,8 @@ class BodyDefaults:
     averaged: bool
     boxes: bool
     theta: float
+    turn_length: float | None
+    inertia: dict[str, float]
     slowing: dict[str, tuple[float, float]]
     impacts: dict[tuple[str, str], Impacts]
 
@@ -169,12 +178,22 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     theta = fit_theta(dataset)
     averaged = theta > _AVERAGED
     distance, boxes = common.contact_distance, False
-    if common.learned_contact_distance:
-        round_, box = (_contact_distance(dataset, each) for each in (False, True))
+    turning = find_turning(dataset)
+    if common.learned_contact_distance and turning is not None:
+        # Bodies with an outline touch where these meet.
+        found = _contact_distance(dataset, round_distances).distance
+        distance = found if math.isfinite(found) else turning.size
+    elif common.learned_contact_distance:
+        round_, box = (
+            _contact_distance(dataset, partial(distances, boxes=each)) for each in (False, True)
+        )
         # Shapes that are right let bodies touch at one distance.
         boxes = box.spread < round_.spread
         distance = box.distance if boxes else round_.distance
     actuation = fit_actuation(dataset, 1.0 if averaged else theta)
+    apart = partial(distances, boxes=boxes)
+    if turning is not None:
+        apart = partial(outline_distances, contact_distance=distance)
     return BodyDefaults(
         contact_distance=distance,
         learned_contact_distance=common.learned_contact_distance and not averaged,
@@ -182,13 +201,16 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         actuation=actuation,
         driving_size=int(drives.sum()),
         actuated_nodes=max(1, *(int(each.scene.actuated.sum()) for each in dataset)),
-        plane_distance=_plane_distances(dataset),
+        plane_distance=plane_distances(dataset, {} if turning is None else turning.inertia),
         averaged=averaged,
         boxes=boxes,
         theta=theta,
-        slowing=fit_slowing(dataset, distance, boxes),
-        # Of means over a step nothing tells the velocities before and after.
-        impacts={} if averaged else fit_impacts(dataset, actuation),
+        turn_length=None if turning is None else turning.turn_length,
+        inertia={} if turning is None else turning.inertia,
+        slowing=fit_slowing(dataset, distance, apart),
+        # Of means over a step nothing tells the velocities before and after; and those of bodies
+        # that turn, nothing but the whole step.
+        impacts={} if averaged or turning is not None else fit_impacts(dataset, actuation),
     )
 
 
@@ -208,11 +230,11 @@ class _Touching(NamedTuple):
     """From the first to the last tenth, in units of the distance; infinite where not known."""
 
 
-def _contact_distance(dataset: Dataset, boxes: bool) -> _Touching:
+def _contact_distance(dataset: Dataset, distances: Callable[[Trajectory], np.ndarray]) -> _Touching:
     """The distance from the nearest body at which bodies that rest begin to move.
 
     Where that is hardly ever seen: how near bodies come to each other in some trajectories.
-    ``boxes``: bodies that have a size are boxes.
+    ``distances`` [T+1, N, N] m are those of a trajectory.
     """
     if any(each.scene.has_hinges for each in dataset):
         return _Touching(CONTACT_DISTANCE, np.inf)  # is that from a bar's middle line
@@ -221,7 +243,7 @@ def _contact_distance(dataset: Dataset, boxes: bool) -> _Touching:
     for each in dataset:
         if each.scene.node_count < 2:
             continue
-        apart = np.min(distances(each, boxes), axis=-1)
+        apart = np.min(distances(each), axis=-1)
         speed = np.linalg.norm(each.velocity, axis=-1)
         moves = speed > _MOVES * speed.max(initial=0.0)
         begin = ~moves[:-1] & moves[1:] & ~each.scene.actuated
@@ -236,26 +258,6 @@ def _contact_distance(dataset: Dataset, boxes: bool) -> _Touching:
         spread = spread / float(np.median(found))
     distance = float(np.quantile(found, share)) if len(found) else 0.0
     return _Touching(distance if distance > 0.0 else CONTACT_DISTANCE, spread)
-
-
-def _plane_distances(dataset: Dataset) -> dict[str, float]:
-    """How near each type comes to any plane, m, but for the nearest of its states.
-
-    Of a type that planes do not stop: how far it gets behind them, below 0.
-    """
-    heights: dict[str, list[np.ndarray]] = {}
-    for each in dataset:
-        planes = each.scene.planes
-        if planes is not None and len(planes):
-            height = np.min(each.position @ planes[:, :-1].T - planes[:, -1], axis=-1)
-            for node, name in enumerate(each.scene.node_type):
-                heights.setdefault(name, []).append(height[:, node])
-    nearest: dict[str, float] = {}
-    for name, found in heights.items():
-        height = np.concatenate(found)
-        near = float(np.quantile(height, _NEAREST))
-        nearest[name] = near if near > 0.0 else float(height.min())
-    return nearest
 
 
 _FOLLOWED = ("displacement", "velocity")

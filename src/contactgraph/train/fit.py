@@ -24,9 +24,8 @@ from contactgraph.train.batch import (
     window_source,
 )
 from contactgraph.train.config import TrainConfig
-from contactgraph.train.dead_network import equals_constant_velocity, has_dead_units
 from contactgraph.train.fit_state import FitProgress, FitResult, FitState, FitStatus, with_lists
-from contactgraph.train.held_out import held_out_windows
+from contactgraph.train.held_out import equals_constant_velocity, has_dead_units, held_out_windows
 from contactgraph.train.judged_steps import check_contacts
 
 _BURN = 20
@@ -70,10 +69,11 @@ def fit(
     if config.use_contacts:
         check_contacts(state.model, train, "training with contacts")
     labelled = with_edge_labels(train) if config.use_contacts else train
-    batch = pad_trajectories(labelled, contacts=config.use_contacts)
+    turn_length = state.model.features.turn_length
+    batch = pad_trajectories(labelled, contacts=config.use_contacts, turn_length=turn_length)
     source = _window_source(batch, config)
     source = dataclasses.replace(source, reports_touch=labelled is train)
-    other = pad_trajectories(held_out, contacts=False)
+    other = pad_trajectories(held_out, contacts=False, turn_length=turn_length)
     burn = 0
     model = state.model
     if isinstance(model, TrajectoryModel) or isinstance(model.inference, TransitionEdges):

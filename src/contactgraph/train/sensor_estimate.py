@@ -68,7 +68,7 @@ def likeliest_sensor(model: ContactDynamics, parts: list[ReportedSteps]) -> Cont
 
 
 def _encoded(model: ContactDynamics, dataset: Dataset) -> Iterator[ReportedSteps]:
-    batch = pad_trajectories(dataset)
+    batch = pad_trajectories(dataset, turn_length=model.features.turn_length)
     contact = batch.contact
     assert contact is not None
 

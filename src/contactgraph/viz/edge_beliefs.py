@@ -10,7 +10,6 @@ from contactgraph.data import (
     Dataset,
     Trajectory,
     TrajectoryBatch,
-    pad_trajectories,
     pair_indices,
     with_edge_labels,
 )
@@ -21,7 +20,7 @@ from contactgraph.model import (
     MotionNoise,
     default_sensor,
 )
-from contactgraph.model.filter import check_fit, dtype_of, on_device
+from contactgraph.model.filter import check_fit, trajectory_for
 
 EDGE_STATES = ("free", "touch", "hold", "contact")
 """Drawn states of an edge; the last is touch or hold, where holding was not recorded."""
@@ -114,7 +113,7 @@ def belief_timeline(
 
     def observed(contact: np.ndarray | None) -> TrajectoryBatch[Array]:
         known = replace(trajectory, contact=contact, holding=None)
-        return on_device(pad_trajectories((known,), nodes, steps).at(0), dtype_of(model))
+        return trajectory_for(model, known, nodes, steps)
 
     measured, unmeasured = observed(trajectory.contact), observed(None)
     sensor = replace(default_sensor(model), reports_touch=labelled is dataset)

@@ -86,4 +86,4 @@ class MPCPlanner:
             )
         if not plan.outcome.solved:
             return None
-        return plan_feedback(plan, self.interval, self._scene.node_count)
+        return plan_feedback(plan, self.interval, self._scene.node_count, self._scene.dimension)

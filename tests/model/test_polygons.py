@@ -1,0 +1,256 @@
+"""Bodies of polygons: nearest points against Shapely, levers against MuJoCo, whole steps."""
+
+from functools import cache, partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+import shapely
+
+from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
+from contactgraph.data.scene import signed_area
+from contactgraph.data.trajectory_batch import pad_nodes
+from contactgraph.model import ContactDynamics, ModelConfig, ModelState, bodies, scene_nodes
+from contactgraph.model.filter import check_fit
+from contactgraph.model.polygons import contact_points, levers, placed, turned
+
+pytestmark = pytest.mark.usefixtures("double_precision")
+
+DT, LENGTH = 0.02, 0.05
+T = (
+    np.array([[-0.06, -0.03], [0.06, -0.03], [0.06, 0.0], [-0.06, 0.0]]),
+    np.array([[-0.015, 0.0], [0.015, 0.0], [0.015, 0.09], [-0.015, 0.09]]),
+)
+BOX = (np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]]),)
+TRIANGLE = (np.array([[-0.04, -0.03], [0.05, -0.02], [0.0, 0.06]]),)
+SHAPES = {"t": T, "box": BOX, "triangle": TRIANGLE, "disc": ()}
+EDGE = jnp.array([[0], [1]])
+
+
+def scene(kinds: tuple[str, ...], **options) -> Scene:
+    shapes = [(node, each) for node, kind in enumerate(kinds) for each in SHAPES[kind]]
+    return Scene(
+        node_name=tuple(f"{kind}-{node}" for node, kind in enumerate(kinds)),
+        node_type=kinds,
+        actuated=np.zeros(len(kinds), bool),
+        dt=DT,
+        polygons=tuple(each for _, each in shapes),
+        polygon_of=np.array([node for node, _ in shapes]),
+        **options,
+    )
+
+
+@cache
+def outlines(*kinds: str) -> np.ndarray:
+    """[N, 2, 4, 2] m"""
+    found = np.zeros((len(kinds), 2, 4, 2))
+    padded = np.asarray(pad_nodes(scene(kinds), len(kinds)).outlines)
+    found[:] = padded[:, -1:, -1:]
+    found[:, : padded.shape[1], : padded.shape[2]] = padded
+    found[:, padded.shape[1] :] = found[:, padded.shape[1] - 1 : padded.shape[1]]
+    found[:, :, padded.shape[2] :] = found[:, :, padded.shape[2] - 1 : padded.shape[2]]
+    return found
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0, 0))
+def nearest(shapes, position, angle):
+    return contact_points(placed(shapes, position, angle), EDGE, LENGTH)
+
+
+def drawn(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    second = rng.uniform(-0.2, 0.2, (count, 2))
+    position = np.stack([rng.uniform(-0.01, 0.01, (count, 2)), second], axis=1)
+    return position, rng.uniform(-np.pi, np.pi, (count, 2))
+
+
+def as_shapely(kind: str, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """[S] geometries."""
+    if not SHAPES[kind]:
+        return shapely.points(position)
+    parts = [
+        shapely.polygons(position[:, None] + np.asarray(turned(each, angle[:, None])))
+        for each in SHAPES[kind]
+    ]
+    return shapely.union_all(np.array(parts), axis=0)
+
+
+@pytest.mark.parametrize("kinds", [("t", "box"), ("t", "t"), ("triangle", "disc"), ("t", "disc")])
+def test_gaps_and_points_are_those_of_a_geometry_library(kinds: tuple[str, str]) -> None:
+    position, angle = drawn(2500)
+    found = nearest(outlines(*kinds), position, angle)
+    one, other = (as_shapely(kind, position[:, i], angle[:, i]) for i, kind in enumerate(kinds))
+    gap = np.asarray(found.gap)[:, 0, 0]
+    apart = ~shapely.intersects(one, other)
+    assert 0.5 < apart.mean() < 0.99
+    # A point within a ten thousandth of the line of a side counts as above that.
+    np.testing.assert_allclose(
+        gap[apart], shapely.distance(one, other)[apart], rtol=2e-4, atol=1e-6
+    )
+    shallow = ~apart & (shapely.area(shapely.intersection(one, other)) < 1e-6)
+    assert (
+        np.all(np.abs(gap[shallow]) < 2e-3) or not SHAPES[kinds[1]]
+    )  # a disc's centre has no area
+    on_first = shapely.points(np.asarray(found.on_first)[apart, 0, 0])
+    on_second = shapely.points(np.asarray(found.on_second)[apart, 0, 0])
+    assert np.all(shapely.distance(on_first, one[apart]) < 1e-6 + 0.015 * gap[apart])
+    assert np.all(shapely.distance(on_second, other[apart]) < 1e-6 + 0.015 * gap[apart])
+
+
+def test_a_box_on_a_box_has_two_points_of_contact() -> None:
+    position = np.array([[[0.0, 0.0], [0.01, 0.0601]]])
+    found = nearest(outlines("box", "box"), position, np.zeros((1, 2)))
+    np.testing.assert_allclose(found.gap[0, 0], 1e-4, atol=1e-9)
+    np.testing.assert_allclose(found.normal[0, 0], [[0.0, 1.0]] * 2, atol=1e-9)
+    np.testing.assert_allclose(sorted(found.on_first[0, 0, :, 0]), [-0.04, 0.05], atol=1e-9)
+
+
+def test_the_gap_changes_as_its_gradient_says() -> None:
+    position, angle = drawn(300, seed=1)
+    shapes = outlines("t", "box")
+
+    def total(position, angle):
+        return jnp.sum(nearest(shapes, position, angle).gap[:, 0, 0])
+
+    by_place, by_angle = jax.jit(jax.grad(total, argnums=(0, 1)))(position, angle)
+    small, rng = 1e-7, np.random.default_rng(2)
+    along, turn = rng.normal(size=position.shape), rng.normal(size=angle.shape)
+    ends = [
+        np.asarray(nearest(shapes, position + s * along, angle + s * turn).gap)[:, 0, 0]
+        for s in (-small, small)
+    ]
+    expected = (ends[1] - ends[0]) / (2.0 * small)
+    found = np.sum(by_place * along, axis=(1, 2)) + np.sum(by_angle * turn, axis=1)
+    # Where the nearest feature is another on either side, there is no derivative.
+    smooth = np.abs(found - expected) < 1e-3 * (1.0 + np.abs(expected))
+    assert smooth.mean() > 0.99
+
+
+def test_padding_of_outlines_changes_nothing() -> None:
+    position, angle = drawn(200, seed=3)
+    two = outlines("box", "triangle")
+    one = np.asarray(pad_nodes(scene(("box", "triangle")), 2).outlines)
+    assert one.shape != two.shape
+    found, padded = (nearest(each, position, angle) for each in (one, two))
+    np.testing.assert_allclose(found.gap[:, :, 0], padded.gap[:, :, 0], atol=1e-12)
+
+
+def test_levers_are_mujocos_jacobian() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint type="slide" axis="1 0 0"/>'
+        '<joint type="slide" axis="0 1 0"/><joint type="hinge" axis="0 0 1"/>'
+        '<geom type="box" size="0.05 0.03 0.02" mass="1"/></body></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    data.qpos[:] = [0.1, -0.2, 0.7]
+    mujoco.mj_forward(model, data)
+    point, unit = np.array([0.14, -0.21]), 0.04
+    expected = np.zeros((3, 3))
+    mujoco.mj_jac(model, data, expected, None, np.append(point, 0.0), 1)
+    position = jnp.array([[0.1, -0.2, 0.7 * unit]])
+    found = levers(point[None], position, jnp.ones(1), jnp.array([0]), unit)
+    np.testing.assert_allclose(found[0] * np.array([1.0, 1.0, unit]), expected[:2], atol=1e-12)
+
+
+GRAVITY = np.array([0.0, -9.81])
+FLOOR = np.array([[0.0, 1.0, 0.0]])
+TURN_LENGTH = float(np.sqrt((0.1**2 + 0.06**2) / 12.0))
+CONFIG = ModelConfig(
+    2,
+    0,
+    DT,
+    LENGTH,
+    width=4,
+    node_types=("box",),
+    plane_distance={"box": 0.0},
+    turn_length=TURN_LENGTH,
+    inertia={"box": 1.0},
+    learned_contact_distance=False,
+)
+
+
+@cache
+def model() -> ContactDynamics:
+    """Boxes without friction against the air."""
+    slippery = [jnp.full(1, -10.0)] * 2
+    return eqx.tree_at(
+        lambda each: (
+            each.local_dynamics.head.damper_raw,
+            each.local_dynamics.head.deceleration_raw,
+        ),
+        bodies(CONFIG, key=jax.random.key(0)),
+        slippery,
+    )
+
+
+@eqx.filter_jit
+def follow(model: ContactDynamics, nodes, position, velocity, steps: int) -> ModelState:
+    belief = model.initial_belief(position, velocity, nodes)
+    return model.rollout(ModelState(position, velocity, belief), jnp.zeros((steps, 0)), nodes)
+
+
+def fallen(angle: float, speed: float, steps: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates and their rates of a box that stands on a corner of a floor at ``angle``."""
+    nodes = scene_nodes(scene(("box", "box"), gravity=GRAVITY, planes=FLOOR))
+    heights = [-np.asarray(turned(BOX[0], each))[:, 1].min() for each in (angle, 0.0)]
+    position = np.array([[0.0, heights[0]], [1.0, heights[1]]])
+    still = np.array([[speed, 0.0], [0.0, 0.0]])
+    turn, rate = np.array([[angle], [0.0]]), np.zeros((2, 1))
+    start = generalized_coordinates(TURN_LENGTH, position, still, turn, rate)
+    found = follow(model(), nodes, *map(jnp.asarray, start), steps)
+    return np.asarray(found.position), np.asarray(found.velocity)
+
+
+def test_a_box_topples_onto_its_side_and_rests() -> None:
+    position, velocity = fallen(0.7, 0.0)
+    np.testing.assert_allclose(position[-1, :, 1], 0.03, atol=2e-3)
+    np.testing.assert_allclose(np.sin(position[-1, :, 2] / TURN_LENGTH), 0.0, atol=0.05)
+    np.testing.assert_allclose(velocity[-1], 0.0, atol=0.05)
+    assert np.abs(position[:, 1] - position[0, 1]).max() < 1e-4  # it was at rest from the start
+
+
+@pytest.mark.parametrize(("angle", "speed"), [(0.7, 0.0), (1.2, 0.5), (0.4, -0.8)])
+def test_a_falling_box_gains_no_energy(angle: float, speed: float) -> None:
+    position, velocity = fallen(angle, speed)
+    energy = 0.5 * np.sum(velocity[:, 0] ** 2, axis=-1) + 9.81 * position[:, 0, 1]
+    begin = 0.5 * speed**2 - 9.81 * np.asarray(turned(BOX[0], angle))[:, 1].min()
+    assert energy.max() <= begin + 1e-3
+    assert np.diff(energy).max() < 2e-2 * begin
+    assert energy[-1] < begin
+
+
+def test_a_turned_scene_moves_as_the_scene_does() -> None:
+    angle, shift = 0.8, np.array([0.3, -0.1])
+    sine, cosine = np.sin(angle), np.cos(angle)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    position = np.array([[0.0, 0.0], [0.105, 0.02]])
+    velocity = np.array([[0.8, 0.0], [0.0, 0.0]])
+    angles, rates = np.array([[0.1], [0.4]]), np.array([[0.0], [2.0]])
+    nodes = scene_nodes(scene(("box", "box")))
+
+    def moved(position, velocity, angles) -> np.ndarray:
+        start = generalized_coordinates(TURN_LENGTH, position, velocity, angles, rates)
+        return np.asarray(follow(model(), nodes, *map(jnp.asarray, start), 20).position)
+
+    plain = moved(position, velocity, angles)
+    other = moved(position @ turn.T + shift, velocity @ turn.T, angles + angle)
+    np.testing.assert_allclose(other[..., :2], plain[..., :2] @ turn.T + shift, atol=1e-6)
+    np.testing.assert_allclose(other[..., 2], plain[..., 2] + TURN_LENGTH * angle, atol=1e-6)
+    assert np.abs(plain[-1, 1, :2] - position[1]).max() > 0.02  # it was struck
+
+
+def test_outlines_run_counter_clockwise_whatever_was_recorded() -> None:
+    (reversed_,) = Scene(
+        ("box",), ("box",), np.zeros(1, bool), DT, polygons=(BOX[0][::-1],), polygon_of=[0]
+    ).outlines_of(0)
+    assert signed_area(reversed_) > 0.0
+
+
+def test_a_model_that_turns_needs_outlines() -> None:
+    plain = Scene(("box-0",), ("box",), np.zeros(1, bool), DT)
+    with pytest.raises(InvalidInputError, match="no polygons, their outlines"):
+        check_fit(model(), plain, 0, "the data")
