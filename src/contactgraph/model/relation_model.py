@@ -6,12 +6,14 @@ step's velocity, and the prior that of the types. At the start all laws are weak
 large, so that beliefs stay near the prior until the laws tell edges apart.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from contactgraph.data.trajectory_batch import TrajectoryBatch
-from contactgraph.model.collision import DistancePrior, Geometry, NoCutoff
+from contactgraph.model.collision import DistancePrior, NoCutoff
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.force_laws import ExpectedTypes, RelationDynamics
@@ -24,6 +26,8 @@ from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 
 _EVERYWHERE = 1e9
 """Scale of the distance prior, m: 1/2 at every distance."""
+_WEAK = 0.01
+"""Share of a relation's greatest force, below which it is out of range."""
 
 
 class RelationModel(TrajectoryModel):
@@ -37,15 +41,23 @@ class RelationModel(TrajectoryModel):
         """The belief before the first observation, by the types of the ends alone."""
         return self.inference.first_belief(graph.embedding)
 
-    def _known_to_inference(
+    def encode(
         self,
-        features: Float[Array, "2 E G"],
-        geometry: Geometry,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
         nodes: Nodes,
-        command: Float[Array, " U"] | None,
-    ) -> Float[Array, "2 E active"]:
-        types = self.features.node_type(nodes, features.dtype)
-        return self.local_dynamics.strength(geometry.distance, geometry.edge_index, types)
+        control_displacement: Float[Array, "N D"] | None = None,
+        command: Float[Array, " U"] | None = None,
+        contact_distance: Float[Array, " E"] | None = None,
+    ) -> EncodedGraph:
+        """As of all models, with a last part of the embedding: 1 for active types within range."""
+        given = control_displacement, command, contact_distance
+        graph = super().encode(position, velocity, nodes, *given)
+        types = self.features.node_type(nodes, position.dtype)
+        between = graph.geometry.distance, graph.geometry.edge_index, types
+        acts = jnp.max(self.local_dynamics.strength(*between), axis=0) > _WEAK
+        embedding = jnp.concatenate([graph.embedding, acts], axis=-1)
+        return dataclasses.replace(graph, embedding=embedding)
 
     def with_motion(
         self,

@@ -27,8 +27,6 @@ from jaxtyping import Array, Float, Int
 from contactgraph.model.contact_belief import ContactBelief
 
 _SWEEPS = 8
-_WEAK = 0.01
-"""Share of a relation's greatest force, below which it is out of range."""
 _ROUNDING = 1e-5
 """Of probabilities; a greater change is a report."""
 _LEAST = 1e-6
@@ -57,17 +55,16 @@ class StaticEdges(eqx.Module):
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
         edge_index: Int[Array, "2 E"],
-    ) -> Float[Array, "E K+active"]:
-        """The logarithm of every edge's prior, and 1 for each active type that is within its range.
+    ) -> Float[Array, "E K"]:
+        """The logarithm of every edge's prior, by the types of its ends alone.
 
-        The types come first in ``node``; ``edge`` is `RelationDynamics.strength`.
+        They come first in ``node``. `RelationModel.encode` adds which types are within range.
         """
         first, second = node[edge_index, : self.node_types]
         both = self.log_prior + jnp.swapaxes(self.log_prior, 0, 1)
         log_prior = jax.nn.log_softmax(0.5 * jnp.einsum("ei,ej,ijk->ek", first, second, both))
         absent = jnp.log(jnp.full_like(log_prior[:1], _LEAST).at[:, 0].set(1.0))
-        log_prior = jnp.where(weight[:, None] > 0, log_prior, absent)
-        return jnp.concatenate([log_prior, jnp.max(edge, axis=0) > _WEAK], axis=-1)
+        return jnp.where(weight[:, None] > 0, log_prior, absent)
 
     def first_belief(self, embedding: Float[Array, "E K+active"]) -> ContactBelief:
         """The belief before the first observation, with sums of 0."""
