@@ -33,9 +33,13 @@ def test_training_without_labels_finds_stiffness_and_springs(runs):
     model_config = ModelConfig(
         2, 0, SPRING_DT, contact_distance=1.0, width=16, edge_types=2, node_types=("ball",)
     )
-    config = TrainConfig(steps=100, batch_size=8, check_every=100, learning_rate=1e-2)
+    config = TrainConfig(
+        steps=100, batch_size=8, check_every=100, learning_rate=1e-2, rollout_from=0.0
+    )
     fresh = relations(model_config, key=jax.random.key(0))
-    result = fit(initial_state(fresh, config, 0), train, held_out, config)
+    checks = []
+    result = fit(initial_state(fresh, config, 0), train, held_out, config, checks.append)
+    assert checks[-1].terms["rollout"] == 0.0
     law = result.model.local_dynamics.message_passing
     found = jax.vmap(law.types[0])(jnp.array([0.5, 1.0, 1.5])) * law.share[0, 0, 0]
     np.testing.assert_allclose(found, SPRING_STIFFNESS, rtol=0.1)
