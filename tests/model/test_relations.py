@@ -157,6 +157,19 @@ def test_one_way_shares_move_the_receiver_alone(springs):
     assert np.linalg.norm(change[1]) > 1e-3
 
 
+class WithinOneUnit(eqx.Module):
+    def __call__(self, distance):
+        return jnp.maximum(1.0 - distance, 0.0)
+
+
+def test_a_relation_is_active_within_its_range_alone(springs):
+    laws = [WithinOneUnit()]
+    model = eqx.tree_at(lambda each: each.local_dynamics.message_passing.types, springs, laws)
+    position = jnp.array([[0.0, 0.0], [0.15, 0.0], [0.9, 0.0]])  # the unit is 0.3 m
+    belief = compiled(model.initial_belief, position, jnp.zeros((3, 2)), nodes_of(3))
+    np.testing.assert_allclose(belief.probability, [0.5, 0.0, 0.0], atol=1e-6)
+
+
 def rolled_out(model, joined, steps, nodes, seed=0):
     """A trajectory of the model itself under the true types."""
     state = crowd(model, nodes, seed=seed, size=0.4)
