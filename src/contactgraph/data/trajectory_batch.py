@@ -109,21 +109,21 @@ def pad_trajectories(
     contacts: bool = True,
     turn_length: float | None = None,
 ) -> TrajectoryBatch[np.ndarray]:
-    """Pad to ``steps`` (default: the longest) and ``node_capacity`` (default: the most nodes).
+    """Pad to ``steps`` (default: the longest) and ``node_capacity`` (default: the most nodes, two or
+    more, as a graph without edges is not supported).
 
     Contact labels are left out unless ``contacts``. ``turn_length`` [m]: see
     `generalized_coordinates`. Raises `InvalidInputError` where a trajectory has more nodes than the
     capacity.
     """
     trajectories = tuple(trajectories)
-    capacity = max(each.scene.node_count for each in trajectories)
-    if node_capacity is not None:
-        if node_capacity < capacity:
-            raise InvalidInputError(
-                f"node_capacity must be at least {capacity}, the most nodes of a trajectory, "
-                f"found {node_capacity}"
-            )
-        capacity = node_capacity
+    most = max(each.scene.node_count for each in trajectories)
+    capacity = max(2, most) if node_capacity is None else node_capacity
+    if capacity < most:
+        raise InvalidInputError(
+            f"node_capacity must be at least {most}, the most nodes of a trajectory, "
+            f"found {node_capacity}"
+        )
     count, first = len(trajectories), trajectories[0]
     longest = max(each.steps for each in trajectories) if steps is None else steps
     size = coordinate_count(first.scene.dimension, turn_length)

@@ -203,36 +203,35 @@ def _candidates(
     """Candidates both ways; a vertex of a body with an outline does not count against a point."""
     point, begin = vertices[:, :, :, None, None], polygons[:, :, None]
     end = jnp.roll(begin, -1, axis=-2)
-    side = end - begin
-    is_side = jnp.any(side != 0.0, axis=-1)
-    gap, normal, on_one, on_other = _between(point, begin, end, jnp.zeros(is_side.shape, bool))
-    forth = jnp.array([1.0, -1.0]).reshape(2, *(1,) * (gap.ndim - 1))
-    outward = -across(side) / jnp.sqrt(jnp.sum(side**2, axis=-1) + _SMALL)[..., None]
-    height = jnp.where(is_side, jnp.sum((point - begin) * outward, axis=-1), -jnp.inf)
+    side, offset = end - begin, point - begin
+    square = jnp.sum(side**2, axis=-1)
+    is_side = square > 0.0
+    inverse = jnp.where(is_side, 1.0 / jnp.where(is_side, square, 1.0), 0.0)
+    fraction = jnp.clip(jnp.sum(offset * side, axis=-1) * inverse, 0.0, 1.0)
+    apart = jnp.sum((offset - fraction[..., None] * side) ** 2, axis=-1)
+    height = -jnp.sum(offset * across(side), axis=-1) * jnp.sqrt(inverse)
+    height = jnp.where(is_side, height, -jnp.inf)
     inside = jnp.all(height <= 0.0, axis=-1) & jnp.any(is_side, axis=-1)
-    index = jnp.where(inside, jnp.argmax(height, axis=-1), jnp.argmin(gap, axis=-1))
+    index = jnp.where(inside, jnp.argmax(height, axis=-1), jnp.argmin(apart, axis=-1))
     chosen = index[..., None] == jnp.arange(is_side.shape[-1])
-
-    def of_side(leaf: Array) -> Array:
-        leaf = jnp.moveaxis(leaf, chosen.ndim - 1, -1)
-        mask = chosen if leaf.ndim == chosen.ndim else chosen[..., None, :]
-        return jnp.sum(jnp.where(mask, leaf, 0.0), axis=-1)
-
-    flat = jnp.any(chosen & is_side, axis=-1)
     # Above a face the nearest point is inside of it, and the way there is its normal.
-    above = jnp.where(flat, of_side(jnp.where(is_side, height, 0.0)), 0.0)
-    apart = of_side(gap)
-    on_face = flat & (inside | (jnp.abs(above - apart) < _ON_FACE * apart))
-    gap = jnp.where(on_face, above, apart)
+    above = inside[..., None] | (height > (1.0 - _ON_FACE) * jnp.sqrt(apart))
+    on_face = jnp.any(chosen & is_side & above, axis=-1)
+    ends = [
+        jnp.sum(jnp.where(chosen[..., None], each, 0.0), axis=-2)
+        for each in jnp.broadcast_arrays(begin, end)
+    ]
+    gap, normal, on_one, on_other = _between(vertices[:, :, :, None], *ends, on_face)
     extended = jnp.any(vertices != vertices[:, :, :1], axis=(2, 3))
     first = jnp.arange(vertices.shape[2]) == 0
     counts = jnp.where(extended[..., None], extended[::-1, :, None], first)
+    forth = jnp.array([1.0, -1.0]).reshape(2, *(1,) * (normal.ndim - 1))
     result = (
         jnp.where(counts[..., None], gap, jnp.inf),
         index,
         on_face,
-        forth * jnp.where(on_face[..., None], -of_side(outward), of_side(normal)),
-        of_side(0.5 * (on_one + on_other)),
+        forth * normal,
+        0.5 * (on_one + on_other),
     )
     return _Candidates(*(leaf.reshape(*leaf.shape[:2], -1, *leaf.shape[4:]) for leaf in result))
 
