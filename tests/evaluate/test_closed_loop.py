@@ -13,7 +13,7 @@ JSON_KEYS = {
     *("episodes", "seed", "success_rate", "success_interval", "contact_speed_m_s"),
     *("slowest_before_contact_m_s", "slowest_before_contact_min_m_s", "touched_bystanders"),
     *("scenes", "goal_distance_m_median", "goal_distance_m_mean"),
-    *("within_1cm_rate", "within_2cm_rate"),
+    *("within_1cm_rate", "within_2cm_rate", "best_score_mean"),
     *("plan_ms_p50", "plan_ms_p99", "planned_windows", "planned_moved_objects"),
     *("n_step_rmse_planned_m", "n_step_rmse_planned_moving_m"),
     *("constant_velocity_planned_rmse_m", "frozen_contact_planned_rmse_m"),

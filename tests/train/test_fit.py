@@ -187,7 +187,7 @@ def test_training_draws_from_its_own_part_and_checks_on_the_other(
 
     def spy(trajectories: Dataset, **options: bool) -> object:
         padded.append(trajectories)
-        assert options == {"contacts": False}
+        assert options == {"contacts": False, "turn_length": None}
         return pad_trajectories(trajectories, **options)
 
     def stop(state: object, source: WindowSource, checked: HeldOutWindows, *rest: object) -> None:

@@ -173,6 +173,9 @@ def _scene(scene: SceneTrajectory) -> dict[str, object]:
         "actuated": scene.actuated.tolist(),
         "radius": [_number(radius) for radius in scene.radius],
         "anchor": None if static.anchor is None else _rows(static.anchor),
+        "planes": None if static.planes is None or scene.dimension != 2 else static.planes.tolist(),
+        "outlines": _outlines(scene),
+        "orientation": _floats(scene.trajectory.orientation) if static.polygons else None,
         "box": [None] * scene.node_count if static.size is None else _rows(static.size),
         "goal": None if scene.goal is None else [_number(value) for value in scene.goal],
         "goalRadius": _number(scene.goal_radius),
@@ -222,6 +225,13 @@ def _state_runs(states: np.ndarray) -> list[list[object]]:
 def _rows(values: np.ndarray) -> list[list[float] | None]:
     """The rows of numbers; None for one of NaN."""
     return [None if np.isnan(row).any() else row.tolist() for row in values]
+
+
+def _outlines(scene: SceneTrajectory) -> list[list[list[list[float]]]] | None:
+    """The polygons of each node; None where no node has one."""
+    static = scene.trajectory.scene
+    nodes = range(scene.node_count) if static.polygons else ()
+    return [[each.tolist() for each in static.outlines_of(node)] for node in nodes] or None
 
 
 def _ground(scene: SceneTrajectory) -> dict[str, object] | None:

@@ -41,8 +41,10 @@ def draw_bodies(axes: Axes, scene: SceneTrajectory, state: int, involved: list[i
     for node in sorted(range(scene.node_count), key=order):
         colour = body_colour(node, involved)
         width = 2.0 if scene.actuated[node] else 1.1
-        bar, box = scene.bar(node), scene.box(node)
-        if bar is not None:
+        outlines, bar, box = scene.outlines(node), scene.bar(node), scene.box(node)
+        if outlines:
+            _draw_outlines(axes, [outline[state] for outline in outlines], colour, width)
+        elif bar is not None:
             _draw_bar(axes, scene.projection(bar[state]), float(scene.radius[node]), colour, width)
         elif box is not None:
             faces = scene.projection.box_faces(position[node], box)
@@ -57,6 +59,13 @@ def draw_bodies(axes: Axes, scene: SceneTrajectory, state: int, involved: list[i
 
 def _pale(colour: str, share: float = 0.3) -> np.ndarray:
     return (1.0 - share) + share * np.array(to_rgb(colour))
+
+
+def _draw_outlines(axes: Axes, outlines: list[np.ndarray], colour: str, width: float) -> None:
+    """A union of polygons ``outlines`` [V, 2] m: rims first, so that none is seen inside."""
+    for paint, line in ((colour, 2.0 * width), (_pale(colour), 0.5)):
+        for each in outlines:
+            axes.add_artist(Polygon(each, fc=paint, ec=paint, lw=line, joinstyle="round", zorder=3))
 
 
 def _draw_bar(
@@ -132,6 +141,9 @@ def scene_limits(scene: SceneTrajectory) -> tuple[np.ndarray, np.ndarray]:
             ends = scene.projection(bar).reshape(-1, 2)
             lows.append(ends - scene.radius[node])
             highs.append(ends + scene.radius[node])
+        for outline in scene.outlines(node):
+            lows.append(outline.reshape(-1, 2))
+            highs.append(lows[-1])
     if scene.link_positions is not None:
         lows.append(scene.projection(scene.link_positions).reshape(-1, 2))
         highs.append(lows[-1])
@@ -161,6 +173,7 @@ def draw_scene(axes: Axes, scene: SceneTrajectory, state: int) -> None:
     if below is not None:
         _draw_ground(axes, scene, below)
         draw_shadows(axes, scene, state, below)
+    _draw_planes(axes, scene)
     _draw_goal(axes, scene, below)
     _draw_paths(axes, scene, state, involved)
     draw_links(axes, scene, state)
@@ -173,6 +186,14 @@ def _draw_ground(axes: Axes, scene: SceneTrajectory, below: Ground) -> None:
     axes.add_artist(Polygon(rim, fc=GROUND_COLOUR, ec="none", zorder=0.5))
     for line in scene.projection(below.lines()):
         axes.plot(*line.T, color=RULE, lw=0.6, zorder=0.6)
+
+
+def _draw_planes(axes: Axes, scene: SceneTrajectory) -> None:
+    """A line for each plane of a scene in the plane, such as a floor or a wall."""
+    planes = scene.trajectory.scene.planes
+    for x, y, offset in () if planes is None or scene.dimension != 2 else planes:
+        foot = offset * np.array([x, y])
+        axes.axline(foot, foot + np.array([-y, x]), color=SOFT, lw=1.2, zorder=1)
 
 
 def _draw_goal(axes: Axes, scene: SceneTrajectory, below: Ground | None) -> None:

@@ -141,14 +141,18 @@ class SceneTrajectory:
     def radius(self) -> np.ndarray:
         """[N] m: of balls; half the thickness of bars, edges and arrows.
 
-        Where it is not known, 0.04 m, or less where boxes are thinner.
+        Where it is not known, 0.04 m, or less where boxes, or a node's outlines, are thinner.
         """
         scene = self.trajectory.scene
         if scene.radius is not None:
             return scene.radius
         size = scene.size
         sides = np.array([]) if size is None else size[np.isfinite(size)]
-        return np.full(self.node_count, np.min(0.5 * sides, initial=_DEFAULT_RADIUS))
+        radius = np.full(self.node_count, np.min(0.5 * sides, initial=_DEFAULT_RADIUS))
+        for node in range(self.node_count):
+            for outline in scene.outlines_of(node):
+                radius[node] = min(radius[node], 0.5 * np.ptp(outline, axis=0).min())
+        return radius
 
     @property
     def goal_radius(self) -> float:
@@ -194,6 +198,18 @@ class SceneTrajectory:
             return None
         hinge = np.broadcast_to(anchor[node], (self.steps + 1, self.dimension))
         return np.stack([hinge, 2.0 * self.position[:, node] - hinge], axis=1)
+
+    def outlines(self, node: int) -> list[np.ndarray]:
+        """[T+1, V, 2] m each: a node's polygons where it is; none for a node without an outline.
+
+        They are not turned where the orientation is not known.
+        """
+        turned = self.trajectory.orientation
+        angle = np.zeros(self.steps + 1) if turned is None else np.nan_to_num(turned[:, node, 0])
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turn = np.moveaxis(np.array([[cosine, sine], [-sine, cosine]]), -1, 0)
+        outlines = self.trajectory.scene.outlines_of(node)
+        return [self.position[:, node, None] + outline @ turn for outline in outlines]
 
     def edge_name(self, edge: int) -> str:
         """The names of an edge's two nodes."""

@@ -10,7 +10,7 @@ function floats(text) {
 
 function decodeScene(raw) {
   const scene = { ...raw, nodes: raw.nodeName.length, duration: raw.steps * raw.dt };
-  for (const name of ["position", "velocity", "control", "belief", "linkPositions"]) scene[name] = floats(raw[name]);
+  for (const name of ["position", "velocity", "control", "belief", "linkPositions", "orientation"]) scene[name] = floats(raw[name]);
   // One array for each direction that is shown.
   for (const name of ["inverseMass", "stiffness", "damping"]) scene[name] = raw[name] && raw[name].map(floats);
   if (raw.plan) scene.plan = { ...raw.plan, position: floats(raw.plan.position) };
@@ -37,6 +37,20 @@ function between(scene, values, count, which, step) {
 // Where a body is, m.
 function placeAt(scene, node, step) {
   return between(scene, scene.position, scene.nodes, node, step);
+}
+
+// The polygons of a body where it is, m; none for a body without an outline. They are not turned where
+// the orientation is not known.
+function outlinesAt(scene, node, step) {
+  const read = (state) => scene.orientation?.[Math.min(state, scene.steps) * scene.nodes + node] || 0;
+  const before = read(Math.floor(step));
+  const turn = read(Math.floor(step) + 1) - before;
+  // The shorter way round.
+  const angle = before + (step % 1) * (turn - 2 * Math.PI * Math.round(turn / (2 * Math.PI)));
+  const [cosine, sine] = [Math.cos(angle), Math.sin(angle)];
+  const [x, y] = placeAt(scene, node, step);
+  return (scene.outlines?.[node] ?? []).map((outline) =>
+    outline.map(([along, aside]) => [x + cosine * along - sine * aside, y + sine * along + cosine * aside]));
 }
 
 // The free end of a hinged body, as far beyond its middle as its hinge is before it, m.

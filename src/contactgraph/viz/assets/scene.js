@@ -15,6 +15,7 @@ function drawScene() {
   draw.clearRect(0, 0, view.width, view.height);
   draw.font = `12.5px ${getComputedStyle(document.documentElement).getPropertyValue("--sans")}`;
   drawGround(draw, scene);
+  drawPlanes(draw, scene);
   drawShadows(draw, scene);
   drawGoal(draw, scene);
   drawTrails(draw, scene);

@@ -1,4 +1,4 @@
-// The bodies: balls, boxes, bars on hinges; an arm; and in space what they shade.
+// The bodies: balls, boxes, polygons, bars on hinges; an arm; and in space what they shade.
 
 // Far ones first, distractors first among those as far away; what moves the others comes last, so
 // that nothing it holds hides it.
@@ -18,7 +18,10 @@ function drawBody(draw, scene, node, place) {
   const colour = view.colours[colourName(scene, node)];
   const radius = Math.max(3, (scene.radius[node] ?? 0) * view.scale);
   const [strength, width] = [scene.involved.includes(node) ? 0.3 : 0.22, scene.actuated[node] ? 3 : 1.6];
-  if (scene.anchor?.[node]) {
+  const outlines = outlinesAt(scene, node, clock.step).map((outline) => outline.map(toPixel));
+  if (outlines.length) {
+    drawOutlines(draw, outlines, colour, strength, width);
+  } else if (scene.anchor?.[node]) {
     drawBar(draw, scene, node, radius, colour, strength, width);
   } else if (scene.box[node]) {
     // A shade for each face, so that a box looks solid.
@@ -38,6 +41,17 @@ function drawFace(draw, corners, colour, strength, width) {
   draw.lineJoin = "round";
   stroke(draw, [...corners, corners[0], corners[1]], colour, width, 1);
   draw.lineJoin = "miter";
+}
+
+// A union of polygons, in pixels: rims first, so that none is seen inside. Lines to a corner of the first
+// and back make them one area without seams.
+function drawOutlines(draw, outlines, colour, strength, width) {
+  draw.lineJoin = "round";
+  for (const each of outlines) stroke(draw, [...each, each[0], each[1]], colour, 2 * width, 1);
+  draw.lineJoin = "miter";
+  const corners = outlines.flatMap((each) => [...each, each[0], outlines[0][0]]);
+  area(draw, corners, view.colours["--sheet"], 1);
+  area(draw, corners, colour, strength);
 }
 
 // A hinged body: a bar from its hinge, a dot, to its tip.

@@ -23,7 +23,8 @@ function drawNames(draw, scene) {
   const taken = [];
   scene.involved.slice(0, 4).forEach((node) => {
     const [x, y] = toPixel(placeAt(scene, node, clock.step));
-    const gap = reachOf(scene, node)[0] * view.scale + 7;
+    const corners = outlinesAt(scene, node, clock.step).flat();
+    const gap = Math.max(reachOf(scene, node)[0] * view.scale, ...corners.map((corner) => Math.abs(toPixel(corner)[0] - x))) + 7;
     const room = draw.measureText(scene.nodeName[node]).width + gap + 4;
     let right = scene.focus.length < 2 || x >= Math.min(...middle) + 0.5 * Math.abs(middle[0] - middle[1]);
     if (right ? x + room > view.width : x - room < 0) right = !right;

@@ -16,6 +16,7 @@ function sceneBounds(scene) {
     const hinge = scene.anchor?.[node];
     for (let state = 0; state <= scene.steps; state += 1) {
       include(placeAt(scene, node, state), reach);
+      outlinesAt(scene, node, state).flat().forEach((corner) => include(corner, [0, 0]));
       if (hinge) [hinge, tipAt(scene, node, state)].forEach((end) => include(end, reach));
     }
   }
@@ -78,6 +79,17 @@ function drawGround(draw, scene) {
   }
   if (scene.ground) drawAxes3(draw, ground);
   else drawScaleBar(draw, spacing);
+}
+
+// The planes of a scene in the plane, such as a floor and walls, as lines across the picture.
+function drawPlanes(draw, scene) {
+  const [right, up] = view.middle;
+  const far = (view.width + view.height) / view.scale;
+  for (const [x, y, offset] of scene.planes ?? []) {
+    const off = x * right + y * up - offset;
+    const ends = [-far, far].map((along) => toPixel([right - off * x - along * y, up - off * y + along * x]));
+    stroke(draw, ends, view.colours["--soft"], 1.5, 1);
+  }
 }
 
 // A bar that says how long the side of a square is.
