@@ -37,6 +37,8 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "stack",
         "chain",
         "unknown-mass",
+        "springs",
+        "attraction",
         "suction",
         "release",
         "delay",
@@ -129,7 +131,7 @@ def test_what_always_moves_by_itself_needs_no_option(tmp_path: Path) -> None:
 
 
 def test_what_can_be_passive() -> None:
-    names = "billiards, toss, dominoes, stack"
+    names = "billiards, toss, dominoes, stack, springs, attraction"
     message = f"^--passive: only {names} move without a control, found door"
     with pytest.raises(InvalidInputError, match=message):
         task_factory("door", TaskOptions(passive=True))

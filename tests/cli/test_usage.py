@@ -77,9 +77,9 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         (
             "collect juggling --out a.h5",
             "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, toss, "
-            "dominoes, stack, chain, unknown-mass, suction, release, delay, sticky, bonds, pusht, "
-            "pusht-pose, fetch-push, fetch-slide, fetch-pick-and-place, franka, module:Class; "
-            "found 'jugg",
+            "dominoes, stack, chain, unknown-mass, springs, attraction, suction, release, delay, "
+            "sticky, bonds, pusht, pusht-pose, fetch-push, fetch-slide, fetch-pick-and-place, "
+            "franka, module:Class; found 'jugg",
         ),
         ("collect pickup --out a.h5 --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("collect pickup --out a.h5 --episodes -3", "--episodes must be 1 to 100000, found -3"),
@@ -130,7 +130,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a.h5 --out run --resume", "run: not a run folder (it has no config.json)"),
         (
             "train a.h5 --out run --model best",
-            "--model must be one of auto, filter, bodies, gim-temp, gim-non-tem",
+            "--model must be one of auto, filter, bodies, relations, gim-temp, g",
         ),
         ("train a.h5 --out run --steps 0", "steps must be 1 to 1000000000, found 0"),
         ("train a.h5 --out run --batch-size 999999999", "batch_size must be 1 to 65536"),
@@ -138,7 +138,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a.h5 --out run --seed -1", "--seed must be 0 to 4294967295, found -1"),
         (
             "train a.h5 --out run --model gim-temp --edge-types 4",
-            "--edge-types: gim-temp has no types to choose; it is for --model filter or bodies",
+            "--edge-types: gim-temp has no types to choose; it is for filter, bodies or relations",
         ),
         ("train a --out b --edge-types x", "--edge-types must be an integer, found 'x' (see"),
         ("train a.h5 --out run --contact-distance -1", "--contact-distance must be positive metr"),
@@ -157,9 +157,9 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         (
             "control nobody juggling",
             "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, toss, "
-            "dominoes, stack, chain, unknown-mass, suction, release, delay, sticky, bonds, pusht, "
-            "pusht-pose, fetch-push, fetch-slide, fetch-pick-and-place, franka, module:Class; "
-            "found 'jugg",
+            "dominoes, stack, chain, unknown-mass, springs, attraction, suction, release, delay, "
+            "sticky, bonds, pusht, pusht-pose, fetch-push, fetch-slide, fetch-pick-and-place, "
+            "franka, module:Class; found 'jugg",
         ),
         ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("control nobody pickup --horizon 0", "--horizon must be 1 to 1000, found 0"),

@@ -20,6 +20,7 @@ from contactgraph.model import (
     no_gim,
     paper_literal,
     paper_literal_no_gim,
+    relations,
 )
 from contactgraph.model.collision import geometry
 
@@ -40,6 +41,7 @@ PRESETS = {
     "full_ab": full_ab,
     "paper_literal": paper_literal,
     "paper_literal_no_gim": paper_literal_no_gim,
+    "relations": relations,
 }
 
 

@@ -265,8 +265,14 @@ def at(*names: str):
         (lambda header: header.update(model=[]), "field 'model' is missing or of another type"),
         (lambda header: header.update(checksum="0"), "checksum does not fit"),
         (lambda header: header["training"].update(seed=4), "checksum does not fit"),
-        (at("type")("AllEdges"), "model.type: must be ContactDynamics, found 'AllEdges'"),
-        (at("type")("os.system"), "model.type: must be ContactDynamics, found 'os.system'"),
+        (
+            at("type")("AllEdges"),
+            "model.type: must be ContactDynamics or RelationModel, found 'AllEdges'",
+        ),
+        (
+            at("type")("os.system"),
+            "model.type: must be ContactDynamics or RelationModel, found 'os.system'",
+        ),
         (
             at("cutoff", "type")("Nowhere"),
             "model.arguments.cutoff.type: must be SmoothCutoff or NoCutoff, found 'Nowhere'",

@@ -1,5 +1,7 @@
 """The table of the library's own tasks."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from contactgraph.cli.adapted_tasks import ADAPTED_TASKS
@@ -15,6 +17,7 @@ from contactgraph.cli.task_types import (
     without_options,
 )
 from contactgraph.envs import (
+    AttractionTask,
     BankShotPolicy,
     BilliardsExpert,
     BilliardsTask,
@@ -28,6 +31,7 @@ from contactgraph.envs import (
     PickupExpert,
     PickupTask,
     RestPolicy,
+    SpringsTask,
     StackTask,
     StrikingPolicy,
     TossTask,
@@ -64,15 +68,24 @@ def _billiards(options: TaskOptions) -> TaskFactory:
     return partial(task, passive=options.passive, fixed_seed=options.fixed_seed)
 
 
+def _relations(task: type[SpringsTask] | type[AttractionTask], options: TaskOptions) -> TaskFactory:
+    make = task if options.objects is None else partial(task, options.objects)
+    others = replace(options, objects=None)
+    return without_options(task.name, make, "takes no option but --objects", others)
+
+
 def _unknown_mass(options: TaskOptions) -> TaskFactory:
     refuse_option("unknown-mass", "--grasp", options.grasp, "has no fingers to close")
     refuse_option("unknown-mass", "--objects", options.objects, "has 1 target")
     return partial(UnknownMassTask, options.distractors, fixed_seed=options.fixed_seed)
 
 
-def _passive(task: type[VerticalTask], summary: str) -> KnownTask:
+def _alone(task: type[VerticalTask], options: TaskOptions) -> TaskFactory:
+    return without_options(task.name, task, "takes no options", options)
+
+
+def _passive(factory: Callable[[TaskOptions], TaskFactory], summary: str) -> KnownTask:
     """A task in which nothing is driven."""
-    factory = partial(without_options, task.name, task, "takes no options")
     return KnownTask(
         factory,
         RestPolicy,
@@ -164,9 +177,11 @@ TASKS = {
         summary="a cue brings a ball to a goal that only a bank off a wall reaches",
         title="A contact graph that plays off walls",
     ),
-    "toss": _passive(TossTask, "a box is tossed onto the floor (MuJoCo)"),
-    "dominoes": _passive(DominoesTask, "a row of ten dominoes falls, as far as it does (MuJoCo)"),
-    "stack": _passive(StackTask, "three boxes stand on one another (MuJoCo)"),
+    "toss": _passive(partial(_alone, TossTask), "a box is tossed onto the floor (MuJoCo)"),
+    "dominoes": _passive(
+        partial(_alone, DominoesTask), "a row of ten dominoes falls, as far as it does (MuJoCo)"
+    ),
+    "stack": _passive(partial(_alone, StackTask), "three boxes stand on one another (MuJoCo)"),
     "chain": KnownTask(
         partial(without_options, "chain", ChainTask, "takes no options"),
         PickupExpert,
@@ -188,6 +203,13 @@ TASKS = {
             TestCondition("as-trained", "as trained", True),
             TestCondition("3-distractors", "3 distractors", False, distractors=3),
         ),
+    ),
+    "springs": _passive(
+        partial(_relations, SpringsTask), "bodies on springs that nothing shows; nothing is driven"
+    ),
+    "attraction": _passive(
+        partial(_relations, AttractionTask),
+        "bodies of one type attract those of another within a radius; nothing is driven",
     ),
     **HIDDEN_CONTACT_TASKS,
     **ADAPTED_TASKS,

@@ -25,6 +25,7 @@ from contactgraph.model import (
     no_gim,
     paper_literal,
     paper_literal_no_gim,
+    relations,
     shipped_model,
     shipped_models,
 )
@@ -38,6 +39,7 @@ FILTERS = ("filter", "bodies")
 MODELS: dict[str, Preset] = {
     "filter": hidden_markov_filter,
     "bodies": bodies,
+    "relations": relations,
     "gim-temp": gim_temp,
     "gim-non-temp": gim_non_temp,
     "no-gim": no_gim,
@@ -195,8 +197,8 @@ def check_edge_types(model: str, edge_types: int | None) -> None:
     """Raises `InvalidInputError` where a model of this name has no number of types to choose."""
     from contactgraph.data import InvalidInputError
 
-    if edge_types is not None and model not in (AUTO, *FILTERS) and ":" not in model:
+    if edge_types is not None and model not in (AUTO, *FILTERS, "relations") and ":" not in model:
         raise InvalidInputError(
-            f"--edge-types: {model} has no types to choose; it is for --model filter or bodies, "
+            f"--edge-types: {model} has no types to choose; it is for filter, bodies or relations, "
             f"found {edge_types}"
         )

@@ -59,6 +59,8 @@ class Recipe:
             "contact distance": f"{config.contact_distance:.4g}, {learned}",
             "rollouts": f"in the loss from {100 * self.rollout_from:.0f} % of the steps on",
         }
+        if self.name == "relations":
+            rows = {"model": rows["model"], "unit of laws": f"{config.contact_distance:.4g} m"}
         if self.units is not None:
             planes = ", ".join(f"{name} {far:.3g}" for name, far in config.plane_distance.items())
             rows |= {
@@ -99,10 +101,11 @@ def recipe(
     rollout_from: float | None = None,
 ) -> Recipe:
     """None: by the data. Raises `InvalidInputError` where data and options do not fit."""
+    from contactgraph.data import InvalidInputError
     from contactgraph.model import ModelConfig
     from contactgraph.train import body_defaults, defaults_from_data
     from contactgraph.train.config import CONTACT_DISTANCE
-    from contactgraph.train.units import in_units, units_of
+    from contactgraph.train.units import in_units, typical_distance, units_of
 
     defaults = defaults_from_data(dataset)
     reason = "as told"
@@ -118,6 +121,14 @@ def recipe(
         units = units_of(dataset, contact_distance or given[names[0]], CONTACT_DISTANCE)
         length = units.length
 
+    if model == "relations":
+        if defaults.hinges:
+            raise InvalidInputError("--model relations: it has no hinges, but some bodies have")
+        types = (name for each in dataset for name in each.scene.node_type)
+        distance = typical_distance(dataset)
+        given = dict(zip(names, (distance, False), strict=True))
+        given["node_types"] = tuple(sorted(set(types)))
+
     def config(given: dict[str, Any], speed: float) -> ModelConfig:
         if contact_distance is not None:
             told = contact_distance * speed / length
@@ -130,7 +141,7 @@ def recipe(
             hinges=defaults.hinges,
             weight=defaults.weight,
             control_gain=defaults.control_gain,
-            edge_types=3 if edge_types is None else edge_types,
+            edge_types=(2 if model == "relations" else 3) if edge_types is None else edge_types,
             **given,
         )
 

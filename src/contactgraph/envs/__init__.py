@@ -38,6 +38,8 @@ from contactgraph.envs.pickup import pickup_success as pickup_success
 from contactgraph.envs.push_policy import PushPolicy as PushPolicy
 from contactgraph.envs.push_policy import PushStyle as PushStyle
 from contactgraph.envs.push_policy import RandomPushes as RandomPushes
+from contactgraph.envs.relation_tasks import AttractionTask as AttractionTask
+from contactgraph.envs.relation_tasks import SpringsTask as SpringsTask
 from contactgraph.envs.shaped_tasks import DominoesTask as DominoesTask
 from contactgraph.envs.shaped_tasks import StackTask as StackTask
 from contactgraph.envs.shaped_tasks import TossTask as TossTask

@@ -173,7 +173,7 @@ def edge_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
         counts = None if scores is None else scores.counts
         for name in ("precision", "recall", "f1", "accuracy", "false_alarm_rate"):
             numbers[f"edge_{name}{beliefs}"] = getattr(counts, name, None)
-        for name in ("precision", "recall", "f1"):
+        for name in ("precision", "recall", "f1", "accuracy"):
             numbers[f"edge_{name}_now{beliefs}"] = getattr(now, name, None)
         on_time = None if scores is None else scores.on_time
         late = None if scores is None else scores.switch_time_error_s

@@ -61,6 +61,7 @@ from contactgraph.model.presets import hidden_markov_filter as hidden_markov_fil
 from contactgraph.model.presets import no_gim as no_gim
 from contactgraph.model.presets import paper_literal as paper_literal
 from contactgraph.model.presets import paper_literal_no_gim as paper_literal_no_gim
+from contactgraph.model.relation_model import relations as relations
 from contactgraph.model.rollout import control_sensitivity as control_sensitivity
 from contactgraph.model.rollout import rollout as rollout
 from contactgraph.model.rollout import take_step as take_step

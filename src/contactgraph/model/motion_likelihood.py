@@ -17,6 +17,7 @@ motion are remembered by the model alone.
 """
 
 import dataclasses
+from abc import abstractmethod
 
 import equinox as eqx
 import jax
@@ -24,6 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.model.contact_belief import (
     ContactBelief,
     cast_like,
@@ -58,6 +60,30 @@ class MotionEvidence(eqx.Module):
     """Log-odds, at least 0, of contact by the motion of recent steps: the filter's memory."""
     corrected: ContactBelief
     """[E, K] by `log_ratio`; bit for bit as predicted where that is 0."""
+
+
+class TrajectoryModel(ContactDynamics):
+    """A model whose edges last, so that all of a trajectory tells them and is learned from."""
+
+    @abstractmethod
+    def with_motion(
+        self,
+        carried: ContactBelief,
+        before: ModelState,
+        control: Float[Array, " U"],
+        observed: Motion,
+        nodes: Nodes,
+        noise: MotionNoise,
+    ) -> ContactBelief:
+        """The belief after one more step."""
+
+    @abstractmethod
+    def trajectory_belief(self, trajectory: TrajectoryBatch[Array]) -> ContactBelief:
+        """The belief after the motion of all steps of one trajectory."""
+
+    @abstractmethod
+    def trajectory_loss(self, trajectory: TrajectoryBatch[Array]) -> Float[Array, ""]:
+        """What training minimises, of one trajectory, nat."""
 
 
 def motion_noise(
@@ -102,12 +128,15 @@ def correct_by_motion(
     finite: the first of a trajectory has none before it, and a bad one is no evidence for either of
     its steps.
     """
-    evidence = contact_log_likelihood_ratio(
-        model, before, motion_log_odds, control, observed, nodes, noise
-    )
     arrays = (before.position, before.velocity, *observed)
     usable = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in arrays]))
-    after = cast_like(evidence.corrected, carried), evidence.motion_log_odds
+    given = control, observed, nodes, noise
+    if isinstance(model, TrajectoryModel):
+        corrected, odds = model.with_motion(carried, before, *given), motion_log_odds
+    else:
+        evidence = contact_log_likelihood_ratio(model, before, motion_log_odds, *given)
+        corrected, odds = evidence.corrected, evidence.motion_log_odds
+    after = cast_like(corrected, carried), odds
     unchanged = carried, motion_log_odds
     return jax.tree.map(lambda new, old: jnp.where(usable, new, old), after, unchanged)
 

@@ -26,6 +26,7 @@ from contactgraph.model.contact_belief import ArgmaxSample, ContactSensor, Gumbe
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import EdgeInference
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
+from contactgraph.model.force_laws import ExpectedTypes, RelationDynamics
 from contactgraph.model.heads import CoupledHead, GroundSupport, PerDegreeHead
 from contactgraph.model.local_dynamics import (
     FreeLinearDynamics,
@@ -34,6 +35,8 @@ from contactgraph.model.local_dynamics import (
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.model.motion_noise import PredictionNoise
+from contactgraph.model.relation_model import RelationModel
+from contactgraph.model.relations import StaticEdges
 
 Tree = TypeVar("Tree")
 Description = dict[str, Any]
@@ -57,9 +60,8 @@ OLD_NAMES = {
 def module_arrays(tree: Any) -> dict[str, np.ndarray]:
     """Every array of a tree (modules, optimiser states, lists, …) by its path, dtypes kept.
 
-    A path reads like ``inference.message_passing.steps.0.edge.weight``. Leaves that are no arrays
-    (activation functions, Python numbers) are left out. Raises `InvalidInputError` where a leaf
-    is a typed random key (store its `jax.random.key_data`) or two paths read the same.
+    A path reads like ``inference.message_passing.steps.0.edge.weight``. Other leaves are left out.
+    Raises `InvalidInputError` where a leaf is a typed random key or two paths read the same.
     """
     arrays: dict[str, np.ndarray] = {}
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
@@ -79,9 +81,8 @@ def module_arrays(tree: Any) -> dict[str, np.ndarray]:
 def with_arrays(tree: Tree, arrays: Mapping[str, np.ndarray], where: str) -> Tree:
     """The tree with its arrays replaced by those of `module_arrays`, also under old names.
 
-    The tree's own arrays determine shapes and dtypes, and may be shapes alone
-    (`jax.ShapeDtypeStruct`). Raises `InvalidInputError`, starting with `where`, for an array that
-    is missing, unknown, or of another shape or dtype.
+    The tree's own arrays, or `jax.ShapeDtypeStruct`, determine shapes and dtypes. Raises
+    `InvalidInputError`, starting with `where`, for an array that is missing, unknown or unfit.
     """
     left = {
         ".".join(OLD_NAMES.get(part, part) for part in name.split(".")): array
@@ -129,6 +130,7 @@ def _name(path: tuple[Any, ...]) -> str:
     return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
+_MODELS = ContactDynamics, RelationModel
 _CLASSES: dict[str, type[eqx.Module]] = {
     known.__name__: known
     for known in (
@@ -137,11 +139,11 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         ArgmaxSample,
         BodyHead,
         ClosestApproachPrior,
-        ContactDynamics,
         ContactSensor,
         CoupledHead,
         DistancePrior,
         EdgeNetwork,
+        ExpectedTypes,
         FreeLinearDynamics,
         GroundSupport,
         GumbelSample,
@@ -150,11 +152,14 @@ _CLASSES: dict[str, type[eqx.Module]] = {
         NoCutoff,
         PerDegreeHead,
         PredictionNoise,
+        RelationDynamics,
         SmoothCutoff,
         SpringMassDamperDynamics,
+        StaticEdges,
         ThetaMethod,
         TypedMessagePassing,
         *typing.get_args(EdgeInference),
+        *_MODELS,
     )
 }
 _MAX_SIZE = 1024
@@ -169,7 +174,7 @@ def describe(model: ContactDynamics) -> Description:
     """
     if isinstance(model, ContactDynamics):
         model = dataclasses.replace(model, neighbor_list=None)
-    return _describe(model, (ContactDynamics,), "model")
+    return _describe(model, _MODELS, "model")
 
 
 def build(description: object, where: str) -> ContactDynamics:
@@ -181,11 +186,7 @@ def build(description: object, where: str) -> ContactDynamics:
         description = with_current_names(description)
     except RecursionError as error:
         raise InvalidInputError(f"{where}: must not be nested this deeply") from error
-
-    def construct() -> ContactDynamics:
-        return _build(description, (ContactDynamics,), where)
-
-    return eqx.filter_eval_shape(construct)
+    return eqx.filter_eval_shape(lambda: _build(description, _MODELS, where))
 
 
 def _describe(module: object, allowed: tuple[type, ...], where: str) -> Description:
@@ -219,8 +220,7 @@ def _build(value: object, allowed: tuple[type, ...], where: str) -> Any:
     if not isinstance(name, str) or _CLASSES.get(name) not in allowed:
         raise InvalidInputError(f"{where}.type: must be {_names(allowed)}, found {_short(name)}")
     expected = _arguments(_CLASSES[name])
-    needed = _needed(_CLASSES[name])
-    if not isinstance(given, dict) or not needed <= set(given) <= set(expected):
+    if not isinstance(given, dict) or not _needed(_CLASSES[name]) <= set(given) <= set(expected):
         found = sorted(given) if isinstance(given, dict) else given
         raise InvalidInputError(
             f"{where}.arguments: must be those of {name} ({', '.join(expected) or 'none'}), "

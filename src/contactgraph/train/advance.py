@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.features import InvariantFeatures
+from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.train.batch import BatchSplit, Window, WindowSource, add_distractor
 from contactgraph.train.config import TrainConfig
 from contactgraph.train.filter_loss import (
@@ -157,6 +158,8 @@ def advance_steps(
         return windows
 
     filtered = isinstance(state.model.inference, TransitionEdges)
+    if isinstance(state.model, TrajectoryModel):
+        with_rollout = None  # It is learned along whole trajectories.
 
     def loss(
         params: ContactDynamics,
@@ -165,7 +168,12 @@ def advance_steps(
         key: PRNGKeyArray,
     ) -> tuple[Array, LossTerms]:
         model = eqx.combine(params, static)
-        if judged is None:
+        if isinstance(model, TrajectoryModel):
+            every, real, _ = source.draw_trajectories(config.batch_size, key)
+            score = jnp.mean(jax.vmap(model.trajectory_loss)(every.trajectories(real)))
+            zero = jnp.zeros(())
+            terms = LossTerms(zero, zero, zero, zero, likelihood=score, noise=zero)
+        elif judged is None:
             terms = window_loss(model, windows, key, False, devices)
         else:
             terms = dynamics_loss(model, windows, judged, devices)

@@ -45,6 +45,11 @@ class Window(eqx.Module):
         """The bodies whose motion is learned: those that exist and are not static."""
         return jnp.asarray(self.nodes.mobile)
 
+    def trajectories(self, real: Bool[Array, "B L"]) -> TrajectoryBatch[Array]:
+        """A batch of windows as trajectories, whose first steps are ``real``."""
+        steps = jnp.sum(real, axis=-1)
+        return TrajectoryBatch(self.position, self.velocity, self.control, None, self.nodes, steps)
+
     def part(self, begin: int, end: int) -> "Window":
         """The steps ``begin`` to ``end`` of a batch of windows."""
         return dataclasses.replace(

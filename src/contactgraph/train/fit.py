@@ -14,6 +14,7 @@ from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
+from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.model.neighbor_allocation import ReallocatingModel
 from contactgraph.train.advance import advance_steps, first_optimiser_state
 from contactgraph.train.batch import (
@@ -74,7 +75,8 @@ def fit(
     source = dataclasses.replace(source, reports_touch=labelled is train)
     other = pad_trajectories(held_out, contacts=False, turn_length=turn_length)
     burn = 0
-    if isinstance(state.model.inference, TransitionEdges):
+    model = state.model
+    if isinstance(model, TrajectoryModel) or isinstance(model.inference, TransitionEdges):
         burn = max(0, min(_BURN, min(each.steps for each in held_out) - config.window_length))
     checking = dataclasses.replace(config, window_length=config.window_length + burn)
     checked = held_out_windows(_window_source(other, checking), burn)

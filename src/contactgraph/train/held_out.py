@@ -18,6 +18,7 @@ from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import AllEdges, TransitionEdges
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
+from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.model.neighbor_list import edge_count
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.filter_loss import corrected_beliefs
@@ -112,7 +113,13 @@ def rollout_rmse(model: ContactDynamics, held_out: HeldOutWindows) -> Float[Arra
         return jnp.sum((states.position - window.position[1:]) ** 2, axis=-1)
 
     windows, before = held_out.windows, held_out.before
-    belief = None if before is None else corrected_beliefs(model, before)
+    if before is None:
+        belief = None
+    elif isinstance(model, TrajectoryModel):
+        real = jnp.ones(before.control.shape[:2], bool)
+        belief = jax.vmap(model.trajectory_belief)(before.trajectories(real))
+    else:
+        belief = corrected_beliefs(model, before)
     edges = edge_count(model.neighbor_list, windows.position.shape[-2])
     return mean_rmse(chunked_vmap(squared_error, (windows, belief), edges), held_out.counted)
 

@@ -1,0 +1,176 @@
+r"""Inference of relations that never change: all that a trajectory shows, by Bayes' rule.
+
+Relations couple bodies, so the motion of a step speaks about all edges of a body at once. But the
+velocity that it leads to is linear in the edge types z, one-hot:
+
+.. math:: v' = v'_0 + \Phi z + \epsilon, \qquad \epsilon \sim N(0, \sigma^2),
+
+and the evidence of all steps is two sums, :math:`G = \sum \Phi^\top \Phi / \sigma^2` and
+:math:`b = \sum \Phi^\top (v' - v'_0) / \sigma^2`:
+
+.. math:: \log p(z \mid \text{motion}) = \log p(z) + b^\top z - \tfrac12 z^\top G z + \text{const}.
+
+Their factors are found by mean field, one edge at a time given the beliefs about all others, from
+the least-squares solution on. A belief carries the sums (`ContactBelief.memory`), so that nothing
+that was seen is forgotten and no decision of an early step binds a later one. Its probabilities are
+those of types that act at the present distance.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from contactgraph.model.contact_belief import ContactBelief
+
+_SWEEPS = 8
+_ROUNDING = 1e-5
+"""Of probabilities; a greater change is a report."""
+_LEAST = 1e-6
+"""Least probability of a type, so that a sensor's report can still change it."""
+
+
+class StaticEdges(eqx.Module):
+    """Edges that keep their types for a whole trajectory, with a prior by the types of the ends.
+
+    The prior is learned, independent of the geometry, and starts as 1/2 for *inactive*.
+    """
+
+    log_prior: Float[Array, "node_types node_types K"]
+    node_types: int = eqx.field(static=True)
+    edge_types: int = eqx.field(static=True)
+
+    def __init__(self, node_types: int, edge_types: int = 2):
+        first = np.log([0.5, *[0.5 / (edge_types - 1)] * (edge_types - 1)])
+        self.log_prior = jnp.broadcast_to(jnp.asarray(first), (node_types, node_types, edge_types))
+        self.node_types = node_types
+        self.edge_types = edge_types
+
+    def embed(
+        self,
+        node: Float[Array, "N F"],
+        edge: Float[Array, "2 E G"],
+        weight: Float[Array, " E"],
+        edge_index: Int[Array, "2 E"],
+    ) -> Float[Array, "E K"]:
+        """The logarithm of every edge's prior, by the types of its ends alone.
+
+        They come first in ``node``. `RelationModel.encode` adds which types are within range.
+        """
+        first, second = node[edge_index, : self.node_types]
+        both = self.log_prior + jnp.swapaxes(self.log_prior, 0, 1)
+        log_prior = jax.nn.log_softmax(0.5 * jnp.einsum("ei,ej,ijk->ek", first, second, both))
+        absent = jnp.log(jnp.full_like(log_prior[:1], _LEAST).at[:, 0].set(1.0))
+        return jnp.where(weight[:, None] > 0, log_prior, absent)
+
+    def first_belief(self, embedding: Float[Array, "E K+active"]) -> ContactBelief:
+        """The belief before the first observation, with sums of 0."""
+        log_prior, acts = jnp.split(embedding, [self.edge_types], axis=-1)
+        edges, active = acts.shape
+        b, G = jnp.zeros_like(acts), jnp.zeros((edges, edges * active**2), acts.dtype)
+        return _Seen(log_prior, log_prior, acts, b, G).belief()
+
+    def predict(
+        self,
+        belief: ContactBelief,
+        embedding: Float[Array, "E K+active"],
+        prior: Float[Array, "E K"],
+    ) -> ContactBelief:
+        """The belief about the next step: relations last, and act within their range."""
+        seen = _Seen.by(belief)
+        return seen._replace(acts=embedding[:, self.edge_types :]).belief(belief.edge_id)
+
+
+def motion_sums(
+    effects: Float[Array, "*T N D Z"], residual: Float[Array, "*T N D"], noise: Float[Array, "*T N"]
+) -> tuple[Float[Array, "Z Z"], Float[Array, " Z"]]:
+    """G and b of steps; ``residual`` [m/s]: observed velocity less that without any edge."""
+    Phi = (effects / noise[..., None, None]).reshape(-1, effects.shape[-1])
+    return Phi.T @ Phi, Phi.T @ (residual / noise[..., None]).ravel()
+
+
+def edge_posterior(
+    log_prior: Float[Array, "E K"], G: Float[Array, "Z Z"], b: Float[Array, " Z"]
+) -> Float[Array, "E K"]:
+    """The factors of p(z | motion), one for each edge; Z is E times the K - 1 active types."""
+    edges, types = log_prior.shape
+    active = types - 1
+    prior = jnp.exp(log_prior)[:, 1:].ravel()
+    precision = 1.0 / jnp.maximum(prior * (1.0 - prior), _LEAST)
+    relaxed = jnp.linalg.solve(G + jnp.diag(precision), b + precision * prior)
+    q = jnp.clip(relaxed, 0.0, 1.0).reshape(edges, active)
+    q = q / jnp.maximum(jnp.sum(q, axis=-1, keepdims=True), 1.0)
+    rows = G.reshape(edges, active, edges, active)
+    own = jnp.einsum("eaeb->eab", rows)
+    pull = b.reshape(edges, active) - 0.5 * jnp.einsum("eaa->ea", own)
+
+    def visit(q: Array, edge: Array) -> tuple[Array, None]:
+        others = jnp.einsum("afb,fb->a", rows[edge], q) - own[edge] @ q[edge]
+        scores = log_prior[edge].at[1:].add(pull[edge] - others)
+        return q.at[edge].set(jax.nn.softmax(scores)[1:]), None
+
+    q = jax.lax.scan(visit, q, jnp.tile(jnp.arange(edges), _SWEEPS))[0]
+    types_of = jnp.concatenate([1.0 - jnp.sum(q, axis=-1, keepdims=True), q], axis=-1)
+    types_of = jnp.maximum(types_of, _LEAST)
+    return types_of / jnp.sum(types_of, axis=-1, keepdims=True)
+
+
+class _Seen(NamedTuple):
+    """What a belief of `StaticEdges` carries in its memory, after a number that others use."""
+
+    log_prior: Float[Array, "E K"]
+    """With all that was reported by sensors."""
+    log_types: Float[Array, "E K"]
+    """Posterior of the types, whether they act or not."""
+    acts: Float[Array, "E active"]
+    """1 where a type acts at the present distance, else 0."""
+    b: Float[Array, "E active"]
+    G: Float[Array, "E E*active^2"]
+
+    @classmethod
+    def by(cls, belief: ContactBelief) -> "_Seen":
+        """What has changed the belief since it was made, a sensor's report, joins the prior."""
+        assert belief.memory is not None, "a belief of this inference carries sums"
+        types = belief.edge_types
+        parts = jnp.split(
+            belief.memory, np.cumsum([1, types, types, types - 1, types - 1]), axis=-1
+        )
+        seen = cls(*parts[1:])
+        reported = [
+            jnp.log(jnp.maximum(each, _LEAST)) for each in (belief.type_probability, seen.types)
+        ]
+        told = jnp.abs(belief.type_probability - seen.types) > _ROUNDING
+        change = jnp.where(jnp.any(told, axis=-1, keepdims=True), reported[0] - reported[1], 0.0)
+        log_prior, log_types = seen.log_prior + change, seen.log_types + change
+        normal = jax.nn.log_softmax
+        return seen._replace(log_prior=normal(log_prior), log_types=normal(log_types))
+
+    @property
+    def types(self) -> Float[Array, "E K"]:
+        """Probability of the types that act."""
+        active = jnp.exp(self.log_types[:, 1:]) * self.acts
+        return jnp.concatenate([1.0 - jnp.sum(active, axis=-1, keepdims=True), active], axis=-1)
+
+    def belief(self, edge_id: Int[Array, " E"] | None = None) -> ContactBelief:
+        """The belief that carries this."""
+        unseen = jnp.zeros_like(self.b[:, :1])
+        return ContactBelief(self.types, edge_id, jnp.concatenate([unseen, *self], axis=-1))
+
+
+def with_evidence(
+    belief: ContactBelief, G: Float[Array, "Z Z"], b: Float[Array, " Z"]
+) -> ContactBelief:
+    """The belief after further steps, of which G and b are the sums."""
+    seen = _Seen.by(belief)
+    b, G = seen.b.ravel() + b, seen.G.reshape(G.shape) + G
+    after = jnp.log(edge_posterior(seen.log_prior, G, b))
+    sums = {"b": b.reshape(seen.b.shape), "G": G.reshape(seen.G.shape)}
+    return seen._replace(log_types=after, **sums).belief(belief.edge_id)
+
+
+def lasting_types(belief: ContactBelief) -> Float[Array, "E K"]:
+    """Probability of the types of edges, also of those out of their range at present."""
+    return jnp.exp(_Seen.by(belief).log_types)

@@ -1,0 +1,58 @@
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from contactgraph.data import Dataset
+from contactgraph.data.graph import pair_indices
+from contactgraph.envs import RestPolicy, SpringsTask
+from contactgraph.envs.episodes import collect
+from contactgraph.envs.relation_tasks import SPRING_DT, SPRING_STIFFNESS
+from contactgraph.model import ModelConfig, relations, scene_nodes
+from contactgraph.train import TrainConfig, fit, initial_state
+from contactgraph.train.batch import Window
+from contactgraph.train.units import typical_distance
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return collect([SpringsTask], [RestPolicy()], 24, 0)
+
+
+def test_the_unit_of_distances_is_their_median(runs):
+    first, second = np.triu_indices(5, 1)
+    apart = [np.linalg.norm(e.position[:, first] - e.position[:, second], axis=-1) for e in runs]
+    assert typical_distance(Dataset(tuple(runs), {})) == pytest.approx(np.median(apart))
+
+
+def test_training_without_labels_finds_stiffness_and_springs(runs):
+    bare = [dataclasses.replace(each, contact=None) for each in runs]
+    train, held_out = Dataset(tuple(bare[:20]), {}), Dataset(tuple(bare[20:]), {})
+    model_config = ModelConfig(
+        2, 0, SPRING_DT, contact_distance=1.0, width=16, edge_types=2, node_types=("ball",)
+    )
+    config = TrainConfig(
+        steps=100, batch_size=8, check_every=100, learning_rate=1e-2, rollout_from=0.0
+    )
+    fresh = relations(model_config, key=jax.random.key(0))
+    checks = []
+    result = fit(initial_state(fresh, config, 0), train, held_out, config, checks.append)
+    assert checks[-1].terms["rollout"] == 0.0
+    law = result.model.local_dynamics.message_passing
+    found = jax.vmap(law.types[0])(jnp.array([0.5, 1.0, 1.5])) * law.share[0, 0, 0]
+    np.testing.assert_allclose(found, SPRING_STIFFNESS, rtol=0.1)
+    assert result.held_out_rmse_m < 0.2 * result.baselines.constant_velocity_rmse_m
+    windows = [_window(each) for each in bare[20:]]
+    batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *windows)
+    whole = batch.trajectories(jnp.ones(batch.control.shape[:2], bool))
+    believed = np.asarray(jax.vmap(result.model.trajectory_belief)(whole).probability) > 0.5
+    first, second = pair_indices(5).T
+    joined = [each.contact[0][first, second] for each in runs[20:]]
+    assert np.mean(believed == np.stack(joined)) >= 0.975
+
+
+def _window(run):
+    arrays = (jnp.asarray(each, jnp.float32) for each in (run.position, run.velocity, run.control))
+    return Window(*arrays, scene_nodes(run.scene))
