@@ -30,9 +30,9 @@ class WithApproach(InvariantFeatures):
         """Number of features per edge."""
         return super().edge_size(dimension) + 1
 
-    def edge(self, geometry, contact_distance=None):
+    def edge(self, geometry):
         """Features [2, E, F] of every edge, for the messages to its first and second node."""
-        features = super().edge(geometry, contact_distance)
+        features = super().edge(geometry)
         approach = -jnp.sum(geometry.relative_velocity * geometry.direction, axis=-1)
         bounded = approach / (self.speed + jnp.abs(approach))
         return jnp.concatenate([features, jnp.stack([bounded, bounded])[..., None]], axis=-1)

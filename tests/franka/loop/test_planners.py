@@ -163,7 +163,7 @@ def test_skipped_observations_update_the_belief_and_one_plan_is_made(
     planner.reset(EpisodeStart(observation(0.0, np.zeros((2, 3)), 0.0).reading, np.ones(3)))
     np.testing.assert_array_equal(recorded.goal, np.ones(3))
     given = [observation(0.01 * k, np.full((2, 3), float(k)), 0.5) for k in range(3)]
-    assert planner.plan(given)[1:] == (model.dt, 2)
+    assert planner.plan(given)[1:] == (model.dt, 2, 3)
     for k, (position, contact, state, applied, replan) in enumerate(recorded.steps):
         np.testing.assert_array_equal(position, given[k].reading.position)
         np.testing.assert_array_equal(contact, given[k].reading.contact)
