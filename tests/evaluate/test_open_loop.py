@@ -33,7 +33,7 @@ JSON_KEYS = {
     ),
     *(
         f"edge_{score}_now{beliefs}"
-        for score in ("precision", "recall", "f1")
+        for score in ("precision", "recall", "f1", "accuracy")
         for beliefs in ("", "_unmeasured", "_inferred")
     ),
     *(
