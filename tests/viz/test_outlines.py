@@ -78,7 +78,7 @@ def test_polygons_are_not_turned_where_the_orientation_is_not_known(tee, recorde
 
 def test_the_picture_holds_the_outlines(tee):
     low, high = scene_limits(tee)
-    inside = np.concatenate([each.reshape(-1, 2) for each in tee.outlines(1)])
+    inside = np.concatenate([each.reshape(-1, 2) for each in tee.trajectory.outlines_of(1)])
     assert (inside > low).all() and (inside < high).all()
     tight_low, tight_high = scene_limits(changed(tee, polygons=None, polygon_of=None))
     assert (inside < tight_low).any() or (inside > tight_high).any(), "the discs do not reach them"
@@ -128,5 +128,5 @@ def test_the_page_draws_polygons_turned(tee, step, angle):
     for path in found["filled"]:
         corners = np.array(re.findall(r"[-\d.e]+", path), dtype=float).reshape(-1, 2)
         assert same_points(corners, expected, 1e-5)
-    inside = np.concatenate([each.reshape(-1, 2) for each in tee.outlines(1)])
+    inside = np.concatenate([each.reshape(-1, 2) for each in tee.trajectory.outlines_of(1)])
     assert (inside > found["low"]).all() and (inside < found["high"]).all()

@@ -133,6 +133,20 @@ class Trajectory:
                 f"without contact at step {step}"
             )
 
+    def outlines_of(self, node: int) -> list[np.ndarray]:
+        """[T+1, V, 2] m each: a node's polygons where it is; none for a node without an outline.
+
+        They are not turned where the orientation is not known.
+        """
+        turned = self.orientation
+        angle = (
+            np.zeros(len(self.position)) if turned is None else np.nan_to_num(turned[:, node, 0])
+        )
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turn = np.moveaxis(np.array([[cosine, sine], [-sine, cosine]]), -1, 0)
+        outlines = self.scene.outlines_of(node)
+        return [self.position[:, node, None] + outline @ turn for outline in outlines]
+
     def _check_turning(self, name: str, shape: tuple[int, ...]) -> None:
         """Checks an orientation or angular velocity of this shape, where there is one."""
         if getattr(self, name) is None:

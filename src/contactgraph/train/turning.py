@@ -115,8 +115,8 @@ def plane_distances(dataset: Dataset, shaped: Collection[str]) -> dict[str, floa
     for each in dataset:
         planes = each.scene.planes
         if planes is not None and len(planes):
-            height = np.min(each.position @ planes[:, :-1].T - planes[:, -1], axis=-1)
-            height = plane_heights(each) if shaped else height
+            of_centres = each.position @ planes[:, :-1].T - planes[:, -1]
+            height = plane_heights(each) if shaped else np.min(of_centres, axis=-1)
             for node, name in enumerate(each.scene.node_type):
                 heights.setdefault(name, []).append(height[:, node])
     nearest: dict[str, float] = {}
@@ -133,15 +133,11 @@ def plane_heights(trajectory: Trajectory) -> np.ndarray:
     """[T+1, N] m: of the lowest point of a body's outline, or its centre, above any plane."""
     scene, position = trajectory.scene, trajectory.position
     assert scene.planes is not None
-    heights = position @ scene.planes[:, :-1].T - scene.planes[:, -1]
-    if trajectory.orientation is not None:
-        for node in np.flatnonzero(_has_outline(scene)).tolist():
-            vertices = np.concatenate(scene.outlines_of(node))
-            angle = np.nan_to_num(trajectory.orientation[:, node])
-            x, y = vertices.T
-            offset = [np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y]
-            lowest = np.einsum("dtv,pd->tpv", offset, scene.planes[:, :-1]).min(axis=-1)
-            heights[:, node] += lowest
+    normal, offset = scene.planes[:, :-1].T, scene.planes[:, -1]
+    heights = position @ normal - offset
+    for node in np.flatnonzero(_has_outline(scene)).tolist():
+        vertices = np.concatenate(trajectory.outlines_of(node), axis=1)
+        heights[:, node] = np.min(vertices @ normal - offset, axis=1)
     return np.asarray(heights.min(axis=-1))
 
 

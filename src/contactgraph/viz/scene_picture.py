@@ -41,7 +41,7 @@ def draw_bodies(axes: Axes, scene: SceneTrajectory, state: int, involved: list[i
     for node in sorted(range(scene.node_count), key=order):
         colour = body_colour(node, involved)
         width = 2.0 if scene.actuated[node] else 1.1
-        outlines, bar, box = scene.outlines(node), scene.bar(node), scene.box(node)
+        outlines, bar, box = scene.trajectory.outlines_of(node), scene.bar(node), scene.box(node)
         if outlines:
             _draw_outlines(axes, [outline[state] for outline in outlines], colour, width)
         elif bar is not None:
@@ -141,7 +141,7 @@ def scene_limits(scene: SceneTrajectory) -> tuple[np.ndarray, np.ndarray]:
             ends = scene.projection(bar).reshape(-1, 2)
             lows.append(ends - scene.radius[node])
             highs.append(ends + scene.radius[node])
-        for outline in scene.outlines(node):
+        for outline in scene.trajectory.outlines_of(node):
             lows.append(outline.reshape(-1, 2))
             highs.append(lows[-1])
     if scene.link_positions is not None:

@@ -199,18 +199,6 @@ class SceneTrajectory:
         hinge = np.broadcast_to(anchor[node], (self.steps + 1, self.dimension))
         return np.stack([hinge, 2.0 * self.position[:, node] - hinge], axis=1)
 
-    def outlines(self, node: int) -> list[np.ndarray]:
-        """[T+1, V, 2] m each: a node's polygons where it is; none for a node without an outline.
-
-        They are not turned where the orientation is not known.
-        """
-        turned = self.trajectory.orientation
-        angle = np.zeros(self.steps + 1) if turned is None else np.nan_to_num(turned[:, node, 0])
-        cosine, sine = np.cos(angle), np.sin(angle)
-        turn = np.moveaxis(np.array([[cosine, sine], [-sine, cosine]]), -1, 0)
-        outlines = self.trajectory.scene.outlines_of(node)
-        return [self.position[:, node, None] + outline @ turn for outline in outlines]
-
     def edge_name(self, edge: int) -> str:
         """The names of an edge's two nodes."""
         first, second = self.edges[edge]
