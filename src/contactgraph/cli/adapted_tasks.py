@@ -1,6 +1,7 @@
 """The table of the tasks that are other people's environments."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from contactgraph.cli.task_types import KnownTask, TaskFactory, TaskOptions, without_options
@@ -20,28 +21,24 @@ def _factory(name: str, make: Callable[[], AdaptedTask], options: TaskOptions) -
     return without_options(name, make, reason, options)
 
 
+_PUSHT = KnownTask(
+    partial(_factory, "pusht", pusht_task),
+    pusht_expert,
+    pusht_fixed_start,
+    pusht_fixed_start,
+    pusht_explorer,
+    horizon=30,
+    starts=64,
+    max_force=None,
+    summary="an agent pushes a T to a goal (gym-pusht; success by position, at any angle)",
+    title="A contact graph that pushes a T",
+)
+
 ADAPTED_TASKS = {
-    "pusht": KnownTask(
-        partial(_factory, "pusht", pusht_task),
-        pusht_expert,
-        pusht_fixed_start,
-        pusht_fixed_start,
-        pusht_explorer,
-        horizon=30,
-        starts=64,
-        max_force=None,
-        summary="an agent pushes a T to a goal (gym-pusht; success by position, at any angle)",
-        title="A contact graph that pushes a T",
-    ),
-    "pusht-pose": KnownTask(
-        partial(_factory, "pusht-pose", pusht_pose_task),
-        pusht_expert,
-        pusht_fixed_start,
-        pusht_fixed_start,
-        pusht_explorer,
-        horizon=30,
-        starts=64,
-        max_force=None,
+    "pusht": _PUSHT,
+    "pusht-pose": replace(
+        _PUSHT,
+        factory=partial(_factory, "pusht-pose", pusht_pose_task),
         summary="as pusht, with its own success: the T covers 95 % of its outline at the goal",
         title="A contact graph that pushes a T to a pose",
     ),
