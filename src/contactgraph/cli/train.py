@@ -28,9 +28,10 @@ class Train:
         str,
         arg(
             metavar="NAME",
-            help="auto (bodies where there are servos, planes, a bounded reach, static or several "
-            "actuated bodies, else filter), filter, bodies, relations, gim-temp, gim-non-temp, "
-            "no-gim, full-ab, paper-literal, paper-literal-no-gim, or module:factory.",
+            help="auto (bodies where there are servos, planes, a bounded reach, static, turning or "
+            "several actuated bodies, else filter), filter, bodies, relations, gim-temp, "
+            "gim-non-temp, no-gim, full-ab, paper-literal, paper-literal-no-gim, or "
+            "module:factory.",
         ),
     ] = AUTO
     edge_types: Annotated[

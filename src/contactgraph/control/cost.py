@@ -91,7 +91,7 @@ class QuadraticCost(eqx.Module):
             raise InvalidInputError(
                 f"cost.goal must have 2ND entries for the capacity N = {node_count}, found {found}"
             )
-        if turn_length is None:
+        if turn_length is None or (known, turn_length) == (coordinates, self.turn_length):
             return self
         unit = np.ones(coordinates)
         unit[dimension:] = turn_length / self.turn_length

@@ -123,7 +123,7 @@ class ActuatedMotion(eqx.Module):
             equilibrium_velocity=local.velocity + change / (damper + _SMALL),
             impact_displacement=solution.impact_displacement,
             acceleration=(response @ constant + solution.acceleration) * undamped,
-            unhindered_response=solution.held_response,
+            unhindered_response=solution.unhindered_response,
         )
 
 

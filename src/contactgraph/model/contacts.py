@@ -100,7 +100,7 @@ class Contacts(eqx.Module):
             impact_displacement=-dt * jnp.sum(solved.parts[1] + rebound.parts[0], axis=-1),
             acceleration=solved.parts[2][..., 0],
             response=solved.parts[2][..., 1:],
-            held_response=held.parts[0],
+            unhindered_response=held.parts[0],
             own_share=solved.diagonal * mass,
             ground_share=solved.diagonal * ground,
         )
@@ -235,7 +235,7 @@ class ContactMotion(eqx.Module):
     """By weight, m/s^2."""
     response: Float[Array, "N G W"]
     """Share of the acceleration of each free actuated node and axis."""
-    held_response: Float[Array, "N G W"]
+    unhindered_response: Float[Array, "N G W"]
     """The same, without edges that only touch."""
     own_share: Float[Array, "N G"]
     """Share of its own momentum that a node keeps, in (0, 1]."""

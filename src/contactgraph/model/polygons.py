@@ -203,13 +203,10 @@ def _candidates(
     """Candidates both ways; a vertex of a body with an outline does not count against a point."""
     point, begin = vertices[:, :, :, None, None], polygons[:, :, None]
     end = jnp.roll(begin, -1, axis=-2)
-    side, offset = end - begin, point - begin
-    square = jnp.sum(side**2, axis=-1)
-    is_side = square > 0.0
-    inverse = jnp.where(is_side, 1.0 / jnp.where(is_side, square, 1.0), 0.0)
-    fraction = jnp.clip(jnp.sum(offset * side, axis=-1) * inverse, 0.0, 1.0)
-    apart = jnp.sum((offset - fraction[..., None] * side) ** 2, axis=-1)
-    height = -jnp.sum(offset * across(side), axis=-1) * jnp.sqrt(inverse)
+    is_side = jnp.any(end != begin, axis=-1)
+    away, outward = _from_side(point, begin, end)
+    apart = jnp.sum(away**2, axis=-1)
+    height = jnp.sum((point - begin) * outward, axis=-1)
     height = jnp.where(is_side, height, -jnp.inf)
     inside = jnp.all(height <= 0.0, axis=-1) & jnp.any(is_side, axis=-1)
     index = jnp.where(inside, jnp.argmax(height, axis=-1), jnp.argmin(apart, axis=-1))
@@ -244,14 +241,21 @@ def _between(
 
     ``on_face``: the gap is the height above the line of the side, below 0 behind it.
     """
+    away, outward = _from_side(point, begin, end)
+    apart = jnp.sqrt(jnp.sum(away**2, axis=-1) + _SMALL)
+    gap = jnp.where(on_face, jnp.sum((point - begin) * outward, axis=-1), apart)
+    normal = -jnp.where(on_face[..., None], outward, away / apart[..., None])
+    whole = jnp.broadcast_to(point, normal.shape)
+    return gap, normal, whole, whole + gap[..., None] * normal
+
+
+def _from_side(
+    point: Float[Array, "*C 2"], begin: Float[Array, "*C 2"], end: Float[Array, "*C 2"]
+) -> tuple[Float[Array, "*C 2"], Float[Array, "*C 2"]]:
+    """The way to a point from the nearest one of a side, m, and the side's outward normal; that is
+    0 for a side without length."""
     side, offset = end - begin, point - begin
     square = jnp.sum(side**2, axis=-1)
     inverse = jnp.where(square > 0.0, 1.0 / jnp.where(square > 0.0, square, 1.0), 0.0)
     fraction = jnp.clip(jnp.sum(offset * side, axis=-1) * inverse, 0.0, 1.0)
-    away = offset - fraction[..., None] * side
-    apart = jnp.sqrt(jnp.sum(away**2, axis=-1) + _SMALL)
-    outward = -across(side) * jnp.sqrt(inverse)[..., None]
-    gap = jnp.where(on_face, jnp.sum(offset * outward, axis=-1), apart)
-    normal = -jnp.where(on_face[..., None], outward, away / apart[..., None])
-    whole = jnp.broadcast_to(point, normal.shape)
-    return gap, normal, whole, whole + gap[..., None] * normal
+    return offset - fraction[..., None] * side, -across(side) * jnp.sqrt(inverse)[..., None]
