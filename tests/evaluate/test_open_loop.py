@@ -10,7 +10,13 @@ from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run, scen
 
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import OpenLoopDetail, SensorFaults, collect, evaluate_open_loop
+from contactgraph.evaluate import (
+    OpenLoopDetail,
+    SensorFaults,
+    collect,
+    evaluate_open_loop,
+    model_diagnostics,
+)
 from contactgraph.model import ModelConfig, bodies, gim_temp
 
 PREDICTIONS = {
@@ -381,3 +387,6 @@ def test_errors_of_angles_are_those_of_bodies_that_turn(known: bool) -> None:
     expected = 0.0 if known else 2.0 * DT * np.sqrt(np.mean(np.square([1.0, 2.0])))
     assert found["angle_rmse_rad"] == pytest.approx(expected, abs=1e-5)
     assert found["constant_velocity_angle_rmse_rad"] == pytest.approx(expected, abs=1e-9)
+    # Pictures show the parameters of positions alone.
+    parameters = model_diagnostics(model, recorded).parameters
+    assert parameters is not None and parameters.inverse_mass.shape == (8, 2, 2)
