@@ -83,7 +83,9 @@ def model_diagnostics(
     if isinstance(model.local_dynamics, SpringMassDamperDynamics):
         dimension = trajectory.scene.dimension  # turns are not drawn
         parameters = _parameters(model, observed, posterior)
-        parameters = jax.tree.map(lambda leaf: np.asarray(leaf[:-1, :count, :dimension]), parameters)
+        parameters = jax.tree.map(
+            lambda leaf: np.asarray(leaf[:-1, :count, :dimension]), parameters
+        )
     belief = np.asarray(sensor.contact_probability(prior))[:-1, : len(edges)]
     return ModelDiagnostics(edges, belief, parameters)
 
