@@ -52,6 +52,7 @@ JSON_KEYS = {
     "n_step_rmse_moving_by_type_m",
     *(f"angle_rmse{beliefs}_rad" for beliefs in ("", "_unmeasured", "_inferred")),
     "constant_velocity_angle_rmse_rad",
+    *("mass_error_median", "mass_error_p90", "mass_interval_coverage"),
 }
 
 

@@ -216,6 +216,15 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
     switch = values["switch_time_error_s"]
     error = "unknown" if switch is None else f"{1000 * switch:.1f} ms, mean"
     print(f"error of the start of contact: {error}")
+    if values["mass_error_median"] is not None:
+        median, high, covered = (
+            f"{100 * values[f'mass_{name}']:.1f} %"
+            for name in ("error_median", "error_p90", "interval_coverage")
+        )
+        print(
+            f"masses after one contact: error {median} (median), {high} (90 % quantile); "
+            f"{covered} within their 90 % interval"
+        )
 
 
 def _times(growth: float) -> str:

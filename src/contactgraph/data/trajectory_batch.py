@@ -48,6 +48,8 @@ class Nodes(NamedTuple, Generic[Array]):
     outlines: Array | None = None
     """[..., N, P, V, 2] m: convex polygons in the body's frame, counter-clockwise, the last vertex
     and the last polygon repeated; 0 throughout for a body without. None: no body has one."""
+    log_mass: Array | None = None
+    """[..., N] logarithm of the mass in units of that of the body's type. None: 0."""
 
     @property
     def mobile(self) -> Any:
@@ -112,9 +114,8 @@ def pad_trajectories(
     """Pad to ``steps`` (default: the longest) and ``node_capacity`` (default: the most nodes, but
     at least two, as a graph without edges is not supported).
 
-    Contact labels are left out unless ``contacts``. ``turn_length`` [m]: see
-    `generalized_coordinates`. Raises `InvalidInputError` where a trajectory has more nodes than the
-    capacity.
+    Contact labels are left out unless ``contacts``. ``turn_length``: see `generalized_coordinates`.
+    Raises `InvalidInputError` where a trajectory has more nodes than the capacity.
     """
     trajectories = tuple(trajectories)
     most = max(each.scene.node_count for each in trajectories)
@@ -278,9 +279,7 @@ def pad_nodes(
         gravity=weight if present.gravity else None,
         half_size=padded(scene.half_size, 0.0, float, dimension) if present.boxes else None,
         reach=padded(scene.reach, np.nan, float, 2, dimension) if present.reach else None,
-        outlines=_padded_outlines(scene, capacity, *present.outlines)
-        if present.outlines[0]
-        else None,
+        outlines=_padded_outlines(scene, capacity, *present.outlines),
     )
 
 
@@ -288,8 +287,10 @@ def _most_polygons(scene: Scene) -> int:
     return int(np.bincount(np.asarray(scene.polygon_of, int), minlength=1).max(initial=0))
 
 
-def _padded_outlines(scene: Scene, capacity: int, count: int, vertices: int) -> np.ndarray:
-    """[capacity, count, vertices, 2] m: see `Nodes.outlines`."""
+def _padded_outlines(scene: Scene, capacity: int, count: int, vertices: int) -> np.ndarray | None:
+    """[capacity, count, vertices, 2] m: see `Nodes.outlines`; None for a ``count`` of 0."""
+    if count == 0:
+        return None
     outlines = np.zeros((capacity, count, vertices, 2))
     for node in range(scene.node_count):
         for index, polygon in enumerate(scene.outlines_of(node)):

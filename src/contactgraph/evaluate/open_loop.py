@@ -16,6 +16,7 @@ from contactgraph.evaluate.baselines import (
 )
 from contactgraph.evaluate.calibration import Calibration
 from contactgraph.evaluate.edge_scores import EdgeCounts
+from contactgraph.evaluate.mass_scores import mass_numbers
 from contactgraph.evaluate.open_loop_metrics import (
     ORACLE,
     OpenLoopMetrics,
@@ -145,6 +146,7 @@ def evaluate_open_loop(
             **angle_numbers(detail),
             **edge_numbers(detail),
             **calibration_numbers(detail),
+            **mass_numbers(detail.measured.mass_errors),
         },
         unbeaten=unbeaten_baselines(
             {name: errors[f"{name}_rmse_moving_m"] for name in ("n_step", *detail.baselines)}

@@ -98,9 +98,10 @@ class ModelConfig:
     """Unit of speeds, m/s; for data in other units than metres, what 1 m/s is in them."""
     theta: float = 0.55
     """Start of the learned implicitness: see `ThetaMethod`."""
+    varying_mass: bool = False
+    """Whether masses differ within a type."""
     edge_types: int = 3
-    """K of `hidden_markov_filter`: free, touch, then types that hold; of 2, free and hold. The
-    other models have 2."""
+    """K of a filter: free, touch, then types that hold; of 2, free and hold. Others have 2."""
 
     def __post_init__(self) -> None:
         if not 2 <= self.edge_types <= _MOST_EDGE_TYPES:
@@ -205,6 +206,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         averaged=config.averaged,
         speed=config.speed,
         turn_length=config.turn_length,
+        varying_mass=config.varying_mass,
         key=jax.random.fold_in(model_key, 1),
     )
     head = with_shapes(head, config.plane_distance, config.inertia, features.types)
@@ -219,10 +221,8 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
         key=rates_key,
     )
-    types: list[MessagePassing | EdgeNetwork] = [
-        EdgeNetwork(size, width, key=jax.random.fold_in(key, index))
-        for index in range(config.edge_types - 1)
-    ]
+    keys = (jax.random.fold_in(key, index) for index in range(config.edge_types - 1))
+    types: list[MessagePassing | EdgeNetwork] = [EdgeNetwork(size, width, key=k) for k in keys]
     learned = not config.averaged
     discretization = ThetaMethod(config.theta if learned else 1.0, learned)
     return dataclasses.replace(

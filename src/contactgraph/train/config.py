@@ -92,6 +92,8 @@ _MOVES, _LEAST_BEGINNINGS = 0.02, 10
 the distance of contact to be seen from it."""
 _FARTHER = 0.9
 """Quantile of these distances: of bodies that are no discs, most touch when they are nearer."""
+_HEAVIER = 1.02
+"""Ratio of the masses of one type from which they differ."""
 _KEY = "contact_distance"
 
 
@@ -115,6 +117,7 @@ class BodyDefaults:
     inertia: dict[str, float]
     slowing: dict[str, tuple[float, float]]
     impacts: dict[tuple[str, str], Impacts]
+    varying_mass: bool
 
 
 @dataclass(frozen=True)
@@ -211,7 +214,19 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         # Of means over a step nothing tells the velocities before and after; and those of bodies
         # that turn, nothing but the whole step.
         impacts={} if averaged or turning is not None else fit_impacts(dataset, actuation),
+        varying_mass=masses_vary(dataset),
     )
+
+
+def masses_vary(dataset: Dataset) -> bool:
+    """Whether the scenes tell masses that differ between passive bodies of one type."""
+    found: dict[str, set[float]] = {}
+    for each in dataset:
+        scene = each.scene
+        if scene.mass is not None:
+            for node in np.flatnonzero(~scene.actuated):
+                found.setdefault(scene.node_type[node], set()).add(float(scene.mass[node]))
+    return any(max(masses) > _HEAVIER * min(masses) for masses in found.values())
 
 
 def _node_types(dataset: Dataset) -> tuple[str, ...]:
