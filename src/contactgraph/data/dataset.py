@@ -12,6 +12,9 @@ Metadata = dict[str, str | int | float | bool]
 
 _MISMATCH_STEPS = 10
 _MISMATCH_LIMIT = 0.1
+_AT_REST = 1e-4
+"""Displacement up to which a body rests, as a share of the extent of all positions: contacts that
+bear a body move it by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +160,8 @@ def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
 
 
 def velocity_mismatch(trajectory: Trajectory) -> float:
-    """Share of the motion in which velocities and positions disagree; 0 where nothing moves.
+    """Share of the motion in which velocities and positions disagree; 0 where nothing moves, but
+    for less than a ten-thousandth of the extent of all positions.
 
     The displacement over every 10 steps is compared with the integral of the velocities by the
     trapezoid rule or, where that fits better, of those at the ends of the steps, which backward
@@ -175,9 +179,11 @@ def _mismatch(position: np.ndarray, displacement: np.ndarray) -> float:
     moved = position[steps:] - position[:-steps]
     path = np.concatenate([np.zeros_like(position[:1]), np.cumsum(displacement, axis=0)])
     integral = path[steps:] - path[:-steps]
-    total = max(float(np.linalg.norm(each, axis=-1).sum()) for each in (moved, integral))
-    difference = float(np.linalg.norm(moved - integral, axis=-1).sum())
-    return difference / total if total > 0.0 else 0.0
+    norms = [np.linalg.norm(each, axis=-1) for each in (moved, integral, moved - integral)]
+    size = np.linalg.norm(np.ptp(position, axis=(0, 1)))
+    moves = np.maximum(norms[0], norms[1]) > _AT_REST * size
+    *totals, difference = (float(norm[moves].sum()) for norm in norms)
+    return difference / max(totals) if max(totals) > 0.0 else 0.0
 
 
 def velocity_warning(dataset: Dataset) -> str | None:
