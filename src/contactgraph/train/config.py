@@ -194,6 +194,8 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     apart = partial(distances, boxes=boxes)
     if turning is not None:
         apart = partial(outline_distances, contact_distance=distance)
+    slowing = fit_slowing(dataset, distance, apart)
+    borne = frozenset[str]() if turning is None else turning.borne
     return BodyDefaults(
         contact_distance=distance,
         learned_contact_distance=common.learned_contact_distance and not averaged,
@@ -207,7 +209,7 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         theta=theta,
         turn_length=None if turning is None else turning.turn_length,
         inertia={} if turning is None else turning.inertia,
-        slowing=fit_slowing(dataset, distance, apart),
+        slowing={name: found for name, found in slowing.items() if name not in borne},
         # Of means over a step nothing tells the velocities before and after; and those of bodies
         # that turn, nothing but the whole step.
         impacts={} if averaged or turning is not None else fit_impacts(dataset, actuation),

@@ -31,12 +31,14 @@ class Turning:
     """Squared radius of gyration of each type that turns, of uniform density, in units of it."""
     size: float
     """m; root of the area of the smallest polygon."""
+    borne: frozenset[str]
+    """Those of the types that lie or fall on planes, whose friction slows them."""
 
 
 def find_turning(dataset: Dataset) -> Turning | None:
     """None where no body has both an outline and an orientation that changes."""
     squares: dict[str, list[float]] = {}
-    areas = []
+    areas, borne = [], set[str]()
     for each in dataset:
         if each.orientation is None or each.angular_velocity is None or not each.scene.polygons:
             return None
@@ -46,12 +48,17 @@ def find_turning(dataset: Dataset) -> Turning | None:
             areas += [signed_area(outline) for outline in outlines]
             if outlines and turned[node]:
                 squares.setdefault(name, []).append(_gyration_square(outlines))
+                borne |= {name} if _has_floor(each.scene) else set()
     if not squares:
         return None
     means = {name: float(np.mean(found)) for name, found in squares.items()}
     square = float(np.mean(list(means.values())))
     inertia = {name: found / square for name, found in means.items()}
-    return Turning(square**0.5, inertia, float(min(areas)) ** 0.5)
+    return Turning(square**0.5, inertia, float(min(areas)) ** 0.5, frozenset(borne))
+
+
+def _has_floor(scene: Scene) -> bool:
+    return scene.has_weight and scene.planes is not None and len(scene.planes) > 0
 
 
 def _gyration_square(outlines: list[np.ndarray]) -> float:
