@@ -80,6 +80,12 @@ def test_the_friction_of_planes_slows_boxes_that_lie_on_them_once() -> None:
     assert borne.slowing == {} and borne.inertia == free.inertia == {"box": 1.0}
 
 
+def test_boxes_on_planes_have_outlines_even_where_they_never_turn() -> None:
+    free, borne = (body_defaults(Dataset((slides(floor, 0.0),))) for floor in (False, True))
+    assert free.turn_length is None and free.inertia == {}
+    assert borne.turn_length == pytest.approx(0.1 / 6**0.5) and borne.inertia == {"box": 1.0}
+
+
 def followed(kind: str, count: int = 40) -> Trajectory:
     """v' = 0.3 v + 16 u along both axes, with steps of 0.04 s: a gain of 400."""
     control = np.random.default_rng(0).normal(size=(count, 2))

@@ -36,19 +36,26 @@ class Turning:
 
 
 def find_turning(dataset: Dataset) -> Turning | None:
-    """None where no body has both an outline and an orientation that changes."""
+    """None where no body has both an outline and an orientation that changes.
+
+    Of passive bodies on planes, under gravity, any orientation will do: what holds them upright is
+    their outline.
+    """
     squares: dict[str, list[float]] = {}
     areas, borne = [], set[str]()
     for each in dataset:
         if each.orientation is None or each.angular_velocity is None or not each.scene.polygons:
             return None
-        turned = np.nan_to_num(np.ptp(each.orientation[..., 0], axis=0)) > _TURNS
+        turns = np.nan_to_num(np.ptp(each.orientation[..., 0], axis=0)) > _TURNS
+        on_floor = _has_floor(each.scene)
+        if on_floor:
+            turns |= ~each.scene.actuated & (each.scene.static is None or ~each.scene.static)
         for node, name in enumerate(each.scene.node_type):
             outlines = each.scene.outlines_of(node)
             areas += [signed_area(outline) for outline in outlines]
-            if outlines and turned[node]:
+            if outlines and turns[node]:
                 squares.setdefault(name, []).append(_gyration_square(outlines))
-                borne |= {name} if _has_floor(each.scene) else set()
+                borne |= {name} if on_floor else set()
     if not squares:
         return None
     means = {name: float(np.mean(found)) for name, found in squares.items()}
