@@ -24,6 +24,7 @@ from contactgraph.data.trajectory import Trajectory
 from contactgraph.train.loss import LossTerms
 from contactgraph.train.turning import (
     find_turning,
+    has_outline,
     outline_distances,
     plane_distances,
     round_distances,
@@ -181,8 +182,9 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     turning = find_turning(dataset)
     if common.learned_contact_distance and turning is not None:
         # Bodies with an outline touch where these meet.
-        found = _contact_distance(dataset, round_distances).distance
-        distance = found if math.isfinite(found) else turning.size
+        distance = turning.size
+        if not all(has_outline(each.scene).all() for each in dataset):
+            distance = _contact_distance(dataset, round_distances).distance
     elif common.learned_contact_distance:
         round_, box = (
             _contact_distance(dataset, partial(distances, boxes=each)) for each in (False, True)
@@ -243,9 +245,9 @@ def _contact_distance(dataset: Dataset, distances: Callable[[Trajectory], np.nda
     begins: list[np.ndarray] = []
     nearest: list[float] = []
     for each in dataset:
-        if each.scene.node_count < 2:
-            continue
         apart = np.min(distances(each), axis=-1)
+        if not np.isfinite(apart).any():
+            continue  # of one body, or of outlines alone
         speed = np.linalg.norm(each.velocity, axis=-1)
         moves = speed > _MOVES * speed.max(initial=0.0)
         begin = ~moves[:-1] & moves[1:] & ~each.scene.actuated

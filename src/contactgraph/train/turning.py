@@ -106,14 +106,14 @@ def _gaps(outlines: Array, position: Array, angle: Array, edge_index: Array) -> 
 def outline_distances(trajectory: Trajectory, contact_distance: float) -> np.ndarray:
     """[T+1, N, N] m: the gaps, as of round bodies that touch at ``contact_distance``, whose half is
     the radius of bodies without an outline."""
-    round_ = ~_has_outline(trajectory.scene)
+    round_ = ~has_outline(trajectory.scene)
     radii = np.add.outer(round_, round_) * 0.5 * contact_distance
     return outline_gaps(trajectory) - radii + contact_distance
 
 
 def round_distances(trajectory: Trajectory) -> np.ndarray:
     """[T+1, N, N] m: gaps of round bodies from others, in their diameters; infinite for others."""
-    round_ = ~_has_outline(trajectory.scene)
+    round_ = ~has_outline(trajectory.scene)
     count = np.add.outer(round_, round_)
     gaps = outline_gaps(trajectory)
     return np.where(count == 0, np.inf, gaps * np.where(count == 1, 2.0, 1.0))
@@ -149,11 +149,12 @@ def plane_heights(trajectory: Trajectory) -> np.ndarray:
     assert scene.planes is not None
     normal, offset = scene.planes[:, :-1].T, scene.planes[:, -1]
     heights = position @ normal - offset
-    for node in np.flatnonzero(_has_outline(scene)).tolist():
+    for node in np.flatnonzero(has_outline(scene)).tolist():
         vertices = np.concatenate(trajectory.outlines_of(node), axis=1)
         heights[:, node] = np.min(vertices @ normal - offset, axis=1)
     return np.asarray(heights.min(axis=-1))
 
 
-def _has_outline(scene: Scene) -> np.ndarray:
+def has_outline(scene: Scene) -> np.ndarray:
+    """[N] bool: the nodes of which an outline is given."""
     return np.array([bool(scene.outlines_of(node)) for node in range(scene.node_count)])
