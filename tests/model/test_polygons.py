@@ -1,5 +1,6 @@
 """Bodies of polygons: nearest points against Shapely, levers against MuJoCo, whole steps."""
 
+from dataclasses import replace
 from functools import cache, partial
 
 import equinox as eqx
@@ -221,6 +222,23 @@ def test_a_falling_box_gains_no_energy(angle: float, speed: float) -> None:
     assert energy.max() <= begin + 1e-3
     assert np.diff(energy).max() < 2e-2 * begin
     assert energy[-1] < begin
+
+
+def test_a_step_in_parts_is_as_many_small_steps() -> None:
+    """A box that spins lands on a floor; the other is far."""
+    nodes = scene_nodes(scene(("box", "box"), gravity=GRAVITY, planes=FLOOR))
+    position, velocity = np.array([[[0.0, 0.07], [1.0, 0.03]], [[0.5, -1.0], [0.0, 0.0]]])
+    turn, rate = np.array([[0.3], [0.0]]), np.array([[12.0], [0.0]])
+    start = generalized_coordinates(TURN_LENGTH, position, velocity, turn, rate)
+
+    def moved(steps: int, **options) -> np.ndarray:
+        found = follow(replace(model(), **options), nodes, *map(jnp.asarray, start), 12 * steps)
+        return np.concatenate([found.position, found.velocity], axis=-1)[steps - 1 :: steps]
+
+    parts = moved(1, substeps=4)
+    np.testing.assert_allclose(parts, moved(4, dt=DT / 4), atol=1e-9)
+    assert np.abs(parts - moved(1))[:, 0, 1].max() > 1e-3
+    assert np.abs(np.diff(parts[:, 0, 4])).max() > 0.5  # it landed
 
 
 def test_a_turned_scene_moves_as_the_scene_does() -> None:

@@ -70,6 +70,7 @@ class Recipe:
                 "shapes": f"outlines of {', '.join(config.inertia)}, which turn"
                 if config.inertia
                 else ("boxes of their size" if config.boxes else "round"),
+                "parts of a step": f"{config.substeps}, in each of which contacts are found",
                 "planes": f"touched at {planes}" if planes else "none",
                 "slowed": ", ".join(
                     f"{name} by {constant:.3g} and {by_speed:.3g} 1/s"

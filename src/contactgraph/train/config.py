@@ -114,6 +114,7 @@ class BodyDefaults:
     theta: float
     turn_length: float | None
     inertia: dict[str, float]
+    substeps: int
     slowing: dict[str, tuple[float, float]]
     impacts: dict[tuple[str, str], Impacts]
 
@@ -196,6 +197,7 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     apart = partial(distances, boxes=boxes)
     if turning is not None:
         apart = partial(outline_distances, contact_distance=distance)
+    substeps = 1 if turning is None or averaged else turning.substeps
     slowing = fit_slowing(dataset, distance, apart)
     borne = frozenset[str]() if turning is None else turning.borne
     return BodyDefaults(
@@ -208,9 +210,10 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         plane_distance=plane_distances(dataset, {} if turning is None else turning.inertia),
         averaged=averaged,
         boxes=boxes,
-        theta=theta,
+        theta=float(np.clip(0.5 + substeps * (theta - 0.5), 0.51, 0.99)),
         turn_length=None if turning is None else turning.turn_length,
         inertia={} if turning is None else turning.inertia,
+        substeps=substeps,
         slowing={name: found for name, found in slowing.items() if name not in borne},
         # Of means over a step nothing tells the velocities before and after; and those of bodies
         # that turn, nothing but the whole step.

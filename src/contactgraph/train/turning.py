@@ -1,5 +1,6 @@
 """Bodies that turn, as data show them: their types and inertia, and gaps between outlines."""
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -19,6 +20,9 @@ _NEAREST = 0.005
 """Share of the states that may lie nearer to a plane than a body that touches it."""
 _TURNS = 1e-3
 """rad; by which a body must turn, so that it counts as one that does."""
+_FAST, _LITTLE = 0.99, 0.1
+"""Quantile of turns in a step of bodies on planes, and that in each of its parts, rad: where a body
+touches turns with it."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,9 @@ class Turning:
     """m; root of the area of the smallest polygon."""
     borne: frozenset[str]
     """Those of the types that lie or fall on planes, whose friction slows them."""
+    substeps: int
+    """Parts of a step in which those turn little; 1 where bodies are driven, since places within
+    a step would depend on the control."""
 
 
 def find_turning(dataset: Dataset) -> Turning | None:
@@ -42,13 +49,14 @@ def find_turning(dataset: Dataset) -> Turning | None:
     their outline.
     """
     squares: dict[str, list[float]] = {}
-    areas, borne = [], set[str]()
+    areas, borne, turns_in_step = [], set[str](), [np.zeros(1)]
     for each in dataset:
         if each.orientation is None or each.angular_velocity is None or not each.scene.polygons:
             return None
         turns = np.nan_to_num(np.ptp(each.orientation[..., 0], axis=0)) > _TURNS
         on_floor = _has_floor(each.scene)
         if on_floor:
+            turns_in_step.append(np.abs(each.scene.dt * each.angular_velocity).ravel())
             turns |= ~each.scene.actuated & (each.scene.static is None or ~each.scene.static)
         for node, name in enumerate(each.scene.node_type):
             outlines = each.scene.outlines_of(node)
@@ -61,7 +69,11 @@ def find_turning(dataset: Dataset) -> Turning | None:
     means = {name: float(np.mean(found)) for name, found in squares.items()}
     square = float(np.mean(list(means.values())))
     inertia = {name: found / square for name, found in means.items()}
-    return Turning(square**0.5, inertia, float(min(areas)) ** 0.5, frozenset(borne))
+    driven = any(each.scene.actuated.any() for each in dataset)
+    fast = float(np.nanquantile(np.concatenate(turns_in_step), _FAST))
+    substeps = 1 if driven else max(1, math.ceil(fast / _LITTLE))
+    size = float(min(areas)) ** 0.5
+    return Turning(square**0.5, inertia, size, frozenset(borne), substeps)
 
 
 def _has_floor(scene: Scene) -> bool:
