@@ -157,6 +157,18 @@ def test_levers_are_mujocos_jacobian() -> None:
     np.testing.assert_allclose(found[0] * np.array([1.0, 1.0, unit]), expected[:2], atol=1e-12)
 
 
+def test_boxes_that_rest_on_each_other_meet_along_the_normal_of_their_faces() -> None:
+    """In single precision, up to which their gap is known."""
+    rng = np.random.default_rng(0)
+    below, above = rng.uniform(-0.5, 0.5, (200, 2)), np.stack([0.02 + 0 * rng.random(200)] * 2, 1)
+    above[:, 1] = 0.06 + rng.uniform(-3e-8, 3e-8, 200)
+    position = np.stack([below, below + above], axis=1).astype(np.float32)
+    found = nearest(outlines("box", "box").astype(np.float32), position, np.zeros((200, 2), "f"))
+    assert found.gap.dtype == np.float32 and np.abs(found.gap).max() < 1e-6
+    assert found.on_face.all()
+    np.testing.assert_allclose(found.normal, np.broadcast_to([0.0, 1.0], (200, 1, 2, 2)), atol=1e-6)
+
+
 GRAVITY = np.array([0.0, -9.81])
 FLOOR = np.array([[0.0, 1.0, 0.0]])
 TURN_LENGTH = float(np.sqrt((0.1**2 + 0.06**2) / 12.0))
