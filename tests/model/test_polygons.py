@@ -15,6 +15,7 @@ from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
 from contactgraph.data.scene import signed_area
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, bodies, scene_nodes
+from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.filter import check_fit
 from contactgraph.model.polygons import contact_points, levers, placed, turned
 
@@ -234,6 +235,26 @@ def test_a_falling_box_gains_no_energy(angle: float, speed: float) -> None:
     assert energy.max() <= begin + 1e-3
     assert np.diff(energy).max() < 2e-2 * begin
     assert energy[-1] < begin
+
+
+def test_a_stack_that_touches_stays_where_it_is() -> None:
+    """Three boxes of which geometry alone cannot tell that weight presses them together."""
+    nodes = scene_nodes(scene(("box",) * 3, gravity=GRAVITY, planes=FLOOR))
+    types = jnp.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    start = jnp.array([[0.0, 0.03, 0.0], [0.02, 0.09, 0.0], [-0.01, 0.15, 0.0]])
+
+    @eqx.filter_jit
+    def after(model: ContactDynamics) -> tuple:
+        def step(at: tuple, _: None) -> tuple:
+            graph = model.encode(*at, nodes)
+            linear = model.linearize(model.cut_edges(graph, ContactBelief(types)))
+            return linear(*at, jnp.zeros(0)), None
+
+        return jax.lax.scan(step, (start, jnp.zeros_like(start)), length=10)[0]
+
+    position, velocity = after(model())  # of which contacts are soft, untrained as it is
+    np.testing.assert_allclose(position, start, atol=6e-4)
+    np.testing.assert_allclose(velocity, 0.0, atol=4e-3)
 
 
 def test_a_step_in_parts_is_as_many_small_steps() -> None:

@@ -83,7 +83,7 @@ def test_the_friction_of_planes_slows_boxes_that_lie_on_them_once() -> None:
 def test_boxes_on_planes_have_outlines_even_where_they_never_turn() -> None:
     free, borne = (body_defaults(Dataset((slides(floor, 0.0),))) for floor in (False, True))
     assert free.turn_length is None and free.inertia == {}
-    assert borne.contact_distance == pytest.approx(0.1)
+    assert borne.contact_distance == pytest.approx(0.1) and not borne.learned_contact_distance
     assert borne.turn_length == pytest.approx(0.1 / 6**0.5) and borne.inertia == {"box": 1.0}
 
 

@@ -181,10 +181,11 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     averaged = theta > _AVERAGED
     distance, boxes = common.contact_distance, False
     turning = find_turning(dataset)
+    outlined = turning and all(has_outline(each.scene).all() for each in dataset)
     if common.learned_contact_distance and turning is not None:
         # Bodies with an outline touch where these meet.
         distance = turning.size
-        if not all(has_outline(each.scene).all() for each in dataset):
+        if not outlined:
             distance = _contact_distance(dataset, round_distances).distance
     elif common.learned_contact_distance:
         round_, box = (
@@ -202,7 +203,8 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     borne = frozenset[str]() if turning is None else turning.borne
     return BodyDefaults(
         contact_distance=distance,
-        learned_contact_distance=common.learned_contact_distance and not averaged,
+        # Outlines tell it; of bodies at rest nothing else does.
+        learned_contact_distance=common.learned_contact_distance and not (averaged or outlined),
         node_types=_node_types(dataset),
         actuation=actuation,
         driving_size=int(drives.sum()),
