@@ -54,12 +54,15 @@ def in_substeps(
 ) -> LinearDynamics:
     """A step of ``dt`` [s] in ``count`` parts, each from where those before lead without control.
 
-    The active edges, and the messages along them, are those of the step.
+    The active edges, and the messages along them, are those of the step. No gradient flows through
+    the beginnings of the parts.
     """
     edges, dt = local.geometry, dt / count
 
     def part(done: LinearDynamics, _: None) -> tuple[LinearDynamics, None]:
         at = done(local.position, local.velocity, jnp.zeros(done.B.shape[-1], done.B.dtype))
+        # Through all contacts of a rollout, each of which begins within a hair, gradients overflow.
+        at = jax.lax.stop_gradient(at)
         meeting = edges.edge_index, dt, edges.contact_distance
         found = step_geometry(features, dynamics, at, local.nodes, *meeting)
         there = dataclasses.replace(
