@@ -202,6 +202,8 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
         worse = ", ".join(text for text, (name, _) in _PREDICTIONS.items() if name in unbeaten)
         print(f"  by the error of bodies that move it is not better than {worse}")
     print(f"where a contact changes, all bodies: {centimetres(('n_step', ''), '_contact').strip()}")
+    if (drift := values["rest_drift_m"]) is not None:
+        print(f"where nothing moves, the largest error: {1000 * drift:.3f} mm")
     for beliefs, text in _CONTACTS.items():
         if beliefs != "_inferred" or values["infer_contacts"]:
             now, coming = score(f"edge_f1_now{beliefs}"), score(f"edge_f1{beliefs}")

@@ -70,6 +70,7 @@ class Recipe:
                 "shapes": f"outlines of {', '.join(config.inertia)}, which turn"
                 if config.inertia
                 else ("boxes of their size" if config.boxes else "round"),
+                "parts of a step": f"{config.substeps}, in each of which contacts are found",
                 "planes": f"touched at {planes}" if planes else "none",
                 "slowed": ", ".join(
                     f"{name} by {constant:.3g} and {by_speed:.3g} 1/s"
@@ -164,7 +165,7 @@ def recipe(
 def _beyond_points(dataset: "Dataset") -> str:
     """What the data have that `filter` does not know; empty: nothing."""
     from contactgraph.data.actuation_fit import SERVO_KINDS
-    from contactgraph.train.config import masses_vary
+    from contactgraph.data.dataset import masses_vary
     from contactgraph.train.turning import find_turning
 
     scenes = [each.scene for each in dataset]

@@ -25,6 +25,7 @@ from contactgraph.evaluate.open_loop_metrics import (
     edge_numbers,
     error_numbers,
     numbers_by_type,
+    rest_drift,
     unbeaten_baselines,
 )
 from contactgraph.evaluate.prediction_windows import (
@@ -144,6 +145,7 @@ def evaluate_open_loop(
         numbers={
             **errors,
             **angle_numbers(detail),
+            "rest_drift_m": rest_drift(detail),
             **edge_numbers(detail),
             **calibration_numbers(detail),
             **mass_numbers(detail.measured.mass_errors),

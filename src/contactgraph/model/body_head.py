@@ -14,7 +14,7 @@ from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import lifted_fraction
 from contactgraph.model.contacts import MAX_COUPLING, Contacts, FreeBodies, damper_of
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.planes import on_planes, plane_contacts, plane_geometry
+from contactgraph.model.planes import on_planes, plane_contacts, plane_geometry, weighed_down
 from contactgraph.model.polygons import as_near
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
@@ -128,10 +128,8 @@ class BodyHead(eqx.Module):
         nodes: Nodes,
         dt: float,
     ) -> Float[Array, "N G"]:
-        """Velocity of every node after a step of ``dt`` [s] in which the ground alone slows it.
-
-        With weight and a ground that is not described nothing tells what rests on it: as given.
-        """
+        """Velocity of every node after a step of ``dt`` [s] in which only the ground slows it; as
+        given under gravity, where nothing tells what rests on the ground."""
         if nodes.gravity is not None:
             return velocity
         damper, slowing = self._slowing(node_type)
@@ -232,7 +230,8 @@ class BodyHead(eqx.Module):
             # Bodies that come nearer and do not meet in the step: a contact predicted too early.
             early = geometry.approach > _EARLY * self.length
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
-            closing = jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
+            nearer = geometry.approach + weighed_down(geometry, local.nodes, step.dt)
+            closing = jax.nn.sigmoid(nearer / (_ONE_SIDED * self.length))
             weight = weight.at[0].multiply(closing)
             touch = weight[0]
         # Only a soft bond has a spring: its residue would push bodies that touch or are held.

@@ -108,3 +108,12 @@ def meets_plane(geometry: Geometry) -> Float[Array, " C"]:
 def on_planes(geometry: Geometry, nodes: Nodes) -> Float[Array, " N"]:
     """1 for nodes that meet some plane in a step, else 0; ``geometry`` is of planes alone."""
     return jnp.max(meets_plane(geometry).reshape(len(nodes.mask), -1), axis=1)
+
+
+def weighed_down(geometry: Geometry, nodes: Nodes, dt: float) -> Float[Array, " C"] | float:
+    """m; how far passive bodies may part in a step of ``dt`` [s] and meet again within it, if their
+    weight brings them together and a plane bears one: a stack at rest does not approach."""
+    if nodes.gravity is None or nodes.planes is None:
+        return 0.0
+    both = jnp.all(nodes.passive[geometry.edge_index], axis=0)
+    return both * 0.5 * dt**2 * jnp.abs(geometry.normal @ nodes.gravity)

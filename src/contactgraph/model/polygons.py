@@ -22,6 +22,8 @@ _SAME_POINT, _SAME_NORMAL = 0.05, 0.9
 """Distance, in lengths, and cosine, of two points of contact that are one."""
 _ON_FACE = 1e-4
 """Share by which the distance from a side may be more than the height above its line."""
+_ROUNDING = 1e-5
+"""Distance from a side, in its lengths, of which rounding leaves no direction."""
 _FAR = 1e3
 """In lengths; the gap of a point that does not exist."""
 
@@ -212,7 +214,8 @@ def _candidates(
     index = jnp.where(inside, jnp.argmax(height, axis=-1), jnp.argmin(apart, axis=-1))
     chosen = index[..., None] == jnp.arange(is_side.shape[-1])
     # Above a face the nearest point is inside of it, and the way there is its normal.
-    above = inside[..., None] | (height > (1.0 - _ON_FACE) * jnp.sqrt(apart))
+    touches = apart < _ROUNDING**2 * jnp.sum((end - begin) ** 2, axis=-1)
+    above = inside[..., None] | touches | (height > (1.0 - _ON_FACE) * jnp.sqrt(apart))
     on_face = jnp.any(chosen & is_side & above, axis=-1)
     corners = (jnp.where(chosen[..., None], each, 0.0) for each in (begin, end))
     first, last = (jnp.sum(each, axis=-2) for each in corners)

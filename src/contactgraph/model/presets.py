@@ -19,12 +19,7 @@ from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
 from contactgraph.model.body_head import BodyHead
 from contactgraph.model.body_starts import with_impacts, with_shapes, with_slowing
-from contactgraph.model.collision import (
-    ClosestApproachPrior,
-    DistancePrior,
-    NoCutoff,
-    SmoothCutoff,
-)
+from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import (
@@ -88,6 +83,8 @@ class ModelConfig:
     """See `generalized_coordinates`, m. None: no body turns."""
     inertia: Mapping[str, float] = field(default_factory=dict)
     """Squared radius of gyration at the start, in units of `turn_length`, of types that turn."""
+    substeps: int = 1
+    """See `ContactDynamics`."""
     slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Deceleration, m/s^2, and damper, 1/s, by the ground at the start, by type; else nearly 0."""
     impacts: Mapping[tuple[str, str], Impacts] = field(default_factory=dict)
@@ -232,6 +229,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         features=features,
         prior=ClosestApproachPrior(parting=True),
         prediction_noise=PredictionNoise(config.edge_types, config.contact_distance, drifts=True),
+        substeps=config.substeps,
     )
 
 

@@ -72,6 +72,19 @@ class LinearDynamics(eqx.Module):
         moved = moved + jnp.sum(self.B * control, axis=-1) + self.offset
         return moved[..., 0], moved[..., 1]
 
+    def then(self, after: "LinearDynamics") -> "LinearDynamics":
+        """This step and the one after it, as one."""
+        A = after.A
+        unhindered = None
+        if self.unhindered is not None and after.unhindered is not None:
+            unhindered = self.unhindered + after.unhindered
+        return LinearDynamics(
+            A=jnp.sum(A[..., None] * self.A[..., None, :, :], axis=-2),
+            B=jnp.sum(A[..., None] * self.B[..., None, :, :], axis=-2) + after.B,
+            offset=jnp.sum(A * self.offset[..., None, :], axis=-1) + after.offset,
+            unhindered=unhindered,
+        )
+
     def stacked(self) -> tuple[Array, Array, Array]:
         """Dense ``A [2ND, 2ND]``, ``B [2ND, U]``, ``offset [2ND]`` in `stack_state`'s order."""
         nodes, dimension = self.A.shape[-4:-2]

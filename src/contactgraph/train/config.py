@@ -17,13 +17,14 @@ from contactgraph.data.actuation_fit import (
     fit_slowing,
     fit_theta,
 )
-from contactgraph.data.dataset import Dataset
+from contactgraph.data.dataset import Dataset, masses_vary
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.impact_fit import Impacts, fit_impacts
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.train.loss import LossTerms
 from contactgraph.train.turning import (
     find_turning,
+    has_outline,
     outline_distances,
     plane_distances,
     round_distances,
@@ -92,8 +93,6 @@ _MOVES, _LEAST_BEGINNINGS = 0.02, 10
 the distance of contact to be seen from it."""
 _FARTHER = 0.9
 """Quantile of these distances: of bodies that are no discs, most touch when they are nearer."""
-_HEAVIER = 1.02
-"""Ratio of the masses of one type from which they differ."""
 _KEY = "contact_distance"
 
 
@@ -115,6 +114,7 @@ class BodyDefaults:
     theta: float
     turn_length: float | None
     inertia: dict[str, float]
+    substeps: int
     slowing: dict[str, tuple[float, float]]
     impacts: dict[tuple[str, str], Impacts]
     varying_mass: bool
@@ -182,10 +182,12 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     averaged = theta > _AVERAGED
     distance, boxes = common.contact_distance, False
     turning = find_turning(dataset)
+    outlined = turning and all(has_outline(each.scene).all() for each in dataset)
     if common.learned_contact_distance and turning is not None:
         # Bodies with an outline touch where these meet.
-        found = _contact_distance(dataset, round_distances).distance
-        distance = found if math.isfinite(found) else turning.size
+        distance = turning.size
+        if not outlined:
+            distance = _contact_distance(dataset, round_distances).distance
     elif common.learned_contact_distance:
         round_, box = (
             _contact_distance(dataset, partial(distances, boxes=each)) for each in (False, True)
@@ -197,9 +199,13 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     apart = partial(distances, boxes=boxes)
     if turning is not None:
         apart = partial(outline_distances, contact_distance=distance)
+    substeps = 1 if turning is None or averaged else turning.substeps
+    slowing = fit_slowing(dataset, distance, apart)
+    borne = frozenset[str]() if turning is None else turning.borne
     return BodyDefaults(
         contact_distance=distance,
-        learned_contact_distance=common.learned_contact_distance and not averaged,
+        # Outlines tell it; of bodies at rest nothing else does.
+        learned_contact_distance=common.learned_contact_distance and not (averaged or outlined),
         node_types=_node_types(dataset),
         actuation=actuation,
         driving_size=int(drives.sum()),
@@ -207,26 +213,16 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         plane_distance=plane_distances(dataset, {} if turning is None else turning.inertia),
         averaged=averaged,
         boxes=boxes,
-        theta=theta,
+        theta=float(np.clip(0.5 + substeps * (theta - 0.5), 0.51, 0.99)),
         turn_length=None if turning is None else turning.turn_length,
         inertia={} if turning is None else turning.inertia,
-        slowing=fit_slowing(dataset, distance, apart),
+        substeps=substeps,
+        slowing={name: found for name, found in slowing.items() if name not in borne},
         # Of means over a step nothing tells the velocities before and after; and those of bodies
         # that turn, nothing but the whole step.
         impacts={} if averaged or turning is not None else fit_impacts(dataset, actuation),
         varying_mass=masses_vary(dataset),
     )
-
-
-def masses_vary(dataset: Dataset) -> bool:
-    """Whether the scenes tell masses that differ between passive bodies of one type."""
-    found: dict[str, set[float]] = {}
-    for each in dataset:
-        scene = each.scene
-        if scene.mass is not None:
-            for node in np.flatnonzero(~scene.actuated):
-                found.setdefault(scene.node_type[node], set()).add(float(scene.mass[node]))
-    return any(max(masses) > _HEAVIER * min(masses) for masses in found.values())
 
 
 def _node_types(dataset: Dataset) -> tuple[str, ...]:
@@ -256,9 +252,9 @@ def _contact_distance(dataset: Dataset, distances: Callable[[Trajectory], np.nda
     begins: list[np.ndarray] = []
     nearest: list[float] = []
     for each in dataset:
-        if each.scene.node_count < 2:
-            continue
         apart = np.min(distances(each), axis=-1)
+        if not np.isfinite(apart).any():
+            continue  # of one body, or of outlines alone
         speed = np.linalg.norm(each.velocity, axis=-1)
         moves = speed > _MOVES * speed.max(initial=0.0)
         begin = ~moves[:-1] & moves[1:] & ~each.scene.actuated

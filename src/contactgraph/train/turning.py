@@ -1,5 +1,6 @@
 """Bodies that turn, as data show them: their types and inertia, and gaps between outlines."""
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -19,6 +20,9 @@ _NEAREST = 0.005
 """Share of the states that may lie nearer to a plane than a body that touches it."""
 _TURNS = 1e-3
 """rad; by which a body must turn, so that it counts as one that does."""
+_FAST, _LITTLE = 0.99, 0.1
+"""Quantile of turns in a step of bodies on planes, and that in each of its parts, rad: where a body
+touches turns with it."""
 
 
 @dataclass(frozen=True)
@@ -31,27 +35,49 @@ class Turning:
     """Squared radius of gyration of each type that turns, of uniform density, in units of it."""
     size: float
     """m; root of the area of the smallest polygon."""
+    borne: frozenset[str]
+    """Those of the types that lie or fall on planes, whose friction slows them."""
+    substeps: int
+    """Parts of a step in which those turn little; 1 where bodies are driven, since places within
+    a step would depend on the control."""
 
 
 def find_turning(dataset: Dataset) -> Turning | None:
-    """None where no body has both an outline and an orientation that changes."""
+    """None where no body has both an outline and an orientation that changes.
+
+    Of passive bodies on planes, under gravity, any orientation will do: what holds them upright is
+    their outline.
+    """
     squares: dict[str, list[float]] = {}
-    areas = []
+    areas, borne, turns_in_step = [], set[str](), [np.zeros(1)]
     for each in dataset:
         if each.orientation is None or each.angular_velocity is None or not each.scene.polygons:
             return None
-        turned = np.nan_to_num(np.ptp(each.orientation[..., 0], axis=0)) > _TURNS
+        turns = np.nan_to_num(np.ptp(each.orientation[..., 0], axis=0)) > _TURNS
+        on_floor = _has_floor(each.scene)
+        if on_floor:
+            turns_in_step.append(np.abs(each.scene.dt * each.angular_velocity).ravel())
+            turns |= ~each.scene.actuated & (each.scene.static is None or ~each.scene.static)
         for node, name in enumerate(each.scene.node_type):
             outlines = each.scene.outlines_of(node)
             areas += [signed_area(outline) for outline in outlines]
-            if outlines and turned[node]:
+            if outlines and turns[node]:
                 squares.setdefault(name, []).append(_gyration_square(outlines))
+                borne |= {name} if on_floor else set()
     if not squares:
         return None
     means = {name: float(np.mean(found)) for name, found in squares.items()}
     square = float(np.mean(list(means.values())))
     inertia = {name: found / square for name, found in means.items()}
-    return Turning(square**0.5, inertia, float(min(areas)) ** 0.5)
+    driven = any(each.scene.actuated.any() for each in dataset)
+    fast = float(np.nanquantile(np.concatenate(turns_in_step), _FAST))
+    substeps = 1 if driven else max(1, math.ceil(fast / _LITTLE))
+    size = float(min(areas)) ** 0.5
+    return Turning(square**0.5, inertia, size, frozenset(borne), substeps)
+
+
+def _has_floor(scene: Scene) -> bool:
+    return scene.has_weight and scene.planes is not None and len(scene.planes) > 0
 
 
 def _gyration_square(outlines: list[np.ndarray]) -> float:
@@ -92,14 +118,14 @@ def _gaps(outlines: Array, position: Array, angle: Array, edge_index: Array) -> 
 def outline_distances(trajectory: Trajectory, contact_distance: float) -> np.ndarray:
     """[T+1, N, N] m: the gaps, as of round bodies that touch at ``contact_distance``, whose half is
     the radius of bodies without an outline."""
-    round_ = ~_has_outline(trajectory.scene)
+    round_ = ~has_outline(trajectory.scene)
     radii = np.add.outer(round_, round_) * 0.5 * contact_distance
     return outline_gaps(trajectory) - radii + contact_distance
 
 
 def round_distances(trajectory: Trajectory) -> np.ndarray:
     """[T+1, N, N] m: gaps of round bodies from others, in their diameters; infinite for others."""
-    round_ = ~_has_outline(trajectory.scene)
+    round_ = ~has_outline(trajectory.scene)
     count = np.add.outer(round_, round_)
     gaps = outline_gaps(trajectory)
     return np.where(count == 0, np.inf, gaps * np.where(count == 1, 2.0, 1.0))
@@ -135,11 +161,12 @@ def plane_heights(trajectory: Trajectory) -> np.ndarray:
     assert scene.planes is not None
     normal, offset = scene.planes[:, :-1].T, scene.planes[:, -1]
     heights = position @ normal - offset
-    for node in np.flatnonzero(_has_outline(scene)).tolist():
+    for node in np.flatnonzero(has_outline(scene)).tolist():
         vertices = np.concatenate(trajectory.outlines_of(node), axis=1)
         heights[:, node] = np.min(vertices @ normal - offset, axis=1)
     return np.asarray(heights.min(axis=-1))
 
 
-def _has_outline(scene: Scene) -> np.ndarray:
+def has_outline(scene: Scene) -> np.ndarray:
+    """[N] bool: the nodes of which an outline is given."""
     return np.array([bool(scene.outlines_of(node)) for node in range(scene.node_count)])
