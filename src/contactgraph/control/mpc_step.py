@@ -132,17 +132,16 @@ class MPCConfig(eqx.Module):
         previous = self.previous_plan(carry)
         last, odds = carry.last, carry.last.motion_log_odds
         belief, masses = carry.belief, carry.masses
-        nodes, observed = with_masses(nodes, masses), (position, velocity)
+        before = ModelState(last.position, last.velocity, last.belief)
+        nodes = with_masses(nodes, masses)
+        control = jnp.where(jnp.isfinite(applied), applied, last.control)
+        made = control, (position, velocity), nodes
         if self.motion_noise is not None:
-            model = check_motion_model(self.model)
-            before = ModelState(last.position, last.velocity, last.belief)
-            control = jnp.where(jnp.isfinite(applied), applied, last.control)
-            given = control, observed, nodes, self.motion_noise
-            belief, odds = correct_by_motion(model, belief, before, odds, *given)
+            judge, given = check_motion_model(self.model), (*made, self.motion_noise)
+            belief, odds = correct_by_motion(judge, belief, before, odds, *given)
         belief = correct(belief, contact, self.sensor)
-        if self.motion_noise is not None and masses is not None:
-            masses = correct_masses(model, masses, before, belief, *given)
-            nodes = with_masses(nodes, masses)
+        masses = correct_masses(self.model, masses, before, belief, *made, self.motion_noise)
+        nodes = with_masses(nodes, masses)
         now = ModelState(position, velocity, belief)
 
         if self.replan_every == 1:

@@ -147,13 +147,9 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
         motion_log_odds=_chosen(np.asarray(last.motion_log_odds), edge, np.zeros(1), -1),
         control=last.control,
     )
-    masses = new.carry.masses
-    if masses is not None:
-        masses = jax.tree.map(
-            lambda old, begun: _chosen(np.asarray(old), node, np.asarray(begun), -1),
-            carry.masses,
-            masses,
-        )
+    masses = jax.tree.map(
+        lambda old, begun: nodes(old, np.asarray(begun), -1), carry.masses, new.carry.masses
+    )
     carry = replace(carry, belief=belief(carry.belief, fresh), plan=moved, last=observed)
     return replace(new, carry=replace(carry, masses=masses))
 

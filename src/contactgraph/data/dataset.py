@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.graph import passive_nodes
 from contactgraph.data.trajectory import Trajectory
 
 Metadata = dict[str, str | int | float | bool]
@@ -207,6 +208,6 @@ def masses_vary(dataset: Dataset) -> bool:
     for each in dataset:
         scene = each.scene
         if scene.mass is not None:
-            for node in np.flatnonzero(~scene.actuated):
+            for node in np.flatnonzero(passive_nodes(scene)):
                 found.setdefault(scene.node_type[node], set()).add(float(scene.mass[node]))
     return any(max(masses) > _HEAVIER * min(masses) for masses in found.values())

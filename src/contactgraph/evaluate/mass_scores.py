@@ -1,5 +1,7 @@
 """Scores of masses that a model infers from motion, against those that scenes tell."""
 
+from statistics import NormalDist
+
 import numpy as np
 
 from contactgraph.data import Trajectory
@@ -7,8 +9,7 @@ from contactgraph.model import MassBelief, told_log_mass
 
 PROBABILITY = 0.9
 """Of the interval whose coverage is measured."""
-_QUANTILE = 1.645
-"""Of a normal distribution, between which and its negative that probability lies."""
+_QUANTILE = NormalDist().inv_cdf(0.5 * (1.0 + PROBABILITY))
 
 
 def mass_errors(
@@ -16,15 +17,18 @@ def mass_errors(
 ) -> np.ndarray | None:
     """[bodies, 2] error of the logarithm of the mass, and its standard deviation by the model.
 
-    Of every passive body that touches another, at the end of its first contact, or of the
+    Of every body of unknown mass that touches another, at the end of its first contact, or of the
     trajectory. None where the model infers no masses, or the data tell none or no contacts.
     """
-    told, contact = told_log_mass(model, trajectory.scene), trajectory.contact
-    if masses is None or told is None or contact is None:
+    contact = trajectory.contact
+    if masses is None or contact is None:
         return None
-    touched = np.any(contact, axis=2)
+    told, touched = told_log_mass(model, trajectory.scene), np.any(contact, axis=2)
+    if told is None:
+        return None
+    unknown = np.asarray(masses.variance)[0, : touched.shape[1]] > 0.0
     found = []
-    for node in np.flatnonzero(~trajectory.scene.actuated & touched.any(axis=0)).tolist():
+    for node in np.flatnonzero(unknown & touched.any(axis=0)).tolist():
         begin = int(np.argmax(touched[:, node]))
         ended = np.flatnonzero(~touched[begin:, node])
         end = begin + int(ended[0]) if len(ended) else trajectory.steps

@@ -6,6 +6,7 @@ filter (Bell and Cathey 1993), whose measurement is the velocity after the step.
 """
 
 import dataclasses
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -20,9 +21,14 @@ from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.body_head import PACE, BodyHead
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.motion_likelihood import most_probable, motion_given_types
+from contactgraph.model.motion_likelihood import (
+    both_finite,
+    check_motion_model,
+    most_probable,
+    motion_given_types,
+)
 from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.types import ModelState, scene_nodes
+from contactgraph.model.types import ModelState, StepModel, scene_nodes
 
 _ITERATIONS = 2
 """Linearisations a step: an impact is far from linear in the mass."""
@@ -40,6 +46,9 @@ class MassBelief(eqx.Module):
         """Bounds of the mass in units of the type's, between which it is with a probability."""
         half = ndtri(0.5 * (1.0 + probability)) * jnp.sqrt(self.variance)
         return jnp.exp(self.mean - half), jnp.exp(self.mean + half)
+
+
+Masses = TypeVar("Masses", bound=MassBelief | None)
 
 
 def varying_head(model: object) -> BodyHead | None:
@@ -67,10 +76,11 @@ def first_masses(model: object, nodes: Nodes) -> MassBelief | None:
 def told_log_mass(model: object, scene: Scene) -> np.ndarray | None:
     """[N] `Nodes.log_mass` of the masses that a scene tells, in units of the first actuated node's.
 
-    None where the model knows no masses, or the scene tells none or has no such node.
+    None where bodies of a type weigh alike in the model, or the scene tells no mass or has no such
+    node.
     """
-    head = getattr(getattr(model, "local_dynamics", None), "head", None)
-    if not isinstance(head, BodyHead) or scene.mass is None or not scene.actuated.any():
+    head = varying_head(model)
+    if head is None or scene.mass is None or not scene.actuated.any():
         return None
     assert isinstance(model, ContactDynamics)
     types = np.asarray(model.features.node_type(scene_nodes(scene), head.log_mass.dtype))
@@ -81,7 +91,7 @@ def told_log_mass(model: object, scene: Scene) -> np.ndarray | None:
 def nodes_with_told_masses(model: object, scene: Scene, node_capacity: int) -> Nodes:
     """`scene_nodes` that weigh what the scene tells; raises `InvalidInputError` where none can."""
     told = told_log_mass(model, scene)
-    if told is None or varying_head(model) is None:
+    if told is None:
         raise InvalidInputError(
             "told masses need a scene that tells them, with an actuated body, and a model of "
             "masses that differ within a type"
@@ -96,29 +106,32 @@ def with_masses(nodes: Nodes, masses: MassBelief | None) -> Nodes:
 
 
 def correct_masses(
-    model: ContactDynamics,
-    masses: MassBelief,
+    model: StepModel,
+    masses: Masses,
     before: ModelState,
     belief: ContactBelief,
     control: Float[Array, " U"],
     observed: Motion,
     nodes: Nodes,
-    noise: MotionNoise,
-) -> MassBelief:
+    noise: MotionNoise | None,
+) -> Masses:
     """The belief after one observed step; ``belief`` is about the contacts in it.
 
-    As given where one of the two observations is not finite.
+    As given without a ``noise``, or where one of the two observations is not finite.
     """
-    types = most_probable(belief)
-    arrays = [before.position, before.velocity, *observed]
-    usable = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in arrays]))
-    position, velocity_before, _, after = (jnp.nan_to_num(one) for one in arrays)
+    if masses is None or noise is None:
+        return masses
+    judge = check_motion_model(model)
+    types, usable = most_probable(belief), both_finite(before, observed)
+    position, velocity_before, after = map(
+        jnp.nan_to_num, (before.position, before.velocity, observed[1])
+    )
     before = dataclasses.replace(before, position=position, velocity=velocity_before)
-    noise = noise.at(before.velocity, model.dt)
+    noise = noise.at(before.velocity, judge.dt)
 
     def velocity(mean: Float[Array, " N"], types: Float[Array, "E K"]) -> Float[Array, "N G"]:
         weighed = nodes._replace(log_mass=mean)
-        return motion_given_types(model, weighed, before, control, types)[1]
+        return motion_given_types(judge, weighed, before, control, types)[1]
 
     count = len(position)
     of_type = noise.model_share if noise.type_share is None else noise.type_share

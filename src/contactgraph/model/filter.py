@@ -17,12 +17,7 @@ from contactgraph.data import (
     TrajectoryBatch,
     pad_trajectories,
 )
-from contactgraph.model.body_mass import (
-    MassBelief,
-    correct_masses,
-    first_masses,
-    with_masses,
-)
+from contactgraph.model.body_mass import MassBelief, correct_masses, first_masses, with_masses
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast_like, correct
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.features import turn_length_of
@@ -172,17 +167,14 @@ def filter_trajectory(
     ) -> tuple[_Carry, FilteredTrajectory]:
         position, velocity, contact, control = step
         predicted, log_odds, masses = carry.predicted, carry.motion_log_odds, carry.masses
-        nodes, observed = with_masses(trajectory.nodes, masses), (position, velocity)
+        before, nodes = carry.before, with_masses(trajectory.nodes, masses)
+        made = carry.control, (position, velocity), nodes
         if motion_noise is not None:
-            given = carry.control, observed, nodes, motion_noise
-            judge = check_motion_model(model)
-            predicted, log_odds = correct_by_motion(
-                judge, predicted, carry.before, log_odds, *given
-            )
+            judge, given = check_motion_model(model), (*made, motion_noise)
+            predicted, log_odds = correct_by_motion(judge, predicted, before, log_odds, *given)
         state = ModelState(position, velocity, correct(predicted, contact, sensor))
-        if motion_noise is not None and masses is not None:
-            masses = correct_masses(judge, masses, carry.before, state.belief, *given)
-            nodes = with_masses(nodes, masses)
+        masses = correct_masses(model, masses, before, state.belief, *made, motion_noise)
+        nodes = with_masses(nodes, masses)
         informed = with_control_displacement(model, state, carry.sensitivity, control, nodes)
         linear, prior = model.linear_step(informed, nodes)
         prior = cast_like(prior, predicted)

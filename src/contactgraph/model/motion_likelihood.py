@@ -23,7 +23,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import TrajectoryBatch
@@ -113,6 +113,12 @@ def check_motion_model(model: object) -> ContactDynamics:
     return model
 
 
+def both_finite(before: ModelState, observed: Motion) -> Bool[Array, ""]:
+    """Whether both observations of a step are finite."""
+    arrays = (before.position, before.velocity, *observed)
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in arrays]))
+
+
 def correct_by_motion(
     model: ContactDynamics,
     carried: ContactBelief,
@@ -129,8 +135,7 @@ def correct_by_motion(
     finite: the first of a trajectory has none before it, and a bad one is no evidence for either of
     its steps.
     """
-    arrays = (before.position, before.velocity, *observed)
-    usable = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in arrays]))
+    usable = both_finite(before, observed)
     given = control, observed, nodes, noise
     if isinstance(model, TrajectoryModel):
         corrected, odds = model.with_motion(carried, before, *given), motion_log_odds

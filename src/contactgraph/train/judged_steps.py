@@ -8,12 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from contactgraph.model.body_mass import (
-    MassBelief,
-    first_masses,
-    trajectory_masses,
-    with_masses,
-)
+from contactgraph.model.body_mass import MassBelief, first_masses, trajectory_masses, with_masses
 from contactgraph.model.contact_belief import (
     ContactBelief,
     first_holding_type,

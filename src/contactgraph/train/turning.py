@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from contactgraph.data.dataset import Dataset
-from contactgraph.data.graph import pair_indices
+from contactgraph.data.graph import pair_indices, passive_nodes
 from contactgraph.data.scene import Scene, signed_area
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.data.trajectory_batch import pad_nodes
@@ -57,7 +57,7 @@ def find_turning(dataset: Dataset) -> Turning | None:
         on_floor = _has_floor(each.scene)
         if on_floor:
             turns_in_step.append(np.abs(each.scene.dt * each.angular_velocity).ravel())
-            turns |= ~each.scene.actuated & (each.scene.static is None or ~each.scene.static)
+            turns |= passive_nodes(each.scene)
         for node, name in enumerate(each.scene.node_type):
             outlines = each.scene.outlines_of(node)
             areas += [signed_area(outline) for outline in outlines]
