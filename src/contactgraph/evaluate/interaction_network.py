@@ -62,10 +62,13 @@ class InteractionNetwork(eqx.Module):
         key: PRNGKeyArray,
     ) -> None:
         encoder, decoder, *rounds = jax.random.split(key, 2 + _ROUNDS)
-        inputs = 3 * dimension + control_size + feature_count
+        turns = int(scales.turn_length is not None)
+        coordinates = dimension + turns
+        # Of a turn the rate, cosine and sine.
+        inputs = 3 * (dimension + turns) + control_size + feature_count
         self.encoder = eqx.nn.MLP(inputs, _WIDTH, _WIDTH, 1, key=encoder)
-        self.rounds = tuple(MessageRound(2 * dimension + 2, each) for each in rounds)
-        last = eqx.nn.Linear(_WIDTH, 2 * dimension, key=decoder)
+        self.rounds = tuple(MessageRound(dimension + coordinates + 2, each) for each in rounds)
+        last = eqx.nn.Linear(_WIDTH, 2 * coordinates, key=decoder)
         # It starts as constant velocity.
         self.decoder = jax.tree.map(lambda leaf: 0.01 * leaf, last)
         self.scales = scales
@@ -73,24 +76,30 @@ class InteractionNetwork(eqx.Module):
     def step(
         self,
         scene: SceneInputs,
-        position: Float[Array, "N D"],
-        velocity: Float[Array, "N D"],
+        position: Float[Array, "N G"],
+        velocity: Float[Array, "N G"],
         control: Float[Array, " U"],
-    ) -> tuple[Float[Array, "N D"], Float[Array, "N D"]]:
-        """The position m and velocity m/s of each body after a step."""
+    ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
+        """The `generalized_coordinates` m and their velocity m/s of each body after a step."""
         scales = self.scales
+        place, turn = position, position[:, :0]
+        if scales.turn_length is not None:
+            place, angle = position[:, :-1], position[:, -1:] / scales.turn_length
+            turn = jnp.concatenate([jnp.cos(angle), jnp.sin(angle)], axis=-1)
         hinged = scene.features[:, -1:]
         body = [
             velocity / scales.speed,
-            position / scales.position,
-            hinged * (scene.anchor - position) / scales.position,
+            place / scales.position,
+            turn,
+            hinged * (scene.anchor - place) / scales.position,
             scene.acts * control / jnp.asarray(scales.control),
             scene.features,
         ]
         hidden = jax.vmap(self.encoder)(jnp.concatenate(body, axis=-1))
-        offset = (position[None] - position[:, None]) / scales.contact_distance
+        offset = (place[None] - place[:, None]) / scales.contact_distance
         closing = velocity[None] - velocity[:, None]
-        coming = offset + scales.dt * closing / scales.contact_distance
+        moved = scales.dt * closing[..., : place.shape[1]]
+        coming = offset + moved / scales.contact_distance
         relation = jnp.concatenate(
             [offset, closing / scales.speed, _length(offset), _length(coming)], axis=-1
         )
@@ -103,10 +112,10 @@ class InteractionNetwork(eqx.Module):
     def rollout(
         self,
         scene: SceneInputs,
-        position: Float[Array, "N D"],
-        velocity: Float[Array, "N D"],
+        position: Float[Array, "N G"],
+        velocity: Float[Array, "N G"],
         controls: Float[Array, "H U"],
-    ) -> tuple[Float[Array, "H N D"], Float[Array, "H N D"]]:
+    ) -> tuple[Float[Array, "H N G"], Float[Array, "H N G"]]:
         """The positions and velocities after each of the steps under ``controls``."""
 
         def advance(state: tuple[Array, Array], control: Array) -> tuple[tuple, tuple]:

@@ -12,6 +12,7 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data import Dataset, Trajectory, split_by_trajectory
+from contactgraph.data.trajectory_batch import generalized_coordinates
 from contactgraph.evaluate.interaction_network import InteractionNetwork
 from contactgraph.evaluate.network_inputs import (
     NetworkWindows,
@@ -44,16 +45,22 @@ class FittedNetwork:
     """Optimiser steps."""
 
     def __call__(self, trajectory: Trajectory, steps: int) -> np.ndarray:
-        """[S, H, N, D] m: the predictions."""
+        """[S, H, N, D] m: the predictions; with a last column of angles, rad, if bodies turn."""
         scene = scene_inputs(
             trajectory.scene, trajectory.control_size, self.types, trajectory.scene.node_count
         )
         starts = trajectory.steps - steps + 1
         ahead = np.arange(starts + -starts % _STARTS).clip(max=starts - 1)
         controls = trajectory.control[ahead[:, None] + np.arange(steps)]
-        arrays = (trajectory.position[ahead], trajectory.velocity[ahead], controls)
+        length = self.network.scales.turn_length
+        turning = trajectory.orientation, trajectory.angular_velocity
+        states = generalized_coordinates(length, trajectory.position, trajectory.velocity, *turning)
+        arrays = (*(np.nan_to_num(each[ahead]) for each in states), controls)
         found = _rollouts(self.network, scene, *(jnp.asarray(each, jnp.float32) for each in arrays))
-        return np.asarray(found[:starts], np.float64)
+        predicted = np.array(found[:starts], np.float64)
+        if length is not None:
+            predicted[..., -1] /= length
+        return predicted
 
 
 @eqx.filter_jit

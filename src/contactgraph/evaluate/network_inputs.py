@@ -24,6 +24,7 @@ from contactgraph.train.batch import (
     has_resting_bodies,
     window_source,
 )
+from contactgraph.train.turning import find_turning
 
 _WINDOW = 8
 """Steps of a rollout in training."""
@@ -96,6 +97,8 @@ class InputScales(eqx.Module):
     """[U]"""
     dt: float
     """s"""
+    turn_length: float | None = None
+    """See `generalized_coordinates`. None: no body turns in the plane."""
 
 
 class NetworkWindows(eqx.Module):
@@ -139,7 +142,7 @@ def _with_distractor(scene: SceneInputs, placed: Array) -> SceneInputs:
 
 def network_windows(dataset: Dataset, types: Sequence[str]) -> NetworkWindows:
     """The windows of a dataset, drawn as our model's training draws them."""
-    batch = pad_trajectories(dataset, contacts=False)
+    batch = pad_trajectories(dataset, contacts=False, turn_length=turn_length(dataset))
     capacity = batch.position.shape[2]
     inputs = [scene_inputs(each.scene, each.control_size, types, capacity) for each in dataset]
     length = min(_WINDOW, int(batch.steps.max()))
@@ -149,6 +152,12 @@ def network_windows(dataset: Dataset, types: Sequence[str]) -> NetworkWindows:
         distractors=TrainConfig().bystanders if has_resting_bodies(batch) else 0,
         nearest=1.03 * defaults_from_data(dataset).contact_distance,
     )
+
+
+def turn_length(dataset: Dataset) -> float | None:
+    """Length by which the network counts angles, m; None: no body turns in the plane."""
+    turning = find_turning(dataset) if dataset.dimension == 2 else None
+    return None if turning is None else turning.turn_length
 
 
 def input_scales(dataset: Dataset) -> InputScales:
@@ -169,4 +178,5 @@ def input_scales(dataset: Dataset) -> InputScales:
         speed_change=size(change),
         control=tuple(size(each) for each in control.T),
         dt=dataset.dt,
+        turn_length=turn_length(dataset),
     )

@@ -59,7 +59,6 @@ class BodyHead(eqx.Module):
     plane_distance: Float[Array, " types"]
     """m, of a node from a plane that it touches, by the data; a tenth of it is learned."""
     plane_raw: Float[Array, " types"]
-    """Of the learned part of that distance."""
     log_inertia: Float[Array, " types"] | None
     """Of the squared radius of gyration by that of `turn_length`, in units of `PACE`, or none."""
     log_spread: Float[Array, " types"] | None
@@ -74,6 +73,7 @@ class BodyHead(eqx.Module):
     speed: float = eqx.field(static=True)
     turn_length: float | None = eqx.field(static=True)
     varying_mass: bool = eqx.field(static=True)
+    identified: bool = eqx.field(static=True, default=False)
 
     def __init__(
         self,
@@ -87,12 +87,13 @@ class BodyHead(eqx.Module):
         speed: float = 1.0,
         turn_length: float | None = None,
         varying_mass: bool = False,
+        identified: bool = False,
         key: PRNGKeyArray,
     ):
         """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``averaged``:
         whether velocities are means over a step; ``speed``: unit of speeds, m/s; ``turn_length``
         [m]: see `generalized_coordinates`; None: no body turns; ``varying_mass``: whether masses
-        differ within a type."""
+        differ within a type; ``identified``: whether differences, not gradients, tell the laws."""
         # Products have no weak type, with which the first training update would recompile.
         self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
         self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / PACE
@@ -102,9 +103,9 @@ class BodyHead(eqx.Module):
         self.edge = eqx.nn.MLP(width, 3, width, 1, key=key)
         self.actuation = actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
-        self.averaged, self.speed, self.turn_length = averaged, speed, turn_length
+        self.averaged, self.speed, self.identified = averaged, speed, identified
+        self.turn_length, self.varying_mass = turn_length, varying_mass
         self.log_inertia = None if turn_length is None else self.damper_raw
-        self.varying_mass = varying_mass
         self.log_spread = self.damper_raw - np.log(2.0) / PACE if varying_mass else None
 
     def drive(
@@ -204,7 +205,9 @@ class BodyHead(eqx.Module):
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
         )
-        solution = contacts.solve(bodies, dt, local.group_capacity)
+        if nodes.planes is not None and self.turn_length is not None:
+            contacts = contacts.pushing(bodies, dt, capacity)
+        solution = contacts.solve(bodies, dt, capacity)
         if nodes.reach is not None:
             solution = motion.kept_within_reach(solution, displaced, slots, local, braked, step)
         parameters = motion.parameters(local, slots, solution, step, self.speed)
@@ -229,6 +232,8 @@ class BodyHead(eqx.Module):
         if len(weight) > 1:
             # Bodies that come nearer and do not meet in the step: a contact predicted too early.
             early = geometry.approach > _EARLY * self.length
+            if points > 1:  # Outlines tell exactly where bodies are apart.
+                early |= geometry.distance - geometry.contact_distance > _EARLY * self.length
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
             nearer = geometry.approach + weighed_down(geometry, local.nodes, step.dt)
             closing = jax.nn.sigmoid(nearer / (_ONE_SIDED * self.length))

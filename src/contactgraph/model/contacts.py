@@ -127,6 +127,18 @@ class Contacts(eqx.Module):
 
         return jax.tree_util.tree_map_with_path(joined, first, other)
 
+    def pushing(self, bodies: "FreeBodies", dt: float, capacity: int | None) -> "Contacts":
+        """These contacts without touches that would pull, such as at the corner that lifts off
+        where a block tips over: one round of an active set method."""
+        normal = self.geometry.along(1.0 - self.touching)
+        pushed = bodies.push - self._impulse(normal, len(bodies.mass), dt)
+        solved = _solve(bodies.mass, self.damper + self.spring, normal, [pushed], capacity)
+        velocity = bodies.velocity[..., None] + solved.parts[0]
+        relative = relative_at_edges(velocity, self.geometry)[..., 0]
+        pulls = jnp.sum(self.geometry.normal * relative, axis=-1) > 0.0
+        kept = 1.0 - self.touching * pulls
+        return dataclasses.replace(self, damper=kept * self.damper, bounce=kept * self.bounce)
+
     def _at_impact(self, normal: Geometry, bodies: "FreeBodies") -> Geometry:
         """With the velocity of which a bounce gives back its share: that at the impact, less what
         control and weight add to the approach after it, so that what is pushed on does not part."""

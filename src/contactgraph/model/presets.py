@@ -97,6 +97,9 @@ class ModelConfig:
     """Start of the learned implicitness: see `ThetaMethod`."""
     varying_mass: bool = False
     """Whether masses differ within a type."""
+    identified: bool = False
+    """Whether masses, laws of touches and inertia are found by differences of simulated steps and
+    kept, as where bodies on planes turn, instead of learned by gradients."""
     edge_types: int = 3
     """K of a filter: free, touch, then types that hold; of 2, free and hold. Others have 2."""
 
@@ -204,6 +207,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         speed=config.speed,
         turn_length=config.turn_length,
         varying_mass=config.varying_mass,
+        identified=config.identified,
         key=jax.random.fold_in(model_key, 1),
     )
     head = with_shapes(head, config.plane_distance, config.inertia, features.types)

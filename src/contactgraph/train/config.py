@@ -118,6 +118,7 @@ class BodyDefaults:
     slowing: dict[str, tuple[float, float]]
     impacts: dict[tuple[str, str], Impacts]
     varying_mass: bool
+    identified: bool
 
 
 @dataclass(frozen=True)
@@ -222,6 +223,8 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         # that turn, nothing but the whole step.
         impacts={} if averaged or turning is not None else fit_impacts(dataset, actuation),
         varying_mass=masses_vary(dataset),
+        identified=bool(borne and outlined)
+        and not any(each.scene.actuated.any() for each in dataset),
     )
 
 

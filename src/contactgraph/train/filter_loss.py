@@ -111,22 +111,37 @@ def dynamics_loss(
     )
 
 
+def given_rollout(
+    model: ContactDynamics,
+    window: Window,
+    types: Float[Array, "L E K"],
+    displacement: Float[Array, "L N D"] | None,
+) -> Motion:
+    """[L, N, D] m and m/s; all states of a window from its first one, with the types of every step.
+
+    ``displacement`` [m]: of each node by each step's control alone.
+    """
+
+    def step(state: Motion, inputs: tuple[Array, Array, Array | None]) -> tuple[Motion, Motion]:
+        control, types, displacement = inputs
+        # The types are given, so that no inference needs the commands.
+        graph = model.encode(*state, window.nodes, displacement)
+        linear: LinearDynamics = model.linearize(model.cut_edges(graph, ContactBelief(types)))
+        after = linear(*state, control)
+        return after, after
+
+    first = window.position[0], window.velocity[0]
+    states: Motion = jax.lax.scan(step, first, (window.control, types, displacement))[1]
+    return states
+
+
 def given_rollout_loss(
     model: ContactDynamics, windows: Window, judged: JudgedSteps
 ) -> Float[Array, ""]:
     """`LossTerms.rollout` when the types of every step are given."""
 
     def error(window: Window, types: Array, displacement: Array) -> Float[Array, "L N"]:
-        def step(state: Motion, inputs: tuple[Array, Array, Array]) -> tuple[Motion, Motion]:
-            control, types, displacement = inputs
-            # The types are given, so that no inference needs the commands.
-            graph = model.encode(*state, window.nodes, displacement)
-            linear: LinearDynamics = model.linearize(model.cut_edges(graph, ContactBelief(types)))
-            after = linear(*state, control)
-            return after, after
-
-        first = window.position[0], window.velocity[0]
-        states = jax.lax.scan(step, first, (window.control, types, displacement))[1]
+        states = given_rollout(model, window, types, displacement)
         return rollout_error(model, *states, window)
 
     found = jax.vmap(error)(windows, judged.types, judged.displacement)

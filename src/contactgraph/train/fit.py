@@ -27,6 +27,7 @@ from contactgraph.train.config import TrainConfig
 from contactgraph.train.filter_loss import check_contacts
 from contactgraph.train.fit_state import FitProgress, FitResult, FitState, FitStatus, with_lists
 from contactgraph.train.held_out import equals_constant_velocity, has_dead_units, held_out_windows
+from contactgraph.train.identification import identify_laws
 
 _BURN = 20
 """Steps that correct a filter before a held-out window."""
@@ -73,6 +74,9 @@ def fit(
     batch = pad_trajectories(labelled, contacts=config.use_contacts, turn_length=turn_length)
     source = _window_source(batch, config)
     source = dataclasses.replace(source, reports_touch=labelled is train)
+    if int(state.step) == 0:
+        model = identify_laws(state.model, batch)
+        state = dataclasses.replace(state, model=model, best_model=model)
     other = pad_trajectories(held_out, contacts=False, turn_length=turn_length)
     burn = 0
     model = state.model
