@@ -209,7 +209,8 @@ class MPC:
         )
         matters = np.repeat(mask, coordinates, axis=1)
         if coordinates > dimension and nodes.outlines is not None:
-            matters[:, dimension:] &= np.any(np.asarray(nodes.outlines), axis=(1, 2, 3))[:, None]
+            outlines = np.asarray(nodes.outlines).reshape(len(mask), -1)
+            matters[:, dimension:] &= np.any(outlines, axis=1)[:, None]
         return np.where(matters, position, 0), np.where(matters, velocity, 0)
 
     def first_motion(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> Motion:

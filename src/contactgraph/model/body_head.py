@@ -67,8 +67,9 @@ class BodyHead(eqx.Module):
     """m, of a node from a plane that it touches, by the data; a tenth of it is learned."""
     plane_raw: Float[Array, " types"]
     """Of the learned part of that distance."""
-    log_inertia: Float[Array, " types"] | None
-    """Of the squared radius of gyration by that of `turn_length`, in units of `PACE`, or none."""
+    log_inertia: Float[Array, " types"] | Float[Array, "types 3"] | None
+    """Of the squared radius of gyration by that of `turn_length`, in units of `PACE`, or none; in
+    space one about each axis of the body."""
     edge: eqx.nn.MLP
     actuation: Actuation
     width: int = eqx.field(static=True)
@@ -106,6 +107,8 @@ class BodyHead(eqx.Module):
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
         self.averaged, self.speed, self.turn_length = averaged, speed, turn_length
         self.log_inertia = None if turn_length is None else self.damper_raw
+        if turn_length is not None and actuation.dimension == 3:
+            self.log_inertia = 0.0 * jnp.ones((node_types, 3))
 
     def drive(
         self,
@@ -153,8 +156,8 @@ class BodyHead(eqx.Module):
         ratio = jnp.ones((len(node_type), size))
         if self.log_inertia is None:
             return ratio
-        inertia = jnp.exp(PACE * node_type @ self.log_inertia)
-        return ratio.at[:, self.actuation.dimension :].multiply(inertia[:, None])
+        inertia = jnp.exp(PACE * node_type @ self.log_inertia).reshape(len(node_type), -1)
+        return ratio.at[:, self.actuation.dimension :].multiply(inertia)
 
     def __call__(
         self,

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
-from contactgraph.data.trajectory_batch import coordinate_count
+from contactgraph.data.turns import coordinate_count
 from contactgraph.model.body_head import BodyHead
 from contactgraph.model.collision import (
     ClosestApproachPrior,
@@ -44,7 +44,6 @@ from contactgraph.model.neighbor_list import (
     edge_count,
     travel_bound,
 )
-from contactgraph.model.polygons import POINTS
 from contactgraph.model.rollout import control_sensitivity, rollout, take_step
 from contactgraph.model.types import (
     EncodedGraph,
@@ -121,7 +120,7 @@ class ContactDynamics(eqx.Module):
         ``control_displacement`` and ``command`` are those of a `ModelState`; ``contact_distance``
         [m] is each edge's own, None: that of the features.
         """
-        nodes = shaped(nodes, self.features)
+        nodes = shaped(nodes, self.features, self.dimension)
         moved = position, velocity, control_displacement, nodes.anchor, self.dt
         bound = travel_bound(*moved, nodes.half_size, nodes.outlines)
         edges = self._edges(position, bound, nodes.mask)
@@ -133,7 +132,8 @@ class ContactDynamics(eqx.Module):
         touch = touch if contact_distance is None else contact_distance
         meeting = self.features.meeting(nodes, position, edges.edge_index)
         if meeting is not None:
-            touch = jnp.tile(jnp.broadcast_to(touch, edges.edge_index.shape[1:]), POINTS)
+            points = meeting.edge_index.shape[1] // max(1, edges.edge_index.shape[1])
+            touch = jnp.tile(jnp.broadcast_to(touch, edges.edge_index.shape[1:]), points)
         static = nodes.static if self.features.types else None  # not known without types
         known = control_displacement, nodes.anchor, static, self.features.speed, nodes.half_size
         at = position, moving, edges.edge_index, self.dt, touch

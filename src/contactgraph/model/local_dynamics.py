@@ -1,5 +1,7 @@
 """Local dynamics: from the cut graph to one linear step of every node, by the theta method."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -83,7 +85,11 @@ class SpringMassDamperDynamics(eqx.Module):
 
     def __call__(self, local: LocalInput, dt: float, control_size: int) -> LinearDynamics:
         """The linear step of every node."""
-        return self.discretization(self.parameters(local, dt, control_size), dt)
+        linear = self.discretization(self.parameters(local, dt, control_size), dt)
+        if local.position.shape[1] != 6:
+            return linear
+        turn_length = getattr(self.head, "turn_length", None)  # of bodies that turn in space
+        return dataclasses.replace(linear, turn_length=turn_length)
 
 
 class FreeLinearDynamics(eqx.Module):

@@ -6,7 +6,8 @@ from jaxtyping import Array, Float
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contacts import Contacts, damper_of
-from contactgraph.model.polygons import POINTS, levers, placed, plane_points
+from contactgraph.model.polygons import most_points, plane_points
+from contactgraph.model.rotations import levers, placed
 
 _LEAST_APPROACH = 1e-9
 """m"""
@@ -30,8 +31,8 @@ def plane_geometry(
     With ``turns`` bodies have outlines, and each has `plane_points`: see `polygon_meeting`.
     """
     assert nodes.planes is not None
-    planes, points = nodes.planes, 1 if turns is None else POINTS
-    dimension = planes.shape[1] - 1
+    planes, dimension = nodes.planes, nodes.planes.shape[1] - 1
+    points = 1 if turns is None else most_points(dimension)
     # Rows are those of the first node first, then of its first plane.
     node = jnp.repeat(jnp.arange(len(position)), len(planes) * points)
     rows = jnp.repeat(jnp.tile(planes, (len(position), 1)), points, axis=0)
@@ -41,7 +42,7 @@ def plane_geometry(
         jacobian = jnp.broadcast_to(jnp.eye(dimension), (len(node), dimension, dimension))
     else:
         assert nodes.outlines is not None
-        shapes = placed(nodes.outlines, position[:, :2], position[:, 2] / turn_length)
+        shapes = placed(nodes.outlines, position, turn_length)
         height, lowest = (
             leaf.reshape(len(node), *leaf.shape[3:])
             for leaf in plane_points(shapes, planes, length)

@@ -5,7 +5,7 @@ fresh weights; any such function can be trained in the place of these.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -84,10 +84,13 @@ class ModelConfig:
     """m; how near each type comes to a plane. Those left out: half the contact distance."""
     boxes: bool = False
     """Whether nodes that have a size are boxes along the axes; else all are round."""
+    margin: float = 0.0
+    """Gap at which two outlines touch, m."""
     turn_length: float | None = None
     """See `generalized_coordinates`, m. None: no body turns."""
-    inertia: Mapping[str, float] = field(default_factory=dict)
-    """Squared radius of gyration at the start, in units of `turn_length`, of types that turn."""
+    inertia: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
+    """Squared radius of gyration at the start, in units of `turn_length`, of types that turn; in
+    space about each axis of the body."""
     slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Deceleration, m/s^2, and damper, 1/s, by the ground at the start, by type; else nearly 0."""
     impacts: Mapping[tuple[str, str], Impacts] = field(default_factory=dict)
@@ -192,6 +195,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         boxes=config.boxes,
         turning=tuple(config.inertia),
         turn_length=config.turn_length,
+        margin=config.margin,
     )
     driving = config.driving_size
     driving = min(config.dimension, config.control_size) if driving is None else driving

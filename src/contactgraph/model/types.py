@@ -12,6 +12,7 @@ from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.rotations import stepped_turns
 
 _MIN_INVERSE_MASS = 1e-6
 
@@ -54,6 +55,8 @@ class LinearDynamics(eqx.Module):
     unhindered: Float[Array, "*T N D W"] | None = None
     """Displacement of each node by what drives it, if no touch hindered it: see
     `ContactDynamics.drive`. None: it is driven by the control, and nothing hinders it."""
+    turn_length: float | None = eqx.field(static=True, default=None)
+    """m; the unit of turns in space, which do not add up: see `composed`. None: all else does."""
 
     @property
     def control_sensitivity(self) -> Float[Array, "*T N D W"]:
@@ -70,7 +73,10 @@ class LinearDynamics(eqx.Module):
         state = jnp.stack([position, velocity], axis=-1)
         moved = jnp.sum(self.A * state[..., None, :], axis=-1)
         moved = moved + jnp.sum(self.B * control, axis=-1) + self.offset
-        return moved[..., 0], moved[..., 1]
+        after, rate = moved[..., 0], moved[..., 1]
+        if self.turn_length is None:
+            return after, rate
+        return stepped_turns(position, after, self.turn_length), rate
 
     def stacked(self) -> tuple[Array, Array, Array]:
         """Dense ``A [2ND, 2ND]``, ``B [2ND, U]``, ``offset [2ND]`` in `stack_state`'s order."""

@@ -112,7 +112,8 @@ class BodyDefaults:
     boxes: bool
     theta: float
     turn_length: float | None
-    inertia: dict[str, float]
+    margin: float
+    inertia: dict[str, np.ndarray]
     slowing: dict[str, tuple[float, float]]
     impacts: dict[tuple[str, str], Impacts]
 
@@ -177,12 +178,15 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         )
     theta = fit_theta(dataset)
     averaged = theta > _AVERAGED
-    distance, boxes = common.contact_distance, False
+    distance, boxes, margin = common.contact_distance, False, 0.0
     turning = find_turning(dataset)
     if common.learned_contact_distance and turning is not None:
         # Bodies with an outline touch where these meet.
         found = _contact_distance(dataset, round_distances).distance
         distance = found if math.isfinite(found) else turning.size
+        if found == np.inf:
+            apart = partial(outline_distances, contact_distance=distance)
+            margin = _contact_distance(dataset, apart).distance - distance
     elif common.learned_contact_distance:
         round_, box = (
             _contact_distance(dataset, partial(distances, boxes=each)) for each in (False, True)
@@ -206,6 +210,7 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         boxes=boxes,
         theta=theta,
         turn_length=None if turning is None else turning.turn_length,
+        margin=margin,
         inertia={} if turning is None else turning.inertia,
         slowing=fit_slowing(dataset, distance, apart),
         # Of means over a step nothing tells the velocities before and after; and those of bodies
@@ -251,6 +256,8 @@ def _contact_distance(dataset: Dataset, distances: Callable[[Trajectory], np.nda
         nearest.append(float(apart.min()))
     found = np.concatenate(begins) if begins else np.zeros(0)
     share, spread = _FARTHER, np.inf
+    if nearest and dataset.trajectories[0].scene.dimension == 3 and np.isinf(nearest).all():
+        return _Touching(np.inf, np.inf)  # no body is round
     if len(found) < _LEAST_BEGINNINGS:
         found, share = np.array(nearest), 1.0 - _FARTHER
     elif np.median(found) > 0.0:
