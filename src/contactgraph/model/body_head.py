@@ -126,18 +126,26 @@ class BodyHead(eqx.Module):
 
     def coasting(
         self,
+        position: Float[Array, "N G"],
         velocity: Float[Array, "N G"],
         node_type: Float[Array, "N types"],
         nodes: Nodes,
+        turns: Float[Array, " N"],
         dt: float,
     ) -> Float[Array, "N G"]:
         """Velocity of every node after a step of ``dt`` [s] in which the ground alone slows it.
 
-        With weight and a ground that is not described nothing tells what rests on it: as given.
+        With weight it is as given, but of bodies that turn in space, whose outlines tell which of
+        them lie on a plane.
         """
-        if nodes.gravity is not None:
-            return velocity
         damper, slowing = self._slowing(node_type)
+        if nodes.gravity is not None:
+            if nodes.planes is None or velocity.shape[1] != 6:
+                return velocity
+            falls = jnp.pad(nodes.passive[:, None] * nodes.gravity, ((0, 0), (0, 3)))
+            moving = position, velocity, dt * (velocity + dt * falls)
+            on_ground = on_planes(self._planes(*moving, node_type, nodes, turns), nodes)
+            damper, slowing = on_ground * damper, on_ground * slowing
         energy = jnp.sum(self._mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
         speed = jnp.sqrt(energy + (_SMALL * self.speed) ** 2)
         left = jax.nn.relu(1.0 - dt * slowing / speed) / (1.0 + dt * damper)
@@ -269,18 +277,29 @@ class BodyHead(eqx.Module):
     ) -> Contacts:
         """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
         velocity if they do not touch."""
-        # Bodies that rest do not tell how much farther a plane might be.
-        part = 1.0 + _PLANE_LEARNED * jnp.tanh(PACE * self.plane_raw)
-        distance = local.node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
         motion = step.dt * (local.velocity + driven)
-        at = local.position, local.velocity, motion, distance, local.nodes
-        shape = () if self.turn_length is None else (local.turns, self.turn_length, self.length)
-        geometry = plane_geometry(*at, *shape)
+        at = local.position, local.velocity, motion, local.node_type, local.nodes, local.turns
+        geometry = self._planes(*at)
         laws = self.laws(local.node_type, geometry.edge_index[0])
         closing = jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
         return plane_contacts(
             geometry, closing, laws, self._displacing(geometry, step), self.averaged
         )
+
+    def _planes(
+        self,
+        position: Float[Array, "N G"],
+        velocity: Float[Array, "N G"],
+        motion: Float[Array, "N G"],
+        node_type: Float[Array, "N types"],
+        nodes: Nodes,
+        turns: Float[Array, " N"] | None,
+    ) -> Geometry:
+        # Bodies that rest do not tell how much farther a plane might be.
+        part = 1.0 + _PLANE_LEARNED * jnp.tanh(PACE * self.plane_raw)
+        distance = node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
+        shape = () if self.turn_length is None else (turns, self.turn_length, self.length)
+        return plane_geometry(position, velocity, motion, distance, nodes, *shape)
 
     def laws(
         self,

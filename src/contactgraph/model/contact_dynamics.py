@@ -137,10 +137,11 @@ class ContactDynamics(eqx.Module):
         static = nodes.static if self.features.types else None  # not known without types
         known = control_displacement, nodes.anchor, static, self.features.speed, nodes.half_size
         at = position, moving, edges.edge_index, self.dt, touch
-        head, types = getattr(self.local_dynamics, "head", None), self.features.node_type
-        coasting = None
+        head, coasting = getattr(self.local_dynamics, "head", None), None
         if isinstance(head, BodyHead):
-            coasting = head.coasting(moving, types(nodes, moving.dtype), nodes, self.dt)
+            types = self.features.node_type(nodes, moving.dtype)
+            turns = self.features.turns(nodes, moving.dtype)
+            coasting = head.coasting(position, moving, types, nodes, turns, self.dt)
         points = geometry(*at, *known, meeting, coasting)
         edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
