@@ -215,6 +215,7 @@ class BodyHead(eqx.Module):
             driving=driving.reshape(count, coordinates, -1),
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
+            pushed=coordinates == 6,
         )
         solution = contacts.solve(bodies, dt, local.group_capacity)
         if nodes.reach is not None:

@@ -88,6 +88,12 @@ class Contacts(eqx.Module):
         )
         change = jnp.sum(first.parts[1] - first.parts[0], axis=-1)
         ground, across = self._friction(bodies, change, first.diagonal, mobility_across, dt)
+        if bodies.pushed:
+            # What the ground takes from a body, that which pushes it gives, and more friction.
+            braking = self._impulse(smooth, count, dt) + (ground * bodies.velocity)[..., None]
+            braked = _solve(mass + ground, stiffness, smooth, [braking, bodies.push], capacity)
+            change = jnp.sum(braked.parts[1] - braked.parts[0], axis=-1)
+            _, across = self._friction(bodies, change, braked.diagonal, mobility_across, dt)
         rough = self.geometry.along(jnp.maximum(across, holding))
         slowing = self._impulse(rough, count, dt) + (ground * bodies.velocity)[..., None]
         displacing = -self._left(self.until_impact, bodies.push, rough, mass)
@@ -184,9 +190,13 @@ class Contacts(eqx.Module):
         )
         slow = _SLOW * bodies.speed
         per_mass = jax.lax.stop_gradient(bodies.mass / bodies.mass[:, :1])
-        speed = _length(jnp.sqrt(per_mass) * velocity)[:, None]
+        by_axis = jnp.sqrt(per_mass) * velocity
+        speed = _length(by_axis)[:, None]
         bound = bodies.mass * bodies.deceleration[:, None] * dt
-        ground = bound / jnp.maximum(speed - bound * diagonal, slow)
+        loss = bound * diagonal
+        if bodies.pushed:  # the ground acts against the motion, which others may keep up
+            loss = jnp.sum((by_axis / speed) ** 2 * loss, axis=-1, keepdims=True)
+        ground = bound / jnp.maximum(speed - loss, slow)
         ground = ground + bodies.ground_damper[:, None] * bodies.mass
         relative = relative_at_edges(velocity[..., None], self.geometry)[..., 0]
         approach = jnp.sum(self.geometry.normal * relative, axis=-1)
@@ -222,6 +232,8 @@ class FreeBodies(eqx.Module):
     """kg m/s: momentum that control and weight give in the step, as far as they are known."""
     speed: float = eqx.field(static=True, default=1.0)
     """Unit of speeds, m/s."""
+    pushed: bool = eqx.field(static=True, default=False)
+    """Whether friction counts that the ground slows bodies that are pushed along it."""
 
 
 class ContactMotion(eqx.Module):
