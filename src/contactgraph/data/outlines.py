@@ -31,12 +31,12 @@ def _hull_rows(data: bytes) -> np.ndarray:
     one, other, third = points[corners].swapaxes(0, 1)
     inward = np.sum(np.cross(other - one, third - one) * normal, axis=1) < 0.0
     corners[inward] = corners[inward][:, ::-1]
-    edges = set()
+    edges: set[tuple[int, int]] = set()
     for index, around in enumerate(hull.neighbors):
         for corner, neighbour in enumerate(around):
             if neighbour > index and normal[index] @ normal[neighbour] < 1.0 - _FLAT:
                 ends = np.delete(hull.simplices[index], corner)
-                edges.add(tuple(sorted(int(each) for each in ends)))
+                edges.add((int(ends.min()), int(ends.max())))
     begins = _begun(sorted(edges))
     count = max(len(corners), len(begins))
     rows = [corners[np.arange(count) % len(corners)], begins[np.arange(count) % len(begins)]]

@@ -11,10 +11,10 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.actuation import Actuation, actuated_slots
 from contactgraph.model.collision import Geometry
-from contactgraph.model.contact_solver import lifted_fraction
-from contactgraph.model.contacts import MAX_COUPLING, Contacts, FreeBodies, damper_of
+from contactgraph.model.contact_solver import FreeBodies, lifted_fraction
+from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.planes import on_planes, plane_contacts, plane_geometry
+from contactgraph.model.planes import on_planes, plane_contacts, plane_geometry, rests_on_planes
 from contactgraph.model.polygons import as_near
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
@@ -110,20 +110,6 @@ class BodyHead(eqx.Module):
         if turn_length is not None and actuation.dimension == 3:
             self.log_inertia = 0.0 * jnp.ones((node_types, 3))
 
-    def drive(
-        self,
-        position: Float[Array, "N D"],
-        velocity: Float[Array, "N D"],
-        control: Float[Array, " U"],
-        node_type: Float[Array, "N types"],
-        nodes: Nodes,
-        step: Step,
-    ) -> Float[Array, " W"]:
-        """Acceleration of every actuated node without contacts, m/s^2, node after node."""
-        motion = self.actuation(position, velocity, node_type, nodes, step.theta, step.dt)
-        free = motion.by_control @ control[: self.actuation.control_size] + motion.constant
-        return (actuated_slots(nodes, self.slots).T @ free)[:, : self.actuation.dimension].ravel()
-
     def coasting(
         self,
         position: Float[Array, "N G"],
@@ -135,16 +121,14 @@ class BodyHead(eqx.Module):
     ) -> Float[Array, "N G"]:
         """Velocity of every node after a step of ``dt`` [s] in which the ground alone slows it.
 
-        With weight it is as given, but of bodies that turn in space, whose outlines tell which of
-        them lie on a plane.
+        With weight as given, but in space where outlines tell which bodies lie on a plane.
         """
         damper, slowing = self._slowing(node_type)
         if nodes.gravity is not None:
             if nodes.planes is None or velocity.shape[1] != 6:
                 return velocity
-            falls = jnp.pad(nodes.passive[:, None] * nodes.gravity, ((0, 0), (0, 3)))
-            moving = position, velocity, dt * (velocity + dt * falls)
-            on_ground = on_planes(self._planes(*moving, node_type, nodes, turns), nodes)
+            at = position, velocity, self._plane_distance(node_type), nodes, dt
+            on_ground = rests_on_planes(*at, turns, self.turn_length, self.length)
             damper, slowing = on_ground * damper, on_ground * slowing
         energy = jnp.sum(self._mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
         speed = jnp.sqrt(energy + (_SMALL * self.speed) ** 2)
@@ -235,9 +219,8 @@ class BodyHead(eqx.Module):
         points = geometry.edge_index.shape[1] // max(1, weight.shape[1])
         if points > 1:
             out = jnp.tile(out, (1, points, 1))
-            weight = jnp.tile(weight, (1, points)) * as_near(
-                geometry, local.geometry, _NEAREST * self.length
-            )
+            near = as_near(geometry, local.geometry, _NEAREST * self.length)
+            weight = jnp.tile(weight, (1, points)) * near
         touch = jnp.zeros_like(weight[0])
         if len(weight) > 1:
             # Bodies that come nearer and do not meet in the step: a contact predicted too early.
@@ -279,28 +262,19 @@ class BodyHead(eqx.Module):
         """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
         velocity if they do not touch."""
         motion = step.dt * (local.velocity + driven)
-        at = local.position, local.velocity, motion, local.node_type, local.nodes, local.turns
-        geometry = self._planes(*at)
+        distance = self._plane_distance(local.node_type)
+        at = local.position, local.velocity, motion, distance, local.nodes
+        shape = () if self.turn_length is None else (local.turns, self.turn_length, self.length)
+        geometry = plane_geometry(*at, *shape)
         laws = self.laws(local.node_type, geometry.edge_index[0])
         closing = jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
-        return plane_contacts(
-            geometry, closing, laws, self._displacing(geometry, step), self.averaged
-        )
+        displacing = self._displacing(geometry, step)
+        return plane_contacts(geometry, closing, laws, displacing, self.averaged)
 
-    def _planes(
-        self,
-        position: Float[Array, "N G"],
-        velocity: Float[Array, "N G"],
-        motion: Float[Array, "N G"],
-        node_type: Float[Array, "N types"],
-        nodes: Nodes,
-        turns: Float[Array, " N"] | None,
-    ) -> Geometry:
+    def _plane_distance(self, node_type: Float[Array, "N types"]) -> Float[Array, " N"]:
         # Bodies that rest do not tell how much farther a plane might be.
         part = 1.0 + _PLANE_LEARNED * jnp.tanh(PACE * self.plane_raw)
-        distance = node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
-        shape = () if self.turn_length is None else (turns, self.turn_length, self.length)
-        return plane_geometry(position, velocity, motion, distance, nodes, *shape)
+        return node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
 
     def laws(
         self,

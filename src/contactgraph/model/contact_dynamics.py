@@ -132,8 +132,8 @@ class ContactDynamics(eqx.Module):
         touch = touch if contact_distance is None else contact_distance
         meeting = self.features.meeting(nodes, position, edges.edge_index)
         if meeting is not None:
-            points = meeting.edge_index.shape[1] // max(1, edges.edge_index.shape[1])
-            touch = jnp.tile(jnp.broadcast_to(touch, edges.edge_index.shape[1:]), points)
+            count = meeting.edge_index.shape[1] // max(1, edges.edge_index.shape[1])
+            touch = jnp.tile(jnp.broadcast_to(touch, edges.edge_index.shape[1:]), count)
         static = nodes.static if self.features.types else None  # not known without types
         known = control_displacement, nodes.anchor, static, self.features.speed, nodes.half_size
         at = position, moving, edges.edge_index, self.dt, touch
@@ -264,7 +264,8 @@ class ContactDynamics(eqx.Module):
             return control
         step = Step(local.discretization.theta, self.dt, self.control_size)
         types = self.features.node_type(nodes, position.dtype)
-        return local.head.drive(position, velocity, control, types, nodes, step)
+        head = local.head
+        return head.actuation.drive(position, velocity, control, types, nodes, step, head.slots)
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
         """The geometric prior, with a clock that has not run."""

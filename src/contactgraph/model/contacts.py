@@ -16,6 +16,7 @@ from contactgraph.model.block_inverse import (
     to_nodes,
 )
 from contactgraph.model.collision import Geometry
+from contactgraph.model.contact_solver import ContactMotion, FreeBodies
 
 MAX_COUPLING = 1.0 - 1e-3
 """Coupling of a damper that is a thousand times as stiff as a mass of 1 in a step."""
@@ -62,7 +63,7 @@ class Contacts(eqx.Module):
     until_impact: Float[Array, " C"]
     """Displacement by control and weight before the impact, in dt times what they add to v."""
 
-    def solve(self, bodies: "FreeBodies", dt: float, capacity: int | None) -> "ContactMotion":
+    def solve(self, bodies: FreeBodies, dt: float, capacity: int | None) -> ContactMotion:
         """One step of ``dt`` [s]; ``capacity``: most nodes that are coupled, None: no limit.
 
         First without friction, which tells the normal impulses that bound it.
@@ -133,7 +134,7 @@ class Contacts(eqx.Module):
 
         return jax.tree_util.tree_map_with_path(joined, first, other)
 
-    def _at_impact(self, normal: Geometry, bodies: "FreeBodies") -> Geometry:
+    def _at_impact(self, normal: Geometry, bodies: FreeBodies) -> Geometry:
         """With the velocity of which a bounce gives back its share: that at the impact, less what
         control and weight add to the approach after it, so that what is pushed on does not part."""
         added = relative_at_edges(bodies.push / bodies.mass[..., None], normal)[..., 0]
@@ -172,7 +173,7 @@ class Contacts(eqx.Module):
 
     def _friction(
         self,
-        bodies: "FreeBodies",
+        bodies: FreeBodies,
         change: Float[Array, "N G"],
         diagonal: Float[Array, "N G"],
         mobility: Float[Array, " C"],
@@ -211,48 +212,6 @@ class Contacts(eqx.Module):
 def damper_of(coupling: Float[Array, " C"]) -> Float[Array, " C"]:
     """The damper, times dt [kg], of a coupling from 0 free to 1 as rigid as there is."""
     return MAX_COUPLING * coupling / (1.0 - MAX_COUPLING * coupling)
-
-
-class FreeBodies(eqx.Module):
-    """The bodies of one step before contacts act on them."""
-
-    mass: Float[Array, "N G"]
-    """kg, with what a servo adds; of a turn the inertia, over the squared length of its unit."""
-    velocity: Float[Array, "N G"]
-    """m/s"""
-    ground_damper: Float[Array, " N"]
-    """Times dt, in units of the mass."""
-    deceleration: Float[Array, " N"]
-    """By the ground, m/s^2, until a body rests."""
-    weight: Float[Array, "N G 1"]
-    """N, times dt."""
-    driving: Float[Array, "N G W"]
-    """kg: momentum for each m/s that the free actuated nodes get."""
-    push: Float[Array, "N G 1"]
-    """kg m/s: momentum that control and weight give in the step, as far as they are known."""
-    speed: float = eqx.field(static=True, default=1.0)
-    """Unit of speeds, m/s."""
-    pushed: bool = eqx.field(static=True, default=False)
-    """Whether friction counts that the ground slows bodies that are pushed along it."""
-
-
-class ContactMotion(eqx.Module):
-    """Effect of one step on every node, of the whole scene solved together."""
-
-    velocity_change: Float[Array, "N G"]
-    """By contacts, springs and the ground, without control and weight; m/s."""
-    impact_displacement: Float[Array, "N G"]
-    """m; by how much impacts displace more than the change of velocity alone would."""
-    acceleration: Float[Array, "N G"]
-    """By weight, m/s^2."""
-    response: Float[Array, "N G W"]
-    """Share of the acceleration of each free actuated node and axis."""
-    unhindered_response: Float[Array, "N G W"]
-    """The same, without edges that only touch."""
-    own_share: Float[Array, "N G"]
-    """Share of its own momentum that a node keeps, in (0, 1]."""
-    ground_share: Float[Array, "N G"]
-    """Share of its velocity that a node loses to the ground, in [0, 1)."""
 
 
 class _Solved(eqx.Module):

@@ -122,15 +122,15 @@ def facet_distances(
     area = _cross(sides[0], sides[1])
     square = _dot(area, area)
     scale = jnp.where(square > 0.0, jnp.sqrt(_inverse(square)), 0.0)
-    outward = tuple(scale * each for each in area)
-    above, apart = square > 0.0, jnp.inf
+    unit = tuple(scale * each for each in area)
+    above, apart = square > 0.0, jnp.full_like(square, jnp.inf)
     for end, side in zip(ends, sides, strict=True):
         offset = _minus(points, end)
-        above = above & (_dot(_cross(outward, side), offset) >= 0.0)
+        above = above & (_dot(_cross(unit, side), offset) >= 0.0)
         part = jnp.clip(_dot(offset, side) * _inverse(_dot(side, side)), 0.0, 1.0)
-        away = tuple(one - part * other for one, other in zip(offset, side, strict=True))
-        apart = jnp.minimum(apart, _dot(away, away))
-    height = _dot(_minus(points, ends[0]), outward)
+        way = tuple(one - part * other for one, other in zip(offset, side, strict=True))
+        apart = jnp.minimum(apart, _dot(way, way))
+    height = _dot(_minus(points, ends[0]), unit)
     return jnp.where(above, height**2, apart), jnp.where(square > 0.0, height, -jnp.inf)
 
 

@@ -1,5 +1,7 @@
 """Planes, such as walls and tables, which every node may touch."""
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -109,3 +111,22 @@ def meets_plane(geometry: Geometry) -> Float[Array, " C"]:
 def on_planes(geometry: Geometry, nodes: Nodes) -> Float[Array, " N"]:
     """1 for nodes that meet some plane in a step, else 0; ``geometry`` is of planes alone."""
     return jnp.max(meets_plane(geometry).reshape(len(nodes.mask), -1), axis=1)
+
+
+def rests_on_planes(
+    position: Float[Array, "N G"],
+    velocity: Float[Array, "N G"],
+    distance: Float[Array, " N"],
+    nodes: Nodes,
+    dt: float,
+    *shape: Any,
+) -> Float[Array, " N"]:
+    """1 for nodes that meet some plane in a step in which weight alone acts on them, else 0.
+
+    Arguments as of `plane_geometry`, ``shape`` its last ones.
+    """
+    assert nodes.gravity is not None
+    falls = dt * nodes.passive[:, None] * nodes.gravity
+    fallen = velocity.at[:, : falls.shape[1]].add(falls)
+    geometry = plane_geometry(position, velocity, dt * fallen, distance, nodes, *shape)
+    return on_planes(geometry, nodes)

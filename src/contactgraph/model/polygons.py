@@ -7,6 +7,8 @@ cross; among them are the nearest points of any two that do not overlap deeply (
 *Real-Time Collision Detection*, chapter 5).
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -108,18 +110,18 @@ def contact_points(
     vertices, facets = vertices_of(bodies)[0], facets_of(bodies)[1]
     vertices = vertices.reshape(*vertices.shape[:2], -1, dimension)
     found = jax.lax.stop_gradient(_candidates(vertices, facets))
-    every = [
+    apart, along, middle = (
         jnp.concatenate(list(leaf), axis=1) for leaf in (found.gap, found.normal, found.middle)
-    ]
-    count = every[0].shape[1]
+    )
+    count = apart.shape[1]
     if dimension == 3:
         edges = bodies[0, ..., 3:, :].reshape(2, len(found.overlap), -1, 2, 3)
         given = bodies[0], found.overlap, _CROSSES * length
         crossing = jax.lax.stop_gradient(crossings(*given))
         # Else all that follows would compute them again for itself.
-        every, crossing = jax.lax.optimization_barrier((every, list(crossing)))
-        every = [jnp.concatenate(each, axis=1) for each in zip(every, crossing, strict=True)]
-    chosen, exists = _nearest(*every, length, most_points(dimension))
+        both = jax.lax.optimization_barrier(((apart, along, middle), crossing))
+        apart, along, middle = (jnp.concatenate(each, axis=1) for each in zip(*both, strict=True))
+    chosen, exists = _nearest(apart, along, middle, length, most_points(dimension))
     rows = jnp.arange(edge_index.shape[1])[:, None]
     way, index = jnp.divmod(jnp.minimum(chosen, count - 1), count // 2)
     vertex, polygon = jnp.divmod(index, facets.shape[2])
@@ -130,25 +132,26 @@ def contact_points(
     corners = facets[way, rows, polygon, side]
     gap, normal, on_one, on_other = between(vertices[way, rows, vertex], corners, on_face)
     back = (way == 1)[..., None]
-    result = (
-        gap,
-        jnp.where(back, -normal, normal),
-        jnp.where(back, on_other, on_one),
-        jnp.where(back, on_one, on_other),
+    result = ContactPoints(
+        gap=gap,
+        normal=jnp.where(back, -normal, normal),
+        on_first=jnp.where(back, on_other, on_one),
+        on_second=jnp.where(back, on_one, on_other),
+        on_face=on_face,
     )
     if dimension == 3:
-        is_edge, size = chosen >= count, edges.shape[2]
-        first, second = jnp.divmod(jnp.maximum(chosen - count, 0), size)
-        at_edges = across_edges(
-            edges[0, rows, first], edges[1, rows, second], every[1][rows, chosen]
+        first, second = jnp.divmod(jnp.maximum(chosen - count, 0), edges.shape[2])
+        ends = edges[0, rows, first], edges[1, rows, second]
+        crossed = ContactPoints(*across_edges(*ends, along[rows, chosen]), chosen >= count)
+        result = jax.tree.map(
+            lambda one, other: jnp.where(
+                crossed.on_face.reshape(*chosen.shape, *(1,) * (one.ndim - 2)), other, one
+            ),
+            result,
+            crossed,
         )
-        result = tuple(
-            jnp.where(is_edge.reshape(*is_edge.shape, *(1,) * (own.ndim - 2)), other, own)
-            for own, other in zip(result, at_edges, strict=True)
-        )
-        on_face = on_face | is_edge
-    gap, *others = result
-    return ContactPoints(jnp.where(exists, gap, _FAR * length), *others, on_face)
+    gap = jnp.where(exists, result.gap, _FAR * length)
+    return dataclasses.replace(result, gap=gap)
 
 
 def as_near(points: Geometry, nearest: Geometry, tolerance: float) -> Float[Array, " C"]:
@@ -237,12 +240,15 @@ def _candidates(
     counts = jnp.arange(vertices.shape[2]) == 0
     counts = jnp.where(extended[..., None], extended[::-1, :, None], counts)
     forth = jnp.array([1.0, -1.0]).reshape(2, *(1,) * (normal.ndim - 1))
-    result = (
-        jnp.where(counts[..., None], gap, jnp.inf),
-        index,
-        on_face,
-        forth * normal,
-        0.5 * (on_one + on_other),
+
+    def flat(leaf: Array) -> Array:
+        return leaf.reshape(*leaf.shape[:2], -1, *leaf.shape[4:])
+
+    return _Candidates(
+        gap=flat(jnp.where(counts[..., None], gap, jnp.inf)),
+        side=flat(index),
+        on_face=flat(on_face),
+        normal=flat(forth * normal),
+        middle=flat(0.5 * (on_one + on_other)),
+        overlap=jnp.max(jnp.min(height, axis=2), axis=(0, 2, 3)),
     )
-    flat = (leaf.reshape(*leaf.shape[:2], -1, *leaf.shape[4:]) for leaf in result)
-    return _Candidates(*flat, jnp.max(jnp.min(height, axis=2), axis=(0, 2, 3)))

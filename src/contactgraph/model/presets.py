@@ -72,8 +72,7 @@ class ModelConfig:
     control_gain: float = 1.0
     """Start of the learned acceleration of actuated nodes, m/s^2 a unit; 1: a force on 1 kg."""
     node_types: tuple[str, ...] = ()
-    """Names of the types of nodes, passive ones first, then actuated ones; only for
-    `bodies`, as what follows. Empty: they are not told."""
+    """Names of node types, passive ones first; only for `bodies`, as what follows. Empty: none."""
     actuation: Mapping[str, ActuationFit] = field(default_factory=dict)
     """How the control drives each actuated type at the start of training, by name."""
     driving_size: int | None = None
@@ -81,16 +80,15 @@ class ModelConfig:
     actuated_nodes: int = 1
     """Most actuated nodes of a scene."""
     plane_distance: Mapping[str, float] = field(default_factory=dict)
-    """m; how near each type comes to a plane. Those left out: half the contact distance."""
+    """m; how near each type comes to a plane; else half the contact distance."""
     boxes: bool = False
     """Whether nodes that have a size are boxes along the axes; else all are round."""
     margin: float = 0.0
-    """Gap at which two outlines touch, m."""
+    """m; gap at which two outlines touch."""
     turn_length: float | None = None
     """See `generalized_coordinates`, m. None: no body turns."""
     inertia: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
-    """Squared radius of gyration at the start, in units of `turn_length`, of types that turn; in
-    space about each axis of the body."""
+    """Squared radius of gyration at the start, in units of `turn_length`, of types that turn."""
     slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Deceleration, m/s^2, and damper, 1/s, by the ground at the start, by type; else nearly 0."""
     impacts: Mapping[tuple[str, str], Impacts] = field(default_factory=dict)
@@ -102,8 +100,7 @@ class ModelConfig:
     theta: float = 0.55
     """Start of the learned implicitness: see `ThetaMethod`."""
     edge_types: int = 3
-    """K of `hidden_markov_filter`: free, touch, then types that hold; of 2, free and hold. The
-    other models have 2."""
+    """K: free, touch, then types that hold; of 2, free and hold. `gim_temp` and others have 2."""
 
     def __post_init__(self) -> None:
         if not 2 <= self.edge_types <= _MOST_EDGE_TYPES:
@@ -227,8 +224,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         EdgeNetwork(size, width, key=jax.random.fold_in(key, index))
         for index in range(config.edge_types - 1)
     ]
-    learned = not config.averaged
-    discretization = ThetaMethod(config.theta if learned else 1.0, learned)
+    discretization = ThetaMethod(1.0, False) if config.averaged else ThetaMethod(config.theta)
     return dataclasses.replace(
         model,
         inference=inference,
