@@ -80,7 +80,7 @@ def test_what_needs_a_model_is_null(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         *("run", "task", "seed", "distractors", "episodes", "scenes"),
         *("success_rate", "success_interval", "goal_distance_m_median", "goal_distance_m_mean"),
         *("contact_speed_m_s", "slowest_before_contact_m_s", "slowest_before_contact_min_m_s"),
-        *("within_1cm_rate", "within_2cm_rate", "touched_bystanders"),
+        *("within_1cm_rate", "within_2cm_rate", "touches_mean", "touched_bystanders"),
     }
     assert scripted.keys() <= by_model.keys()
 

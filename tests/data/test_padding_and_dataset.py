@@ -197,6 +197,11 @@ def test_a_body_at_rest_contradicts_nothing() -> None:
     still = moving(0.0)
     at_rest = dataclasses.replace(still, position=np.zeros_like(still.position))
     assert velocity_mismatch(at_rest) == 0.0
+    noise = np.random.default_rng(0).normal(size=(2, *at_rest.position.shape))
+    position = at_rest.position + [[0.0, 0.0], [0.1, 0.0]] + 1e-6 * noise[0]
+    borne = dataclasses.replace(at_rest, position=position, velocity=1e-6 * noise[1])
+    assert velocity_mismatch(borne) == 0.0
+    assert velocity_mismatch(dataclasses.replace(borne, velocity=1e-4 * noise[1])) > 0.9
 
 
 def test_backward_differences_of_rough_motion_do_not_contradict_it() -> None:

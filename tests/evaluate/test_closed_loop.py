@@ -13,7 +13,7 @@ JSON_KEYS = {
     *("episodes", "seed", "success_rate", "success_interval", "contact_speed_m_s"),
     *("slowest_before_contact_m_s", "slowest_before_contact_min_m_s", "touched_bystanders"),
     *("scenes", "goal_distance_m_median", "goal_distance_m_mean"),
-    *("within_1cm_rate", "within_2cm_rate", "best_score_mean"),
+    *("within_1cm_rate", "within_2cm_rate", "best_score_mean", "touches_mean"),
     *("plan_ms_p50", "plan_ms_p99", "planned_windows", "planned_moved_objects"),
     *("n_step_rmse_planned_m", "n_step_rmse_planned_moving_m"),
     *("constant_velocity_planned_rmse_m", "frozen_contact_planned_rmse_m"),
@@ -81,6 +81,7 @@ def test_over_episodes():
     assert found.slowest_before_contact_m_s == pytest.approx(1.0)
     assert found.slowest_before_contact_min_m_s == pytest.approx(0.5)
     assert found.touched_bystanders == 1
+    assert found.touches_mean == 0.75  # once in three of four
     assert found.plan_ms_p50 == 50.0 and found.plan_ms_p99 == 99.0
 
 

@@ -52,6 +52,8 @@ JSON_KEYS = {
     "n_step_rmse_moving_by_type_m",
     *(f"angle_rmse{beliefs}_rad" for beliefs in ("", "_unmeasured", "_inferred")),
     "constant_velocity_angle_rmse_rad",
+    *("mass_error_median", "mass_error_p90", "mass_interval_coverage"),
+    "rest_drift_m",
 }
 
 
@@ -94,6 +96,17 @@ def test_errors_by_type_are_those_of_the_moving_bodies_of_each_type(glued):
             np.sqrt(measured.squared_error[:, :, node][moves[:, node]].mean())
         )
     assert found["gripper"] != found["object"]
+
+
+def test_drift_is_the_largest_error_where_nothing_moves(pickups):
+    """Of the recordings at rest, one has velocities that a model takes at their word."""
+    moves = pickups.trajectories[0]
+    still = np.broadcast_to(moves.position[:1], moves.position.shape)
+    at_rest = replace(moves, position=still, velocity=0.0 * still, control=0.0 * moves.control)
+    slow = replace(at_rest, velocity=np.full_like(still, 0.005 / 2**0.5))
+    found = evaluate_open_loop(GluedBodies(), Dataset((moves, at_rest, slow)))
+    assert found["rest_drift_m"] == pytest.approx(0.005 * 10 * DT, rel=1e-4)
+    assert evaluate_open_loop(GluedBodies(), Dataset((moves,)))["rest_drift_m"] is None
 
 
 def test_edges_are_labelled_by_holding_where_it_is_recorded(pickups):

@@ -47,6 +47,15 @@ def test_the_stacked_step_is_that_of_the_blocks(nodes, dimension, size) -> None:
     np.testing.assert_allclose(stacked, expected, atol=1e-5)
 
 
+def test_a_step_and_the_next_are_one() -> None:
+    both = random_step(3, 2, 2, (2,))
+    first, second = (jax.tree.map(lambda leaf, i=i: leaf[i], both) for i in (0, 1))
+    position, velocity, control = jnp.ones((3, 2)), jnp.full((3, 2), -2.0), jnp.array([0.5, 3.0])
+    expected = second(*first(position, velocity, control), control)
+    found = first.then(second)(position, velocity, control)
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
 def test_the_stacked_step_keeps_leading_axes() -> None:
     step = random_step(3, 2, 2, lead=(5, 4))
     for whole, one in zip(

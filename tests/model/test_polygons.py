@@ -1,5 +1,6 @@
 """Bodies of polygons: nearest points against Shapely, levers against MuJoCo, whole steps."""
 
+from dataclasses import replace
 from functools import cache, partial
 
 import equinox as eqx
@@ -14,6 +15,7 @@ from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
 from contactgraph.data.outlines import signed_area
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, bodies, scene_nodes
+from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.filter import check_fit
 from contactgraph.model.polygons import contact_points
 from contactgraph.model.rotations import levers, placed, turned
@@ -158,6 +160,18 @@ def test_levers_are_mujocos_jacobian() -> None:
     np.testing.assert_allclose(found[0] * np.array([1.0, 1.0, unit]), expected[:2], atol=1e-12)
 
 
+def test_boxes_that_rest_on_each_other_meet_along_the_normal_of_their_faces() -> None:
+    """In single precision, up to which their gap is known."""
+    rng = np.random.default_rng(0)
+    below, above = rng.uniform(-0.5, 0.5, (200, 2)), np.stack([0.02 + 0 * rng.random(200)] * 2, 1)
+    above[:, 1] = 0.06 + rng.uniform(-3e-8, 3e-8, 200)
+    position = np.stack([below, below + above], axis=1).astype(np.float32)
+    found = nearest(outlines("box", "box").astype(np.float32), position, np.zeros((200, 2), "f"))
+    assert found.gap.dtype == np.float32 and np.abs(found.gap).max() < 1e-6
+    assert found.on_face.all()
+    np.testing.assert_allclose(found.normal, np.broadcast_to([0.0, 1.0], (200, 1, 2, 2)), atol=1e-6)
+
+
 GRAVITY = np.array([0.0, -9.81])
 FLOOR = np.array([[0.0, 1.0, 0.0]])
 TURN_LENGTH = float(np.sqrt((0.1**2 + 0.06**2) / 12.0))
@@ -223,6 +237,43 @@ def test_a_falling_box_gains_no_energy(angle: float, speed: float) -> None:
     assert energy.max() <= begin + 1e-3
     assert np.diff(energy).max() < 2e-2 * begin
     assert energy[-1] < begin
+
+
+def test_a_stack_that_touches_stays_where_it_is() -> None:
+    """Three boxes of which geometry alone cannot tell that weight presses them together."""
+    nodes = scene_nodes(scene(("box",) * 3, gravity=GRAVITY, planes=FLOOR))
+    types = jnp.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    start = jnp.array([[0.0, 0.03, 0.0], [0.02, 0.09, 0.0], [-0.01, 0.15, 0.0]])
+
+    @eqx.filter_jit
+    def after(model: ContactDynamics) -> tuple:
+        def step(at: tuple, _: None) -> tuple:
+            graph = model.encode(*at, nodes)
+            linear = model.linearize(model.cut_edges(graph, ContactBelief(types)))
+            return linear(*at, jnp.zeros(0)), None
+
+        return jax.lax.scan(step, (start, jnp.zeros_like(start)), length=10)[0]
+
+    position, velocity = after(model())  # of which contacts are soft, untrained as it is
+    np.testing.assert_allclose(position, start, atol=6e-4)
+    np.testing.assert_allclose(velocity, 0.0, atol=4e-3)
+
+
+def test_a_step_in_parts_is_as_many_small_steps() -> None:
+    """A box that spins lands on a floor; the other is far."""
+    nodes = scene_nodes(scene(("box", "box"), gravity=GRAVITY, planes=FLOOR))
+    position, velocity = np.array([[[0.0, 0.07], [1.0, 0.03]], [[0.5, -1.0], [0.0, 0.0]]])
+    turn, rate = np.array([[0.3], [0.0]]), np.array([[12.0], [0.0]])
+    start = generalized_coordinates(TURN_LENGTH, position, velocity, turn, rate)
+
+    def moved(steps: int, **options) -> np.ndarray:
+        found = follow(replace(model(), **options), nodes, *map(jnp.asarray, start), 12 * steps)
+        return np.concatenate([found.position, found.velocity], axis=-1)[steps - 1 :: steps]
+
+    parts = moved(1, substeps=4)
+    np.testing.assert_allclose(parts, moved(4, dt=DT / 4), atol=1e-9)
+    assert np.abs(parts - moved(1))[:, 0, 1].max() > 1e-3
+    assert np.abs(np.diff(parts[:, 0, 4])).max() > 0.5  # it landed
 
 
 def test_a_turned_scene_moves_as_the_scene_does() -> None:

@@ -56,6 +56,37 @@ def test_planes_stop_only_the_types_that_stay_before_them() -> None:
     assert found["hand"] == -0.03 and 0.05 <= found["block"] < 0.06
 
 
+SQUARE = 0.05 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+
+
+def slides(floor: bool, turns: float) -> Trajectory:
+    """A box that 4 m/s^2 stop, and that turns by ``turns`` [rad] in all; with a ``floor``, a plane
+    and gravity do."""
+    time = 0.02 * np.arange(26.0)
+    position = np.stack([2.0 * time - 2.0 * time**2, np.full(26, 0.05)], axis=-1)[:, None]
+    velocity = np.stack([2.0 - 4.0 * time, np.zeros(26)], axis=-1)[:, None]
+    ground = {"planes": np.array([[0.0, 1.0, 0.0]]), "gravity": np.array([0.0, -9.81])}
+    shape = {"polygons": (SQUARE,), "polygon_of": np.zeros(1, int)}
+    of_box = Scene(("a",), ("box",), np.zeros(1, bool), 0.02, **shape, **(ground if floor else {}))
+    angle = np.linspace(0.0, turns, 26)[:, None, None]
+    rate = np.full_like(angle, turns / 0.5)
+    control = np.zeros((25, 0))
+    return Trajectory(of_box, position, velocity, control, orientation=angle, angular_velocity=rate)
+
+
+def test_the_friction_of_planes_slows_boxes_that_lie_on_them_once() -> None:
+    free, borne = (body_defaults(Dataset((slides(floor, 0.1),))) for floor in (False, True))
+    assert free.slowing["box"][0] == pytest.approx(4.0, rel=0.01)
+    assert borne.slowing == {} and borne.inertia == free.inertia == {"box": 1.0}
+
+
+def test_boxes_on_planes_have_outlines_even_where_they_never_turn() -> None:
+    free, borne = (body_defaults(Dataset((slides(floor, 0.0),))) for floor in (False, True))
+    assert free.turn_length is None and free.inertia == {}
+    assert borne.contact_distance == pytest.approx(0.1) and not borne.learned_contact_distance
+    assert borne.turn_length == pytest.approx(0.1 / 6**0.5) and borne.inertia == {"box": 1.0}
+
+
 def followed(kind: str, count: int = 40) -> Trajectory:
     """v' = 0.3 v + 16 u along both axes, with steps of 0.04 s: a gain of 400."""
     control = np.random.default_rng(0).normal(size=(count, 2))

@@ -202,6 +202,8 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
         worse = ", ".join(text for text, (name, _) in _PREDICTIONS.items() if name in unbeaten)
         print(f"  by the error of bodies that move it is not better than {worse}")
     print(f"where a contact changes, all bodies: {centimetres(('n_step', ''), '_contact').strip()}")
+    if (drift := values["rest_drift_m"]) is not None:
+        print(f"where nothing moves, the largest error: {1000 * drift:.3f} mm")
     for beliefs, text in _CONTACTS.items():
         if beliefs != "_inferred" or values["infer_contacts"]:
             now, coming = score(f"edge_f1_now{beliefs}"), score(f"edge_f1{beliefs}")
@@ -216,6 +218,15 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
     switch = values["switch_time_error_s"]
     error = "unknown" if switch is None else f"{1000 * switch:.1f} ms, mean"
     print(f"error of the start of contact: {error}")
+    if values["mass_error_median"] is not None:
+        median, high, covered = (
+            f"{100 * values[f'mass_{name}']:.1f} %"
+            for name in ("error_median", "error_p90", "interval_coverage")
+        )
+        print(
+            f"masses after one contact: error {median} (median), {high} (90 % quantile); "
+            f"{covered} within their 90 % interval"
+        )
 
 
 def _times(growth: float) -> str:

@@ -70,6 +70,7 @@ class Recipe:
                 "shapes": f"outlines of {', '.join(config.inertia)}, which turn"
                 if config.inertia
                 else ("boxes of their size" if config.boxes else "round"),
+                "parts of a step": f"{config.substeps}, in each of which contacts are found",
                 "planes": f"touched at {planes}" if planes else "none",
                 "slowed": ", ".join(
                     f"{name} by {constant:.3g} and {by_speed:.3g} 1/s"
@@ -164,6 +165,7 @@ def recipe(
 def _beyond_points(dataset: "Dataset") -> str:
     """What the data have that `filter` does not know; empty: nothing."""
     from contactgraph.data.actuation_fit import SERVO_KINDS
+    from contactgraph.data.dataset import masses_vary
     from contactgraph.train.turning import find_turning
 
     scenes = [each.scene for each in dataset]
@@ -175,5 +177,6 @@ def _beyond_points(dataset: "Dataset") -> str:
         "static bodies": any(each.static is not None and each.static.any() for each in scenes),
         "several actuated bodies": any(each.actuated.sum() > 1 for each in scenes),
         "bodies that turn": find_turning(dataset) is not None,
+        "masses that differ within a type": masses_vary(dataset),
     }
     return " and ".join(name for name, found in has.items() if found)

@@ -17,6 +17,7 @@ from contactgraph.control.rollout import SweptBounds
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,
+    MassBelief,
     ModelState,
     MotionNoise,
     Nodes,
@@ -25,7 +26,10 @@ from contactgraph.model import (
     control_sensitivity,
     correct,
     correct_by_motion,
+    correct_masses,
+    first_masses,
     with_control_displacement,
+    with_masses,
 )
 
 
@@ -53,6 +57,8 @@ class MPCCarry(eqx.Module):
     """The last plan, as of the last observation."""
     steps_since_plan: Int[Array, ""]
     last: LastObservation
+    masses: MassBelief | None
+    """By the motion so far. None: bodies of a type weigh alike."""
     is_first: Bool[Array, ""]
     """True until the first step, whose plan starts at its own observation, not before."""
 
@@ -98,6 +104,7 @@ class MPCConfig(eqx.Module):
             plan=plan,
             steps_since_plan=jnp.asarray(self.replan_every, jnp.int32),
             last=LastObservation(unknown, unknown, belief, odds, jnp.zeros(U)),
+            masses=first_masses(self.model, nodes),
             is_first=jnp.ones((), bool),
         )
 
@@ -124,19 +131,17 @@ class MPCConfig(eqx.Module):
         due = jnp.where(replan < 0, carry.steps_since_plan >= self.replan_every, replan > 0)
         previous = self.previous_plan(carry)
         last, odds = carry.last, carry.last.motion_log_odds
-        belief = carry.belief
+        belief, masses = carry.belief, carry.masses
+        before = ModelState(last.position, last.velocity, last.belief)
+        nodes = with_masses(nodes, masses)
+        control = jnp.where(jnp.isfinite(applied), applied, last.control)
+        made = control, (position, velocity), nodes
         if self.motion_noise is not None:
-            belief, odds = correct_by_motion(
-                check_motion_model(self.model),
-                belief,
-                ModelState(last.position, last.velocity, last.belief),
-                odds,
-                jnp.where(jnp.isfinite(applied), applied, last.control),
-                (position, velocity),
-                nodes,
-                self.motion_noise,
-            )
+            judge, given = check_motion_model(self.model), (*made, self.motion_noise)
+            belief, odds = correct_by_motion(judge, belief, before, odds, *given)
         belief = correct(belief, contact, self.sensor)
+        masses = correct_masses(self.model, masses, before, belief, *made, self.motion_noise)
+        nodes = with_masses(nodes, masses)
         now = ModelState(position, velocity, belief)
 
         if self.replan_every == 1:
@@ -159,6 +164,7 @@ class MPCConfig(eqx.Module):
             plan=plan,
             steps_since_plan=jnp.where(solved, 1, carry.steps_since_plan + 1),
             last=LastObservation(position, velocity, belief, odds, plan.controls[0]),
+            masses=masses,
             is_first=jnp.zeros((), bool),
         )
 

@@ -147,9 +147,11 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
         motion_log_odds=_chosen(np.asarray(last.motion_log_odds), edge, np.zeros(1), -1),
         control=last.control,
     )
-    return replace(
-        new, carry=replace(carry, belief=belief(carry.belief, fresh), plan=moved, last=observed)
+    masses = jax.tree.map(
+        lambda old, begun: nodes(old, np.asarray(begun), -1), carry.masses, new.carry.masses
     )
+    carry = replace(carry, belief=belief(carry.belief, fresh), plan=moved, last=observed)
+    return replace(new, carry=replace(carry, masses=masses))
 
 
 def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:
@@ -184,6 +186,7 @@ def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:
         half_size=None if nodes.half_size is None else np.asarray(nodes.half_size)[ids],
         outlines=None if nodes.outlines is None else np.asarray(nodes.outlines)[ids],
         reach=reach,
+        log_mass=of_nodes(nodes.log_mass),
     )
 
 

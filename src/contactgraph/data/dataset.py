@@ -6,12 +6,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.graph import passive_nodes
 from contactgraph.data.trajectory import Trajectory
 
 Metadata = dict[str, str | int | float | bool]
 
 _MISMATCH_STEPS = 10
 _MISMATCH_LIMIT = 0.1
+_HEAVIER = 1.02
+"""Ratio of the masses of one type from which they differ."""
+_AT_REST = 1e-4
+"""Displacement up to which a body rests, as a share of the extent of all positions: contacts that
+bear a body move it by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +163,8 @@ def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
 
 
 def velocity_mismatch(trajectory: Trajectory) -> float:
-    """Share of the motion in which velocities and positions disagree; 0 where nothing moves.
+    """Share of the motion in which velocities and positions disagree; 0 where nothing moves, but
+    for less than a ten-thousandth of the extent of all positions.
 
     The displacement over every 10 steps is compared with the integral of the velocities by the
     trapezoid rule or, where that fits better, of those at the ends of the steps, which backward
@@ -175,9 +182,11 @@ def _mismatch(position: np.ndarray, displacement: np.ndarray) -> float:
     moved = position[steps:] - position[:-steps]
     path = np.concatenate([np.zeros_like(position[:1]), np.cumsum(displacement, axis=0)])
     integral = path[steps:] - path[:-steps]
-    total = max(float(np.linalg.norm(each, axis=-1).sum()) for each in (moved, integral))
-    difference = float(np.linalg.norm(moved - integral, axis=-1).sum())
-    return difference / total if total > 0.0 else 0.0
+    norms = [np.linalg.norm(each, axis=-1) for each in (moved, integral, moved - integral)]
+    size = np.linalg.norm(np.ptp(position, axis=(0, 1)))
+    moves = np.maximum(norms[0], norms[1]) > _AT_REST * size
+    *totals, difference = (float(norm[moves].sum()) for norm in norms)
+    return difference / max(totals) if max(totals) > 0.0 else 0.0
 
 
 def velocity_warning(dataset: Dataset) -> str | None:
@@ -191,3 +200,14 @@ def velocity_warning(dataset: Dataset) -> str | None:
         f"velocities contradict positions in {len(wrong)} of {len(dataset)} trajectories, by "
         f"{100 * mismatch[worst]:.0f} % of the motion in trajectory {worst}; check units and dt"
     )
+
+
+def masses_vary(dataset: Dataset) -> bool:
+    """Whether the scenes tell masses that differ between passive bodies of one type."""
+    found: dict[str, set[float]] = {}
+    for each in dataset:
+        scene = each.scene
+        if scene.mass is not None:
+            for node in np.flatnonzero(passive_nodes(scene)):
+                found.setdefault(scene.node_type[node], set()).add(float(scene.mass[node]))
+    return any(max(masses) > _HEAVIER * min(masses) for masses in found.values())

@@ -51,6 +51,8 @@ class Nodes(NamedTuple, Generic[Array]):
     """[..., N, P, V, 2] m: convex polygons in the body's frame, counter-clockwise, the last vertex
     and the last polygon repeated; 0 throughout for a body without. None: no body has one. In space
     [..., N, P, V, 5, 3]: the `hull_rows` of convex hulls."""
+    log_mass: Array | None = None
+    """[..., N] logarithm of the mass in units of that of the body's type. None: 0."""
 
     @property
     def mobile(self) -> Any:
@@ -115,9 +117,8 @@ def pad_trajectories(
     """Pad to ``steps`` (default: the longest) and ``node_capacity`` (default: the most nodes, but
     at least two, as a graph without edges is not supported).
 
-    Contact labels are left out unless ``contacts``. ``turn_length`` [m]: see
-    `generalized_coordinates`. Raises `InvalidInputError` where a trajectory has more nodes than the
-    capacity.
+    Contact labels are left out unless ``contacts``. ``turn_length``: see `generalized_coordinates`.
+    Raises `InvalidInputError` where a trajectory has more nodes than the capacity.
     """
     trajectories = tuple(trajectories)
     most = max(each.scene.node_count for each in trajectories)
@@ -252,9 +253,7 @@ def pad_nodes(
         gravity=weight if present.gravity else None,
         half_size=padded(scene.half_size, 0.0, float, dimension) if present.boxes else None,
         reach=padded(scene.reach, np.nan, float, 2, dimension) if present.reach else None,
-        outlines=_padded_outlines(scene, capacity, *present.outlines)
-        if present.outlines[0]
-        else None,
+        outlines=_padded_outlines(scene, capacity, *present.outlines),
     )
 
 
@@ -262,8 +261,10 @@ def _most_polygons(scene: Scene) -> int:
     return int(np.bincount(np.asarray(scene.polygon_of, int), minlength=1).max(initial=0))
 
 
-def _padded_outlines(scene: Scene, capacity: int, count: int, vertices: int) -> np.ndarray:
-    """[capacity, count, vertices, …] m: see `Nodes.outlines`."""
+def _padded_outlines(scene: Scene, capacity: int, count: int, vertices: int) -> np.ndarray | None:
+    """[capacity, count, vertices, …] m: see `Nodes.outlines`; None for a ``count`` of 0."""
+    if count == 0:
+        return None
     of_row = (2,) if scene.dimension == 2 else (5, 3)
     outlines = np.zeros((capacity, count, vertices, *of_row))
     for node in range(scene.node_count):

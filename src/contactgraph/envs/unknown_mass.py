@@ -17,7 +17,6 @@ from contactgraph.envs.gripper_task import (
     fixed_metadata,
 )
 from contactgraph.envs.pickup import (
-    CONTROL_WEIGHT,
     GOAL_WEIGHTS,
     MAX_DISTRACTORS,
     MAX_STEPS,
@@ -36,6 +35,8 @@ FRICTION = 0.3
 """Coulomb's coefficient between two bodies."""
 GROUND_FRICTION = 0.1
 """Coulomb's coefficient between a block and the table: a deceleration of 0.98 m/s^2."""
+CONTROL_WEIGHT = 3e-4
+"""1/N^2: the way round a block, by forces of some newtons, must cost less than the last 2 cm."""
 GOAL_RADIUS = 0.02
 """The target must end within this distance of the goal, m."""
 

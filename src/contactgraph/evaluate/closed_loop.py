@@ -47,6 +47,8 @@ class ClosedLoopMetrics:
     """Median of each episode's lowest speed from 0.25 s on to contact ("never stopping")."""
     slowest_before_contact_min_m_s: float | None
     """The lowest such speed of any episode."""
+    touches_mean: float | None
+    """Mean number of times in an episode that the gripper begins to touch the chain's next node."""
     touched_bystanders: int | None
     """Episodes in which a node of the chain touched a node outside it."""
     plan_ms_p50: float | None
@@ -115,6 +117,7 @@ def closed_loop_metrics(
     approaches = [one for each in episodes if (one := approach(*each)) is not None]
     slowest = [each.slowest for each in approaches if each.slowest is not None]
     touched = [_touched_distractor(*each) for each in episodes]
+    touches = [found for each in episodes if (found := _touches(*each)) is not None]
     known = (each.scene.metadata.get("best_score") for each in trajectories)
     scores = [float(each) for each in known if each is not None]
     times = np.asarray(plan_ms, dtype=np.float64)
@@ -132,12 +135,20 @@ def closed_loop_metrics(
         contact_speed_m_s=_median([each.contact_speed for each in approaches]),
         slowest_before_contact_m_s=_median(slowest),
         slowest_before_contact_min_m_s=min(slowest, default=None),
+        touches_mean=float(np.mean(touches)) if touches else None,
         touched_bystanders=None if None in touched else sum(bool(each) for each in touched),
         plan_ms_p50=float(np.percentile(times, 50)) if times.size else None,
         plan_ms_p99=float(np.percentile(times, 99)) if times.size else None,
         planned=planned,
         estimated=estimated,
     )
+
+
+def _touches(trajectory: Trajectory, chain: Sequence[int]) -> int | None:
+    if trajectory.contact is None or len(chain) < 2:
+        return None
+    contact = trajectory.contact[:, chain[0], chain[1]]
+    return int(contact[0]) + int(np.sum(contact[1:] & ~contact[:-1]))
 
 
 def approach(trajectory: Trajectory, chain: Sequence[int]) -> Approach | None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import cast
 
 import gymnasium
@@ -26,6 +27,8 @@ from contactgraph.model import (
     MotionNoise,
     StepModel,
     default_sensor,
+    nodes_with_told_masses,
+    scene_nodes,
     turn_length_of,
 )
 from contactgraph.model.filter import check_fit
@@ -53,6 +56,7 @@ def control_task(
     measured: bool = True,
     noise: ObservationNoise = _NOISELESS,
     motion_noise: MotionNoise | None = None,
+    told_masses: bool = False,
     node_capacity: int = 0,
     on_episode: Callable[[Trajectory, EpisodeRecord], None] | None = None,
 ) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
@@ -69,7 +73,7 @@ def control_task(
     them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
     assumes, by default those of ``faults``, and without faults is the model's `default_sensor`.
     ``motion_noise`` is `MPC`'s: with it, beliefs are also corrected by the observed motion, to
-    which ``noise`` is added.
+    which ``noise`` is added. With ``told_masses`` bodies weigh for it what the scene tells.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
     control, a number is out of range, or a search is asked for with switches.
@@ -115,7 +119,8 @@ def control_task(
     own_cost = TaskCost.of(terms, control_size, task.cost_terms, turns)
     scene_cost = own_cost if cost is None else cost
     _check_cost(scene_cost, task, control_size)
-    policy = MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise)
+    nodes_of = partial(nodes_with_told_masses, model) if told_masses else scene_nodes
+    policy = MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise, nodes_of)
 
     trajectories: list[Trajectory] = []
     succeeded: list[bool] = []

@@ -18,7 +18,7 @@ from contactgraph.evaluate.plan_tracking import (
     planned_positions,
 )
 from contactgraph.evaluate.sensor_faults import FaultySensor, ObservationNoise, SensorFaults
-from contactgraph.model import ContactBelief, scene_nodes
+from contactgraph.model import ContactBelief, Nodes, scene_nodes
 
 
 class SceneCost(Cost, Protocol):
@@ -144,6 +144,7 @@ class MPCPolicy:
         faults: SensorFaults = _EXACT,
         measured: bool = True,
         noise: ObservationNoise = _NOISELESS,
+        nodes_of: Callable[[Scene, int], Nodes] = scene_nodes,
     ) -> None:
         """``node_capacity``: 0 for the first scene's.
 
@@ -151,7 +152,7 @@ class MPCPolicy:
         hold each other, since an edge of the model joins nodes that move together. ``faults``
         corrupts the contacts that the controller observes; without ``measured`` it observes none.
         ``noise`` is added to the motion that it plans from, not to the motion that feedback within
-        a step uses.
+        a step uses. ``nodes_of`` gives the nodes of a scene, padded to a capacity.
         """
         self._mpc = mpc
         self._cost = cost
@@ -162,6 +163,7 @@ class MPCPolicy:
         self._measured = measured
         self._noise = noise
         self._noise_rng = noise.begin(0)
+        self._nodes_of = nodes_of
         self._sensor: FaultySensor | None = None
         self._scene: Scene | None = None
         self._state: Any = None
@@ -189,7 +191,7 @@ class MPCPolicy:
         if self._state is None:
             if self._scene is None:
                 raise InvalidInputError("call reset(scene, seed) first")
-            nodes = scene_nodes(self._scene, self._capacity)
+            nodes = self._nodes_of(self._scene, self._capacity)
             self._state = self._mpc.reset(observation, nodes, self._scene_cost)
         contacts = self._contacts(observation)
         self._holds = "holding" in observation

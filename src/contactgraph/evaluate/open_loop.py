@@ -16,6 +16,7 @@ from contactgraph.evaluate.baselines import (
 )
 from contactgraph.evaluate.calibration import Calibration
 from contactgraph.evaluate.edge_scores import EdgeCounts
+from contactgraph.evaluate.mass_scores import mass_numbers
 from contactgraph.evaluate.open_loop_metrics import (
     ORACLE,
     OpenLoopMetrics,
@@ -24,6 +25,7 @@ from contactgraph.evaluate.open_loop_metrics import (
     edge_numbers,
     error_numbers,
     numbers_by_type,
+    rest_drift,
     unbeaten_baselines,
 )
 from contactgraph.evaluate.prediction_windows import (
@@ -143,8 +145,10 @@ def evaluate_open_loop(
         numbers={
             **errors,
             **angle_numbers(detail),
+            "rest_drift_m": rest_drift(detail),
             **edge_numbers(detail),
             **calibration_numbers(detail),
+            **mass_numbers(detail.measured.mass_errors),
         },
         unbeaten=unbeaten_baselines(
             {name: errors[f"{name}_rmse_moving_m"] for name in ("n_step", *detail.baselines)}

@@ -129,6 +129,15 @@ def angle_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
     }
 
 
+def rest_drift(detail: OpenLoopDetail) -> float | None:
+    """m: the largest position error over the windows in which no body moves; None: there are none.
+
+    Beliefs are corrected as by default in `error_numbers`.
+    """
+    at_rest = detail.measured.squared_error[~detail.moves.any(axis=1)]
+    return float(np.sqrt(at_rest.max())) if at_rest.size else None
+
+
 def _finite(value: float | None) -> float | None:
     return value if value is None or math.isfinite(value) else None
 

@@ -17,6 +17,7 @@ from contactgraph.data.turns import turn_between, turned_on
 from contactgraph.evaluate.baselines import Baseline
 from contactgraph.evaluate.calibration import Calibration, belief_calibration, no_calibration
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
+from contactgraph.evaluate.mass_scores import mass_errors
 from contactgraph.evaluate.trajectory_prediction import TrajectoryPrediction, predict_trajectory
 from contactgraph.model import (
     ContactSensor,
@@ -51,6 +52,8 @@ class WindowPredictions:
     empty where contacts were not recorded."""
     last_step: Calibration
     """The same for the last step of every window, predicted from its start."""
+    mass_errors: np.ndarray | None
+    """See `mass_errors`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,6 +220,7 @@ def trajectory_detail(
             now=now,
             next_step=calibrated(coming, 1),
             last_step=calibrated(last, steps),
+            mass_errors=mass_errors(lists.given, trajectory, prediction.masses),
         )
 
     def calibrated(belief: np.ndarray, first: int) -> Calibration:

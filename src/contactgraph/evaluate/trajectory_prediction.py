@@ -17,6 +17,7 @@ from contactgraph.model import (
     StepModel,
     rollout,
 )
+from contactgraph.model.body_mass import MassBelief, with_masses
 from contactgraph.model.filter import filter_trajectory
 from contactgraph.model.neighbor_list import edge_count
 
@@ -42,6 +43,8 @@ class TrajectoryPrediction(eqx.Module):
     """The same for the step that led to each state, corrected by what was observed there."""
     next_belief: Float[Array, "T+1 E"]
     """The same for the step after each state, predicted from that state."""
+    masses: MassBelief | None
+    """[T+1, N] by the motion up to each state. None: bodies of a type weigh alike."""
 
 
 def contact_belief(
@@ -73,10 +76,13 @@ def predict_trajectory(
     The rollouts are a function of their own, so that they are compiled once with and without a
     ``motion_noise``, which only the filter knows.
     """
-    posterior, _, now, coming = filtered_beliefs(model, trajectory, sensor, motion_noise)
+    filtered = filtered_beliefs(model, trajectory, sensor, motion_noise)
+    posterior, _, now, coming, masses = filtered
     unlabelled = trajectory._replace(contact=None)
-    position, active, last = _rolled_out(model, unlabelled, posterior, starts, steps, sensor)
-    return TrajectoryPrediction(position, active, last, now, coming)
+    position, active, last = _rolled_out(
+        model, unlabelled, posterior, masses, starts, steps, sensor
+    )
+    return TrajectoryPrediction(position, active, last, now, coming, masses)
 
 
 @eqx.filter_jit
@@ -85,8 +91,9 @@ def filtered_beliefs(
     trajectory: TrajectoryBatch[Array],
     sensor: ContactSensor,
     motion_noise: MotionNoise | None,
-) -> tuple[ContactBelief, ContactBelief, Array, Array]:
-    """Corrected and predicted beliefs, and a `TrajectoryPrediction`'s `now_` and `next_belief`.
+) -> tuple[ContactBelief, ContactBelief, Array, Array, MassBelief | None]:
+    """Corrected and predicted beliefs, and a `TrajectoryPrediction`'s `now_belief`, `next_belief`
+    and `masses`.
 
     It is compiled once for all pictures and numbers of trajectories of the same size.
     """
@@ -97,7 +104,7 @@ def filtered_beliefs(
         return contact_belief(model, belief, sensor, edges)
 
     beliefs = (jax.lax.map(believed, each) for each in (filtered.posterior, filtered.prior))
-    return filtered.posterior, filtered.prior, *beliefs
+    return filtered.posterior, filtered.prior, *beliefs, filtered.masses
 
 
 @eqx.filter_jit
@@ -105,6 +112,7 @@ def _rolled_out(
     model: StepModel,
     trajectory: TrajectoryBatch[Array],
     posterior: ContactBelief,
+    masses: MassBelief | None,
     starts: Int[Array, " S"],
     steps: int,
     sensor: ContactSensor,
@@ -112,14 +120,15 @@ def _rolled_out(
     edges = trajectory.nodes.candidate.shape[-1]
 
     def from_state(start: Array) -> tuple[Array, Array, Array]:
-        belief = jax.tree.map(lambda leaf: leaf[start], posterior)
+        belief, mass = jax.tree.map(lambda leaf: leaf[start], (posterior, masses))
+        nodes = with_masses(trajectory.nodes, mass)
         state = ModelState(trajectory.position[start], trajectory.velocity[start], belief)
         controls = jax.lax.dynamic_slice_in_dim(trajectory.control, start, steps)
 
         def output(after: ModelState, _: LinearDynamics) -> tuple[Array, Array]:
             return after.position, contact_belief(model, after.belief, sensor, edges)
 
-        position, believed = rollout(model, state, controls, trajectory.nodes, output)
+        position, believed = rollout(model, state, controls, nodes, output)
         return position, believed > 0.5, believed[-1]
 
     count = starts.shape[0]

@@ -14,7 +14,13 @@ from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import FreeBodies, lifted_fraction
 from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.planes import on_planes, plane_contacts, plane_geometry, rests_on_planes
+from contactgraph.model.planes import (
+    on_planes,
+    plane_contacts,
+    plane_geometry,
+    rests_on_planes,
+    weighed_down,
+)
 from contactgraph.model.polygons import as_near
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
@@ -38,19 +44,12 @@ _SERVO_MASS = 100.0
 
 
 class BodyHead(eqx.Module):
-    r"""Parameters of every node from types of bodies, their actuation, and the active edges.
+    """Parameters of every node from types of bodies, their actuation, and the active edges.
 
     Each node type has a mass, a damper and a deceleration by the ground, and shares in bounce and
-    friction of its touches, positive by construction; networks give every active edge a coupling (0
-    free, 1 rigid) and a spring. A *hold* couples two bodies in all directions, a *touch* along the
-    normal alone, and only while they approach each other; across it friction acts, up to its
-    coefficient times the normal impulse. `docs/model.md` derives the step:
-
-    $$ v' = v - H^{-1} (J^T \Lambda J + g) v - H_e^{-1} J^T \Lambda_e J v + \dots, \qquad
-       H = M + g + J^T \Lambda J, \quad H_e = M + J^T \Lambda_e J $$
-
-    The last term is the bounce. Both matrices that act on v are symmetric in the metric M with
-    eigenvalues in [0, 1), so that no contact adds energy, whatever the coefficients.
+    friction of its touches, all positive; networks give every active edge a coupling (0 free, 1
+    rigid) and a spring. A *hold* couples two bodies in all directions, a *touch* along the normal,
+    while they approach each other, with friction across it. `Contacts` solves the step.
     """
 
     log_mass: Float[Array, " types"]
@@ -67,9 +66,10 @@ class BodyHead(eqx.Module):
     """m, of a node from a plane that it touches, by the data; a tenth of it is learned."""
     plane_raw: Float[Array, " types"]
     """Of the learned part of that distance."""
-    log_inertia: Float[Array, " types"] | Float[Array, "types 3"] | None
-    """Of the squared radius of gyration by that of `turn_length`, in units of `PACE`, or none; in
-    space one about each axis of the body."""
+    log_inertia: Float[Array, "types ..."] | None
+    """Of squared radii of gyration by `turn_length`, in space about axes, over `PACE`; or none."""
+    log_spread: Float[Array, " types"] | None
+    """Of the spread of log masses in a type, in units of `PACE`, or none."""
     edge: eqx.nn.MLP
     actuation: Actuation
     width: int = eqx.field(static=True)
@@ -79,6 +79,7 @@ class BodyHead(eqx.Module):
     length: float = eqx.field(static=True)
     speed: float = eqx.field(static=True)
     turn_length: float | None = eqx.field(static=True)
+    varying_mass: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -91,11 +92,13 @@ class BodyHead(eqx.Module):
         averaged: bool = False,
         speed: float = 1.0,
         turn_length: float | None = None,
+        varying_mass: bool = False,
         key: PRNGKeyArray,
     ):
         """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``averaged``:
         whether velocities are means over a step; ``speed``: unit of speeds, m/s; ``turn_length``
-        [m]: see `generalized_coordinates`; None: no body turns."""
+        [m]: see `generalized_coordinates`; None: no body turns; ``varying_mass``: whether masses
+        differ within a type."""
         # Products have no weak type, with which the first training update would recompile.
         self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
         self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / PACE
@@ -106,9 +109,10 @@ class BodyHead(eqx.Module):
         self.actuation = actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
         self.averaged, self.speed, self.turn_length = averaged, speed, turn_length
-        self.log_inertia = None if turn_length is None else self.damper_raw
-        if turn_length is not None and actuation.dimension == 3:
-            self.log_inertia = 0.0 * jnp.ones((node_types, 3))
+        axes = () if actuation.dimension == 2 else (3,)
+        self.log_inertia = None if turn_length is None else 0.0 * jnp.ones((node_types, *axes))
+        self.varying_mass = varying_mass
+        self.log_spread = self.damper_raw - np.log(2.0) / PACE if varying_mass else None
 
     def coasting(
         self,
@@ -119,10 +123,8 @@ class BodyHead(eqx.Module):
         turns: Float[Array, " N"],
         dt: float,
     ) -> Float[Array, "N G"]:
-        """Velocity of every node after a step of ``dt`` [s] in which the ground alone slows it.
-
-        With weight as given, but in space where outlines tell which bodies lie on a plane.
-        """
+        """Velocity of every node after a step of ``dt`` [s] in which only the ground slows it; with
+        weight as given, but in space, where outlines tell which bodies lie on a plane."""
         damper, slowing = self._slowing(node_type)
         if nodes.gravity is not None:
             if nodes.planes is None or velocity.shape[1] != 6:
@@ -163,11 +165,12 @@ class BodyHead(eqx.Module):
         velocity, (count, coordinates) = local.velocity, local.position.shape
         dimension = self.actuation.dimension
         motion = self.actuation(local.position, velocity, node_type, nodes, theta, dt)
-        mass = jnp.exp(PACE * node_type @ self.log_mass) * motion.inertia
+        own = 0.0 if nodes.log_mass is None else nodes.log_mass
+        mass = jnp.exp(PACE * node_type @ self.log_mass + own) * motion.inertia
         mass = mass[:, None] * self._mass_ratio(node_type, coordinates)
         slots = actuated_slots(nodes, self.slots)
         driving = jnp.einsum("nd,ns,de->ndse", mass, slots, jnp.eye(coordinates, dimension))
-        # What the control does in the step, as far as it is known, and until contacts hinder it.
+        # By the control in the step, as far as it is known, and until contacts hinder it.
         displaced, braked = jnp.zeros_like(velocity), local
         if local.control_displacement is not None:
             displaced = local.control_displacement / (theta * dt)
@@ -226,7 +229,8 @@ class BodyHead(eqx.Module):
             # Bodies that come nearer and do not meet in the step: a contact predicted too early.
             early = geometry.approach > _EARLY * self.length
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
-            closing = jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
+            nearer = geometry.approach + weighed_down(geometry, local.nodes, step.dt)
+            closing = jax.nn.sigmoid(nearer / (_ONE_SIDED * self.length))
             weight = weight.at[0].multiply(closing)
             touch = weight[0]
         # Only a soft bond has a spring: its residue would push bodies that touch or are held.

@@ -23,7 +23,6 @@ from contactgraph.model.collision import (
     Geometry,
     NoCutoff,
     SmoothCutoff,
-    geometry,
 )
 from contactgraph.model.contact_belief import (
     ArgmaxSample,
@@ -35,7 +34,12 @@ from contactgraph.model.contact_belief import (
 )
 from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, shaped, with_commands
-from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
+from contactgraph.model.local_dynamics import (
+    FreeLinearDynamics,
+    SpringMassDamperDynamics,
+    in_substeps,
+    step_geometry,
+)
 from contactgraph.model.motion_noise import PredictionNoise
 from contactgraph.model.neighbor_list import (
     Edges,
@@ -84,6 +88,8 @@ class ContactDynamics(eqx.Module):
     """Learned errors of the predicted motion. None: not learned."""
     sensor: ContactSensor | None = None
     """The sensor of the data, as far as it was estimated: see `default_sensor`."""
+    substeps: int = eqx.field(static=True, default=1)
+    """Equal parts of a step, in each of which bodies touch where they then are."""
 
     @property
     def coordinates(self) -> int:
@@ -130,19 +136,8 @@ class ContactDynamics(eqx.Module):
             moving = jnp.where(edges.fits, velocity, jnp.nan)
         touch = self.features.distances(nodes, edges.edge_index, position.dtype)
         touch = touch if contact_distance is None else contact_distance
-        meeting = self.features.meeting(nodes, position, edges.edge_index)
-        if meeting is not None:
-            count = meeting.edge_index.shape[1] // max(1, edges.edge_index.shape[1])
-            touch = jnp.tile(jnp.broadcast_to(touch, edges.edge_index.shape[1:]), count)
-        static = nodes.static if self.features.types else None  # not known without types
-        known = control_displacement, nodes.anchor, static, self.features.speed, nodes.half_size
-        at = position, moving, edges.edge_index, self.dt, touch
-        head, coasting = getattr(self.local_dynamics, "head", None), None
-        if isinstance(head, BodyHead):
-            types = self.features.node_type(nodes, moving.dtype)
-            turns = self.features.turns(nodes, moving.dtype)
-            coasting = head.coasting(position, moving, types, nodes, turns, self.dt)
-        points = geometry(*at, *known, meeting, coasting)
+        step = nodes, edges.edge_index, self.dt, touch, control_displacement
+        points = step_geometry(self.features, self.local_dynamics, (position, moving), *step)
         edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
@@ -235,7 +230,10 @@ class ContactDynamics(eqx.Module):
 
     def linearize(self, local: LocalInput) -> LinearDynamics:
         """Stage 4: the linear dynamics of every node, given the active edges."""
-        return self.local_dynamics(local, self.dt, self.control_size)
+        step = self.dt, self.control_size
+        if self.substeps == 1:
+            return self.local_dynamics(local, *step)
+        return in_substeps(self.features, self.local_dynamics, local, *step, self.substeps)
 
     def stages(
         self, state: ModelState, nodes: Nodes, key: PRNGKeyArray | None = None

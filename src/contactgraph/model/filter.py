@@ -17,6 +17,7 @@ from contactgraph.data import (
     TrajectoryBatch,
     pad_trajectories,
 )
+from contactgraph.model.body_mass import MassBelief, correct_masses, first_masses, with_masses
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast_like, correct
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.features import turn_length_of
@@ -128,6 +129,8 @@ class FilteredTrajectory(eqx.Module):
     """[T+1, E, K] about the step that follows each state, predicted from it."""
     dynamics: LinearDynamics
     """[T+1, N, D, ...] of the step that follows each state; under no control after the last."""
+    masses: MassBelief | None
+    """[T+1, N] by the motion up to each state. None: bodies of a type weigh alike."""
 
 
 class _Carry(eqx.Module):
@@ -142,6 +145,7 @@ class _Carry(eqx.Module):
     predicted: ContactBelief
     """About that step."""
     sensitivity: Float[Array, "N D W"]
+    masses: MassBelief | None
 
 
 def filter_trajectory(
@@ -162,27 +166,21 @@ def filter_trajectory(
         carry: _Carry, step: tuple[Array, Array, Array, Array]
     ) -> tuple[_Carry, FilteredTrajectory]:
         position, velocity, contact, control = step
-        predicted, log_odds = carry.predicted, carry.motion_log_odds
+        predicted, log_odds, masses = carry.predicted, carry.motion_log_odds, carry.masses
+        before, nodes = carry.before, with_masses(trajectory.nodes, masses)
+        made = carry.control, (position, velocity), nodes
         if motion_noise is not None:
-            predicted, log_odds = correct_by_motion(
-                check_motion_model(model),
-                predicted,
-                carry.before,
-                log_odds,
-                carry.control,
-                (position, velocity),
-                trajectory.nodes,
-                motion_noise,
-            )
+            judge, given = check_motion_model(model), (*made, motion_noise)
+            predicted, log_odds = correct_by_motion(judge, predicted, before, log_odds, *given)
         state = ModelState(position, velocity, correct(predicted, contact, sensor))
-        informed = with_control_displacement(
-            model, state, carry.sensitivity, control, trajectory.nodes
-        )
-        linear, prior = model.linear_step(informed, trajectory.nodes)
+        masses = correct_masses(model, masses, before, state.belief, *made, motion_noise)
+        nodes = with_masses(nodes, masses)
+        informed = with_control_displacement(model, state, carry.sensitivity, control, nodes)
+        linear, prior = model.linear_step(informed, nodes)
         prior = cast_like(prior, predicted)
         sensitivity = linear.control_sensitivity.astype(carry.sensitivity.dtype)
-        after = _Carry(state, control, log_odds, prior, sensitivity)
-        return after, FilteredTrajectory(state.belief, prior, linear)
+        after = _Carry(state, control, log_odds, prior, sensitivity, masses)
+        return after, FilteredTrajectory(state.belief, prior, linear, masses)
 
     initial = model.initial_belief(trajectory.position[0], trajectory.velocity[0], trajectory.nodes)
     first = ModelState(trajectory.position[0], trajectory.velocity[0], initial)
@@ -199,6 +197,7 @@ def filter_trajectory(
         motion_log_odds=jnp.zeros(trajectory.nodes.candidate.shape, first.velocity.dtype),
         predicted=initial,
         sensitivity=control_sensitivity(model, first, trajectory.nodes),
+        masses=first_masses(model, trajectory.nodes),
     )
     observed = trajectory.position, trajectory.velocity, control
     if sensor.delay == 0 or trajectory.contact is None:

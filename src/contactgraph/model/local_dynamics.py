@@ -5,13 +5,81 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.body_head import BodyHead
+from contactgraph.model.collision import Geometry, geometry
+from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
 from contactgraph.model.heads import CoupledHead, PerDegreeHead
 from contactgraph.model.message_passing import TypedMessagePassing
-from contactgraph.model.types import LinearDynamics, LocalInput, SpringMassDamper, Step
+from contactgraph.model.types import LinearDynamics, LocalInput, Nodes, SpringMassDamper, Step
+
+
+def step_geometry(
+    features: InvariantFeatures | AbsoluteFeatures,
+    dynamics: "SpringMassDamperDynamics | FreeLinearDynamics",
+    state: tuple[Float[Array, "N G"], Float[Array, "N G"]],
+    nodes: Nodes,
+    edge_index: Int[Array, "2 E"],
+    dt: float,
+    contact_distance: Float[Array, "*E"] | float,
+    control_displacement: Float[Array, "N G"] | None = None,
+) -> Geometry:
+    """The places at which the nodes of edges meet in a step of ``dt`` [s] from a ``state`` of
+    positions [m] and velocities [m/s]: see `EncodedGraph.contact_points`."""
+    position, velocity = state
+    meeting = features.meeting(nodes, position, edge_index)
+    if meeting is not None:
+        count = meeting.edge_index.shape[1] // max(1, edge_index.shape[1])
+        each = jnp.broadcast_to(contact_distance, edge_index.shape[1:])
+        contact_distance = jnp.tile(each, count)
+    static = nodes.static if features.types else None  # not known without types
+    known = control_displacement, nodes.anchor, static, features.speed, nodes.half_size
+    head, coasting = getattr(dynamics, "head", None), None
+    if isinstance(head, BodyHead):
+        types = features.node_type(nodes, velocity.dtype)
+        turns = features.turns(nodes, velocity.dtype)
+        coasting = head.coasting(position, velocity, types, nodes, turns, dt)
+    at = position, velocity, edge_index, dt, contact_distance
+    return geometry(*at, *known, meeting, coasting)
+
+
+def in_substeps(
+    features: InvariantFeatures | AbsoluteFeatures,
+    dynamics: "SpringMassDamperDynamics | FreeLinearDynamics",
+    local: LocalInput,
+    dt: float,
+    control_size: int,
+    count: int,
+) -> LinearDynamics:
+    """A step of ``dt`` [s] in ``count`` parts, each from where those before lead without control.
+
+    The active edges, and the messages along them, are those of the step. No gradient flows through
+    the beginnings of the parts.
+    """
+    edges, dt = local.geometry, dt / count
+
+    def part(done: LinearDynamics, _: None) -> tuple[LinearDynamics, None]:
+        at = done(local.position, local.velocity, jnp.zeros(done.B.shape[-1], done.B.dtype))
+        # Through all contacts of a rollout, each of which begins within a hair, gradients overflow.
+        at = jax.lax.stop_gradient(at)
+        meeting = edges.edge_index, dt, edges.contact_distance
+        found = step_geometry(features, dynamics, at, local.nodes, *meeting)
+        there = dataclasses.replace(
+            local,
+            position=at[0],
+            velocity=at[1],
+            geometry=found.first(len(local.weight)),
+            points=found,
+            control_displacement=None,
+        )
+        return done.then(dynamics(there, dt, control_size)), None
+
+    shapes = jax.eval_shape(lambda local: dynamics(local, dt, control_size), local)
+    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+    first = dataclasses.replace(nothing, A=nothing.A + jnp.eye(2, dtype=nothing.A.dtype))
+    return jax.lax.scan(part, first, length=count)[0]
 
 
 class ThetaMethod(eqx.Module):

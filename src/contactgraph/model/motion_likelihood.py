@@ -18,11 +18,12 @@ motion are remembered by the model alone.
 
 import dataclasses
 from abc import abstractmethod
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import TrajectoryBatch
@@ -112,6 +113,12 @@ def check_motion_model(model: object) -> ContactDynamics:
     return model
 
 
+def both_finite(before: ModelState, observed: Motion) -> Bool[Array, ""]:
+    """Whether both observations of a step are finite."""
+    arrays = (before.position, before.velocity, *observed)
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in arrays]))
+
+
 def correct_by_motion(
     model: ContactDynamics,
     carried: ContactBelief,
@@ -128,8 +135,7 @@ def correct_by_motion(
     finite: the first of a trajectory has none before it, and a bad one is no evidence for either of
     its steps.
     """
-    arrays = (before.position, before.velocity, *observed)
-    usable = jnp.all(jnp.stack([jnp.all(jnp.isfinite(one)) for one in arrays]))
+    usable = both_finite(before, observed)
     given = control, observed, nodes, noise
     if isinstance(model, TrajectoryModel):
         corrected, odds = model.with_motion(carried, before, *given), motion_log_odds
@@ -193,22 +199,7 @@ def edge_log_ratios(
     """
 
     noise = noise.at(state.velocity, model.dt)
-    driving = drive(model, state.position, state.velocity, control, graph.nodes)
-
-    def moved(types: Float[Array, "E K"]) -> Motion:
-        def once(displacement: Array, _: None) -> tuple[Array, Motion]:
-            informed = dataclasses.replace(state, control_displacement=displacement)
-            touching = _as_if_touching(model, informed, graph.nodes)
-            linear = model.linearize(model.cut_edges(touching, ContactBelief(types)))
-            displacement = jnp.sum(linear.control_sensitivity * driving, axis=-1)
-            return displacement.astype(state.position.dtype), linear(
-                state.position, state.velocity, control
-            )
-
-        # The control moves what is held, which the types decide; the first round holds nothing.
-        motions = jax.lax.scan(once, jnp.zeros_like(state.position), length=2)[1]
-        return jax.tree.map(lambda each: each[-1], motions)
-
+    moved = partial(motion_given_types, model, graph.nodes, state, control)
     edge_types = joint.shape[-1]
     if len(joint) == 0:  # a single body
         return jnp.zeros(joint.shape, graph.weight.dtype)
@@ -238,6 +229,29 @@ def edge_log_ratios(
         types = most_probable(ContactBelief(jnp.sum(joint, axis=1)))
     first = jnp.zeros((), int), types, jnp.zeros(joint.shape, graph.weight.dtype)
     return jax.lax.while_loop(lambda carry: carry[0] < count, judge_next, first)[2]
+
+
+def motion_given_types(
+    model: ContactDynamics,
+    nodes: Nodes,
+    state: ModelState,
+    control: Float[Array, " U"],
+    types: Float[Array, "E K"],
+) -> Motion:
+    """Where a step would lead under a control [N], if all its edges had these one-hot types."""
+    driving = drive(model, state.position, state.velocity, control, nodes)
+
+    def once(displacement: Array, _: None) -> tuple[Array, Motion]:
+        informed = dataclasses.replace(state, control_displacement=displacement)
+        touching = _as_if_touching(model, informed, nodes)
+        linear = model.linearize(model.cut_edges(touching, ContactBelief(types)))
+        displacement = jnp.sum(linear.control_sensitivity * driving, axis=-1)
+        moved = linear(state.position, state.velocity, control)
+        return displacement.astype(state.position.dtype), moved
+
+    # The control moves what is held, which the types decide; the first round holds nothing.
+    motions = jax.lax.scan(once, jnp.zeros_like(state.position), length=2)[1]
+    return jax.tree.map(lambda each: each[-1], motions)
 
 
 def _at_least(

@@ -130,3 +130,12 @@ def rests_on_planes(
     fallen = velocity.at[:, : falls.shape[1]].add(falls)
     geometry = plane_geometry(position, velocity, dt * fallen, distance, nodes, *shape)
     return on_planes(geometry, nodes)
+
+
+def weighed_down(geometry: Geometry, nodes: Nodes, dt: float) -> Float[Array, " C"] | float:
+    """m; how far passive bodies may part in a step of ``dt`` [s] and meet again within it, if their
+    weight brings them together and a plane bears one: a stack at rest does not approach."""
+    if nodes.gravity is None or nodes.planes is None:
+        return 0.0
+    both = jnp.all(nodes.passive[geometry.edge_index], axis=0)
+    return both * 0.5 * dt**2 * jnp.abs(geometry.normal @ nodes.gravity)

@@ -32,6 +32,8 @@ _ON_FACE = 1e-4
 """Share by which the distance from a side may be more than the height above its line."""
 _CROSSES = 0.02
 """In lengths: by how much a body may reach beyond an edge at which it meets another."""
+_ROUNDING = 1e-5
+"""Distance from a side, in its lengths, of which rounding leaves no direction."""
 _FAR = 1e3
 """In lengths; the gap of a point that does not exist."""
 
@@ -231,7 +233,9 @@ def _candidates(
     inside = jnp.all(height <= 0.0, axis=-1) & jnp.any(height > -jnp.inf, axis=-1)
     index = jnp.where(inside, jnp.argmax(height, axis=-1), jnp.argmin(apart, axis=-1))
     # Above a face the nearest point is inside of it, and the way there is its normal.
-    above = inside[..., None] | (height > (1.0 - _ON_FACE) * jnp.sqrt(apart))
+    begin, end = facets[:, :, None, ..., 0, :], facets[:, :, None, ..., 1, :]
+    touches = apart < _ROUNDING**2 * jnp.sum((end - begin) ** 2, axis=-1)
+    above = inside[..., None] | touches | (height > (1.0 - _ON_FACE) * jnp.sqrt(apart))
     on_face = jnp.take_along_axis(above, index[..., None], axis=-1)[..., 0]
     way, row, _, polygon = jnp.meshgrid(*map(jnp.arange, index.shape), indexing="ij")
     nearest = facets[way, row, polygon, index]

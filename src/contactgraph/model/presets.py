@@ -19,12 +19,7 @@ from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
 from contactgraph.model.body_head import BodyHead
 from contactgraph.model.body_starts import with_impacts, with_shapes, with_slowing
-from contactgraph.model.collision import (
-    ClosestApproachPrior,
-    DistancePrior,
-    NoCutoff,
-    SmoothCutoff,
-)
+from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import (
@@ -89,6 +84,8 @@ class ModelConfig:
     """See `generalized_coordinates`, m. None: no body turns."""
     inertia: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
     """Squared radius of gyration at the start, in units of `turn_length`, of types that turn."""
+    substeps: int = 1
+    """See `ContactDynamics`."""
     slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Deceleration, m/s^2, and damper, 1/s, by the ground at the start, by type; else nearly 0."""
     impacts: Mapping[tuple[str, str], Impacts] = field(default_factory=dict)
@@ -99,8 +96,10 @@ class ModelConfig:
     """Unit of speeds, m/s; for data in other units than metres, what 1 m/s is in them."""
     theta: float = 0.55
     """Start of the learned implicitness: see `ThetaMethod`."""
+    varying_mass: bool = False
+    """Whether masses differ within a type."""
     edge_types: int = 3
-    """K: free, touch, then types that hold; of 2, free and hold. `gim_temp` and others have 2."""
+    """K of a filter: free, touch, then types that hold; of 2, free and hold. Others have 2."""
 
     def __post_init__(self) -> None:
         if not 2 <= self.edge_types <= _MOST_EDGE_TYPES:
@@ -206,6 +205,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         averaged=config.averaged,
         speed=config.speed,
         turn_length=config.turn_length,
+        varying_mass=config.varying_mass,
         key=jax.random.fold_in(model_key, 1),
     )
     head = with_shapes(head, config.plane_distance, config.inertia, features.types)
@@ -220,11 +220,10 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
         key=rates_key,
     )
-    types: list[MessagePassing | EdgeNetwork] = [
-        EdgeNetwork(size, width, key=jax.random.fold_in(key, index))
-        for index in range(config.edge_types - 1)
-    ]
-    discretization = ThetaMethod(1.0, False) if config.averaged else ThetaMethod(config.theta)
+    keys = (jax.random.fold_in(key, index) for index in range(config.edge_types - 1))
+    types: list[MessagePassing | EdgeNetwork] = [EdgeNetwork(size, width, key=k) for k in keys]
+    learned = not config.averaged
+    discretization = ThetaMethod(config.theta if learned else 1.0, learned)
     return dataclasses.replace(
         model,
         inference=inference,
@@ -232,6 +231,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         features=features,
         prior=ClosestApproachPrior(parting=True),
         prediction_noise=PredictionNoise(config.edge_types, config.contact_distance, drifts=True),
+        substeps=config.substeps,
     )
 
 

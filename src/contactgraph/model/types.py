@@ -78,6 +78,16 @@ class LinearDynamics(eqx.Module):
             return after, rate
         return stepped_turns(position, after, self.turn_length), rate
 
+    def then(self, after: "LinearDynamics") -> "LinearDynamics":
+        """This step and the one after it, as one."""
+        return LinearDynamics(
+            A=jnp.sum(after.A[..., None] * self.A[..., None, :, :], axis=-2),
+            B=jnp.sum(after.A[..., None] * self.B[..., None, :, :], axis=-2) + after.B,
+            offset=jnp.sum(after.A * self.offset[..., None, :], axis=-1) + after.offset,
+            unhindered=jax.tree.map(jnp.add, self.unhindered, after.unhindered),
+            turn_length=after.turn_length,
+        )
+
     def stacked(self) -> tuple[Array, Array, Array]:
         """Dense ``A [2ND, 2ND]``, ``B [2ND, U]``, ``offset [2ND]`` in `stack_state`'s order."""
         nodes, dimension = self.A.shape[-4:-2]

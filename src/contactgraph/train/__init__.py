@@ -5,6 +5,7 @@ from contactgraph.train.config import DataDefaults as DataDefaults
 from contactgraph.train.config import TrainConfig as TrainConfig
 from contactgraph.train.config import body_defaults as body_defaults
 from contactgraph.train.config import defaults_from_data as defaults_from_data
+from contactgraph.train.filter_loss import check_contacts as check_contacts
 from contactgraph.train.fit import fit as fit
 from contactgraph.train.fit import initial_state as initial_state
 from contactgraph.train.fit_state import FitProgress as FitProgress
@@ -12,7 +13,6 @@ from contactgraph.train.fit_state import FitResult as FitResult
 from contactgraph.train.fit_state import FitState as FitState
 from contactgraph.train.fit_state import FitStatus as FitStatus
 from contactgraph.train.held_out import HeldOutBaselines as HeldOutBaselines
-from contactgraph.train.judged_steps import check_contacts as check_contacts
 from contactgraph.train.loss import LossTerms as LossTerms
 from contactgraph.train.run_folder import RunFolder as RunFolder
 from contactgraph.train.run_folder import load_checkpoint as load_checkpoint

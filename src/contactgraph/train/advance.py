@@ -24,7 +24,12 @@ from contactgraph.train.filter_loss import (
 )
 from contactgraph.train.fit_state import FitState
 from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
-from contactgraph.train.judged_steps import JudgedSteps, judge_steps, judge_trajectories
+from contactgraph.train.judged_steps import (
+    JudgedSteps,
+    judge_steps,
+    judge_trajectories,
+    with_window_masses,
+)
 from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
 
 _PERIOD, _FILTER_STEPS = 25, 100
@@ -200,6 +205,7 @@ def advance_steps(
         judged = None
         if filtered:
             judged = judge_steps(eqx.combine(params, static), windows, devices)
+            windows = with_window_masses(windows, judged.masses)
         given = windows, judged
         (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, *given, sample_key)
         if with_rollout is not None:

@@ -17,13 +17,14 @@ from contactgraph.data.actuation_fit import (
     fit_slowing,
     fit_theta,
 )
-from contactgraph.data.dataset import Dataset
+from contactgraph.data.dataset import Dataset, masses_vary
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.impact_fit import Impacts, fit_impacts
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.train.loss import LossTerms
 from contactgraph.train.turning import (
     find_turning,
+    has_outline,
     outline_distances,
     plane_distances,
     round_distances,
@@ -114,8 +115,10 @@ class BodyDefaults:
     turn_length: float | None
     margin: float
     inertia: dict[str, np.ndarray]
+    substeps: int
     slowing: dict[str, tuple[float, float]]
     impacts: dict[tuple[str, str], Impacts]
+    varying_mass: bool
 
 
 @dataclass(frozen=True)
@@ -180,13 +183,12 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     averaged = theta > _AVERAGED
     distance, boxes, margin = common.contact_distance, False, 0.0
     turning = find_turning(dataset)
+    outlined = turning and all(has_outline(each.scene).all() for each in dataset)
     if common.learned_contact_distance and turning is not None:
         # Bodies with an outline touch where these meet.
-        found = _contact_distance(dataset, round_distances).distance
-        distance = found if math.isfinite(found) else turning.size
-        if found == np.inf:
-            apart = partial(outline_distances, contact_distance=distance)
-            margin = _contact_distance(dataset, apart).distance - distance
+        distance = turning.size
+        if not outlined:
+            distance = _contact_distance(dataset, round_distances).distance
     elif common.learned_contact_distance:
         round_, box = (
             _contact_distance(dataset, partial(distances, boxes=each)) for each in (False, True)
@@ -198,9 +200,15 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     apart = partial(distances, boxes=boxes)
     if turning is not None:
         apart = partial(outline_distances, contact_distance=distance)
+        if outlined and common.learned_contact_distance and dataset.dimension == 3:
+            margin = _contact_distance(dataset, apart).distance - distance
+    substeps = 1 if turning is None or averaged else turning.substeps
+    slowing = fit_slowing(dataset, distance, apart)
+    borne = frozenset[str]() if turning is None else turning.borne
     return BodyDefaults(
         contact_distance=distance,
-        learned_contact_distance=common.learned_contact_distance and not averaged,
+        # Outlines tell it; of bodies at rest nothing else does.
+        learned_contact_distance=common.learned_contact_distance and not (averaged or outlined),
         node_types=_node_types(dataset),
         actuation=actuation,
         driving_size=int(drives.sum()),
@@ -208,14 +216,16 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         plane_distance=plane_distances(dataset, {} if turning is None else turning.inertia),
         averaged=averaged,
         boxes=boxes,
-        theta=theta,
+        theta=float(np.clip(0.5 + substeps * (theta - 0.5), 0.51, 0.99)),
         turn_length=None if turning is None else turning.turn_length,
         margin=margin,
         inertia={} if turning is None else turning.inertia,
-        slowing=fit_slowing(dataset, distance, apart),
+        substeps=substeps,
+        slowing={name: found for name, found in slowing.items() if name not in borne},
         # Of means over a step nothing tells the velocities before and after; and those of bodies
         # that turn, nothing but the whole step.
         impacts={} if averaged or turning is not None else fit_impacts(dataset, actuation),
+        varying_mass=masses_vary(dataset),
     )
 
 
@@ -246,9 +256,9 @@ def _contact_distance(dataset: Dataset, distances: Callable[[Trajectory], np.nda
     begins: list[np.ndarray] = []
     nearest: list[float] = []
     for each in dataset:
-        if each.scene.node_count < 2:
-            continue
         apart = np.min(distances(each), axis=-1)
+        if not np.isfinite(apart).any():
+            continue  # of one body, or of outlines alone
         speed = np.linalg.norm(each.velocity, axis=-1)
         moves = speed > _MOVES * speed.max(initial=0.0)
         begin = ~moves[:-1] & moves[1:] & ~each.scene.actuated
@@ -256,8 +266,6 @@ def _contact_distance(dataset: Dataset, distances: Callable[[Trajectory], np.nda
         nearest.append(float(apart.min()))
     found = np.concatenate(begins) if begins else np.zeros(0)
     share, spread = _FARTHER, np.inf
-    if nearest and dataset.trajectories[0].scene.dimension == 3 and np.isinf(nearest).all():
-        return _Touching(np.inf, np.inf)  # no body is round
     if len(found) < _LEAST_BEGINNINGS:
         found, share = np.array(nearest), 1.0 - _FARTHER
     elif np.median(found) > 0.0:

@@ -9,11 +9,15 @@ probable, so they do not pay for contacts that nothing could predict.
 """
 
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from contactgraph.data.dataset import Dataset
+from contactgraph.data.errors import InvalidInputError
+from contactgraph.model.body_mass import MassBelief, mass_score
 from contactgraph.model.contact_belief import (
     ContactBelief,
     ContactSensor,
@@ -33,6 +37,7 @@ from contactgraph.train.judged_steps import (
     random_reports,
     random_segments,
     seen_or_not,
+    with_window_masses,
     without_gradient,
 )
 from contactgraph.train.loss import (
@@ -48,6 +53,21 @@ DENIAL = 0.1
 """Weight in training of what sensors deny: see `filter_loss`."""
 _DENIED, _UNMEASURED = 10, 0.5
 """Steps of `_denial_score` that a sensor denies contact, and seconds without measurement after."""
+
+
+def check_contacts(model: ContactDynamics, dataset: Dataset, what: str) -> None:
+    """Raises `InvalidInputError` where ``what`` lacks a filter, or any trajectory its contacts."""
+    if not isinstance(model.inference, TransitionEdges):
+        raise InvalidInputError(
+            f"{what}: the model must be a filter (--model filter), found "
+            f"{type(model.inference).__name__}"
+        )
+    lacking = sum(each.contact is None for each in dataset)
+    if lacking:
+        raise InvalidInputError(
+            f"{what}: {lacking} of {len(dataset)} trajectories have no contact field; it must be "
+            "in every trajectory"
+        )
 
 
 def dynamics_loss(
@@ -77,13 +97,17 @@ def dynamics_loss(
     error, score = steps.each(compared, graph, judged.types, *given)
     nodes = jnp.broadcast_to(windows.learned[:, None], error.shape)
     zero = jnp.zeros(())
+    noise = masked_mean(score, nodes & jnp.isfinite(score))
+    if judged.masses is not None:
+        of_masses = jax.vmap(partial(mass_score, model))(judged.masses, windows.nodes)
+        noise += masked_mean(of_masses, windows.nodes.passive)
     return LossTerms(
         prediction=masked_mean(jnp.sqrt(error + _SMALLEST), nodes),
         squared=masked_mean(error, nodes),
         rollout=zero,
         prior=zero,
         likelihood=zero,
-        noise=masked_mean(score, nodes & jnp.isfinite(score)),
+        noise=noise,
     )
 
 
@@ -231,11 +255,15 @@ def _filtered(
     return jax.lax.scan(step, first, (graph, ratio, corrects, report))
 
 
-def corrected_beliefs(model: ContactDynamics, windows: Window) -> ContactBelief:
+def corrected_beliefs(
+    model: ContactDynamics, windows: Window
+) -> tuple[ContactBelief, MassBelief | None]:
     """The beliefs in the last states of windows, corrected by the motion of every step."""
     judged = judge_steps(model, windows)
+    windows = with_window_masses(windows, judged.masses)
     graph = encoded_steps(model, windows, judged)
     always = jnp.ones(windows.control.shape[1], bool)
-    return jax.vmap(lambda graph, ratio: _filtered(model, graph, ratio, always)[0])(
+    beliefs = jax.vmap(lambda graph, ratio: _filtered(model, graph, ratio, always)[0])(
         graph, judged.log_ratio
     )
+    return beliefs, judged.masses

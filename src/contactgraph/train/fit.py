@@ -24,9 +24,9 @@ from contactgraph.train.batch import (
     window_source,
 )
 from contactgraph.train.config import TrainConfig
+from contactgraph.train.filter_loss import check_contacts
 from contactgraph.train.fit_state import FitProgress, FitResult, FitState, FitStatus, with_lists
 from contactgraph.train.held_out import equals_constant_velocity, has_dead_units, held_out_windows
-from contactgraph.train.judged_steps import check_contacts
 
 _BURN = 20
 """Steps that correct a filter before a held-out window."""

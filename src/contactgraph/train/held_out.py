@@ -22,6 +22,7 @@ from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.model.neighbor_list import edge_count
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.filter_loss import corrected_beliefs
+from contactgraph.train.judged_steps import with_window_masses
 from contactgraph.train.loss import chunked_vmap, predict_window
 
 _WINDOWS = 256
@@ -119,7 +120,8 @@ def rollout_rmse(model: ContactDynamics, held_out: HeldOutWindows) -> Float[Arra
         real = jnp.ones(before.control.shape[:2], bool)
         belief = jax.vmap(model.trajectory_belief)(before.trajectories(real))
     else:
-        belief = corrected_beliefs(model, before)
+        belief, masses = corrected_beliefs(model, before)
+        windows = with_window_masses(windows, masses)
     edges = edge_count(model.neighbor_list, windows.position.shape[-2])
     return mean_rmse(chunked_vmap(squared_error, (windows, belief), edges), held_out.counted)
 

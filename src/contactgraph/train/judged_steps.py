@@ -1,14 +1,14 @@
 """Evidence of recorded steps: the likelihood of their motion, and contacts as sensors report."""
 
 import dataclasses
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from contactgraph.data.dataset import Dataset
-from contactgraph.data.errors import InvalidInputError
+from contactgraph.model.body_mass import MassBelief, first_masses, trajectory_masses, with_masses
 from contactgraph.model.contact_belief import (
     ContactBelief,
     first_holding_type,
@@ -17,7 +17,6 @@ from contactgraph.model.contact_belief import (
     without_change,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.motion_likelihood import edge_log_ratios, motion_noise
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import no_sensitivity, with_control_displacement
@@ -50,6 +49,8 @@ class JudgedSteps(eqx.Module):
     """The likeliest type of each edge in each step, one-hot."""
     unhindered: Motion
     """[B, L, N, D] m and m/s; where each step would lead without edges."""
+    masses: MassBelief | None = None
+    """[B, N] by the motion of all steps. None: bodies of a type weigh alike."""
 
 
 def without_gradient(model: ContactDynamics) -> ContactDynamics:
@@ -100,8 +101,34 @@ def likeliest_types(
 
 
 def judge_steps(model: ContactDynamics, windows: Window, devices: int = 1) -> JudgedSteps:
-    """The likelihood of the recorded motion of every step."""
+    """The likelihood of the recorded motion of every step.
+
+    Where masses differ within a type, contacts are judged with the usual masses, then the motion
+    with these contacts tells each body's own mass, with which contacts are judged again.
+    """
     model = without_gradient(model)
+    first, noise = jax.vmap(partial(first_masses, model))(windows.nodes), motion_noise(model)
+    if first is None:
+        return _judge_steps(model, windows, devices)
+
+    def weigh(window: Window, types: Array, first: MassBelief) -> MassBelief:
+        states = window.position, window.velocity
+        return trajectory_masses(model, first, states, window.control, types, window.nodes, noise)
+
+    def judge(masses: MassBelief, _: None) -> tuple[MassBelief, JudgedSteps]:
+        judged = _judge_steps(model, with_window_masses(windows, masses), devices)
+        return jax.vmap(weigh)(windows, judged.types, first), judged
+
+    masses, rounds = jax.lax.scan(judge, first, length=2)  # One program to compile.
+    return dataclasses.replace(jax.tree.map(lambda leaf: leaf[-1], rounds), masses=masses)
+
+
+def with_window_masses(windows: Window, masses: MassBelief | None) -> Window:
+    """The windows, whose bodies have the most probable masses."""
+    return dataclasses.replace(windows, nodes=with_masses(windows.nodes, masses))
+
+
+def _judge_steps(model: ContactDynamics, windows: Window, devices: int) -> JudgedSteps:
     steps, noise = WindowSteps(model, windows, devices), motion_noise(model)
 
     def judge(graph: EncodedGraph, control: Array, after: Motion) -> Array:
@@ -155,6 +182,8 @@ def judge_trajectories(
     drawn, step_mask, contact = source.draw_trajectories(_JUDGED, draw_key)
     observed = random_segments(key, step_mask.shape)
     judged = judge_steps(model, drawn)
+    drawn = with_window_masses(drawn, judged.masses)
+    judged = dataclasses.replace(judged, masses=None)
     predicted = predict_unobserved(without_gradient(model), drawn, judged, observed)
     return JudgedTrajectories(predicted[0], step_mask, observed, contact, predicted[1])
 
@@ -229,21 +258,6 @@ def predict_unobserved(
     )
     displacement = jnp.where(begins[..., None], judged.displacement, displacement)
     return replaced, dataclasses.replace(judged, displacement=displacement, log_ratio=ratio)
-
-
-def check_contacts(model: ContactDynamics, dataset: Dataset, what: str) -> None:
-    """Raises `InvalidInputError` where ``what`` lacks a filter, or any trajectory its contacts."""
-    if not isinstance(model.inference, TransitionEdges):
-        raise InvalidInputError(
-            f"{what}: the model must be a filter (--model filter), found "
-            f"{type(model.inference).__name__}"
-        )
-    lacking = sum(each.contact is None for each in dataset)
-    if lacking:
-        raise InvalidInputError(
-            f"{what}: {lacking} of {len(dataset)} trajectories have no contact field; it must be "
-            "in every trajectory"
-        )
 
 
 class SensorReports(eqx.Module):

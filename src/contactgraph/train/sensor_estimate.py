@@ -21,8 +21,8 @@ from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.filter import on_device
 from contactgraph.model.types import EncodedGraph
 from contactgraph.train.batch import Window
-from contactgraph.train.filter_loss import encoded_steps, predict_and_score
-from contactgraph.train.judged_steps import check_contacts, judge_steps
+from contactgraph.train.filter_loss import check_contacts, encoded_steps, predict_and_score
+from contactgraph.train.judged_steps import judge_steps, with_window_masses
 
 _LATEST = 3
 """Longest delay considered, steps."""
@@ -75,6 +75,7 @@ def _encoded(model: ContactDynamics, dataset: Dataset) -> Iterator[ReportedSteps
     @eqx.filter_jit
     def judged(model: ContactDynamics, windows: Window) -> tuple[EncodedGraph, Array]:
         judged = judge_steps(model, windows)
+        windows = with_window_masses(windows, judged.masses)
         return encoded_steps(model, windows, judged), judged.log_ratio
 
     for begin in range(0, len(dataset), _BATCH):

@@ -1,5 +1,6 @@
 """Bodies that turn, as data show them: their types and inertia, and gaps between outlines."""
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from contactgraph.data.dataset import Dataset
-from contactgraph.data.graph import pair_indices
+from contactgraph.data.graph import pair_indices, passive_nodes
 from contactgraph.data.outlines import hull_moments, signed_area
 from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
@@ -22,6 +23,9 @@ _NEAREST = 0.005
 """Share of the states that may lie nearer to a plane than a body that touches it."""
 _TURNS = 1e-3
 """rad; by which a body must turn, so that it counts as one that does."""
+_FAST, _LITTLE = 0.99, 0.1
+"""Quantile of turns in a step of bodies on planes, and that in each of its parts, rad: where a body
+touches turns with it."""
 
 
 @dataclass(frozen=True)
@@ -35,31 +39,51 @@ class Turning:
     space [3], about the axes of the body."""
     size: float
     """m; root of the area of the smallest polygon, or the cube root of a volume."""
+    borne: frozenset[str]
+    """Those of the types that lie or fall on planes, whose friction slows them."""
+    substeps: int
+    """Parts of a step in which those turn little; 1 where bodies are driven, since places within
+    a step would depend on the control."""
 
 
 def find_turning(dataset: Dataset) -> Turning | None:
-    """None where no body has both an outline and an orientation that changes."""
+    """None where no body has both an outline and an orientation that changes.
+
+    Of passive bodies on planes, under gravity, any orientation will do: what holds them upright is
+    their outline.
+    """
     squares: dict[str, list[np.ndarray]] = {}
-    sizes = []
+    sizes, borne, turns_in_step = [], set[str](), [np.zeros(1)]
     for each in dataset:
         if each.orientation is None or each.angular_velocity is None or not each.scene.polygons:
             return None
-        turn = _turns(each)
-        turned = np.any(np.nan_to_num(np.ptp(turn, axis=0)) > _TURNS, axis=-1)
+        turned = np.any(np.nan_to_num(np.ptp(_turns(each), axis=0)) > _TURNS, axis=-1)
+        on_floor = _has_floor(each.scene)
+        if on_floor:
+            rate = np.linalg.norm(each.angular_velocity, axis=-1)
+            turns_in_step.append(each.scene.dt * rate.ravel())
+            turned |= passive_nodes(each.scene)
         for node, name in enumerate(each.scene.node_type):
-            outlines = each.scene.outlines_of(node)
-            moments = [_moments(outline) for outline in outlines]
+            moments = [_moments(outline) for outline in each.scene.outlines_of(node)]
             sizes += [size ** (1.0 / each.scene.dimension) for size, _ in moments]
-            if outlines and turned[node]:
+            if moments and turned[node]:
                 total = sum(size for size, _ in moments)
                 whole = sum(size * square for size, square in moments) / total
                 squares.setdefault(name, []).append(np.asarray(whole))
+                borne |= {name} if on_floor and each.scene.dimension == 2 else set()
     if not squares:
         return None
     means = {name: np.mean(found, axis=0) for name, found in squares.items()}
     square = float(np.mean(list(means.values())))
     inertia = {name: found / square for name, found in means.items()}
-    return Turning(square**0.5, inertia, float(min(sizes)))
+    driven = any(each.scene.actuated.any() for each in dataset)
+    fast = float(np.nanquantile(np.concatenate(turns_in_step), _FAST))
+    substeps = 1 if driven else max(1, math.ceil(fast / _LITTLE))
+    return Turning(square**0.5, inertia, float(min(sizes)), frozenset(borne), substeps)
+
+
+def _has_floor(scene: Scene) -> bool:
+    return scene.has_weight and scene.planes is not None and len(scene.planes) > 0
 
 
 def _turns(trajectory: Trajectory) -> np.ndarray:
@@ -113,14 +137,14 @@ def _gaps(outlines: Array, position: Array, edge_index: Array) -> Array:
 def outline_distances(trajectory: Trajectory, contact_distance: float) -> np.ndarray:
     """[T+1, N, N] m: the gaps, as of round bodies that touch at ``contact_distance``, whose half is
     the radius of bodies without an outline."""
-    round_ = ~_has_outline(trajectory.scene)
+    round_ = ~has_outline(trajectory.scene)
     radii = np.add.outer(round_, round_) * 0.5 * contact_distance
     return outline_gaps(trajectory) - radii + contact_distance
 
 
 def round_distances(trajectory: Trajectory) -> np.ndarray:
     """[T+1, N, N] m: gaps of round bodies from others, in their diameters; infinite for others."""
-    round_ = ~_has_outline(trajectory.scene)
+    round_ = ~has_outline(trajectory.scene)
     count = np.add.outer(round_, round_)
     gaps = outline_gaps(trajectory)
     return np.where(count == 0, np.inf, gaps * np.where(count == 1, 2.0, 1.0))
@@ -164,11 +188,12 @@ def plane_heights(trajectory: Trajectory) -> np.ndarray:
     assert scene.planes is not None
     normal, offset = scene.planes[:, :-1].T, scene.planes[:, -1]
     heights = position @ normal - offset
-    for node in np.flatnonzero(_has_outline(scene)).tolist():
+    for node in np.flatnonzero(has_outline(scene)).tolist():
         vertices = np.concatenate(trajectory.outlines_of(node), axis=1)
         heights[:, node] = np.min(vertices @ normal - offset, axis=1)
     return np.asarray(heights.min(axis=-1))
 
 
-def _has_outline(scene: Scene) -> np.ndarray:
+def has_outline(scene: Scene) -> np.ndarray:
+    """[N] bool: the nodes of which an outline is given."""
     return np.array([bool(scene.outlines_of(node)) for node in range(scene.node_count)])
