@@ -13,6 +13,7 @@ from contactgraph.model.collision import Geometry, geometry
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
 from contactgraph.model.heads import CoupledHead, PerDegreeHead
 from contactgraph.model.message_passing import TypedMessagePassing
+from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import LinearDynamics, LocalInput, Nodes, SpringMassDamper, Step
 
 
@@ -24,12 +25,12 @@ def step_geometry(
     edge_index: Int[Array, "2 E"],
     dt: float,
     contact_distance: Float[Array, "*E"] | float,
+    meeting: Meeting | None,
     control_displacement: Float[Array, "N G"] | None = None,
 ) -> Geometry:
     """The places at which the nodes of edges meet in a step of ``dt`` [s] from a ``state`` of
     positions [m] and velocities [m/s]: see `EncodedGraph.contact_points`."""
     position, velocity = state
-    meeting = features.meeting(nodes, position, edge_index)
     if meeting is not None:
         count = meeting.edge_index.shape[1] // max(1, edge_index.shape[1])
         each = jnp.broadcast_to(contact_distance, edge_index.shape[1:])
@@ -58,14 +59,17 @@ def in_substeps(
     The active edges, and the messages along them, are those of the step. No gradient flows through
     the beginnings of the parts.
     """
+    if count == 1:
+        return dynamics(local, dt, control_size)
     edges, dt = local.geometry, dt / count
 
     def part(done: LinearDynamics, _: None) -> tuple[LinearDynamics, None]:
         at = done(local.position, local.velocity, jnp.zeros(done.B.shape[-1], done.B.dtype))
         # Through all contacts of a rollout, each of which begins within a hair, gradients overflow.
         at = jax.lax.stop_gradient(at)
-        meeting = edges.edge_index, dt, edges.contact_distance
-        found = step_geometry(features, dynamics, at, local.nodes, *meeting)
+        meeting = features.meeting(local.nodes, at[0], edges.edge_index)
+        part = edges.edge_index, dt, edges.contact_distance, meeting
+        found = step_geometry(features, dynamics, at, local.nodes, *part)
         there = dataclasses.replace(
             local,
             position=at[0],

@@ -13,6 +13,7 @@ from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.rotations import stepped_turns
+from contactgraph.model.shapes import Meeting
 
 _MIN_INVERSE_MASS = 1e-6
 
@@ -30,8 +31,7 @@ class ModelState(eqx.Module):
     """m; how far the next step's control alone moves each node, on which it depends whether bodies
     touch within the step. None: not known."""
     command: Float[Array, " U"] | None = None
-    """The next step's control, of which inference sees those components that move nothing, such as
-    a switch. None: not known, 0."""
+    """The next step's control, of which inference sees what moves nothing. None: not known, 0."""
 
 
 def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
@@ -212,8 +212,9 @@ class EncodedGraph(eqx.Module):
     nodes: Nodes
     geometry: Geometry
     contact_points: Geometry
-    """The places at which the nodes of edges meet, one or more of each, the nearest of all edges
-    first."""
+    """The places at which nodes meet, one or more an edge, the nearest of all edges first."""
+    meeting: Meeting | None
+    """Those places as the positions tell them, of bodies with outlines."""
     edge_id: Int[Array, " E"] | None
     """`Edges.edge_id`."""
     node_features: Float[Array, "N F"]
