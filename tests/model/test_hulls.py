@@ -1,5 +1,6 @@
 """Bodies that turn in space: features against MuJoCo, levers, turns that do not add up, steps."""
 
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -267,6 +268,36 @@ def test_a_falling_box_gains_no_energy_and_comes_to_rest(seed: int) -> None:
     np.testing.assert_allclose(upright.max(axis=1), 1.0, atol=5e-3)
     # They fall by up to 2 cm in a step, and what then overlaps is not pushed apart.
     np.testing.assert_allclose(height[-1], HALF[upright.argmax(axis=1)], atol=5e-3)
+
+
+def test_a_step_in_parts_is_as_many_small_steps() -> None:
+    """A box that spins about its own axis along a floor lands on it."""
+    nodes = scene_nodes(scene([BOX, BOX], gravity=GRAVITY, planes=FLOOR))
+    position = np.array([[0.0, 0.0, 0.07], [1.0, 0.0, HALF[2]]])
+    turn = Rotation.from_rotvec([[0.0, 0.3, 0.0], [0.0] * 3])
+    velocity, rate = np.zeros((2, 2, 3))
+    velocity[0], rate[0] = [0.5, 0.0, -1.0], [0.0, 12.0, 0.0]
+    start = coordinates(position, velocity, turn, rate)
+
+    def moved(steps: int, **options) -> np.ndarray:
+        found = follow(replace(model(), **options), nodes, start, 10 * steps)
+        return np.concatenate([found.position, found.velocity], axis=-1)[steps - 1 :: steps]
+
+    parts = moved(1, substeps=2)
+    np.testing.assert_allclose(parts, moved(2, dt=DT / 2), atol=1e-6)
+    assert np.abs(parts - moved(1))[:, 0].max() > 1e-3
+    assert np.abs(np.diff(parts[:, 0, 8])).max() > 0.5  # it landed
+
+
+def test_places_that_are_known_are_not_found_again() -> None:
+    nodes = scene_nodes(scene([BOX, None]))
+    position, velocity = map(jnp.asarray, (drawn(1, 0.08)[0], 0.1 * drawn(1, 1.0, 1)[0]))
+    graph = model().encode(position, velocity, nodes)
+    known = model().encode(position, velocity, nodes, meeting=graph.meeting)
+    other = graph.meeting._replace(displacement=2.0 * graph.meeting.displacement)
+    moved = model().encode(position, velocity, nodes, meeting=other)
+    np.testing.assert_array_equal(known.geometry.distance, graph.geometry.distance)
+    assert moved.geometry.distance[0] > 1.5 * graph.geometry.distance[0]
 
 
 def test_a_turned_scene_moves_as_the_scene_does() -> None:
