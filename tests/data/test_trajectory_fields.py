@@ -121,7 +121,15 @@ def test_a_turn_has_the_width_of_its_space(dimension: int, name: str, width: int
         ),
         (
             {"dimension": 3, "polygons": [[[0, 0], [1, 0], [0, 1]]], "polygon_of": [0]},
-            "polygons must belong to a scene of 2 dimensions, not 3",
+            "polygons must have shape (V, 3) with V >= 4, found (3, 2) in polygon 0",
+        ),
+        (
+            {"dimension": 3, "polygons": [np.eye(4, 3)[[0, 1, 3, 3]]], "polygon_of": [0]},
+            "polygons in space must be at least 4 points that do not lie in a plane",
+        ),
+        (
+            {"dimension": 1, "polygons": [[[0], [1]]], "polygon_of": [0]},
+            "2 or 3 dimensions, found 1",
         ),
         ({"dimension": 3, "planes": [[0, 1, 0]]}, "planes must have shape (P, D+1) = (P, 4)"),
         ({"planes": [[0, 1, np.nan]]}, "a finite offset, found [0.0, 1.0, nan] in row 0"),

@@ -12,7 +12,8 @@ from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.envs.planar_body import PlanarBody
 from contactgraph.envs.planar_world import PlanarWorld
 from contactgraph.model.collision import geometry
-from contactgraph.model.contacts import Contacts, FreeBodies
+from contactgraph.model.contact_solver import FreeBodies
+from contactgraph.model.contacts import Contacts
 from contactgraph.model.planes import plane_geometry
 
 pytestmark = pytest.mark.usefixtures("double_precision")

@@ -12,12 +12,13 @@ import pytest
 import shapely
 
 from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
-from contactgraph.data.scene import signed_area
+from contactgraph.data.outlines import signed_area
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, bodies, scene_nodes
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.filter import check_fit
-from contactgraph.model.polygons import contact_points, levers, placed, turned
+from contactgraph.model.polygons import contact_points
+from contactgraph.model.rotations import levers, placed, turned
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -60,7 +61,8 @@ def outlines(*kinds: str) -> np.ndarray:
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0, 0))
 def nearest(shapes, position, angle):
-    return contact_points(placed(shapes, position, angle), EDGE, LENGTH)
+    coordinates = jnp.concatenate([position, angle[:, None]], axis=1)
+    return contact_points(placed(shapes, coordinates, 1.0), EDGE, LENGTH)
 
 
 def drawn(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -15,8 +15,9 @@ from contactgraph.data import InvalidInputError, generalized_coordinates, pair_i
 
 Observation = Mapping[str, np.ndarray]
 """``position`` [n, D] m and ``velocity`` [n, D] m/s of the first n nodes, for models of bodies that
-turn also ``orientation`` [n, 1] rad and ``angular_velocity`` [n, 1] rad/s, NaN for those that do
-not; other keys are ignored, so that a task's observation can be handed over as it is."""
+turn also ``orientation`` [n, 1] rad (in space quaternions [n, 4]) and ``angular_velocity`` [n, 1 or
+3] rad/s, NaN for those that do not; other keys are ignored, so that a task's observation can be
+handed over as it is."""
 
 Motion = tuple[np.ndarray, np.ndarray]
 """Position m and velocity m/s of all nodes, each [N, G]."""
@@ -36,7 +37,8 @@ def padded_motion(
     """
     sizes = {"position": dimension, "velocity": dimension}
     if turn_length is not None:
-        sizes |= {"orientation": 1, "angular_velocity": 1}
+        turn = (4, 3) if dimension == 3 else (1, 1)
+        sizes |= dict(zip(("orientation", "angular_velocity"), turn, strict=True))
     for name in sizes:
         if name not in observation:
             raise InvalidInputError(

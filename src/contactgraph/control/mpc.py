@@ -20,6 +20,7 @@ from contactgraph.control.mpc_step import LastObservation, MPCCarry, MPCConfig, 
 from contactgraph.control.plan import Plan, Planner, PlanStatus
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.data import InvalidInputError
+from contactgraph.data.turns import near_turn
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,
@@ -209,7 +210,8 @@ class MPC:
         )
         matters = np.repeat(mask, coordinates, axis=1)
         if coordinates > dimension and nodes.outlines is not None:
-            matters[:, dimension:] &= np.any(np.asarray(nodes.outlines), axis=(1, 2, 3))[:, None]
+            outlines = np.asarray(nodes.outlines).reshape(len(mask), -1)
+            matters[:, dimension:] &= np.any(outlines, axis=1)[:, None]
         return np.where(matters, position, 0), np.where(matters, velocity, 0)
 
     def first_motion(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> Motion:
@@ -244,14 +246,17 @@ class MPC:
         """The state after a control step; ``motion`` and ``contacts`` are of the whole scene."""
         if replan is False and self.config.replan_every == 1:
             raise InvalidInputError("replan=False needs a replan_every above 1")
-        position, velocity = motion
+        position, velocity = (each[state.node_ids] for each in motion)
+        if position.shape[1] == 6:  # a turn in space is observed up to whole turns
+            unit, last = turn_length_of(self.config.model), np.asarray(state.carry.last.position)
+            position[:, 3:] = unit * near_turn(position[:, 3:] / unit, last[:, 3:] / unit)
         carry = self._step(
             state.nodes,
             state.cost,
             state.carry,
-            position[state.node_ids],
-            velocity[state.node_ids],
-            edge_contacts(contacts, state.node_ids, len(position), self.dtype),
+            position,
+            velocity,
+            edge_contacts(contacts, state.node_ids, len(motion[0]), self.dtype),
             applied_control(applied, state.cost.control_size, self.dtype),
             np.asarray(-1 if replan is None else replan, np.int32),
         )

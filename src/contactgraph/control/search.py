@@ -33,6 +33,7 @@ from contactgraph.model import (
     control_sensitivity,
     take_step,
 )
+from contactgraph.model.neighbor_list import extent
 
 
 def searches(model: StepModel) -> bool:
@@ -271,8 +272,8 @@ class _Scene(eqx.Module):
         distance = features.distances(self.nodes, edge, begin.dtype)
         distance = jnp.broadcast_to(jnp.asarray(distance), (1,))[0]
         if self.nodes.outlines is not None:  # the distances are those of round bodies
-            extent = jnp.max(jnp.linalg.norm(self.nodes.outlines, axis=-1), axis=(1, 2))[edge]
-            distance += jnp.sum(jax.nn.relu(extent - 0.5 * features.length))
+            beyond = extent(self.nodes.outlines)[edge] - 0.5 * features.length
+            distance += jnp.sum(jax.nn.relu(beyond))
         inverse, A, offset = self.inverse[hand], self.A[hand], self.offset[hand]
 
         def step(carry: tuple[ModelState, Array], _: None) -> tuple[Any, tuple[Array, Array]]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
+from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.scene import box_distance
 from contactgraph.data.trajectory import Trajectory
 
@@ -88,6 +89,25 @@ def driving_components(trajectories: Iterable[Trajectory]) -> np.ndarray:
     if scene.control_of is not None:
         return np.asarray(scene.control_of.any(axis=0))
     return np.arange(size) < scene.dimension
+
+
+def checked_driving_components(trajectories: Iterable[Trajectory]) -> np.ndarray:
+    """[U] bool: `driving_components`. Raises `InvalidInputError` where commands precede them, or
+    where one acts on no node."""
+    drives = driving_components(trajectories)
+    for index, each in enumerate(trajectories):
+        acts = each.scene.control_of
+        if acts is not None and np.any(drives & ~acts.any(axis=0)):
+            raise InvalidInputError(
+                f"trajectory {index}: component {int(np.argmax(drives & ~acts.any(axis=0)))} of "
+                "the control, which drives, must act on a node (control_of)"
+            )
+    if not drives[: drives.sum()].all():
+        raise InvalidInputError(
+            "components of the control that drive bodies must come before commands, found "
+            f"{[bool(each) for each in drives]}"
+        )
+    return drives
 
 
 def fit_theta(trajectories: Iterable[Trajectory]) -> float:

@@ -52,7 +52,7 @@ ARRAYS = {
     "control_of": Field(("N", "U"), "biu", since=2),
     "planes": Field(("P", "D+1"), "fiu", since=2),
     "reach": Field(("N", "2", "D"), "fiu", "m", since=2),
-    "polygons": Field(("W", "2"), "fiu", "m", since=2),
+    "polygons": Field(("W", "D"), "fiu", "m", since=2),
     "polygon_size": Field(("P",), "iu", since=2),
     "polygon_of": Field(("P",), "iu", since=2),
 }

@@ -86,7 +86,9 @@ def _stored(trajectory: Trajectory, name: str) -> np.ndarray | None:
     scene = trajectory.scene
     if name == "polygons":
         return (
-            None if scene.polygons is None else np.concatenate([np.empty((0, 2)), *scene.polygons])
+            None
+            if scene.polygons is None
+            else np.concatenate([np.empty((0, scene.dimension)), *scene.polygons])
         )
     if name == "polygon_size":
         sizes = None if scene.polygons is None else [len(each) for each in scene.polygons]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.outlines import checked_polygons, signed_area
 
 CONTROL_KINDS = ("force", "position", "displacement", "velocity", "switch", "other")
 """Meanings of a component of the control, by `Scene.control_kind`."""
@@ -62,7 +63,8 @@ class Scene:
     """[N, 2, D] m: lower and upper bounds of the position of an actuated body, such as a robot's
     workspace; NaN where there is none. None: not known."""
     polygons: tuple[np.ndarray, ...] | None = None
-    """[P] convex outlines [V, 2] of nodes in the plane, in the body's frame, m. None: not known."""
+    """[P] convex outlines [V, 2] of nodes in the plane, in space points [V, 3] whose convex hulls
+    they are, in the body's frame, m. None: not known."""
     polygon_of: np.ndarray | None = None
     """[P] int: the node of each polygon; several may belong to one. Given with ``polygons``."""
     metadata: dict[str, str | int | float | bool] = field(default_factory=dict)
@@ -118,7 +120,7 @@ class Scene:
                 self, "reach", _checked_reach(self.reach, self.actuated, dimension, self.node_name)
             )
         if self.polygons is not None or self.polygon_of is not None:
-            polygons, nodes = _checked_polygons(self.polygons, self.polygon_of, count, dimension)
+            polygons, nodes = checked_polygons(self.polygons, self.polygon_of, count, dimension)
             _set(self, "polygons", polygons)
             _set(self, "polygon_of", nodes)
 
@@ -133,10 +135,13 @@ class Scene:
         return None if self.size is None else 0.5 * np.nan_to_num(self.size)
 
     def outlines_of(self, node: int) -> list[np.ndarray]:
-        """The convex outlines [V, 2] m of a node, each counter-clockwise; none where not known."""
+        """The convex outlines [V, D] m of a node, in the plane counter-clockwise; none where they
+        are not known."""
         if self.polygons is None or self.polygon_of is None:
             return []
         mine = [self.polygons[index] for index in np.flatnonzero(self.polygon_of == node)]
+        if self.dimension == 3:
+            return mine
         return [each if signed_area(each) > 0.0 else each[::-1] for each in mine]
 
     @property
@@ -240,52 +245,6 @@ def _checked_reach(
             f"{reach[node].tolist()} for {names[node]!r}"
         )
     return reach
-
-
-def _checked_polygons(
-    polygons: tuple[np.ndarray, ...] | None,
-    polygon_of: np.ndarray | None,
-    count: int,
-    dimension: int,
-) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    if polygons is None or polygon_of is None:
-        raise InvalidInputError("polygons and polygon_of must be given together")
-    if dimension != 2:
-        raise InvalidInputError(f"polygons must belong to a scene of 2 dimensions, not {dimension}")
-    checked = tuple(np.asarray(each, dtype=np.float64) for each in polygons)
-    nodes = np.asarray(polygon_of, dtype=np.int64)
-    if nodes.shape != (len(checked),):
-        raise InvalidInputError(
-            f"polygon_of must have one entry a polygon, shape ({len(checked)},), "
-            f"found {nodes.shape}"
-        )
-    if nodes.size and (nodes.min() < 0 or nodes.max() >= count):
-        raise InvalidInputError(f"polygon_of must name nodes 0 to {count - 1}")
-    for index, outline in enumerate(checked):
-        if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
-            raise InvalidInputError(
-                f"polygons must have shape (V, 2) with V >= 3, found {outline.shape} in polygon "
-                f"{index}"
-            )
-        if not (np.isfinite(outline).all() and _is_convex(outline)):
-            raise InvalidInputError(
-                f"polygons must be finite and convex, found {outline.tolist()} in polygon {index}"
-            )
-    return checked, nodes
-
-
-def _is_convex(outline: np.ndarray) -> bool:
-    """Whether all corners turn the same way; [V, 2]."""
-    side = np.roll(outline, -1, axis=0) - outline
-    following = np.roll(side, -1, axis=0)
-    turn = side[:, 0] * following[:, 1] - side[:, 1] * following[:, 0]
-    return bool(turn.any() and (np.all(turn >= 0.0) or np.all(turn <= 0.0)))
-
-
-def signed_area(outline: np.ndarray) -> float:
-    """m^2, of an outline [V, 2] m; positive where it runs counter-clockwise."""
-    following = np.roll(outline, -1, axis=0)
-    return float(0.5 * np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))
 
 
 def _set(instance: object, name: str, value: object) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.scene import Scene
+from contactgraph.data.turns import rotation_vectors, turned_by
 
 _UNIT_TOLERANCE = 1e-3
 """Largest error of a quaternion's length, which leaves room for 16-bit floats."""
@@ -134,17 +135,21 @@ class Trajectory:
             )
 
     def outlines_of(self, node: int) -> list[np.ndarray]:
-        """[T+1, V, 2] m each: a node's polygons where it is; none for a node without an outline.
+        """[T+1, V, D] m each: a node's polygons where it is; none for a node without an outline.
 
         They are not turned where the orientation is not known.
         """
-        turned = self.orientation
+        turned, outlines = self.orientation, self.scene.outlines_of(node)
+        if self.scene.dimension == 3:
+            turn = np.zeros((len(self.position), 1, 3))
+            if turned is not None:
+                turn[:, 0] = np.nan_to_num(rotation_vectors(turned[:, node]))
+            return [self.position[:, node, None] + turned_by(turn, each) for each in outlines]
         angle = (
             np.zeros(len(self.position)) if turned is None else np.nan_to_num(turned[:, node, 0])
         )
         cosine, sine = np.cos(angle), np.sin(angle)
         turn = np.moveaxis(np.array([[cosine, sine], [-sine, cosine]]), -1, 0)
-        outlines = self.scene.outlines_of(node)
         return [self.position[:, node, None] + outline @ turn for outline in outlines]
 
     def _check_turning(self, name: str, shape: tuple[int, ...]) -> None:

@@ -12,8 +12,10 @@ import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import candidate_pairs, pair_indices
+from contactgraph.data.outlines import rows_of
 from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
+from contactgraph.data.turns import coordinate_count, generalized_coordinates
 
 Array = TypeVar("Array")
 
@@ -47,7 +49,8 @@ class Nodes(NamedTuple, Generic[Array]):
     """[..., N, 2, D] m, see `Scene.reach`; NaN where there is no bound. None: nowhere."""
     outlines: Array | None = None
     """[..., N, P, V, 2] m: convex polygons in the body's frame, counter-clockwise, the last vertex
-    and the last polygon repeated; 0 throughout for a body without. None: no body has one."""
+    and the last polygon repeated; 0 throughout for a body without. None: no body has one. In space
+    [..., N, P, V, 5, 3]: the `hull_rows` of convex hulls."""
     log_mass: Array | None = None
     """[..., N] logarithm of the mass in units of that of the body's type. None: 0."""
 
@@ -171,35 +174,6 @@ def _check_turns(trajectory: Trajectory, position: np.ndarray, velocity: np.ndar
                 )
 
 
-def coordinate_count(dimension: int, turn_length: float | None) -> int:
-    """G, the coordinates of a body of `generalized_coordinates`."""
-    return dimension if turn_length is None else 3 * (dimension - 1)
-
-
-def generalized_coordinates(
-    turn_length: float | None,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    orientation: np.ndarray | None = None,
-    angular_velocity: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [..., G] m and velocities [..., G] m/s of bodies, with their turn in lengths.
-
-    The first D are those given. Then come, unless ``turn_length`` [m] is None, the angle [rad] in
-    the plane times that length, and its rate; NaN where they are not known.
-    """
-    if turn_length is None:
-        return position, velocity
-    if position.shape[-1] != 2:
-        raise InvalidInputError("turn_length must be None but in the plane")
-    unknown = np.full((*position.shape[:-1], 1), np.nan)
-    turn, rate = (
-        turn_length * (unknown if each is None else each)
-        for each in (orientation, angular_velocity)
-    )
-    return np.concatenate([position, turn], axis=-1), np.concatenate([velocity, rate], axis=-1)
-
-
 def type_id(name: str) -> int:
     """A number for the name of a node type, the same in every process; 32 bits, signed."""
     return int(np.uint32(zlib.crc32(name.encode())).view(np.int32))
@@ -235,7 +209,7 @@ def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
         reach=any(each.has_reach for each in scenes),
         outlines=(
             max(0 if each.polygons is None else _most_polygons(each) for each in scenes),
-            max((len(outline) for each in scenes for outline in each.polygons or ()), default=0),
+            max((len(rows) for each in scenes for rows in rows_of(each.polygons)), default=0),
         ),
     )
 
@@ -288,12 +262,13 @@ def _most_polygons(scene: Scene) -> int:
 
 
 def _padded_outlines(scene: Scene, capacity: int, count: int, vertices: int) -> np.ndarray | None:
-    """[capacity, count, vertices, 2] m: see `Nodes.outlines`; None for a ``count`` of 0."""
+    """[capacity, count, vertices, …] m: see `Nodes.outlines`; None for a ``count`` of 0."""
     if count == 0:
         return None
-    outlines = np.zeros((capacity, count, vertices, 2))
+    of_row = (2,) if scene.dimension == 2 else (5, 3)
+    outlines = np.zeros((capacity, count, vertices, *of_row))
     for node in range(scene.node_count):
-        for index, polygon in enumerate(scene.outlines_of(node)):
-            padding = np.repeat(polygon[-1:], vertices - len(polygon), axis=0)
-            outlines[node, index:] = np.concatenate([polygon, padding])
+        for index, rows in enumerate(rows_of(scene.outlines_of(node))):
+            padding = np.repeat(rows[-1:], vertices - len(rows), axis=0)
+            outlines[node, index:] = np.concatenate([rows, padding])
     return outlines

@@ -70,7 +70,8 @@ class MappedBody:
     size: tuple[float, ...] | None = None
     """[D] m: sides of a box."""
     polygons: tuple[np.ndarray, ...] = ()
-    """Convex outlines ``[V, 2]`` m about ``reference``."""
+    """Convex outlines ``[V, 2]`` m about ``reference``; in space points ``[V, 3]`` m, whose convex
+    hulls they are, in the body's frame."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,10 +39,21 @@ class FetchEnvironment:
     """[2, 3] m: corners of the space in which the arm follows its commands."""
     size: tuple[float, ...] | None
     """[3] m: sides of a box."""
+    polygons: tuple[np.ndarray, ...] = ()
+    """Corners of the object, where it turns."""
     grips: bool = False
     """Whether the control also moves the fingers."""
 
 
+def _box(sides: tuple[float, ...], centre: tuple[float, ...] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """[8, 3] m: the corners of a box."""
+    return np.array(centre) + 0.5 * np.array(sides) * (
+        2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0
+    )
+
+
+_FINGERS = _box((0.077, 0.03, 0.027), (-0.02, 0.0, 0.0))
+"""Corners of both fingers, closed, in the frame of the gripper, which points down along x."""
 _LOW, _HIGH = 0.4, 1.0
 """m: heights of the tables' tops and of the highest goals' reach."""
 PUSH = FetchEnvironment(
@@ -51,6 +62,7 @@ PUSH = FetchEnvironment(
     table=np.array([[1.05, 0.4, _LOW], [1.55, 1.1, _HIGH]]),
     reach=np.array([[0.95, 0.3, 0.38], [1.6, 1.2, _HIGH]]),
     size=(0.05, 0.05, 0.05),
+    polygons=(_box((0.05, 0.05, 0.05)),),
 )
 SLIDE = FetchEnvironment(
     "fetch-slide",
@@ -136,6 +148,7 @@ def _fetch_map(which: FetchEnvironment) -> EnvironmentMap:
                 type="gripper",
                 position=Entries(0, 3, "observation"),
                 orientation=_DOWN,
+                polygons=(_FINGERS,) if which.polygons else (),
                 actuated=True,
                 bounds=which.reach,
             ),
@@ -147,6 +160,7 @@ def _fetch_map(which: FetchEnvironment) -> EnvironmentMap:
                 euler="XYZ",
                 bounds=which.table,
                 size=which.size,
+                polygons=which.polygons,
             ),
         ),
         control=MappedControl(

@@ -9,9 +9,11 @@ import numpy as np
 from contactgraph.data import (
     Dataset,
     Trajectory,
+    generalized_coordinates,
     moving_bodies,
     pair_indices,
 )
+from contactgraph.data.turns import turn_between, turned_on
 from contactgraph.evaluate.baselines import Baseline
 from contactgraph.evaluate.calibration import Calibration, belief_calibration, no_calibration
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
@@ -171,15 +173,18 @@ def trajectory_detail(
         squared = np.where(np.isfinite(squared), squared, np.inf)
         return np.pad(squared, ((0, 0), (0, 0), (0, capacity - count)))
 
-    angle = np.zeros((len(trajectory.position), count, 1))
-    rate = angle
-    if trajectory.orientation is not None and trajectory.scene.dimension == 2:
-        angle = trajectory.orientation
-        rate = rate if trajectory.angular_velocity is None else trajectory.angular_velocity
-    angles = _windows(angle, steps)
+    poses, rates = generalized_coordinates(
+        1.0,
+        trajectory.position,
+        trajectory.velocity,
+        trajectory.orientation,
+        trajectory.angular_velocity,
+    )
+    dimension = trajectory.scene.dimension
+    angles, rate = _windows(poses[..., dimension:], steps), rates[..., dimension:]
 
     def angle_error(predicted: np.ndarray) -> np.ndarray:
-        squared = np.square(predicted - angles[:, 1:])[..., 0]
+        squared = turn_between(predicted, angles[:, 1:]) ** 2
         return np.pad(np.nan_to_num(squared), ((0, 0), (0, 0), (0, capacity - count)))
 
     def predicted(
@@ -204,7 +209,7 @@ def trajectory_detail(
         if contact is not None:
             now = edge_counts(made[None], contact[None, 1:], edge_exists[:1])
         position = np.asarray(prediction.position, np.float64)
-        dimension, turned = trajectory.scene.dimension, None
+        turned = None
         if turn_length is not None:
             turned = angle_error(position[:starts, :, :count, dimension:] / turn_length)
         return WindowPredictions(
@@ -261,11 +266,13 @@ def trajectory_detail(
         inferred=inferred,
         baselines={name: compared(baseline) for name, baseline in baselines.items()},
         turns=np.pad(
-            np.any(np.abs(angles - angles[:, :1]) > TURNS_RAD, axis=(1, 3)),
+            np.any(turn_between(angles, angles[:, :1]) > TURNS_RAD, axis=1),
             ((0, 0), (0, capacity - count)),
         ),
         constant_velocity_angle=angle_error(
-            angle[:starts, None] + trajectory.scene.dt * elapsed * rate[:starts, None]
+            turned_on(
+                angles[:, :1], trajectory.scene.dt * elapsed * np.nan_to_num(rate[:starts, None])
+            )
         ),
     )
 

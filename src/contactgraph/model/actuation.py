@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.model.block_inverse import relative_at_edges
-from contactgraph.model.contacts import ContactMotion
+from contactgraph.model.contact_solver import ContactMotion
 from contactgraph.model.types import LocalInput, Nodes, SpringMassDamper, Step
 
 _MOST_DAMPED = 0.99
@@ -270,3 +270,18 @@ class Actuation(eqx.Module):
             stiffness=k / inertia,
             damping=by_velocity / inertia,
         )
+
+    def drive(
+        self,
+        position: Float[Array, "N D"],
+        velocity: Float[Array, "N D"],
+        control: Float[Array, " U"],
+        node_type: Float[Array, "N types"],
+        nodes: Nodes,
+        step: Step,
+        slots: int,
+    ) -> Float[Array, " W"]:
+        """Acceleration of ``slots`` actuated nodes without contacts, m/s^2, node after node."""
+        motion = self(position, velocity, node_type, nodes, step.theta, step.dt)
+        free = motion.by_control @ control[: self.control_size] + motion.constant
+        return (actuated_slots(nodes, slots).T @ free)[:, : self.dimension].ravel()

@@ -11,10 +11,16 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.actuation import Actuation, actuated_slots
 from contactgraph.model.collision import Geometry
-from contactgraph.model.contact_solver import lifted_fraction
-from contactgraph.model.contacts import MAX_COUPLING, Contacts, FreeBodies, damper_of
+from contactgraph.model.contact_solver import FreeBodies, lifted_fraction
+from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.planes import on_planes, plane_contacts, plane_geometry, weighed_down
+from contactgraph.model.planes import (
+    on_planes,
+    plane_contacts,
+    plane_geometry,
+    rests_on_planes,
+    weighed_down,
+)
 from contactgraph.model.polygons import as_near
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
@@ -41,9 +47,8 @@ class BodyHead(eqx.Module):
     """Parameters of every node from types of bodies, their actuation, and the active edges.
 
     Each node type has a mass, a damper and a deceleration by the ground, and shares in bounce and
-    friction of its touches, all positive; networks give every active edge a coupling (0 free, 1
-    rigid) and a spring. A *hold* couples two bodies in all directions, a *touch* along the normal,
-    while they approach each other, with friction across it. `Contacts` solves the step.
+    friction of its touches; networks give every active edge a coupling (0 free, 1 rigid) and a
+    spring. A *hold* couples bodies in all directions, a *touch* where they meet, with friction.
     """
 
     log_mass: Float[Array, " types"]
@@ -59,8 +64,8 @@ class BodyHead(eqx.Module):
     plane_distance: Float[Array, " types"]
     """m, of a node from a plane that it touches, by the data; a tenth of it is learned."""
     plane_raw: Float[Array, " types"]
-    log_inertia: Float[Array, " types"] | None
-    """Of the squared radius of gyration by that of `turn_length`, in units of `PACE`, or none."""
+    log_inertia: Float[Array, "types ..."] | None
+    """Of squared radii of gyration by `turn_length`, in space about axes, over `PACE`; or none."""
     log_spread: Float[Array, " types"] | None
     """Of the spread of log masses in a type, in units of `PACE`, or none."""
     edge: eqx.nn.MLP
@@ -90,50 +95,40 @@ class BodyHead(eqx.Module):
         identified: bool = False,
         key: PRNGKeyArray,
     ):
-        """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``averaged``:
-        whether velocities are means over a step; ``speed``: unit of speeds, m/s; ``turn_length``
-        [m]: see `generalized_coordinates`; None: no body turns; ``varying_mass``: whether masses
-        differ within a type; ``identified``: whether differences, not gradients, tell the laws."""
+        """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``speed``:
+        unit of speeds, m/s; what follows them: see `ModelConfig`."""
         # Products have no weak type, with which the first training update would recompile.
         self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
         self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / PACE
         self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
         self.friction_raw = (_ROUGH * jnp.ones(node_types + 1)).at[-1].set(-_ROUGH)
         self.plane_raw, self.plane_distance = self.damper_raw, 0.5 * length + self.damper_raw
-        self.edge = eqx.nn.MLP(width, 3, width, 1, key=key)
-        self.actuation = actuation
+        self.edge, self.actuation = eqx.nn.MLP(width, 3, width, 1, key=key), actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
         self.averaged, self.speed, self.identified = averaged, speed, identified
         self.turn_length, self.varying_mass = turn_length, varying_mass
-        self.log_inertia = None if turn_length is None else self.damper_raw
+        axes = () if actuation.dimension == 2 else (3,)
+        self.log_inertia = None if turn_length is None else 0.0 * jnp.ones((node_types, *axes))
         self.log_spread = self.damper_raw - np.log(2.0) / PACE if varying_mass else None
-
-    def drive(
-        self,
-        position: Float[Array, "N D"],
-        velocity: Float[Array, "N D"],
-        control: Float[Array, " U"],
-        node_type: Float[Array, "N types"],
-        nodes: Nodes,
-        step: Step,
-    ) -> Float[Array, " W"]:
-        """Acceleration of every actuated node without contacts, m/s^2, node after node."""
-        motion = self.actuation(position, velocity, node_type, nodes, step.theta, step.dt)
-        free = motion.by_control @ control[: self.actuation.control_size] + motion.constant
-        return (actuated_slots(nodes, self.slots).T @ free)[:, : self.actuation.dimension].ravel()
 
     def coasting(
         self,
+        position: Float[Array, "N G"],
         velocity: Float[Array, "N G"],
         node_type: Float[Array, "N types"],
         nodes: Nodes,
+        turns: Float[Array, " N"],
         dt: float,
     ) -> Float[Array, "N G"]:
-        """Velocity of every node after a step of ``dt`` [s] in which only the ground slows it; as
-        given under gravity, where nothing tells what rests on the ground."""
-        if nodes.gravity is not None:
-            return velocity
+        """Velocity of every node after a step of ``dt`` [s] in which only the ground slows it; with
+        weight as given, but in space, where outlines tell which bodies lie on a plane."""
         damper, slowing = self._slowing(node_type)
+        if nodes.gravity is not None:
+            if nodes.planes is None or velocity.shape[1] != 6:
+                return velocity
+            at = position, velocity, self._plane_distance(node_type), nodes, dt
+            on_ground = rests_on_planes(*at, turns, self.turn_length, self.length)
+            damper, slowing = on_ground * damper, on_ground * slowing
         energy = jnp.sum(self._mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
         speed = jnp.sqrt(energy + (_SMALL * self.speed) ** 2)
         left = jax.nn.relu(1.0 - dt * slowing / speed) / (1.0 + dt * damper)
@@ -152,8 +147,8 @@ class BodyHead(eqx.Module):
         ratio = jnp.ones((len(node_type), size))
         if self.log_inertia is None:
             return ratio
-        inertia = jnp.exp(PACE * node_type @ self.log_inertia)
-        return ratio.at[:, self.actuation.dimension :].multiply(inertia[:, None])
+        inertia = jnp.exp(PACE * node_type @ self.log_inertia).reshape(len(node_type), -1)
+        return ratio.at[:, self.actuation.dimension :].multiply(inertia)
 
     def __call__(
         self,
@@ -204,6 +199,7 @@ class BodyHead(eqx.Module):
             driving=driving.reshape(count, coordinates, -1),
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
+            pushed=coordinates == 6,
         )
         if nodes.planes is not None and self.turn_length is not None:
             contacts = contacts.pushing(bodies, dt, capacity)
@@ -225,15 +221,14 @@ class BodyHead(eqx.Module):
         points = geometry.edge_index.shape[1] // max(1, weight.shape[1])
         if points > 1:
             out = jnp.tile(out, (1, points, 1))
-            weight = jnp.tile(weight, (1, points)) * as_near(
-                geometry, local.geometry, _NEAREST * self.length
-            )
+            near = as_near(geometry, local.geometry, _NEAREST * self.length)
+            weight = jnp.tile(weight, (1, points)) * near
         touch = jnp.zeros_like(weight[0])
         if len(weight) > 1:
             # Bodies that come nearer and do not meet in the step: a contact predicted too early.
-            early = geometry.approach > _EARLY * self.length
-            if points > 1:  # Outlines tell exactly where bodies are apart.
-                early |= geometry.distance - geometry.contact_distance > _EARLY * self.length
+            early = geometry.approach > (tolerance := _EARLY * self.length)
+            # And outlines tell exactly where bodies are apart.
+            early |= (points > 1) & (geometry.distance - geometry.contact_distance > tolerance)
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
             nearer = geometry.approach + weighed_down(geometry, local.nodes, step.dt)
             closing = jax.nn.sigmoid(nearer / (_ONE_SIDED * self.length))
@@ -241,8 +236,7 @@ class BodyHead(eqx.Module):
             touch = weight[0]
         # Only a soft bond has a spring: its residue would push bodies that touch or are held.
         pushing = weight.at[:2].set(0.0)
-        start = coupling_starts(len(weight))
-        each = jax.nn.sigmoid(out[..., 0] + start[:, None])
+        each = jax.nn.sigmoid(out[..., 0] + coupling_starts(len(weight))[:, None])
         each = each.at[:2].set(_LEAST_COUPLING + (1.0 - _LEAST_COUPLING) * each[:2])
         coupling = jnp.sum(weight * each, axis=0)
         rest = jnp.sum(weight * jax.nn.softplus(out[..., 2]), axis=0) * self.length
@@ -271,18 +265,20 @@ class BodyHead(eqx.Module):
     ) -> Contacts:
         """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
         velocity if they do not touch."""
-        # Bodies that rest do not tell how much farther a plane might be.
-        part = 1.0 + _PLANE_LEARNED * jnp.tanh(PACE * self.plane_raw)
-        distance = local.node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
         motion = step.dt * (local.velocity + driven)
+        distance = self._plane_distance(local.node_type)
         at = local.position, local.velocity, motion, distance, local.nodes
         shape = () if self.turn_length is None else (local.turns, self.turn_length, self.length)
         geometry = plane_geometry(*at, *shape)
         laws = self.laws(local.node_type, geometry.edge_index[0])
         closing = jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
-        return plane_contacts(
-            geometry, closing, laws, self._displacing(geometry, step), self.averaged
-        )
+        displacing = self._displacing(geometry, step)
+        return plane_contacts(geometry, closing, laws, displacing, self.averaged)
+
+    def _plane_distance(self, node_type: Float[Array, "N types"]) -> Float[Array, " N"]:
+        # Bodies that rest do not tell how much farther a plane might be.
+        part = 1.0 + _PLANE_LEARNED * jnp.tanh(PACE * self.plane_raw)
+        return node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
 
     def laws(
         self,

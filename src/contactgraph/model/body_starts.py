@@ -16,7 +16,7 @@ _LEAST, _MOST = 0.01, 0.99
 def with_shapes(
     head: BodyHead,
     plane_distance: Mapping[str, float],
-    inertia: Mapping[str, float],
+    inertia: Mapping[str, float | Sequence[float]],
     types: Sequence[str],
 ) -> BodyHead:
     """With this ``plane_distance`` and ``inertia``, see `ModelConfig`."""
@@ -24,8 +24,8 @@ def with_shapes(
     head = eqx.tree_at(lambda each: each.plane_distance, head, jnp.array(near))
     if head.log_inertia is None:
         return head
-    inertias = jnp.log(jnp.array([inertia.get(name, 1.0) for name in types]))
-    return eqx.tree_at(lambda each: each.log_inertia, head, inertias / PACE)
+    known = [np.broadcast_to(inertia.get(name, 1.0), head.log_inertia.shape[1:]) for name in types]
+    return eqx.tree_at(lambda each: each.log_inertia, head, jnp.log(jnp.array(known)) / PACE)
 
 
 def with_slowing(head: BodyHead, slowing: Sequence[tuple[float, float]]) -> BodyHead:

@@ -11,11 +11,11 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
-from contactgraph.data.trajectory_batch import coordinate_count
+from contactgraph.data.turns import coordinate_count
 from contactgraph.model.body_head import BodyHead
 from contactgraph.model.collision import (
     ClosestApproachPrior,
@@ -49,6 +49,7 @@ from contactgraph.model.neighbor_list import (
     travel_bound,
 )
 from contactgraph.model.rollout import control_sensitivity, rollout, take_step
+from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import (
     EncodedGraph,
     LinearDynamics,
@@ -120,13 +121,15 @@ class ContactDynamics(eqx.Module):
         control_displacement: Float[Array, "N D"] | None = None,
         command: Float[Array, " U"] | None = None,
         contact_distance: Float[Array, " E"] | None = None,
+        meeting: Meeting | None = None,
     ) -> EncodedGraph:
         """Stage 1: geometry, features and edge embeddings.
 
         ``control_displacement`` and ``command`` are those of a `ModelState`; ``contact_distance``
-        [m] is each edge's own, None: that of the features.
+        [m] is each edge's own, None: that of the features. ``meeting`` is that of another graph of
+        these positions, where it is known.
         """
-        nodes = shaped(nodes, self.features)
+        nodes = shaped(nodes, self.features, self.dimension)
         moved = position, velocity, control_displacement, nodes.anchor, self.dt
         bound = travel_bound(*moved, nodes.half_size, nodes.outlines)
         edges = self._edges(position, bound, nodes.mask)
@@ -136,7 +139,9 @@ class ContactDynamics(eqx.Module):
             moving = jnp.where(edges.fits, velocity, jnp.nan)
         touch = self.features.distances(nodes, edges.edge_index, position.dtype)
         touch = touch if contact_distance is None else contact_distance
-        step = nodes, edges.edge_index, self.dt, touch, control_displacement
+        if meeting is None or self.neighbor_list is not None:
+            meeting = self.features.meeting(nodes, position, edges.edge_index)
+        step = nodes, edges.edge_index, self.dt, touch, meeting, control_displacement
         points = step_geometry(self.features, self.local_dynamics, (position, moving), *step)
         edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
@@ -155,6 +160,7 @@ class ContactDynamics(eqx.Module):
             nodes=nodes,
             geometry=edge_geometry,
             contact_points=points,
+            meeting=meeting,
             edge_id=edges.edge_id,
             node_features=node_features,
             edge_features=edge_features,
@@ -164,12 +170,10 @@ class ContactDynamics(eqx.Module):
             control_displacement=control_displacement,
         )
 
-    def encode_state(
-        self, state: ModelState, nodes: Nodes, contact_distance: Float[Array, " E"] | None = None
-    ) -> EncodedGraph:
-        """`encode` of a state."""
-        intended = state.control_displacement, state.command
-        return self.encode(state.position, state.velocity, nodes, *intended, contact_distance)
+    def encode_state(self, state: ModelState, nodes: Nodes, *given: PyTree) -> EncodedGraph:
+        """`encode` of a state; ``given`` are the arguments after the command."""
+        known = state.control_displacement, state.command, *given
+        return self.encode(state.position, state.velocity, nodes, *known)
 
     def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
         """The prior by distance, its active part spread evenly over the active types."""
@@ -230,10 +234,8 @@ class ContactDynamics(eqx.Module):
 
     def linearize(self, local: LocalInput) -> LinearDynamics:
         """Stage 4: the linear dynamics of every node, given the active edges."""
-        step = self.dt, self.control_size
-        if self.substeps == 1:
-            return self.local_dynamics(local, *step)
-        return in_substeps(self.features, self.local_dynamics, local, *step, self.substeps)
+        step = self.dt, self.control_size, self.substeps
+        return in_substeps(self.features, self.local_dynamics, local, *step)
 
     def stages(
         self, state: ModelState, nodes: Nodes, key: PRNGKeyArray | None = None
@@ -262,7 +264,8 @@ class ContactDynamics(eqx.Module):
             return control
         step = Step(local.discretization.theta, self.dt, self.control_size)
         types = self.features.node_type(nodes, position.dtype)
-        return local.head.drive(position, velocity, control, types, nodes, step)
+        head = local.head
+        return head.actuation.drive(position, velocity, control, types, nodes, step, head.slots)
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
         """The geometric prior, with a clock that has not run."""

@@ -27,6 +27,48 @@ class ContactSolution(eqx.Module):
     """By constant forces, m/s^2; None where there are none."""
 
 
+class FreeBodies(eqx.Module):
+    """The bodies of one step before contacts act on them."""
+
+    mass: Float[Array, "N G"]
+    """kg, with what a servo adds; of a turn the inertia, over the squared length of its unit."""
+    velocity: Float[Array, "N G"]
+    """m/s"""
+    ground_damper: Float[Array, " N"]
+    """Times dt, in units of the mass."""
+    deceleration: Float[Array, " N"]
+    """By the ground, m/s^2, until a body rests."""
+    weight: Float[Array, "N G 1"]
+    """N, times dt."""
+    driving: Float[Array, "N G W"]
+    """kg: momentum for each m/s that the free actuated nodes get."""
+    push: Float[Array, "N G 1"]
+    """kg m/s: momentum that control and weight give in the step, as far as they are known."""
+    speed: float = eqx.field(static=True, default=1.0)
+    """Unit of speeds, m/s."""
+    pushed: bool = eqx.field(static=True, default=False)
+    """Whether friction counts that the ground slows bodies that are pushed along it."""
+
+
+class ContactMotion(eqx.Module):
+    """Effect of one step on every node, of the whole scene solved together."""
+
+    velocity_change: Float[Array, "N G"]
+    """By contacts, springs and the ground, without control and weight; m/s."""
+    impact_displacement: Float[Array, "N G"]
+    """m; by how much impacts displace more than the change of velocity alone would."""
+    acceleration: Float[Array, "N G"]
+    """By weight, m/s^2."""
+    response: Float[Array, "N G W"]
+    """Share of the acceleration of each free actuated node and axis."""
+    unhindered_response: Float[Array, "N G W"]
+    """The same, without edges that only touch."""
+    own_share: Float[Array, "N G"]
+    """Share of its own momentum that a node keeps, in (0, 1]."""
+    ground_share: Float[Array, "N G"]
+    """Share of its velocity that a node loses to the ground, in [0, 1)."""
+
+
 class ContactSolver(eqx.Module):
     r"""Masses, dampers and springs of a whole scene.
 

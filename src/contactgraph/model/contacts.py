@@ -16,6 +16,7 @@ from contactgraph.model.block_inverse import (
     to_nodes,
 )
 from contactgraph.model.collision import Geometry
+from contactgraph.model.contact_solver import ContactMotion, FreeBodies
 
 MAX_COUPLING = 1.0 - 1e-3
 """Coupling of a damper that is a thousand times as stiff as a mass of 1 in a step."""
@@ -62,7 +63,7 @@ class Contacts(eqx.Module):
     until_impact: Float[Array, " C"]
     """Displacement by control and weight before the impact, in dt times what they add to v."""
 
-    def solve(self, bodies: "FreeBodies", dt: float, capacity: int | None) -> "ContactMotion":
+    def solve(self, bodies: FreeBodies, dt: float, capacity: int | None) -> ContactMotion:
         """One step of ``dt`` [s]; ``capacity``: most nodes that are coupled, None: no limit.
 
         First without friction, which tells the normal impulses that bound it.
@@ -88,6 +89,12 @@ class Contacts(eqx.Module):
         )
         change = jnp.sum(first.parts[1] - first.parts[0], axis=-1)
         ground, across = self._friction(bodies, change, first.diagonal, mobility_across, dt)
+        if bodies.pushed:
+            # What the ground takes from a body, that which pushes it gives, and more friction.
+            braking = self._impulse(smooth, count, dt) + (ground * bodies.velocity)[..., None]
+            braked = _solve(mass + ground, stiffness, smooth, [braking, bodies.push], capacity)
+            change = jnp.sum(braked.parts[1] - braked.parts[0], axis=-1)
+            _, across = self._friction(bodies, change, braked.diagonal, mobility_across, dt)
         rough = self.geometry.along(jnp.maximum(across, holding))
         slowing = self._impulse(rough, count, dt) + (ground * bodies.velocity)[..., None]
         displacing = -self._left(self.until_impact, bodies.push, rough, mass)
@@ -127,7 +134,7 @@ class Contacts(eqx.Module):
 
         return jax.tree_util.tree_map_with_path(joined, first, other)
 
-    def pushing(self, bodies: "FreeBodies", dt: float, capacity: int | None) -> "Contacts":
+    def pushing(self, bodies: FreeBodies, dt: float, capacity: int | None) -> "Contacts":
         """These contacts without touches that would pull, such as at the corner that lifts off
         where a block tips over: one round of an active set method."""
         normal = self.geometry.along(1.0 - self.touching)
@@ -139,7 +146,7 @@ class Contacts(eqx.Module):
         kept = 1.0 - self.touching * pulls
         return dataclasses.replace(self, damper=kept * self.damper, bounce=kept * self.bounce)
 
-    def _at_impact(self, normal: Geometry, bodies: "FreeBodies") -> Geometry:
+    def _at_impact(self, normal: Geometry, bodies: FreeBodies) -> Geometry:
         """With the velocity of which a bounce gives back its share: that at the impact, less what
         control and weight add to the approach after it, so that what is pushed on does not part."""
         added = relative_at_edges(bodies.push / bodies.mass[..., None], normal)[..., 0]
@@ -178,7 +185,7 @@ class Contacts(eqx.Module):
 
     def _friction(
         self,
-        bodies: "FreeBodies",
+        bodies: FreeBodies,
         change: Float[Array, "N G"],
         diagonal: Float[Array, "N G"],
         mobility: Float[Array, " C"],
@@ -196,9 +203,13 @@ class Contacts(eqx.Module):
         )
         slow = _SLOW * bodies.speed
         per_mass = jax.lax.stop_gradient(bodies.mass / bodies.mass[:, :1])
-        speed = _length(jnp.sqrt(per_mass) * velocity)[:, None]
+        by_axis = jnp.sqrt(per_mass) * velocity
+        speed = _length(by_axis)[:, None]
         bound = bodies.mass * bodies.deceleration[:, None] * dt
-        ground = bound / jnp.maximum(speed - bound * diagonal, slow)
+        loss = bound * diagonal
+        if bodies.pushed:  # the ground acts against the motion, which others may keep up
+            loss = jnp.sum((by_axis / speed) ** 2 * loss, axis=-1, keepdims=True)
+        ground = bound / jnp.maximum(speed - loss, slow)
         ground = ground + bodies.ground_damper[:, None] * bodies.mass
         relative = relative_at_edges(velocity[..., None], self.geometry)[..., 0]
         approach = jnp.sum(self.geometry.normal * relative, axis=-1)
@@ -213,46 +224,6 @@ class Contacts(eqx.Module):
 def damper_of(coupling: Float[Array, " C"]) -> Float[Array, " C"]:
     """The damper, times dt [kg], of a coupling from 0 free to 1 as rigid as there is."""
     return MAX_COUPLING * coupling / (1.0 - MAX_COUPLING * coupling)
-
-
-class FreeBodies(eqx.Module):
-    """The bodies of one step before contacts act on them."""
-
-    mass: Float[Array, "N G"]
-    """kg, with what a servo adds; of a turn the inertia, over the squared length of its unit."""
-    velocity: Float[Array, "N G"]
-    """m/s"""
-    ground_damper: Float[Array, " N"]
-    """Times dt, in units of the mass."""
-    deceleration: Float[Array, " N"]
-    """By the ground, m/s^2, until a body rests."""
-    weight: Float[Array, "N G 1"]
-    """N, times dt."""
-    driving: Float[Array, "N G W"]
-    """kg: momentum for each m/s that the free actuated nodes get."""
-    push: Float[Array, "N G 1"]
-    """kg m/s: momentum that control and weight give in the step, as far as they are known."""
-    speed: float = eqx.field(static=True, default=1.0)
-    """Unit of speeds, m/s."""
-
-
-class ContactMotion(eqx.Module):
-    """Effect of one step on every node, of the whole scene solved together."""
-
-    velocity_change: Float[Array, "N G"]
-    """By contacts, springs and the ground, without control and weight; m/s."""
-    impact_displacement: Float[Array, "N G"]
-    """m; by how much impacts displace more than the change of velocity alone would."""
-    acceleration: Float[Array, "N G"]
-    """By weight, m/s^2."""
-    response: Float[Array, "N G W"]
-    """Share of the acceleration of each free actuated node and axis."""
-    unhindered_response: Float[Array, "N G W"]
-    """The same, without edges that only touch."""
-    own_share: Float[Array, "N G"]
-    """Share of its own momentum that a node keeps, in (0, 1]."""
-    ground_share: Float[Array, "N G"]
-    """Share of its velocity that a node loses to the ground, in [0, 1)."""
 
 
 class _Solved(eqx.Module):

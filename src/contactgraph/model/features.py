@@ -45,6 +45,7 @@ class InvariantFeatures(eqx.Module):
     boxes: bool = eqx.field(static=True)
     turning: tuple[str, ...] = eqx.field(static=True)
     turn_length: float | None = eqx.field(static=True)
+    margin: float = eqx.field(static=True)
 
     def __init__(
         self,
@@ -56,6 +57,7 @@ class InvariantFeatures(eqx.Module):
         boxes: bool = False,
         turning: tuple[str, ...] = (),
         turn_length: float | None = None,
+        margin: float = 0.0,
     ):
         """`hinges`: whether nodes may be hinged; `learned`: whether the contact distance is.
 
@@ -64,7 +66,7 @@ class InvariantFeatures(eqx.Module):
         bodies are of one size, and their types are whether they are actuated and hinged.
         `boxes`: whether nodes that have a size are boxes; see `box_displacement`.
         `turning`: the types of bodies that turn; `turn_length` [m]: see `generalized_coordinates`,
-        None where none does.
+        None where none does. `margin`: gap at which two outlines touch, m.
         """
         # A product has no weak type, with which the first training update would recompile.
         self.contact_distance = length * jnp.ones(()) if learned else length
@@ -76,6 +78,7 @@ class InvariantFeatures(eqx.Module):
         self.boxes = boxes
         self.turning = turning
         self.turn_length = turn_length
+        self.margin = margin
         self.log_size = 0.0 * jnp.ones(len(types)) if types else None
 
     @property
@@ -110,7 +113,7 @@ class InvariantFeatures(eqx.Module):
         if self.turn_length is None or nodes.outlines is None:
             return None
         turns = self.turns(nodes, position.dtype)
-        units = self.turn_length, self.length
+        units = self.turn_length, self.length, self.margin
         return polygon_meeting(nodes.outlines, position, turns, edge_index, *units)
 
     def distances(
@@ -255,13 +258,13 @@ def turn_length_of(model: object) -> float | None:
     return getattr(getattr(model, "features", None), "turn_length", None)
 
 
-def shaped(nodes: Nodes, features: InvariantFeatures | AbsoluteFeatures) -> Nodes:
+def shaped(nodes: Nodes, features: InvariantFeatures | AbsoluteFeatures, dimension: int) -> Nodes:
     """The nodes with those shapes that a model of such features uses."""
     if not features.boxes:
         nodes = nodes._replace(half_size=None)
     if features.turn_length is None:
         return nodes._replace(outlines=None)
-    points = jnp.zeros((len(nodes.mask), 1, 1, 2))
+    points = jnp.zeros((len(nodes.mask), 1, 1, *((2,) if dimension == 2 else (5, 3))))
     return nodes._replace(outlines=points if nodes.outlines is None else nodes.outlines)
 
 

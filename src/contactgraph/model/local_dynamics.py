@@ -13,7 +13,7 @@ from contactgraph.model.collision import Geometry, geometry
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
 from contactgraph.model.heads import CoupledHead, PerDegreeHead
 from contactgraph.model.message_passing import TypedMessagePassing
-from contactgraph.model.polygons import POINTS
+from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import LinearDynamics, LocalInput, Nodes, SpringMassDamper, Step
 
 
@@ -25,21 +25,23 @@ def step_geometry(
     edge_index: Int[Array, "2 E"],
     dt: float,
     contact_distance: Float[Array, "*E"] | float,
+    meeting: Meeting | None,
     control_displacement: Float[Array, "N G"] | None = None,
 ) -> Geometry:
     """The places at which the nodes of edges meet in a step of ``dt`` [s] from a ``state`` of
     positions [m] and velocities [m/s]: see `EncodedGraph.contact_points`."""
     position, velocity = state
-    meeting = features.meeting(nodes, position, edge_index)
     if meeting is not None:
+        count = meeting.edge_index.shape[1] // max(1, edge_index.shape[1])
         each = jnp.broadcast_to(contact_distance, edge_index.shape[1:])
-        contact_distance = jnp.tile(each, POINTS)
+        contact_distance = jnp.tile(each, count)
     static = nodes.static if features.types else None  # not known without types
     known = control_displacement, nodes.anchor, static, features.speed, nodes.half_size
     head, coasting = getattr(dynamics, "head", None), None
     if isinstance(head, BodyHead):
         types = features.node_type(nodes, velocity.dtype)
-        coasting = head.coasting(velocity, types, nodes, dt)
+        turns = features.turns(nodes, velocity.dtype)
+        coasting = head.coasting(position, velocity, types, nodes, turns, dt)
     at = position, velocity, edge_index, dt, contact_distance
     return geometry(*at, *known, meeting, coasting)
 
@@ -57,14 +59,17 @@ def in_substeps(
     The active edges, and the messages along them, are those of the step. No gradient flows through
     the beginnings of the parts.
     """
+    if count == 1:
+        return dynamics(local, dt, control_size)
     edges, dt = local.geometry, dt / count
 
     def part(done: LinearDynamics, _: None) -> tuple[LinearDynamics, None]:
         at = done(local.position, local.velocity, jnp.zeros(done.B.shape[-1], done.B.dtype))
         # Through all contacts of a rollout, each of which begins within a hair, gradients overflow.
         at = jax.lax.stop_gradient(at)
-        meeting = edges.edge_index, dt, edges.contact_distance
-        found = step_geometry(features, dynamics, at, local.nodes, *meeting)
+        meeting = features.meeting(local.nodes, at[0], edges.edge_index)
+        part = edges.edge_index, dt, edges.contact_distance, meeting
+        found = step_geometry(features, dynamics, at, local.nodes, *part)
         there = dataclasses.replace(
             local,
             position=at[0],
@@ -152,7 +157,11 @@ class SpringMassDamperDynamics(eqx.Module):
 
     def __call__(self, local: LocalInput, dt: float, control_size: int) -> LinearDynamics:
         """The linear step of every node."""
-        return self.discretization(self.parameters(local, dt, control_size), dt)
+        linear = self.discretization(self.parameters(local, dt, control_size), dt)
+        if local.position.shape[1] != 6:
+            return linear
+        turn_length = getattr(self.head, "turn_length", None)  # of bodies that turn in space
+        return dataclasses.replace(linear, turn_length=turn_length)
 
 
 class FreeLinearDynamics(eqx.Module):

@@ -38,6 +38,7 @@ from contactgraph.model.contact_belief import (
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_noise import Motion, MotionNoise
 from contactgraph.model.rollout import control_sensitivity, drive, with_control_displacement
+from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 
 _CONSIDERED = 8
@@ -199,7 +200,8 @@ def edge_log_ratios(
     """
 
     noise = noise.at(state.velocity, model.dt)
-    moved = partial(motion_given_types, model, graph.nodes, state, control)
+    given = model, graph.nodes, state, control
+    moved = partial(motion_given_types, *given, meeting=graph.meeting)
     edge_types = joint.shape[-1]
     if len(joint) == 0:  # a single body
         return jnp.zeros(joint.shape, graph.weight.dtype)
@@ -237,13 +239,15 @@ def motion_given_types(
     state: ModelState,
     control: Float[Array, " U"],
     types: Float[Array, "E K"],
+    meeting: Meeting | None = None,
 ) -> Motion:
-    """Where a step would lead under a control [N], if all its edges had these one-hot types."""
+    """Where a step would lead under a control [N], if all its edges had these one-hot types;
+    ``meeting`` as of `ContactDynamics.encode`."""
     driving = drive(model, state.position, state.velocity, control, nodes)
 
     def once(displacement: Array, _: None) -> tuple[Array, Motion]:
         informed = dataclasses.replace(state, control_displacement=displacement)
-        touching = _as_if_touching(model, informed, nodes)
+        touching = _as_if_touching(model, informed, nodes, meeting)
         linear = model.linearize(model.cut_edges(touching, ContactBelief(types)))
         displacement = jnp.sum(linear.control_sensitivity * driving, axis=-1)
         moved = linear(state.position, state.velocity, control)
@@ -267,16 +271,20 @@ def _at_least(
     return ContactBelief(jnp.concatenate([inactive, active], axis=-1))
 
 
-def _as_if_touching(model: ContactDynamics, state: ModelState, nodes: Nodes) -> EncodedGraph:
+def _as_if_touching(
+    model: ContactDynamics, state: ModelState, nodes: Nodes, meeting: Meeting | None
+) -> EncodedGraph:
     """The same step as if bodies touched at their closest approach.
 
     A network that knows the contact distance does not let an edge act beyond it, even one that is
     active with certainty; both predictions would then be the same motion. The likelihood is that of
     the motion if the edge does act; how probable that is at its distance is part of the belief.
     """
-    geometry = model.encode_state(state, nodes).geometry
-    touch = jnp.maximum(geometry.contact_distance, _TOUCHING * geometry.closest_approach)
-    return model.encode_state(state, nodes, touch)
+    graph = model.encode_state(state, nodes, None, meeting)
+    touch = jnp.maximum(
+        graph.geometry.contact_distance, _TOUCHING * graph.geometry.closest_approach
+    )
+    return model.encode_state(state, nodes, touch, graph.meeting)
 
 
 def most_probable(belief: ContactBelief) -> Float[Array, "E K"]:

@@ -140,7 +140,7 @@ def travel_bound(
     anchor: Float[Array, "N D"] | None,
     dt: float,
     half_size: Float[Array, "N D"] | None = None,
-    outlines: Float[Array, "N P V 2"] | None = None,
+    outlines: Float[Array, "N P V ..."] | None = None,
 ) -> Float[Array, " N"]:
     """Largest distance [m] from a node's position at which its body may be met in a step of `dt`
     [s]; arguments as of `geometry`."""
@@ -150,12 +150,18 @@ def travel_bound(
     if half_size is not None:  # a corner is farther from the centre than the nearest side
         bound = bound + jnp.linalg.norm(half_size, axis=-1) - jnp.min(half_size, axis=-1)
     if outlines is not None:
-        bound = bound + jnp.max(jnp.linalg.norm(outlines, axis=-1), axis=(1, 2))
+        bound = bound + extent(outlines)
     if anchor is None:
         return bound
     # A bar's far end is a radius from its middle, and twice as fast.
     radius = jnp.linalg.norm(position - anchor, axis=-1)
     return jnp.where(jnp.isfinite(radius), radius + 2.0 * bound, bound)
+
+
+def extent(outlines: Float[Array, "N P V ..."]) -> Float[Array, " N"]:
+    """m; from a body's position to the farthest point of its outlines: see `Nodes.outlines`."""
+    lengths = jnp.linalg.norm(outlines, axis=-1)
+    return jnp.max(lengths.reshape(len(lengths), -1), axis=1)
 
 
 def near_pairs(

@@ -1,12 +1,15 @@
 """Planes, such as walls and tables, which every node may touch."""
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contacts import Contacts, damper_of
-from contactgraph.model.polygons import POINTS, levers, placed, plane_points
+from contactgraph.model.polygons import most_points, plane_points
+from contactgraph.model.rotations import levers, placed
 
 _LEAST_APPROACH = 1e-9
 """m"""
@@ -30,8 +33,8 @@ def plane_geometry(
     With ``turns`` bodies have outlines, and each has `plane_points`: see `polygon_meeting`.
     """
     assert nodes.planes is not None
-    planes, points = nodes.planes, 1 if turns is None else POINTS
-    dimension = planes.shape[1] - 1
+    planes, dimension = nodes.planes, nodes.planes.shape[1] - 1
+    points = 1 if turns is None else most_points(dimension)
     # Rows are those of the first node first, then of its first plane.
     node = jnp.repeat(jnp.arange(len(position)), len(planes) * points)
     rows = jnp.repeat(jnp.tile(planes, (len(position), 1)), points, axis=0)
@@ -41,7 +44,7 @@ def plane_geometry(
         jacobian = jnp.broadcast_to(jnp.eye(dimension), (len(node), dimension, dimension))
     else:
         assert nodes.outlines is not None
-        shapes = placed(nodes.outlines, position[:, :2], position[:, 2] / turn_length)
+        shapes = placed(nodes.outlines, position, turn_length)
         height, lowest = (
             leaf.reshape(len(node), *leaf.shape[3:])
             for leaf in plane_points(shapes, planes, length)
@@ -108,6 +111,25 @@ def meets_plane(geometry: Geometry) -> Float[Array, " C"]:
 def on_planes(geometry: Geometry, nodes: Nodes) -> Float[Array, " N"]:
     """1 for nodes that meet some plane in a step, else 0; ``geometry`` is of planes alone."""
     return jnp.max(meets_plane(geometry).reshape(len(nodes.mask), -1), axis=1)
+
+
+def rests_on_planes(
+    position: Float[Array, "N G"],
+    velocity: Float[Array, "N G"],
+    distance: Float[Array, " N"],
+    nodes: Nodes,
+    dt: float,
+    *shape: Any,
+) -> Float[Array, " N"]:
+    """1 for nodes that meet some plane in a step in which weight alone acts on them, else 0.
+
+    Arguments as of `plane_geometry`, ``shape`` its last ones.
+    """
+    assert nodes.gravity is not None
+    falls = dt * nodes.passive[:, None] * nodes.gravity
+    fallen = velocity.at[:, : falls.shape[1]].add(falls)
+    geometry = plane_geometry(position, velocity, dt * fallen, distance, nodes, *shape)
+    return on_planes(geometry, nodes)
 
 
 def weighed_down(geometry: Geometry, nodes: Nodes, dt: float) -> Float[Array, " C"] | float:

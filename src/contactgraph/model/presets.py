@@ -5,7 +5,7 @@ fresh weights; any such function can be trained in the place of these.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -67,8 +67,7 @@ class ModelConfig:
     control_gain: float = 1.0
     """Start of the learned acceleration of actuated nodes, m/s^2 a unit; 1: a force on 1 kg."""
     node_types: tuple[str, ...] = ()
-    """Names of the types of nodes, passive ones first, then actuated ones; only for
-    `bodies`, as what follows. Empty: they are not told."""
+    """Names of node types, passive ones first; only for `bodies`, as what follows. Empty: none."""
     actuation: Mapping[str, ActuationFit] = field(default_factory=dict)
     """How the control drives each actuated type at the start of training, by name."""
     driving_size: int | None = None
@@ -76,12 +75,14 @@ class ModelConfig:
     actuated_nodes: int = 1
     """Most actuated nodes of a scene."""
     plane_distance: Mapping[str, float] = field(default_factory=dict)
-    """m; how near each type comes to a plane. Those left out: half the contact distance."""
+    """m; how near each type comes to a plane; else half the contact distance."""
     boxes: bool = False
     """Whether nodes that have a size are boxes along the axes; else all are round."""
+    margin: float = 0.0
+    """m; gap at which two outlines touch."""
     turn_length: float | None = None
     """See `generalized_coordinates`, m. None: no body turns."""
-    inertia: Mapping[str, float] = field(default_factory=dict)
+    inertia: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
     """Squared radius of gyration at the start, in units of `turn_length`, of types that turn."""
     substeps: int = 1
     """See `ContactDynamics`."""
@@ -98,8 +99,7 @@ class ModelConfig:
     varying_mass: bool = False
     """Whether masses differ within a type."""
     identified: bool = False
-    """Whether masses, laws of touches and inertia are found by differences of simulated steps and
-    kept, as where bodies on planes turn, instead of learned by gradients."""
+    """Whether `identify_laws` finds bounce, friction and inertia, and not the gradient."""
     edge_types: int = 3
     """K of a filter: free, touch, then types that hold; of 2, free and hold. Others have 2."""
 
@@ -153,19 +153,10 @@ def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDy
     """As `gim_temp`, but the belief is a hidden Markov filter: see `TransitionEdges`."""
     model_key, messages_key, rates_key = jax.random.split(key, 3)
     model = gim_temp(config, key=model_key)
-    features = model.features
+    size, dynamics = model.features.edge_size(config.dimension), model.local_dynamics
     commands = max(0, config.control_size - config.dimension)
-    edge_size = features.edge_size(config.dimension) + 1 + commands + features.node_types
-    messages = EdgeNetwork(edge_size, config.width or 32, key=messages_key)
-    inference = TransitionEdges(
-        messages,
-        node_types=features.node_types,
-        edge_types=config.edge_types,
-        commands=commands,
-        min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
-        key=rates_key,
-    )
-    size, dynamics = features.edge_size(config.dimension), model.local_dynamics
+    sizes = size, model.features.node_types, commands
+    inference = _transitions(config, *sizes, messages_key, rates_key)
     types = list(dynamics.message_passing.types)  # the first type that holds
     for index in range(1, config.edge_types - 1):
         fresh = EdgeNetwork(size, config.width or 32, key=jax.random.fold_in(key, index))
@@ -193,10 +184,10 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         boxes=config.boxes,
         turning=tuple(config.inertia),
         turn_length=config.turn_length,
+        margin=config.margin,
     )
     driving = config.driving_size
     driving = min(config.dimension, config.control_size) if driving is None else driving
-    commands = config.control_size - driving
     head = BodyHead(
         width,
         features.node_types,
@@ -214,14 +205,8 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     head = with_slowing(head, [config.slowing.get(name, (0.0, 0.0)) for name in features.types])
     head = with_impacts(head, config.impacts, features.types)
     size = features.edge_size(config.dimension)
-    inference = TransitionEdges(
-        EdgeNetwork(size + 1 + commands + features.node_types, width, key=messages_key),
-        node_types=features.node_types,
-        edge_types=config.edge_types,
-        commands=commands,
-        min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
-        key=rates_key,
-    )
+    sizes = size, features.node_types, config.control_size - driving
+    inference = _transitions(config, *sizes, messages_key, rates_key)
     keys = (jax.random.fold_in(key, index) for index in range(config.edge_types - 1))
     types: list[MessagePassing | EdgeNetwork] = [EdgeNetwork(size, width, key=k) for k in keys]
     learned = not config.averaged
@@ -295,6 +280,19 @@ def paper_literal(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
 def paper_literal_no_gim(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     """The paper's own form without inference: every edge is active at every step."""
     return dataclasses.replace(paper_literal(config, key=key), inference=AllEdges())
+
+
+def _transitions(
+    config: ModelConfig, edge_size: int, node_types: int, commands: int, *keys: PRNGKeyArray
+) -> TransitionEdges:
+    return TransitionEdges(
+        EdgeNetwork(edge_size + 1 + commands + node_types, config.width or 32, key=keys[0]),
+        node_types=node_types,
+        edge_types=config.edge_types,
+        commands=commands,
+        min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
+        key=keys[1],
+    )
 
 
 def _cutoff(config: ModelConfig) -> SmoothCutoff:

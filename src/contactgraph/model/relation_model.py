@@ -22,6 +22,7 @@ from contactgraph.model.motion_noise import Motion, MotionNoise
 from contactgraph.model.neighbor_list import all_pairs
 from contactgraph.model.presets import ModelConfig
 from contactgraph.model.relations import StaticEdges, lasting_types, motion_sums, with_evidence
+from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 
 _EVERYWHERE = 1e9
@@ -49,9 +50,10 @@ class RelationModel(TrajectoryModel):
         control_displacement: Float[Array, "N D"] | None = None,
         command: Float[Array, " U"] | None = None,
         contact_distance: Float[Array, " E"] | None = None,
+        meeting: Meeting | None = None,
     ) -> EncodedGraph:
         """As of all models, with a last part of the embedding: 1 for active types within range."""
-        given = control_displacement, command, contact_distance
+        given = control_displacement, command, contact_distance, meeting
         graph = super().encode(position, velocity, nodes, *given)
         types = self.features.node_type(nodes, position.dtype)
         between = graph.geometry.distance, graph.geometry.edge_index, types

@@ -100,6 +100,11 @@ def take_step(
         velocity=velocity.astype(state.velocity.dtype),
         belief=cast_like(belief, state.belief),
     )
+    if linear.turn_length is not None:
+        # The same step, of a linear model: turns in space do not add up.
+        plain = dataclasses.replace(linear, turn_length=None)
+        off = position - plain(state.position, state.velocity, control)[0]
+        linear = dataclasses.replace(plain, offset=linear.offset.at[..., 0].add(off))
     return after, linear.control_sensitivity.astype(sensitivity.dtype), linear
 
 

@@ -12,6 +12,8 @@ from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.rotations import stepped_turns
+from contactgraph.model.shapes import Meeting
 
 _MIN_INVERSE_MASS = 1e-6
 
@@ -29,8 +31,7 @@ class ModelState(eqx.Module):
     """m; how far the next step's control alone moves each node, on which it depends whether bodies
     touch within the step. None: not known."""
     command: Float[Array, " U"] | None = None
-    """The next step's control, of which inference sees those components that move nothing, such as
-    a switch. None: not known, 0."""
+    """The next step's control, of which inference sees what moves nothing. None: not known, 0."""
 
 
 def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
@@ -54,6 +55,8 @@ class LinearDynamics(eqx.Module):
     unhindered: Float[Array, "*T N D W"] | None = None
     """Displacement of each node by what drives it, if no touch hindered it: see
     `ContactDynamics.drive`. None: it is driven by the control, and nothing hinders it."""
+    turn_length: float | None = eqx.field(static=True, default=None)
+    """m; the unit of turns in space, which do not add up: see `composed`. None: all else does."""
 
     @property
     def control_sensitivity(self) -> Float[Array, "*T N D W"]:
@@ -70,19 +73,19 @@ class LinearDynamics(eqx.Module):
         state = jnp.stack([position, velocity], axis=-1)
         moved = jnp.sum(self.A * state[..., None, :], axis=-1)
         moved = moved + jnp.sum(self.B * control, axis=-1) + self.offset
-        return moved[..., 0], moved[..., 1]
+        after, rate = moved[..., 0], moved[..., 1]
+        if self.turn_length is None:
+            return after, rate
+        return stepped_turns(position, after, self.turn_length), rate
 
     def then(self, after: "LinearDynamics") -> "LinearDynamics":
         """This step and the one after it, as one."""
-        A = after.A
-        unhindered = None
-        if self.unhindered is not None and after.unhindered is not None:
-            unhindered = self.unhindered + after.unhindered
         return LinearDynamics(
-            A=jnp.sum(A[..., None] * self.A[..., None, :, :], axis=-2),
-            B=jnp.sum(A[..., None] * self.B[..., None, :, :], axis=-2) + after.B,
-            offset=jnp.sum(A * self.offset[..., None, :], axis=-1) + after.offset,
-            unhindered=unhindered,
+            A=jnp.sum(after.A[..., None] * self.A[..., None, :, :], axis=-2),
+            B=jnp.sum(after.A[..., None] * self.B[..., None, :, :], axis=-2) + after.B,
+            offset=jnp.sum(after.A * self.offset[..., None, :], axis=-1) + after.offset,
+            unhindered=jax.tree.map(jnp.add, self.unhindered, after.unhindered),
+            turn_length=after.turn_length,
         )
 
     def stacked(self) -> tuple[Array, Array, Array]:
@@ -209,8 +212,9 @@ class EncodedGraph(eqx.Module):
     nodes: Nodes
     geometry: Geometry
     contact_points: Geometry
-    """The places at which the nodes of edges meet, one or more of each, the nearest of all edges
-    first."""
+    """The places at which nodes meet, one or more an edge, the nearest of all edges first."""
+    meeting: Meeting | None
+    """Those places as the positions tell them, of bodies with outlines."""
     edge_id: Int[Array, " E"] | None
     """`Edges.edge_id`."""
     node_features: Float[Array, "N F"]

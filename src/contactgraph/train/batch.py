@@ -210,7 +210,7 @@ def add_distractor(
     place = windows.position
     if windows.nodes.outlines is not None:
         # An outline lies within a circle about its node, which any turn of it keeps.
-        place = place[..., :2]
+        place = place[..., : windows.nodes.outlines.shape[-1]]
         wide = 2.0 * jnp.max(jnp.linalg.norm(windows.nodes.outlines, axis=-1))
         nearest, farthest = nearest + wide, farthest + wide
     drawn, clear = jax.vmap(

@@ -11,8 +11,8 @@ import numpy as np
 
 from contactgraph.data.actuation_fit import (
     ActuationFit,
+    checked_driving_components,
     distances,
-    driving_components,
     fit_actuation,
     fit_slowing,
     fit_theta,
@@ -113,7 +113,8 @@ class BodyDefaults:
     boxes: bool
     theta: float
     turn_length: float | None
-    inertia: dict[str, float]
+    margin: float
+    inertia: dict[str, np.ndarray]
     substeps: int
     slowing: dict[str, tuple[float, float]]
     impacts: dict[tuple[str, str], Impacts]
@@ -166,22 +167,10 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     """Raises `InvalidInputError` as `defaults_from_data`, where commands precede what drives, or
     where what drives acts on no node."""
     common = defaults_from_data(dataset)
-    drives = driving_components(dataset)
-    for index, each in enumerate(dataset):
-        acts = each.scene.control_of
-        if acts is not None and np.any(drives & ~acts.any(axis=0)):
-            raise InvalidInputError(
-                f"trajectory {index}: component {int(np.argmax(drives & ~acts.any(axis=0)))} of "
-                "the control, which drives, must act on a node (control_of)"
-            )
-    if not drives[: drives.sum()].all():
-        raise InvalidInputError(
-            "components of the control that drive bodies must come before commands, found "
-            f"{[bool(each) for each in drives]}"
-        )
+    drives = checked_driving_components(dataset)
     theta = fit_theta(dataset)
     averaged = theta > _AVERAGED
-    distance, boxes = common.contact_distance, False
+    distance, boxes, margin = common.contact_distance, False, 0.0
     turning = find_turning(dataset)
     outlined = turning and all(has_outline(each.scene).all() for each in dataset)
     if common.learned_contact_distance and turning is not None:
@@ -200,6 +189,8 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     apart = partial(distances, boxes=boxes)
     if turning is not None:
         apart = partial(outline_distances, contact_distance=distance)
+        if outlined and common.learned_contact_distance and dataset.dimension == 3:
+            margin = _contact_distance(dataset, apart).distance - distance
     substeps = 1 if turning is None or averaged else turning.substeps
     slowing = fit_slowing(dataset, distance, apart)
     borne = frozenset[str]() if turning is None else turning.borne
@@ -216,6 +207,7 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         boxes=boxes,
         theta=float(np.clip(0.5 + substeps * (theta - 0.5), 0.51, 0.99)),
         turn_length=None if turning is None else turning.turn_length,
+        margin=margin,
         inertia={} if turning is None else turning.inertia,
         substeps=substeps,
         slowing={name: found for name, found in slowing.items() if name not in borne},
@@ -223,8 +215,7 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         # that turn, nothing but the whole step.
         impacts={} if averaged or turning is not None else fit_impacts(dataset, actuation),
         varying_mass=masses_vary(dataset),
-        identified=bool(borne and outlined)
-        and not any(each.scene.actuated.any() for each in dataset),
+        identified=turning is not None and turning.undriven and bool(outlined),
     )
 
 

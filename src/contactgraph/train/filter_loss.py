@@ -75,7 +75,7 @@ def dynamics_loss(
 ) -> LossTerms:
     """One-step terms over a batch of windows, given the likeliest types."""
     steps = WindowSteps(model, windows, devices)
-    graph = steps.encode(judged.displacement)
+    graph = steps.encode(judged.displacement, judged.meeting)
 
     def compared(
         graph: EncodedGraph, types: Array, control: Array, after: Motion, unhindered: Motion
@@ -230,7 +230,7 @@ def _denial_score(
 def encoded_steps(model: ContactDynamics, windows: Window, judged: JudgedSteps) -> EncodedGraph:
     """[B, L, ...] the steps' graphs, with gradients of the inference alone."""
     learned = dataclasses.replace(without_gradient(model), inference=model.inference)
-    return WindowSteps(learned, windows, 1).encode(judged.displacement)
+    return WindowSteps(learned, windows, 1).encode(judged.displacement, judged.meeting)
 
 
 def predict_and_score(

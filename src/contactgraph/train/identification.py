@@ -4,6 +4,8 @@ The motion after an impact depends on its place and moment so steeply that gradi
 noise. A dozen numbers need none: differences of simulated steps tell them within seconds.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -93,7 +95,7 @@ def without_laws(updates: ContactDynamics) -> ContactDynamics:
     if not identifies_laws(updates):
         return updates
 
-    def kept(each: ContactDynamics) -> list[Array]:
+    def kept(each: Any) -> list[Array]:
         return [*_leaves(each), each.local_dynamics.discretization.raw]
 
     return eqx.tree_at(kept, updates, [jnp.zeros_like(each) for each in kept(updates)])

@@ -20,6 +20,7 @@ from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_likelihood import edge_log_ratios, motion_noise
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import no_sensitivity, with_control_displacement
+from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, ModelState
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.loss import WindowSteps
@@ -49,6 +50,8 @@ class JudgedSteps(eqx.Module):
     """The likeliest type of each edge in each step, one-hot."""
     unhindered: Motion
     """[B, L, N, D] m and m/s; where each step would lead without edges."""
+    meeting: Meeting | None
+    """[B, L, ...] `EncodedGraph.meeting`."""
     masses: MassBelief | None = None
     """[B, N] by the motion of all steps. None: bodies of a type weigh alike."""
 
@@ -146,11 +149,12 @@ def _judge_steps(model: ContactDynamics, windows: Window, devices: int) -> Judge
     free = steps.encode(None)
     inactive = jnp.zeros_like(free.prior).at[..., 0].set(1.0)
     sensitivity, unhindered = steps.each(linear, free, inactive, windows.control)
-    graph = steps.encode(steps.displacement(sensitivity))
+    graph = steps.encode(steps.displacement(sensitivity), free.meeting)
     ratio = steps.each(judge, graph, windows.control, steps.after)
     types = jax.vmap(likeliest_types)(graph.prior, ratio)
     sensitivity, _ = steps.each(linear, graph, types, windows.control)
-    return JudgedSteps(steps.displacement(sensitivity), ratio, types, unhindered)
+    displacement = steps.displacement(sensitivity)
+    return JudgedSteps(displacement, ratio, types, unhindered, free.meeting)
 
 
 class JudgedTrajectories(eqx.Module):
@@ -218,7 +222,7 @@ def predict_unobserved(
     on such rollouts, by the recorded motion. Bodies that did not touch in it were free in that
     step, wherever the rollout has them.
     """
-    recorded = WindowSteps(model, trajectories, 1).encode(judged.displacement)
+    recorded = WindowSteps(model, trajectories, 1).encode(judged.displacement, judged.meeting)
     touch = jnp.log(jnp.clip((1.0 - recorded.prior[..., 0]) / _APART, _LEAST, 1.0))
 
     def along(window: Window, ratio: Array, observed: Array) -> tuple[Array, ...]:
@@ -257,7 +261,10 @@ def predict_unobserved(
         velocity=trajectories.velocity.at[:, :-1].set(velocity),
     )
     displacement = jnp.where(begins[..., None], judged.displacement, displacement)
-    return replaced, dataclasses.replace(judged, displacement=displacement, log_ratio=ratio)
+    meeting = WindowSteps(model, replaced, 1).encode(displacement).meeting
+    return replaced, dataclasses.replace(
+        judged, displacement=displacement, log_ratio=ratio, meeting=meeting
+    )
 
 
 class SensorReports(eqx.Module):

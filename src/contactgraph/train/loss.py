@@ -15,6 +15,7 @@ from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.neighbor_list import edge_count
 from contactgraph.model.rollout import drive
+from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, LinearDynamics, ModelState, Nodes
 from contactgraph.train.batch import Window
 
@@ -169,19 +170,27 @@ class WindowSteps:
         states = windows.position[:, :-1], windows.velocity[:, :-1], windows.control
         return jax.vmap(along)(windows.nodes, *states)
 
-    def encode(self, control_displacement: Float[Array, "B L N D"] | None) -> EncodedGraph:
-        """Stage 1 of every step, from the recorded states."""
+    def encode(
+        self, control_displacement: Float[Array, "B L N D"] | None, meeting: Meeting | None = None
+    ) -> EncodedGraph:
+        """Stage 1 of every step, from the recorded states; ``meeting``: see `JudgedSteps`."""
         windows, (batch, length) = self.windows, self.windows.control.shape[:2]
         window = jnp.repeat(jnp.arange(batch)[:, None], length, axis=1)
 
         def encode(
-            window: Array, x: Array, v: Array, displacement: Array | None, command: Array
+            window: Array,
+            x: Array,
+            v: Array,
+            displacement: Array | None,
+            command: Array,
+            meeting: Meeting | None,
         ) -> EncodedGraph:
             nodes = jax.tree.map(lambda leaf: leaf[window], windows.nodes)
-            return self.model.encode(x, v, nodes, displacement, command)
+            return self.model.encode(x, v, nodes, displacement, command, None, meeting)
 
         states = windows.position[:, :-1], windows.velocity[:, :-1]
-        return self.each(encode, window, *states, control_displacement, windows.control)
+        given = control_displacement, windows.control, meeting
+        return self.each(encode, window, *states, *given)
 
     def predict_beliefs(self, graph: EncodedGraph) -> tuple[ContactBelief, ContactBelief]:
         """Prior and, by stage 2 in a scan over time, predicted belief of every step."""

@@ -11,16 +11,19 @@ from jaxtyping import Array
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.graph import pair_indices, passive_nodes
-from contactgraph.data.scene import Scene, signed_area
+from contactgraph.data.outlines import hull_moments, signed_area
+from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.data.trajectory_batch import pad_nodes
-from contactgraph.model.polygons import contact_points, placed
+from contactgraph.data.turns import generalized_coordinates
+from contactgraph.model.polygons import contact_points
+from contactgraph.model.rotations import placed
 
 _NEAREST = 0.005
 """Share of the states that may lie nearer to a plane than a body that touches it."""
 _TURNS = 1e-3
 """rad; by which a body must turn, so that it counts as one that does."""
-_FAST, _LITTLE = 0.99, 0.1
+_FAST, _LITTLE = 0.99, 0.05
 """Quantile of turns in a step of bodies on planes, and that in each of its parts, rad: where a body
 touches turns with it."""
 
@@ -31,15 +34,18 @@ class Turning:
 
     turn_length: float
     """m; their radius of gyration: see `generalized_coordinates`."""
-    inertia: dict[str, float]
-    """Squared radius of gyration of each type that turns, of uniform density, in units of it."""
+    inertia: dict[str, np.ndarray]
+    """Squared radius of gyration of each type that turns, of uniform density, in units of it; in
+    space [3], about the axes of the body."""
     size: float
-    """m; root of the area of the smallest polygon."""
+    """m; root of the area of the smallest polygon, or the cube root of a volume."""
     borne: frozenset[str]
     """Those of the types that lie or fall on planes, whose friction slows them."""
     substeps: int
     """Parts of a step in which those turn little; 1 where bodies are driven, since places within
     a step would depend on the control."""
+    undriven: bool
+    """Whether some types are borne by planes, and nothing is driven."""
 
 
 def find_turning(dataset: Dataset) -> Turning | None:
@@ -48,71 +54,93 @@ def find_turning(dataset: Dataset) -> Turning | None:
     Of passive bodies on planes, under gravity, any orientation will do: what holds them upright is
     their outline.
     """
-    squares: dict[str, list[float]] = {}
-    areas, borne, turns_in_step = [], set[str](), [np.zeros(1)]
+    squares: dict[str, list[np.ndarray]] = {}
+    sizes, borne, turns_in_step = [], set[str](), [np.zeros(1)]
     for each in dataset:
         if each.orientation is None or each.angular_velocity is None or not each.scene.polygons:
             return None
-        turns = np.nan_to_num(np.ptp(each.orientation[..., 0], axis=0)) > _TURNS
+        turned = np.any(np.nan_to_num(np.ptp(_turns(each), axis=0)) > _TURNS, axis=-1)
         on_floor = _has_floor(each.scene)
         if on_floor:
-            turns_in_step.append(np.abs(each.scene.dt * each.angular_velocity).ravel())
-            turns |= passive_nodes(each.scene)
+            rate = np.linalg.norm(each.angular_velocity, axis=-1)
+            turns_in_step.append(each.scene.dt * rate.ravel())
+            turned |= passive_nodes(each.scene)
         for node, name in enumerate(each.scene.node_type):
-            outlines = each.scene.outlines_of(node)
-            areas += [signed_area(outline) for outline in outlines]
-            if outlines and turns[node]:
-                squares.setdefault(name, []).append(_gyration_square(outlines))
-                borne |= {name} if on_floor else set()
+            moments = [_moments(outline) for outline in each.scene.outlines_of(node)]
+            sizes += [size ** (1.0 / each.scene.dimension) for size, _ in moments]
+            if moments and turned[node]:
+                total = sum(size for size, _ in moments)
+                whole = sum(size * square for size, square in moments) / total
+                squares.setdefault(name, []).append(np.asarray(whole))
+                borne |= {name} if on_floor and each.scene.dimension == 2 else set()
     if not squares:
         return None
-    means = {name: float(np.mean(found)) for name, found in squares.items()}
+    means = {name: np.mean(found, axis=0) for name, found in squares.items()}
     square = float(np.mean(list(means.values())))
     inertia = {name: found / square for name, found in means.items()}
     driven = any(each.scene.actuated.any() for each in dataset)
     fast = float(np.nanquantile(np.concatenate(turns_in_step), _FAST))
     substeps = 1 if driven else max(1, math.ceil(fast / _LITTLE))
-    size = float(min(areas)) ** 0.5
-    return Turning(square**0.5, inertia, size, frozenset(borne), substeps)
+    return Turning(
+        square**0.5,
+        inertia,
+        float(min(sizes)),
+        frozenset(borne),
+        substeps,
+        undriven=bool(borne) and not driven,
+    )
 
 
 def _has_floor(scene: Scene) -> bool:
     return scene.has_weight and scene.planes is not None and len(scene.planes) > 0
 
 
-def _gyration_square(outlines: list[np.ndarray]) -> float:
-    """m^2, about the body's origin: the polar second moment of area over the area."""
-    total = moment = 0.0
-    for outline in outlines:
-        following = np.roll(outline, -1, axis=0)
-        cross = outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]
-        squares = np.sum(outline**2 + outline * following + following**2, axis=1)
-        total, moment = total + float(np.sum(cross)) / 2.0, moment + float(cross @ squares) / 12.0
-    return moment / total
+def _turns(trajectory: Trajectory) -> np.ndarray:
+    """[T+1, N, 1 or 3] rad."""
+    assert trajectory.orientation is not None and trajectory.angular_velocity is not None
+    moved = generalized_coordinates(
+        1.0,
+        trajectory.position,
+        trajectory.velocity,
+        trajectory.orientation,
+        trajectory.angular_velocity,
+    )
+    return moved[0][..., trajectory.scene.dimension :]
+
+
+def _moments(outline: np.ndarray) -> tuple[float, np.ndarray]:
+    """The area, m^2, and the squared radius of gyration, m^2, about the body's origin; in space the
+    volume, m^3, and the three about its axes."""
+    if outline.shape[1] == 3:
+        return hull_moments(outline)
+    following = np.roll(outline, -1, axis=0)
+    cross = outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]
+    squares = np.sum(outline**2 + outline * following + following**2, axis=1)
+    area = signed_area(outline)
+    return area, np.asarray(float(cross @ squares) / 12.0 / area)
 
 
 def outline_gaps(trajectory: Trajectory) -> np.ndarray:
     """[T+1, N, N] m: between the outlines of bodies, or the centres of those that have none; below
     0 where they overlap, and infinite of a body from itself."""
-    scene, orientation = trajectory.scene, trajectory.orientation
-    assert orientation is not None
+    scene = trajectory.scene
     count = scene.node_count
     gaps = np.full((len(trajectory.position), count, count), np.inf)
     pairs = pair_indices(count)
     if len(pairs):
         outlines = jnp.asarray(pad_nodes(scene, count).outlines)
-        angle = jnp.asarray(np.nan_to_num(orientation[..., 0]))
-        found = _gaps(outlines, jnp.asarray(trajectory.position), angle, jnp.asarray(pairs.T))
+        position = np.concatenate([trajectory.position, np.nan_to_num(_turns(trajectory))], axis=-1)
+        found = _gaps(outlines, jnp.asarray(position), jnp.asarray(pairs.T))
         gaps[:, pairs[:, 0], pairs[:, 1]] = gaps[:, pairs[:, 1], pairs[:, 0]] = found
     return gaps
 
 
 @jax.jit
-def _gaps(outlines: Array, position: Array, angle: Array, edge_index: Array) -> Array:
-    def at(position: Array, angle: Array) -> Array:
-        return contact_points(placed(outlines, position, angle), edge_index, 1.0).gap[:, 0]
+def _gaps(outlines: Array, position: Array, edge_index: Array) -> Array:
+    def at(position: Array) -> Array:
+        return contact_points(placed(outlines, position, 1.0), edge_index, 1.0).gap[:, 0]
 
-    return jax.vmap(at)(position, angle)
+    return jax.lax.map(at, position)
 
 
 def outline_distances(trajectory: Trajectory, contact_distance: float) -> np.ndarray:
@@ -135,9 +163,10 @@ def plane_distances(dataset: Dataset, shaped: Collection[str]) -> dict[str, floa
     """How near each type comes to any plane, m, but for the nearest of its states.
 
     Of a type that planes do not stop: how far it gets behind them, below 0. Outlines of the types
-    ``shaped`` touch planes themselves.
+    ``shaped`` touch planes themselves; in space at the height at which they mostly are.
     """
     heights: dict[str, list[np.ndarray]] = {}
+    planar = dataset.trajectories[0].scene.dimension == 2
     for each in dataset:
         planes = each.scene.planes
         if planes is not None and len(planes):
@@ -151,8 +180,15 @@ def plane_distances(dataset: Dataset, shaped: Collection[str]) -> dict[str, floa
         near = float(np.quantile(height, _NEAREST))
         nearest[name] = near if near > 0.0 else float(height.min())
         if name in shaped:
-            nearest[name] = min(near, 0.0)
+            nearest[name] = min(near, 0.0) if planar else _densest(height)
     return nearest
+
+
+def _densest(values: np.ndarray) -> float:
+    """In the middle of the shortest interval that holds a tenth of the values."""
+    values, count = np.sort(values), max(1, len(values) // 10)
+    begin = int(np.argmin(values[count:] - values[:-count]))
+    return float(0.5 * (values[begin] + values[begin + count]))
 
 
 def plane_heights(trajectory: Trajectory) -> np.ndarray:

@@ -175,7 +175,7 @@ def _scene(scene: SceneTrajectory) -> dict[str, object]:
         "anchor": None if static.anchor is None else _rows(static.anchor),
         "planes": None if static.planes is None or scene.dimension != 2 else static.planes.tolist(),
         "outlines": _outlines(scene),
-        "orientation": _floats(scene.trajectory.orientation) if static.polygons else None,
+        "orientation": _floats(scene.trajectory.orientation) if _outlines(scene) else None,
         "box": [None] * scene.node_count if static.size is None else _rows(static.size),
         "goal": None if scene.goal is None else [_number(value) for value in scene.goal],
         "goalRadius": _number(scene.goal_radius),
@@ -228,9 +228,9 @@ def _rows(values: np.ndarray) -> list[list[float] | None]:
 
 
 def _outlines(scene: SceneTrajectory) -> list[list[list[list[float]]]] | None:
-    """The polygons of each node; None where no node has one."""
+    """The polygons of each node in the plane; None where no node has one."""
     static = scene.trajectory.scene
-    nodes = range(scene.node_count) if static.polygons else ()
+    nodes = range(scene.node_count) if static.polygons and scene.dimension == 2 else ()
     return [[each.tolist() for each in static.outlines_of(node)] for node in nodes] or None
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Circle, Polygon
+from scipy.spatial import ConvexHull
 
 from contactgraph.viz.scene_trajectory import SceneTrajectory
 from contactgraph.viz.selection import Ground, ground_of, involved_nodes
@@ -43,7 +44,7 @@ def draw_bodies(axes: Axes, scene: SceneTrajectory, state: int, involved: list[i
         width = 2.0 if scene.actuated[node] else 1.1
         outlines, bar, box = scene.trajectory.outlines_of(node), scene.bar(node), scene.box(node)
         if outlines:
-            _draw_outlines(axes, [outline[state] for outline in outlines], colour, width)
+            _draw_outlines(axes, [_shown(each[state], scene) for each in outlines], colour, width)
         elif bar is not None:
             _draw_bar(axes, scene.projection(bar[state]), float(scene.radius[node]), colour, width)
         elif box is not None:
@@ -55,6 +56,14 @@ def draw_bodies(axes: Axes, scene: SceneTrajectory, state: int, involved: list[i
             fill = _pale(colour) if scene.dimension < 3 else (*to_rgb(colour), 0.3)
             circle = Circle((x, y), scene.radius[node], fc=fill, ec=colour, lw=width, zorder=3)
             axes.add_artist(circle)
+
+
+def _shown(outline: np.ndarray, scene: SceneTrajectory) -> np.ndarray:
+    """[V, 2] m, the outline as it is seen."""
+    if scene.dimension < 3:
+        return outline
+    points = scene.projection(outline)
+    return np.asarray(points[ConvexHull(points).vertices])
 
 
 def _pale(colour: str, share: float = 0.3) -> np.ndarray:
@@ -142,7 +151,7 @@ def scene_limits(scene: SceneTrajectory) -> tuple[np.ndarray, np.ndarray]:
             lows.append(ends - scene.radius[node])
             highs.append(ends + scene.radius[node])
         for outline in scene.trajectory.outlines_of(node):
-            lows.append(outline.reshape(-1, 2))
+            lows.append(scene.projection(outline).reshape(-1, 2))
             highs.append(lows[-1])
     if scene.link_positions is not None:
         lows.append(scene.projection(scene.link_positions).reshape(-1, 2))

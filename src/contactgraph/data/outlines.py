@@ -1,0 +1,140 @@
+"""Outlines of recorded bodies: convex polygons in the plane, convex hulls of points in space."""
+
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from contactgraph.data.errors import InvalidInputError
+
+_FLAT = 1e-9
+"""One minus the cosine of the angle of two triangles of one face."""
+
+
+def hull_rows(points: np.ndarray) -> np.ndarray:
+    """[V, 5, 3] m: the surface of the convex hull of points [n, 3] m, row by row.
+
+    A row holds the corners of a triangle, counter-clockwise from outside, and the two ends of an
+    edge. The rows hold all triangles and all edges, some of them twice, and every vertex begins the
+    edge of some row. Raises `InvalidInputError` where the points lie in a plane.
+    """
+    rounded = np.asarray(points, np.float64)
+    return _hull_rows(rounded.tobytes())
+
+
+@lru_cache(maxsize=256)
+def _hull_rows(data: bytes) -> np.ndarray:
+    points = np.frombuffer(data).reshape(-1, 3)
+    hull = _hull(points)
+    corners, normal = hull.simplices.copy(), hull.equations[:, :3]
+    one, other, third = points[corners].swapaxes(0, 1)
+    inward = np.sum(np.cross(other - one, third - one) * normal, axis=1) < 0.0
+    corners[inward] = corners[inward][:, ::-1]
+    edges: set[tuple[int, int]] = set()
+    for index, around in enumerate(hull.neighbors):
+        for corner, neighbour in enumerate(around):
+            if neighbour > index and normal[index] @ normal[neighbour] < 1.0 - _FLAT:
+                ends = np.delete(hull.simplices[index], corner)
+                edges.add((int(ends.min()), int(ends.max())))
+    begins = _begun(sorted(edges))
+    count = max(len(corners), len(begins))
+    rows = [corners[np.arange(count) % len(corners)], begins[np.arange(count) % len(begins)]]
+    found = points[np.concatenate(rows, axis=1)]
+    found.flags.writeable = False
+    return found
+
+
+def _hull(points: np.ndarray) -> Any:
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
+    try:
+        return ConvexHull(points)
+    except (QhullError, ValueError):
+        raise InvalidInputError(
+            f"polygons in space must be at least 4 points that do not lie in a plane, found "
+            f"{points.tolist()}"
+        ) from None
+
+
+def _begun(edges: list[tuple[int, int]]) -> np.ndarray:
+    """[edges, 2] the ends, in such an order that every vertex begins one of them."""
+    from scipy.optimize import linear_sum_assignment
+
+    vertices = sorted({each for edge in edges for each in edge})
+    apart = np.array([[float(vertex not in edge) for edge in edges] for vertex in vertices])
+    begins = dict(zip(*linear_sum_assignment(apart)[::-1], strict=True))
+    return np.array(
+        [
+            edge[::-1] if index in begins and vertices[begins[index]] == edge[1] else edge
+            for index, edge in enumerate(edges)
+        ]
+    )
+
+
+def hull_moments(points: np.ndarray) -> tuple[float, np.ndarray]:
+    """The volume, m^3, and the squared radii of gyration [3], m^2, about the axes of the frame."""
+    corners = hull_rows(points)[: len(_hull(points).simplices), :3]
+    one, other, third = corners.swapaxes(0, 1)
+    # Of tetrahedra from the origin.
+    volume = np.sum(np.cross(one, other) * third, axis=1) / 6.0
+    square = one**2 + other**2 + third**2 + one * other + other * third + third * one
+    moment = volume @ square / 10.0
+    return float(volume.sum()), (moment.sum() - moment) / volume.sum()
+
+
+def checked_polygons(
+    polygons: tuple[np.ndarray, ...] | None,
+    polygon_of: np.ndarray | None,
+    count: int,
+    dimension: int,
+) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """`Scene.polygons` and `Scene.polygon_of` as arrays; raises `InvalidInputError` where they do
+    not fit a scene of ``count`` nodes."""
+    if polygons is None or polygon_of is None:
+        raise InvalidInputError("polygons and polygon_of must be given together")
+    if dimension not in (2, 3):
+        raise InvalidInputError(f"polygons need a scene of 2 or 3 dimensions, found {dimension}")
+    checked = tuple(np.asarray(each, dtype=np.float64) for each in polygons)
+    nodes = np.asarray(polygon_of, dtype=np.int64)
+    if nodes.shape != (len(checked),):
+        raise InvalidInputError(
+            f"polygon_of must have one entry a polygon, shape ({len(checked)},), "
+            f"found {nodes.shape}"
+        )
+    if nodes.size and (nodes.min() < 0 or nodes.max() >= count):
+        raise InvalidInputError(f"polygon_of must name nodes 0 to {count - 1}")
+    for index, outline in enumerate(checked):
+        least = dimension + 1
+        if outline.ndim != 2 or outline.shape[1] != dimension or len(outline) < least:
+            raise InvalidInputError(
+                f"polygons must have shape (V, {dimension}) with V >= {least}, found "
+                f"{outline.shape} in polygon {index}"
+            )
+        finite = bool(np.isfinite(outline).all())
+        if dimension == 3 and finite:
+            hull_rows(outline)
+        elif not (finite and _is_convex(outline)):
+            raise InvalidInputError(
+                f"polygons must be finite and convex, found {outline.tolist()} in polygon {index}"
+            )
+    return checked, nodes
+
+
+def _is_convex(outline: np.ndarray) -> bool:
+    """Whether all corners turn the same way; [V, 2]."""
+    side = np.roll(outline, -1, axis=0) - outline
+    following = np.roll(side, -1, axis=0)
+    turn = side[:, 0] * following[:, 1] - side[:, 1] * following[:, 0]
+    return bool(turn.any() and (np.all(turn >= 0.0) or np.all(turn <= 0.0)))
+
+
+def signed_area(outline: np.ndarray) -> float:
+    """m^2, of an outline [V, 2] m; positive where it runs counter-clockwise."""
+    following = np.roll(outline, -1, axis=0)
+    return float(0.5 * np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))
+
+
+def rows_of(polygons: Iterable[np.ndarray] | None) -> list[np.ndarray]:
+    """[V, 2] m: their corners in the plane; [V, 5, 3] m: the `hull_rows` in space."""
+    return [each if each.shape[1] == 2 else hull_rows(each) for each in polygons or ()]

@@ -1,0 +1,115 @@
+"""Turns of recorded bodies: angles in the plane, quaternions and rotation vectors in space."""
+
+import numpy as np
+
+_SMALL = 1e-9
+
+
+def coordinate_count(dimension: int, turn_length: float | None) -> int:
+    """G, the coordinates of a body of `generalized_coordinates`."""
+    return dimension if turn_length is None else 3 * (dimension - 1)
+
+
+def generalized_coordinates(
+    turn_length: float | None,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    orientation: np.ndarray | None = None,
+    angular_velocity: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [..., G] m and velocities [..., G] m/s of bodies, with their turn in lengths.
+
+    The first D are those given. Then come, unless ``turn_length`` [m] is None, the angle [rad] in
+    the plane times that length, and its rate; in space the `rotation_vectors` times that length,
+    and the angular velocity about the body's own axes. They are NaN where they are not known.
+    """
+    if turn_length is None:
+        return position, velocity
+    dimension = position.shape[-1]
+    unknown = np.full((*position.shape[:-1], coordinate_count(dimension, 1.0) - dimension), np.nan)
+    turn = rate = unknown
+    if orientation is not None and dimension == 3:
+        turn = rotation_vectors(orientation)
+        rate = unknown if angular_velocity is None else turned_back(turn, angular_velocity)
+    elif orientation is not None:
+        turn, rate = orientation, unknown if angular_velocity is None else angular_velocity
+    return (
+        np.concatenate([position, turn_length * turn], axis=-1),
+        np.concatenate([velocity, turn_length * rate], axis=-1),
+    )
+
+
+def rotation_vectors(orientation: np.ndarray) -> np.ndarray:
+    """[..., 3] rad, of unit quaternions (w, x, y, z); NaN stays.
+
+    Along the first axis of an array [T, N, 4], time, they continue without jumps, beyond half a
+    turn. Whole turns make no difference, so that the first and those of other arrays are at most
+    half a turn.
+    """
+    flipped = np.where(orientation[..., :1] < 0.0, -orientation, orientation)
+    scalar, vector = flipped[..., :1], flipped[..., 1:]
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit = np.where(length > _SMALL, vector / length, 0.0)
+    turn = 2.0 * np.arctan2(length, scalar) * unit
+    if turn.ndim == 3:
+        for step in range(1, len(turn)):
+            turn[step] = near_turn(turn[step], turn[step - 1])
+    return np.asarray(turn)
+
+
+def near_turn(turn: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """[..., 3] rad: of the rotation vectors that are equal to ``turn``, the nearest to another."""
+    length, far = (np.linalg.norm(each, axis=-1, keepdims=True) for each in (turn, other))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        axis = np.where(length > _SMALL, turn / length, np.where(far > _SMALL, other / far, 0.0))
+    whole = np.round(np.sum((other - turn) * axis, axis=-1, keepdims=True) / (2.0 * np.pi))
+    return turn + 2.0 * np.pi * np.nan_to_num(whole) * axis
+
+
+def turned_back(turn: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """[..., 3] vectors of the world in the frames of bodies with rotation vectors ``turn``, rad."""
+    return turned_by(-turn, vector)
+
+
+def turned_by(turn: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """[..., 3] vectors, turned by rotation vectors ``turn`` [..., 3] rad."""
+    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        axis = np.where(angle > 0.0, turn / angle, 0.0)
+    across = np.cross(axis, vector)
+    return np.asarray(
+        vector + np.sin(angle) * across + (1.0 - np.cos(angle)) * np.cross(axis, across)
+    )
+
+
+def quaternions(turn: np.ndarray) -> np.ndarray:
+    """[..., 4] unit quaternions (w, x, y, z) of rotation vectors [..., 3] rad."""
+    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        axis = np.where(angle > 0.0, turn / angle, 0.0)
+    return np.concatenate([np.cos(0.5 * angle), np.sin(0.5 * angle) * axis], axis=-1)
+
+
+def turn_between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """[...] rad, at least 0: the angle of the turn from one orientation to another, which are
+    angles [..., 1] in the plane and rotation vectors [..., 3] in space; NaN stays."""
+    if one.shape[-1] == 1:
+        return np.abs(one - other)[..., 0]
+    first, second = quaternions(one), quaternions(other)
+    vector = first[..., :1] * second[..., 1:] - second[..., :1] * first[..., 1:]
+    vector = vector - np.cross(first[..., 1:], second[..., 1:])
+    scalar = np.abs(np.sum(first * second, axis=-1))
+    return np.asarray(2.0 * np.arctan2(np.linalg.norm(vector, axis=-1), scalar))
+
+
+def turned_on(turn: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Orientations, as in `turn_between`, of bodies that turn on ``by`` about their own axes."""
+    if turn.shape[-1] == 1:
+        return turn + by
+    first, second = quaternions(turn), quaternions(by)
+    scalar = first[..., :1] * second[..., :1]
+    scalar = scalar - np.sum(first[..., 1:] * second[..., 1:], axis=-1, keepdims=True)
+    vector = first[..., :1] * second[..., 1:] + second[..., :1] * first[..., 1:]
+    vector = vector + np.cross(first[..., 1:], second[..., 1:])
+    return rotation_vectors(np.concatenate([scalar, vector], axis=-1)[None])[0]

@@ -1,0 +1,359 @@
+"""Bodies that turn in space: features against MuJoCo, levers, turns that do not add up, steps."""
+
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from contactgraph.data import Scene, generalized_coordinates
+from contactgraph.data.outlines import hull_moments, hull_rows
+from contactgraph.data.trajectory_batch import pad_nodes
+from contactgraph.data.turns import quaternions, turn_between
+from contactgraph.model import (
+    ContactDynamics,
+    ModelConfig,
+    ModelState,
+    bodies,
+    load_model,
+    save_model,
+    scene_nodes,
+)
+from contactgraph.model.polygons import contact_points, plane_points
+from contactgraph.model.rotations import composed, levers, placed, rotation_matrix
+
+pytestmark = pytest.mark.usefixtures("double_precision")
+
+DT, LENGTH = 0.02, 0.05
+HALF = np.array([0.05, 0.03, 0.02])
+SIGNS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0
+BOX = HALF * SIGNS
+EDGE = jnp.array([[0], [1]])
+
+
+def scene(shapes: list[np.ndarray | None], **options) -> Scene:
+    known = [node for node, each in enumerate(shapes) if each is not None]
+    return Scene(
+        node_name=tuple(f"body-{node}" for node in range(len(shapes))),
+        node_type=tuple("ball" if each is None else "box" for each in shapes),
+        actuated=np.zeros(len(shapes), bool),
+        dt=DT,
+        dimension=3,
+        polygons=tuple(shapes[node] for node in known),
+        polygon_of=np.array(known),
+        **options,
+    )
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def nearest(shapes, position):
+    return contact_points(placed(shapes, position, 1.0), EDGE, LENGTH)
+
+
+def drawn(count: int, reach: float, seed: int = 0) -> np.ndarray:
+    """[count, 2, 6] m and rad"""
+    rng = np.random.default_rng(seed)
+    position = np.zeros((count, 2, 6))
+    position[:, 1, :3] = rng.uniform(-reach, reach, (count, 3))
+    position[:, :, 3:] = Rotation.random(2 * count, rng).as_rotvec().reshape(count, 2, 3)
+    return position
+
+
+def mujoco_distances(kind: str, size: str, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances, and points of both, of a box from another body."""
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><body mocap="true"><geom type="box" size="0.05 0.03 0.02"/></body>'
+        f'<body mocap="true"><geom type="{kind}" size="{size}"/></body></worldbody></mujoco>'
+    )
+    data, found, ends = mujoco.MjData(model), [], []
+    for state in position:
+        data.mocap_pos[:] = state[:, :3]
+        data.mocap_quat[:] = quaternions(state[:, 3:])
+        mujoco.mj_kinematics(model, data)
+        between = np.zeros(6)
+        found.append(mujoco.mj_geomDistance(model, data, 0, 1, 1.0, between))
+        ends.append(between.reshape(2, 3))
+    return np.array(found), np.array(ends)
+
+
+def test_a_box_and_a_ball_are_as_far_apart_as_mujoco_says() -> None:
+    position = drawn(2000, 0.1)
+    outlines = pad_nodes(scene([BOX, None]), 2).outlines
+    points = nearest(outlines, position)
+    gap = np.asarray(points.gap)[:, 0, 0] - 0.01
+    expected, ends = mujoco_distances("sphere", "0.01", position)
+    apart = expected > 0.0
+    assert 0.5 < apart.mean() < 0.95
+    np.testing.assert_allclose(gap[apart], expected[apart], rtol=2e-4, atol=1e-5)
+    np.testing.assert_allclose(np.asarray(points.on_first)[apart, 0, 0], ends[apart, 0], atol=2e-3)
+    # A centre inside lies as deep as the nearest face.
+    inside = Rotation.from_rotvec(position[:, 0, 3:]).inv().apply(position[:, 1, :3])
+    depth = np.max(np.abs(inside) - HALF, axis=1)
+    deep = depth < 0.0
+    assert deep.sum() > 20
+    np.testing.assert_allclose(gap[deep], depth[deep] - 0.01, atol=1e-6)
+    assert np.all(np.asarray(points.gap)[:, 0, 1:] > 1.0), "one point, of a ball"
+
+
+def test_two_boxes_are_as_far_apart_as_mujoco_says() -> None:
+    position = drawn(3000, 0.12, seed=1)
+    outlines = pad_nodes(scene([BOX, BOX]), 2).outlines
+    gap = np.asarray(nearest(outlines, position).gap)[:, 0, 0]
+    expected, _ = mujoco_distances("box", "0.05 0.03 0.02", position)
+    apart = expected > 1e-4
+    assert 0.5 < apart.mean() < 0.95
+    np.testing.assert_allclose(gap[apart], expected[apart], rtol=1e-3, atol=2e-4)
+    touching = (expected < 0.0) & (expected > -1e-3)
+    assert touching.sum() >= 5
+    np.testing.assert_allclose(gap[touching], expected[touching], atol=2e-4)
+
+
+def test_a_box_on_a_box_touches_it_at_the_corners_of_their_common_face() -> None:
+    """Corners of one box, and places where edges of both cross."""
+    position = np.zeros((1, 2, 6))
+    position[0, 1] = [0.04, 0.035, 0.0401, 0.0, 0.0, 0.0]
+    found = nearest(pad_nodes(scene([BOX, BOX]), 2).outlines, position)
+    np.testing.assert_allclose(found.gap[0, 0], 1e-4, atol=1e-9)
+    np.testing.assert_allclose(found.normal[0, 0], [[0.0, 0.0, 1.0]] * 4, atol=1e-9)
+    corners = sorted(np.asarray(found.on_first[0, 0, :, :2]).round(9).tolist())
+    np.testing.assert_allclose(
+        corners, [[-0.01, 0.005], [-0.01, 0.03], [0.05, 0.005], [0.05, 0.03]]
+    )
+    heights, lowest = plane_points(
+        placed(
+            jnp.asarray(pad_nodes(scene([BOX, BOX]), 2).outlines), jnp.asarray(position[0]), 1.0
+        ),
+        jnp.array([[0.0, 0.0, 1.0, -0.02]]),
+        LENGTH,
+    )
+    np.testing.assert_allclose(heights[0, 0], 0.0, atol=1e-12)
+    assert len(np.unique(np.asarray(lowest[0, 0]).round(9), axis=0)) == 4
+
+
+def test_the_rows_of_a_hull_hold_its_surface() -> None:
+    rng = np.random.default_rng(3)
+    for points, edges in ((BOX, 12), (rng.normal(size=(9, 3)), None)):
+        rows = hull_rows(points)
+        begins = {tuple(each) for each in rows[:, 3]}
+        assert begins == {tuple(each) for each in rows.reshape(-1, 3)}
+        found = {frozenset(map(tuple, each)) for each in rows[:, 3:]}
+        assert edges is None or len(found) == edges
+        corners = rows[:, :3] - points.mean(axis=0)
+        outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        assert np.all(np.sum(outward * corners[:, 0], axis=1) > 0.0)
+    volume, square = hull_moments(BOX)
+    np.testing.assert_allclose(volume, 8.0 * np.prod(HALF))
+    np.testing.assert_allclose(square, ((HALF**2).sum() - HALF**2) / 3.0)
+
+
+def test_turns_in_space_are_composed() -> None:
+    rng = np.random.default_rng(4)
+    turn, by = rng.normal(size=(500, 3)), 0.1 * rng.normal(size=(500, 3))
+    found = np.array(composed(jnp.asarray(turn), jnp.asarray(by)))
+    expected = Rotation.from_rotvec(turn) * Rotation.from_rotvec(by)
+    assert np.max((Rotation.from_rotvec(found).inv() * expected).magnitude()) < 1e-7
+    matrix = rotation_matrix(jnp.asarray(found))
+    np.testing.assert_allclose(matrix, expected.as_matrix(), atol=1e-7)
+    assert np.max(np.linalg.norm(found - turn - by, axis=1)) < 1.0, "it continues without a jump"
+    spin = jnp.array([[0.0, 0.0, 2.0 * np.pi - 1e-3], [0.0, 0.0, 0.0]])
+    by = jnp.array([[0.0, 0.0, 2e-3], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(composed(spin, by), spin + by, atol=1e-9)
+
+
+def test_recorded_turns_continue_and_become_rotation_vectors() -> None:
+    angle = np.linspace(0.0, 9.0 * np.pi, 200)
+    axis = np.array([0.6, 0.0, 0.8])
+    quaternion = np.roll(Rotation.from_rotvec(angle[:, None] * axis).as_quat(), 1, axis=1)
+    quaternion[::3] *= -1.0
+    rate = np.broadcast_to([0.0, 1.0, 0.0], (200, 1, 3))
+    still = np.zeros((200, 1, 3))
+    found, velocity = generalized_coordinates(0.02, still, still, quaternion[:, None], rate)
+    np.testing.assert_allclose(found[:, 0, 3:], 0.02 * angle[:, None] * axis, atol=1e-9)
+    own = Rotation.from_rotvec(angle[:, None] * axis).inv().apply(rate[:, 0].copy())
+    np.testing.assert_allclose(velocity[:, 0, 3:], 0.02 * own, atol=1e-12)
+
+
+def test_levers_tell_how_the_points_of_a_body_move() -> None:
+    position, unit = jnp.asarray(drawn(1, 0.1, seed=5)[0]), 0.03
+    position = position.at[:, 3:].multiply(unit)
+    corners, rng = jnp.asarray(BOX)[None].repeat(2, 0), np.random.default_rng(6)
+    velocity, small = jnp.asarray(rng.normal(size=(2, 6))), 1e-6
+
+    def after(share: float):
+        turn = composed(position[:, 3:] / unit, share * velocity[:, 3:] / unit)
+        moved = position.at[:, :3].add(share * velocity[:, :3]).at[:, 3:].set(unit * turn)
+        return placed(corners, moved, unit).reshape(-1, 3)
+
+    node = jnp.repeat(jnp.arange(2), 8)
+    jacobian = levers(after(0.0), position, jnp.ones(2), node, unit)
+    found = jnp.einsum("cdg,cg->cd", jacobian, velocity[node])
+    np.testing.assert_allclose(found, (after(small) - after(-small)) / (2 * small), atol=1e-6)
+
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+FLOOR = np.array([[0.0, 0.0, 1.0, 0.0]])
+SQUARE = hull_moments(BOX)[1]
+TURN_LENGTH = float(np.sqrt(SQUARE.mean()))
+CONFIG = ModelConfig(
+    3,
+    0,
+    DT,
+    LENGTH,
+    width=4,
+    node_types=("box",),
+    plane_distance={"box": 0.0},
+    turn_length=TURN_LENGTH,
+    inertia={"box": SQUARE / TURN_LENGTH**2},
+    learned_contact_distance=False,
+)
+
+
+@cache
+def model() -> ContactDynamics:
+    """Boxes without friction against the air."""
+    slippery = [jnp.full(1, -10.0)] * 2
+    return eqx.tree_at(
+        lambda each: (
+            each.local_dynamics.head.damper_raw,
+            each.local_dynamics.head.deceleration_raw,
+        ),
+        bodies(CONFIG, key=jax.random.key(0)),
+        slippery,
+    )
+
+
+@eqx.filter_jit
+def follow(model: ContactDynamics, nodes, start, steps: int) -> ModelState:
+    position, velocity = (jnp.asarray(each) for each in start)
+    belief = model.initial_belief(position, velocity, nodes)
+    return model.rollout(ModelState(position, velocity, belief), jnp.zeros((steps, 0)), nodes)
+
+
+def coordinates(position, velocity, turn: Rotation, rate) -> tuple[np.ndarray, np.ndarray]:
+    quaternion = np.roll(turn.as_quat(), 1, axis=-1)
+    return generalized_coordinates(
+        TURN_LENGTH, np.array(position), np.array(velocity), quaternion, np.array(rate)
+    )
+
+
+def turns(position) -> Rotation:
+    return Rotation.from_rotvec(np.array(position)[..., 3:] / TURN_LENGTH)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_falling_box_gains_no_energy_and_comes_to_rest(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    nodes = scene_nodes(scene([BOX, BOX], gravity=GRAVITY, planes=FLOOR))
+    turn = Rotation.random(2, rng)
+    position = np.array([[0.0, 0.0, 0.09], [1.0, 0.0, 0.3]])
+    rate = rng.normal(size=(2, 3))
+    start = coordinates(position, np.zeros((2, 3)), turn, rate)
+    found = follow(model(), nodes, start, 120)
+    velocity = np.concatenate([start[1][None], found.velocity])
+    height = np.concatenate([start[0][None], found.position])[..., 2]
+    square = np.concatenate([np.ones(3), SQUARE / TURN_LENGTH**2])
+    energy = 0.5 * np.sum(square * velocity**2, axis=-1) + 9.81 * height
+    assert np.all(energy.max(axis=0) <= energy[0] + 1e-3)
+    assert np.diff(energy, axis=0).max() < 2e-2 * energy[0].max()
+    np.testing.assert_allclose(energy[-1], 9.81 * height[-1], atol=5e-3)
+    # Each lies on one of its faces.
+    upright = np.abs(turns(found.position[-1]).as_matrix()[:, 2])
+    np.testing.assert_allclose(upright.max(axis=1), 1.0, atol=5e-3)
+    # They fall by up to 2 cm in a step, and what then overlaps is not pushed apart.
+    np.testing.assert_allclose(height[-1], HALF[upright.argmax(axis=1)], atol=5e-3)
+
+
+def test_a_step_in_parts_is_as_many_small_steps() -> None:
+    """A box that spins about its own axis along a floor lands on it."""
+    nodes = scene_nodes(scene([BOX, BOX], gravity=GRAVITY, planes=FLOOR))
+    position = np.array([[0.0, 0.0, 0.07], [1.0, 0.0, HALF[2]]])
+    turn = Rotation.from_rotvec([[0.0, 0.3, 0.0], [0.0] * 3])
+    velocity, rate = np.zeros((2, 2, 3))
+    velocity[0], rate[0] = [0.5, 0.0, -1.0], [0.0, 12.0, 0.0]
+    start = coordinates(position, velocity, turn, rate)
+
+    def moved(steps: int, **options) -> np.ndarray:
+        found = follow(replace(model(), **options), nodes, start, 10 * steps)
+        return np.concatenate([found.position, found.velocity], axis=-1)[steps - 1 :: steps]
+
+    parts = moved(1, substeps=2)
+    np.testing.assert_allclose(parts, moved(2, dt=DT / 2), atol=1e-6)
+    assert np.abs(parts - moved(1))[:, 0].max() > 1e-3
+    assert np.abs(np.diff(parts[:, 0, 8])).max() > 0.5  # it landed
+
+
+def test_places_that_are_known_are_not_found_again() -> None:
+    nodes = scene_nodes(scene([BOX, None]))
+    position, velocity = map(jnp.asarray, (drawn(1, 0.08)[0], 0.1 * drawn(1, 1.0, 1)[0]))
+    graph = model().encode(position, velocity, nodes)
+    known = model().encode(position, velocity, nodes, meeting=graph.meeting)
+    other = graph.meeting._replace(displacement=2.0 * graph.meeting.displacement)
+    moved = model().encode(position, velocity, nodes, meeting=other)
+    np.testing.assert_array_equal(known.geometry.distance, graph.geometry.distance)
+    assert moved.geometry.distance[0] > 1.5 * graph.geometry.distance[0]
+
+
+def test_a_turned_scene_moves_as_the_scene_does() -> None:
+    whole, shift = Rotation.from_rotvec([0.3, -0.8, 0.5]), np.array([0.3, -0.1, 0.2])
+    position = np.array([[0.0, 0.0, 0.0], [0.105, 0.01, 0.012]])
+    velocity = np.array([[0.8, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    turn = Rotation.from_rotvec([[0.1, 0.0, 0.0], [0.0, 0.3, 0.2]])
+    rate = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 2.0]])
+    nodes = scene_nodes(scene([BOX, BOX]))
+
+    def moved(*state) -> np.ndarray:
+        return np.array(follow(model(), nodes, coordinates(*state), 20).position)
+
+    plain = moved(position, velocity, turn, rate)
+    other = moved(
+        whole.apply(position) + shift, whole.apply(velocity), whole * turn, whole.apply(rate)
+    )
+    expected = whole.apply(plain[..., :3].reshape(-1, 3)).reshape(-1, 2, 3) + shift
+    np.testing.assert_allclose(other[..., :3], expected, atol=1e-6)
+    off = turn_between(turns(other).as_rotvec(), (whole * turns(plain)).as_rotvec())
+    assert off.max() < 1e-5
+    assert np.abs(plain[-1, 1, :3] - position[1]).max() > 0.02, "it was struck"
+    assert turn_between(turns(plain[-1]).as_rotvec(), turn.as_rotvec()).min() > 0.1
+
+
+def test_orientations_are_unit_quaternions_after_many_steps() -> None:
+    """And a body that nothing touches turns evenly about an axis of its own."""
+    position = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    turn = Rotation.from_rotvec([[1.0, 0.5, -0.3], [0.0, 0.0, 0.0]])
+    own = np.array([[0.0, 0.0, 3.0], [1.0, -2.0, 0.5]])
+    start = coordinates(position, np.zeros((2, 3)), turn, turn.apply(own))
+    count = 10_000
+    found = follow(model(), scene_nodes(scene([BOX, BOX])), start, count)
+    length = np.linalg.norm(quaternions(np.asarray(found.position)[..., 3:] / TURN_LENGTH), axis=-1)
+    np.testing.assert_allclose(length, 1.0, atol=1e-12)
+    damped = np.asarray(found.velocity)[..., 3:] / TURN_LENGTH
+    np.testing.assert_allclose(damped[0], own, rtol=1e-3, atol=1e-12)
+    angle = DT * np.concatenate([own[None], damped]).cumsum(axis=0)
+    share = model().local_dynamics.discretization.theta
+    assert 0.5 < share < 1.0
+    # Each stays on its axis: the turn is that of the sum of all angles.
+    for body in range(2):
+        axis = own[body] / np.linalg.norm(own[body])
+        total = (1.0 - share) * angle[-2, body] @ axis + share * (
+            angle[-1, body] - angle[0, body]
+        ) @ axis
+        expected = turn[body] * Rotation.from_rotvec(float(total) * axis)
+        assert (turns(found.position[-1, body]).inv() * expected).magnitude() < 1e-3
+
+
+def test_a_model_of_bodies_that_turn_is_the_same_after_it_was_stored(tmp_path: Path) -> None:
+    save_model(tmp_path / "model.safetensors", model())
+    loaded = load_model(tmp_path / "model.safetensors").model
+    position = np.array([[0.0, 0.0, 0.0], [0.105, 0.01, 0.012]])
+    velocity, rate = np.array([[0.8, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.ones((2, 3))
+    turn = Rotation.from_rotvec([[0.1, 0.0, 0.0], [0.0, 0.3, 0.2]])
+    start, nodes = coordinates(position, velocity, turn, rate), scene_nodes(scene([BOX, BOX]))
+    one, other = (follow(each, nodes, start, 20).position for each in (model(), loaded))
+    np.testing.assert_array_equal(one, other)
