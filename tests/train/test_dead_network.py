@@ -15,7 +15,8 @@ from contactgraph.data import pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model import ContactDynamics, ModelConfig, gim_non_temp, gim_temp, no_gim
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
-from contactgraph.model.presets import Preset, full_ab, paper_literal, paper_literal_no_gim
+from contactgraph.model.paper_presets import full_ab, paper_literal, paper_literal_no_gim
+from contactgraph.model.presets import Preset
 from contactgraph.train import FitStatus
 from contactgraph.train.batch import Window, window_source
 from contactgraph.train.held_out import equals_constant_velocity, has_dead_units

@@ -71,6 +71,9 @@ class Recipe:
                 if config.inertia
                 else ("boxes of their size" if config.boxes else "round"),
                 "parts of a step": f"{config.substeps}, in each of which contacts are found",
+                "learned": "bounce, friction and inertia, by simulated steps"
+                if config.identified
+                else "all, by gradients",
                 "planes": f"touched at {planes}" if planes else "none",
                 "slowed": ", ".join(
                     f"{name} by {constant:.3g} and {by_speed:.3g} 1/s"

@@ -19,19 +19,20 @@ from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
 from contactgraph.model.body_head import BodyHead
 from contactgraph.model.body_starts import with_impacts, with_shapes, with_slowing
-from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
+from contactgraph.model.collision import ClosestApproachPrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import (
     AllEdges,
+    EdgeInference,
     MemorylessEdges,
+    PriorEdges,
     RecurrentEdges,
     TransitionEdges,
 )
-from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.heads import CoupledHead, GroundSupport, PerDegreeHead
+from contactgraph.model.features import InvariantFeatures
+from contactgraph.model.heads import CoupledHead, GroundSupport
 from contactgraph.model.local_dynamics import (
-    FreeLinearDynamics,
     SpringMassDamperDynamics,
     ThetaMethod,
 )
@@ -99,7 +100,7 @@ class ModelConfig:
     varying_mass: bool = False
     """Whether masses differ within a type."""
     identified: bool = False
-    """Whether `identify_laws` finds bounce, friction and inertia, and not the gradient."""
+    """Whether bodies touch where their outlines tell, and `identify_laws` finds all else."""
     edge_types: int = 3
     """K of a filter: free, touch, then types that hold; of 2, free and hold. Others have 2."""
 
@@ -141,7 +142,7 @@ def gim_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         ),
         features=features,
         prior=ClosestApproachPrior(),
-        cutoff=_cutoff(config),
+        cutoff=default_cutoff(config),
         sample=ArgmaxSample(),
         dt=config.dt,
         dimension=config.dimension,
@@ -206,7 +207,12 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     head = with_impacts(head, config.impacts, features.types)
     size = features.edge_size(config.dimension)
     sizes = size, features.node_types, config.control_size - driving
-    inference = _transitions(config, *sizes, messages_key, rates_key)
+    inference: EdgeInference = _transitions(config, *sizes, messages_key, rates_key)
+    noise: PredictionNoise | None = PredictionNoise(
+        config.edge_types, config.contact_distance, drifts=True
+    )
+    if config.identified:  # Nothing holds another, and outlines tell where they touch.
+        inference, noise = PriorEdges(config.edge_types), None
     keys = (jax.random.fold_in(key, index) for index in range(config.edge_types - 1))
     types: list[MessagePassing | EdgeNetwork] = [EdgeNetwork(size, width, key=k) for k in keys]
     learned = not config.averaged
@@ -217,7 +223,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         local_dynamics=SpringMassDamperDynamics(TypedMessagePassing(types), head, discretization),
         features=features,
         prior=ClosestApproachPrior(parting=True),
-        prediction_noise=PredictionNoise(config.edge_types, config.contact_distance, drifts=True),
+        prediction_noise=noise,
         substeps=config.substeps,
     )
 
@@ -237,51 +243,6 @@ def no_gim(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     return dataclasses.replace(model, inference=AllEdges(), cutoff=NoCutoff())
 
 
-def full_ab(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
-    """Recurrent edges with a cutoff, as in `gim_temp`, but free matrices of absolute positions."""
-    config = dataclasses.replace(config, width=config.width or 32)
-    model = paper_literal(config, key=key)
-    return dataclasses.replace(
-        model,
-        local_dynamics=FreeLinearDynamics(
-            model.local_dynamics.message_passing,
-            dimension=config.dimension,
-            control_size=config.control_size,
-            key=jax.random.fold_in(key, 1),
-        ),
-        prior=ClosestApproachPrior(),
-        cutoff=_cutoff(config),
-    )
-
-
-def paper_literal(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
-    """The paper's own form: all pairs, absolute positions, distance only, explicit Euler."""
-    dimension, width = config.dimension, config.width or 64
-    inference_key, cell_key, dynamics_key, head_key = jax.random.split(key, 4)
-    features = AbsoluteFeatures(hinges=config.hinges)
-    sizes = features.node_size(dimension), features.edge_size(dimension), width
-    return ContactDynamics(
-        inference=RecurrentEdges(MessagePassing(*sizes, key=inference_key), key=cell_key),
-        local_dynamics=SpringMassDamperDynamics(
-            message_passing=TypedMessagePassing([MessagePassing(*sizes, key=dynamics_key)]),
-            head=PerDegreeHead(width, dimension, key=head_key),
-            discretization=ThetaMethod(0.0, learned=False),
-        ),
-        features=features,
-        prior=DistancePrior(threshold=config.contact_distance),
-        cutoff=NoCutoff(),
-        sample=ArgmaxSample(),
-        dt=config.dt,
-        dimension=dimension,
-        control_size=config.control_size,
-    )
-
-
-def paper_literal_no_gim(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
-    """The paper's own form without inference: every edge is active at every step."""
-    return dataclasses.replace(paper_literal(config, key=key), inference=AllEdges())
-
-
 def _transitions(
     config: ModelConfig, edge_size: int, node_types: int, commands: int, *keys: PRNGKeyArray
 ) -> TransitionEdges:
@@ -295,6 +256,7 @@ def _transitions(
     )
 
 
-def _cutoff(config: ModelConfig) -> SmoothCutoff:
+def default_cutoff(config: ModelConfig) -> SmoothCutoff:
+    """From 1.5 to 2.5 contact distances."""
     distance = config.contact_distance
     return SmoothCutoff(inner=1.5 * distance, outer=2.5 * distance)

@@ -24,7 +24,6 @@ from contactgraph.train.filter_loss import (
 )
 from contactgraph.train.fit_state import FitState
 from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
-from contactgraph.train.identification import without_laws
 from contactgraph.train.judged_steps import (
     JudgedSteps,
     judge_steps,
@@ -217,7 +216,6 @@ def advance_steps(
             gradient = jax.tree.map(
                 lambda one, other: one + config.weights.rollout * other, gradient, slope
             )
-        gradient = without_laws(gradient)
         updates, optimiser_state = optimiser.update(gradient, optimiser_state, params)
         updates = in_lengths(updates) if filtered else updates
         params = with_positive_distance(optax.apply_updates(params, updates))

@@ -4,6 +4,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,8 +27,13 @@ from contactgraph.train.batch import (
 from contactgraph.train.config import TrainConfig
 from contactgraph.train.filter_loss import check_contacts
 from contactgraph.train.fit_state import FitProgress, FitResult, FitState, FitStatus, with_lists
-from contactgraph.train.held_out import equals_constant_velocity, has_dead_units, held_out_windows
-from contactgraph.train.identification import identify_laws
+from contactgraph.train.held_out import (
+    equals_constant_velocity,
+    has_dead_units,
+    held_out_windows,
+    rollout_rmse,
+)
+from contactgraph.train.identification import identifies_laws, identify_laws
 
 _BURN = 20
 """Steps that correct a filter before a held-out window."""
@@ -74,9 +80,6 @@ def fit(
     batch = pad_trajectories(labelled, contacts=config.use_contacts, turn_length=turn_length)
     source = _window_source(batch, config)
     source = dataclasses.replace(source, reports_touch=labelled is train)
-    if int(state.step) == 0:
-        model = identify_laws(state.model, batch)
-        state = dataclasses.replace(state, model=model, best_model=model)
     other = pad_trajectories(held_out, contacts=False, turn_length=turn_length)
     burn = 0
     model = state.model
@@ -91,6 +94,11 @@ def fit(
     lists = ReallocatingModel(state.model, train)
 
     def advance(state: FitState, count: int) -> tuple[FitState, dict[str, Array]]:
+        if identifies_laws(state.model):
+            model = identify_laws(state.model, batch)
+            error = eqx.filter_jit(rollout_rmse)(model, checked)
+            found = dataclasses.replace(state, model=model, best_model=model, best_error=error)
+            return dataclasses.replace(found, step=state.step + count), {"held_out": error}
         with_rollout = None
         if config.rollout_from < 1.0:
             with_rollout = np.asarray(int(state.step) >= config.rollout_from * config.steps)
@@ -108,7 +116,8 @@ def fit(
         if int(state.checks_without_gain) >= config.patience:
             status = FitStatus.stopped_early
             break
-        count = min(config.check_every, config.steps - int(state.step))
+        left = config.steps - int(state.step)
+        count = left if identifies_laws(state.model) else min(config.check_every, left)
         state, arrays = advance(state, count)
         terms = {name: float(value) for name, value in arrays.items()}
         if not _finite(arrays):

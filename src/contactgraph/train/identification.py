@@ -4,8 +4,6 @@ The motion after an impact depends on its place and moment so steeply that gradi
 noise. A dozen numbers need none: differences of simulated steps tell them within seconds.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -29,17 +27,17 @@ _SPREADS = {
 }
 """Standard deviations of the numbers about their starts, in their own units: see `BodyHead`. What
 the data do not tell stays there. Outlines of uniform density tell the inertia within a tenth."""
-_WINDOWS, _STEPS = 512, 2
+_WINDOWS, _STEPS = 256, 2
 """Windows of the fit, and their steps: more would diverge from the recording after an impact."""
 _ERROR = 0.03
 """Error of a step in units of the typical velocity, from which it counts less."""
-_GUESSES, _IMPROVED, _DIFFERENCE, _MOST_EVALUATIONS = 64, 4, 0.1, 20
+_GUESSES, _IMPROVED, _DIFFERENCE, _MOST_EVALUATIONS = 64, 2, 0.1, 12
 """Draws of the prior, the best of which is the first; step of the differences, in spreads; and most
 evaluations of the residuals, without those."""
 
 
 def identifies_laws(model: ContactDynamics) -> bool:
-    """Whether `identify_laws` finds the laws of touches of this model."""
+    """Whether `identify_laws` finds all that this model learns: see `ModelConfig.identified`."""
     head = getattr(model.local_dynamics, "head", None)
     return isinstance(head, BodyHead) and head.identified
 
@@ -49,10 +47,7 @@ def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) ->
 
     Maximum a posteriori: a normal prior about the model's own numbers, and a pseudo-Huber loss of
     the velocities in windows in which something happens; every near pair touches.
-    As given where `identifies_laws` is False.
     """
-    if not identifies_laws(model):
-        return model
     weights = window_weights(batch, _STEPS, 1.0)
     windows = window_source(batch, weights, False).draw(_WINDOWS, jax.random.key(0))
     head = model.local_dynamics.head
@@ -88,17 +83,6 @@ def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) ->
     guesses = sorted([np.ones_like(start), *drawn], key=lambda shift: np.sum(residuals(shift) ** 2))
     found = [improved(each) for each in guesses[:_IMPROVED]]
     return with_numbers(min(found, key=lambda each: each.cost).x)
-
-
-def without_laws(updates: ContactDynamics) -> ContactDynamics:
-    """Gradients of 0 for what `identify_laws` has found, and for the implicitness beside it."""
-    if not identifies_laws(updates):
-        return updates
-
-    def kept(each: Any) -> list[Array]:
-        return [*_leaves(each), each.local_dynamics.discretization.raw]
-
-    return eqx.tree_at(kept, updates, [jnp.zeros_like(each) for each in kept(updates)])
 
 
 def _leaves(model: ContactDynamics) -> list[Array]:

@@ -70,10 +70,16 @@ def in_data_units(model: ContactDynamics, fresh: ContactDynamics, units: Units) 
     is taken from it.
     """
     inference, noise, other = model.inference, model.prediction_noise, fresh.prediction_noise
-    assert isinstance(inference, TransitionEdges) and noise is not None and other is not None
     arrays, static = eqx.partition(fresh, eqx.is_array)
     own = jax.tree.leaves(eqx.filter(model, eqx.is_array))
     learned = eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), own), static)
+    if not isinstance(inference, TransitionEdges):
+
+        def laid(each: Any) -> tuple[Any, ...]:
+            return each.local_dynamics.head.actuation, each.local_dynamics.head.plane_distance
+
+        return eqx.tree_at(laid, learned, laid(fresh))
+    assert noise is not None and other is not None
     first = inference.message_passing.network.layers[0].weight
     begin = model.features.edge_size(model.dimension) + 1
     commands = slice(begin, begin + inference.commands)
