@@ -14,7 +14,7 @@ from contactgraph.data import Dataset, InvalidInputError, Trajectory
 from contactgraph.evaluate.baselines import constant_velocity
 from contactgraph.evaluate.fitted_baselines import fit_baselines
 from contactgraph.evaluate.interaction_network import InteractionNetwork
-from contactgraph.evaluate.network_fit import fit_interaction_network
+from contactgraph.evaluate.network_fit import FittedNetwork, fit_interaction_network
 from contactgraph.evaluate.network_inputs import input_scales, network_windows, scene_inputs
 
 
@@ -125,6 +125,30 @@ def fitted():
         patch.setattr("contactgraph.evaluate.network_fit._BATCH", 8)
         patch.setattr("contactgraph.evaluate.network_fit._CHECKED", 8)
         return fit_baselines(data, Dataset((random_run(3, 8, 0),)), 2.0, 150)
+
+
+def test_bodies_that_turn_have_angles_whatever_the_number_of_turns() -> None:
+    """Of two boxes, one spins; untrained, the network keeps them spinning."""
+    square = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    run = random_run(2, 8, 0)
+    scene = replace(run.scene, polygons=(square, square), polygon_of=np.arange(2))
+    rate = np.array([[3.0], [0.0]])
+    turn = rate * DT * np.arange(9)[:, None, None]
+    spin = np.broadcast_to(rate, turn.shape)
+    run = replace(run, scene=scene, orientation=turn, angular_velocity=spin)
+    scales = input_scales(Dataset((run,)))
+    assert scales.turn_length == pytest.approx(np.sqrt(0.2**2 / 6.0))
+    windows = network_windows(Dataset((run,)), ("gripper", "object"))
+    features = windows.scenes.features.shape[-1]
+    network = InteractionNetwork(2, 2, features, scales, jax.random.key(0))
+    fitted = FittedNetwork(network, ("gripper", "object"), 0.0, 0)
+    found = fitted(run, 4)
+    assert found.shape == (5, 4, 2, 3)
+    expected = np.stack([turn[start + 1 : start + 5] for start in range(5)])[..., 0]
+    assert np.abs(found[..., 2] - expected).max() < 0.05 < np.ptp(found[..., 2])
+    again = fitted(replace(run, orientation=turn + 2.0 * np.pi), 4)
+    np.testing.assert_allclose(again[..., :2], found[..., :2], atol=1e-5)
+    np.testing.assert_allclose(again[..., 2], found[..., 2] + 2.0 * np.pi, atol=1e-5)
 
 
 def test_it_learns_a_spring_between_two_bodies(fitted):

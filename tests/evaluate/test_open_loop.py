@@ -51,7 +51,7 @@ JSON_KEYS = {
     *("switch_time_error_s", "switch_time_error_unmeasured_s", "switch_time_error_inferred_s"),
     "n_step_rmse_moving_by_type_m",
     *(f"angle_rmse{beliefs}_rad" for beliefs in ("", "_unmeasured", "_inferred")),
-    "constant_velocity_angle_rmse_rad",
+    *("constant_velocity_angle_rmse_rad", "gnn_angle_rmse_rad", "turned_over_accuracy"),
     *("mass_error_median", "mass_error_p90", "mass_interval_coverage"),
     "rest_drift_m",
 }
@@ -375,7 +375,7 @@ def test_a_horizon_of_no_whole_steps_or_longer_than_every_trajectory(untrained, 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_errors_of_angles_are_those_of_bodies_that_turn(known: bool) -> None:
-    """A box spins by 2 rad/s, of which the recording says so, or 0."""
+    """A box spins by 10 rad/s, of which the recording says so, or 0."""
     square = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     scene = Scene(
         *(("box", "other"), ("box", "box"), np.zeros(2, bool), DT),
@@ -384,8 +384,8 @@ def test_errors_of_angles_are_those_of_bodies_that_turn(known: bool) -> None:
     )
     still = np.broadcast_to([[0.0, 0.0], [2.0, 0.0]], (9, 2, 2))
     turn = np.zeros((9, 2, 1))
-    turn[:, 0, 0] = 2.0 * DT * np.arange(9)
-    rate = np.full_like(turn, 2.0 * known) * [[1.0], [0.0]]
+    turn[:, 0, 0] = 10.0 * DT * np.arange(9)
+    rate = np.full_like(turn, 10.0 * known) * [[1.0], [0.0]]
     recorded = Trajectory(
         scene, still, 0.0 * still, np.zeros((8, 0)), orientation=turn, angular_velocity=rate
     )
@@ -397,9 +397,10 @@ def test_errors_of_angles_are_those_of_bodies_that_turn(known: bool) -> None:
     )
     model = eqx.tree_at(lambda each: each.local_dynamics.head, model, slippery)
     found = evaluate_open_loop(model, Dataset((recorded,)), horizon_s=2 * DT).to_json()
-    expected = 0.0 if known else 2.0 * DT * np.sqrt(np.mean(np.square([1.0, 2.0])))
+    expected = 0.0 if known else 10.0 * DT * np.sqrt(np.mean(np.square([1.0, 2.0])))
     assert found["angle_rmse_rad"] == pytest.approx(expected, abs=1e-5)
     assert found["constant_velocity_angle_rmse_rad"] == pytest.approx(expected, abs=1e-9)
+    assert found["turned_over_accuracy"] == known  # by 57 degrees in a window
     # Pictures show the parameters of positions alone.
     parameters = model_diagnostics(model, recorded).parameters
     assert parameters is not None and parameters.inverse_mass.shape == (8, 2, 2)

@@ -29,7 +29,8 @@ T = (
 )
 BOX = (np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]]),)
 TRIANGLE = (np.array([[-0.04, -0.03], [0.05, -0.02], [0.0, 0.06]]),)
-SHAPES = {"t": T, "box": BOX, "triangle": TRIANGLE, "disc": ()}
+DOMINO = (np.array([[-0.01, -0.05], [0.01, -0.05], [0.01, 0.05], [-0.01, 0.05]]),)
+SHAPES = {"domino": DOMINO, "t": T, "box": BOX, "triangle": TRIANGLE, "disc": ()}
 EDGE = jnp.array([[0], [1]])
 
 
@@ -257,6 +258,33 @@ def test_a_stack_that_touches_stays_where_it_is() -> None:
     position, velocity = after(model())  # of which contacts are soft, untrained as it is
     np.testing.assert_allclose(position, start, atol=6e-4)
     np.testing.assert_allclose(velocity, 0.0, atol=4e-3)
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.3])
+def test_a_standing_box_that_is_struck_above_its_middle_tips_over(apart: float) -> None:
+    """One corner lifts off, which a touch that pulls would hold down; a third stands behind."""
+    row = replace(scene(("domino",) * 3, gravity=GRAVITY, planes=FLOOR), node_type=("box",) * 3)
+    nodes = scene_nodes(row)
+    position = np.array([[-0.06, 0.1], [0.0, 0.05], [0.1 + apart, 0.05]])
+    velocity = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
+    still = np.zeros((3, 1))
+    start = generalized_coordinates(TURN_LENGTH, position, velocity, still, still)
+    touch = jnp.broadcast_to(jnp.array([0.0, 1.0, 0.0]), (3, 3))
+
+    @eqx.filter_jit
+    def after(model: ContactDynamics) -> tuple:
+        def step(at: tuple, _: None) -> tuple:
+            graph = model.encode(*at, nodes)
+            return model.linearize(model.cut_edges(graph, ContactBelief(touch)))(
+                *at, jnp.zeros(0)
+            ), None
+
+        return jax.lax.scan(step, tuple(map(jnp.asarray, start)), length=5)[0]
+
+    found, _ = after(replace(model(), substeps=4))
+    turn = np.asarray(found)[:, 2] / TURN_LENGTH
+    corner = np.asarray(found)[1, :2] + np.asarray(turned(jnp.array([0.01, -0.05]), turn[1]))
+    assert turn[1] < -0.15 and abs(corner[1]) < 2e-3 and abs(turn[2]) < 1e-3
 
 
 def test_a_step_in_parts_is_as_many_small_steps() -> None:

@@ -202,6 +202,11 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
         worse = ", ".join(text for text, (name, _) in _PREDICTIONS.items() if name in unbeaten)
         print(f"  by the error of bodies that move it is not better than {worse}")
     print(f"where a contact changes, all bodies: {centimetres(('n_step', ''), '_contact').strip()}")
+    if (angle := values["angle_rmse_rad"]) is not None:
+        constant = values["constant_velocity_angle_rmse_rad"]
+        print(f"angles of bodies that turn: {angle:.3f} rad; constant velocity {constant:.3f}")
+    if (over := values["turned_over_accuracy"]) is not None:
+        print(f"as many bodies as recorded turn over: in {100 * over:.1f} % of the windows")
     if (drift := values["rest_drift_m"]) is not None:
         print(f"where nothing moves, the largest error: {1000 * drift:.3f} mm")
     for beliefs, text in _CONTACTS.items():

@@ -24,12 +24,12 @@ from contactgraph.evaluate.mpc_policy import TaskCost as TaskCost
 from contactgraph.evaluate.open_loop import Metric as Metric
 from contactgraph.evaluate.open_loop import evaluate_open_loop as evaluate_open_loop
 from contactgraph.evaluate.open_loop import horizon_steps as horizon_steps
+from contactgraph.evaluate.open_loop_detail import OpenLoopDetail as OpenLoopDetail
 from contactgraph.evaluate.open_loop_metrics import OpenLoopMetrics as OpenLoopMetrics
 from contactgraph.evaluate.open_loop_metrics import Verdict as Verdict
 from contactgraph.evaluate.plan_tracking import EpisodeRecord as EpisodeRecord
 from contactgraph.evaluate.plan_tracking import PlanTrackingError as PlanTrackingError
 from contactgraph.evaluate.plan_tracking import plan_tracking_error as plan_tracking_error
-from contactgraph.evaluate.prediction_windows import OpenLoopDetail as OpenLoopDetail
 from contactgraph.evaluate.sensor_faults import ObservationNoise as ObservationNoise
 from contactgraph.evaluate.sensor_faults import SensorFaults as SensorFaults
 from contactgraph.evaluate.statistics import MedianInterval as MedianInterval

@@ -17,6 +17,7 @@ from contactgraph.evaluate.baselines import (
 from contactgraph.evaluate.calibration import Calibration
 from contactgraph.evaluate.edge_scores import EdgeCounts
 from contactgraph.evaluate.mass_scores import mass_numbers
+from contactgraph.evaluate.open_loop_detail import OpenLoopDetail, WindowPredictions
 from contactgraph.evaluate.open_loop_metrics import (
     ORACLE,
     OpenLoopMetrics,
@@ -26,13 +27,10 @@ from contactgraph.evaluate.open_loop_metrics import (
     error_numbers,
     numbers_by_type,
     rest_drift,
+    turned_over_accuracy,
     unbeaten_baselines,
 )
-from contactgraph.evaluate.prediction_windows import (
-    OpenLoopDetail,
-    WindowPredictions,
-    trajectory_detail,
-)
+from contactgraph.evaluate.prediction_windows import trajectory_detail
 from contactgraph.evaluate.sensor_faults import SensorFaults
 from contactgraph.model import (
     ContactSensor,
@@ -146,6 +144,7 @@ def evaluate_open_loop(
             **errors,
             **angle_numbers(detail),
             "rest_drift_m": rest_drift(detail),
+            "turned_over_accuracy": turned_over_accuracy(detail),
             **edge_numbers(detail),
             **calibration_numbers(detail),
             **mass_numbers(detail.measured.mass_errors),

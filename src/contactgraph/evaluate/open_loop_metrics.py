@@ -10,7 +10,7 @@ import numpy as np
 
 from contactgraph.evaluate.calibration import Calibration
 from contactgraph.evaluate.edge_scores import edge_scores
-from contactgraph.evaluate.prediction_windows import OpenLoopDetail
+from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
 
 ORACLE = "frozen_contact"
 """The baseline that knows masses and contacts; no verdict depends on it."""
@@ -121,12 +121,26 @@ def angle_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
         "angle_rmse": detail.measured.squared_angle,
         "angle_rmse_unmeasured": detail.unmeasured.squared_angle,
         "angle_rmse_inferred": None if detail.inferred is None else detail.inferred.squared_angle,
-        "constant_velocity_angle_rmse": detail.constant_velocity_angle,
+        "constant_velocity_angle_rmse": detail.baseline_angles["constant_velocity"],
+        "gnn_angle_rmse": detail.baseline_angles["gnn"],
     }
     return {
         f"{name}_rad": None if squared is None else detail.rmse(squared, detail.turns)
         for name, squared in found.items()
     }
+
+
+def turned_over_accuracy(detail: OpenLoopDetail) -> float | None:
+    """Share of windows at whose end as many bodies as recorded have turned over, such as dominoes
+    that have fallen; see `WindowPredictions.turned_over`.
+
+    Beliefs are corrected as by default in `error_numbers`. None: the model has no angle, or no body
+    turns over.
+    """
+    found = detail.measured.turned_over
+    if found is None or not detail.turned_over.any():
+        return None
+    return float(np.mean(found.sum(axis=1) == detail.turned_over.sum(axis=1)))
 
 
 def rest_drift(detail: OpenLoopDetail) -> float | None:

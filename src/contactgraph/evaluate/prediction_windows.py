@@ -1,7 +1,7 @@
 """Predictions from every recorded state, beside the recorded trajectories, window by window."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +18,12 @@ from contactgraph.evaluate.baselines import Baseline
 from contactgraph.evaluate.calibration import Calibration, belief_calibration, no_calibration
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
 from contactgraph.evaluate.mass_scores import mass_errors
+from contactgraph.evaluate.open_loop_detail import (
+    TURNED_OVER_RAD,
+    TURNS_RAD,
+    OpenLoopDetail,
+    WindowPredictions,
+)
 from contactgraph.evaluate.trajectory_prediction import TrajectoryPrediction, predict_trajectory
 from contactgraph.model import (
     ContactSensor,
@@ -27,113 +33,6 @@ from contactgraph.model import (
 )
 from contactgraph.model.features import turn_length_of
 from contactgraph.model.filter import trajectory_for
-
-TURNS_RAD = np.deg2rad(0.5)
-"""Angle from the one at a window's start that a body must reach to count as turning."""
-
-
-@dataclass(frozen=True, eq=False)
-class WindowPredictions:
-    """The predictions of all windows from one source of beliefs."""
-
-    squared_error: np.ndarray
-    """[W, H, N] m^2: squared distance between predicted and recorded position, 0 in padding."""
-    squared_angle: np.ndarray | None
-    """[W, H, N] rad^2: of the angle, 0 where it is not known. None: the model predicts none."""
-    edge_active: np.ndarray
-    """[W, H, E] bool: predicted contacts of each step."""
-    touch_on_time: np.ndarray
-    """[touches] bool: whether each recorded touch was predicted for its very step."""
-    now: EdgeCounts
-    """Beliefs about the step just made against the label of the state reached, over the steps of
-    whole trajectories; empty where contacts were not recorded."""
-    next_step: Calibration
-    """Beliefs about the step after each state of whole trajectories, predicted from that state;
-    empty where contacts were not recorded."""
-    last_step: Calibration
-    """The same for the last step of every window, predicted from its start."""
-    mass_errors: np.ndarray | None
-    """See `mass_errors`."""
-
-
-@dataclass(frozen=True, eq=False)
-class OpenLoopDetail:
-    """``W`` windows of ``H`` steps of all trajectories; nodes and edges padded to the largest."""
-
-    dt: float
-    """s"""
-    trajectory: np.ndarray
-    """[W] int: index of the window's trajectory."""
-    start: np.ndarray
-    """[W] int: the state it starts from."""
-    exists: np.ndarray
-    """[W, N] bool: False for padding."""
-    moves: np.ndarray
-    """[W, N] bool: whether a body that is not static gets more than `MOVES_M` away from its
-    position at the start."""
-    contact: np.ndarray | None
-    """[W, H+1, E] bool: true contacts. None: not recorded in every trajectory."""
-    edge_exists: np.ndarray
-    """[W, E] bool: False for padding."""
-    measured: WindowPredictions
-    """By beliefs that measured contacts and, if requested, the observed motion have corrected up to
-    the window's start."""
-    unmeasured: WindowPredictions
-    """By beliefs that nothing has corrected."""
-    inferred: WindowPredictions | None
-    """By beliefs that the observed motion has corrected, without measured contacts. None: not
-    requested."""
-    baselines: Mapping[str, np.ndarray | None]
-    """[W, H, N] m^2: squared error of each baseline; None where one is not known."""
-    turns: np.ndarray
-    """[W, N] bool: whether a body gets more than `TURNS_RAD` away from its angle at the start."""
-    constant_velocity_angle: np.ndarray
-    """[W, H, N] rad^2: squared error of the angle of bodies that keep turning as at the start."""
-
-    @property
-    def contact_changes(self) -> np.ndarray | None:
-        """[W] bool: whether any contact begins or ends within the window. None: not recorded."""
-        if self.contact is None:
-            return None
-        return np.any(self.contact != self.contact[:, :1], axis=(1, 2))
-
-    @property
-    def horizon(self) -> np.ndarray:
-        """[H] s: time from a window's start to the end of each of its steps."""
-        return self.dt * np.arange(1, self.measured.squared_error.shape[1] + 1)
-
-    def rmse(self, squared_error: np.ndarray, windows: np.ndarray | None = None) -> float | None:
-        """m: root mean square of one of the errors above over nodes, steps and windows.
-
-        ``windows``: [W] bool, or [W, N] bool to choose nodes too; default all. None where nothing
-        is chosen; infinite where a prediction is not finite.
-        """
-        chosen = self._chosen(windows)
-        count = int(chosen.sum()) * squared_error.shape[1]
-        if count == 0:
-            return None
-        total = np.sum(squared_error.sum(axis=1, dtype=np.float64), where=chosen)
-        return float(np.sqrt(total / count))
-
-    def rmse_by_step(
-        self, squared_error: np.ndarray, windows: np.ndarray | None = None
-    ) -> np.ndarray:
-        """[H] m: the same for each step ahead; NaN where nothing is chosen. See `horizon`."""
-        chosen = self._chosen(windows)
-        if not chosen.any():
-            return np.full(squared_error.shape[1], np.nan)
-        total = np.sum(squared_error, axis=(0, 2), where=chosen[:, None], dtype=np.float64)
-        return np.sqrt(total / int(chosen.sum()))
-
-    def rmse_by_window(self, squared_error: np.ndarray) -> np.ndarray:
-        """[W] m: over the nodes and steps of each window."""
-        count = self.exists.sum(axis=1) * squared_error.shape[1]
-        return np.sqrt(squared_error.sum(axis=(1, 2), dtype=np.float64) / count)
-
-    def _chosen(self, windows: np.ndarray | None) -> np.ndarray:
-        if windows is None:
-            return self.exists
-        return self.exists & (windows if windows.ndim == 2 else windows[:, None])
 
 
 def trajectory_detail(
@@ -187,6 +86,11 @@ def trajectory_detail(
         squared = turn_between(predicted, angles[:, 1:]) ** 2
         return np.pad(np.nan_to_num(squared), ((0, 0), (0, 0), (0, capacity - count)))
 
+    def turned_over(last: np.ndarray) -> np.ndarray:
+        """Of the last angles ``[W, N, …]`` of all windows."""
+        over = turn_between(last, angles[:, 0]) > TURNED_OVER_RAD
+        return np.pad(over, ((0, 0), (0, capacity - count)))
+
     def predicted(
         model: StepModel, contacts: np.ndarray | None, noise: MotionNoise | None = None
     ) -> TrajectoryPrediction:
@@ -209,12 +113,14 @@ def trajectory_detail(
         if contact is not None:
             now = edge_counts(made[None], contact[None, 1:], edge_exists[:1])
         position = np.asarray(prediction.position, np.float64)
-        turned = None
+        turned = over = None
         if turn_length is not None:
-            turned = angle_error(position[:starts, :, :count, dimension:] / turn_length)
+            angle = position[:starts, :, :count, dimension:] / turn_length
+            turned, over = angle_error(angle), turned_over(angle[:, -1])
         return WindowPredictions(
             squared_error=error(position[..., :dimension]),
             squared_angle=turned,
+            turned_over=over,
             edge_active=np.asarray(prediction.edge_active)[:starts],
             touch_on_time=coming[touches] > 0.5,
             now=now,
@@ -236,10 +142,6 @@ def trajectory_detail(
     def by_motion(contacts: np.ndarray | None) -> WindowPredictions:
         return windows(predicted(lists.given, contacts, motion_noise))
 
-    def compared(baseline: Baseline) -> np.ndarray | None:
-        positions = baseline(trajectory, steps)
-        return None if positions is None else error(positions)
-
     elapsed = np.arange(1, steps + 1)[:, None, None]
     exists = np.broadcast_to(np.arange(capacity) < count, (starts, capacity))
     edge_exists = np.logical_and(exists[:, pairs[:, 0]], exists[:, pairs[:, 1]])
@@ -253,6 +155,13 @@ def trajectory_detail(
         measured = unmeasured if inferred is None else inferred
     else:
         measured = by_lists(reported) if inferred is None else by_motion(reported)
+    compared = {name: baseline(trajectory, steps) for name, baseline in baselines.items()}
+    drifted = turned_on(
+        angles[:, :1], trajectory.scene.dt * elapsed * np.nan_to_num(rate[:starts, None])
+    )
+    turns = {
+        name: None if found is None else found[..., dimension:] for name, found in compared.items()
+    } | {"constant_velocity": drifted}
     return OpenLoopDetail(
         dt=dataset.dt,
         trajectory=np.full(starts, index),
@@ -264,16 +173,19 @@ def trajectory_detail(
         measured=measured,
         unmeasured=unmeasured,
         inferred=inferred,
-        baselines={name: compared(baseline) for name, baseline in baselines.items()},
+        baselines={
+            name: None if found is None else error(found[..., :dimension])
+            for name, found in compared.items()
+        },
         turns=np.pad(
             np.any(turn_between(angles, angles[:, :1]) > TURNS_RAD, axis=1),
             ((0, 0), (0, capacity - count)),
         ),
-        constant_velocity_angle=angle_error(
-            turned_on(
-                angles[:, :1], trajectory.scene.dt * elapsed * np.nan_to_num(rate[:starts, None])
-            )
-        ),
+        turned_over=turned_over(angles[:, -1]),
+        baseline_angles={
+            name: None if turn is None or not turn.size else angle_error(turn)
+            for name, turn in turns.items()
+        },
     )
 
 

@@ -26,8 +26,8 @@ from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
 PACE = 5.0
 """Scale of each type's numbers in their parameters, which learn faster than weights by this."""
-_LEAST_COUPLING = 0.5
-"""Of a touch and of the first type that holds: with less, the types could not be told apart."""
+_SOFTEST = 0.5
+"""What touches and the first type that holds lack of rigid, at most; else types look alike."""
 _ROUGH = 0.454
 """Start of `friction_raw`: 1 between bodies, else only holds explain that they go along."""
 _PLANE_LEARNED = 0.1
@@ -101,7 +101,8 @@ class BodyHead(eqx.Module):
         self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
         self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / PACE
         self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
-        self.friction_raw = (_ROUGH * jnp.ones(node_types + 1)).at[-1].set(-_ROUGH)
+        on_planes = _ROUGH if identified else -_ROUGH
+        self.friction_raw = (_ROUGH * jnp.ones(node_types + 1)).at[-1].set(on_planes)
         self.plane_raw, self.plane_distance = self.damper_raw, 0.5 * length + self.damper_raw
         self.edge, self.actuation = eqx.nn.MLP(width, 3, width, 1, key=key), actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
@@ -234,10 +235,9 @@ class BodyHead(eqx.Module):
             closing = jax.nn.sigmoid(nearer / (_ONE_SIDED * self.length))
             weight = weight.at[0].multiply(closing)
             touch = weight[0]
-        # Only a soft bond has a spring: its residue would push bodies that touch or are held.
-        pushing = weight.at[:2].set(0.0)
+        pushing = weight.at[:2].set(0.0)  # The residue of a spring would push bodies in touch.
         each = jax.nn.sigmoid(out[..., 0] + coupling_starts(len(weight))[:, None])
-        each = each.at[:2].set(_LEAST_COUPLING + (1.0 - _LEAST_COUPLING) * each[:2])
+        each = each.at[:2].set(1.0 - (not self.identified) * _SOFTEST * (1.0 - each[:2]))
         coupling = jnp.sum(weight * each, axis=0)
         rest = jnp.sum(weight * jax.nn.softplus(out[..., 2]), axis=0) * self.length
         elastic, friction = self.laws(local.node_type, *geometry.edge_index)

@@ -24,6 +24,8 @@ _SLOW = 1e-4
 """Speed, in units of speed, of bodies that friction stops within a step."""
 _LEAST_BOUNCE = 1e-3
 """By which is divided: with less, what presses bodies together keeps them together."""
+_PUSHED_OUT = 0.02
+"""s; within about which bodies with outlines that overlap are pushed apart."""
 _LEAST_INVERSE = 1e-6
 """1/kg; of a body that nothing moves."""
 
@@ -134,17 +136,26 @@ class Contacts(eqx.Module):
 
         return jax.tree_util.tree_map_with_path(joined, first, other)
 
+    @property
+    def _gap(self) -> Float[Array, " C"]:
+        return self.geometry.distance - self.geometry.contact_distance
+
     def pushing(self, bodies: FreeBodies, dt: float, capacity: int | None) -> "Contacts":
-        """These contacts without touches that would pull, such as at the corner that lifts off
-        where a block tips over: one round of an active set method."""
-        normal = self.geometry.along(1.0 - self.touching)
-        pushed = bodies.push - self._impulse(normal, len(bodies.mass), dt)
-        solved = _solve(bodies.mass, self.damper + self.spring, normal, [pushed], capacity)
+        """These contacts, in which springs push out what overlaps, without touches that would pull,
+        such as at the corner that lifts off where a block tips over: one round of an active set."""
+        geometry, touching = self.geometry, self.touching
+        gap = self._gap
+        spring = jnp.where(gap < 0.0, dt / _PUSHED_OUT * touching * self.damper, self.spring)
+        rest = jnp.where(gap < 0.0, geometry.contact_distance, self.rest_length)
+        sprung = dataclasses.replace(self, spring=spring, rest_length=rest)
+        normal, stiffness = geometry.along(1.0 - touching), self.damper + spring
+        pushed = bodies.push - sprung._impulse(normal, len(bodies.mass), dt)
+        solved = _solve(bodies.mass, stiffness, normal, [pushed], capacity)
         velocity = bodies.velocity[..., None] + solved.parts[0]
-        relative = relative_at_edges(velocity, self.geometry)[..., 0]
-        pulls = jnp.sum(self.geometry.normal * relative, axis=-1) > 0.0
-        kept = 1.0 - self.touching * pulls
-        return dataclasses.replace(self, damper=kept * self.damper, bounce=kept * self.bounce)
+        parting = jnp.sum(geometry.normal * relative_at_edges(velocity, geometry)[..., 0], axis=-1)
+        kept = 1.0 - touching * (stiffness * parting + spring * jnp.minimum(gap, 0.0) / dt > 0.0)
+        given = {name: kept * getattr(sprung, name) for name in ("damper", "spring", "bounce")}
+        return dataclasses.replace(sprung, **given)
 
     def _at_impact(self, normal: Geometry, bodies: FreeBodies) -> Geometry:
         """With the velocity of which a bounce gives back its share: that at the impact, less what
@@ -214,7 +225,8 @@ class Contacts(eqx.Module):
         relative = relative_at_edges(velocity[..., None], self.geometry)[..., 0]
         approach = jnp.sum(self.geometry.normal * relative, axis=-1)
         across = _length(relative - approach[:, None] * self.geometry.normal)
-        normal_impulse = (1.0 + self.bounce) * jnp.maximum(-damper * approach, 0.0)
+        pushed = -(damper + self.spring) * approach - self.spring * self._gap / dt
+        normal_impulse = (1.0 + self.bounce) * jnp.maximum(pushed, 0.0)
         bound = self.friction * self.touching * normal_impulse
         tangential = bound / jnp.maximum(across - bound * mobility, slow)
         share = tangential / jnp.maximum(damper, _LEAST_INVERSE)

@@ -111,6 +111,10 @@ def check_motion_model(model: object) -> ContactDynamics:
             "motion_noise: the log-odds by motion are kept for all pairs, so the model must have "
             "no neighbor list (neighbor_list=None)"
         )
+    if getattr(model.local_dynamics.head, "identified", False):
+        raise InvalidInputError(
+            "motion_noise: outlines alone tell where this model's bodies touch, motion nothing more"
+        )
     return model
 
 

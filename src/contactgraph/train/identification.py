@@ -43,7 +43,7 @@ def identifies_laws(model: ContactDynamics) -> bool:
 
 
 def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) -> ContactDynamics:
-    """The model with masses, bounce, friction, distances from planes and inertia by the data.
+    """The model with bounce, friction and inertia by the data.
 
     Maximum a posteriori: a normal prior about the model's own numbers, and a pseudo-Huber loss of
     the velocities in windows in which something happens; every near pair touches.
@@ -54,14 +54,11 @@ def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) ->
     leaves = {name: np.asarray(getattr(head, name), float) for name in _SPREADS}
     spread = np.concatenate([np.full(len(each), _SPREADS[name]) for name, each in leaves.items()])
     start = np.concatenate(list(leaves.values()))
-    speed = float(
-        np.sqrt(
-            np.mean(
-                np.square(windows.velocity), where=np.asarray(windows.learned)[:, None, :, None]
-            )
-        )
-    )
-    scale = _ERROR * (speed or 1.0)
+    free = np.asarray(windows.learned)[:, None, :, None]
+    typical = float(np.sqrt(np.mean(np.square(windows.velocity), where=free)))
+    # Of bodies at rest, errors count from those on that a part of their weight would make.
+    weight = model.dt * float(np.linalg.norm(np.asarray(windows.nodes.gravity)[0]))
+    scale = _ERROR * max(typical, weight) * np.sqrt(_STEPS)
 
     def with_numbers(shift: np.ndarray) -> ContactDynamics:
         # About 1, because differences are relative.
