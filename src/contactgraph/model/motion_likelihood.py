@@ -108,13 +108,10 @@ def check_motion_model(model: object) -> ContactDynamics:
         )
     if model.neighbor_list is not None:
         raise InvalidInputError(
-            "motion_noise: the log-odds by motion are kept for all pairs, so the model must have "
-            "no neighbor list (neighbor_list=None)"
+            "motion_noise: all pairs are judged, so the model must have no neighbor list"
         )
     if getattr(model.local_dynamics.head, "identified", False):
-        raise InvalidInputError(
-            "motion_noise: outlines alone tell where this model's bodies touch, motion nothing more"
-        )
+        raise InvalidInputError("motion_noise: outlines alone tell where this model's bodies touch")
     return model
 
 
