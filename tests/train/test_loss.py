@@ -35,7 +35,7 @@ class Still(eqx.Module):
     control_size: int = 2
     neighbor_list: None = None
 
-    def encode(self, position, velocity, nodes, control_displacement=None, command=None):
+    def encode(self, position, velocity, nodes, control_displacement=None, *further):
         exists = nodes.mask[:1] & nodes.mask[1:2] & nodes.candidate[:1]
         zero = jnp.zeros_like(position)
         moved = zero if control_displacement is None else control_displacement

@@ -110,7 +110,7 @@ def check_motion_model(model: object) -> ContactDynamics:
         raise InvalidInputError(
             "motion_noise: all pairs are judged, so the model must have no neighbor list"
         )
-    if getattr(model.local_dynamics.head, "identified", False):
+    if getattr(getattr(model.local_dynamics, "head", None), "identified", False):
         raise InvalidInputError("motion_noise: outlines alone tell where this model's bodies touch")
     return model
 
