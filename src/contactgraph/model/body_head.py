@@ -202,7 +202,7 @@ class BodyHead(eqx.Module):
             speed=self.speed,
             pushed=coordinates == 6,
         )
-        if nodes.planes is not None and self.turn_length is not None:
+        if self.identified:
             contacts = contacts.pushing(bodies, dt, capacity)
         solution = contacts.solve(bodies, dt, capacity)
         if nodes.reach is not None:
@@ -228,8 +228,8 @@ class BodyHead(eqx.Module):
         if len(weight) > 1:
             # Bodies that come nearer and do not meet in the step: a contact predicted too early.
             early = geometry.approach > (tolerance := _EARLY * self.length)
-            # And outlines tell exactly where bodies are apart.
-            early |= (points > 1) & (geometry.distance - geometry.contact_distance > tolerance)
+            # And outlines alone tell where bodies are apart.
+            early |= self.identified & (geometry.distance - geometry.contact_distance > tolerance)
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
             nearer = geometry.approach + weighed_down(geometry, local.nodes, step.dt)
             closing = jax.nn.sigmoid(nearer / (_ONE_SIDED * self.length))
