@@ -46,6 +46,8 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
         reach=np.array([[[-1.0, np.nan], [1.0, 2.0]], *np.full((2, 2, 2), np.nan)]),
         polygons=(np.array([[0, 0], [1, 0], [0, 1]]), np.array([[0, 0], [1, 0], [1, 1], [0, 1]])),
         polygon_of=np.array([2, 2]),
+        pins=np.array([[0, 1], [2, 1]]),
+        pin_points=rng.normal(size=(2, 2, 2)),
         metadata={"seed": 3},
     )
     state = rng.normal(size=(2, STEPS + 1, NODES, 2))
@@ -117,7 +119,7 @@ def test_everything_written_is_under_a_checksum(good: Path) -> None:
         assert good.read_bytes()[8] == 3, "superblock version"
         check("/", file)
         file.visititems(check)
-    assert len(arrays) == 2 * 25
+    assert len(arrays) == 2 * 27
 
 
 @settings(max_examples=300, deadline=None)
@@ -287,6 +289,18 @@ HOLDING_WITHOUT_CONTACT[3, [1, 2], [2, 1]] = True
         (remove(f"{RUN}/polygon_of"), f"{RUN}: polygons and polygon_of must be given together"),
         (remove(f"{RUN}/polygon_size"), f"{RUN}: polygons and polygon_size must be given toget"),
         (remove(f"{RUN}/polygons"), f"{RUN}: polygons and polygon_size must be given together"),
+        (put("pins", [[0, 1], [2, 3]]), "two different nodes of 0 to 2, found [2, 3] in pin 1"),
+        (put("pins", [[-1, 1], [2, 0]]), f"{RUN}: pins must join two different nodes of 0 to 2"),
+        (put("pins", [[0, 1], [2, 2]]), "two different nodes of 0 to 2, found [2, 2] in pin 1"),
+        (put("pins", np.array([[0, 2**64 - 1]] * 2, np.uint64)), f"{RUN}: pins must join two"),
+        (put("pins", [[0, 1]]), f"{RUN}: pin_points must have shape (P, 2, D) = (1, 2, 2)"),
+        (put("pins", [0, 1]), f"{RUN}/pins: must have shape (P, 2) of integers"),
+        (put("pins", [[0.0, 1.0], [1.0, 2.0]]), f"{RUN}/pins: must have shape (P, 2) of integers"),
+        (put("pin_points", np.ones((2, 2, 3))), f"{RUN}: pin_points must have shape (P, 2, D)"),
+        (put("pin_points", np.full((2, 2, 2), np.nan)), f"{RUN}: pin_points must be finite"),
+        (put("pin_points", [[1, 0]]), f"{RUN}/pin_points: must have shape (P, 2, D) of floats"),
+        (remove(f"{RUN}/pins"), f"{RUN}: pins and pin_points must be given together"),
+        (remove(f"{RUN}/pin_points"), f"{RUN}: pins and pin_points must be given together"),
         (put("actuated", [1.0, 0.0, 0.0]), f"{RUN}/actuated: must have shape (N,) of bools"),
         (put("candidate_edges", [[0, 3]]), f"{RUN}: candidate_edges must name nodes 0 to 2"),
         (put("candidate_edges", [[1, 1]]), f"{RUN}: candidate_edges must join two different"),

@@ -87,8 +87,12 @@ def datasets(draw: st.DrawFn) -> Dataset:
         }
         box = np.array([[-1.0], [2.0]]) * np.ones(dimension)
         outlines = draw(st.none() | st.lists(st.integers(3, 6), max_size=3))
+        joined = None
         if dimension != 2:
             outlines = None
+        elif nodes > 1:
+            joined = draw(st.none() | st.lists(st.permutations(range(nodes)), max_size=3))
+        ends = None if joined is None else np.array([each[:2] for each in joined], int)
         scene = Scene(
             static=~actuated if draw(st.booleans()) else None,
             control_kind=tuple(draw(kinds)) if draw(st.booleans()) else None,
@@ -97,6 +101,8 @@ def datasets(draw: st.DrawFn) -> Dataset:
             reach=np.where(actuated[:, None, None], box, np.nan) if draw(st.booleans()) else None,
             polygons=None if outlines is None else tuple(regular(each) for each in outlines),
             polygon_of=None if outlines is None else np.zeros(len(outlines), dtype=np.int64),
+            pins=None if ends is None else ends.reshape(-1, 2),
+            pin_points=None if joined is None else numbers(len(joined), 2, 2),
             node_name=tuple(draw(st.lists(text, min_size=nodes, max_size=nodes, unique=True))),
             node_type=tuple(draw(st.lists(text, min_size=nodes, max_size=nodes))),
             actuated=actuated,
@@ -133,7 +139,7 @@ def assert_same(found: Dataset, expected: Dataset) -> None:
             assert_same_array(getattr(ours, name), getattr(theirs, name))
         for name in ("actuated", "anchor", "goal", "mass", "radius", "size", "candidate_edges"):
             assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
-        for name in ("static", "control_of", "planes", "reach", "polygon_of"):
+        for name in ("static", "control_of", "planes", "reach", "polygon_of", "pins", "pin_points"):
             assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
         polygons = ours.scene.polygons, theirs.scene.polygons
         assert (polygons[0] is None) == (polygons[1] is None)

@@ -131,6 +131,15 @@ def test_a_turn_has_the_width_of_its_space(dimension: int, name: str, width: int
             {"dimension": 1, "polygons": [[[0], [1]]], "polygon_of": [0]},
             "2 or 3 dimensions, found 1",
         ),
+        (
+            {"dimension": 3, "pins": [[0, 1]], "pin_points": np.zeros((1, 2, 3))},
+            "pins need a scene in the plane, found 3 dimensions",
+        ),
+        ({"pins": [0, 1], "pin_points": np.zeros((2, 2))}, "pins must have shape (P, 2), found"),
+        (
+            {"pins": [[0.5, 1.0]], "pin_points": np.zeros((1, 2, 2))},
+            "pins must be integers, found float64",
+        ),
         ({"dimension": 3, "planes": [[0, 1, 0]]}, "planes must have shape (P, D+1) = (P, 4)"),
         ({"planes": [[0, 1, np.nan]]}, "a finite offset, found [0.0, 1.0, nan] in row 0"),
         ({"control_kind": ("torque",)}, "position, displacement, velocity, switch, other, found"),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
+from contactgraph.data.pins import pin_gaps
 from contactgraph.envs import (
     ChainTask,
     DominoesTask,
@@ -223,6 +224,9 @@ def test_a_chain_keeps_together_and_bends(dragged):
         assert hinge_gaps(run).max() < 1e-4
         expected = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
         assert (run.holding == expected).all() and (run.contact >= run.holding).all()
+        angle = run.orientation[..., 0]
+        found = pin_gaps(run.scene.pins, run.scene.pin_points, run.position, angle)
+        assert found.shape[1] == 2 and found.max() < 1e-4
         assert not run.orientation[:, 0].any() and not run.angular_velocity[:, 0].any()
         assert not run.velocity[0].any()
         bend = run.orientation[:, 2, 0] - run.orientation[:, 1, 0]

@@ -53,7 +53,7 @@ JSON_KEYS = {
     *(f"angle_rmse{beliefs}_rad" for beliefs in ("", "_unmeasured", "_inferred")),
     *("constant_velocity_angle_rmse_rad", "gnn_angle_rmse_rad", "turned_over_accuracy"),
     *("mass_error_median", "mass_error_p90", "mass_interval_coverage"),
-    "rest_drift_m",
+    *("rest_drift_m", "pin_drift_m"),
 }
 
 

@@ -209,6 +209,8 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
         print(f"as many bodies as recorded turn over: in {100 * over:.1f} % of the windows")
     if (drift := values["rest_drift_m"]) is not None:
         print(f"where nothing moves, the largest error: {1000 * drift:.3f} mm")
+    if (drift := values["pin_drift_m"]) is not None:
+        print(f"pins come apart by at most {1000 * drift:.3f} mm")
     for beliefs, text in _CONTACTS.items():
         if beliefs != "_inferred" or values["infer_contacts"]:
             now, coming = score(f"edge_f1_now{beliefs}"), score(f"edge_f1{beliefs}")

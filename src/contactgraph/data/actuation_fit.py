@@ -7,6 +7,7 @@ import numpy as np
 import scipy.optimize
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.pins import pinned_group, pinned_motion
 from contactgraph.data.scene import box_distance
 from contactgraph.data.trajectory import Trajectory
 
@@ -156,24 +157,28 @@ def fit_actuation(trajectories: Iterable[Trajectory], theta: float) -> dict[str,
     return fits
 
 
-def _free_steps(
-    bodies: list[tuple[Trajectory, int]], drives: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity, control and change of velocity of the steps without a contact."""
+def _free_steps(bodies: list[tuple[Trajectory, int]], drives: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Position, velocity, control and change of velocity of the steps without a contact, and the
+    `pinned_motion` of what pins join to the body."""
+    scenes = [each.scene for each, _ in bodies if each.scene.pins is not None]
+    names = sorted({name for each in scenes for name in each.node_type})
     parts = []
     for each, node in bodies:
+        group = pinned_group(each.scene.pins, each.scene.node_count)[node]
+        apart = ~group & (np.arange(len(group)) != node)
         offset = np.linalg.norm(each.position - each.position[:, node : node + 1], axis=-1)
-        offset[:, node] = np.inf
+        offset[:, ~apart] = np.inf
         acts = drives
         if each.scene.control_of is not None:
             acts = drives & each.scene.control_of[node]
         changes = np.diff(each.velocity, axis=0)
-        change, others = changes[:, node], np.linalg.norm(np.delete(changes, node, 1), axis=-1)
+        change, others = changes[:, node], np.linalg.norm(changes[:, apart], axis=-1)
         moved = others.max(axis=1, initial=0.0)
         nearest = np.minimum(offset[:-1], offset[1:]).min(axis=1, initial=np.inf)
         control = np.where(acts, each.control, 0.0)[:, drives]
         start = each.position[:-1, node], each.velocity[:-1, node]
-        parts.append((*start, control, change, moved, nearest))
+        carried = pinned_motion(each.velocity, group, each.scene.node_type, names)
+        parts.append((*start, control, carried, change, moved, nearest))
     *rows, moved, nearest = (np.concatenate(part) for part in zip(*parts, strict=True))
     free = moved <= _UNMOVED * np.sqrt(np.mean(np.sum(rows[-1] ** 2, axis=-1)))
     quantile = _FAR
@@ -181,19 +186,13 @@ def _free_steps(
         free, quantile = np.ones_like(free), _ALONE
     near = free & np.isfinite(nearest)
     free &= nearest >= (np.quantile(nearest[near], quantile) if near.any() else 0.0)
-    position, velocity, control, change = (row[free] for row in rows)
-    return position, velocity, control, change
+    return tuple(row[free] for row in rows)
 
 
 def _fit(
-    rows: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    theta: float,
-    dt: float,
-    *,
-    absolute: bool,
-    damped: bool,
+    rows: tuple[np.ndarray, ...], theta: float, dt: float, *, absolute: bool, damped: bool
 ) -> ActuationFit:
-    position, velocity, control, change = rows
+    position, velocity, control, carried, change = rows
     dimension, size = change.shape[1], control.shape[1]
     # Unknowns: G row by row, b, friction, then one coefficient each of x (where absolute) and v.
     known = np.zeros((len(change), dimension, dimension * (size + 1) + 2 + absolute))
@@ -205,12 +204,14 @@ def _fit(
     known[..., -1] = velocity
     if absolute:
         known[..., -2] = position
+    known = np.concatenate([carried, known], axis=-1)
     kept, found, off = np.ones(len(change), bool), np.zeros(known.shape[-1]), np.zeros(len(change))
     for _ in range(_ROUNDS):
         flat = known[kept].reshape(-1, known.shape[-1])
         found = np.linalg.lstsq(flat, change[kept].reshape(-1), rcond=None)[0]
         off = np.linalg.norm(change - known @ found, axis=1)
         kept = off <= np.quantile(off, _KEPT)
+    found = found[carried.shape[-1] :]
     # Back from the implicit step: with n its inertia, found = -dt (c + theta dt k) / n of v.
     by_velocity = max(float(found[-1]), _LEAST_FORGOTTEN / theta) if damped else 0.0
     inertia = 1.0 / (1.0 + theta * by_velocity)

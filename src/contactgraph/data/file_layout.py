@@ -55,6 +55,8 @@ ARRAYS = {
     "polygons": Field(("W", "D"), "fiu", "m", since=2),
     "polygon_size": Field(("P",), "iu", since=2),
     "polygon_of": Field(("P",), "iu", since=2),
+    "pins": Field(("P", "2"), "iu", since=2),
+    "pin_points": Field(("P", "2", "D"), "fiu", "m", since=2),
 }
 OPTIONAL = set(ARRAYS) - {"position", "velocity", "control", "actuated"}
 NAMES = ("node_name", "node_type")

@@ -6,6 +6,7 @@ import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.outlines import checked_polygons, signed_area
+from contactgraph.data.pins import checked_pins
 
 CONTROL_KINDS = ("force", "position", "displacement", "velocity", "switch", "other")
 """Meanings of a component of the control, by `Scene.control_kind`."""
@@ -67,6 +68,11 @@ class Scene:
     they are, in the body's frame, m. None: not known."""
     polygon_of: np.ndarray | None = None
     """[P] int: the node of each polygon; several may belong to one. Given with ``polygons``."""
+    pins: np.ndarray | None = None
+    """[P, 2] int: two nodes each, in the plane, that a joint holds together at a point and lets
+    turn. None: not known."""
+    pin_points: np.ndarray | None = None
+    """[P, 2, D] m: that point in the frame of either body. Given with ``pins``."""
     metadata: dict[str, str | int | float | bool] = field(default_factory=dict)
     """Free-form: task, seed, simulator version, substeps, …"""
 
@@ -123,6 +129,10 @@ class Scene:
             polygons, nodes = checked_polygons(self.polygons, self.polygon_of, count, dimension)
             _set(self, "polygons", polygons)
             _set(self, "polygon_of", nodes)
+        if self.pins is not None or self.pin_points is not None:
+            pins, points = checked_pins(self.pins, self.pin_points, count, dimension)
+            _set(self, "pins", pins)
+            _set(self, "pin_points", points)
 
     @property
     def node_count(self) -> int:

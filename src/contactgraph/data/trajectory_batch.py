@@ -53,6 +53,10 @@ class Nodes(NamedTuple, Generic[Array]):
     [..., N, P, V, 5, 3]: the `hull_rows` of convex hulls."""
     log_mass: Array | None = None
     """[..., N] logarithm of the mass in units of that of the body's type. None: 0."""
+    pins: Array | None = None
+    """[..., P, 2] int: see `Scene.pins`; padding joins node 0 to itself. None: there are none."""
+    pin_points: Array | None = None
+    """[..., P, 2, D] m: see `Scene.pin_points`. Given with ``pins``."""
 
     @property
     def mobile(self) -> Any:
@@ -194,6 +198,8 @@ class PresentProperties:
     reach: bool
     outlines: tuple[int, int]
     """Most polygons of a node, and most vertices of a polygon; 0: there are none."""
+    pins: int
+    """Most pins of a scene; 0: none has any."""
 
 
 def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
@@ -211,6 +217,7 @@ def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
             max(0 if each.polygons is None else _most_polygons(each) for each in scenes),
             max((len(rows) for each in scenes for rows in rows_of(each.polygons)), default=0),
         ),
+        pins=max(0 if each.pins is None else len(each.pins) for each in scenes),
     )
 
 
@@ -235,6 +242,9 @@ def pad_nodes(
     planes = np.zeros((present.planes, dimension + 1))
     if scene.planes is not None:
         planes[: len(scene.planes)] = scene.planes
+    pins, points = np.zeros((present.pins, 2), int), np.zeros((present.pins, 2, dimension))
+    if scene.pins is not None:
+        pins[: len(scene.pins)], points[: len(scene.pins)] = scene.pins, scene.pin_points
     weight = np.zeros(dimension) if scene.gravity is None else scene.gravity
     types = [type_id(name) for name in scene.node_type]
     control_of = None
@@ -254,6 +264,8 @@ def pad_nodes(
         half_size=padded(scene.half_size, 0.0, float, dimension) if present.boxes else None,
         reach=padded(scene.reach, np.nan, float, 2, dimension) if present.reach else None,
         outlines=_padded_outlines(scene, capacity, *present.outlines),
+        pins=pins if present.pins else None,
+        pin_points=points if present.pins else None,
     )
 
 

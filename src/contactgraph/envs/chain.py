@@ -58,6 +58,7 @@ class ChainTask(ShapedTask):
         world = PlanarWorld([PlanarBody(gripper, MASS, radius=GRASP_RADIUS), *links], DT, SUBSTEPS)
         world.join(0, 1)
         world.join(1, 2)
+        end = LINK * [1.0, 0.0]
         scene = Scene(
             node_name=("gripper", "link", "target"),
             node_type=("gripper", "link", "link"),
@@ -68,6 +69,8 @@ class ChainTask(ShapedTask):
             control_kind=("force", "force"),
             polygons=(box_outline(LINK), box_outline(LINK)),
             polygon_of=np.array([1, 2]),
+            pins=np.array([[0, 1], [1, 2]]),
+            pin_points=np.array([[[0.0, 0.0], -end], [end, -end]]),
             metadata={
                 "task": self.name,
                 "seed": seed,

@@ -39,6 +39,8 @@ class WindowPredictions:
     """The same for the last step of every window, predicted from its start."""
     mass_errors: np.ndarray | None
     """See `mass_errors`."""
+    pin_gap: np.ndarray
+    """[W] m: the largest `pin_gaps` in the window; NaN without pins or without angles."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,6 +152,13 @@ def rest_drift(detail: OpenLoopDetail) -> float | None:
     return float(np.sqrt(at_rest.max())) if at_rest.size else None
 
 
+def pin_drift(detail: OpenLoopDetail) -> float | None:
+    """m: the largest distance between the two points of a pin in any prediction; None: there are no
+    pins, or the model predicts no angles."""
+    gap = detail.measured.pin_gap[~np.isnan(detail.measured.pin_gap)]
+    return float(gap.max()) if gap.size else None
+
+
 def _finite(value: float | None) -> float | None:
     return value if value is None or math.isfinite(value) else None
 

@@ -9,6 +9,7 @@ import numpy as np
 from contactgraph.data import (
     Dataset,
     Trajectory,
+    edge_id,
     generalized_coordinates,
     moving_bodies,
     pair_indices,
@@ -24,13 +25,12 @@ from contactgraph.evaluate.open_loop_detail import (
     OpenLoopDetail,
     WindowPredictions,
 )
-from contactgraph.evaluate.trajectory_prediction import TrajectoryPrediction, predict_trajectory
-from contactgraph.model import (
-    ContactSensor,
-    MotionNoise,
-    ReallocatingModel,
-    StepModel,
+from contactgraph.evaluate.trajectory_prediction import (
+    TrajectoryPrediction,
+    largest_pin_gaps,
+    predict_trajectory,
 )
+from contactgraph.model import ContactSensor, MotionNoise, ReallocatingModel, StepModel
 from contactgraph.model.features import turn_length_of
 from contactgraph.model.filter import trajectory_for
 
@@ -127,6 +127,7 @@ def trajectory_detail(
             next_step=calibrated(coming, 1),
             last_step=calibrated(last, steps),
             mass_errors=mass_errors(lists.given, trajectory, prediction.masses),
+            pin_gap=largest_pin_gaps(trajectory.scene, position[:starts], turn_length),
         )
 
     def calibrated(belief: np.ndarray, first: int) -> Calibration:
@@ -145,6 +146,8 @@ def trajectory_detail(
     elapsed = np.arange(1, steps + 1)[:, None, None]
     exists = np.broadcast_to(np.arange(capacity) < count, (starts, capacity))
     edge_exists = np.logical_and(exists[:, pairs[:, 0]], exists[:, pairs[:, 1]])
+    if trajectory.scene.pins is not None:  # what pins join need not be inferred
+        edge_exists[:, edge_id(*np.sort(trajectory.scene.pins, axis=1).T)] = False
     moves = moving_bodies(recorded)
     if trajectory.scene.static is not None:
         moves = moves & ~trajectory.scene.static

@@ -3,9 +3,11 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.data import TrajectoryBatch
+from contactgraph.data import Scene, TrajectoryBatch
+from contactgraph.data.pins import pin_gaps
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
@@ -45,6 +47,18 @@ class TrajectoryPrediction(eqx.Module):
     """The same for the step after each state, predicted from that state."""
     masses: MassBelief | None
     """[T+1, N] by the motion up to each state. None: bodies of a type weigh alike."""
+
+
+def largest_pin_gaps(scene: Scene, position: np.ndarray, turn_length: float | None) -> np.ndarray:
+    """[S] m: the largest `pin_gaps` of windows [S, H, N, G]; infinite where a prediction is not
+    finite, NaN where the scene has no pins or the model, without a ``turn_length``, no angles."""
+    if scene.pins is None or not len(scene.pins) or turn_length is None:
+        return np.full(len(position), np.nan)
+    assert scene.pin_points is not None
+    place, angle = position[..., :2], position[..., 2] / turn_length
+    with np.errstate(invalid="ignore"):
+        gap = pin_gaps(scene.pins, scene.pin_points, place, angle)
+    return np.where(np.isfinite(gap), gap, np.inf).max(axis=(1, 2))
 
 
 def contact_belief(

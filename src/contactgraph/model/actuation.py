@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.model.block_inverse import relative_at_edges
 from contactgraph.model.contact_solver import ContactMotion
+from contactgraph.model.pins import PinJoints
 from contactgraph.model.types import LocalInput, Nodes, SpringMassDamper, Step
 
 _MOST_DAMPED = 0.99
@@ -89,6 +90,7 @@ class ActuatedMotion(eqx.Module):
         solution: ContactMotion,
         step: Step,
         speed: float,
+        pins: PinJoints | None = None,
     ) -> SpringMassDamper:
         """The solution as a spring-mass-damper of every node, which `ThetaMethod` steps to it.
 
@@ -124,6 +126,7 @@ class ActuatedMotion(eqx.Module):
             impact_displacement=solution.impact_displacement,
             acceleration=(response @ constant + solution.acceleration) * undamped,
             unhindered_response=solution.unhindered_response,
+            pins=pins,
         )
 
 

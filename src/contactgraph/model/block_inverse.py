@@ -119,7 +119,7 @@ def solve_dense(matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatri
         jnp.repeat(matrix.edge, matrix.geometry.contact_jacobian.shape[2]),
         matrix.rows.ravel(),
     )
-    inverse = _dense_inverse(product(jacobian.T, edge[:, None] * jacobian) + jnp.diag(node))
+    inverse = dense_inverse(product(jacobian.T, edge[:, None] * jacobian) + jnp.diag(node))
     solution = product(inverse, vectors.reshape(count * size, -1)).reshape(vectors.shape)
     diagonal = jnp.sum(inverse * jnp.eye(count * size, dtype=inverse.dtype), axis=1)
     return MassMatrixSolution(solution, diagonal.reshape(count, size))
@@ -218,7 +218,8 @@ def _eliminate(pivot: Int[Array, ""] | int, matrix: Float[Array, "*B n n"]) -> A
 
 
 @jax.custom_jvp
-def _dense_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def dense_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Inverse of one symmetric positive definite matrix."""
     size = matrix.shape[0]
     # LAPACK inverts the matrices of a batch one after the other.
     if size > _ELIMINATED_SIZE:
@@ -230,9 +231,9 @@ def _dense_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return matrix
 
 
-@_dense_inverse.defjvp
+@dense_inverse.defjvp
 def _dense_inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    inverse = _dense_inverse(*primals)
+    inverse = dense_inverse(*primals)
     return inverse, -inverse @ tangents[0] @ inverse
 
 

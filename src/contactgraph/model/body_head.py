@@ -14,6 +14,7 @@ from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import FreeBodies, lifted_fraction
 from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
+from contactgraph.model.pins import with_pins, with_pins_held
 from contactgraph.model.planes import (
     on_planes,
     plane_contacts,
@@ -174,11 +175,12 @@ class BodyHead(eqx.Module):
             displaced = local.control_displacement / (theta * dt)
         if nodes.reach is not None:
             motion, displaced, braked = motion.stopped_at_reach(displaced, local, step)
-        contacts = self._contacts(braked, message, step)
+        contacts, known = self._contacts(braked, message, step), theta * displaced
+        contacts, pins = with_pins(contacts, braked, known, mass, self.turn_length, dt)
         lifted, capacity = local.actuated, local.group_capacity
         on_ground, falls = jnp.ones(count), jnp.zeros_like(velocity)
         if nodes.gravity is not None:
-            holding = contacts.holding[: len(local.weight)]
+            holding = with_pins_held(contacts.holding[: len(local.weight)], pins, local.geometry)
             lifted = lifted_fraction(lifted, holding, local.geometry, capacity)
             # On a ground that is not described, bodies rest until an actuated one lifts them.
             falling = lifted * (1.0 - local.actuated) if nodes.planes is None else nodes.passive
@@ -207,7 +209,7 @@ class BodyHead(eqx.Module):
         solution = contacts.solve(bodies, dt, capacity)
         if nodes.reach is not None:
             solution = motion.kept_within_reach(solution, displaced, slots, local, braked, step)
-        parameters = motion.parameters(local, slots, solution, step, self.speed)
+        parameters = motion.parameters(local, slots, solution, step, self.speed, pins)
         if local.anchor is None:
             return parameters
         return with_hinge_springs(parameters, local, contacts.coupling[: len(local.weight)], step)
@@ -226,9 +228,8 @@ class BodyHead(eqx.Module):
             weight = jnp.tile(weight, (1, points)) * near
         touch = jnp.zeros_like(weight[0])
         if len(weight) > 1:
-            # Bodies that come nearer and do not meet in the step: a contact predicted too early.
+            # A contact predicted too early: bodies do not meet, or their outlines are apart.
             early = geometry.approach > (tolerance := _EARLY * self.length)
-            # And outlines alone tell where bodies are apart.
             early |= self.identified & (geometry.distance - geometry.contact_distance > tolerance)
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
             nearer = geometry.approach + weighed_down(geometry, local.nodes, step.dt)
@@ -271,9 +272,8 @@ class BodyHead(eqx.Module):
         shape = () if self.turn_length is None else (local.turns, self.turn_length, self.length)
         geometry = plane_geometry(*at, *shape)
         laws = self.laws(local.node_type, geometry.edge_index[0])
-        closing = jax.nn.sigmoid(geometry.approach / (_ONE_SIDED * self.length))
         displacing = self._displacing(geometry, step)
-        return plane_contacts(geometry, closing, laws, displacing, self.averaged)
+        return plane_contacts(geometry, _ONE_SIDED * self.length, laws, displacing, self.averaged)
 
     def _plane_distance(self, node_type: Float[Array, "N types"]) -> Float[Array, " N"]:
         # Bodies that rest do not tell how much farther a plane might be.

@@ -64,6 +64,8 @@ class Contacts(eqx.Module):
     """Coulomb's coefficient of a touch."""
     until_impact: Float[Array, " C"]
     """Displacement by control and weight before the impact, in dt times what they add to v."""
+    pinned: Float[Array, " C"] | float = 0.0
+    """1 for pins, whose ``bounce`` acts along all axes and both ways, else 0."""
 
     def solve(self, bodies: FreeBodies, dt: float, capacity: int | None) -> ContactMotion:
         """One step of ``dt`` [s]; ``capacity``: most nodes that are coupled, None: no limit.
@@ -72,7 +74,7 @@ class Contacts(eqx.Module):
         """
         mass, count = bodies.mass, len(bodies.mass)
         smooth = self.geometry.along(1.0 - self.touching)
-        normal = self._at_impact(self.geometry.along(jnp.zeros_like(self.damper)), bodies)
+        normal = self._at_impact(self.geometry.along(self.pinned + 0.0 * self.damper), bodies)
         stiffness, holding = self.damper + self.spring, 1.0 - self.touching
         mobility, mobility_across = self._mobility(mass)
         elastic = self.bounce / ((1.0 - self.bounce) * mobility)
@@ -127,7 +129,8 @@ class Contacts(eqx.Module):
     def and_also(self, other: "Contacts") -> "Contacts":
         """These contacts, then the others."""
         whole = self.geometry.along(jnp.ones_like(self.damper))
-        first = dataclasses.replace(self, geometry=whole)
+        first = dataclasses.replace(self, geometry=whole, pinned=self.pinned + 0.0 * self.damper)
+        other = dataclasses.replace(other, pinned=other.pinned + 0.0 * other.damper)
 
         by_end = ("edge_index", "contact_jacobian")  # the two ends are the first axis
 
@@ -165,7 +168,9 @@ class Contacts(eqx.Module):
         after = (1.0 - normal.time_of_impact) / jnp.maximum(self.bounce, _LEAST_BOUNCE) * pushes
         met = normal.relative_velocity + (normal.time_of_impact - after)[:, None] * added
         closing = jnp.sum(normal.normal * met, axis=-1, keepdims=True) < 0.0
-        return dataclasses.replace(normal, relative_velocity=jnp.where(closing, met, 0.0))
+        met = jnp.where(closing, met, 0.0)
+        met = jnp.where(jnp.asarray(self.pinned)[..., None] > 0.0, normal.relative_velocity, met)
+        return dataclasses.replace(normal, relative_velocity=met)
 
     def _impulse(self, geometry: Geometry, count: int, dt: float) -> Float[Array, "N G 1"]:
         stretch = geometry.displacement - self.rest_length[:, None] * geometry.direction

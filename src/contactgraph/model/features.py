@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from contactgraph.data.trajectory_batch import type_id
 from contactgraph.model.collision import Geometry
+from contactgraph.model.pins import apart_from_pins
 from contactgraph.model.polygons import polygon_meeting
 from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import Nodes
@@ -263,7 +264,8 @@ def shaped(nodes: Nodes, features: InvariantFeatures | AbsoluteFeatures, dimensi
     if not features.boxes:
         nodes = nodes._replace(half_size=None)
     if features.turn_length is None:
-        return nodes._replace(outlines=None)
+        return nodes._replace(outlines=None, pins=None)
+    nodes = apart_from_pins(nodes)
     points = jnp.zeros((len(nodes.mask), 1, 1, *((2,) if dimension == 2 else (5, 3))))
     return nodes._replace(outlines=points if nodes.outlines is None else nodes.outlines)
 

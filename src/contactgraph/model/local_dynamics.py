@@ -137,7 +137,7 @@ class ThetaMethod(eqx.Module):
         offset = jnp.stack([theta * dt * offset2 + parameters.impact_displacement, offset2], -1)
         free = parameters.unhindered_response
         unhindered = None if free is None else theta * dt**2 * free
-        return LinearDynamics(A=A, B=B, offset=offset, unhindered=unhindered)
+        return LinearDynamics(A, B, offset, unhindered, pins=parameters.pins)
 
 
 class SpringMassDamperDynamics(eqx.Module):

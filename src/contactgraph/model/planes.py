@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -79,16 +80,18 @@ def plane_geometry(
 
 def plane_contacts(
     geometry: Geometry,
-    closing: Float[Array, " C"],
+    softness: float,
     laws: tuple[Float[Array, " C"], Float[Array, " C"]],
     displacing_fraction: Float[Array, " C"],
     averaged: bool,
 ) -> Contacts:
     """Touches of a `plane_geometry`, with the ``laws`` of bounce and friction.
 
-    ``closing`` is 1 where a node approaches, else 0; ``averaged``: see `BodyHead`.
+    They act where a node approaches by more than about ``softness`` [m]; ``averaged``: see
+    `BodyHead`.
     """
-    closing, nothing = meets_plane(geometry) * closing, jnp.zeros_like(closing)
+    closing = meets_plane(geometry) * jax.nn.sigmoid(geometry.approach / softness)
+    nothing = jnp.zeros_like(closing)
     return Contacts(
         geometry=geometry,
         damper=damper_of(closing),

@@ -100,11 +100,12 @@ def take_step(
         velocity=velocity.astype(state.velocity.dtype),
         belief=cast_like(belief, state.belief),
     )
-    if linear.turn_length is not None:
-        # The same step, of a linear model: turns in space do not add up.
-        plain = dataclasses.replace(linear, turn_length=None)
-        off = position - plain(state.position, state.velocity, control)[0]
-        linear = dataclasses.replace(plain, offset=linear.offset.at[..., 0].add(off))
+    if linear.turn_length is not None or linear.pins is not None:
+        # The same step, of a linear model: turns in space do not add up, and pins bend paths.
+        plain = dataclasses.replace(linear, turn_length=None, pins=None)
+        moved = plain(state.position, state.velocity, control)
+        off = jnp.stack([position - moved[0], velocity - moved[1]], axis=-1)
+        linear = dataclasses.replace(plain, offset=linear.offset + off)
     return after, linear.control_sensitivity.astype(sensitivity.dtype), linear
 
 

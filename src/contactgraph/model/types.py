@@ -12,6 +12,7 @@ from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.pins import PinJoints
 from contactgraph.model.rotations import stepped_turns
 from contactgraph.model.shapes import Meeting
 
@@ -57,6 +58,8 @@ class LinearDynamics(eqx.Module):
     `ContactDynamics.drive`. None: it is driven by the control, and nothing hinders it."""
     turn_length: float | None = eqx.field(static=True, default=None)
     """m; the unit of turns in space, which do not add up: see `composed`. None: all else does."""
+    pins: PinJoints | None = None
+    """Joints that the step keeps together. None: there are none."""
 
     @property
     def control_sensitivity(self) -> Float[Array, "*T N D W"]:
@@ -70,13 +73,12 @@ class LinearDynamics(eqx.Module):
         control: Float[Array, " U"],
     ) -> tuple[Float[Array, "N D"], Float[Array, "N D"]]:
         """Next position [m] and velocity [m/s]."""
-        state = jnp.stack([position, velocity], axis=-1)
-        moved = jnp.sum(self.A * state[..., None, :], axis=-1)
+        moved = jnp.sum(self.A * jnp.stack([position, velocity], axis=-1)[..., None, :], axis=-1)
         moved = moved + jnp.sum(self.B * control, axis=-1) + self.offset
         after, rate = moved[..., 0], moved[..., 1]
-        if self.turn_length is None:
-            return after, rate
-        return stepped_turns(position, after, self.turn_length), rate
+        if self.turn_length is not None:
+            after = stepped_turns(position, after, self.turn_length)
+        return (after, rate) if self.pins is None else self.pins.closed(after, rate)
 
     def then(self, after: "LinearDynamics") -> "LinearDynamics":
         """This step and the one after it, as one."""
@@ -86,17 +88,14 @@ class LinearDynamics(eqx.Module):
             offset=jnp.sum(after.A * self.offset[..., None, :], axis=-1) + after.offset,
             unhindered=jax.tree.map(jnp.add, self.unhindered, after.unhindered),
             turn_length=after.turn_length,
+            pins=after.pins,
         )
 
     def stacked(self) -> tuple[Array, Array, Array]:
         """Dense ``A [2ND, 2ND]``, ``B [2ND, U]``, ``offset [2ND]`` in `stack_state`'s order."""
-        nodes, dimension = self.A.shape[-4:-2]
-        lead = self.A.shape[:-4]
+        *lead, nodes, dimension = self.A.shape[:-2]
         size = 2 * nodes * dimension
-        node = jnp.arange(nodes)[:, None, None, None]
-        dof = jnp.arange(dimension)[None, :, None, None]
-        row = jnp.arange(2)[None, None, :, None]
-        column = jnp.arange(2)[None, None, None, :]
+        node, dof, row, column = jnp.ogrid[:nodes, :dimension, :2, :2]
         first = (node * 2 + row) * dimension + dof
         second = (node * 2 + column) * dimension + dof
         A = jnp.zeros((*lead, size, size), self.A.dtype).at[..., first, second].set(self.A)
@@ -151,6 +150,7 @@ class SpringMassDamper(eqx.Module):
     unhindered_response: Float[Array, "*T N D W"] | None = None
     """As `response`, of what drives nodes, without edges that only touch, and undamped. None: there
     are none."""
+    pins: PinJoints | None = None
 
     @property
     def inverse_mass(self) -> Float[Array, "*T N D"]:

@@ -11,6 +11,7 @@ from jaxtyping import Array
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.graph import pair_indices, passive_nodes
 from contactgraph.data.outlines import hull_moments, signed_area
+from contactgraph.data.pins import pinned_group
 from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.data.trajectory_batch import pad_nodes
@@ -145,10 +146,16 @@ def _gaps(outlines: Array, position: Array, edge_index: Array) -> Array:
 
 def outline_distances(trajectory: Trajectory, contact_distance: float) -> np.ndarray:
     """[T+1, N, N] m: the gaps, as of round bodies that touch at ``contact_distance``, whose half is
-    the radius of bodies without an outline."""
+    the radius of bodies without an outline; 0 of those that pins join."""
     round_ = ~has_outline(trajectory.scene)
     radii = np.add.outer(round_, round_) * 0.5 * contact_distance
-    return outline_gaps(trajectory) - radii + contact_distance
+    apart = outline_gaps(trajectory) - radii + contact_distance
+    return np.where(_pinned(trajectory.scene), 0.0, apart)
+
+
+def _pinned(scene: Scene) -> np.ndarray:
+    """[N, N] bool: bodies that move each other though they do not touch."""
+    return pinned_group(scene.pins, scene.node_count)
 
 
 def round_distances(trajectory: Trajectory) -> np.ndarray:
@@ -156,7 +163,8 @@ def round_distances(trajectory: Trajectory) -> np.ndarray:
     round_ = ~has_outline(trajectory.scene)
     count = np.add.outer(round_, round_)
     gaps = outline_gaps(trajectory)
-    return np.where(count == 0, np.inf, gaps * np.where(count == 1, 2.0, 1.0))
+    apart = (count == 0) | _pinned(trajectory.scene)
+    return np.where(apart, np.inf, gaps * np.where(count == 1, 2.0, 1.0))
 
 
 def plane_distances(dataset: Dataset, shaped: Collection[str]) -> dict[str, float]:

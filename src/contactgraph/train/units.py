@@ -113,7 +113,7 @@ def _trajectory(each: Trajectory, units: Units) -> Trajectory:
 def _scene(scene: Scene, length: float) -> Scene:
     given: dict[str, Any] = {
         name: getattr(scene, name) / length
-        for name in ("anchor", "goal", "gravity", "radius", "size", "reach")
+        for name in ("anchor", "goal", "gravity", "radius", "size", "reach", "pin_points")
         if getattr(scene, name) is not None
     }
     if scene.planes is not None:

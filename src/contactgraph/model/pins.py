@@ -1,0 +1,180 @@
+"""Pins: joints of two bodies that let them turn, as contacts and as a projection after the step."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from contactgraph.data.graph import edge_id
+from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.model.block_inverse import dense_inverse, product
+from contactgraph.model.collision import Geometry
+from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
+from contactgraph.model.rotations import levers, turned
+
+_CORRECTIONS = 2
+"""Newton iterations: a gap of 1 cm between links of 20 cm is below 1 um after them."""
+_RIDGE, _LEAST = 1e-6, 1e-9
+"""Of the largest entry, and 1/kg, added to the diagonal: two pins may say the same."""
+
+
+class PinJoints(eqx.Module):
+    r"""The pins of a scene, of bodies of these masses.
+
+    In a step the velocities of the two points of a pin agree: with J that maps velocities to their
+    difference in the middle of the step, the contact's impulse is the one that makes J v zero,
+    applied twice, so that J (v + v') = 0: on a circle the velocity turns and keeps its size. After
+    the step a projection in the metric of the masses brings the points together and makes their
+    velocities equal, like the constraints of RATTLE (Andersen 1983). Neither adds kinetic energy.
+    """
+
+    nodes: Int[Array, "P 2"]
+    """See `Nodes.pins`."""
+    points: Float[Array, "P 2 D"]
+    """m"""
+    inverse_mass: Float[Array, "N G"]
+    """1/kg; 0 of bodies that never move."""
+    turns: Float[Array, " N"]
+    """1 for bodies that turn, else 0."""
+    turn_length: float = eqx.field(static=True)
+    """m; see `generalized_coordinates`."""
+
+    @property
+    def exists(self) -> Bool[Array, " P"]:
+        """False for padding."""
+        return self.nodes[:, 0] != self.nodes[:, 1]
+
+    def contacts(
+        self,
+        position: Float[Array, "N G"],
+        velocity: Float[Array, "N G"],
+        motion: Float[Array, "N G"],
+    ) -> Contacts:
+        """A row each: a contact that always acts, in all directions; ``motion`` [m] is what the
+        bodies do in the step as far as it is known."""
+        gap, jacobian = self._relative(position + 0.5 * motion)
+        relative = self._differences(jacobian, velocity)
+        nothing = jnp.zeros_like(gap[:, 0])
+        exists = self.exists.astype(gap.dtype)
+        normal = jnp.zeros_like(gap).at[:, 0].set(1.0)  # any: they act along all axes
+        return Contacts(
+            geometry=Geometry(
+                edge_index=self.nodes.T,
+                displacement=gap,
+                relative_velocity=relative,
+                distance=nothing,
+                predicted_distance=nothing,
+                closest_approach=nothing,
+                direction=normal,
+                normal=normal,
+                impact_normal=normal,
+                approach=nothing,
+                time_of_impact=nothing,
+                fraction_after_impact=nothing,
+                contact_jacobian=jacobian,
+                contact_distance=nothing,
+            ),
+            damper=damper_of(exists),
+            spring=nothing,
+            rest_length=nothing,
+            touching=nothing,
+            displacing_fraction=nothing,
+            acting=nothing + 1.0,
+            bounce=MAX_COUPLING * exists,
+            friction=nothing,
+            until_impact=nothing,
+            pinned=exists,
+        )
+
+    def closed(
+        self, position: Float[Array, "N G"], velocity: Float[Array, "N G"]
+    ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
+        """Position [m] and velocity [m/s] with the points of all pins together.
+
+        Without gradient: a step is linear in its derivatives.
+        """
+        before = jax.lax.stop_gradient((position, velocity))
+        pins, (place, rate) = jax.lax.stop_gradient(self), before
+        for _ in range(_CORRECTIONS):
+            gap, jacobian = pins._relative(place)
+            place = place - pins._least_change(jacobian, gap)
+        jacobian = pins._relative(place)[1]
+        rate = rate - pins._least_change(jacobian, pins._differences(jacobian, rate))
+        return position + (place - before[0]), velocity + (rate - before[1])
+
+    def _relative(
+        self, position: Float[Array, "N G"]
+    ) -> tuple[Float[Array, "P D"], Float[Array, "2 P D G"]]:
+        """From the first to the second point of every pin, m, and the Jacobians of both."""
+        dimension, node = self.points.shape[-1], self.nodes.T
+        turn = position[node, dimension] / self.turn_length
+        places = position[node, :dimension] + turned(jnp.swapaxes(self.points, 0, 1), turn)
+        jacobian = levers(places, position, self.turns, node, self.turn_length)
+        moves = self.exists & jnp.any(self.inverse_mass > 0.0, axis=1)[node]
+        gap = jnp.where(self.exists[:, None], places[1] - places[0], 0.0)
+        return gap, jnp.where(moves[..., None, None], jacobian, 0.0)
+
+    def _differences(
+        self, jacobian: Float[Array, "2 P D G"], velocity: Float[Array, "N G"]
+    ) -> Float[Array, "P D"]:
+        each = jnp.einsum("spdg,spg->spd", jacobian, velocity[self.nodes.T])
+        return each[1] - each[0]
+
+    def _least_change(
+        self, jacobian: Float[Array, "2 P D G"], difference: Float[Array, "P D"]
+    ) -> Float[Array, "N G"]:
+        """The least change, by mass, of all coordinates that makes up for the differences."""
+        count, size = self.inverse_mass.shape
+        first, second = (self.nodes.T[..., None] == jnp.arange(count)).astype(jacobian.dtype)
+        rows = second[:, None, :, None] * jacobian[1][:, :, None, :]
+        rows = rows - first[:, None, :, None] * jacobian[0][:, :, None, :]
+        rows = rows.reshape(-1, count * size)
+        by_mass = rows * self.inverse_mass.ravel()
+        matrix = product(by_mass, rows.T)
+        ridge = _RIDGE * jnp.max(matrix) + _LEAST
+        inverse = dense_inverse(matrix + ridge * jnp.eye(len(matrix), dtype=matrix.dtype))
+        change = product(by_mass.T, product(inverse, difference.reshape(-1, 1)))
+        return change.reshape(count, size)
+
+
+def with_pins(
+    contacts: Contacts,
+    local: Any,
+    driven: Float[Array, "N G"],
+    mass: Float[Array, "N G"],
+    turn_length: float | None,
+    dt: float,
+) -> tuple[Contacts, PinJoints | None]:
+    """The contacts, then the pins of nodes of this ``mass`` [kg], and these, None where there are
+    none. ``local`` is a `LocalInput`; ``driven`` m/s is what the control adds to the mean velocity.
+    """
+    nodes, turns, velocity = local.nodes, local.turns, local.velocity
+    if nodes.pins is None or turns is None or turn_length is None:
+        return contacts, None
+    assert nodes.pin_points is not None
+    inverse = jnp.where(nodes.mobile[:, None], 1.0 / mass, 0.0)
+    points = nodes.pin_points.astype(mass.dtype)
+    pins = PinJoints(nodes.pins, points, inverse, turns, turn_length)
+    found = pins.contacts(local.position, velocity, dt * (velocity + driven))
+    return contacts.and_also(found), pins
+
+
+def with_pins_held(
+    holding: Float[Array, " E"], pins: PinJoints | None, geometry: Geometry
+) -> Float[Array, " E"]:
+    """`Contacts.holding` of edges, 1 where a pin joins their two nodes."""
+    if pins is None:
+        return holding
+    joins, edge = jnp.sort(pins.nodes, axis=1), jnp.sort(geometry.edge_index, axis=0).T
+    return jnp.where(jnp.any(jnp.all(edge[:, None] == joins, axis=-1), axis=1), 1.0, holding)
+
+
+def apart_from_pins(nodes: Nodes) -> Nodes:
+    """The nodes, of which those that a pin joins do not touch each other."""
+    if nodes.pins is None:
+        return nodes
+    low, high = jnp.min(nodes.pins, axis=1), jnp.max(nodes.pins, axis=1)
+    pinned = jnp.where(low < high, edge_id(low, high), len(nodes.candidate))
+    return nodes._replace(candidate=nodes.candidate.at[pinned].set(False, mode="drop"))
