@@ -14,6 +14,7 @@ from contactgraph.model import (
     ModelConfig,
     ModelState,
     Nodes,
+    bodies,
     full_ab,
     gim_non_temp,
     gim_temp,
@@ -43,6 +44,18 @@ PRESETS = {
     "paper_literal_no_gim": paper_literal_no_gim,
     "relations": relations,
 }
+
+
+def slippery_bodies(config: ModelConfig) -> ContactDynamics:
+    """The preset `bodies`, which nothing slows but touches."""
+    return eqx.tree_at(
+        lambda each: (
+            each.local_dynamics.head.damper_raw,
+            each.local_dynamics.head.deceleration_raw,
+        ),
+        bodies(config, key=jax.random.key(0)),
+        [jnp.full(len(config.node_types), -10.0)] * 2,
+    )
 
 
 def preset(

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from model_scenes import slippery_bodies
 from scipy.spatial.transform import Rotation
 
 from contactgraph.data import Scene, generalized_coordinates
@@ -20,7 +21,6 @@ from contactgraph.model import (
     ContactDynamics,
     ModelConfig,
     ModelState,
-    bodies,
     load_model,
     save_model,
     scene_nodes,
@@ -218,15 +218,7 @@ CONFIG = ModelConfig(
 @cache
 def model() -> ContactDynamics:
     """Boxes without friction against the air."""
-    slippery = [jnp.full(1, -10.0)] * 2
-    return eqx.tree_at(
-        lambda each: (
-            each.local_dynamics.head.damper_raw,
-            each.local_dynamics.head.deceleration_raw,
-        ),
-        bodies(CONFIG, key=jax.random.key(0)),
-        slippery,
-    )
+    return slippery_bodies(CONFIG)
 
 
 @eqx.filter_jit

@@ -4,10 +4,10 @@ from dataclasses import replace
 from functools import cache
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from model_scenes import slippery_bodies
 
 from contactgraph.data import Dataset, Scene, Trajectory, generalized_coordinates
 from contactgraph.data.pins import pin_gaps
@@ -15,7 +15,7 @@ from contactgraph.envs.planar_body import PlanarBody
 from contactgraph.envs.planar_world import PlanarWorld
 from contactgraph.envs.shaped_tasks import box_outline
 from contactgraph.evaluate import evaluate_open_loop
-from contactgraph.model import ContactDynamics, ModelConfig, ModelState, bodies, scene_nodes
+from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
 from contactgraph.model.types import Nodes
 from contactgraph.train.config import CONTACT_DISTANCE, body_defaults
 from contactgraph.train.units import Units, in_units
@@ -61,15 +61,7 @@ PENDULUM = replace(
 @cache
 def model() -> ContactDynamics:
     """Links of 1 kg on no table."""
-    slippery = [jnp.full(2, -10.0)] * 2
-    return eqx.tree_at(
-        lambda each: (
-            each.local_dynamics.head.damper_raw,
-            each.local_dynamics.head.deceleration_raw,
-        ),
-        bodies(CONFIG, key=jax.random.key(0)),
-        slippery,
-    )
+    return slippery_bodies(CONFIG)
 
 
 @eqx.filter_jit

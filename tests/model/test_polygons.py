@@ -10,11 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 import shapely
+from model_scenes import slippery_bodies
 
 from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
 from contactgraph.data.outlines import signed_area
 from contactgraph.data.trajectory_batch import pad_nodes
-from contactgraph.model import ContactDynamics, ModelConfig, ModelState, bodies, scene_nodes
+from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.filter import check_fit
 from contactgraph.model.polygons import contact_points
@@ -193,15 +194,7 @@ CONFIG = ModelConfig(
 @cache
 def model(identified: bool = False) -> ContactDynamics:
     """Boxes without friction against the air."""
-    slippery = [jnp.full(1, -10.0)] * 2
-    return eqx.tree_at(
-        lambda each: (
-            each.local_dynamics.head.damper_raw,
-            each.local_dynamics.head.deceleration_raw,
-        ),
-        bodies(replace(CONFIG, identified=identified), key=jax.random.key(0)),
-        slippery,
-    )
+    return slippery_bodies(replace(CONFIG, identified=identified))
 
 
 @eqx.filter_jit

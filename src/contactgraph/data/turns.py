@@ -74,20 +74,23 @@ def turned_back(turn: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 def turned_by(turn: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """[..., 3] vectors, turned by rotation vectors ``turn`` [..., 3] rad."""
-    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        axis = np.where(angle > 0.0, turn / angle, 0.0)
+    axis, angle = _axis_and_angle(turn)
     across = np.cross(axis, vector)
     return np.asarray(
         vector + np.sin(angle) * across + (1.0 - np.cos(angle)) * np.cross(axis, across)
     )
 
 
-def quaternions(turn: np.ndarray) -> np.ndarray:
-    """[..., 4] unit quaternions (w, x, y, z) of rotation vectors [..., 3] rad."""
+def _axis_and_angle(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[..., 3], [..., 1] rad; the axis is 0 where nothing turns."""
     angle = np.linalg.norm(turn, axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
-        axis = np.where(angle > 0.0, turn / angle, 0.0)
+        return np.where(angle > 0.0, turn / angle, 0.0), angle
+
+
+def quaternions(turn: np.ndarray) -> np.ndarray:
+    """[..., 4] unit quaternions (w, x, y, z) of rotation vectors [..., 3] rad."""
+    axis, angle = _axis_and_angle(turn)
     return np.concatenate([np.cos(0.5 * angle), np.sin(0.5 * angle) * axis], axis=-1)
 
 

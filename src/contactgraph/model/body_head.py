@@ -28,7 +28,7 @@ from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 PACE = 5.0
 """Scale of each type's numbers in their parameters, which learn faster than weights by this."""
 _SOFTEST = 0.5
-"""What touches and the first type that holds lack of rigid, at most; else types look alike."""
+"""Most that touches and the first type that holds lack of rigid; else types look alike."""
 _ROUGH = 0.454
 """Start of `friction_raw`: 1 between bodies, else only holds explain that they go along."""
 _PLANE_LEARNED = 0.1

@@ -32,8 +32,8 @@ _WINDOWS, _STEPS = 256, 2
 _ERROR = 0.03
 """Error of a step in units of the typical velocity, from which it counts less."""
 _GUESSES, _IMPROVED, _DIFFERENCE, _MOST_EVALUATIONS = 64, 2, 0.1, 12
-"""Draws of the prior, the best of which is the first; step of the differences, in spreads; and most
-evaluations of the residuals, without those."""
+"""Draws of the prior; the best of them that are improved; step of the differences, in spreads; and
+most evaluations of the residuals, without those."""
 
 
 def identifies_laws(model: ContactDynamics) -> bool:
@@ -94,6 +94,7 @@ def _with_laws(model: ContactDynamics, numbers: Float[Array, " L"]) -> ContactDy
 @eqx.filter_jit
 def _velocity_errors(model: ContactDynamics, windows: Window) -> Float[Array, "B L N G"]:
     """m/s; of the bodies that move freely."""
+    edges = edge_count(None, windows.position.shape[-2])
 
     def errors(window: Window) -> Float[Array, "L N G"]:
         shape = _STEPS, edges, model.inference.edge_types
@@ -101,5 +102,4 @@ def _velocity_errors(model: ContactDynamics, windows: Window) -> Float[Array, "B
         _, velocity = given_rollout(model, window, touching, None)
         return jnp.where(window.learned[:, None], velocity - window.velocity[1:], 0.0)
 
-    edges = edge_count(None, windows.position.shape[-2])
     return chunked_vmap(errors, (windows,), edges)

@@ -24,8 +24,8 @@ _NEAREST = 0.005
 _TURNS = 1e-3
 """rad; by which a body must turn, so that it counts as one that does."""
 _FAST, _LITTLE, _PARTS = 0.99, 0.1, 8
-"""Where this quantile of the turns in a step of bodies on planes is above so many rad, steps are in
-so many parts, since where a body touches turns with it: with 16, tosses and rows of dominoes are
+"""A quantile of the turns in a step of bodies on planes, rad; steps are in so many parts if it is
+larger, since the places of contact turn with a body: with 16, tosses and rows of dominoes are
 predicted no better, with 4 half as well."""
 
 
