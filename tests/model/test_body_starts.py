@@ -1,12 +1,16 @@
 """Numbers of types that data tell before training."""
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from contactgraph.data.impact_fit import PLANE, Impacts
 from contactgraph.model import ModelConfig, bodies
-from contactgraph.model.body_head import PACE, BodyHead
+from contactgraph.model.body_head import BodyHead
+from contactgraph.model.body_numbers import PACE
+from contactgraph.model.body_starts import told_numbers
 
 TYPES = ("ball", "puck", "cue")
 NAMES = (*TYPES, PLANE)
@@ -41,6 +45,29 @@ def test_pairs_start_with_what_they_show() -> None:
     ball, puck, cue = np.exp(PACE * np.asarray(made.log_mass))
     assert ball / puck == pytest.approx(0.25, rel=1e-5)
     assert cue == pytest.approx(1.0)
+
+
+def test_what_all_types_show_is_not_learned() -> None:
+    slides = {"ball": (1.0, 0.0), "puck": (2.0, 0.0)}
+    met = ("ball", "puck"), ("ball", "cue")
+    impacts = dict.fromkeys(met, Impacts(0.8, 0.3, None))
+    slowing = ("deceleration_raw", "damper_raw")
+    assert told_numbers(slides, impacts, TYPES) == (*slowing, "bounce_raw", "friction_raw")
+    impacts[met[0]] = Impacts(0.8, None, None)
+    assert told_numbers({"ball": (1.0, 0.0)}, impacts, TYPES) == ("bounce_raw",)
+    assert told_numbers({}, {met[0]: Impacts(0.8, 0.3, None)}, TYPES) == ()
+
+    def laws(head: BodyHead) -> jax.Array:
+        types = jnp.eye(3)
+        each = (*head.laws(types, jnp.array([0]), jnp.array([1])), *head.slowing(types))
+        return jnp.stack([jnp.sum(one) for one in each]) @ jnp.ones(4)
+
+    learned = head({})
+    gradient = eqx.filter_grad(laws)
+    names = (*slowing, "bounce_raw", "friction_raw")
+    kept = head(dict.fromkeys(met, Impacts(0.8, 0.3, None)))
+    assert all(np.any(getattr(gradient(learned), name)) for name in names)
+    assert [np.any(getattr(gradient(kept), name)) for name in names] == [True, True, False, False]
 
 
 def test_a_type_that_is_not_seen_is_like_the_others() -> None:

@@ -1,6 +1,7 @@
 """Contacts with a direction: each law in closed form and against Box2D, and bounds on energy."""
 
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -22,11 +23,14 @@ DT, TOUCH, STIFF = 0.05, 0.1, 999.0
 THETA = 0.55
 
 
-@jax.jit
-def stepped(position, velocity, mass, bounce, friction, deceleration, static, averaged, pushed):
+@partial(jax.jit, static_argnames="on_ground")
+def stepped(
+    position, velocity, mass, bounce, friction, deceleration, static, averaged, pushed, on_ground
+):
     """State after a step in which all pairs that meet touch; velocities, positions [N, 2].
 
-    ``pushed`` m/s: what forces would change velocities by without contacts.
+    ``pushed`` m/s: what forces would change velocities by without contacts. ``on_ground``:
+    `FreeBodies.pushed`.
     """
     count = len(mass)
     edges = jnp.asarray(pair_indices(count)).T
@@ -48,7 +52,8 @@ def stepped(position, velocity, mass, bounce, friction, deceleration, static, av
     push, slowing = (mass[:, None] * pushed)[..., None], 0.0 * mass + deceleration
     zero = jnp.zeros((count, 2, 1))
     coordinates = jnp.tile(mass[:, None], 2)
-    bodies = FreeBodies(coordinates, velocity, 0.0 * mass, slowing, push / DT, zero, push)
+    forces = push / DT, zero, push
+    bodies = FreeBodies(coordinates, velocity, 0.0 * mass, slowing, *forces, pushed=on_ground)
     moved = contacts.solve(bodies, DT, None)
     change = moved.velocity_change + DT * moved.acceleration
     after = velocity + change
@@ -63,7 +68,8 @@ def step(position, velocity, mass, bounce=0.0, friction=0.0, deceleration=0.0, *
     numbers = (np.asarray(each, float) for each in (bounce, friction, deceleration))
     flags = np.asarray(static), np.asarray(options.get("averaged", False))
     pushed = np.asarray(options.get("pushed", np.zeros((len(mass), 2))), float)
-    return tuple(map(np.asarray, stepped(*arrays, *numbers, *flags, pushed)))
+    given = *arrays, *numbers, *flags, pushed
+    return tuple(map(np.asarray, stepped(*given, on_ground=options.get("on_ground", False))))
 
 
 START = np.array([[0.0, 0.0], [0.12, 0.03]])
@@ -140,6 +146,37 @@ def test_a_disc_slides_to_rest_and_stays() -> None:
     np.testing.assert_allclose(np.linalg.norm(position), 0.5 * speed**2 / 0.5, rtol=0.02)
 
 
+MOVES, PUSH, SLOWED = 0.4, 0.3, np.array([0.0, 1.0])
+"""Of a hand that pushes a block along: m/s, m/s a step, and m/s^2 by the ground."""
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.6, np.pi / 4])
+@pytest.mark.parametrize("across", [0.0, 0.3])
+def test_what_the_ground_takes_from_a_block_the_hand_gives(angle: float, across: float) -> None:
+    """Along the normal, whatever its direction, and with it friction where the hand slides."""
+    along, aside = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    velocity = MOVES * np.array([along, along]) + np.array([across * aside, 0.0 * aside])
+    pushed = np.array([PUSH * along, 0.0 * along])
+    given = {"friction": 0.2, "deceleration": SLOWED, "pushed": pushed, "on_ground": True}
+    after, _ = step(np.array([0.0 * along, 0.99 * TOUCH * along]), velocity, MASS, **given)
+    faster = (MASS[0] * PUSH - MASS[1] * SLOWED[1] * DT) / MASS.sum()
+    np.testing.assert_allclose(after @ along, MOVES + faster, atol=5e-3)
+    normal_impulse = MASS[1] * (faster + SLOWED[1] * DT)
+    rubbed = min(0.2 * normal_impulse, across * MASS.prod() / MASS.sum())
+    np.testing.assert_allclose(
+        (velocity - after)[0] @ aside, rubbed / MASS[0], rtol=0.05, atol=1e-4
+    )
+
+
+def test_the_ground_slows_a_block_from_the_moment_on_in_which_it_is_struck() -> None:
+    start = np.array([[0.0, 0.0], [START[1, 0], 0.0]])
+    time = (start[1, 0] - TOUCH) / STRIKES[0, 0]
+    velocity, _ = step(start, STRIKES, MASS, deceleration=5.0 * SLOWED, on_ground=True)
+    taken = MASS[1] * 5.0 * (DT - time)
+    expected = (MASS[0] * STRIKES[0, 0] - taken) / MASS.sum()
+    np.testing.assert_allclose(velocity[:, 0], expected, atol=5e-3)
+
+
 def test_static_bodies_stay_where_they_are_exactly() -> None:
     velocity, position = step(START, STRIKES, MASS, 0.9, static=[False, True])
     np.testing.assert_array_equal(velocity[1], 0.0)
@@ -194,7 +231,8 @@ def test_a_collision_is_that_of_box2d(bounce: float, friction: float) -> None:
     assert np.linalg.norm(velocity[1]) > 0.3
 
 
-def test_a_ball_bounces_off_a_plane_and_rests_on_it() -> None:
+def over_a_plane(position, velocity, bounce=0.0, lift=0.0) -> tuple[Contacts, FreeBodies]:
+    """A ball of 1 kg that falls; a hand that adds ``lift`` [m/s] is not known to the geometry."""
     nodes = Nodes(
         actuated=np.zeros(1, bool),
         mask=np.ones(1, bool),
@@ -202,31 +240,44 @@ def test_a_ball_bounces_off_a_plane_and_rests_on_it() -> None:
         planes=np.array([[0.0, 1.0, 0.2], [0.0, 0.0, 0.0]]),
     )
     nodes = jax.tree.map(jnp.asarray, nodes)
+    weight = jnp.array([[0.0, -9.81 * DT]])
+    motion = DT * (velocity + weight)
+    found = plane_geometry(position, velocity, motion, jnp.array([0.05]), nodes)
+    meets = jnp.any(found.contact_jacobian[0] != 0.0, axis=(1, 2)).astype(float)
+    nothing = jnp.zeros(2)
+    contacts = Contacts(
+        found,
+        damper=STIFF * meets,
+        spring=nothing,
+        rest_length=nothing,
+        touching=nothing + 1.0,
+        displacing_fraction=found.fraction_after_impact - THETA,
+        acting=nothing + 1.0,
+        bounce=bounce * meets,
+        friction=nothing,
+        until_impact=nothing,
+    )
+    forces = weight[..., None] / DT, jnp.zeros((1, 2, 1)), (weight + lift * UP)[..., None]
+    alone = jnp.ones((1, 2)), velocity, jnp.zeros(1), jnp.zeros(1)
+    return contacts, FreeBodies(*alone, *forces)
 
+
+UP = jnp.array([[0.0, 1.0]])
+
+
+@pytest.mark.parametrize("lift", [0.0, 0.4, 0.6, 2.0])
+def test_a_plane_bears_a_ball_and_lets_go_of_one_that_is_lifted(lift: float) -> None:
+    contacts, bodies = over_a_plane(jnp.array([[0.3, 0.25]]), -0.02 * UP, lift=lift)
+    assert contacts.damper[0] > 0.0
+    borne = lift < 9.81 * DT + 0.02
+    assert (contacts.pushing(bodies, DT, None).damper[0] > 0.0) == borne
+    assert contacts.pushing(bodies, DT, None, jnp.zeros(2, bool)).damper[0] > 0.0
+
+
+def test_a_ball_bounces_off_a_plane_and_rests_on_it() -> None:
     @jax.jit
     def fall(position, velocity, bounce):
-        weight = jnp.array([[0.0, -9.81 * DT]])
-        motion = DT * (velocity + weight)
-        found = plane_geometry(position, velocity, motion, jnp.array([0.05]), nodes)
-        meets = jnp.any(found.contact_jacobian[0] != 0.0, axis=(1, 2)).astype(float)
-        nothing = jnp.zeros(2)
-        contacts = Contacts(
-            found,
-            damper=STIFF * meets,
-            spring=nothing,
-            rest_length=nothing,
-            touching=nothing + 1.0,
-            displacing_fraction=found.fraction_after_impact - THETA,
-            acting=nothing + 1.0,
-            bounce=bounce * meets,
-            friction=nothing,
-            until_impact=nothing,
-        )
-        zero = jnp.zeros((1, 2, 1))
-        push = weight[..., None]
-        bodies = FreeBodies(
-            jnp.ones((1, 2)), velocity, jnp.zeros(1), jnp.zeros(1), push / DT, zero, push
-        )
+        contacts, bodies = over_a_plane(position, velocity, bounce)
         moved = contacts.solve(bodies, DT, None)
         change = moved.velocity_change + DT * moved.acceleration
         after = velocity + change

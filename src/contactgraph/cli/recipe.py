@@ -62,6 +62,10 @@ class Recipe:
         if self.name == "relations":
             rows = {"model": rows["model"], "unit of laws": f"{config.contact_distance:.4g} m"}
         if self.units is not None:
+            from contactgraph.model.body_starts import told_numbers
+
+            told = told_numbers(config.slowing, config.impacts, config.node_types)
+            known = ", ".join(name.removesuffix("_raw") for name in told)
             planes = ", ".join(f"{name} {far:.3g}" for name, far in config.plane_distance.items())
             rows |= {
                 "types": f"{', '.join(config.node_types)}; {config.actuated_nodes} actuated",
@@ -73,7 +77,7 @@ class Recipe:
                 "parts of a step": f"{config.substeps}, in each of which contacts are found",
                 "learned": "bounce, friction and inertia, by simulated steps"
                 if config.identified
-                else "all, by gradients",
+                else "by gradients" + (f"; by the data alone: {known}" if known else ""),
                 "planes": f"touched at {planes}" if planes else "none",
                 "slowed": ", ".join(
                     f"{name} by {constant:.3g} and {by_speed:.3g} 1/s"

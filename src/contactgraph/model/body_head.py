@@ -6,13 +6,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.actuation import Actuation, actuated_slots
+from contactgraph.model.body_numbers import PACE, BodyNumbers
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import FreeBodies, lifted_fraction
-from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
+from contactgraph.model.contacts import Contacts, damper_of
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
 from contactgraph.model.pins import with_pins, with_pins_held
 from contactgraph.model.planes import (
@@ -25,16 +26,12 @@ from contactgraph.model.planes import (
 from contactgraph.model.polygons import as_near
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
-PACE = 5.0
-"""Scale of each type's numbers in their parameters, which learn faster than weights by this."""
 _SOFTEST = 0.5
 """Most that touches and the first type that holds lack of rigid; else types look alike."""
 _ROUGH = 0.454
 """Start of `friction_raw`: 1 between bodies, else only holds explain that they go along."""
 _PLANE_LEARNED = 0.1
 """Learned part of the distance from planes, as a share of what the data tell."""
-DECELERATION = 10.0
-"""Unit of decelerations by the ground, in units of speed a second."""
 _EARLY, _ONE_SIDED = 0.01, 2e-4
 """Approaches in a step, in units of `BodyHead.length`: before a touch, and from which one acts."""
 _NEAREST = 0.02
@@ -44,7 +41,7 @@ _SERVO_MASS = 100.0
 """Start of the mass of what a servo moves: it pushes, and hardly gives way."""
 
 
-class BodyHead(eqx.Module):
+class BodyHead(BodyNumbers):
     """Parameters of every node from types of bodies, their actuation, and the active edges.
 
     Each node type has a mass, a damper and a deceleration by the ground, and shares in bounce and
@@ -52,23 +49,9 @@ class BodyHead(eqx.Module):
     spring. A *hold* couples bodies in all directions, a *touch* where they meet, with friction.
     """
 
-    log_mass: Float[Array, " types"]
-    """Of the mass in kg, in units of `PACE`; motion determines masses up to a common factor."""
-    damper_raw: Float[Array, " types"]
-    """Of the damper to the ground, 1/s: softplus(`PACE` x - 6)."""
-    deceleration_raw: Float[Array, " types"]
-    """Of the deceleration by the ground, in units of `DECELERATION`: softplus(`PACE` x - 6)."""
-    bounce_raw: Float[Array, " types+1"]
-    """A touch bounces with sigmoid(`PACE` (x_i + x_j) - 3). The last is that of planes."""
-    friction_raw: Float[Array, " types+1"]
-    """A touch has the coefficient of friction softplus(`PACE` (x_i + x_j) - 4)."""
     plane_distance: Float[Array, " types"]
     """m, of a node from a plane that it touches, by the data; a tenth of it is learned."""
     plane_raw: Float[Array, " types"]
-    log_inertia: Float[Array, "types ..."] | None
-    """Of squared radii of gyration by `turn_length`, in space about axes, over `PACE`; or none."""
-    log_spread: Float[Array, " types"] | None
-    """Of the spread of log masses in a type, in units of `PACE`, or none."""
     edge: eqx.nn.MLP
     actuation: Actuation
     width: int = eqx.field(static=True)
@@ -76,10 +59,8 @@ class BodyHead(eqx.Module):
     slots: int = eqx.field(static=True)
     averaged: bool = eqx.field(static=True)
     length: float = eqx.field(static=True)
-    speed: float = eqx.field(static=True)
-    turn_length: float | None = eqx.field(static=True)
     varying_mass: bool = eqx.field(static=True)
-    identified: bool = eqx.field(static=True, default=False)
+    identified: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -94,6 +75,7 @@ class BodyHead(eqx.Module):
         turn_length: float | None = None,
         varying_mass: bool = False,
         identified: bool = False,
+        told: tuple[str, ...] = (),
         key: PRNGKeyArray,
     ):
         """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``speed``:
@@ -108,7 +90,7 @@ class BodyHead(eqx.Module):
         self.edge, self.actuation = eqx.nn.MLP(width, 3, width, 1, key=key), actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
         self.averaged, self.speed, self.identified = averaged, speed, identified
-        self.turn_length, self.varying_mass = turn_length, varying_mass
+        self.turn_length, self.varying_mass, self.told = turn_length, varying_mass, told
         axes = () if actuation.dimension == 2 else (3,)
         self.log_inertia = None if turn_length is None else 0.0 * jnp.ones((node_types, *axes))
         self.log_spread = self.damper_raw - np.log(2.0) / PACE if varying_mass else None
@@ -124,33 +106,17 @@ class BodyHead(eqx.Module):
     ) -> Float[Array, "N G"]:
         """Velocity of every node after a step of ``dt`` [s] in which only the ground slows it; with
         weight as given, but in space, where outlines tell which bodies lie on a plane."""
-        damper, slowing = self._slowing(node_type)
+        damper, slowing = self.slowing(node_type)
         if nodes.gravity is not None:
             if nodes.planes is None or velocity.shape[1] != 6:
                 return velocity
             at = position, velocity, self._plane_distance(node_type), nodes, dt
             on_ground = rests_on_planes(*at, turns, self.turn_length, self.length)
             damper, slowing = on_ground * damper, on_ground * slowing
-        energy = jnp.sum(self._mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
+        energy = jnp.sum(self.mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
         speed = jnp.sqrt(energy + (_SMALL * self.speed) ** 2)
         left = jax.nn.relu(1.0 - dt * slowing / speed) / (1.0 + dt * damper)
         return jax.lax.stop_gradient(left)[:, None] * velocity
-
-    def _slowing(self, node_type: Float[Array, "N types"]) -> tuple[Array, Array]:
-        """Damper, 1/s, and deceleration, m/s^2, of every node by the ground."""
-        damper, deceleration = (
-            jax.nn.softplus(PACE * node_type @ raw - 6.0)
-            for raw in (self.damper_raw, self.deceleration_raw)
-        )
-        return damper, DECELERATION * self.speed * deceleration
-
-    def _mass_ratio(self, node_type: Float[Array, "N types"], size: int) -> Float[Array, "N G"]:
-        """The mass of every coordinate, in units of that of the body."""
-        ratio = jnp.ones((len(node_type), size))
-        if self.log_inertia is None:
-            return ratio
-        inertia = jnp.exp(PACE * node_type @ self.log_inertia).reshape(len(node_type), -1)
-        return ratio.at[:, self.actuation.dimension :].multiply(inertia)
 
     def __call__(
         self,
@@ -165,8 +131,8 @@ class BodyHead(eqx.Module):
         dimension = self.actuation.dimension
         motion = self.actuation(local.position, velocity, node_type, nodes, theta, dt)
         own = 0.0 if nodes.log_mass is None else nodes.log_mass
-        mass = jnp.exp(PACE * node_type @ self.log_mass + own) * motion.inertia
-        mass = mass[:, None] * self._mass_ratio(node_type, coordinates)
+        mass = self.mass(node_type, own) * motion.inertia
+        mass = mass[:, None] * self.mass_ratio(node_type, coordinates)
         slots = actuated_slots(nodes, self.slots)
         driving = jnp.einsum("nd,ns,de->ndse", mass, slots, jnp.eye(coordinates, dimension))
         # By the control in the step, as far as it is known, and until contacts hinder it.
@@ -186,13 +152,14 @@ class BodyHead(eqx.Module):
             falling = lifted * (1.0 - local.actuated) if nodes.planes is None else nodes.passive
             gravity = jnp.pad(nodes.gravity, (0, coordinates - dimension))
             on_ground, falls = 1.0 - lifted, falling[:, None] * gravity
+        edges = len(contacts.damper)
         if nodes.planes is not None:
             # What is held goes with the hand, and falls on no plane.
             meeting = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
             planes = self._plane_contacts(braked, meeting, step)
             contacts = contacts.and_also(planes)
             on_ground = on_ground if nodes.gravity is None else on_planes(planes.geometry, nodes)
-        damper, slowing = (on_ground * each for each in self._slowing(node_type))
+        damper, slowing = (on_ground * each for each in self.slowing(node_type))
         bodies = FreeBodies(
             mass=mass,
             velocity=braked.velocity,
@@ -202,10 +169,13 @@ class BodyHead(eqx.Module):
             driving=driving.reshape(count, coordinates, -1),
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
-            pushed=coordinates == 6,
+            pushed=not self.identified,
         )
         if self.identified:
-            contacts = contacts.pushing(bodies, dt, capacity)
+            contacts = contacts.pushed_out(dt).pushing(bodies, dt, capacity)
+        elif nodes.planes is not None:  # from which a hand may lift what it holds
+            on_plane = jnp.arange(len(contacts.damper)) >= edges
+            contacts = contacts.pushing(bodies, dt, capacity, on_plane)
         solution = contacts.solve(bodies, dt, capacity)
         if nodes.reach is not None:
             solution = motion.kept_within_reach(solution, displaced, slots, local, braked, step)
@@ -279,21 +249,6 @@ class BodyHead(eqx.Module):
         # Bodies that rest do not tell how much farther a plane might be.
         part = 1.0 + _PLANE_LEARNED * jnp.tanh(PACE * self.plane_raw)
         return node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
-
-    def laws(
-        self,
-        node_type: Float[Array, "N types"],
-        one: Int[Array, " C"],
-        other: Int[Array, " C"] | None = None,
-    ) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
-        """Bounce and coefficient of friction of touches of nodes with others, or with planes."""
-
-        def both(raw: Float[Array, " types+1"]) -> Float[Array, " C"]:
-            each = node_type @ raw[:-1]
-            return PACE * (each[one] + (raw[-1] if other is None else each[other]))
-
-        bounce = MAX_COUPLING * jax.nn.sigmoid(both(self.bounce_raw) - 3.0)
-        return bounce, jax.nn.softplus(both(self.friction_raw) - 4.0)
 
     def _displacing(self, geometry: Geometry, step: Step) -> Float[Array, " C"]:
         # Positions follow from velocities that are means.

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data.impact_fit import PLANE, Impacts
-from contactgraph.model.body_head import DECELERATION, PACE, BodyHead
+from contactgraph.model.body_head import BodyHead
+from contactgraph.model.body_numbers import DECELERATION, PACE
 
-_LEAST, _MOST = 0.01, 0.99
-"""Bounce and friction from which training still gets away."""
+_LEAST, _MOST = 1e-3, 0.99
+"""Of bounce and friction."""
 
 
 def with_shapes(
@@ -60,6 +61,21 @@ def with_impacts(
         log_mass=log_mass / PACE,
         bounce_raw=_shares(PACE * np.asarray(head.bounce_raw), bounce, names) / PACE,
         friction_raw=_shares(PACE * np.asarray(head.friction_raw), friction, names) / PACE,
+    )
+
+
+def told_numbers(
+    slowing: Iterable[str], impacts: Mapping[tuple[str, str], Impacts], types: Sequence[str]
+) -> tuple[str, ...]:
+    """`BodyHead.told`: of ``slowing`` seen of all ``types`` but the last, which is actuated, and of
+    ``impacts`` that all take part in."""
+    slides = set(slowing) >= set(types[:-1])
+    met = {name for pair in impacts for name in pair}
+    rubbed = {name for pair, each in impacts.items() if each.friction is not None for name in pair}
+    return (
+        *(("deceleration_raw", "damper_raw") if slides else ()),
+        *(("bounce_raw",) if met >= set(types) else ()),
+        *(("friction_raw",) if rubbed >= set(types) else ()),
     )
 
 

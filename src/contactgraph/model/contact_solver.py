@@ -9,6 +9,9 @@ from jaxtyping import Array, Float
 from contactgraph.model.block_inverse import MassMatrix, solve_block_diagonal, solve_dense, to_nodes
 from contactgraph.model.collision import Geometry
 
+_SLOW = 1e-4
+"""See `FreeBodies.slow`, in units of speed."""
+
 
 class ContactSolution(eqx.Module):
     """Effect of one step on every node, of the whole scene solved together."""
@@ -48,6 +51,11 @@ class FreeBodies(eqx.Module):
     """Unit of speeds, m/s."""
     pushed: bool = eqx.field(static=True, default=False)
     """Whether friction counts that the ground slows bodies that are pushed along it."""
+
+    @property
+    def slow(self) -> float:
+        """Speed of bodies that friction stops within a step, m/s."""
+        return _SLOW * self.speed
 
 
 class ContactMotion(eqx.Module):

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from contactgraph.model.block_inverse import (
     MassMatrix,
@@ -17,11 +17,10 @@ from contactgraph.model.block_inverse import (
 )
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import ContactMotion, FreeBodies
+from contactgraph.model.ground_friction import ground_dampers, length_of, sliding_share, yielding
 
 MAX_COUPLING = 1.0 - 1e-3
 """Coupling of a damper that is a thousand times as stiff as a mass of 1 in a step."""
-_SLOW = 1e-4
-"""Speed, in units of speed, of bodies that friction stops within a step."""
 _LEAST_BOUNCE = 1e-3
 """By which is divided: with less, what presses bodies together keeps them together."""
 _PUSHED_OUT = 0.02
@@ -92,13 +91,16 @@ class Contacts(eqx.Module):
             capacity,
         )
         change = jnp.sum(first.parts[1] - first.parts[0], axis=-1)
-        ground, across = self._friction(bodies, change, first.diagonal, mobility_across, dt)
+        sliding = sliding_share(bodies, self.geometry, self.coupling, dt)
+        ground = ground_dampers(bodies, change, first.diagonal, sliding, dt)
         if bodies.pushed:
             # What the ground takes from a body, that which pushes it gives, and more friction.
             braking = self._impulse(smooth, count, dt) + (ground * bodies.velocity)[..., None]
             braked = _solve(mass + ground, stiffness, smooth, [braking, bodies.push], capacity)
-            change = jnp.sum(braked.parts[1] - braked.parts[0], axis=-1)
-            _, across = self._friction(bodies, change, braked.diagonal, mobility_across, dt)
+            slower = jnp.sum(braked.parts[1] - braked.parts[0], axis=-1)
+            given = yielding(bodies, ground, change, slower)
+            ground, change = ground_dampers(bodies, change, given, sliding, dt), slower
+        across = self._friction(bodies, change, mobility_across, dt)
         rough = self.geometry.along(jnp.maximum(across, holding))
         slowing = self._impulse(rough, count, dt) + (ground * bodies.velocity)[..., None]
         displacing = -self._left(self.until_impact, bodies.push, rough, mass)
@@ -143,22 +145,32 @@ class Contacts(eqx.Module):
     def _gap(self) -> Float[Array, " C"]:
         return self.geometry.distance - self.geometry.contact_distance
 
-    def pushing(self, bodies: FreeBodies, dt: float, capacity: int | None) -> "Contacts":
-        """These contacts, in which springs push out what overlaps, without touches that would pull,
-        such as at the corner that lifts off where a block tips over: one round of an active set."""
-        geometry, touching = self.geometry, self.touching
-        gap = self._gap
-        spring = jnp.where(gap < 0.0, dt / _PUSHED_OUT * touching * self.damper, self.spring)
-        rest = jnp.where(gap < 0.0, geometry.contact_distance, self.rest_length)
-        sprung = dataclasses.replace(self, spring=spring, rest_length=rest)
-        normal, stiffness = geometry.along(1.0 - touching), self.damper + spring
-        pushed = bodies.push - sprung._impulse(normal, len(bodies.mass), dt)
+    def pushed_out(self, dt: float) -> "Contacts":
+        """These contacts, in which springs push out what overlaps."""
+        overlaps = self._gap < 0.0
+        spring = jnp.where(overlaps, dt / _PUSHED_OUT * self.touching * self.damper, self.spring)
+        rest = jnp.where(overlaps, self.geometry.contact_distance, self.rest_length)
+        return dataclasses.replace(self, spring=spring, rest_length=rest)
+
+    def pushing(
+        self,
+        bodies: FreeBodies,
+        dt: float,
+        capacity: int | None,
+        among: Bool[Array, " C"] | bool = True,
+    ) -> "Contacts":
+        """These contacts without touches that would pull, such as at the corner that lifts off
+        where a block tips over: one round of an active set, ``among`` some of them."""
+        geometry, gap = self.geometry, jnp.minimum(self._gap, 0.0)
+        normal, stiffness = geometry.along(1.0 - self.touching), self.damper + self.spring
+        pushed = bodies.push - self._impulse(normal, len(bodies.mass), dt)
         solved = _solve(bodies.mass, stiffness, normal, [pushed], capacity)
         velocity = bodies.velocity[..., None] + solved.parts[0]
         parting = jnp.sum(geometry.normal * relative_at_edges(velocity, geometry)[..., 0], axis=-1)
-        kept = 1.0 - touching * (stiffness * parting + spring * jnp.minimum(gap, 0.0) / dt > 0.0)
-        given = {name: kept * getattr(sprung, name) for name in ("damper", "spring", "bounce")}
-        return dataclasses.replace(sprung, **given)
+        pulls = among & (stiffness * parting + self.spring * gap / dt > 0.0)
+        kept = 1.0 - self.touching * pulls
+        given = {name: kept * getattr(self, name) for name in ("damper", "spring", "bounce")}
+        return dataclasses.replace(self, **given)
 
     def _at_impact(self, normal: Geometry, bodies: FreeBodies) -> Geometry:
         """With the velocity of which a bounce gives back its share: that at the impact, less what
@@ -203,39 +215,23 @@ class Contacts(eqx.Module):
         self,
         bodies: FreeBodies,
         change: Float[Array, "N G"],
-        diagonal: Float[Array, "N G"],
         mobility: Float[Array, " C"],
         dt: float,
-    ) -> tuple[Float[Array, "N G"], Float[Array, " C"]]:
-        """Dampers to the ground, times dt [kg], and the roots of the dampers across each normal, in
-        units of those along it, by which friction reaches its bound and not more.
-
-        A damper c slows a body of effective mass m from v to v m / (m + c), so that it takes the
-        impulse p if c = p / (v - p / m). On the ground a body that turns counts with the speed of
-        its radius of gyration, as an ellipsoid of forces has it (Howe and Cutkosky 1996).
-        """
-        velocity, diagonal, mobility, damper = jax.lax.stop_gradient(
-            (bodies.velocity + change, diagonal, mobility, self.damper)
+    ) -> Float[Array, " C"]:
+        """The roots of the dampers across each normal, in units of those along it, by which
+        friction reaches its bound and not more: see `ground_dampers`."""
+        velocity, mobility, damper = jax.lax.stop_gradient(
+            (bodies.velocity + change, mobility, self.damper)
         )
-        slow = _SLOW * bodies.speed
-        per_mass = jax.lax.stop_gradient(bodies.mass / bodies.mass[:, :1])
-        by_axis = jnp.sqrt(per_mass) * velocity
-        speed = _length(by_axis)[:, None]
-        bound = bodies.mass * bodies.deceleration[:, None] * dt
-        loss = bound * diagonal
-        if bodies.pushed:  # the ground acts against the motion, which others may keep up
-            loss = jnp.sum((by_axis / speed) ** 2 * loss, axis=-1, keepdims=True)
-        ground = bound / jnp.maximum(speed - loss, slow)
-        ground = ground + bodies.ground_damper[:, None] * bodies.mass
         relative = relative_at_edges(velocity[..., None], self.geometry)[..., 0]
         approach = jnp.sum(self.geometry.normal * relative, axis=-1)
-        across = _length(relative - approach[:, None] * self.geometry.normal)
+        across = length_of(relative - approach[:, None] * self.geometry.normal)
         pushed = -(damper + self.spring) * approach - self.spring * self._gap / dt
         normal_impulse = (1.0 + self.bounce) * jnp.maximum(pushed, 0.0)
         bound = self.friction * self.touching * normal_impulse
-        tangential = bound / jnp.maximum(across - bound * mobility, slow)
+        tangential = bound / jnp.maximum(across - bound * mobility, bodies.slow)
         share = tangential / jnp.maximum(damper, _LEAST_INVERSE)
-        return ground, jnp.sqrt(jnp.clip(share, _LEAST_INVERSE**2, 1.0))
+        return jnp.sqrt(jnp.clip(share, _LEAST_INVERSE**2, 1.0))
 
 
 def damper_of(coupling: Float[Array, " C"]) -> Float[Array, " C"]:
@@ -294,7 +290,3 @@ def _solve(
 
 def _pulled(damper: Float[Array, " C"], geometry: Geometry, count: int) -> Float[Array, "N G 1"]:
     return to_nodes((damper[:, None] * geometry.relative_velocity)[..., None], geometry, count)
-
-
-def _length(vector: Float[Array, "n D"]) -> Float[Array, " n"]:
-    return jnp.sqrt(jnp.sum(vector**2, axis=-1) + _LEAST_INVERSE**2)

@@ -18,7 +18,7 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
 from contactgraph.model.body_head import BodyHead
-from contactgraph.model.body_starts import with_impacts, with_shapes, with_slowing
+from contactgraph.model.body_starts import told_numbers, with_impacts, with_shapes, with_slowing
 from contactgraph.model.collision import ClosestApproachPrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
@@ -200,6 +200,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         turn_length=config.turn_length,
         varying_mass=config.varying_mass,
         identified=config.identified,
+        told=told_numbers(config.slowing, config.impacts, features.types),
         key=jax.random.fold_in(model_key, 1),
     )
     head = with_shapes(head, config.plane_distance, config.inertia, features.types)

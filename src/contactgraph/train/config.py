@@ -93,6 +93,8 @@ _MOVES, _LEAST_BEGINNINGS = 0.02, 10
 the distance of contact to be seen from it."""
 _FARTHER = 0.9
 """Quantile of these distances: of bodies that are no discs, most touch when they are nearer."""
+_SAME = 0.01
+"""Spread of these distances from which training learns the distance: impacts would lead away."""
 _KEY = "contact_distance"
 
 
@@ -170,7 +172,7 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     drives = checked_driving_components(dataset)
     theta = fit_theta(dataset)
     averaged = theta > _AVERAGED
-    distance, boxes, margin = common.contact_distance, False, 0.0
+    distance, boxes, margin, spread = common.contact_distance, False, 0.0, np.inf
     turning = find_turning(dataset)
     outlined = turning and all(has_outline(each.scene).all() for each in dataset)
     if common.learned_contact_distance and turning is not None:
@@ -184,7 +186,7 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         )
         # Shapes that are right let bodies touch at one distance.
         boxes = box.spread < round_.spread
-        distance = box.distance if boxes else round_.distance
+        distance, spread = box if boxes else round_
     actuation = fit_actuation(dataset, 1.0 if averaged else theta)
     apart = partial(distances, boxes=boxes)
     if turning is not None:
@@ -197,7 +199,8 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     return BodyDefaults(
         contact_distance=distance,
         # Outlines tell it; of bodies at rest nothing else does.
-        learned_contact_distance=common.learned_contact_distance and not (averaged or outlined),
+        learned_contact_distance=common.learned_contact_distance
+        and not (averaged or outlined or spread < _SAME),
         node_types=_node_types(dataset),
         actuation=actuation,
         driving_size=int(drives.sum()),
