@@ -140,6 +140,15 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
             "train a.h5 --out run --model gim-temp --edge-types 4",
             "--edge-types: gim-temp has no types to choose; it is for filter, bodies or relations",
         ),
+        (
+            "train a.h5 --out run --model filter --graph star --temperature 1",
+            "--graph and --temperature: only the paper's forms have this, not filter",
+        ),
+        ("train a.h5 --out run --graph ring", "--graph must be one of full, star; found 'ring'"),
+        (
+            "train a.h5 --out run --model paper-local --temperature 0",
+            "--temperature must be positive, found 0.0",
+        ),
         ("train a --out b --edge-types x", "--edge-types must be an integer, found 'x' (see"),
         ("train a.h5 --out run --contact-distance -1", "--contact-distance must be positive metr"),
         ("train a.h5 --out run --contact-distance inf", "--contact-distance must be positive met"),

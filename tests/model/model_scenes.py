@@ -10,6 +10,7 @@ import numpy as np
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
+    PAPER_PRESETS,
     ContactDynamics,
     ModelConfig,
     ModelState,
@@ -20,7 +21,6 @@ from contactgraph.model import (
     gim_temp,
     no_gim,
     paper_literal,
-    paper_literal_no_gim,
     relations,
 )
 from contactgraph.model.collision import geometry
@@ -41,7 +41,7 @@ PRESETS = {
     "no_gim": no_gim,
     "full_ab": full_ab,
     "paper_literal": paper_literal,
-    "paper_literal_no_gim": paper_literal_no_gim,
+    "paper_literal_no_gim": PAPER_PRESETS["paper-literal-no-gim"],
     "relations": relations,
 }
 

@@ -15,7 +15,7 @@ from contactgraph.data import pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model import ContactDynamics, ModelConfig, gim_non_temp, gim_temp, no_gim
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
-from contactgraph.model.paper_presets import full_ab, paper_literal, paper_literal_no_gim
+from contactgraph.model.paper_presets import PAPER_PRESETS, full_ab, paper_literal
 from contactgraph.model.presets import Preset
 from contactgraph.train import FitStatus
 from contactgraph.train.batch import Window, window_source
@@ -60,7 +60,10 @@ def test_a_layer_that_is_never_active_is_dead(windows: Window, layer: int) -> No
         ),
         (full_ab, lambda model: model.inference.message_passing.steps[1].message.bias),
         (paper_literal, lambda model: model.inference.message_passing.steps[1].receiver.bias),
-        (paper_literal_no_gim, lambda model: local_messages(model).steps[1].message.bias),
+        (
+            PAPER_PRESETS["paper-literal-no-gim"],
+            lambda model: local_messages(model).steps[1].message.bias,
+        ),
     ],
 )
 def test_every_kind_of_network_is_watched(preset: Preset, layer: Callable, windows: Window) -> None:

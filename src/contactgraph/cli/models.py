@@ -1,13 +1,15 @@
 """Models by name: presets to train, and model files."""
 
 import dataclasses
+import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from contactgraph.cli.options import AUTO, choice, load_object
+from contactgraph.cli.options import AUTO, TEMPERATURE, choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
+    PAPER_PRESETS,
     ContactDynamics,
     ContactSensor,
     DistancePrior,
@@ -23,8 +25,6 @@ from contactgraph.model import (
     load_model,
     motion_noise,
     no_gim,
-    paper_literal,
-    paper_literal_no_gim,
     relations,
     shipped_model,
     shipped_models,
@@ -44,8 +44,7 @@ MODELS: dict[str, Preset] = {
     "gim-non-temp": gim_non_temp,
     "no-gim": no_gim,
     "full-ab": full_ab,
-    "paper-literal": paper_literal,
-    "paper-literal-no-gim": paper_literal_no_gim,
+    **PAPER_PRESETS,
 }
 
 _MADE_BY = re.compile(r"(?P<preset>[\w.]+:[\w.]+)@(?P<name>.+)")
@@ -131,6 +130,26 @@ def with_inference(model: ContactDynamics, name: str) -> ContactDynamics:
     if active_type is None:
         return model
     return dataclasses.replace(model, inference=PriorEdges(types, active_type))
+
+
+def paper_options(model: str, graph: str, sampling: str, temperature: float) -> dict[str, Any]:
+    """Fields of `ModelConfig` by the flags of `train` for the paper's forms.
+
+    Raises `InvalidInputError` where another model is given one, or a temperature is not positive.
+    """
+    if not 0.0 < temperature < math.inf:
+        raise InvalidInputError(f"--temperature must be positive, found {temperature}")
+    star = choice("--graph", graph, {"full": False, "star": True})
+    gumbel = choice("--sampling", sampling, {"likeliest": False, "gumbel": True})
+    asked = {
+        "--graph": star,
+        "--sampling": gumbel,
+        "--temperature": temperature != TEMPERATURE,
+    }
+    if model not in PAPER_PRESETS and ":" not in model and any(asked.values()):
+        flags = " and ".join(flag for flag, given in asked.items() if given)
+        raise InvalidInputError(f"{flags}: only the paper's forms have this, not {model}")
+    return {"star": star, "gumbel": gumbel, "temperature": temperature}
 
 
 def contact_distance_text(model: ContactDynamics) -> str:

@@ -20,6 +20,8 @@ Value = TypeVar("Value")
 
 AUTO = "auto"
 """In place of a model's name: chosen by the data."""
+TEMPERATURE = 0.15
+"""See `contactgraph.model.ModelConfig.temperature`."""
 
 ModelArgument = Positional[
     Annotated[

@@ -1,6 +1,8 @@
 """Choices of a training that follow from its data: the model, its properties, and units."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from contactgraph.cli.options import AUTO
@@ -107,8 +109,12 @@ def recipe(
     contact_distance: float | None = None,
     edge_types: int | None = None,
     rollout_from: float | None = None,
+    paper: Mapping[str, Any] = MappingProxyType({}),
 ) -> Recipe:
-    """None: by the data. Raises `InvalidInputError` where data and options do not fit."""
+    """None: by the data. ``paper`` has the fields of `ModelConfig` for the paper's forms.
+
+    Raises `InvalidInputError` where data and options do not fit.
+    """
     from contactgraph.data import InvalidInputError
     from contactgraph.model import ModelConfig
     from contactgraph.train import body_defaults, defaults_from_data
@@ -150,6 +156,7 @@ def recipe(
             weight=defaults.weight,
             control_gain=defaults.control_gain,
             edge_types=(2 if model == "relations" else 3) if edge_types is None else edge_types,
+            **paper,
             **given,
         )
 

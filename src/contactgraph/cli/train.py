@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import AUTO
+from contactgraph.cli.options import AUTO, TEMPERATURE
 from contactgraph.cli.recipe import recipe
 
 if TYPE_CHECKING:
@@ -30,14 +30,20 @@ class Train:
             metavar="NAME",
             help="auto (bodies where there are servos, planes, a bounded reach, static, turning or "
             "several actuated bodies, else filter), filter, bodies, relations, gim-temp, "
-            "gim-non-temp, no-gim, full-ab, paper-literal, paper-literal-no-gim, or "
-            "module:factory.",
+            "gim-non-temp, no-gim, full-ab, the paper's forms (paper-literal and paper-local, each "
+            "also with -non-temp, -no-gim or -full-ab), or module:factory.",
         ),
     ] = AUTO
     edge_types: Annotated[
         int | None, arg(metavar="K", help_behavior_hint="(default: 3; for filter and bodies)")
     ] = None
     """Types of an edge: 0 free, 1 touch, and all further ones hold. Of 2 types the other holds."""
+    graph: Annotated[str, arg(metavar="NAME")] = "full"
+    """Edges of the paper's forms: full, or star, those of actuated bodies alone."""
+    sampling: Annotated[str, arg(metavar="NAME")] = "likeliest"
+    """Edges of the paper's forms in training: likeliest, or gumbel, drawn by their probability."""
+    temperature: float = TEMPERATURE
+    """Divides the recurrent state of the paper's forms; at 1, as the paper's, none is certain."""
     every: Annotated[int, arg(metavar="N")] = 1
     """Use every N-th step of the trajectories, with the mean of the controls in between."""
     seed: int = 0
@@ -92,6 +98,7 @@ class Train:
             check_edge_types,
             contact_distance_text,
             held_out_text,
+            paper_options,
             sensor_text,
         )
         from contactgraph.cli.options import (
@@ -138,6 +145,7 @@ class Train:
         if ":" not in options.model:
             choice("--model", options.model, {AUTO: None, **MODELS})
         check_edge_types(options.model, options.edge_types)
+        paper = paper_options(options.model, options.graph, options.sampling, options.temperature)
         check_weight("--prior-weight", options.prior_weight)
         config = TrainConfig(
             **{name: getattr(options, name) for name in _CONFIG},
@@ -148,7 +156,7 @@ class Train:
         recorded = subsample(read_trajectories(self.data), options.every)
         names = ("seed", "contact_distance", "edge_types", "rollout_from")
         told = {name: getattr(options, name) for name in names}
-        chosen = recipe(recorded, options.model, **told)
+        chosen = recipe(recorded, options.model, **told, paper=paper)
         options, dataset = replace(options, model=chosen.name), chosen.dataset
         config = replace(config, rollout_from=chosen.rollout_from)
         checksum = sha256(self.data)
@@ -177,7 +185,7 @@ class Train:
         flags = f"--model {options.model} --seed {options.seed}"
         flags += "".join(
             f" --{name.replace('_', '-')} {getattr(options, name)}"
-            for name in ("edge_types", "every", "bystanders", "prior_weight", "sensor")
+            for name in (*_SHOWN, "sensor")
             if getattr(options, name) != getattr(type(options), name)
         ) + (" --use-contacts" if options.use_contacts else "")
         summary = {
@@ -279,6 +287,7 @@ def _warn(text: str) -> None:
     print(f"contactgraph: warning: {text}", file=sys.stderr)
 
 
+_SHOWN = ("edge_types", "graph", "sampling", "temperature", "every", "bystanders", "prior_weight")
 _CONFIG = (
     "steps",
     "batch_size",

@@ -57,9 +57,9 @@ from contactgraph.model.neighbor_allocation import ReallocatingModel as Realloca
 from contactgraph.model.neighbor_allocation import allocate_neighbor_list as allocate_neighbor_list
 from contactgraph.model.neighbor_list import NeighborList as NeighborList
 from contactgraph.model.neighbor_list import sum_at_nodes as sum_at_nodes
+from contactgraph.model.paper_presets import PAPER_PRESETS as PAPER_PRESETS
 from contactgraph.model.paper_presets import full_ab as full_ab
 from contactgraph.model.paper_presets import paper_literal as paper_literal
-from contactgraph.model.paper_presets import paper_literal_no_gim as paper_literal_no_gim
 from contactgraph.model.presets import ModelConfig as ModelConfig
 from contactgraph.model.presets import Preset as Preset
 from contactgraph.model.presets import bodies as bodies

@@ -88,9 +88,11 @@ class ContactDynamics(eqx.Module):
     prediction_noise: PredictionNoise | None = None
     """Learned errors of the predicted motion. None: not learned."""
     sensor: ContactSensor | None = None
-    """The sensor of the data, as far as it was estimated: see `default_sensor`."""
+    """That of the data, as far as it was estimated: see `default_sensor`."""
     substeps: int = eqx.field(static=True, default=1)
     """Equal parts of a step, in each of which bodies touch where they then are."""
+    star: bool = eqx.field(static=True, default=False)
+    """Whether only edges of actuated nodes exist."""
 
     @property
     def coordinates(self) -> int:
@@ -133,10 +135,8 @@ class ContactDynamics(eqx.Module):
         moved = position, velocity, control_displacement, nodes.anchor, self.dt
         bound = travel_bound(*moved, nodes.half_size, nodes.outlines)
         edges = self._edges(position, bound, nodes.mask)
-        moving = velocity
-        if edges.edge_id is not None:
-            # A step that exceeds a capacity predicts NaN for every node.
-            moving = jnp.where(edges.fits, velocity, jnp.nan)
+        # A step that exceeds a capacity predicts NaN for every node.
+        moving = velocity if edges.edge_id is None else jnp.where(edges.fits, velocity, jnp.nan)
         touch = self.features.distances(nodes, edges.edge_index, position.dtype)
         touch = touch if contact_distance is None else contact_distance
         if meeting is None or self.neighbor_list is not None:
@@ -147,6 +147,7 @@ class ContactDynamics(eqx.Module):
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
+        exists &= jnp.any(nodes.actuated[edges.edge_index], axis=0) | (not self.star)
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
         seen = edge_features
         if isinstance(self.inference, TransitionEdges):
@@ -263,9 +264,8 @@ class ContactDynamics(eqx.Module):
         if not isinstance(local, SpringMassDamperDynamics) or not isinstance(local.head, BodyHead):
             return control
         step = Step(local.discretization.theta, self.dt, self.control_size)
-        types = self.features.node_type(nodes, position.dtype)
-        head = local.head
-        return head.actuation.drive(position, velocity, control, types, nodes, step, head.slots)
+        given = control, self.features.node_type(nodes, position.dtype), nodes, step
+        return local.head.actuation.drive(position, velocity, *given, local.head.slots)
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
         """The geometric prior, with a clock that has not run."""

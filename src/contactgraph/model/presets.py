@@ -101,6 +101,13 @@ class ModelConfig:
     """Whether masses differ within a type."""
     identified: bool = False
     """Whether bodies touch where their outlines tell, and `identify_laws` finds all else."""
+    star: bool = False
+    """Whether edges join actuated nodes with others alone; only for the paper's forms, as what
+    follows."""
+    temperature: float = 0.15
+    """See `RecurrentEdges`."""
+    gumbel: bool = False
+    """Whether edges are sampled in training, not the likeliest."""
     edge_types: int = 3
     """K of a filter: free, touch, then types that hold; of 2, free and hold. Others have 2."""
 
