@@ -78,7 +78,13 @@ def test_what_needs_a_model_is_null(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert null >= {"horizon", "replan_every", "unmeasured", "infer_contacts", "planned_windows"}
     assert scripted.keys() - null == {
         *("run", "task", "seed", "distractors", "episodes", "scenes"),
-        *("success_rate", "success_interval", "goal_distance_m_median", "goal_distance_m_mean"),
+        *(
+            "success_rate",
+            "success_interval",
+            "success_by_episode",
+            "goal_distance_m_median",
+            "goal_distance_m_mean",
+        ),
         *("contact_speed_m_s", "slowest_before_contact_m_s", "slowest_before_contact_min_m_s"),
         *("within_1cm_rate", "within_2cm_rate", "touches_mean", "touched_bystanders"),
     }

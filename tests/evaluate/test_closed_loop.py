@@ -11,6 +11,7 @@ from contactgraph.evaluate.closed_loop import approach
 
 JSON_KEYS = {
     *("episodes", "seed", "success_rate", "success_interval", "contact_speed_m_s"),
+    *("success_by_episode", "n_step_rmse_planned_moving_by_episode_m"),
     *("slowest_before_contact_m_s", "slowest_before_contact_min_m_s", "touched_bystanders"),
     *("scenes", "goal_distance_m_median", "goal_distance_m_mean"),
     *("within_1cm_rate", "within_2cm_rate", "best_score_mean", "touches_mean"),
@@ -77,6 +78,7 @@ def test_over_episodes():
     )
     assert found.episodes == 4 and found.seed == 7
     assert found.success_rate == 0.75 and found.success_interval == wilson_interval(3, 4)
+    assert found.to_json()["success_by_episode"] == [True, False, True, True]
     assert found.contact_speed_m_s == pytest.approx(1.0)  # of 1, 0.5 and 2
     assert found.slowest_before_contact_m_s == pytest.approx(1.0)
     assert found.slowest_before_contact_min_m_s == pytest.approx(0.5)

@@ -49,7 +49,7 @@ JSON_KEYS = {
         for beliefs in ("", "_unmeasured", "_inferred")
     ),
     *("switch_time_error_s", "switch_time_error_unmeasured_s", "switch_time_error_inferred_s"),
-    "n_step_rmse_moving_by_type_m",
+    *("n_step_rmse_moving_by_type_m", "n_step_rmse_moving_by_run_m"),
     *(f"angle_rmse{beliefs}_rad" for beliefs in ("", "_unmeasured", "_inferred")),
     *("constant_velocity_angle_rmse_rad", "gnn_angle_rmse_rad", "turned_over_accuracy"),
     *("mass_error_median", "mass_error_p90", "mass_interval_coverage"),
@@ -96,6 +96,15 @@ def test_errors_by_type_are_those_of_the_moving_bodies_of_each_type(glued):
             np.sqrt(measured.squared_error[:, :, node][moves[:, node]].mean())
         )
     assert found["gripper"] != found["object"]
+
+
+def test_errors_by_run_are_those_of_the_moving_bodies_in_its_windows(glued):
+    squared, moves = glued.detail.measured.squared_error, glued.detail.moves
+    found = glued.to_json()["n_step_rmse_moving_by_run_m"]
+    for run, error in enumerate(found):
+        of_run = moves & (glued.detail.trajectory == run)[:, None]
+        assert error == pytest.approx(np.sqrt(squared.transpose(0, 2, 1)[of_run].mean()))
+    assert len(found) == 2 and found[0] != found[1]
 
 
 def test_drift_is_the_largest_error_where_nothing_moves(pickups):

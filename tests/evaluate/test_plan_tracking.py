@@ -92,14 +92,17 @@ def test_a_controller_that_moves_no_object_gets_no_error():
 
 def test_the_error_of_moving_bodies_comes_first():
     errors = [name for name in PlanTrackingError().to_json() if name.startswith("n_step")]
-    assert errors == ["n_step_rmse_planned_moving_m", "n_step_rmse_planned_m"]
+    by_episode = "n_step_rmse_planned_moving_by_episode_m"
+    assert errors == ["n_step_rmse_planned_moving_m", "n_step_rmse_planned_m", by_episode]
 
 
 @pytest.mark.parametrize("every", [1, 5, 9])
 def test_plans_replaced_too_soon_do_not_count(every):
     found = plan_tracking_error(RUN, record_of(RUN, every))
     assert found.windows == 0
-    assert set(found.to_json().values()) == {0, None}
+    values = found.to_json()
+    assert values.pop("n_step_rmse_planned_moving_by_episode_m") == [None]
+    assert set(values.values()) == {0, None}
 
 
 def test_a_plan_that_was_not_made_for_the_moment_is_none():
@@ -123,6 +126,7 @@ def test_episodes_add_up_and_missing_values_stay_unknown():
     assert both.windows == 4 + 3 and both.edges.total == STEPS * (4 * 3 + 3 * 10)
     share = 4 * 1 / (4 * 3 + 3 * 5)  # of nodes that are 1 cm off
     assert both.planned.rmse == pytest.approx(0.01 * np.sqrt(share))
+    assert both.by_episode == tuple(each.rmse_moving for each in parts)
     values = both.to_json()
     assert values["edge_f1_planned"] == values["edge_accuracy_planned"] == 1.0
     assert json.loads(json.dumps(values, allow_nan=False)) == values

@@ -33,6 +33,7 @@ class ClosedLoopMetrics:
     success_rate: float
     success_interval: tuple[float, float]
     """95 %, Wilson, over distinct scenes."""
+    success_by_episode: tuple[bool, ...]
     goal_distance_m_median: float | None
     """From the chain's last node to the goal at the end of an episode, m."""
     goal_distance_m_mean: float | None
@@ -59,13 +60,12 @@ class ClosedLoopMetrics:
     estimated: EstimatedContacts = field(default_factory=EstimatedContacts)
     """Beliefs against true contacts; as above."""
 
-    def to_json(self) -> dict[str, float | int | list[float] | None]:
+    def to_json(self) -> dict[str, float | int | list[float | None] | None]:
         """All numbers by name."""
         numbers = {each.name: getattr(self, each.name) for each in fields(self)}
         del numbers["planned"], numbers["estimated"]
-        interval = list(self.success_interval)
-        parts = {**self.planned.to_json(), **self.estimated.to_json()}
-        return {**numbers, "success_interval": interval, **parts}
+        lists = {name: list(each) for name, each in numbers.items() if isinstance(each, tuple)}
+        return {**numbers, **lists, **self.planned.to_json(), **self.estimated.to_json()}
 
 
 @dataclass(frozen=True)
@@ -127,6 +127,7 @@ def closed_loop_metrics(
         scenes=len(set(numbers)),
         success_rate=sum(bool(each) for each in succeeded) / len(trajectories),
         success_interval=_success_interval(succeeded, numbers),
+        success_by_episode=tuple(bool(each) for each in succeeded),
         goal_distance_m_median=_median(distances),
         goal_distance_m_mean=float(np.mean(distances)) if distances else None,
         within_1cm_rate=float(np.mean(np.less(distances, 0.01))) if distances else None,

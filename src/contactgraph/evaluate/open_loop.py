@@ -25,6 +25,7 @@ from contactgraph.evaluate.open_loop_metrics import (
     calibration_numbers,
     edge_numbers,
     error_numbers,
+    errors_by_run,
     numbers_by_type,
     pin_drift,
     rest_drift,
@@ -156,6 +157,7 @@ def evaluate_open_loop(
         ),
         detail=detail,
         by_type=numbers_by_type(detail, [each.scene.node_type for each in dataset]),
+        by_run=errors_by_run(detail, len(dataset)),
     )
     taken = sorted(found.to_json().keys() & (metrics or {}))
     if taken:

@@ -1,7 +1,6 @@
 """Numbers of an open-loop evaluation by their JSON keys, and the verdict on the model."""
 
 import enum
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from contactgraph.evaluate.calibration import Calibration
 from contactgraph.evaluate.edge_scores import edge_scores
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
+from contactgraph.evaluate.statistics import finite_or_none
 
 ORACLE = "frozen_contact"
 """The baseline that knows masses and contacts; no verdict depends on it."""
@@ -46,6 +46,8 @@ class OpenLoopMetrics:
     """Every window on its own; not part of `to_json`."""
     by_type: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
     """See `numbers_by_type`."""
+    by_run: Sequence[float | None] = ()
+    """See `errors_by_run`."""
     extra: Mapping[str, float | None] = field(default_factory=dict, repr=False, compare=False)
     """Metrics of the caller's own, by name."""
 
@@ -68,7 +70,8 @@ class OpenLoopMetrics:
         Besides `numbers`, `Calibration.reliability` under the keys ``reliability…``, with the
         endings of `calibration_numbers`.
         """
-        finite = {name: _finite(value) for name, value in {**self.numbers, **self.extra}.items()}
+        numbers = {**self.numbers, **self.extra}
+        finite = {name: finite_or_none(value) for name, value in numbers.items()}
         counts = ("runs", "windows", "n_steps", "diverged_windows")
         verdict = None if self.verdict is None else self.verdict.value
         reliability = {
@@ -76,7 +79,8 @@ class OpenLoopMetrics:
             for ending, found in _calibrations(self.detail).items()
         }
         named = {name: getattr(self, name) for name in counts}
-        return {**finite, **reliability, **self.by_type, "verdict": verdict, **named}
+        by_run = {"n_step_rmse_moving_by_run_m": list(self.by_run)}
+        return {**finite, **reliability, **self.by_type, **by_run, "verdict": verdict, **named}
 
 
 def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
@@ -159,10 +163,6 @@ def pin_drift(detail: OpenLoopDetail) -> float | None:
     return float(gap.max()) if gap.size else None
 
 
-def _finite(value: float | None) -> float | None:
-    return value if value is None or math.isfinite(value) else None
-
-
 def numbers_by_type(
     detail: OpenLoopDetail, node_types: Sequence[Sequence[str]]
 ) -> dict[str, dict[str, float | None]]:
@@ -176,12 +176,21 @@ def numbers_by_type(
     beliefs = {"": detail.measured, "_inferred": detail.inferred}
     return {
         f"n_step_rmse_moving_by_type{ending}_m": {
-            name: _finite(detail.rmse(found.squared_error, detail.moves & (types == name)))
+            name: finite_or_none(detail.rmse(found.squared_error, detail.moves & (types == name)))
             for name in sorted({name for each in node_types for name in each})
         }
         for ending, found in beliefs.items()
         if found is not None
     }
+
+
+def errors_by_run(detail: OpenLoopDetail, runs: int) -> list[float | None]:
+    """m, of each trajectory: the model's error over moving bodies, as in `error_numbers`."""
+    squared = detail.measured.squared_error
+    return [
+        finite_or_none(detail.rmse(squared, detail.moves & (detail.trajectory == run)[:, None]))
+        for run in range(runs)
+    ]
 
 
 def edge_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:

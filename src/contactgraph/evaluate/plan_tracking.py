@@ -1,7 +1,7 @@
 """Plan tracking: planned against executed positions, and plans in a scene's own layout."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -10,6 +10,7 @@ from contactgraph.control import Plan, PlanStatus
 from contactgraph.data import Trajectory, edge_id, moving_bodies, pair_indices
 from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
+from contactgraph.evaluate.statistics import finite_or_none
 from contactgraph.feedback import PlanFeedback
 from contactgraph.model import ContactBelief
 
@@ -82,6 +83,8 @@ class PlanTrackingError:
     """Oracle with true masses and the windows' first contacts, under the executed controls."""
     edges: EdgeCounts | None = field(default_factory=EdgeCounts)
     """Planned beliefs, above 1/2 or not, against executed contacts."""
+    by_episode: tuple[float | None, ...] = ()
+    """m: `rmse_moving` of each episode."""
 
     def __add__(self, other: "PlanTrackingError") -> "PlanTrackingError":
         return PlanTrackingError(
@@ -92,6 +95,7 @@ class PlanTrackingError:
             constant_velocity=self.constant_velocity + other.constant_velocity,
             fixed_contact=_sum(self.fixed_contact, other.fixed_contact),
             edges=_sum(self.edges, other.edges),
+            by_episode=self.by_episode + other.by_episode,
         )
 
     @property
@@ -104,7 +108,7 @@ class PlanTrackingError:
         """m, of all nodes. None as `rmse_moving`."""
         return self.planned.rmse if self.moved_objects else None
 
-    def to_json(self) -> dict[str, float | int | None]:
+    def to_json(self) -> dict[str, float | int | list[float | None] | None]:
         """All numbers by name; None for those that are not known or not finite."""
         fixed, edges = self.fixed_contact, self.edges
         numbers = {
@@ -120,10 +124,9 @@ class PlanTrackingError:
         return {
             "planned_windows": self.windows,
             "planned_moved_objects": self.moved_objects,
-            **{
-                name: value if value is not None and math.isfinite(value) else None
-                for name, value in numbers.items()
-            },
+            **{name: finite_or_none(value) for name, value in numbers.items()},
+            "n_step_rmse_planned_moving_by_episode_m": list(map(finite_or_none, self.by_episode))
+            or None,
         }
 
 
@@ -139,7 +142,9 @@ def plan_tracking_error(trajectory: Trajectory, record: EpisodeRecord) -> PlanTr
     if not len(starts):
         known = trajectory.contact is not None
         return PlanTrackingError(
-            fixed_contact=SquaredError() if known else None, edges=EdgeCounts() if known else None
+            fixed_contact=SquaredError() if known else None,
+            edges=EdgeCounts() if known else None,
+            by_episode=(None,),
         )
     ahead = starts[:, None] + np.arange(1, steps + 1)
     executed = trajectory.position[ahead]
@@ -155,7 +160,7 @@ def plan_tracking_error(trajectory: Trajectory, record: EpisodeRecord) -> PlanTr
     planned = record.plan[starts, 1 : steps + 1]
     every = np.ones(moves.shape, dtype=bool)
     oracle = fixed_contact_oracle(trajectory, steps)
-    return PlanTrackingError(
+    found = PlanTrackingError(
         windows=len(starts),
         moved_objects=int(moves[:, ~trajectory.scene.actuated].sum()),
         planned_moving=error(planned, moves),
@@ -164,6 +169,7 @@ def plan_tracking_error(trajectory: Trajectory, record: EpisodeRecord) -> PlanTr
         fixed_contact=None if oracle is None else error(oracle[starts], every),
         edges=_edges(trajectory, record.plan_belief[starts, :steps], ahead),
     )
+    return replace(found, by_episode=(found.rmse_moving,))
 
 
 def _sum(one: _Counts | None, other: _Counts | None) -> _Counts | None:

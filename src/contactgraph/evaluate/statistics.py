@@ -1,5 +1,6 @@
 """Confidence intervals of a measured share and of a median."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,6 +24,11 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tu
     result = binomtest(int(successes), int(trials))
     interval = result.proportion_ci(_checked(confidence), method="wilson")
     return float(interval.low), float(interval.high)
+
+
+def finite_or_none(value: float | None) -> float | None:
+    """None for a number that is not finite, which JSON has no word for."""
+    return value if value is not None and math.isfinite(value) else None
 
 
 @dataclass(frozen=True)
