@@ -1,9 +1,18 @@
 """Subsampled trajectories describe the same motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory, subsample
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    Scene,
+    Trajectory,
+    subsample,
+    without_turns,
+)
 
 
 def thrown(steps: int, dt: float) -> Trajectory:
@@ -48,3 +57,15 @@ def test_invalid_subsampling() -> None:
         subsample(dataset, 0)
     with pytest.raises(InvalidInputError, match="every must be 1 to 20, a trajectory's"):
         subsample(dataset, 21)
+
+
+def test_bodies_without_turns_have_the_rest() -> None:
+    points = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])
+    trajectory = thrown(23, 0.001)
+    scene = replace(trajectory.scene, polygons=(points,), polygon_of=np.array([1]))
+    turns = np.zeros((24, 2, 1))
+    turning = replace(trajectory, scene=scene, orientation=turns, angular_velocity=turns)
+    (round_,) = without_turns(Dataset((turning,)))
+    assert round_.orientation is round_.angular_velocity is round_.scene.polygons is None
+    assert round_.scene.outlines_of(1) == trajectory.scene.outlines_of(1)
+    np.testing.assert_array_equal(round_.position, trajectory.position)

@@ -46,6 +46,9 @@ class Train:
     """Divides the recurrent state of the paper's forms; at 1, as the paper's, none is certain."""
     every: Annotated[int, arg(metavar="N")] = 1
     """Use every N-th step of the trajectories, with the mean of the controls in between."""
+    turns: bool = True
+    """Whether bodies with orientations and outlines turn; else they are balls or boxes, which are
+    planned for many times as fast."""
     seed: int = 0
     """Random seed; the same seed gives the same model."""
     resume: bool = False
@@ -116,6 +119,7 @@ class Train:
             split_by_trajectory,
             subsample,
             velocity_warning,
+            without_turns,
         )
         from contactgraph.model.filter import check_controls
         from contactgraph.model.io import save_model
@@ -154,6 +158,7 @@ class Train:
         )
         check_range("--every", options.every, 1, 100_000)
         recorded = subsample(read_trajectories(self.data), options.every)
+        recorded = recorded if options.turns else without_turns(recorded)
         names = ("seed", "contact_distance", "edge_types", "rollout_from")
         told = {name: getattr(options, name) for name in names}
         chosen = recipe(recorded, options.model, **told, paper=paper)
@@ -188,6 +193,7 @@ class Train:
             for name in (*_SHOWN, "sensor")
             if getattr(options, name) != getattr(type(options), name)
         ) + (" --use-contacts" if options.use_contacts else "")
+        flags += "" if options.turns else " --no-turns"
         summary = {
             "command": f"contactgraph train {self.data.name} {flags}",
             "seed": options.seed,
@@ -289,11 +295,6 @@ def _warn(text: str) -> None:
 
 _SHOWN = ("edge_types", "graph", "sampling", "temperature", "every", "bystanders", "prior_weight")
 _CONFIG = (
-    "steps",
-    "batch_size",
-    "window_length",
-    "learning_rate",
-    "event_fraction",
-    "bystanders",
-    "use_contacts",
+    *("steps", "batch_size", "window_length", "learning_rate"),
+    *("event_fraction", "bystanders", "use_contacts"),
 )

@@ -9,6 +9,7 @@ from contactgraph.data.dataset import subsample as subsample
 from contactgraph.data.dataset import velocity_mismatch as velocity_mismatch
 from contactgraph.data.dataset import velocity_warning as velocity_warning
 from contactgraph.data.dataset import with_edge_labels as with_edge_labels
+from contactgraph.data.dataset import without_turns as without_turns
 from contactgraph.data.errors import InvalidInputError as InvalidInputError
 from contactgraph.data.file_reading import FileSummary as FileSummary
 from contactgraph.data.file_reading import describe_file as describe_file

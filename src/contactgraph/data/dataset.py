@@ -128,6 +128,16 @@ def subsample(dataset: Dataset, every: int) -> Dataset:
     return replace(dataset, trajectories=tuple(_subsampled(each, every) for each in dataset))
 
 
+def without_turns(dataset: Dataset) -> Dataset:
+    """The same trajectories without orientations, angular velocities, outlines and pins."""
+
+    def stripped(each: Trajectory) -> Trajectory:
+        scene = replace(each.scene, polygons=None, polygon_of=None, pins=None, pin_points=None)
+        return replace(each, scene=scene, orientation=None, angular_velocity=None)
+
+    return replace(dataset, trajectories=tuple(map(stripped, dataset)))
+
+
 def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
     steps = trajectory.steps // every
     if steps < 1:
