@@ -6,9 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from contactgraph.cli import main as cli
+from contactgraph.data import Trajectory, read_trajectories, write_trajectories
 from contactgraph.train import FitProgress, FitResult, FitStatus, HeldOutBaselines, TrainConfig
 
 BASELINES = HeldOutBaselines(0.375, 0.5, moving=True)
@@ -137,3 +139,34 @@ def test_a_model_of_use_is_better_than_both_baselines(error: float, better: bool
     for baselines in (BASELINES, HeldOutBaselines(0.5, 0.375, moving=True)):
         result = FitResult(state, error, FitStatus.finished, state, 0.0, baselines)
         assert result.is_better is better
+
+
+@pytest.mark.parametrize(("options", "turns"), [([], True), (["--no-turns"], False)])
+def test_bodies_turn_unless_told_otherwise(
+    recorded: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+    turns: bool,
+) -> None:
+    def turning(each: Trajectory) -> Trajectory:
+        count = each.scene.node_count
+        square = np.array([[-0.03, -0.03], [0.03, -0.03], [0.03, 0.03], [-0.03, 0.03]])
+        scene = replace(each.scene, polygons=(square,) * count, polygon_of=np.arange(count))
+        angle = np.tile(each.scene.dt * np.arange(each.steps + 1)[:, None, None], (1, count, 1))
+        rate = np.ones_like(angle)
+        return replace(each, scene=scene, orientation=angle, angular_velocity=rate)
+
+    data = tmp_path / "turning.h5"
+    write_trajectories(data, map(turning, read_trajectories(recorded)))
+    given = []
+
+    def fit(state, train, held_out, config, on_check, devices):
+        given.append(state.model.features.turn_length is not None)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactgraph.train.fit", fit)
+    run = tmp_path / "run"
+    assert cli.run(["train", str(data), "--out", str(run), "--model", "bodies", *options]) == 130
+    assert cli.run(["train", str(data), "--out", str(run), "--resume"]) == 130
+    assert given == [turns, turns]
