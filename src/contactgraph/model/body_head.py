@@ -24,7 +24,6 @@ from contactgraph.model.planes import (
     weighed_down,
 )
 from contactgraph.model.polygons import as_near
-from contactgraph.model.rotations import placed
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
 _SOFTEST = 0.5
@@ -171,7 +170,6 @@ class BodyHead(BodyNumbers):
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
             pushed=not self.identified,
-            patch=self._patch(local),
         )
         if self.identified:
             contacts = contacts.pushed_out(dt).pushing(bodies, dt, capacity)
@@ -185,20 +183,6 @@ class BodyHead(BodyNumbers):
         if local.anchor is None:
             return parameters
         return with_hinge_springs(parameters, local, contacts.coupling[: len(local.weight)], step)
-
-    def _patch(self, local: LocalInput) -> Float[Array, "N 6"] | None:
-        """See `FreeBodies.patch`: in space, bodies slide on the vertices of their hulls."""
-        nodes, position = local.nodes, local.position
-        if position.shape[1] != 6 or nodes.outlines is None or nodes.gravity is None:
-            return None
-        assert self.turn_length is not None
-        found = placed(nodes.outlines, position, self.turn_length)
-        apart = (found - position[:, None, None, None, :3]) / self.turn_length
-        upward = nodes.gravity / jnp.sqrt(jnp.sum(nodes.gravity**2))
-        level = apart - (apart @ upward)[..., None] * upward
-        square = jnp.mean(jnp.sum(level**2, axis=-1).reshape(len(position), -1), axis=1)
-        square = jax.lax.stop_gradient(square)[:, None]
-        return jnp.concatenate([jnp.ones_like(position[:, :3]), jnp.tile(square, 3)], axis=1)
 
     def _contacts(
         self, local: LocalInput, message: Float[Array, "active 2 E W"], step: Step

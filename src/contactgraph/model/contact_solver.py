@@ -51,14 +51,6 @@ class FreeBodies(eqx.Module):
     """Unit of speeds, m/s."""
     pushed: bool = eqx.field(static=True, default=False)
     """Whether friction counts that the ground slows bodies that are pushed along it."""
-    patch: Float[Array, "N G"] | None = None
-    """Of the patch on which a body slides, the mean square of the speed at unit velocity along each
-    coordinate: 1 along axes, of a turn that of lengths in its unit. None: that of the inertia."""
-
-    @property
-    def square_speeds(self) -> Float[Array, "N G"]:
-        """`patch`, as it is told or by the inertia."""
-        return self.mass / self.mass[:, :1] if self.patch is None else self.patch
 
     @property
     def slow(self) -> float:

@@ -92,8 +92,7 @@ class Contacts(eqx.Module):
         )
         change = jnp.sum(first.parts[1] - first.parts[0], axis=-1)
         sliding = sliding_share(bodies, self.geometry, self.coupling, dt)
-        given = first.diagonal * bodies.square_speeds
-        ground = ground_dampers(bodies, change, given, sliding, dt)
+        ground = ground_dampers(bodies, change, first.diagonal, sliding, dt)
         if bodies.pushed:
             # What the ground takes from a body, that which pushes it gives, and more friction.
             braking = self._impulse(smooth, count, dt) + (ground * bodies.velocity)[..., None]

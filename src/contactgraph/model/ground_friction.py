@@ -22,16 +22,13 @@ def ground_dampers(
 
     A damper c slows a body of effective mass m from v to v m / (m + c), so that it takes the
     impulse p if c = p / (v - p / m). ``change`` m/s is that of the velocity without the ground,
-    ``yielding`` is 1 / m, and ``sliding`` the share of the step in which a body slides. Forces and
-    torques are those of an ellipsoid (Howe and Cutkosky 1996): a body that turns counts with the
-    speed of the patch on which it slides.
+    ``yielding`` is 1 / m, and ``sliding`` the share of the step in which a body slides. A body that
+    turns counts with the speed of its radius of gyration, as an ellipsoid of forces has it (Howe
+    and Cutkosky 1996).
     """
     speed, yielding = jax.lax.stop_gradient((_speed(bodies, change), yielding))
-    moving = jax.lax.stop_gradient(bodies.velocity + change)
-    along = bodies.square_speeds * moving**2 / speed**2
-    yielding = jnp.sum(along * yielding, axis=-1, keepdims=True)
-    bound = bodies.mass[:, :1] * (bodies.deceleration * dt * sliding)[:, None]
-    ground = bound * bodies.square_speeds / jnp.maximum(speed - bound * yielding, bodies.slow)
+    bound = bodies.mass * (bodies.deceleration * dt * sliding)[:, None]
+    ground = bound / jnp.maximum(speed - bound * yielding, bodies.slow)
     return ground + bodies.ground_damper[:, None] * bodies.mass
 
 
@@ -46,10 +43,10 @@ def yielding(
     Whatever pushes it makes up for a part, along the motion. ``before`` and ``after`` [m/s] are the
     changes of velocity without and with the dampers.
     """
-    slower, alone = _speed(bodies, after), bodies.square_speeds / bodies.mass
-    taken = jnp.maximum(ground[:, :1] * slower, _LEAST * bodies.mass[:, :1])
-    lost = (_speed(bodies, before) - slower) / taken
-    return jnp.clip(lost, 0.0, jnp.max(alone, axis=1, keepdims=True))
+    mass, slower = bodies.mass[:, :1], _speed(bodies, after)
+    taken = ground[:, :1] * slower
+    lost = (_speed(bodies, before) - slower) / jnp.maximum(taken, _LEAST * mass)
+    return jnp.clip(lost, 0.0, 1.0 / mass)
 
 
 def sliding_share(
@@ -68,5 +65,6 @@ def length_of(vector: Float[Array, "n D"]) -> Float[Array, " n"]:
 
 
 def _speed(bodies: FreeBodies, change: Float[Array, "N G"]) -> Float[Array, "N 1"]:
-    """m/s, after a change of velocity; of a turn, that of the patch."""
-    return length_of(jnp.sqrt(bodies.square_speeds) * (bodies.velocity + change))[:, None]
+    """m/s, after a change of velocity; of a turn, that of the radius of gyration."""
+    by_axis = jnp.sqrt(bodies.mass / bodies.mass[:, :1]) * (bodies.velocity + change)
+    return length_of(by_axis)[:, None]
