@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contactgraph.data import Trajectory, pair_indices
+from contactgraph.evaluate.statistics import finite_or_none
 
 
 @dataclass(frozen=True)
@@ -195,5 +196,4 @@ def _percentile_ms(delays: tuple[float, ...], share: float) -> float | None:
     if not delays:
         return None
     # A measured value, not an interpolated one, because a delay can be infinite.
-    value = 1e3 * float(np.percentile(delays, share, method="higher"))
-    return value if math.isfinite(value) else None
+    return finite_or_none(1e3 * float(np.percentile(delays, share, method="higher")))

@@ -20,6 +20,7 @@ from contactgraph.data import (
     pair_indices,
     with_edge_labels,
 )
+from contactgraph.evaluate.statistics import finite_or_none
 from contactgraph.evaluate.trajectory_prediction import filtered_beliefs
 from contactgraph.model import (
     ContactBelief,
@@ -123,7 +124,7 @@ class RolloutGrowth:
     def to_json(self) -> dict[str, float | int | None]:
         """All numbers by name; None for those that are not finite."""
         numbers = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {name: value if math.isfinite(value) else None for name, value in numbers.items()}
+        return {name: finite_or_none(value) for name, value in numbers.items()}
 
 
 def rollout_growth(model: StepModel, dataset: Dataset, steps: int) -> RolloutGrowth:
