@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from contactgraph.control import ILQR, MPC, ControlLimits, PlanStatus, chain_cost
+from contactgraph.control.approaches import level_reach
 from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.envs.contract import ChainCost
@@ -122,3 +123,13 @@ def test_a_task_s_angle_is_the_nearest_of_the_equal_ones() -> None:
         assert quadratic.Q[8, 8] == 2.0
     # A model that does not turn plans without the angle.
     assert TaskCost.of(terms, 2).in_scene(scene).quadratic(2).goal.shape == (8,)
+
+
+def test_outlines_reach_across_gravity_and_not_for_a_model_of_bodies_that_do_not_turn() -> None:
+    nodes, corner = scene_nodes(SCENE), float(np.hypot(0.08, 0.02))
+    falling = scene_nodes(dataclasses.replace(SCENE, gravity=np.array([0.0, -9.81])))
+    upright = np.array([[*HAND, 0.0], [*BAR, 0.5 * np.pi * UNIT]])
+    for given, turn, expected in ((nodes, 0.0, corner), (falling, 0.0, 0.08), (falling, 1.0, 0.02)):
+        position = jnp.asarray(upright * np.array([1.0, 1.0, turn]))
+        np.testing.assert_allclose(level_reach(given, position, UNIT), [0.0, expected], atol=1e-6)
+    np.testing.assert_array_equal(level_reach(nodes, jnp.asarray(upright[:, :2]), None), 0.0)

@@ -7,6 +7,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from contactgraph.model import Nodes
+from contactgraph.model.convex import vertices_of
+from contactgraph.model.rotations import placed
+
 _STAND_OFF, _ROUND = 1.5, 1.9
 """Contact distances from the body: where a push begins at the nearest, and on the way round."""
 _FASTEST = 1.5
@@ -203,7 +207,30 @@ def varied_approaches(draws: Draws, approaches: Approach, up: Float[Array, " D"]
     )
 
 
-def _level(vector: Float[Array, "S D"], up: Float[Array, " D"]) -> Float[Array, "S D"]:
+def against_gravity(nodes: Nodes, dimension: int) -> Float[Array, " D"]:
+    """Unit vector; zeros where bodies have no weight."""
+    gravity = jnp.zeros(dimension) if nodes.gravity is None else nodes.gravity
+    return -gravity / jnp.maximum(jnp.sqrt(jnp.sum(gravity**2)), 1e-9)
+
+
+def level_reach(
+    nodes: Nodes, position: Float[Array, "N G"], turn_length: float | None
+) -> Float[Array, " N"]:
+    """By how far outlines reach beside their bodies' positions across gravity, m.
+
+    0 where bodies are round: those without outlines, and all of a model of bodies that do not turn,
+    whose ``turn_length`` is None.
+    """
+    if turn_length is None or nodes.outlines is None:
+        return jnp.zeros(len(position))
+    vertices = vertices_of(placed(nodes.outlines, position, turn_length))
+    dimension = vertices.shape[-1]
+    offset = vertices.reshape(len(position), -1, dimension) - position[:, None, :dimension]
+    level = _level(offset, against_gravity(nodes, dimension))
+    return jnp.max(jnp.linalg.norm(level, axis=-1), axis=1)
+
+
+def _level(vector: Float[Array, "*S D"], up: Float[Array, " D"]) -> Float[Array, "*S D"]:
     return vector - _dot(vector, up)[..., None] * up
 
 

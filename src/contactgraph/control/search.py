@@ -14,7 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from contactgraph.control.approaches import Approach, Draws, spread_approaches, varied_approaches
+from contactgraph.control.approaches import (
+    Approach,
+    Draws,
+    against_gravity,
+    level_reach,
+    spread_approaches,
+    varied_approaches,
+)
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits, solve_small
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.ilqr import ILQR
@@ -33,7 +40,6 @@ from contactgraph.model import (
     control_sensitivity,
     take_step,
 )
-from contactgraph.model.neighbor_list import extent
 
 
 def searches(model: StepModel) -> bool:
@@ -156,7 +162,7 @@ class SearchILQR(ILQR):
             controls = jnp.moveaxis(controls, -1, 0)
             return controls, costs + self._switching(before, controls)
 
-        up = scene.up
+        up = against_gravity(scene.nodes, scene.model.dimension)
         approaches = spread_approaches(
             draws[0], *scene.pairs(self.starts), scene.speed, up, (most[0], most[1])
         )
@@ -187,6 +193,8 @@ class _Scene(eqx.Module):
     cost: QuadraticCost
     inverse: Float[Array, "N U D"]
     """The control for each m/s of the node."""
+    reach: Float[Array, " N"]
+    """m; see `level_reach`."""
     A: Float[Array, "N G 2"]
     offset: Float[Array, "N G"]
 
@@ -212,17 +220,10 @@ class _Scene(eqx.Module):
             nodes=nodes,
             cost=cost,
             inverse=inverse.transpose(2, 0, 1),
+            reach=level_reach(nodes, state.position, model.features.turn_length),
             A=free.A[..., 1, :],
             offset=free.offset[..., 1],
         )
-
-    @property
-    def up(self) -> Float[Array, " D"]:
-        """Unit vector against gravity; zeros where bodies have no weight."""
-        gravity = self.nodes.gravity
-        if gravity is None:
-            return jnp.zeros(self.model.dimension)
-        return -gravity / jnp.maximum(jnp.sqrt(jnp.sum(gravity**2)), 1e-9)
 
     @property
     def commands(self) -> int:
@@ -255,8 +256,9 @@ class _Scene(eqx.Module):
         bounce, _ = head.laws(self.model.features.node_type(nodes, position.dtype), body)
         start = np.arange(count)
         wall = nodes.planes[start // 2 % len(nodes.planes)]
+        up = against_gravity(nodes, self.model.dimension)
         normal, before = wall[:, :-1], jnp.sum(wall[:, :-1] * goal, axis=-1) - wall[:, -1]
-        banked = (start % 2 == 1) & (jnp.abs(normal @ self.up) < _LEVEL) & (bounce > _ELASTIC)
+        banked = (start % 2 == 1) & (jnp.abs(normal @ up) < _LEVEL) & (bounce > _ELASTIC)
         image = goal - 2.0 * before[:, None] * normal
         return hand, body, position, goal, jnp.where(banked[:, None], image, goal), turn
 
@@ -271,9 +273,7 @@ class _Scene(eqx.Module):
         assert isinstance(features, InvariantFeatures)
         distance = features.distances(self.nodes, edge, begin.dtype)
         distance = jnp.broadcast_to(jnp.asarray(distance), (1,))[0]
-        if self.nodes.outlines is not None:  # the distances are those of round bodies
-            beyond = extent(self.nodes.outlines)[edge] - 0.5 * features.length
-            distance += jnp.sum(jax.nn.relu(beyond))
+        distance += jnp.sum(jax.nn.relu(self.reach[edge] - 0.5 * features.length))
         inverse, A, offset = self.inverse[hand], self.A[hand], self.offset[hand]
 
         def step(carry: tuple[ModelState, Array], _: None) -> tuple[Any, tuple[Array, Array]]:
