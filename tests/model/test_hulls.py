@@ -262,6 +262,16 @@ def test_a_falling_box_gains_no_energy_and_comes_to_rest(seed: int) -> None:
     np.testing.assert_allclose(height[-1], HALF[upright.argmax(axis=1)], atol=5e-3)
 
 
+def test_a_box_alone_falls_as_beside_a_far_one() -> None:
+    start = coordinates([[0.0, 0.0, 0.04]], [[0.3, 0.0, 0.0]], Rotation.identity(1), [[1, 2, 0]])
+    beside = tuple(np.concatenate([each, each + 1.0 * (np.arange(6) == 0)]) for each in start)
+    alone, pair = (
+        follow(model(), scene_nodes(scene(boxes, gravity=GRAVITY, planes=FLOOR)), begin, 10)
+        for boxes, begin in (([BOX], start), ([BOX, BOX], beside))
+    )
+    np.testing.assert_allclose(alone.position[:, 0], pair.position[:, 0], atol=1e-9)
+
+
 def test_a_step_in_parts_is_as_many_small_steps() -> None:
     """A box that spins about its own axis along a floor lands on it."""
     nodes = scene_nodes(scene([BOX, BOX], gravity=GRAVITY, planes=FLOOR))

@@ -106,6 +106,9 @@ def contact_points(
 
     Points nearer to each other than a twentieth of ``length`` [m] count once.
     """
+    if not edge_index.shape[1]:  # an empty array does not tell its other sizes
+        of_one = contact_points(outlines, jnp.zeros((2, 1), int), length)
+        return jax.tree.map(lambda leaf: leaf[:0], of_one)
     # Both ways: vertices of one body and the polygons of the other.
     ways = jnp.stack([edge_index, edge_index[::-1]], axis=1)
     bodies, dimension = outlines[ways], outlines.shape[-1]
