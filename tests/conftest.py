@@ -122,6 +122,14 @@ def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
+def double_precision() -> Iterator[None]:
+    """float64 within one test: where differences are small, or contacts enlarge rounding."""
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+@pytest.fixture
 def frequent_checks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Trainings by the command check every 4 steps, as the one of `trained` did."""
     _check_every_4(monkeypatch)

@@ -25,6 +25,7 @@ from contactgraph.model import (
     save_model,
     scene_nodes,
 )
+from contactgraph.model.body_numbers import DECELERATION, PACE
 from contactgraph.model.polygons import contact_points, plane_points
 from contactgraph.model.rotations import composed, levers, placed, rotation_matrix
 
@@ -359,3 +360,39 @@ def test_a_model_of_bodies_that_turn_is_the_same_after_it_was_stored(tmp_path: P
     start, nodes = coordinates(position, velocity, turn, rate), scene_nodes(scene([BOX, BOX]))
     one, other = (follow(each, nodes, start, 20).position for each in (model(), loaded))
     np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(("speed", "rate"), [(0.0, 15.0), (1.0, 10.0), (1.0, 2.0)])
+def test_a_box_that_slides_and_spins_stops_as_in_mujoco(speed: float, rate: float) -> None:
+    """The friction of the ground acts at its corners. MuJoCo's box rocks a little while it slides."""
+    size = " ".join(map(str, HALF))
+    world = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="0.0005" cone="elliptic" impratio="10"/><worldbody>
+        <geom type="plane" size="5 5 1" friction="0.3 0 0"/>
+        <body pos="0 0 {HALF[2]}"><freejoint/>
+        <geom type="box" size="{size}" friction="0.3 0 0"/></body></worldbody></mujoco>"""
+    )
+    truth = mujoco.MjData(world)
+    mujoco.mj_step(world, truth, 200)
+    truth.qvel[:] = [speed, 0.0, 0.0, 0.0, 0.0, rate]
+    turn, begin = 0.0, truth.qpos[0]
+    for _ in range(400):
+        mujoco.mj_step(world, truth)
+        turn += world.opt.timestep * truth.qvel[5]
+    moved = truth.qpos[0] - begin
+    raw = jnp.full(1, (np.log(np.expm1(0.3 * 9.81 / DECELERATION)) + 6.0) / PACE)
+    rough = eqx.tree_at(
+        lambda each: (
+            each.local_dynamics.head.deceleration_raw,
+            each.local_dynamics.head.friction_raw,
+        ),
+        model(),
+        [raw, jnp.full(2, -5.0)],
+    )
+    nodes = scene_nodes(scene([BOX, BOX], gravity=GRAVITY, planes=FLOOR))
+    at = np.array([[0.0, 0.0, HALF[2]], [0.0, 9.0, HALF[2]]])
+    moving = np.tile([speed, 0.0, 0.0], (2, 1)), Rotation.identity(2)
+    start = coordinates(at, *moving, np.tile([0.0, 0.0, rate], (2, 1)))
+    found = follow(rough, nodes, start, 10).position[-1, 0]
+    np.testing.assert_allclose(found[5] / TURN_LENGTH, turn, rtol=0.07)
+    np.testing.assert_allclose(found[0], moved, rtol=0.05, atol=1e-6)

@@ -14,6 +14,7 @@ from contactgraph.model.body_numbers import PACE, BodyNumbers
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import FreeBodies, lifted_fraction
 from contactgraph.model.contacts import Contacts, damper_of
+from contactgraph.model.convex import Patch
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
 from contactgraph.model.pins import with_pins, with_pins_held
 from contactgraph.model.planes import (
@@ -170,6 +171,7 @@ class BodyHead(BodyNumbers):
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
             pushed=not self.identified,
+            patch=Patch.of(nodes.outlines, nodes.gravity, local.position, self.turn_length),
         )
         if self.identified:
             contacts = contacts.pushed_out(dt).pushing(bodies, dt, capacity)

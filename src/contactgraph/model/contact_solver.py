@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from contactgraph.model.block_inverse import MassMatrix, solve_block_diagonal, solve_dense, to_nodes
 from contactgraph.model.collision import Geometry
+from contactgraph.model.convex import Patch
 
 _SLOW = 1e-4
 """See `FreeBodies.slow`, in units of speed."""
@@ -51,6 +52,8 @@ class FreeBodies(eqx.Module):
     """Unit of speeds, m/s."""
     pushed: bool = eqx.field(static=True, default=False)
     """Whether friction counts that the ground slows bodies that are pushed along it."""
+    patch: Patch | None = None
+    """On which bodies slide. None: each as an ellipsoid of its inertia."""
 
     @property
     def slow(self) -> float:

@@ -17,7 +17,13 @@ from contactgraph.model.block_inverse import (
 )
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import ContactMotion, FreeBodies
-from contactgraph.model.ground_friction import ground_dampers, length_of, sliding_share, yielding
+from contactgraph.model.ground_friction import (
+    ground_dampers,
+    length_of,
+    sliding_share,
+    yielding,
+    yielding_alone,
+)
 
 MAX_COUPLING = 1.0 - 1e-3
 """Coupling of a damper that is a thousand times as stiff as a mass of 1 in a step."""
@@ -92,7 +98,8 @@ class Contacts(eqx.Module):
         )
         change = jnp.sum(first.parts[1] - first.parts[0], axis=-1)
         sliding = sliding_share(bodies, self.geometry, self.coupling, dt)
-        ground = ground_dampers(bodies, change, first.diagonal, sliding, dt)
+        given = yielding_alone(bodies, change, first.diagonal)
+        ground = ground_dampers(bodies, change, given, sliding, dt)
         if bodies.pushed:
             # What the ground takes from a body, that which pushes it gives, and more friction.
             braking = self._impulse(smooth, count, dt) + (ground * bodies.velocity)[..., None]

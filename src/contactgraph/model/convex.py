@@ -1,13 +1,18 @@
-"""Nearest features of convex bodies: vertices against facets, and edges that cross."""
+"""Convex bodies: vertices against facets, edges that cross, and vertices that slide on a ground."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from contactgraph.model.rotations import across
+from contactgraph.model.rotations import across, rotation_matrix
 
 _SMALL = 1e-12
 _PARALLEL = 1e-3
 """Squared sine of the angle of two edges, below which they do not cross."""
+_BOTH = 0.02
+"""Part of the speed of a turn that is added to the speed of the body, and the reverse: where one of
+them is 0, the limits for small ones tell the friction."""
 
 
 def vertices_of(outlines: Float[Array, "... D"]) -> Float[Array, "... D"]:
@@ -194,3 +199,68 @@ def _dot(one: _Parts, other: _Parts) -> Array:
 def _cross(one: _Parts, other: _Parts) -> _Parts:
     (x, y, z), (u, v, w) = one, other
     return y * w - z * v, z * u - x * w, x * v - y * u
+
+
+class Patch(eqx.Module):
+    """The vertices of hulls, each with an equal part of the weight and Coulomb's friction.
+
+    The power of friction is that of a norm of the velocity, the mean speed of the vertices, whose
+    gradient is the force and the torque (Goyal, Ruina and Papadopoulos 1991).
+    """
+
+    lever: Float[Array, "N V D"]
+    """Level velocity of each vertex for a unit of turning about the direction against gravity."""
+    weight: Float[Array, "N V 1"]
+    """Part of the body's weight on each row, of which several may tell one vertex."""
+    axis: Float[Array, "N 3"]
+    """That direction in the axes of the body."""
+    upward: Float[Array, " D"]
+
+    @classmethod
+    def of(
+        cls,
+        outlines: Float[Array, "N P V 5 3"] | None,
+        gravity: Float[Array, " D"] | None,
+        position: Float[Array, "N G"],
+        turn_length: float | None,
+    ) -> "Patch | None":
+        """At these positions. None: bodies do not turn in space, or have no weight."""
+        if outlines is None or gravity is None or turn_length is None or position.shape[1] != 6:
+            return None
+        position = jax.lax.stop_gradient(position)
+        turn = rotation_matrix(position[:, 3:] / turn_length)
+        upward = -gravity / jnp.sqrt(jnp.sum(gravity**2))
+        corners = vertices_of(outlines).reshape(len(position), -1, 3)
+        arm = jnp.einsum("nij,nvj->nvi", turn, corners) / turn_length
+        alike = jnp.all(corners[:, :, None] == corners[:, None], axis=-1)
+        share = 1.0 / jnp.sum(alike, axis=2, keepdims=True)
+        share = share / jnp.sum(share, axis=1, keepdims=True)
+        axis = jnp.einsum("nij,i->nj", turn, upward)
+        return cls(jnp.cross(upward, arm), share.astype(arm.dtype), axis, upward)
+
+    def sliding(
+        self, velocity: Float[Array, "N G"], slow: float
+    ) -> tuple[Float[Array, "N 1"], Float[Array, "N G"]]:
+        """The mean speed of the vertices, m/s, and what makes up its square: the part for the
+        square of the velocity along each coordinate, which is the force over that velocity, times
+        the speed. ``slow`` [m/s] is a speed at which bodies rest."""
+        level = velocity[:, :3] - (velocity[:, :3] @ self.upward)[:, None] * self.upward
+        spin = jnp.sum(velocity[:, 3:] * self.axis, axis=1, keepdims=True)
+        reach = jnp.sum(self.weight * _length_of(self.lever), axis=1)
+        across = jnp.cross(self.upward, jnp.eye(3)[jnp.argmin(jnp.abs(self.upward))])
+        level_speed = _length_of(level)
+        level += _BOTH * (jnp.abs(spin) * reach + slow) * across
+        spin += jnp.where(spin < 0.0, -_BOTH, _BOTH) * (level_speed + slow) / (reach + 1e-9)
+        moving = level[:, None] + spin[..., None] * self.lever
+        speed = _length_of(moving)
+        force = self.weight * moving / speed
+        forward = jnp.sum(jnp.sum(force, axis=1) * level, axis=1, keepdims=True)
+        turning = jnp.sum(force * self.lever, axis=(1, 2))[:, None]
+        along = jnp.tile(forward / jnp.sum(level**2, axis=1, keepdims=True), 3)
+        parts = jnp.concatenate([along, turning / spin * self.axis**2], axis=1)
+        whole = jnp.sum(self.weight * speed, axis=1)
+        return whole, whole * jnp.maximum(parts, 0.0)
+
+
+def _length_of(vector: Float[Array, "*C D"]) -> Float[Array, "*C 1"]:
+    return jnp.sqrt(jnp.sum(vector**2, axis=-1, keepdims=True) + 1e-18)

@@ -14,7 +14,7 @@ _LEAST = 1e-6
 def ground_dampers(
     bodies: FreeBodies,
     change: Float[Array, "N G"],
-    yielding: Float[Array, "N G"] | Float[Array, "N 1"],
+    yielding: Float[Array, "N 1"],
     sliding: Float[Array, " N"],
     dt: float,
 ) -> Float[Array, "N G"]:
@@ -22,14 +22,21 @@ def ground_dampers(
 
     A damper c slows a body of effective mass m from v to v m / (m + c), so that it takes the
     impulse p if c = p / (v - p / m). ``change`` m/s is that of the velocity without the ground,
-    ``yielding`` is 1 / m, and ``sliding`` the share of the step in which a body slides. A body that
-    turns counts with the speed of its radius of gyration, as an ellipsoid of forces has it (Howe
-    and Cutkosky 1996).
+    ``yielding`` is 1 / m, and ``sliding`` the share of the step in which a body slides.
     """
-    speed, yielding = jax.lax.stop_gradient((_speed(bodies, change), yielding))
-    bound = bodies.mass * (bodies.deceleration * dt * sliding)[:, None]
-    ground = bound / jnp.maximum(speed - bound * yielding, bodies.slow)
+    speed, square, yielding = jax.lax.stop_gradient((*_sliding(bodies, change), yielding))
+    bound = bodies.mass[:, :1] * (bodies.deceleration * dt * sliding)[:, None]
+    ground = bound * square / jnp.maximum(speed - bound * yielding, bodies.slow)
     return ground + bodies.ground_damper[:, None] * bodies.mass
+
+
+def yielding_alone(
+    bodies: FreeBodies, change: Float[Array, "N G"], mobility: Float[Array, "N G"]
+) -> Float[Array, "N 1"]:
+    """Speed that a body would lose for each unit of momentum, 1/kg; ``mobility`` of its axes."""
+    speed, square = _sliding(bodies, change)
+    along = square * (bodies.velocity + change) / speed
+    return jnp.sum(along**2 * mobility, axis=1, keepdims=True)
 
 
 def yielding(
@@ -43,10 +50,11 @@ def yielding(
     Whatever pushes it makes up for a part, along the motion. ``before`` and ``after`` [m/s] are the
     changes of velocity without and with the dampers.
     """
-    mass, slower = bodies.mass[:, :1], _speed(bodies, after)
-    taken = ground[:, :1] * slower
-    lost = (_speed(bodies, before) - slower) / jnp.maximum(taken, _LEAST * mass)
-    return jnp.clip(lost, 0.0, 1.0 / mass)
+    slower, square = _sliding(bodies, after)
+    moving = bodies.velocity + after
+    taken = jnp.sum(ground * moving**2, axis=1, keepdims=True) / slower
+    lost = (_sliding(bodies, before)[0] - slower) / jnp.maximum(taken, _LEAST * bodies.mass[:, :1])
+    return jnp.clip(lost, 0.0, jnp.max(square / bodies.mass, axis=1, keepdims=True))
 
 
 def sliding_share(
@@ -64,7 +72,17 @@ def length_of(vector: Float[Array, "n D"]) -> Float[Array, " n"]:
     return jnp.sqrt(jnp.sum(vector**2, axis=-1) + _LEAST**2)
 
 
-def _speed(bodies: FreeBodies, change: Float[Array, "N G"]) -> Float[Array, "N 1"]:
-    """m/s, after a change of velocity; of a turn, that of the radius of gyration."""
-    by_axis = jnp.sqrt(bodies.mass / bodies.mass[:, :1]) * (bodies.velocity + change)
-    return length_of(by_axis)[:, None]
+def _sliding(
+    bodies: FreeBodies, change: Float[Array, "N G"]
+) -> tuple[Float[Array, "N 1"], Float[Array, "N G"]]:
+    """The speed [m/s] with which each body slides after a change of velocity, and its square's
+    part for the square of the velocity along each coordinate.
+
+    In the plane it is an ellipsoid's (Howe and Cutkosky 1996): a turn counts with the speed of the
+    radius of gyration.
+    """
+    velocity = bodies.velocity + change
+    if bodies.patch is None:
+        square = bodies.mass / bodies.mass[:, :1]
+        return length_of(jnp.sqrt(square) * velocity)[:, None], square
+    return bodies.patch.sliding(velocity, bodies.slow)
