@@ -1,6 +1,5 @@
 """The contract of a study: its measurements, and the claims, tables and figures made from them."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from contactgraph.cli.task_types import Target
+from contactgraph.evaluate import number_or_word
 from contactgraph.viz import ReportMetric
 from contactgraph_studies.job import Job, Measurement, in_dependency_order
 from contactgraph_studies.results import Quantity, Results, SeedStatistic
@@ -80,7 +80,7 @@ class Claim:
         """The measured result."""
         return f"{'; '.join(self.findings)}." if self.findings else "Not measured."
 
-    def to_json(self) -> dict[str, Any]:
+    def tonumber_or_word(self) -> dict[str, Any]:
         """An entry of ``claims.json``; infinity is the word ``infinite``."""
         return {
             "number": self.number,
@@ -95,9 +95,9 @@ class Claim:
                     "name": name,
                     "task": task,
                     "unit": one.unit,
-                    "median": _json(one.median),
-                    "range_over_seeds": [_json(one.low), _json(one.high)],
-                    "values": [_json(value) for value in one.values],
+                    "median": number_or_word(one.median),
+                    "range_over_seeds": [number_or_word(one.low), number_or_word(one.high)],
+                    "values": [number_or_word(value) for value in one.values],
                     "command": one.command,
                 }
                 for name, task, one in self.metrics
@@ -171,9 +171,3 @@ def judged(
         command=statistic.command,
         seed=tuple(seeds),
     )
-
-
-def _json(value: float) -> float | str | None:
-    if math.isnan(value):
-        return None
-    return value if math.isfinite(value) else "infinite"

@@ -88,6 +88,10 @@ def test_a_controller_that_moves_no_object_gets_no_error():
     both = found + other
     assert both.moved_objects == 1 and both.rmse == pytest.approx(0.03 / np.sqrt(3))
     assert both.to_json()["n_step_rmse_planned_m"] == both.rmse
+    record = record_of(pushed, 15)
+    diverged = replace(record, plan=np.full_like(record.plan, np.inf))
+    values = plan_tracking_error(pushed, diverged).to_json()
+    assert values["n_step_rmse_planned_moving_by_episode_m"] == ["infinite"]
 
 
 def test_the_error_of_moving_bodies_comes_first():

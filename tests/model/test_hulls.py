@@ -364,7 +364,7 @@ def test_a_model_of_bodies_that_turn_is_the_same_after_it_was_stored(tmp_path: P
 
 @pytest.mark.parametrize(("speed", "rate"), [(0.0, 15.0), (1.0, 10.0), (1.0, 2.0)])
 def test_a_box_that_slides_and_spins_stops_as_in_mujoco(speed: float, rate: float) -> None:
-    """The friction of the ground acts at its corners. MuJoCo's box rocks a little while it slides."""
+    """The friction of the ground acts at its corners; MuJoCo's box rocks a little as it slides."""
     size = " ".join(map(str, HALF))
     world = mujoco.MjModel.from_xml_string(
         f"""<mujoco><option timestep="0.0005" cone="elliptic" impratio="10"/><worldbody>

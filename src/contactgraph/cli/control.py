@@ -44,7 +44,17 @@ _LEARNED_COST_HORIZON = 2
 its demonstrations made: a plan that ends before their benefit would hover before the object."""
 
 _RECORDED = (
-    *("cost", "horizon", "starts", "replan_every", "false_alarms", "misses", "delay", "unmeasured"),
+    *(
+        "cost",
+        "horizon",
+        "iterations",
+        "starts",
+        "replan_every",
+        "false_alarms",
+        "misses",
+        "delay",
+        "unmeasured",
+    ),
     *("position_noise", "velocity_noise", "infer_contacts", "told_masses"),
 )
 """Options that only a model takes; the JSON file repeats them."""
@@ -95,6 +105,8 @@ class Control:
         arg(metavar="INT", help_behavior_hint="(20; pushing 30; franka 50; twice with --cost)"),
     ] = None
     """Planning horizon, steps."""
+    iterations: int = 5
+    """Rollouts of iLQR a plan, at most."""
     starts: Annotated[
         int | None, arg(metavar="INT", help_behavior_hint="(64 for pushing, else 0)")
     ] = None
@@ -158,12 +170,11 @@ class Control:
         if self.model in _SCRIPTED:
             return self._write(self._by_policy(options), options)
         known = known_task(self.task)
-        horizon = known.horizon
-        if self.cost is not None:
-            horizon *= _LEARNED_COST_HORIZON
+        horizon = known.horizon * (1 if self.cost is None else _LEARNED_COST_HORIZON)
         if self.horizon is not None:
             check_range("--horizon", self.horizon, 1, 1000)
             horizon = self.horizon
+        check_range("--iterations", self.iterations, 1, 1000)
         if self.starts is not None:
             check_range("--starts", self.starts, 0, 10_000)
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, self.seed)
@@ -196,6 +207,7 @@ class Control:
                 self.seed,
                 cost=cost,
                 horizon=horizon,
+                iterations=self.iterations,
                 starts=starts,
                 replan_every=self.replan_every,
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,

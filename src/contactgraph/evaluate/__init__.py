@@ -34,4 +34,5 @@ from contactgraph.evaluate.sensor_faults import ObservationNoise as ObservationN
 from contactgraph.evaluate.sensor_faults import SensorFaults as SensorFaults
 from contactgraph.evaluate.statistics import MedianInterval as MedianInterval
 from contactgraph.evaluate.statistics import median_interval as median_interval
+from contactgraph.evaluate.statistics import number_or_word as number_or_word
 from contactgraph.evaluate.statistics import wilson_interval as wilson_interval

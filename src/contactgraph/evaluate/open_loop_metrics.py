@@ -10,7 +10,7 @@ import numpy as np
 from contactgraph.evaluate.calibration import Calibration
 from contactgraph.evaluate.edge_scores import edge_scores
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
-from contactgraph.evaluate.statistics import finite_or_none
+from contactgraph.evaluate.statistics import finite_or_none, number_or_word
 
 ORACLE = "frozen_contact"
 """The baseline that knows masses and contacts; no verdict depends on it."""
@@ -46,7 +46,7 @@ class OpenLoopMetrics:
     """Every window on its own; not part of `to_json`."""
     by_type: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
     """See `numbers_by_type`."""
-    by_run: Sequence[float | None] = ()
+    by_run: Sequence[float | str | None] = ()
     """See `errors_by_run`."""
     extra: Mapping[str, float | None] = field(default_factory=dict, repr=False, compare=False)
     """Metrics of the caller's own, by name."""
@@ -184,11 +184,11 @@ def numbers_by_type(
     }
 
 
-def errors_by_run(detail: OpenLoopDetail, runs: int) -> list[float | None]:
-    """m, of each trajectory: the model's error over moving bodies, as in `error_numbers`."""
+def errors_by_run(detail: OpenLoopDetail, runs: int) -> list[float | str | None]:
+    """m, of each trajectory: the model's error over moving bodies, or the word ``infinite``."""
     squared = detail.measured.squared_error
     return [
-        finite_or_none(detail.rmse(squared, detail.moves & (detail.trajectory == run)[:, None]))
+        number_or_word(detail.rmse(squared, detail.moves & (detail.trajectory == run)[:, None]))
         for run in range(runs)
     ]
 

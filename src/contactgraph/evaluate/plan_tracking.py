@@ -10,7 +10,7 @@ from contactgraph.control import Plan, PlanStatus
 from contactgraph.data import Trajectory, edge_id, moving_bodies, pair_indices
 from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
-from contactgraph.evaluate.statistics import finite_or_none
+from contactgraph.evaluate.statistics import finite_or_none, number_or_word
 from contactgraph.feedback import PlanFeedback
 from contactgraph.model import ContactBelief
 
@@ -108,8 +108,9 @@ class PlanTrackingError:
         """m, of all nodes. None as `rmse_moving`."""
         return self.planned.rmse if self.moved_objects else None
 
-    def to_json(self) -> dict[str, float | int | list[float | None] | None]:
-        """All numbers by name; None for those that are not known or not finite."""
+    def to_json(self) -> dict[str, float | int | list[float | str | None] | None]:
+        """All numbers by name; None for those that are not known or not finite; in the list
+        ``infinite`` for the latter."""
         fixed, edges = self.fixed_contact, self.edges
         numbers = {
             "n_step_rmse_planned_moving_m": self.rmse_moving,
@@ -125,7 +126,7 @@ class PlanTrackingError:
             "planned_windows": self.windows,
             "planned_moved_objects": self.moved_objects,
             **{name: finite_or_none(value) for name, value in numbers.items()},
-            "n_step_rmse_planned_moving_by_episode_m": list(map(finite_or_none, self.by_episode))
+            "n_step_rmse_planned_moving_by_episode_m": list(map(number_or_word, self.by_episode))
             or None,
         }
 

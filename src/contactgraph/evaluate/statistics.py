@@ -31,6 +31,13 @@ def finite_or_none(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
+def number_or_word(value: float | None) -> float | str | None:
+    """A number for JSON: the word ``infinite`` for infinity, None for what is not known."""
+    if value is None or math.isnan(value):
+        return None
+    return value if math.isfinite(value) else "infinite"
+
+
 @dataclass(frozen=True)
 class MedianInterval:
     """A sample's median between two of its values."""
