@@ -80,7 +80,7 @@ class Claim:
         """The measured result."""
         return f"{'; '.join(self.findings)}." if self.findings else "Not measured."
 
-    def tonumber_or_word(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """An entry of ``claims.json``; infinity is the word ``infinite``."""
         return {
             "number": self.number,
