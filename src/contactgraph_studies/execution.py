@@ -1,6 +1,7 @@
 """Execution of one job in a worker process, on this machine or on another one."""
 
 import os
+import shutil
 import sys
 import tempfile
 import time
@@ -12,6 +13,10 @@ from pathlib import Path
 
 from contactgraph_studies.job import Job, JobRecords
 
+_MOST_DRAWS = 5
+"""Of the seed of a training whose network is dead."""
+_REDRAWN = 1000
+"""Is added to a seed with every draw."""
 FileBundle = tuple[tuple[str, bytes], ...]
 """Paths relative to a folder, and contents."""
 RunCommand = Callable[[list[str], Path], int]
@@ -47,6 +52,8 @@ class JobResult:
     """Outputs of a `RemoteJob`."""
     log: str = ""
     """Printed output of a `RemoteJob`."""
+    draws: int = 1
+    """Of a training, its seeds that were tried."""
 
 
 def prepare(job: Job, records: JobRecords, shares_files: bool) -> LocalJob | RemoteJob:
@@ -83,7 +90,7 @@ def execute(job: LocalJob | RemoteJob, run_command: RunCommand) -> JobResult:
             os.chdir(tempfile.gettempdir())  # some systems cannot remove the current folder
         files = bundle_files(folder, job.outputs) if result.exit_code == 0 else ()
         printed = log.read_text(errors="replace") if log.exists() else ""
-        return JobResult(result.exit_code, result.seconds, files, printed)
+        return JobResult(result.exit_code, result.seconds, files, printed, result.draws)
 
 
 def bundle_files(folder: Path, paths: Iterable[str]) -> FileBundle:
@@ -109,9 +116,29 @@ def _timed(
     arguments: tuple[str, ...], folder: Path, log: Path, run_command: RunCommand
 ) -> JobResult:
     os.chdir(folder)
-    start = time.perf_counter()
+    start, draws = time.perf_counter(), 1
     exit_code = run_command(list(arguments), log)
-    return JobResult(exit_code, time.perf_counter() - start)
+    while exit_code != 0 and draws < _MOST_DRAWS and _is_dead(arguments, log):
+        shutil.rmtree(_value(arguments, "--out"), ignore_errors=True)
+        exit_code = run_command(_with_seed(arguments, draws), log)
+        draws += 1
+    return JobResult(exit_code, time.perf_counter() - start, draws=draws)
+
+
+def _is_dead(arguments: tuple[str, ...], log: Path) -> bool:
+    """Whether a training has ended because nothing is left to learn with."""
+    return arguments[0] == "train" and "the network is dead" in log.read_text(errors="replace")
+
+
+def _value(arguments: tuple[str, ...], option: str) -> str:
+    return arguments[arguments.index(option) + 1]
+
+
+def _with_seed(arguments: tuple[str, ...], draw: int) -> list[str]:
+    """The arguments without --resume, with a seed of no other training."""
+    seed = str(_REDRAWN * draw + int(_value(arguments, "--seed")))
+    place = arguments.index("--seed") + 1
+    return [one for one in (*arguments[:place], seed, *arguments[place + 1 :]) if one != "--resume"]
 
 
 def _run_logged(run: Callable[[list[str]], int], arguments: list[str], log: Path) -> int:

@@ -130,9 +130,14 @@ class JobRecords:
         self._write(job, finished=False, seconds=0.0)
         return job.arguments
 
-    def finish(self, job: Job, seconds: float) -> None:
-        """Mark the job as done."""
-        self._write(job, finished=True, seconds=seconds)
+    def finish(self, job: Job, seconds: float, draws: int = 1) -> None:
+        """Mark the job as done, after this many draws of its seed."""
+        self._write(job, finished=True, seconds=seconds, draws=draws)
+
+    def redrawn(self, jobs: Iterable[Job]) -> dict[str, int]:
+        """By command, the networks that were dead and drawn again."""
+        draws = {job.command: int(self._read(job).get("draws", 1)) for job in jobs}
+        return {command: count - 1 for command, count in draws.items() if count > 1}
 
     def log_path(self, job: Job) -> Path:
         """The file that holds the command's output while it runs, and after a failure."""
@@ -152,13 +157,14 @@ class JobRecords:
             return {}
         return record if isinstance(record, dict) else {}
 
-    def _write(self, job: Job, finished: bool, seconds: float) -> None:
+    def _write(self, job: Job, finished: bool, seconds: float, draws: int = 1) -> None:
         record = {
             "command": job.command,
             "fingerprint": job.fingerprint,
             "version": self.version,
             "finished": finished,
             "seconds": round(seconds, 3),
+            "draws": draws,
             "date": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         }
         with atomic_write(self._path(job)) as temporary:

@@ -1,8 +1,9 @@
 """The files of a study; its page is one HTML file, claims first, that loads nothing."""
 
 import base64
+import itertools
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -10,13 +11,13 @@ from string import Template
 
 from contactgraph.cli.output import provenance, write_json, write_text
 from contactgraph.viz.markup import metrics_table
-from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
+from contactgraph.viz.metric_table import csv_metrics, markdown_metrics, short
+from contactgraph_studies.bootstrap import Verdict
 from contactgraph_studies.results import with_range
 from contactgraph_studies.runner import Failure
 from contactgraph_studies.study import Claim, ClaimMetric, Picture, Study, StudyResult
 
-_VERDICTS = {True: "holds", False: "does not hold", None: "not known"}
-_CLASSES = {True: "met", False: "missed", None: ""}
+_CLASSES = {Verdict.HOLDS: "met", Verdict.FAILS: "missed"}
 
 
 def write_study(
@@ -47,7 +48,8 @@ def write_study(
     page = study_page(result, failed, commands, origin["versions"], date)
     write_text(folder / "index.html", page)
     for claim in result.claims:
-        print(f"{claim.number}. {_VERDICTS[claim.holds]}: {claim.title}")
+        about = f"{claim.family}, " if claim.family else ""
+        print(f"{claim.number}. {about}{claim.verdict}: {claim.title}")
         print(f"   {claim.sentence}")
     print(markdown_metrics(result.targets))
     print(f"the page: {folder / 'index.html'}")
@@ -67,7 +69,7 @@ def study_page(
         title=escape(result.title),
         summary=escape(result.summary),
         style="".join(style.read_text(encoding="utf-8") for style in styles),
-        claims=_section("claims", "What the paper claims", map(_claim, result.claims)),
+        claims=_section("claims", "What the paper claims", _claims(result.claims)),
         failures=_failures(failures),
         figures=_section("figures", "Figures", map(_picture, result.figures)),
         asked=escape(result.targets_heading),
@@ -86,26 +88,42 @@ def _section(slug: str, heading: str, parts: Iterable[str]) -> str:
     return f'<section id="{slug}"><h2>{heading}</h2>\n{inside}\n</section>\n' if inside else ""
 
 
-def _claim(claim: Claim) -> str:
-    rows = "".join(_claim_row(number) for number in claim.metrics)
-    return (
-        f'<article class="claim"><p class="verdict {_CLASSES[claim.holds]}">'
-        f"{_VERDICTS[claim.holds]}</p><div>"
-        f"<h3>{claim.number}. {escape(claim.title)}</h3>"
-        f"<blockquote>{escape(claim.quote)}</blockquote>"
-        f"<p>{escape(claim.sentence)}</p>"
-        f'<details><summary>Numbers</summary><p class="caption">It holds if '
-        f"{escape(claim.criterion)}.</p>"
-        '<div class="wide"><table class="plain"><thead><tr><th>Task</th><th>What</th>'
-        "<th>Median (range over seeds)</th><th>Command</th></tr></thead>"
-        f"<tbody>{rows}</tbody></table></div></details></div></article>"
-    )
+def _claims(claims: Sequence[Claim]) -> Iterator[str]:
+    """Each claim once, with what is found of every family of models."""
+    for _, group in itertools.groupby(claims, key=lambda claim: claim.number):
+        families = list(group)
+        claim = families[0]
+        verdicts = "".join(_verdict(one) for one in families)
+        found = "".join(f"<p>{_of_family(one)}{escape(one.sentence)}</p>" for one in families)
+        rows = "".join(_claim_row(one, number) for one in families for number in one.metrics)
+        yield (
+            f'<article class="claim"><div>{verdicts}</div><div>'
+            f"<h3>{claim.number}. {escape(claim.title)}</h3>"
+            f"<blockquote>{escape(claim.quote)}</blockquote>"
+            f'<p class="caption">It holds if {escape(claim.criterion)}.</p>{found}'
+            "<details><summary>Numbers</summary>"
+            '<div class="wide"><table class="plain"><thead><tr><th>Models</th><th>Task</th>'
+            "<th>What</th><th>Median (range over trainings)</th><th>95 %</th><th>Command</th></tr>"
+            f"</thead><tbody>{rows}</tbody></table></div></details></div></article>"
+        )
 
 
-def _claim_row(number: ClaimMetric) -> str:
+def _verdict(claim: Claim) -> str:
+    verdict = f'<p class="verdict {_CLASSES.get(claim.verdict, "")}">{claim.verdict}'
+    return f'{verdict}<span class="caption"> {escape(claim.family)}</span></p>'
+
+
+def _of_family(claim: Claim) -> str:
+    return f"<b>{escape(claim.family)}</b>: " if claim.family else ""
+
+
+def _claim_row(claim: Claim, number: ClaimMetric) -> str:
+    interval = "" if number.interval is None else " to ".join(map(short, number.interval))
     return (
-        f"<tr><td>{escape(number.task)}</td><td>{escape(number.name)}</td>"
+        f"<tr><td>{escape(claim.family)}</td>"
+        f"<td>{escape(number.task)}</td><td>{escape(number.name)}</td>"
         f'<td class="figure">{escape(with_range(number.statistic, number.statistic.unit))}</td>'
+        f'<td class="figure">{interval}</td>'
         f"<td><code>{escape(number.statistic.command)}</code></td></tr>"
     )
 

@@ -9,10 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from contactgraph.evaluate import wilson_interval
 from contactgraph.viz.metric_table import short, with_unit
+from contactgraph_studies.bootstrap import Sample, mean
 from contactgraph_studies.job import Measurement
 
+Summary = Callable[[np.ndarray], np.ndarray]
+"""See `Sample.summary`."""
 Values = Mapping[str, Any]
 """The JSON object that a command has written."""
 
@@ -34,7 +39,12 @@ class Quantity:
         """The number in the unit of display."""
         if self.derived is not None:
             return self.derived(values)
-        value = values[self.key]
+        return self.number(values[self.key])
+
+    def number(self, value: float | str | None) -> float:
+        """Of a JSON value; the word ``infinite`` is infinity."""
+        if value == "infinite":
+            return math.inf
         return self.null if value is None else self.scale * float(value)
 
 
@@ -184,6 +194,26 @@ class Results:
         """Of the readings that have the quantity's key."""
         values = tuple(value for _, value in self._known(condition, quantity))
         return SeedStatistic(values, self.command(condition, quantity), quantity.unit)
+
+    def sample(self, condition: Any, quantity: Quantity) -> Sample:
+        """A number of each training, which all scenes tell together."""
+        values = {
+            one.seed: np.array([quantity.read(one.values)])
+            for one in self._with(condition, quantity)
+        }
+        return Sample(values, None, mean, quantity.unit, self.command(condition, quantity))
+
+    def scene_sample(self, condition: Any, quantity: Quantity, summary: Summary) -> Sample:
+        """A number of each training, from the list that a quantity's key names; null: unknown."""
+        readings = self._with(condition, quantity)
+        values = {
+            one.seed: np.array([quantity.number(each) for each in one.values[quantity.key] or []])
+            for one in readings
+        }
+        values = {seed: each for seed, each in values.items() if len(each)}
+        scenes = condition.task, condition.scenes, quantity.key
+        command = self.command(condition, quantity)
+        return Sample(values, scenes, summary, quantity.unit, command)
 
     def command(self, condition: Any, quantity: Quantity) -> str:
         """The first command that wrote the quantity's key; "" without any."""

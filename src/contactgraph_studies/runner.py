@@ -111,7 +111,7 @@ def _store(job: Job, records: JobRecords, outcome: Outcome) -> tuple[float, Fail
         reason = outcome.lost or f"exit code {result.exit_code}"
         return 0.0, Failure(job, f"{reason}; {last_line(log)}")
     write_bundle(result.files, records.folder)
-    records.finish(job, result.seconds)
+    records.finish(job, result.seconds, result.draws)
     log.unlink(missing_ok=True)
     return result.seconds, None
 

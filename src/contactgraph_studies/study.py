@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from contactgraph.cli.task_types import Target
 from contactgraph.evaluate import number_or_word
 from contactgraph.viz import ReportMetric
+from contactgraph_studies.bootstrap import Estimate, Verdict, all_hold
 from contactgraph_studies.job import Job, Measurement, in_dependency_order
 from contactgraph_studies.results import Quantity, Results, SeedStatistic
 from contactgraph_studies.tables import StudyTable
@@ -32,6 +33,8 @@ class ClaimMetric(NamedTuple):
     name: str
     task: str
     statistic: SeedStatistic
+    interval: tuple[float, float] | None = None
+    """Of 95 %, over trainings and scenes."""
 
 
 @dataclass
@@ -46,9 +49,11 @@ class Claim:
     """The condition under which it holds for these models."""
     results: Results
     tasks: Sequence[str]
+    family: str = ""
+    """Of the models that it is about."""
     metrics: list[ClaimMetric] = field(default_factory=list)
-    verdicts: list[bool | None] = field(default_factory=list)
-    """None: not known."""
+    verdicts: list[Verdict] = field(default_factory=list)
+    """On each task."""
     findings: list[str] = field(default_factory=list)
     """The result on each task."""
 
@@ -61,19 +66,29 @@ class Claim:
         """Record a measured number of the condition's task; returns it."""
         return self.add(name, condition.task, self.results.statistic(condition, quantity))
 
+    def estimated(self, name: str, task: str, found: Estimate) -> Estimate:
+        """Record a number with its interval; returns it."""
+        statistic = SeedStatistic(found.each, found.command, found.unit)
+        self.metrics.append(ClaimMetric(name, task, statistic, (found.low, found.high)))
+        return found
+
     def judge(self, holds: bool, needed: Iterable[SeedStatistic], finding: str = "") -> None:
         """Add a verdict and its reason, or None if a ``needed`` number is not known."""
         known = all(one.known for one in needed)
-        self.verdicts.append(holds if known else None)
+        by_word = Verdict.HOLDS if holds else Verdict.FAILS
+        self.verdicts.append(by_word if known else Verdict.UNKNOWN)
         if known and finding:
             self.findings.append(finding)
 
     @property
+    def verdict(self) -> Verdict:
+        """It holds if it does on every task, and does not if it does not on any."""
+        return all_hold(self.verdicts)
+
+    @property
     def holds(self) -> bool | None:
-        """True if all verdicts are; False if any is; else None."""
-        if False in self.verdicts:
-            return False
-        return None if not self.verdicts or None in self.verdicts else True
+        """None: cannot be told."""
+        return {Verdict.HOLDS: True, Verdict.FAILS: False}.get(self.verdict)
 
     @property
     def sentence(self) -> str:
@@ -87,8 +102,11 @@ class Claim:
             "title": self.title,
             "paper": self.quote,
             "holds_if": self.criterion,
+            "family": self.family,
             "tasks": list(self.tasks),
             "holds": self.holds,
+            "verdict": self.verdict.value,
+            "verdicts": [one.value for one in self.verdicts],
             "sentence": self.sentence,
             "numbers": [
                 {
@@ -97,10 +115,13 @@ class Claim:
                     "unit": one.unit,
                     "median": number_or_word(one.median),
                     "range_over_seeds": [number_or_word(one.low), number_or_word(one.high)],
+                    "interval": None
+                    if interval is None
+                    else [number_or_word(end) for end in interval],
                     "values": [number_or_word(value) for value in one.values],
                     "command": one.command,
                 }
-                for name, task, one in self.metrics
+                for name, task, one, interval in self.metrics
             ],
         }
 

@@ -5,6 +5,7 @@ import io
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from made_up import AMOUNTS, by_the_paper, results
@@ -17,12 +18,13 @@ from contactgraph_studies.page import study_page
 from contactgraph_studies.paper.claims import claims
 from contactgraph_studies.paper.config import (
     DOOR,
+    FAMILIES,
     FRANKA,
-    FULL_AB,
-    GIM_TEMP,
-    MODELS,
+    LITERAL,
+    OURS,
     PICKUP,
     TASKS,
+    StudyModel,
     StudyTask,
 )
 from contactgraph_studies.paper.figures import (
@@ -44,7 +46,7 @@ from contactgraph_studies.results import (
 from contactgraph_studies.study import Picture, StudyResult
 from contactgraph_studies.tables import StudyTable
 
-ERROR = "n_step_rmse_planned_m"
+ERROR, BY_EPISODE = "n_step_rmse_planned_m", "n_step_rmse_planned_moving_by_episode_m"
 
 
 def read_csv(table: StudyTable) -> list[dict[str, str]]:
@@ -55,10 +57,15 @@ def table_of(measured: Results, tasks: Sequence[StudyTask] = (PICKUP,)) -> Study
     return model_table(measured, tasks, AMOUNTS)
 
 
+def row_of(rows: Sequence[dict[str, str]], model: StudyModel) -> dict[str, str]:
+    return next(row for row in rows if row["model"] == model.name)
+
+
 def test_one_row_for_each_task_condition_and_model() -> None:
     rows = read_csv(table_of(results(), TASKS))
-    assert len(rows) == 3 * 2 * len(MODELS), "the extra condition is left out"
-    first, free = rows[0], next(row for row in rows if row["model"] == FULL_AB.name)
+    models = [model for family in FAMILIES for model in family.models]
+    assert len(rows) == 3 * 2 * len(models), "the extra condition is left out"
+    first, free = row_of(rows, OURS.gim_temp), row_of(rows, OURS.full_ab)
     assert list(first)[:6] == [
         *("task", "scenes", "in_distribution", "model", "seeds"),
         "planned_moving_cm_median",
@@ -81,16 +88,20 @@ def test_one_row_for_each_task_condition_and_model() -> None:
 
 
 def test_markdown_and_csv_agree() -> None:
-    table = table_of(results({ERROR: None}, FULL_AB))
+    table = table_of(results({ERROR: None}, OURS.full_ab))
     markdown = table.markdown().splitlines()
+    own, free = (f"| pickup | as trained | {each.kind} |" for each in (OURS.gim_temp, OURS.full_ab))
+    first, unstable = (
+        next(one for one in markdown if one.startswith(each)) for each in (own, free)
+    )
     assert len(markdown) == 2 + len(read_csv(table))
     assert markdown[1] == "|" + 13 * "---|"
-    assert markdown[2].startswith("| pickup | as trained | GIM-Temp | 1.6 (1.6 to 1.6) | 0.8 ")
+    assert first.startswith(f"{own} 1.6 (1.6 to 1.6) | 0.8 ")
     same = "100, 100, 100 % of the same 20 (median: 83.9 to 100)"
-    assert markdown[2].endswith(f"| {same} | {same} |")
-    assert "| Full-AB | 1.6 (1.6 to 1.6) | not finite (not finite to not finite) |" in markdown[6]
-    assert markdown[6].endswith("| 10, 10, 10 % of the same 20 (median: 2.79 to 30.1) |  |")
-    assert read_csv(table)[4]["planned_cm_median"] == "inf"
+    assert first.endswith(f"| {same} | {same} |")
+    assert "| 1.6 (1.6 to 1.6) | not finite (not finite to not finite) |" in unstable
+    assert unstable.endswith("| 10, 10, 10 % of the same 20 (median: 2.79 to 30.1) |  |")
+    assert row_of(read_csv(table), OURS.full_ab)["planned_cm_median"] == "inf"
 
 
 def test_missing_measurements_are_empty_cells() -> None:
@@ -101,39 +112,43 @@ def test_missing_measurements_are_empty_cells() -> None:
 
 def test_an_error_of_moving_bodies_is_not_known_if_nothing_moves() -> None:
     moving = "n_step_rmse_planned_moving_m"
-    still = read_csv(table_of(results({moving: None}, FULL_AB)))[4]
+
+    def unstable(change: dict[str, Any]) -> dict[str, str]:
+        return row_of(read_csv(table_of(results(change, OURS.full_ab))), OURS.full_ab)
+
+    still = unstable({moving: None})
     assert still["planned_moving_cm_median"] == still["planned_cm_median"] == ""
     resting = {moving: None, ERROR: None, "planned_windows": 8, "planned_moved_objects": 0}
-    unmoved = read_csv(table_of(results(resting, FULL_AB)))[4]
+    unmoved = unstable(resting)
     assert unmoved["planned_moving_cm_median"] == unmoved["planned_cm_median"] == ""
-    diverged = read_csv(table_of(results({moving: None, ERROR: None}, FULL_AB)))[4]
+    diverged = unstable({moving: None, ERROR: None})
     assert diverged["planned_moving_cm_median"] == "inf"
 
 
 def test_targets_are_compared_with_the_median_over_seeds() -> None:
-    condition = planned(DOOR, GIM_TEMP, DOOR.hardest)
+    condition = planned(DOOR, OURS.gim_temp, DOOR.hardest)
     readings = [
         Reading(seed, {**by_the_paper(condition), ERROR: error}, "contactgraph control")
         for seed, error in enumerate((0.001, 0.0055, 0.05))
     ]
     measured = Results({condition: readings})
     numbers = {number.name: number for number in model_targets(measured, [DOOR], (0, 1, 2))}
-    error = numbers["door, 10 more doors: N-step error, planned against executed"]
+    error = numbers["door, 10 more doors, GIM-Temp: N-step error, planned against executed"]
     assert error.value == pytest.approx(0.55)
     assert error.interval == pytest.approx((0.1, 5.0))
     assert (error.at_least, error.aim, error.reached) == (0.6, 0.25, True)
-    assert numbers["door, 10 more doors: edge F1, the same"].reached is True
-    assert numbers["door, 10 more doors: success"].reached is None, "not measured"
+    assert numbers["door, 10 more doors, GIM-Temp: edge F1, the same"].reached is True
+    assert numbers["door, 10 more doors, GIM-Temp: success"].reached is None, "not measured"
     text = markdown_metrics(list(numbers.values()))
     assert "planned against executed | 0.55 cm (0.1 to 5) | 0.6 | 0.25 | yes |" in text
-    assert "10 more doors: success | not known | 95 | 99 |  |" in text
+    assert "10 more doors, GIM-Temp: success | not known | 95 | 99 |  |" in text
     arm = {number.name: number for number in model_targets(results(), [FRANKA], (0, 1, 2))}
-    assert arm["franka, 5 distractors: success"].at_least == 90.0
+    assert arm["franka, 5 distractors, GIM-Temp: success"].at_least == 90.0
     assert len(arm) == 2 * 6, "speed at contact and control time are judged for the arm alone"
-    missed = model_targets(results({ERROR: 0.02}, GIM_TEMP), TASKS, (0,))
+    missed = model_targets(results({ERROR: 0.02}, LITERAL.gim_temp), TASKS, (0,))
     assert "| **no** |" in markdown_metrics(missed)
     read = list(csv.DictReader(io.StringIO(csv_metrics(missed))))
-    assert len(read) == len(missed) == 3 * 2 * 4
+    assert len(read) == len(missed) == 3 * 3 * 2 * 4
     assert (read[0]["value"], read[0]["reached"]) == ("2.0", "False")
 
 
@@ -141,7 +156,7 @@ def test_the_page_begins_with_verdicts_and_loads_nothing() -> None:
     result = StudyResult(
         title="Study <1>",
         summary="in short",
-        claims=claims(results({ERROR: 0.02}), TASKS, AMOUNTS),
+        claims=claims(results({BY_EPISODE: [0.02]}, LITERAL.no_gim), TASKS, AMOUNTS),
         targets_heading="Targets",
         targets=model_targets(results(), TASKS, (0, 1, 2)),
         tables=[table_of(results())],
@@ -152,6 +167,7 @@ def test_the_page_begins_with_verdicts_and_loads_nothing() -> None:
     failures = [("contactgraph x", "exit code 2; <b>")]
     page = study_page(result, failures, ["contactgraph reproduce all"], {"jax": "1"}, "today")
     assert page.count("<td>pickup</td><td>as trained</td><td>GIM-Temp</td>") == 1
+    assert page.count("<blockquote>") == 7, "each claim once, for all families"
     assert 'title="contactgraph control cells/pickup/seed-0/gim-temp-40/run ' in page
     assert "Study &lt;1&gt;" in page and "exit code 2; &lt;b&gt;" in page
     assert page.index('class="verdict missed">does not hold') < page.index('id="figures"')
@@ -179,10 +195,10 @@ def test_figures_are_reproducible_and_need_no_measurement(
     assert svg(draw(Results({}))) != whole
 
 
-def test_infinite_errors_are_hatched_bars() -> None:
-    figure = error_figure(results({ERROR: None}, FULL_AB), TASKS)
-    hatched = [bar for axes in figure.axes for bar in axes.patches if bar.get_hatch()]
-    assert len(hatched) == 2 * len(TASKS)
+def test_infinite_errors_are_triangles() -> None:
+    figure = error_figure(results({BY_EPISODE: ["infinite"]}, OURS.full_ab), TASKS)
+    marks = [line for axes in figure.axes for line in axes.lines if line.get_marker() == "^"]
+    assert len(marks) == 2 * len(TASKS)
 
 
 def test_both_files_of_a_figure_are_written(tmp_path: Path) -> None:

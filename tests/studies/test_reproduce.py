@@ -64,7 +64,10 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Job]]:
         jobs: Sequence[Job], records: JobRecords, executor: object, create: object, report: object
     ) -> list[Failure]:
         asked.append(list(jobs))
-        values = {"success_rate": 1.0, "episodes": 5, "n_step_rmse_planned_m": 0.001}
+        values = {
+            **{"success_rate": 1.0, "episodes": 5, "n_step_rmse_planned_m": 0.001},
+            "n_step_rmse_planned_moving_by_episode_m": [0.001] * 5,
+        }
         for job in jobs:
             path = records.folder / job.output
             if path.suffix == ".json" and "paper-literal" not in job.output:
@@ -93,12 +96,16 @@ def test_files_of_a_study(
     folder = tmp_path / "results" / "door"
     assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
     captured = capsys.readouterr()
-    assert "1. holds: In distribution, every model's N-step error is under 1 cm" in captured.out
+    assert (
+        "1. ours, holds: In distribution, every model's N-step error is under 1 cm" in captured.out
+    )
     assert "the page: results/door/index.html" in captured.out
     assert "failed: contactgraph train " in captured.err
     assert "(exit code 2; contactgraph: no such model)" in captured.err
     claims = json.loads((folder / "claims.json").read_text())["claims"]
-    assert [(claim["number"], claim["holds"]) for claim in claims[:2]] == [(1, True), (2, False)]
+    found = {(claim["number"], claim["family"]): claim["verdict"] for claim in claims}
+    assert found[1, "ours"] == "holds" and found[2, "ours"] == "does not hold"
+    assert found[1, "as written"] == "not measured"
     assert all(claim["tasks"] == ["door"] and claim["paper"] for claim in claims)
     results = json.loads((folder / "results.json").read_text())
     assert results["command"] == "contactgraph reproduce door --quick"

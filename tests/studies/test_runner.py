@@ -8,7 +8,7 @@ import pytest
 from fake_worker import FakeWorker
 
 from contactgraph.parallel import LocalExecutor
-from contactgraph_studies.execution import create_worker
+from contactgraph_studies.execution import LocalJob, create_worker, execute
 from contactgraph_studies.job import Job, JobRecords, in_dependency_order
 from contactgraph_studies.runner import Failure, Progress, run_jobs
 
@@ -142,6 +142,32 @@ def test_a_training_goes_on_from_its_checkpoint(tmp_path: Path) -> None:
     other = Job("run", ("half", "run", "x"), "train", checkpoints="checkpoint-*")
     run(tmp_path, [other])
     assert done(tmp_path) == ["half run x"]
+
+
+@pytest.mark.parametrize(("alive", "draws"), [("1003", 2), ("never", 5)])
+def test_a_dead_network_is_drawn_again_and_counted(tmp_path: Path, alive: str, draws: int) -> None:
+    job = Job("run", ("train", "data", "--out", "run", "--seed", "3"), "train")
+    tried: list[list[str]] = []
+
+    def run_command(arguments: list[str], log: Path) -> int:
+        tried.append(arguments)
+        Path("run").mkdir()
+        log.write_text("contactgraph: run: the network is dead: its messages are the same\n")
+        return int(alive not in arguments)
+
+    given = LocalJob((*job.arguments, "--resume"), tmp_path, tmp_path / "log")
+    result = execute(given, run_command)
+    assert (result.draws, result.exit_code) == (draws, int(alive == "never"))
+    assert [each[-1] for each in tried] == ["--resume", *(f"{n}003" for n in range(1, draws))]
+    records = JobRecords(tmp_path, "1")
+    records.finish(job, 1.0, result.draws)
+    assert records.redrawn([job]) == {job.command: draws - 1}
+    tried.clear()
+    assert execute(LocalJob(("evaluate", "run"), tmp_path, tmp_path / "log"), failing).draws == 1
+
+
+def failing(arguments: list[str], log: Path) -> int:
+    return 1
 
 
 def test_several_at_a_time(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from contactgraph.cli.task_types import Target
 from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
+from contactgraph_studies.bootstrap import Verdict
 from contactgraph_studies.cost.config import (
     SCENE_SEED,
     CostAmounts,
@@ -104,7 +105,7 @@ def transfers(results: Results, tasks: Sequence[StudyTask], amounts: CostAmounts
         results,
         [task.name for task in tasks],
     )
-    claim.verdicts = [None]
+    claim.verdicts = [Verdict.UNKNOWN]
     for task in tasks:
         for test in by_demonstrations(amounts):
             name = f"success, {test.learned.demonstrations} demonstrations"
@@ -113,7 +114,7 @@ def transfers(results: Results, tasks: Sequence[StudyTask], amounts: CostAmounts
         if success is not None:
             claim.findings.append(f"{task.name}, {amounts.most} demonstrations: {success}")
             if task.name == PICKUP.name:
-                claim.verdicts = [success.rate >= _PAPER]
+                claim.verdicts = [Verdict.HOLDS if success.rate >= _PAPER else Verdict.FAILS]
     return claim
 
 

@@ -1,141 +1,140 @@
-"""Tests of the paper's seven claims about models, each on one task after another."""
+"""Tests of the paper's seven claims about models, on each task for each family of models."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from contactgraph.cli.task_types import TestCondition
-from contactgraph.viz.metric_table import short, with_unit
+from contactgraph_studies.bootstrap import Estimate, Sample, Verdict, all_hold, estimate
 from contactgraph_studies.paper import jobs, statements
 from contactgraph_studies.paper.config import (
-    FAULTS,
-    FULL_AB,
-    GIM_NON_TEMP,
-    GIM_TEMP,
-    LITERAL,
-    LITERAL_NO_GIM,
-    NO_GIM,
-    NO_GIM_AUG,
-    NO_KL,
+    SAMPLED_FAMILIES,
     Amounts,
+    Family,
     StudyModel,
     StudyTask,
 )
-from contactgraph_studies.paper.jobs import Source, condition_of, planned, recorded
-from contactgraph_studies.results import (
-    SUCCESS_PERCENT,
-    Quantity,
-    Results,
-    SeedStatistic,
-    Values,
-    joined,
-)
+from contactgraph_studies.paper.jobs import Source, closed_error, number, open_error, success
+from contactgraph_studies.results import Quantity, Results, Values
 from contactgraph_studies.study import Claim
 
 _FALSE_ALARMS = Quantity("edge_false_alarm_rate", "%", 100.0)
 _PRECISION = Quantity("edge_precision", "%", 100.0)
-_GROWTH = {
-    "growth under the expert's control": Quantity("growth_driven", "times", null=math.inf),
-    "growth without control": Quantity("growth_free", "times", null=math.inf),
-    "spectral radius of A, first step": Quantity("spectral_radius", null=math.inf),
-    "spectral radius of A, largest": Quantity("spectral_radius_max", null=math.inf),
-}
 
 
 def claims(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> list[Claim]:
-    """Claims 1 to 7; the third only if the error of a task is measured by training data."""
-    made = []
-    for number, (statement, judge) in enumerate(
-        zip(statements.STATEMENTS, _JUDGES, strict=True), start=1
-    ):
-        about = [task for task in tasks if task.with_samples or judge is not _more_data]
-        claim = Claim(number, *statement, results, [task.name for task in about])
-        for task in about:
-            judge(claim, task, amounts)
-        if about:
-            made.append(claim)
-    return made
-
-
-def _small_in_distribution(claim: Claim, task: StudyTask, amounts: Amounts) -> None:
-    errors = []
-    for model in (model for model in statements.COMPARED if model in task.models):
-        condition = planned(task, model, task.as_trained)
-        errors.append(claim.measure(model.name, condition, jobs.PLANNED_ERROR))
-        claim.judge(errors[-1].median < statements.SMALL_CM, errors[-1:])
-    if largest := _medians(errors):
-        claim.findings.append(f"{task.name}: the largest error is {with_unit(largest[-1], 'cm')}")
-
-
-def _generalisation(claim: Claim, task: StudyTask, amounts: Amounts) -> None:
-    growth, literal = {}, []
-    for model in (NO_GIM, GIM_TEMP, LITERAL_NO_GIM, LITERAL):
-        name = f"{model.name}, {task.hardest.name}"
-        ratio = f"{name} over {task.as_trained.name}"
-        growth[model] = _growth(claim.results, task, model, Source.planned, jobs.PLANNED_ERROR)
-        open_loop = _growth(claim.results, task, model, Source.recorded, jobs.RECORDED_ERROR)
-        claim.add(ratio, task.name, growth[model])
-        claim.add(f"{ratio}, open loop", task.name, open_loop)
-        claim.measure(name, planned(task, model, task.hardest), jobs.PLANNED_ERROR)
-        if model in (LITERAL_NO_GIM, LITERAL) and open_loop.known:
-            literal.append(f"{model.name} {_times(open_loop.median)}")
-    sharp, slight = growth[NO_GIM].median, growth[GIM_TEMP].median
-    own_form = f" (in the paper's own form, open loop: {joined(literal)})" if literal else ""
-    claim.judge(
-        sharp >= statements.SHARP and slight <= statements.SLIGHT,
-        (growth[NO_GIM], growth[GIM_TEMP]),
-        f"{task.name}: No-GIM's error is {_times(sharp)} that in distribution, "
-        f"GIM-Temp's {_times(slight)}{own_form}",
+    """Claims 1 to 7, each for one family after another."""
+    found = (
+        _claim(results, number, family, tasks, amounts)
+        for number in range(1, len(_JUDGES) + 1)
+        for family in _families(tasks)
     )
+    return [claim for claim in found if claim is not None]
 
 
-def _growth(
-    results: Results, task: StudyTask, model: StudyModel, source: Source, error: Quantity
-) -> SeedStatistic:
-    """Error in the hardest scenes over that in distribution, seed by seed."""
-    inside, outside = (
-        results.statistic(condition_of(source, task, model, scenes), error)
-        for scenes in (task.as_trained, task.hardest)
+def _families(tasks: Sequence[StudyTask]) -> list[Family]:
+    return list(dict.fromkeys(family for task in tasks for family in task.families))
+
+
+def _claim(
+    results: Results, number: int, family: Family, tasks: Sequence[StudyTask], amounts: Amounts
+) -> Claim | None:
+    """None: no task measures what it is about."""
+    asked, judge = _JUDGES[number - 1]
+    about = [task for task in tasks if asked(task, family)]
+    statement = statements.STATEMENTS[number - 1]
+    claim = Claim(number, *statement, results, [task.name for task in about], family.name)
+    for task in about:
+        evidence = _Evidence(claim, task, family, amounts)
+        claim.verdicts.append(all_hold(list(judge(evidence))))
+        if evidence.findings:
+            claim.findings.append(f"{task.name}: {', '.join(evidence.findings)}")
+    return claim if about else None
+
+
+class _Evidence:
+    """The numbers of one family on one task, which are recorded as they are read."""
+
+    def __init__(self, claim: Claim, task: StudyTask, family: Family, amounts: Amounts) -> None:
+        self.task, self.family, self.amounts = task, family, amounts
+        self._claim, self._results = claim, claim.results
+        self.findings: list[str] = []
+
+    def add(
+        self,
+        name: str,
+        samples: Sequence[Sample],
+        statistic: Callable[..., np.ndarray] | None = None,
+        unit: str = "",
+        finding: bool = False,
+    ) -> Estimate:
+        """A number with its interval; a ``finding`` is told in the claim's sentence."""
+        found = self._claim.estimated(name, self.task.name, estimate(samples, statistic, unit))
+        if finding and found.trainings:
+            self.findings.append(f"{name} {found}")
+        return found
+
+    def closed(self, model: StudyModel, scenes: TestCondition) -> Sample:
+        """See `closed_error`."""
+        return closed_error(self._results, self.task, model, scenes)
+
+    def success(self, model: StudyModel, source: Source) -> Sample:
+        """In distribution."""
+        return success(self._results, self.task, model, self.task.as_trained, source)
+
+    def opened(self, model: StudyModel, runs: int) -> Sample:
+        """Out of distribution, by number of training trajectories."""
+        return open_error(self._results, self.task, model, self.task.hardest, runs)
+
+    def number(
+        self, model: StudyModel, scenes: TestCondition, quantity: Quantity, source: Source
+    ) -> Sample:
+        """One number of each training."""
+        return number(self._results, self.task, model, scenes, quantity, source)
+
+
+def _small_in_distribution(of: _Evidence) -> Iterator[Verdict]:
+    scenes = of.task.as_trained
+    models = [model for model in of.family.compared if model in of.task.models]
+    errors = [of.closed(model, scenes) for model in models]
+    for model, error in zip(models, errors, strict=True):
+        of.add(model.kind, [error])
+        # A controller that moves nothing makes no error.
+        of.add(f"{model.kind}, success", [of.success(model, Source.planned)])
+    worst = of.add(
+        "the largest error is", errors, lambda *each: np.maximum.reduce(each), "cm", finding=True
     )
-    if len(inside.values) != len(outside.values):
-        return SeedStatistic(unit="times")
-    pairs = zip(inside.values, outside.values, strict=True)
-    ratios = [math.inf if math.isinf(far) else far / near for near, far in pairs if near > 0.0]
-    return SeedStatistic(tuple(ratios), outside.command, "times")
+    yield worst.below(statements.SMALL_CM)
 
 
-def sample_errors(
-    results: Results, task: StudyTask, model: StudyModel, scenes: TestCondition, runs: int
-) -> SeedStatistic:
-    """Open-loop error of a model trained on this number of trajectories, cm."""
-    condition = condition_of(Source.samples, task, model, scenes, training_runs=runs)
-    return results.statistic(condition, jobs.RECORDED_ERROR)
+def _generalisation(of: _Evidence) -> Iterator[Verdict]:
+    grown = {}
+    for model in (of.family.no_gim, of.family.gim_temp):
+        near, far = (of.closed(model, each) for each in (of.task.as_trained, of.task.hardest))
+        of.add(f"{model.kind}, {of.task.as_trained.name}", [near])
+        of.add(f"{model.kind}, {of.task.hardest.name}", [far])
+        name = f"{model.kind}'s error out of distribution is that in distribution times"
+        grown[model] = of.add(name, [far, near], _ratio, finding=True)
+    yield grown[of.family.no_gim].within(statements.SHARP, math.inf)
+    yield grown[of.family.gim_temp].within(-math.inf, statements.SLIGHT)
 
 
-def _more_data(claim: Claim, task: StudyTask, amounts: Amounts) -> None:
-    sizes, few, scenes = amounts.sample_sizes, task.training_runs, task.hardest
-    own = sample_errors(claim.results, task, GIM_TEMP, scenes, few)
-    curve = [sample_errors(claim.results, task, NO_GIM_AUG, scenes, size) for size in sizes]
-    claim.add(f"GIM-Temp, {few} runs", task.name, own)
-    claim.add(f"No-GIM-Aug, {sizes[-1]} runs", task.name, curve[-1])
-    ratios = [
-        data_ratio(sizes, [one.values[seed] for one in curve], few, own.values[seed])
-        for seed in range(min(len(one.values) for one in (own, *curve)))
-    ]
-    known = tuple(ratio for ratio in ratios if ratio is not None)
-    needed = SeedStatistic(known, curve[-1].command, "times")
-    reached = math.isfinite(needed.median)
-    if needed.known:
-        claim.add("data needed for equal error", task.name, needed)
-    claim.judge(
-        reached and needed.median >= statements.MORE_DATA,
-        [needed],
-        f"{task.name}: No-GIM-Aug needs {short(needed.median)} times the data"
-        if reached
-        else f"{task.name}: not reached with {sizes[-1]}: No-GIM-Aug is at {curve[-1]} there, "
-        f"GIM-Temp at {own} with {few}, so it needs more than {sizes[-1] / few:g} times the data",
-    )
+def _more_data(of: _Evidence) -> Iterator[Verdict]:
+    sizes, few = of.amounts.sample_sizes, of.task.training_runs
+    own = of.opened(of.family.gim_temp, few)
+    curve = [of.opened(of.family.no_gim_aug, size) for size in sizes]
+    of.add(f"GIM-Temp, {few} trajectories", [own])
+    for size, one in zip(sizes, curve, strict=True):
+        of.add(f"No-GIM-Aug, {size} trajectories", [one])
+
+    def needed(reference: float, *errors: float) -> float:
+        ratio = data_ratio(sizes, errors, few, reference)
+        return math.nan if ratio is None else ratio
+
+    name = "for GIM-Temp's error No-GIM-Aug needs its number of trajectories times"
+    found = of.add(name, [own, *curve], np.vectorize(needed, otypes=[float]), finding=True)
+    yield found.within(statements.MORE_DATA, statements.MOST_DATA)
 
 
 def data_ratio(
@@ -162,28 +161,24 @@ def data_ratio(
     return math.inf
 
 
-def _corrected_edges(claim: Claim, task: StudyTask, amounts: Amounts) -> None:
-    scenes, accuracy = task.as_trained, jobs.EDGE_ACCURACY
-    opened = recorded(task, GIM_TEMP, scenes)
+def _corrected_edges(of: _Evidence) -> Iterator[Verdict]:
+    scenes = of.task.as_trained
     own, other = (
-        claim.measure(
-            f"{model.name}, edge accuracy", planned(task, model, scenes), jobs.PLANNED_ACCURACY
-        )
-        for model in (GIM_TEMP, GIM_NON_TEMP)
+        of.number(model, scenes, jobs.PLANNED_ACCURACY, Source.planned)
+        for model in (of.family.gim_temp, of.family.gim_non_temp)
     )
-    corrected = claim.measure("GIM-Temp, recorded, corrected", opened, accuracy)
-    plain = claim.measure("GIM-Temp, recorded, not corrected", opened, jobs.UNMEASURED_ACCURACY)
-    claim.measure("GIM-Non-Temp, recorded", recorded(task, GIM_NON_TEMP, scenes), accuracy)
-    for fault in FAULTS:
-        faulty = condition_of(Source.faults, task, GIM_TEMP, scenes, sensor=fault.name)
-        claim.measure(f"GIM-Temp, recorded, sensor {fault.name}", faulty, accuracy)
-    claim.judge(
-        own.median > other.median and corrected.median > plain.median,
-        (own, other, corrected, plain),
-        f"{task.name}: {_percent(own.median)} against GIM-Non-Temp's {_percent(other.median)} "
-        f"in closed loop; on recorded runs {_percent(corrected.median)} with correction, "
-        f"{_percent(plain.median)} without",
+    corrected, plain = (
+        of.number(of.family.gim_temp, scenes, quantity, Source.recorded)
+        for quantity in (jobs.EDGE_ACCURACY, jobs.UNMEASURED_ACCURACY)
     )
+    of.add("GIM-Temp, edge accuracy", [own])
+    of.add("GIM-Non-Temp, edge accuracy", [other])
+    of.add("GIM-Temp, recorded, corrected", [corrected])
+    of.add("GIM-Temp, recorded, not corrected", [plain])
+    name = "edge accuracy less GIM-Non-Temp's"
+    yield of.add(name, [own, other], np.subtract, "points", finding=True).above(0.0)
+    name = "gain by correction"
+    yield of.add(name, [corrected, plain], np.subtract, "points", finding=True).above(0.0)
 
 
 def _larger_growth(values: Values) -> float:
@@ -191,96 +186,76 @@ def _larger_growth(values: Values) -> float:
     return max(math.inf if value is None else value for value in growth)
 
 
-_LARGEST_GROWTH = Quantity("growth_free", derived=_larger_growth)
+_LARGEST_GROWTH = Quantity("growth_free", "times", derived=_larger_growth)
 
 
-def _free_matrices(claim: Claim, task: StudyTask, amounts: Amounts) -> None:
-    largest, success = {}, {}
-    for model in (FULL_AB, GIM_TEMP):
-        growth, near, far = (
-            condition_of(source, task, model, task.as_trained)
-            for source in (Source.growth, Source.planned, Source.long_plan)
-        )
-        for name, quantity in _GROWTH.items():
-            claim.measure(f"{model.name}, {name}", growth, quantity)
-        largest[model] = claim.results.statistic(growth, _LARGEST_GROWTH)
-        success[model] = [
-            claim.measure(f"{model.name}, success, planned a {name} ahead", one, SUCCESS_PERCENT)
-            for one, name in ((near, "short way"), (far, "whole run"))
-        ]
-    grown, rates = largest[FULL_AB].median, [one.median for one in success[FULL_AB]]
-    claim.judge(
-        grown >= statements.UNBOUNDED and max(rates) < statements.INFEASIBLE,
-        (largest[FULL_AB], *success[FULL_AB]),
-        f"{task.name}: rolled out over a whole run its states grow "
-        f"{'not finitely' if math.isinf(grown) else _times(grown)} "
-        f"(GIM-Temp's {short(largest[GIM_TEMP].median)} times), and control succeeds in "
-        f"{short(rates[0])} % of the episodes planned a short way ahead, "
-        f"{short(rates[1])} % of those planned a whole run ahead",
-    )
+def _free_matrices(of: _Evidence) -> Iterator[Verdict]:
+    scenes, grown, success = of.task.as_trained, {}, {}
+    for model in (of.family.full_ab, of.family.gim_temp):
+        growth = of.number(model, scenes, _LARGEST_GROWTH, Source.growth)
+        grown[model] = of.add(f"{model.kind}'s states grow", [growth], finding=True)
+        for source, ahead in ((Source.planned, "0.5 s"), (Source.long_plan, "a whole episode")):
+            name = f"{model.kind} planned {ahead} ahead succeeds in"
+            success[model, source] = of.add(name, [of.success(model, source)], finding=True)
+    full = of.family.full_ab
+    yield grown[full].within(statements.UNBOUNDED, math.inf)
+    yield success[full, Source.planned].below(statements.INFEASIBLE)
+    yield success[full, Source.long_plan].below(statements.INFEASIBLE)
 
 
-def _prior_needed(claim: Claim, task: StudyTask, amounts: Amounts) -> None:
-    scenes = task.hardest
-    name = "edges active of those without contact, without KL"
-    stray = claim.measure(name, recorded(task, NO_KL, scenes), _FALSE_ALARMS)
-    own, other = (
-        claim.measure(f"{name}, {scenes.name}", planned(task, model, scenes), jobs.PLANNED_ERROR)
-        for model, name in ((NO_KL, "without KL"), (NO_GIM, "No-GIM"))
-    )
-    as_bad = math.isinf(own.median) or own.median >= statements.AS_BAD * other.median
-    claim.judge(
-        stray.median >= statements.CONNECTED and as_bad,
-        (stray, own, other),
-        f"{task.name}: {_percent(stray.median)} of the edges without contact are active, and "
-        f"with {scenes.name} the error is {own} against No-GIM's {other}",
-    )
+def _prior_needed(of: _Evidence) -> Iterator[Verdict]:
+    scenes, no_kl = of.task.hardest, of.family.no_kl
+    active = of.number(no_kl, scenes, _FALSE_ALARMS, Source.recorded)
+    stray = of.add("edges active of those without contact", [active], finding=True)
+    own, other = of.closed(no_kl, scenes), of.closed(of.family.no_gim, scenes)
+    of.add("without KL", [own])
+    of.add("No-GIM", [other])
+    ratio = of.add("the error is No-GIM's times", [own, other], _ratio, finding=True)
+    yield stray.within(statements.CONNECTED, math.inf)
+    yield ratio.within(statements.AS_BAD, math.inf)
 
 
-def _edges_mean_contact(claim: Claim, task: StudyTask, amounts: Amounts) -> None:
-    strays, precisions = [], []
-    for model in (GIM_TEMP, GIM_NON_TEMP):
-        for scenes in (task.as_trained, task.hardest):
-            condition, name = recorded(task, model, scenes), f"{model.name}, {scenes.name}"
-            stray = claim.measure(f"{name}, active without contact", condition, _FALSE_ALARMS)
-            precision = claim.measure(f"{name}, precision", condition, _PRECISION)
-            claim.judge(
-                stray.median <= statements.STRAY and precision.median >= statements.PRECISE,
-                (stray, precision),
+def _edges_mean_contact(of: _Evidence) -> Iterator[Verdict]:
+    for model in (of.family.gim_temp, of.family.gim_non_temp):
+        for scenes in (of.task.as_trained, of.task.hardest):
+            name = f"{model.kind}, {scenes.name}"
+            stray, precision = (
+                of.number(model, scenes, quantity, Source.recorded)
+                for quantity in (_FALSE_ALARMS, _PRECISION)
             )
-            strays.append(stray)
-            precisions.append(precision)
-    if (active := _medians(strays)) and (precise := _medians(precisions)):
-        claim.findings.append(
-            f"{task.name}: at most {_percent(active[-1])} of the edges without contact are active, "
-            f"and at least {_percent(precise[0])} of the active ones are in contact"
-        )
+            active = of.add(f"{name}, active without contact", [stray], finding=True)
+            precise = of.add(f"{name}, precision", [precision], finding=True)
+            yield active.within(-math.inf, statements.STRAY)
+            yield precise.within(statements.PRECISE, math.inf)
 
 
-def _medians(measured: Iterable[SeedStatistic]) -> list[float]:
-    """The known ones, in ascending order."""
-    return sorted(one.median for one in measured if one.known)
+def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
+    """Infinite over infinite is infinite."""
+    return np.where(np.isinf(above), above, above / below)
 
 
-def _times(ratio: float) -> str:
-    return "not finite against" if math.isinf(ratio) else f"{short(ratio)} times"
+def _measured(task: StudyTask, family: Family) -> bool:
+    return family in task.families
 
 
-def _percent(value: float) -> str:
-    """With as many digits as it takes to tell it from 100 % and from 0."""
-    distance = min(value, 100.0 - value)
-    if not distance > 0.0:
-        return f"{value:g} %"
-    return f"{value:.{max(1, 1 - math.floor(math.log10(distance)))}f} %"
+def _sampled(task: StudyTask, family: Family) -> bool:
+    return _measured(task, family) and task.with_samples and family in SAMPLED_FAMILIES
 
 
-_JUDGES: tuple[Callable[[Claim, StudyTask, Amounts], None], ...] = (
-    _small_in_distribution,
-    _generalisation,
-    _more_data,
-    _corrected_edges,
-    _free_matrices,
-    _prior_needed,
-    _edges_mean_contact,
+def _whole(task: StudyTask, family: Family) -> bool:
+    return set(family.models) <= set(task.models)
+
+
+_JUDGES: tuple[
+    tuple[Callable[[StudyTask, Family], bool], Callable[[_Evidence], Iterator[Verdict]]], ...
+] = (
+    (_measured, _small_in_distribution),
+    (_measured, _generalisation),
+    (_sampled, _more_data),
+    (_measured, _corrected_edges),
+    (_whole, _free_matrices),
+    (_whole, _prior_needed),
+    (_measured, _edges_mean_contact),
 )
-"""For each of `statements.STATEMENTS`: adds a task's numbers, verdicts and finding to the claim."""
+"""For each of `statements.STATEMENTS`: whether a task tells it of a family, and the verdicts on
+what it asks, all of which must hold."""

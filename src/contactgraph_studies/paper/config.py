@@ -1,6 +1,6 @@
 """Configuration of the study of models: tasks, models, test conditions, amounts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from contactgraph.cli.known_tasks import TASKS as LIBRARY_TASKS
 from contactgraph.cli.task_types import KnownTask, TestCondition
@@ -14,14 +14,49 @@ class StudyModel:
 
     slug: str
     """Part of folder names."""
-    name: str
-    """The paper's, if it has one."""
+    kind: str
+    """The paper's name, if it has one."""
+    family: str
+    """Name of the `Family`."""
     colour: str
     """In all figures."""
     options: Options
     """Options of ``train``."""
     augmented: bool = False
     """Whether it is trained on the augmented data."""
+    own_form: bool = False
+    """Whether it has the paper's prior, whose d_th a task tells."""
+
+    @property
+    def name(self) -> str:
+        """With the family, if that is not ours."""
+        return f"{self.kind}, {self.family}" if self.own_form else self.kind
+
+
+@dataclass(frozen=True)
+class Family:
+    """One form of the models that the paper compares, all trained alike."""
+
+    name: str
+    slug: str
+    gim_temp: StudyModel
+    gim_non_temp: StudyModel
+    no_gim: StudyModel
+    no_gim_aug: StudyModel
+    full_ab: StudyModel
+    no_kl: StudyModel
+    variants: tuple[StudyModel, ...] = ()
+    """Of GIM-Temp, judged by no claim."""
+
+    @property
+    def compared(self) -> tuple[StudyModel, ...]:
+        """Those in the paper's figure of errors. Full-AB is missing: control cannot use it."""
+        return (self.gim_temp, self.gim_non_temp, self.no_gim, self.no_gim_aug)
+
+    @property
+    def models(self) -> tuple[StudyModel, ...]:
+        """All of them."""
+        return (*self.compared, self.full_ab, self.no_kl, *self.variants)
 
 
 @dataclass(frozen=True)
@@ -33,15 +68,18 @@ class StudyTask:
     """Its test conditions and targets."""
     augmented_options: Options
     """Options of ``collect`` for the augmented data."""
+    prior_distance: str
+    """d_th of the authors, m."""
     augmented_runs: int
     """As many as the paper has; the door, for which it gives no number, has as many as pickup."""
     with_samples: bool = False
     """Whether the error is measured by number of training trajectories."""
     training_runs: int = 40
+    """Those that models learn from; a quarter as many more choose the best step."""
     training_options: Options = ()
     """Options of ``train`` for every model."""
-    left_out: tuple[StudyModel, ...] = ()
-    """Models that are not compared on this task."""
+    only: tuple[StudyModel, ...] = ()
+    """Models that are compared on this task; empty: all."""
     planned_options: Options = ()
     """Options of ``control`` if plans are executed for half a second: they must look farther."""
     run_steps: int = 200
@@ -52,7 +90,12 @@ class StudyTask:
     @property
     def models(self) -> tuple[StudyModel, ...]:
         """The compared models."""
-        return tuple(model for model in MODELS if model not in self.left_out)
+        return self.only or tuple(model for family in FAMILIES for model in family.models)
+
+    @property
+    def families(self) -> tuple["Family", ...]:
+        """Those of which the paper's four models are compared, but for No-GIM-Aug."""
+        return tuple(one for one in FAMILIES if set(one.compared[:3]) <= set(self.models))
 
     @property
     def conditions(self) -> tuple[TestCondition, ...]:
@@ -82,8 +125,12 @@ class Amounts:
     """Closed-loop episodes for each condition, replanned every half second."""
     success_episodes: int
     """Of GIM-Temp, replanned every step."""
+    long_episodes: int
+    """Closed-loop episodes, planned over a whole one."""
     sample_sizes: tuple[int, ...]
     """Numbers of training trajectories."""
+    sample_seeds: tuple[int, ...]
+    """Of `sample_sizes`, and of tests with a faulty sensor."""
     extras: bool
     """Whether conditions marked as extra are measured."""
     training_options: Options = ()
@@ -95,39 +142,88 @@ TEST_SEED = 1000
 
 # No-GIM is to do without augmentation, so no bodies are added to its training windows.
 _PLAIN = ("--bystanders", "0")
-GIM_TEMP = StudyModel("gim-temp", "GIM-Temp", "#1b66a8", ("--model", "gim-temp"))
-GIM_NON_TEMP = StudyModel("gim-non-temp", "GIM-Non-Temp", "#7fb2dd", ("--model", "gim-non-temp"))
-NO_GIM = StudyModel("no-gim", "No-GIM", "#cb5f12", ("--model", "no-gim", *_PLAIN))
-NO_GIM_AUG = StudyModel("no-gim-aug", "No-GIM-Aug", "#eca86f", NO_GIM.options, augmented=True)
-FULL_AB = StudyModel("full-ab", "Full-AB", "#7650a3", ("--model", "full-ab"))
-_NO_PRIOR = ("--model", "gim-temp", "--prior-weight", "0")
-NO_KL = StudyModel("gim-temp-no-kl", "GIM-Temp without KL", "#0d8074", _NO_PRIOR)
-_LITERAL = ("--model", "paper-literal", *_PLAIN)
-LITERAL = StudyModel("paper-literal", "paper-literal", "#a5a9ae", _LITERAL)
-_LITERAL_NO_GIM = ("--model", "paper-literal-no-gim", *_PLAIN)
-LITERAL_NO_GIM = StudyModel(
-    "paper-literal-no-gim", "paper-literal No-GIM", "#6d7278", _LITERAL_NO_GIM
+
+
+def _family(
+    name: str,
+    slug: str,
+    models: tuple[str, str, str, str],
+    colours: tuple[str, str, str, str, str, str],
+    options: Options = (),
+    own_form: bool = False,
+) -> Family:
+    """``models``: the names for ``train`` of GIM-Temp, GIM-Non-Temp, No-GIM and Full-AB."""
+    temp, non_temp, no_gim, full_ab = models
+
+    def model(chosen: str, shown_as: str, colour: str, *more: str, slug: str = "") -> StudyModel:
+        given = ("--model", chosen, *options, *more)
+        return StudyModel(slug or chosen, shown_as, name, colour, given, False, own_form)
+
+    alone = model(no_gim, "No-GIM", colours[2], *_PLAIN)
+    return Family(
+        name,
+        slug,
+        model(temp, "GIM-Temp", colours[0]),
+        model(non_temp, "GIM-Non-Temp", colours[1]),
+        alone,
+        replace(
+            alone,
+            slug=f"{no_gim}-aug",
+            kind="No-GIM-Aug",
+            colour=colours[3],
+            augmented=True,
+        ),
+        model(full_ab, "Full-AB", colours[4]),
+        model(temp, "GIM-Temp without KL", colours[5], "--prior-weight", "0", slug=f"{temp}-no-kl"),
+        (model(temp, "GIM-Temp (star)", colours[0], "--graph", "star", slug=f"{temp}-star"),)
+        if own_form
+        else (),
+    )
+
+
+_COLOURS = ("#1b66a8", "#7fb2dd", "#cb5f12", "#eca86f", "#7650a3", "#0d8074")
+
+
+def _forms(form: str) -> tuple[str, str, str, str]:
+    return form, f"{form}-non-temp", f"{form}-no-gim", f"{form}-full-ab"
+
+
+LITERAL = _family(
+    "as written",
+    "literal",
+    _forms("paper-literal"),
+    _COLOURS,
+    ("--temperature", "1", "--event-fraction", "0.1", "--rollout-from", "1"),
+    own_form=True,
 )
-MODELS = (GIM_TEMP, GIM_NON_TEMP, NO_GIM, NO_GIM_AUG, FULL_AB, NO_KL, LITERAL, LITERAL_NO_GIM)
+CARED_FOR = _family(
+    "cared for", "local", _forms("paper-local"), _COLOURS, ("--event-fraction", "0.5"), True
+)
+OURS = _family("ours", "ours", ("gim-temp", "gim-non-temp", "no-gim", "full-ab"), _COLOURS)
+FAMILIES = (LITERAL, CARED_FOR, OURS)
+SAMPLED_FAMILIES = (LITERAL, OURS)
+"""Those whose error is measured by number of training trajectories."""
 
 _3_DISTRACTORS = ("--distractors", "3", "--mixed")
-PICKUP = StudyTask("pickup", LIBRARY_TASKS["pickup"], _3_DISTRACTORS, 160, with_samples=True)
+PICKUP = StudyTask("pickup", LIBRARY_TASKS["pickup"], _3_DISTRACTORS, "0.1", 160, with_samples=True)
 MULTI_PICKUP = StudyTask(
     "multi-pickup",
     LIBRARY_TASKS["multi-pickup"],
     ("--objects", "3", "--mixed"),
+    "0.2",
     120,
     with_samples=True,
 )
-DOOR = StudyTask("door", LIBRARY_TASKS["door"], _3_DISTRACTORS, 160)
+DOOR = StudyTask("door", LIBRARY_TASKS["door"], _3_DISTRACTORS, "0.085", 160)
 FRANKA = StudyTask(
     "franka",
     FRANKA_TASK,
     _3_DISTRACTORS,
+    "0.02",
     800,
     training_runs=200,
     # The paper compares the other three. Free matrices and its own form are judged in the plane.
-    left_out=(NO_GIM_AUG, FULL_AB, NO_KL, LITERAL, LITERAL_NO_GIM),
+    only=OURS.compared[:3],
     planned_options=("--horizon", "100"),
     run_steps=400,
     steps_ahead=50,
@@ -147,5 +243,14 @@ FAULTS = (
     Variant("delay-2", "two steps late", ("--delay", "2")),
 )
 
-FULL = Amounts((0, 1, 2), 20, 20, 100, (5, 10, 20, 40, 80, 160), extras=True)
-QUICK = Amounts((0,), 5, 5, 10, (10, 40, 160), extras=False)
+FULL = Amounts(
+    seeds=(0, 1, 2, 3, 4),
+    test_runs=20,
+    episodes=100,
+    success_episodes=100,
+    long_episodes=20,
+    sample_sizes=(5, 10, 20, 40, 80, 160),
+    sample_seeds=(0, 1, 2),
+    extras=False,
+)
+QUICK = Amounts((0,), 5, 10, 10, 2, (10, 40), (0,), False, ("--steps", "300"))

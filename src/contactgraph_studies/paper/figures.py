@@ -1,7 +1,7 @@
 """Figures of the study of models."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,27 +11,37 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from contactgraph.cli.task_types import TestCondition
 from contactgraph.viz.scene_picture import INK, SOFT
+from contactgraph.viz.summary_figure import style_axes
 from contactgraph_studies import figures
+from contactgraph_studies.bootstrap import Sample, estimate
 from contactgraph_studies.figures import LEGEND, TEXT
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper import jobs
-from contactgraph_studies.paper.claims import sample_errors
 from contactgraph_studies.paper.config import (
     FAULTS,
-    GIM_NON_TEMP,
-    GIM_TEMP,
-    NO_GIM_AUG,
+    OURS,
+    SAMPLED_FAMILIES,
     Amounts,
+    Family,
     StudyModel,
     StudyTask,
 )
-from contactgraph_studies.paper.jobs import Source, planned, recorded
+from contactgraph_studies.paper.jobs import (
+    Source,
+    closed_error,
+    number,
+    open_error,
+    planned,
+    recorded,
+)
 from contactgraph_studies.results import Quantity, Results, SeedStatistic
 from contactgraph_studies.study import Picture
 
 _LOWEST_CM, _HIGHEST_CM = 1e-3, 1e3
 _DOTTED = (0, (2, 3))
+_FAMILY_COLOURS = {"as written": "#6d7278", "cared for": "#eca86f", "ours": "#1b66a8"}
 _BASELINES = {
     "baseline: constant velocity": (jobs.CONSTANT_VELOCITY, ":"),
     "baseline: fixed contact": (jobs.FIXED_CONTACT, "--"),
@@ -46,9 +56,11 @@ def figure_pictures(
         (
             "n-step-error",
             "N-step error in and out of distribution",
-            "Planned against executed positions, 0.5 s ahead, all bodies; median and range over "
-            "training seeds. The dotted line at 1 cm is the paper's bound in distribution. A "
-            "controller that moves no object has no error; bodies at rest lower it.",
+            "Planned against executed positions, 0.5 s ahead, over the bodies that move. Each "
+            "training is a point, beside the median with its interval of 95 % over trainings and "
+            "scenes; a triangle is a plan that diverged. The dotted line at 1 cm is the paper's "
+            "bound in distribution. A controller that moves no object has no error. The baselines "
+            "are over all bodies.",
             error_figure(results, tasks),
         ),
         (
@@ -67,8 +79,8 @@ def figure_pictures(
     ]
     sampled = [task for task in tasks if task.with_samples]
     if sampled:
-        title = "Error against the number of training runs"
-        caption = "On recorded runs; solid out of distribution, dashed as trained."
+        title = "Error against the number of training trajectories"
+        caption = "Out of distribution, on recorded trajectories; with intervals of 95 %."
         figure = sample_figure(results, sampled, amounts)
         drawn.append(("sample-efficiency", title, caption, figure))
     return [figures.write_figure(folder, *one) for one in drawn]
@@ -77,77 +89,116 @@ def figure_pictures(
 def scene_pictures(
     folder: Path, tasks: Sequence[StudyTask], measurements: Sequence[Measurement]
 ) -> tuple[list[Picture], list[Picture]]:
-    """Episodes of GIM-Temp (first seed) under every condition; inferred parameters per task."""
+    """Episodes of GIM-Temp (first seed), ours under every condition; inferred parameters of ours
+    and of the paper's form."""
     first_jobs = {one.condition: one.job for one in reversed(measurements)}
     scenes, parameters = [], []
-    for task, condition in [(one, each) for one in tasks for each in one.conditions]:
-        job = first_jobs.get(planned(task, GIM_TEMP, condition))
-        if job is None:
-            continue
-        title, name = f"{task.name}, {condition.name}", f"scene-{task.name}-{condition.slug}"
-        model = folder / job.needs[0].output / "model.safetensors"
-        scene = figures.first_episode(folder / job.output, model, title)
-        if scene is None:
-            continue
-        caption = "A closed-loop episode of GIM-Temp, replanned every half second."
-        scenes.append(figures.write_scene(folder, name, caption, scene))
-        if condition is task.as_trained:
-            title, name = f"Belief and learned parameters, {task.name}", f"parameters-{task.name}"
-            caption = "Predictions before every step; bands mark contact of the first edge named."
-            figure = figures.parameter_figure(scene)
-            parameters.append(figures.write_figure(folder, name, title, caption, figure))
+    for task, family in [(one, each) for one in tasks for each in one.families]:
+        for condition in conditions_drawn(task, family):
+            model = family.gim_temp
+            job = first_jobs.get(planned(task, model, condition))
+            if job is None:
+                continue
+            title, name = f"{task.name}, {condition.name}", f"{task.name}-{condition.slug}"
+            stored = folder / job.needs[0].output / "model.safetensors"
+            scene = figures.first_episode(folder / job.output, stored, title)
+            if scene is None:
+                continue
+            if family is OURS:
+                caption = "A closed-loop episode of GIM-Temp, replanned every half second."
+                scenes.append(figures.write_scene(folder, f"scene-{name}", caption, scene))
+            if condition is task.as_trained:
+                title = f"Belief and learned parameters, {task.name}, {family.name}"
+                caption = (
+                    "Predictions before every step; bands mark contact of the first edge named."
+                )
+                figure, name = figures.parameter_figure(scene), f"{task.name}-{family.slug}"
+                parameters.append(
+                    figures.write_figure(folder, f"parameters-{name}", title, caption, figure)
+                )
     return scenes, parameters
 
 
+def conditions_drawn(task: StudyTask, family: Family) -> tuple[TestCondition, ...]:
+    """Those of which an episode is drawn."""
+    return task.conditions if family is OURS else (task.as_trained,)
+
+
 def error_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
-    """N-step error of every model, in and out of distribution; log axis."""
-    figure, panels = figures.panel_row(tasks, 4.6, 1.6, 4.4)
-    for axes, task in zip(panels, tasks, strict=True):
-        _draw_bars(axes, results, task, task.models, jobs.PLANNED_ERROR)
+    """N-step error of every model of each family, in and out of distribution; log axis."""
+
+    def draw(axes: Axes, task: StudyTask, family: Family) -> None:
+        models = [model for model in family.models if model in task.models]
+        _draw_points(axes, results, task, models, closed_error)
         for group, condition in enumerate((task.as_trained, task.hardest)):
             for name, (quantity, style) in _BASELINES.items():
-                baseline = results.statistic(planned(task, GIM_TEMP, condition), quantity)
+                baseline = results.statistic(planned(task, family.gim_temp, condition), quantity)
                 if baseline.known:
                     ends, height = [group - 0.46, group + 0.46], [baseline.median] * 2
-                    label = name if group == 0 else "_"
-                    axes.plot(ends, height, color=SOFT, lw=1.2, ls=style, label=label)
+                    axes.plot(ends, height, color=SOFT, lw=1.2, ls=style, label=_once(name, group))
         axes.axhline(1.0, color=INK, lw=0.7, ls=_DOTTED)
         axes.set_yscale("log")
-    # A model that stands still predicts to a nanometre, one that diverges is off by kilometres:
-    # neither may set the range of the axis.
-    bottom, top = panels[0].get_ylim()
-    panels[0].set_ylim(max(bottom, _LOWEST_CM), min(top, _HIGHEST_CM))
-    panels[0].set_ylabel("N-step error, planned against executed, cm", **TEXT)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3 * len(tasks), **LEGEND)
-    return figure
+        # A model that diverges is off by kilometres: it may not set the range of the axis.
+        axes.set_ylim(_LOWEST_CM, _HIGHEST_CM)
+
+    return _family_figure(tasks, "N-step error of moving bodies, cm", draw)
 
 
 def edge_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
     """Edges predicted wrongly in closed loop: 100 % less the accuracy."""
-    figure, panels = figures.panel_row(tasks, 3.6, 0.6, 3.6, share_y=False)
-    for axes, task in zip(panels, tasks, strict=True):
-        _draw_bars(axes, results, task, (GIM_TEMP, GIM_NON_TEMP), _wrong(jobs.PLANNED_ACCURACY))
+    wrong = _wrong(jobs.PLANNED_ACCURACY)
+
+    def sample(results: Results, task: StudyTask, model: StudyModel, at: TestCondition) -> Sample:
+        return number(results, task, model, at, wrong, Source.planned)
+
+    def draw(axes: Axes, task: StudyTask, family: Family) -> None:
+        models = (family.gim_temp, family.gim_non_temp)
+        _draw_points(axes, results, task, models, sample)
         axes.set_ylim(bottom=0.0)
-    panels[0].set_ylabel("edges predicted wrongly, %", **TEXT)
-    panels[-1].legend(**LEGEND)
+
+    return _family_figure(tasks, "edges predicted wrongly, %", draw)
+
+
+def _family_figure(
+    tasks: Sequence[StudyTask],
+    label: str,
+    draw: Callable[[Axes, StudyTask, Family], None],
+) -> Figure:
+    """A row of panels for each family, a column for each task."""
+    families = list(dict.fromkeys(family for task in tasks for family in task.families))
+    figure = figures.new_figure(4.6 * len(tasks) + 0.6, 3.0 * len(families) + 0.8)
+    grid = figure.subplots(len(families), len(tasks), squeeze=False, sharey=True)
+    for row, family in zip(grid, families, strict=True):
+        for axes, task in zip(row, tasks, strict=True):
+            axes.set_title(f"{task.name}, {family.name}", fontsize=11, color=INK, loc="left")
+            style_axes(axes)
+            if family in task.families:
+                draw(axes, task, family)
+        row[0].set_ylabel(label, **TEXT)
+    named: dict[str, Any] = {}
+    for axes in grid.flat:
+        for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
+            named.setdefault(name.split(", ")[0], handle)
+    columns = max(1, len(named) // 2)
+    figure.legend(named.values(), named, loc="outside lower center", ncols=columns, **LEGEND)
     return figure
 
 
 def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
-    """Edges predicted wrongly on recorded trajectories, by fault of the contact sensor."""
+    """Edges that our GIM-Temp predicts wrongly on recorded trajectories, by fault of the sensor."""
     figure, panels = figures.panel_row(tasks, 3.6, 1.6, 4.0)
     names = ["exact", "no sensor", *(fault.name for fault in FAULTS)]
     wrong, unmeasured = _wrong(jobs.EDGE_ACCURACY), _wrong(jobs.UNMEASURED_ACCURACY)
     for axes, task in zip(panels, tasks, strict=True):
-        own = recorded(task, GIM_TEMP, task.as_trained)
-        rows = [(own, wrong), (own, unmeasured)]
-        rows += [(replace(own, source=Source.faults, sensor=one.name), wrong) for one in FAULTS]
-        median, ranges = _ranges([results.statistic(*row) for row in rows])
-        style: dict[str, Any] = {"color": GIM_TEMP.colour, "label": GIM_TEMP.name}
-        axes.errorbar(median, range(len(rows)), xerr=ranges, fmt="o", ms=5, **style)
-        other = results.statistic(recorded(task, GIM_NON_TEMP, task.as_trained), wrong)
-        axes.axvline(other.median, color=GIM_NON_TEMP.colour, lw=1.4, label=GIM_NON_TEMP.name)
+        for offset, family in zip((-0.2, 0.0, 0.2), task.families, strict=False):
+            own = recorded(task, family.gim_temp, task.as_trained)
+            rows = [(own, wrong), (own, unmeasured)]
+            rows += [(replace(own, source=Source.faults, sensor=one.name), wrong) for one in FAULTS]
+            median, ranges = _ranges([results.statistic(*row) for row in rows])
+            colour = _FAMILY_COLOURS[family.name]
+            style: dict[str, Any] = {"color": colour, "label": f"GIM-Temp {family.name}"}
+            heights = np.arange(len(rows)) + offset
+            axes.errorbar(median, heights, xerr=ranges, fmt="o", ms=4, **style)
         axes.set_xlim(left=0.0)
         axes.set_xlabel("edges predicted wrongly, %", **TEXT)
     panels[0].set_yticks(range(len(names)), names)
@@ -157,18 +208,23 @@ def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
 
 
 def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> Figure:
-    """Open-loop error against the number of training trajectories."""
+    """Open-loop error out of distribution against the number of training trajectories."""
     figure, panels = figures.panel_row(tasks, 5.0, 0.6, 4.0)
     sizes = amounts.sample_sizes
     for axes, task in zip(panels, tasks, strict=True):
-        for model in (GIM_TEMP, NO_GIM_AUG):
-            for condition, style in ((task.as_trained, "--"), (task.hardest, "-")):
-                every = [sample_errors(results, task, model, condition, size) for size in sizes]
-                median, ranges = _ranges(every)
-                label = f"{model.name}, {condition.name}"
+        for family, style in zip(SAMPLED_FAMILIES, ("--", "-"), strict=True):
+            for model in (family.gim_temp, family.no_gim_aug):
+                every = [
+                    estimate([open_error(results, task, model, task.hardest, size)])
+                    for size in sizes
+                ]
+                drawn = [one.value for one in every]
+                ranges = [[one.value - one.low for one in every]]
+                ranges += [[one.high - one.value for one in every]]
+                label = model.name if model.own_form else f"{model.name}, {family.name}"
                 line: dict[str, Any] = {"color": model.colour, "ls": style, "label": label}
                 axes.errorbar(
-                    sizes, median, ranges, marker="o", ms=4, lw=1.6, elinewidth=1.0, **line
+                    sizes, drawn, ranges, marker="o", ms=4, lw=1.6, elinewidth=1.0, **line
                 )
         if np.isfinite(axes.dataLim.intervaly).all():  # an empty log axis is an error
             axes.set_yscale("log")
@@ -176,46 +232,47 @@ def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts
         axes.axvline(task.training_runs, color=SOFT, lw=0.7, ls=_DOTTED)
         axes.set_xticks(sizes, [str(size) for size in sizes])
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.set_xlabel("training runs", **TEXT)
+        axes.set_xlabel("training trajectories", **TEXT)
         axes.legend(**LEGEND)
-    panels[0].set_ylabel("N-step error on recorded runs, cm", **TEXT)
+    panels[0].set_ylabel("open-loop error of moving bodies, cm", **TEXT)
     return figure
 
 
-def _draw_bars(
+def _draw_points(
     axes: Axes,
     results: Results,
     task: StudyTask,
     models: Sequence[StudyModel],
-    quantity: Quantity,
+    sample: Callable[[Results, StudyTask, StudyModel, TestCondition], Sample],
 ) -> None:
-    """Bars side by side: a number of the closed loop for every model, in both kinds of scenes.
+    """Side by side: each training a point, their median a line, its interval of 95 % a whisker.
 
-    A bar is the median, its whisker the range over seeds. Infinity is a hatched bar to the top; a
-    statistic that is not known leaves a gap.
+    What is infinite lies on the upper edge, as a triangle.
     """
     conditions, width = (task.as_trained, task.hardest), 0.84 / len(models)
-    statistics: Mapping[tuple[int, int], SeedStatistic] = {
-        (column, group): results.statistic(planned(task, model, condition), quantity)
-        for column, model in enumerate(models)
-        for group, condition in enumerate(conditions)
-    }
-    values = [value for one in statistics.values() for value in one.values]
-    top = 1.6 * max(filter(math.isfinite, values), default=1.0)
-    for (column, group), one in statistics.items():
-        x, colour = group + (column - (len(models) - 1) / 2.0) * width, models[column].colour
-        label = models[column].name if group == 0 else "_"
-        if not one.known:
-            axes.bar(x, 0.0, width, color=colour, label=label)
-        elif math.isfinite(one.median):
-            axes.bar(x, one.median, 0.92 * width, color=colour, label=label)
-            if len(one.values) > 1:
-                high = one.high if math.isfinite(one.high) else top
-                axes.plot([x, x], [one.low, high], color=INK, lw=1.0)
-        else:
-            axes.bar(x, top, 0.92 * width, color="none", ec=colour, hatch="///", label=label)
-            axes.text(x, top, "not finite", rotation=90, fontsize=7, color=SOFT, ha="center")
+    top = axes.get_xaxis_transform()
+    for column, model in enumerate(models):
+        for group, condition in enumerate(conditions):
+            x = group + (column - (len(models) - 1) / 2.0) * width
+            found, colour = estimate([sample(results, task, model, condition)]), model.colour
+            finite = [value for value in found.each if math.isfinite(value)]
+            beyond = len(found.each) - len(finite)
+            label = _once(model.name, group)
+            axes.plot([x] * len(finite), finite, "o", ms=4, mew=0, alpha=0.6, c=colour, label=label)
+            if beyond:
+                axes.plot(x, 0.99, "^", ms=6, c=colour, transform=top, clip_on=False)
+            if math.isfinite(found.value):
+                ends = [x - 0.35 * width, x + 0.35 * width]
+                axes.plot(ends, [found.value] * 2, color=colour, lw=2.0)
+                high = found.high if math.isfinite(found.high) else 10.0 * _HIGHEST_CM
+                axes.plot([x, x], [found.low, high], color=colour, lw=1.0)
     axes.set_xticks(range(len(conditions)), [condition.name for condition in conditions])
+    axes.set_xlim(-0.5, len(conditions) - 0.5)
+
+
+def _once(name: str, group: int) -> str:
+    """A label of the legend, of the first group alone."""
+    return name if group == 0 else "_"
 
 
 def _ranges(statistics: Sequence[SeedStatistic]) -> tuple[list[float], np.ndarray]:

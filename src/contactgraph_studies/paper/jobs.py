@@ -1,5 +1,6 @@
 """Jobs of the study of models: data, trainings and tests."""
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -8,18 +9,19 @@ from functools import cached_property, partial
 from typing import Any
 
 from contactgraph.cli.task_types import TestCondition
+from contactgraph_studies.bootstrap import Sample, mean, root_mean_square
 from contactgraph_studies.job import Job, Measurement, Options
 from contactgraph_studies.paper.config import (
+    FAMILIES,
     FAULTS,
-    FULL_AB,
-    GIM_TEMP,
-    NO_GIM_AUG,
+    SAMPLED_FAMILIES,
     TEST_SEED,
     Amounts,
+    Family,
     StudyModel,
     StudyTask,
 )
-from contactgraph_studies.results import Quantity, Values
+from contactgraph_studies.results import Quantity, Results, Values
 
 
 class Source(StrEnum):
@@ -67,6 +69,11 @@ def _planned_cm(values: Values) -> float:
 
 PLANNED_ERROR = Quantity("n_step_rmse_planned_m", "cm", derived=_planned_cm)
 """Planned against executed positions: the paper's metric."""
+PLANNED_BY_EPISODE = Quantity("n_step_rmse_planned_moving_by_episode_m", "cm", 100.0)
+"""The same over the bodies that move, of each episode."""
+RECORDED_BY_RUN = Quantity("n_step_rmse_moving_by_run_m", "cm", 100.0)
+"""Open loop, of each recorded trajectory."""
+SUCCESS_BY_EPISODE = Quantity("success_by_episode", "%", 100.0)
 RECORDED_ERROR = Quantity("n_step_rmse_m", "cm", 100.0, null=math.inf)
 """Open loop."""
 CONSTANT_VELOCITY = Quantity("constant_velocity_planned_rmse_m", "cm", 100.0)
@@ -95,14 +102,8 @@ planned, recorded = partial(condition_of, Source.planned), partial(condition_of,
 
 
 def measurements(tasks: Sequence[StudyTask], amounts: Amounts) -> list[Measurement]:
-    """All of a study: the targets of GIM-Temp first, then the rest, seed by seed."""
-    every = [one for seed in amounts.seeds for task in tasks for one in _of(task, seed, amounts)]
-    first = (Source.recorded, Source.planned, Source.every_step)
-
-    def is_late(one: Measurement) -> bool:
-        return not (one.condition.model == GIM_TEMP.name and one.condition.source in first)
-
-    return sorted(every, key=is_late)
+    """All of a study, seed by seed."""
+    return [one for seed in amounts.seeds for task in tasks for one in _of(task, seed, amounts)]
 
 
 def conditions_of(task: StudyTask, amounts: Amounts) -> list[TestCondition]:
@@ -111,33 +112,47 @@ def conditions_of(task: StudyTask, amounts: Amounts) -> list[TestCondition]:
 
 
 def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
-    trained_on, long = task.as_trained, str(task.run_steps)
-    episodes = ("--episodes", str(amounts.episodes), "--replan-every", str(task.steps_ahead))
-    success_episodes = ("--episodes", str(amounts.success_episodes))
-    long_plan = ("--episodes", "5", "--horizon", long, "--replan-every", "50")
-    for model in task.models:
-        runs = task.augmented_runs if model.augmented else task.training_runs
-        one = _TrainedModel(task, model, seed, runs, amounts)
-        for scenes in conditions_of(task, amounts):
-            yield one.evaluate(Source.recorded, scenes, f"recorded-{scenes.slug}")
-            options = (*episodes, *task.planned_options)
-            # The page shows episodes of GIM-Temp.
-            yield one.control(Source.planned, scenes, "planned", options, model is GIM_TEMP)
-            if model is GIM_TEMP:
-                yield one.control(Source.every_step, scenes, "every-step", success_episodes)
-        for fault in FAULTS if model is GIM_TEMP else ():
-            name, options = fault.slug, fault.options
-            yield one.evaluate(Source.faults, trained_on, name, options, sensor=fault.name)
-        if model in (GIM_TEMP, FULL_AB) and FULL_AB in task.models:
-            yield one.evaluate(Source.growth, trained_on, "growth", ("--growth-steps", long))
-            yield one.control(Source.long_plan, trained_on, "long-plan", long_plan)
-    for runs in amounts.sample_sizes if task.with_samples else ():
-        for model in (GIM_TEMP, NO_GIM_AUG):
+    for family in FAMILIES:
+        for model in family.models:
+            if model in task.models:
+                yield from _of_model(task, family, model, seed, amounts)
+    for family in SAMPLED_FAMILIES if task.with_samples and seed in amounts.sample_seeds else ():
+        for runs, model in itertools.product(
+            amounts.sample_sizes, (family.gim_temp, family.no_gim_aug)
+        ):
             one = _TrainedModel(task, model, seed, runs, amounts)
-            for scenes in (trained_on, task.hardest):
+            for scenes in (task.as_trained, task.hardest):
                 # At 40 trajectories a job of the main table, found by its output and run once.
                 name = f"recorded-{scenes.slug}"
                 yield one.evaluate(Source.samples, scenes, name, training_runs=runs)
+
+
+def _of_model(
+    task: StudyTask, family: Family, model: StudyModel, seed: int, amounts: Amounts
+) -> Iterator[Measurement]:
+    trained_on, long = task.as_trained, str(task.run_steps)
+    episodes = ("--episodes", str(amounts.episodes), "--replan-every", str(task.steps_ahead))
+    success_episodes = ("--episodes", str(amounts.success_episodes))
+    long_plan = (
+        *("--episodes", str(amounts.long_episodes), "--horizon", long),
+        *("--replan-every", "50", "--iterations", "40"),
+    )
+    whole = model is family.gim_temp
+    runs = task.augmented_runs if model.augmented else task.training_runs
+    one = _TrainedModel(task, model, seed, runs, amounts)
+    for scenes in conditions_of(task, amounts):
+        yield one.evaluate(Source.recorded, scenes, f"recorded-{scenes.slug}")
+        options = (*episodes, *task.planned_options)
+        # The page shows episodes of GIM-Temp.
+        yield one.control(Source.planned, scenes, "planned", options, save=whole)
+        if whole:
+            yield one.control(Source.every_step, scenes, "every-step", success_episodes)
+    for fault in FAULTS if whole and seed in amounts.sample_seeds else ():
+        name, options = fault.slug, fault.options
+        yield one.evaluate(Source.faults, trained_on, name, options, sensor=fault.name)
+    if model in (family.gim_temp, family.full_ab) and family.full_ab in task.models:
+        yield one.evaluate(Source.growth, trained_on, "growth", ("--growth-steps", long))
+        yield one.control(Source.long_plan, trained_on, "long-plan", long_plan)
 
 
 @dataclass(frozen=True)
@@ -160,11 +175,13 @@ class _TrainedModel:
         options = task.augmented_options if model.augmented else ()
         data = self.trajectories(
             f"{self.folder}/{'augmented' if model.augmented else 'train'}-{self.runs}.h5",
-            *("--episodes", str(self.runs), "--seed", str(self.seed), *options),
+            *("--episodes", str(_with_held_out(self.runs)), "--seed", str(self.seed), *options),
         )
         output = f"{self.folder}/{model.slug}-{self.runs}/run"
+        distance = ("--contact-distance", task.prior_distance) if model.own_form else ()
         arguments = (
-            *("train", data.output, "--out", output, *model.options, "--seed", str(self.seed)),
+            *("train", data.output, "--out", output, "--seed", str(self.seed)),
+            *("--held-out", "0.2", *model.options, *distance),
             *(*task.training_options, *self.amounts.training_options),
         )
         group = f"train {task.name} {model.slug}"
@@ -213,3 +230,49 @@ class _TrainedModel:
         group = f"{name} {scenes.slug} after {self.training.group}"
         job = Job(output, arguments, group, (self.training,), saved)
         return Measurement(condition_of(source, self.task, self.model, scenes), self.seed, job)
+
+
+def _with_held_out(runs: int) -> int:
+    """Trajectories of which this many are left when a fifth is held out."""
+    return round(runs / 0.8)
+
+
+def closed_error(
+    results: Results, task: StudyTask, model: StudyModel, scenes: TestCondition
+) -> Sample:
+    """Planned against executed positions over the bodies that move, cm."""
+    condition = condition_of(Source.planned, task, model, scenes)
+    return results.scene_sample(condition, PLANNED_BY_EPISODE, root_mean_square)
+
+
+def open_error(
+    results: Results,
+    task: StudyTask,
+    model: StudyModel,
+    scenes: TestCondition,
+    runs: int | None = None,
+) -> Sample:
+    """Open-loop error over the bodies that move, cm; by number of training trajectories."""
+    source = Source.recorded if runs is None else Source.samples
+    condition = condition_of(source, task, model, scenes, training_runs=runs)
+    return results.scene_sample(condition, RECORDED_BY_RUN, root_mean_square)
+
+
+def success(
+    results: Results, task: StudyTask, model: StudyModel, scenes: TestCondition, source: Source
+) -> Sample:
+    """Success of closed-loop episodes, %."""
+    condition = condition_of(source, task, model, scenes)
+    return results.scene_sample(condition, SUCCESS_BY_EPISODE, mean)
+
+
+def number(
+    results: Results,
+    task: StudyTask,
+    model: StudyModel,
+    scenes: TestCondition,
+    quantity: Quantity,
+    source: Source,
+) -> Sample:
+    """One number of each training."""
+    return results.sample(condition_of(source, task, model, scenes), quantity)

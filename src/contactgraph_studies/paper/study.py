@@ -3,15 +3,17 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from contactgraph.cli.task_types import TestCondition
 from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
-from contactgraph_studies.job import Measurement
+from contactgraph_studies.bootstrap import Verdict
+from contactgraph_studies.job import JobRecords, Measurement
 from contactgraph_studies.paper.claims import claims
-from contactgraph_studies.paper.config import FRANKA, GIM_TEMP, Amounts, StudyModel, StudyTask
+from contactgraph_studies.paper.config import FRANKA, Amounts, StudyModel, StudyTask
 from contactgraph_studies.paper.figures import figure_pictures, scene_pictures
 from contactgraph_studies.paper.jobs import (
     CONSTANT_VELOCITY,
@@ -32,7 +34,7 @@ from contactgraph_studies.results import (
     Results,
     moving_error,
 )
-from contactgraph_studies.study import Study, StudyResult, judged
+from contactgraph_studies.study import Claim, Study, StudyResult, judged
 from contactgraph_studies.tables import StudyTable, counts
 
 _PLAN_MS = Quantity("plan_ms_p99", "ms")
@@ -54,18 +56,18 @@ class ModelStudy(Study):
         """Claims, tables and figures."""
         amounts, results = self.amounts, Results.read(folder, self.measurements)
         judged_claims = claims(results, self.tasks, amounts)
-        hold = sum(claim.holds is True for claim in judged_claims)
+        verdicts = verdict_table(judged_claims)
         scenes, parameters = scene_pictures(folder, self.tasks, self.measurements)
         return StudyResult(
             title="A contact graph, claim by claim",
-            summary=f"The paper's claims, measured again: {hold} of {len(judged_claims)} claims "
-            f"hold for our models. {len(amounts.seeds)} training seed(s), "
-            f"{amounts.episodes} closed-loop episodes for each model and condition, in scenes "
-            "that are in no training data.",
+            summary="The paper's claims, measured again with the paper's own models, with models "
+            f"of the same form that are cared for, and with ours: {_count(judged_claims)}. "
+            f"{len(amounts.seeds)} training(s) of each model, {amounts.episodes} closed-loop "
+            "episodes for each training and condition, in scenes that are in no training data.",
             claims=judged_claims,
             targets_heading="Targets of GIM-Temp",
             targets=model_targets(results, self.tasks, amounts.seeds),
-            tables=[model_table(results, self.tasks, amounts)],
+            tables=[model_table(results, self.tasks, amounts), verdicts],
             figures=[*figure_pictures(folder, results, self.tasks, amounts), *parameters],
             scenes=scenes,
             amounts={
@@ -73,9 +75,39 @@ class ModelStudy(Study):
                 "test_runs": amounts.test_runs,
                 "episodes": amounts.episodes,
                 "success_episodes": amounts.success_episodes,
+                "redrawn_networks": JobRecords(folder, version("contactgraph")).redrawn(self.jobs),
             },
             readings=results.to_json("training_seed"),
         )
+
+
+def _count(judged_claims: Sequence[Claim]) -> str:
+    families = dict.fromkeys(claim.family for claim in judged_claims)
+    counted = []
+    for family in families:
+        of = [claim for claim in judged_claims if claim.family == family]
+        hold = sum(claim.verdict is Verdict.HOLDS for claim in of)
+        counted.append(f"{family} {hold} of {len(of)} hold")
+    return "; ".join(counted)
+
+
+def verdict_table(judged_claims: Sequence[Claim]) -> StudyTable:
+    """A row for each claim, a column for each family."""
+    families = dict.fromkeys(claim.family for claim in judged_claims)
+    rows: dict[int, dict[str, Any]] = {}
+    for claim in judged_claims:
+        row = rows.setdefault(claim.number, {"claim": f"{claim.number}. {claim.title}"})
+        row[claim.family] = claim.verdict.value
+    headings = {"claim": "claim", **{family: family for family in families}}
+    return StudyTable(
+        slug="verdicts",
+        title="Verdicts",
+        caption="Of each family of models. A claim holds if the 95 % intervals, over trainings and "
+        "scenes, of all that it asks lie within its bounds on every task; it does not hold if one "
+        "lies outside; else it cannot be told.",
+        headings=headings,
+        rows=[dict.fromkeys(headings) | row for row in rows.values()],
+    )
 
 
 _HEADINGS = {
@@ -154,22 +186,27 @@ def model_targets(
     results: Results, tasks: Sequence[StudyTask], seeds: Sequence[int]
 ) -> tuple[ReportMetric, ...]:
     """The targets of GIM-Temp; each is judged by the median over seeds."""
-    return tuple(one for task in tasks for one in _task_targets(results, task, seeds))
+    return tuple(
+        one
+        for task in tasks
+        for model in [family.gim_temp for family in task.families]
+        for one in _task_targets(results, task, model, seeds)
+    )
 
 
 def _task_targets(
-    results: Results, task: StudyTask, seeds: Sequence[int]
+    results: Results, task: StudyTask, model: StudyModel, seeds: Sequence[int]
 ) -> Iterator[ReportMetric]:
     targets = task.known.targets
     for scenes in (task.as_trained, task.hardest):
         sources = (Source.planned, Source.recorded, Source.every_step)
-        closed, opened, every_step = (condition_of(one, task, GIM_TEMP, scenes) for one in sources)
+        closed, opened, every_step = (condition_of(one, task, model, scenes) for one in sources)
         inside, get = scenes.in_distribution, results.statistic
         error_target, f1_target = task.known.error_target_cm(scenes), targets.edge_f1[inside]
         error, f1 = get(closed, PLANNED_ERROR), get(closed, PLANNED_F1)
         f1_recorded, success = get(opened, EDGE_F1), get(every_step, SUCCESS_PERCENT)
         speed, time = get(every_step, CONTACT_SPEED), get(every_step, _PLAN_MS)
-        label = f"{task.name}, {scenes.name}: "
+        label = f"{task.name}, {scenes.name}, {model.name}: "
         name = f"{label}N-step error, planned against executed"
         yield judged(name, error, error_target, seeds, lower=True)
         yield judged(f"{label}edge F1, the same", f1, f1_target, seeds)
