@@ -118,15 +118,19 @@ def test_a_first_state_has_the_types_of_all_that_follow(recorded: Path) -> None:
 
 
 def test_training_stops_where_the_held_out_error_no_longer_falls(recorded: Path) -> None:
+    """Not before the loss holds rollouts, of which the error is."""
     hopeless = dataclasses.replace(
         first_state(),
         best_error=jnp.zeros((), float),
         checks_without_gain=jnp.full((), CONFIG.patience - 1, int),
     )
     checks = []
+    early = states_until(4, hopeless, split(recorded))
+    assert int(early.checks_without_gain) == 0
+    hopeless = dataclasses.replace(hopeless, step=early.step)
     result = trained_on(split(recorded), hopeless, checks.append)
     assert result.status is FitStatus.stopped_early
-    assert [check.step for check in checks] == [4]
+    assert [check.step for check in checks] == [8]
     assert_bit_equal(result.model, hopeless.best_model)
     again = trained_on(split(recorded), result.state, checks.append)
     assert again.status is FitStatus.stopped_early

@@ -24,7 +24,7 @@ from contactgraph.train import (
 )
 
 CONFIG = TrainConfig(
-    steps=12, batch_size=4, window_length=3, rollout_from=0.6, check_every=4, patience=12
+    steps=12, batch_size=4, window_length=3, rollout_from=0.3, check_every=4, patience=12
 )
 """Checks at 4, 8 and 12 steps, the last of them with the rollout term."""
 

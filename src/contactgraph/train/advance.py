@@ -260,6 +260,8 @@ def advance_steps(
     settled = jnp.asarray(not filtered) | (4 * (state.step + count) > 3 * config.steps)
     first_settled = filtered & settled & (4 * state.step <= 3 * config.steps)
     better = first_settled | (error < state.best_error)
+    # The error is of rollouts, which the loss may not hold yet.
+    waits = ~settled if with_rollout is None else ~(settled & with_rollout)
     best = jax.tree.map(
         lambda new, old: jnp.where(better, new, old) if eqx.is_array(new) else new,
         model,
@@ -273,7 +275,7 @@ def advance_steps(
         step=state.step + count,
         best_model=best,
         best_error=jnp.where(better, error, state.best_error),
-        checks_without_gain=jnp.where(better | ~settled, 0, state.checks_without_gain + 1),
+        checks_without_gain=jnp.where(better | waits, 0, state.checks_without_gain + 1),
     )
     if split is not None:  # the sharding of the argument, else the next call would recompile
         state = split.replicate(state)

@@ -193,7 +193,7 @@ LITERAL = _family(
     "literal",
     _forms("paper-literal"),
     _COLOURS,
-    ("--temperature", "1", "--event-fraction", "0.1", "--rollout-from", "1"),
+    (*_PLAIN, "--temperature", "1", "--event-fraction", "0.1", "--rollout-from", "1"),
     own_form=True,
 )
 CARED_FOR = _family(
