@@ -134,6 +134,26 @@ class JobRecords:
         """Mark the job as done, after this many draws of its seed."""
         self._write(job, finished=True, seconds=seconds, draws=draws)
 
+    def restore(self, measurements: Iterable[Measurement]) -> None:
+        """The outputs that ``results.json`` holds of jobs whose own files are gone.
+
+        Those of another command, other inputs or another version are left out.
+        """
+        try:
+            stored = json.loads((self.folder / "results.json").read_text())
+        except (OSError, ValueError):
+            return
+        if stored.get("versions", {}).get("contactgraph") != self.version:
+            return
+        values = {each.get("fingerprint"): each["values"] for each in stored.get("cells", ())}
+        for job in (one.job for one in measurements):
+            output = self.folder / job.output
+            if job.fingerprint in values and not output.exists():
+                output.parent.mkdir(parents=True, exist_ok=True)
+                with atomic_write(output) as temporary:
+                    temporary.write_text(json.dumps(values[job.fingerprint]))
+                self.finish(job, 0.0)
+
     def redrawn(self, jobs: Iterable[Job]) -> dict[str, int]:
         """By command, the networks that were dead and drawn again."""
         draws = {job.command: int(self._read(job).get("draws", 1)) for job in jobs}

@@ -94,7 +94,7 @@ def _claims(claims: Sequence[Claim]) -> Iterator[str]:
         families = list(group)
         claim = families[0]
         verdicts = "".join(_verdict(one) for one in families)
-        found = "".join(f"<p>{_of_family(one)}{escape(one.sentence)}</p>" for one in families)
+        found = "".join(f"<p><b>{one.family}</b> {escape(one.sentence)}</p>" for one in families)
         rows = "".join(_claim_row(one, number) for one in families for number in one.metrics)
         yield (
             f'<article class="claim"><div>{verdicts}</div><div>'
@@ -111,10 +111,6 @@ def _claims(claims: Sequence[Claim]) -> Iterator[str]:
 def _verdict(claim: Claim) -> str:
     verdict = f'<p class="verdict {_CLASSES.get(claim.verdict, "")}">{claim.verdict}'
     return f'{verdict}<span class="caption"> {escape(claim.family)}</span></p>'
-
-
-def _of_family(claim: Claim) -> str:
-    return f"<b>{escape(claim.family)}</b>: " if claim.family else ""
 
 
 def _claim_row(claim: Claim, number: ClaimMetric) -> str:

@@ -1,5 +1,6 @@
 """The command ``contactgraph reproduce``: a study, from nothing to a page of verdicts."""
 
+import math
 import shlex
 import sys
 from contextlib import AbstractContextManager, nullcontext
@@ -36,12 +37,16 @@ class Reproduce:
     are."""
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """The folder to write; results/study for all, results/STUDY for another, if not given."""
+    hours: Annotated[float | None, arg(metavar="H", help_behavior_hint="(until done)")] = None
+    """After these hours start nothing more, and write what is known; the same command goes on."""
+    resume: bool = False
+    """Take what results.json holds for measured, where the commands' own files are gone."""
     cluster: Annotated[str, arg(metavar="WHERE")] = "local"
     """local: one job per core. ray or ray:HOST:PORT: on the machines of a Ray cluster."""
 
     def run(self) -> None:
         """Run the study."""
-        from contactgraph.cli.options import choice
+        from contactgraph.cli.options import check_range, choice
         from contactgraph.data import InvalidInputError
         from contactgraph_studies.page import write_study
         from contactgraph_studies.runner import run_study
@@ -59,8 +64,11 @@ class Reproduce:
             raise InvalidInputError(f"--out: {folder} must be a folder, found a file")
         for reason in study.left_out:
             print(f"left out: {reason}", file=sys.stderr)
+        if self.hours is not None:
+            check_range("--hours", self.hours, 0, 10_000)
+        seconds = math.inf if self.hours is None else 3600.0 * self.hours
         with self._executor() as executor:
-            failures = run_study(study, folder, executor)
+            failures = run_study(study, folder, executor, seconds, self.resume)
             cores = executor.workers
         quick = " --quick" if self.quick else ""
         only = "" if self.only is None else f" --only {shlex.quote(self.only)}"

@@ -71,6 +71,8 @@ class Reading:
     seed: int
     values: Values
     command: str
+    fingerprint: str = ""
+    """Of the job; see `Job.fingerprint`."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,8 @@ class Results:
             path = folder / one.job.output
             if path.is_file():
                 values = json.loads(path.read_text())
-                of_condition.append(Reading(one.seed, values, one.job.command))
+                found = one.seed, values, one.job.command, one.job.fingerprint
+                of_condition.append(Reading(*found))
         return cls(readings)
 
     def readings(self, condition: Any) -> list[Reading]:
@@ -243,6 +246,7 @@ class Results:
                 **asdict(condition),
                 seed_key: one.seed,
                 "command": one.command,
+                "fingerprint": one.fingerprint,
                 "values": {key: one.values[key] for key in one.values if key not in omit},
             }
             for condition, readings in self._readings.items()

@@ -1,7 +1,9 @@
 """Execution of a study's jobs in dependency order, several at a time."""
 
+import math
 import statistics
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -47,21 +49,23 @@ def run_jobs(
     executor: Executor,
     initializer: Callable[[], Callable[[Any], JobResult]],
     on_progress: Callable[[Progress], None],
+    seconds: float = math.inf,
 ) -> list[Failure]:
-    """Run every job that is not done; the failures.
+    """Run every job that is not done, and that one needs which is not; the failures.
 
     ``jobs`` are in dependency order. ``initializer`` is called once in each worker process and
     returns the function that executes a job there. A failed job stops only the jobs that need it.
+    After ``seconds`` none is started any more.
     Ctrl-C ends the workers; the next call continues the study.
     """
-    schedule = _Schedule(jobs, records)
+    schedule, until = _Schedule(jobs, records), time.monotonic() + seconds
     if not schedule.waiting:
         return []
     running: dict[int, Job] = {}
     groups: dict[int, list[str]] = {}
     with executor.pool(initializer, len(schedule.waiting), _JOBS_PER_PROCESS) as pool:
-        while schedule.waiting or running:
-            for worker in pool.idle():
+        while (schedule.waiting and time.monotonic() < until) or running:
+            for worker in pool.idle() if time.monotonic() < until else ():
                 job = schedule.next(groups.setdefault(worker, []))
                 if job is None:
                     break
@@ -77,8 +81,17 @@ def run_jobs(
     return schedule.failures
 
 
-def run_study(study: Study, folder: Path, executor: Executor) -> list[Failure]:
-    """Run a study in a folder, with progress and failures on stderr."""
+def run_study(
+    study: Study,
+    folder: Path,
+    executor: Executor,
+    seconds: float = math.inf,
+    resume: bool = False,
+) -> list[Failure]:
+    """Run a study in a folder, with progress and failures on stderr; see `run_jobs`.
+
+    To ``resume`` is not to measure again what a ``results.json`` of the folder holds.
+    """
 
     def report(failure: Failure) -> None:
         command = failure.job.command
@@ -86,6 +99,8 @@ def run_study(study: Study, folder: Path, executor: Executor) -> list[Failure]:
 
     folder.mkdir(parents=True, exist_ok=True)
     records = JobRecords(folder, version("contactgraph"))
+    if resume:
+        records.restore(study.measurements)
     with progress("jobs", len(study.jobs)) as bar:
 
         def on_progress(now: Progress) -> None:
@@ -95,7 +110,8 @@ def run_study(study: Study, folder: Path, executor: Executor) -> list[Failure]:
             estimate = "" if left is None else f"about {max(1, round(left / 60))} min left; "
             bar.advance(now.done, f"{estimate}{now.last.group}")
 
-        failures = run_jobs(study.jobs, records, executor, create_worker, on_progress)
+        given = study.jobs, records, executor, create_worker, on_progress
+        failures = run_jobs(*given, seconds)
     for failure in failures:
         if not failure.started:
             report(failure)
@@ -147,13 +163,13 @@ class _Schedule:
         self._finished: set[str] = set()
         self._lost: set[str] = set()
         self._seconds: dict[str, list[float]] = {}
-        for job in jobs:
-            took = seconds[job.output]
-            # A job whose input is made again is run again.
-            if took is None or any(need.output not in self._finished for need in job.needs):
-                self.waiting.append(job)
-            else:
-                self._succeed(job, took)
+        asked = {job.output for job in jobs} - {need.output for job in jobs for need in job.needs}
+        for job in reversed(jobs):
+            if seconds[job.output] is None and job.output in asked:
+                asked.update(need.output for need in job.needs)
+                self.waiting.insert(0, job)
+            else:  # done, or needed by nothing that is left to do
+                self._succeed(job, seconds[job.output])
 
     @property
     def done(self) -> int:
@@ -195,6 +211,7 @@ class _Schedule:
             left += statistics.fmean(known) if known else usual
         return left / at_a_time
 
-    def _succeed(self, job: Job, seconds: float) -> None:
+    def _succeed(self, job: Job, seconds: float | None) -> None:
         self._finished.add(job.output)
-        self._seconds.setdefault(job.group, []).append(seconds)
+        if seconds is not None:
+            self._seconds.setdefault(job.group, []).append(seconds)

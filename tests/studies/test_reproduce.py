@@ -61,7 +61,12 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Job]]:
     asked: list[list[Job]] = []
 
     def run_jobs(
-        jobs: Sequence[Job], records: JobRecords, executor: object, create: object, report: object
+        jobs: Sequence[Job],
+        records: JobRecords,
+        executor: object,
+        create: object,
+        report: object,
+        seconds: float,
     ) -> list[Failure]:
         asked.append(list(jobs))
         values = {
@@ -142,7 +147,12 @@ def test_files_of_the_study_of_costs(
     values = {"success_rate": 0.97, "episodes": 100, "contact_speed_m_s": 1.5}
 
     def run_jobs(
-        jobs: Sequence[Job], records: JobRecords, executor: object, create: object, report: object
+        jobs: Sequence[Job],
+        records: JobRecords,
+        executor: object,
+        create: object,
+        report: object,
+        seconds: float,
     ) -> list[Failure]:
         for job in jobs:
             path = records.folder / job.output

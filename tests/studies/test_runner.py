@@ -9,7 +9,7 @@ from fake_worker import FakeWorker
 
 from contactgraph.parallel import LocalExecutor
 from contactgraph_studies.execution import LocalJob, create_worker, execute
-from contactgraph_studies.job import Job, JobRecords, in_dependency_order
+from contactgraph_studies.job import Job, JobRecords, Measurement, in_dependency_order
 from contactgraph_studies.runner import Failure, Progress, run_jobs
 
 
@@ -99,13 +99,41 @@ def test_a_result_of_another_input_is_made_again_in_a_later_run(tmp_path: Path) 
     assert done(tmp_path) == ["make result"]
 
 
-def test_an_input_made_again_makes_its_results_again(tmp_path: Path) -> None:
+def test_an_input_that_is_gone_is_made_again_for_what_needs_it_alone(tmp_path: Path) -> None:
     data = make("data")
-    run(tmp_path, [make("result", needs=(data,))])
+    first, second = make("first", needs=(data,)), make("second", needs=(data,))
+    run(tmp_path, [first])
     done(tmp_path)
     (tmp_path / "data").unlink()
-    run(tmp_path, [make("result", needs=(data,))])
-    assert done(tmp_path) == ["make data", "make result"]
+    failures, _ = run(tmp_path, [first])
+    assert (failures, done(tmp_path)) == ([], [])
+    run(tmp_path, [first, second])
+    assert done(tmp_path) == ["make data", "make second"]
+
+
+def test_a_study_goes_on_from_its_results_alone(tmp_path: Path) -> None:
+    """The outputs themselves are not kept with a page."""
+    data = make("data")
+    jobs = [make(name, needs=(data,)) for name in ("first", "second")]
+    cells = [{"fingerprint": jobs[0].fingerprint, "values": {"error": 0.25}}]
+    stored = {"versions": {"contactgraph": "1"}, "cells": cells}
+    (tmp_path / "results.json").write_text(json.dumps(stored))
+    records = JobRecords(tmp_path, "1")
+    records.restore([Measurement(None, 0, job) for job in jobs])
+    assert json.loads((tmp_path / "first").read_text()) == {"error": 0.25}
+    run(tmp_path, jobs)
+    assert done(tmp_path) == ["make data", "make second"]
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "results.json").write_text(json.dumps(stored))
+    JobRecords(other, "2").restore([Measurement(None, 0, job) for job in jobs])
+    assert [path.name for path in other.iterdir()] == ["results.json"], "another version"
+
+
+def test_after_its_time_no_job_is_started(tmp_path: Path) -> None:
+    given = LocalExecutor(2), FakeWorker(tmp_path.absolute()).create, lambda progress: None
+    assert run_jobs([make("late")], JobRecords(tmp_path, "1"), *given, seconds=0.0) == []
+    assert done(tmp_path) == []
 
 
 @pytest.mark.parametrize(

@@ -147,7 +147,7 @@ def load_entry_point(group: str, name: str, expected: type[Value]) -> Value | No
     return None
 
 
-def check_range(flag: str, value: int, lowest: int, highest: int) -> None:
+def check_range(flag: str, value: float, lowest: int, highest: int) -> None:
     """Raises `InvalidInputError` where the flag's value is outside ``lowest … highest``."""
     if not lowest <= value <= highest:
         raise InvalidInputError(f"{flag} must be {lowest} to {highest}, found {value}")

@@ -94,7 +94,7 @@ def scene_pictures(
     first_jobs = {one.condition: one.job for one in reversed(measurements)}
     scenes, parameters = [], []
     for task, family in [(one, each) for one in tasks for each in one.families]:
-        for condition in conditions_drawn(task, family):
+        for condition in task.conditions if family is OURS else (task.as_trained,):
             model = family.gim_temp
             job = first_jobs.get(planned(task, model, condition))
             if job is None:
@@ -119,11 +119,6 @@ def scene_pictures(
     return scenes, parameters
 
 
-def conditions_drawn(task: StudyTask, family: Family) -> tuple[TestCondition, ...]:
-    """Those of which an episode is drawn."""
-    return task.conditions if family is OURS else (task.as_trained,)
-
-
 def error_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
     """N-step error of every model of each family, in and out of distribution; log axis."""
 
@@ -135,7 +130,7 @@ def error_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
                 baseline = results.statistic(planned(task, family.gim_temp, condition), quantity)
                 if baseline.known:
                     ends, height = [group - 0.46, group + 0.46], [baseline.median] * 2
-                    axes.plot(ends, height, color=SOFT, lw=1.2, ls=style, label=_once(name, group))
+                    axes.plot(ends, height, color=SOFT, lw=1.2, ls=style, label=name)
         axes.axhline(1.0, color=INK, lw=0.7, ls=_DOTTED)
         axes.set_yscale("log")
         # A model that diverges is off by kilometres: it may not set the range of the axis.
@@ -256,10 +251,9 @@ def _draw_points(
             x = group + (column - (len(models) - 1) / 2.0) * width
             found, colour = estimate([sample(results, task, model, condition)]), model.colour
             finite = [value for value in found.each if math.isfinite(value)]
-            beyond = len(found.each) - len(finite)
-            label = _once(model.name, group)
-            axes.plot([x] * len(finite), finite, "o", ms=4, mew=0, alpha=0.6, c=colour, label=label)
-            if beyond:
+            points: dict[str, Any] = {"ms": 4, "mew": 0, "alpha": 0.6, "label": model.name}
+            axes.plot([x] * len(finite), finite, "o", color=colour, **points)
+            if len(finite) < len(found.each):
                 axes.plot(x, 0.99, "^", ms=6, c=colour, transform=top, clip_on=False)
             if math.isfinite(found.value):
                 ends = [x - 0.35 * width, x + 0.35 * width]
@@ -268,11 +262,6 @@ def _draw_points(
                 axes.plot([x, x], [found.low, high], color=colour, lw=1.0)
     axes.set_xticks(range(len(conditions)), [condition.name for condition in conditions])
     axes.set_xlim(-0.5, len(conditions) - 0.5)
-
-
-def _once(name: str, group: int) -> str:
-    """A label of the legend, of the first group alone."""
-    return name if group == 0 else "_"
 
 
 def _ranges(statistics: Sequence[SeedStatistic]) -> tuple[list[float], np.ndarray]:

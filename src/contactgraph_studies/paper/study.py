@@ -1,5 +1,6 @@
 """The study of models: its table, its targets and its result."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -56,7 +57,6 @@ class ModelStudy(Study):
         """Claims, tables and figures."""
         amounts, results = self.amounts, Results.read(folder, self.measurements)
         judged_claims = claims(results, self.tasks, amounts)
-        verdicts = verdict_table(judged_claims)
         scenes, parameters = scene_pictures(folder, self.tasks, self.measurements)
         return StudyResult(
             title="A contact graph, claim by claim",
@@ -67,7 +67,7 @@ class ModelStudy(Study):
             claims=judged_claims,
             targets_heading="Targets of GIM-Temp",
             targets=model_targets(results, self.tasks, amounts.seeds),
-            tables=[model_table(results, self.tasks, amounts), verdicts],
+            tables=[model_table(results, self.tasks, amounts), verdict_table(judged_claims)],
             figures=[*figure_pictures(folder, results, self.tasks, amounts), *parameters],
             scenes=scenes,
             amounts={
@@ -82,13 +82,9 @@ class ModelStudy(Study):
 
 
 def _count(judged_claims: Sequence[Claim]) -> str:
-    families = dict.fromkeys(claim.family for claim in judged_claims)
-    counted = []
-    for family in families:
-        of = [claim for claim in judged_claims if claim.family == family]
-        hold = sum(claim.verdict is Verdict.HOLDS for claim in of)
-        counted.append(f"{family} {hold} of {len(of)} hold")
-    return "; ".join(counted)
+    families = Counter(claim.family for claim in judged_claims)
+    hold = Counter(one.family for one in judged_claims if one.verdict is Verdict.HOLDS)
+    return "; ".join(f"{name} {hold[name]} of {count} hold" for name, count in families.items())
 
 
 def verdict_table(judged_claims: Sequence[Claim]) -> StudyTable:
@@ -98,7 +94,7 @@ def verdict_table(judged_claims: Sequence[Claim]) -> StudyTable:
     for claim in judged_claims:
         row = rows.setdefault(claim.number, {"claim": f"{claim.number}. {claim.title}"})
         row[claim.family] = claim.verdict.value
-    headings = {"claim": "claim", **{family: family for family in families}}
+    headings = {name: name for name in ("claim", *families)}
     return StudyTable(
         slug="verdicts",
         title="Verdicts",
