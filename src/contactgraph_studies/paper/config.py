@@ -179,7 +179,7 @@ def _family(
         model(
             temp, "GIM-Temp without KL", _COLOURS[5], "--prior-weight", "0", slug=f"{temp}-no-kl"
         ),
-        (model(temp, "GIM-Temp (star)", _COLOURS[0], "--graph", "star", slug=f"{temp}-star"),)
+        (model(temp, "GIM-Temp (star)", "#6d7278", "--graph", "star", slug=f"{temp}-star"),)
         if own_form
         else (),
     )
