@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from contactgraph.control import pin_to_core
+from contactgraph.control import host, pin_to_core
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "sched_setaffinity") or len(os.sched_getaffinity(0)) < 2,
@@ -50,6 +50,22 @@ def test_a_thread_begun_within_is_free_afterwards():
     with pin_to_core(min(allowed)):
         begun = Waiting()
         assert os.sched_getaffinity(begun.thread.native_id) == {min(allowed)}
+    with begun as thread:
+        assert os.sched_getaffinity(thread) == allowed
+
+
+def test_a_thread_that_another_begins_meanwhile_is_freed(monkeypatch: pytest.MonkeyPatch):
+    """It is not listed yet where the others are freed, and has the core of its own beginner."""
+    allowed, listed, calls = os.sched_getaffinity(0), host._affinities, []
+    with pin_to_core(min(allowed)):
+        begun = Waiting()
+
+        def late():
+            calls.append(listed())
+            hidden = {begun.thread.native_id} if len(calls) == 1 else set()
+            return {thread: calls[-1][thread] for thread in calls[-1].keys() - hidden}
+
+        monkeypatch.setattr(host, "_affinities", late)
     with begun as thread:
         assert os.sched_getaffinity(thread) == allowed
 

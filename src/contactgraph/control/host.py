@@ -5,7 +5,7 @@ Everything here is NumPy: a call of JAX for each array would take as long as a c
 
 import functools
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -112,12 +112,11 @@ def pin_to_core(core: int | None = None) -> Iterator[None]:
     before = _affinities()
     os.sched_setaffinity(0, {max(allowed) if core is None else core})
     try:
-        for thread in _affinities():
-            _set_affinity(thread, os.sched_getaffinity(0))
+        chosen = os.sched_getaffinity(0)
+        _move_threads(lambda thread: chosen)
         yield
     finally:
-        for thread in _affinities():
-            _set_affinity(thread, before.get(thread, allowed))
+        _move_threads(lambda thread: before.get(thread, allowed))
 
 
 @functools.lru_cache(maxsize=64)
@@ -151,6 +150,11 @@ def _affinities() -> dict[int, set[int]]:
     return cores
 
 
-def _set_affinity(thread: int, cores: set[int]) -> None:
-    with suppress(ProcessLookupError):
-        os.sched_setaffinity(thread, cores)
+def _move_threads(cores: Callable[[int], set[int]]) -> None:
+    """Until none is left that a thread began before it was moved itself, whose cores it has."""
+    moved = set[int]()
+    while found := _affinities().keys() - moved:
+        for thread in found:
+            with suppress(ProcessLookupError):
+                os.sched_setaffinity(thread, cores(thread))
+        moved |= found
