@@ -44,17 +44,8 @@ _LEARNED_COST_HORIZON = 2
 its demonstrations made: a plan that ends before their benefit would hover before the object."""
 
 _RECORDED = (
-    *(
-        "cost",
-        "horizon",
-        "iterations",
-        "starts",
-        "replan_every",
-        "false_alarms",
-        "misses",
-        "delay",
-        "unmeasured",
-    ),
+    *("cost", "horizon", "iterations", "starts", "replan_every"),
+    *("false_alarms", "misses", "delay", "unmeasured"),
     *("position_noise", "velocity_noise", "infer_contacts", "told_masses"),
 )
 """Options that only a model takes; the JSON file repeats them."""

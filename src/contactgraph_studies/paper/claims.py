@@ -14,6 +14,7 @@ from contactgraph_studies.paper.config import (
     Family,
     StudyModel,
     StudyTask,
+    families_of,
 )
 from contactgraph_studies.paper.jobs import Source, closed_error, number, open_error, success
 from contactgraph_studies.results import Quantity, Results, Values
@@ -28,13 +29,9 @@ def claims(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> li
     found = (
         _claim(results, number, family, tasks, amounts)
         for number in range(1, len(_JUDGES) + 1)
-        for family in _families(tasks)
+        for family in families_of(tasks)
     )
     return [claim for claim in found if claim is not None]
-
-
-def _families(tasks: Sequence[StudyTask]) -> list[Family]:
-    return list(dict.fromkeys(family for task in tasks for family in task.families))
 
 
 def _claim(

@@ -1,5 +1,6 @@
 """Configuration of the study of models: tasks, models, test conditions, amounts."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from contactgraph.cli.known_tasks import TASKS as LIBRARY_TASKS
@@ -111,6 +112,11 @@ class StudyTask:
     def hardest(self) -> TestCondition:
         """The scenes that differ most from the training data."""
         return self.conditions[-1]
+
+
+def families_of(tasks: Sequence[StudyTask]) -> list[Family]:
+    """Those that any of the tasks compares, each once."""
+    return list(dict.fromkeys(family for task in tasks for family in task.families))
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from contactgraph_studies.paper.config import (
     Family,
     StudyModel,
     StudyTask,
+    families_of,
 )
 from contactgraph_studies.paper.jobs import (
     Source,
@@ -160,7 +161,7 @@ def _family_figure(
     draw: Callable[[Axes, StudyTask, Family], None],
 ) -> Figure:
     """A row of panels for each family, a column for each task."""
-    families = list(dict.fromkeys(family for task in tasks for family in task.families))
+    families = families_of(tasks)
     figure = figures.new_figure(4.6 * len(tasks) + 0.6, 3.0 * len(families) + 0.8)
     grid = figure.subplots(len(families), len(tasks), squeeze=False, sharey=True)
     for row, family in zip(grid, families, strict=True):
@@ -180,7 +181,7 @@ def _family_figure(
 
 
 def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
-    """Edges that our GIM-Temp predicts wrongly on recorded trajectories, by fault of the sensor."""
+    """Edges that GIM-Temp predicts wrongly on recorded trajectories, by fault of the sensor."""
     figure, panels = figures.panel_row(tasks, 3.6, 1.6, 4.0)
     names = ["exact", "no sensor", *(fault.name for fault in FAULTS)]
     wrong, unmeasured = _wrong(jobs.EDGE_ACCURACY), _wrong(jobs.UNMEASURED_ACCURACY)
