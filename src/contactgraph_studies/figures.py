@@ -75,6 +75,15 @@ def write_scene(folder: Path, name: str, caption: str, scene: SceneTrajectory) -
     return Picture(scene.name, caption, path.read_bytes(), "png")
 
 
+def kept_picture(folder: Path, name: str, title: str, caption: str) -> Picture | None:
+    """A figure of an earlier page, whose sources are gone; None if there is none."""
+    for kind, suffix in (("svg+xml", "svg"), ("png", "png")):
+        path = folder / _FOLDER / f"{name}.{suffix}"
+        if path.is_file():
+            return Picture(title, caption, path.read_bytes(), kind)
+    return None
+
+
 def first_episode(numbers: Path, model: Path, title: str) -> SceneTrajectory | None:
     """The first trajectory beside a file of numbers; None if it or the model is missing."""
     trajectories = numbers.with_suffix(".h5")

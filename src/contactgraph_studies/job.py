@@ -107,10 +107,8 @@ class JobRecords:
 
     def seconds(self, job: Job) -> float | None:
         """Wall time of a finished job, s; None if it has to be run."""
-        record = self._read(job)
-        if not (self._matches(job, record) and record.get("finished") is True):
-            return None
-        return float(record["seconds"]) if (self.folder / job.output).exists() else None
+        exists = self._was_done(job) and (self.folder / job.output).exists()
+        return float(self._read(job)["seconds"]) if exists else None
 
     def begin(self, job: Job) -> tuple[str, ...]:
         """Prepare the output folder; the arguments to run the job with.
@@ -134,8 +132,8 @@ class JobRecords:
         """Mark the job as done, after this many draws of its seed."""
         self._write(job, finished=True, seconds=seconds, draws=draws)
 
-    def restore(self, measurements: Iterable[Measurement]) -> None:
-        """The outputs that ``results.json`` holds of jobs whose own files are gone.
+    def restore(self, jobs: Iterable[Job]) -> None:
+        """Records and outputs that ``results.json`` holds of jobs whose own files are gone.
 
         Those of another command, other inputs or another version are left out.
         """
@@ -146,13 +144,27 @@ class JobRecords:
         if stored.get("versions", {}).get("contactgraph") != self.version:
             return
         values = {each.get("fingerprint"): each["values"] for each in stored.get("cells", ())}
-        for job in (one.job for one in measurements):
+        costs = {each: {} for each in values} | stored.get("jobs", {})
+        for job in jobs:
             output = self.folder / job.output
+            output.parent.mkdir(parents=True, exist_ok=True)
             if job.fingerprint in values and not output.exists():
-                output.parent.mkdir(parents=True, exist_ok=True)
                 with atomic_write(output) as temporary:
                     temporary.write_text(json.dumps(values[job.fingerprint]))
-                self.finish(job, 0.0)
+            if job.fingerprint in costs and not self._matches(job, self._read(job)):
+                cost = {"seconds": 0.0, "draws": 1} | costs[job.fingerprint]
+                self.finish(job, cost["seconds"], cost["draws"])
+
+    def costs(self, jobs: Iterable[Job]) -> dict[str, dict[str, float]]:
+        """By fingerprint, the wall time (s) of each job that was done, and the draws of its seed.
+
+        Its output may be gone.
+        """
+        records = {job.fingerprint: self._read(job) for job in jobs if self._was_done(job)}
+        return {
+            name: {"seconds": record["seconds"], "draws": record.get("draws", 1)}
+            for name, record in records.items()
+        }
 
     def redrawn(self, jobs: Iterable[Job]) -> dict[str, int]:
         """By command, the networks that were dead and drawn again."""
@@ -162,6 +174,10 @@ class JobRecords:
     def log_path(self, job: Job) -> Path:
         """The file that holds the command's output while it runs, and after a failure."""
         return self.folder / f"{job.output}.log"
+
+    def _was_done(self, job: Job) -> bool:
+        record = self._read(job)
+        return self._matches(job, record) and record.get("finished") is True
 
     def _path(self, job: Job) -> Path:
         return self.folder / f"{job.output}.made.json"

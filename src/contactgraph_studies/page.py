@@ -5,6 +5,7 @@ import itertools
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
+from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -13,6 +14,7 @@ from contactgraph.cli.output import provenance, write_json, write_text
 from contactgraph.viz.markup import metrics_table
 from contactgraph.viz.metric_table import csv_metrics, markdown_metrics, short
 from contactgraph_studies.bootstrap import Verdict
+from contactgraph_studies.job import JobRecords
 from contactgraph_studies.results import with_range
 from contactgraph_studies.runner import Failure
 from contactgraph_studies.study import Claim, ClaimMetric, Picture, Study, StudyResult
@@ -25,6 +27,8 @@ def write_study(
 ) -> None:
     """Write claims, tables, figures and the page from the outputs in the folder; print claims."""
     result, origin = study.result(folder), provenance()
+    costs = JobRecords(folder, version("contactgraph")).costs(study.jobs)
+    hours = sum(one["seconds"] for one in costs.values()) / 3600.0
     date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     failed = [(failure.job.command, failure.reason) for failure in failures]
     write_json(folder / "claims.json", {"claims": [claim.to_json() for claim in result.claims]})
@@ -35,8 +39,10 @@ def write_study(
             "date": date,
             **origin,
             "cores": cores,
+            "hours_of_jobs": round(hours, 2),
             **result.amounts,
             "failures": [{"command": line, "reason": reason} for line, reason in failed],
+            "jobs": costs,
             "cells": result.readings,
         },
     )
@@ -45,7 +51,8 @@ def write_study(
     write_text(folder / "targets.md", markdown_metrics(result.targets))
     write_text(folder / "targets.csv", csv_metrics(result.targets))
     commands = [command, *(job.command for job in study.jobs)]
-    page = study_page(result, failed, commands, origin["versions"], date)
+    made = f"{date}; jobs of {short(hours)} hours, {cores} at a time"
+    page = study_page(result, failed, commands, origin["versions"], made)
     write_text(folder / "index.html", page)
     for claim in result.claims:
         about = f"{claim.family}, " if claim.family else ""
@@ -60,7 +67,7 @@ def study_page(
     failures: Sequence[tuple[str, str]],
     commands: Sequence[str],
     versions: Mapping[str, str],
-    date: str,
+    made: str,
 ) -> str:
     """The page as text; ``failures`` are commands and reasons."""
     own, shared = files("contactgraph_studies") / "assets", files("contactgraph.viz") / "assets"
@@ -78,7 +85,7 @@ def study_page(
         scenes=_section("scenes", "Scenes", map(_picture, result.scenes)),
         commands="\n".join(escape(command) for command in commands),
         versions=", ".join(f"{escape(name)} {escape(v)}" for name, v in versions.items()),
-        date=escape(date),
+        made=escape(made),
     )
 
 

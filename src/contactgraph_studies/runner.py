@@ -100,7 +100,7 @@ def run_study(
     folder.mkdir(parents=True, exist_ok=True)
     records = JobRecords(folder, version("contactgraph"))
     if resume:
-        records.restore(study.measurements)
+        records.restore(study.jobs)
     with progress("jobs", len(study.jobs)) as bar:
 
         def on_progress(now: Progress) -> None:

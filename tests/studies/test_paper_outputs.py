@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from contactgraph.evaluate import wilson_interval
 from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
-from contactgraph_studies.figures import new_figure, svg, write_figure
+from contactgraph_studies.figures import kept_picture, new_figure, svg, write_figure
 from contactgraph_studies.page import study_page
 from contactgraph_studies.paper.claims import claims
 from contactgraph_studies.paper.config import (
@@ -206,6 +206,11 @@ def test_both_files_of_a_figure_are_written(tmp_path: Path) -> None:
     files = sorted((tmp_path / "figures").iterdir())
     assert [path.name for path in files] == ["edges.png", "edges.svg"]
     assert picture.image == files[1].read_bytes()
+    assert kept_picture(tmp_path, "edges", "Edges", "caption") == picture
+    files[1].unlink()
+    kept = kept_picture(tmp_path, "edges", "Edges", "caption")
+    assert kept == Picture("Edges", "caption", files[0].read_bytes(), "png")
+    assert kept_picture(tmp_path, "nodes", "Nodes", "caption") is None
 
 
 def test_trainings_in_the_same_scenes_are_not_pooled() -> None:

@@ -9,7 +9,7 @@ from fake_worker import FakeWorker
 
 from contactgraph.parallel import LocalExecutor
 from contactgraph_studies.execution import LocalJob, create_worker, execute
-from contactgraph_studies.job import Job, JobRecords, Measurement, in_dependency_order
+from contactgraph_studies.job import Job, JobRecords, in_dependency_order
 from contactgraph_studies.runner import Failure, Progress, run_jobs
 
 
@@ -112,21 +112,27 @@ def test_an_input_that_is_gone_is_made_again_for_what_needs_it_alone(tmp_path: P
 
 
 def test_a_study_goes_on_from_its_results_alone(tmp_path: Path) -> None:
-    """The outputs themselves are not kept with a page."""
+    """The outputs themselves are not kept with a page; their times are."""
     data = make("data")
-    jobs = [make(name, needs=(data,)) for name in ("first", "second")]
-    cells = [{"fingerprint": jobs[0].fingerprint, "values": {"error": 0.25}}]
-    stored = {"versions": {"contactgraph": "1"}, "cells": cells}
+    jobs = [data, *(make(name, needs=(data,)) for name in ("first", "second"))]
+    cells = [{"fingerprint": jobs[1].fingerprint, "values": {"error": 0.25}}]
+    costs = {jobs[0].fingerprint: {"seconds": 3.5, "draws": 2}}
+    stored = {"versions": {"contactgraph": "1"}, "cells": cells, "jobs": costs}
     (tmp_path / "results.json").write_text(json.dumps(stored))
     records = JobRecords(tmp_path, "1")
-    records.restore([Measurement(None, 0, job) for job in jobs])
+    records.restore(jobs)
     assert json.loads((tmp_path / "first").read_text()) == {"error": 0.25}
+    known = costs | {jobs[1].fingerprint: {"seconds": 0.0, "draws": 1}}
+    assert (records.costs(jobs), records.redrawn(jobs)) == (known, {data.command: 1})
     run(tmp_path, jobs)
     assert done(tmp_path) == ["make data", "make second"]
+    assert records.costs(jobs)[data.fingerprint] != costs[data.fingerprint], "made again"
+    records.restore(jobs)
+    assert records.costs(jobs)[data.fingerprint] != costs[data.fingerprint], "older"
     other = tmp_path / "other"
     other.mkdir()
     (other / "results.json").write_text(json.dumps(stored))
-    JobRecords(other, "2").restore([Measurement(None, 0, job) for job in jobs])
+    JobRecords(other, "2").restore(jobs)
     assert [path.name for path in other.iterdir()] == ["results.json"], "another version"
 
 

@@ -93,31 +93,38 @@ def scene_pictures(
     """Episodes of GIM-Temp (first seed), ours under every condition; inferred parameters of ours
     and of the paper's form."""
     first_jobs = {one.condition: one.job for one in reversed(measurements)}
-    scenes, parameters = [], []
+    scenes: list[Picture | None] = []
+    parameters: list[Picture | None] = []
     for task, family in [(one, each) for one in tasks for each in one.families]:
         for condition in task.conditions if family is OURS else (task.as_trained,):
-            model = family.gim_temp
-            job = first_jobs.get(planned(task, model, condition))
+            job = first_jobs.get(planned(task, family.gim_temp, condition))
             if job is None:
                 continue
-            title, name = f"{task.name}, {condition.name}", f"{task.name}-{condition.slug}"
+            title = f"{task.name}, {condition.name}"
             stored = folder / job.needs[0].output / "model.safetensors"
             scene = figures.first_episode(folder / job.output, stored, title)
-            if scene is None:
-                continue
             if family is OURS:
+                name = f"scene-{task.name}-{condition.slug}"
                 caption = "A closed-loop episode of GIM-Temp, replanned every half second."
-                scenes.append(figures.write_scene(folder, f"scene-{name}", caption, scene))
+                scenes.append(
+                    figures.kept_picture(folder, name, title, caption)
+                    if scene is None
+                    else figures.write_scene(folder, name, caption, scene)
+                )
             if condition is task.as_trained:
+                name = f"parameters-{task.name}-{family.slug}"
                 title = f"Belief and learned parameters, {task.name}, {family.name}"
                 caption = (
                     "Predictions before every step; bands mark contact of the first edge named."
                 )
-                figure, name = figures.parameter_figure(scene), f"{task.name}-{family.slug}"
+                given = folder, name, title, caption
                 parameters.append(
-                    figures.write_figure(folder, f"parameters-{name}", title, caption, figure)
+                    figures.kept_picture(*given)
+                    if scene is None
+                    else figures.write_figure(*given, figures.parameter_figure(scene))
                 )
-    return scenes, parameters
+    known = [[one for one in each if one is not None] for each in (scenes, parameters)]
+    return known[0], known[1]
 
 
 def error_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:

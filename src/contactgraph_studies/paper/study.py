@@ -27,6 +27,7 @@ from contactgraph_studies.paper.jobs import (
     conditions_of,
     measurements,
 )
+from contactgraph_studies.paper.statements import CHANGES
 from contactgraph_studies.results import (
     CONTACT_SPEED,
     PLANNED_F1,
@@ -67,7 +68,11 @@ class ModelStudy(Study):
             claims=judged_claims,
             targets_heading="Targets of GIM-Temp",
             targets=model_targets(results, self.tasks, amounts.seeds),
-            tables=[model_table(results, self.tasks, amounts), verdict_table(judged_claims)],
+            tables=[
+                model_table(results, self.tasks, amounts),
+                verdict_table(judged_claims),
+                _changes_table(),
+            ],
             figures=[*figure_pictures(folder, results, self.tasks, amounts), *parameters],
             scenes=scenes,
             amounts={
@@ -103,6 +108,17 @@ def verdict_table(judged_claims: Sequence[Claim]) -> StudyTable:
         "lies outside; else it cannot be told.",
         headings=headings,
         rows=[dict.fromkeys(headings) | row for row in rows.values()],
+    )
+
+
+def _changes_table() -> StudyTable:
+    names = ("models", "difference", "reason")
+    return StudyTable(
+        slug="changes",
+        title="Differences from the paper",
+        caption="Of each family of models.",
+        headings=dict(zip(names, names, strict=True)),
+        rows=[dict(zip(names, one, strict=True)) for one in CHANGES],
     )
 
 
