@@ -30,8 +30,8 @@ class Reproduce:
     """The study: pickup, multi-pickup, door, all of these (all), franka (an arm), worlds,
     inference, cost, sensing, or rehearsal."""
     quick: bool = False
-    """One seed and few test scenes: half an hour on two cores for all tasks. With worlds and
-    inference also short trainings, which only show that everything runs."""
+    """One seed, short trainings and few test scenes, which only show that everything runs; in the
+    place of all tasks pickup alone."""
     only: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(all)")] = None
     """Tasks of worlds or inference to measure, separated by commas; the others are shown as they
     are."""
@@ -97,7 +97,7 @@ def _studies(quick: bool) -> "dict[str, Study]":
     from contactgraph_studies.cost.study import CostStudy
     from contactgraph_studies.inference_jobs import INFERENCE_WORLDS
     from contactgraph_studies.inference_study import InferenceStudy
-    from contactgraph_studies.paper.config import EVERY_TASK, FULL, QUICK, TASKS
+    from contactgraph_studies.paper.config import EVERY_TASK, FULL, PICKUP, QUICK, TASKS
     from contactgraph_studies.paper.study import ModelStudy
     from contactgraph_studies.sensing import FULL_SENSING, QUICK_SENSING, SensingStudy
     from contactgraph_studies.simulated_robot import FULL_SIM, QUICK_SIM, SimulatedRobotStudy
@@ -113,5 +113,5 @@ def _studies(quick: bool) -> "dict[str, Study]":
         "cost": CostStudy(COST_TASKS, QUICK_COST if quick else FULL_COST),
         "sensing": SensingStudy(QUICK_SENSING if quick else FULL_SENSING),
         "rehearsal": SimulatedRobotStudy(QUICK_SIM if quick else FULL_SIM),
-        "all": ModelStudy(TASKS, amounts),
+        "all": ModelStudy((PICKUP,) if quick else TASKS, amounts),
     }

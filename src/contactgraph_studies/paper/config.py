@@ -79,6 +79,8 @@ class StudyTask:
     """Those that models learn from; a quarter as many more choose the best step."""
     training_options: Options = ()
     """Options of ``train`` for every model."""
+    trainings: int = 3
+    """At most, of each model."""
     only: tuple[StudyModel, ...] = ()
     """Models that are compared on this task; empty: all."""
     planned_options: Options = ()
@@ -101,7 +103,7 @@ class StudyTask:
     @property
     def conditions(self) -> tuple[TestCondition, ...]:
         """The one in distribution first, the hardest last."""
-        return self.known.conditions
+        return tuple(one for one in self.known.conditions if not one.extra)
 
     @property
     def as_trained(self) -> TestCondition:
@@ -137,8 +139,6 @@ class Amounts:
     """Numbers of training trajectories."""
     sample_seeds: tuple[int, ...]
     """Of `sample_sizes`, and of tests with a faulty sensor."""
-    extras: bool
-    """Whether conditions marked as extra are measured."""
     training_options: Options = ()
     """Options of ``train`` for every model of every task."""
 
@@ -211,7 +211,15 @@ SAMPLED_FAMILIES = (LITERAL, OURS)
 """Those whose error is measured by number of training trajectories."""
 
 _3_DISTRACTORS = ("--distractors", "3", "--mixed")
-PICKUP = StudyTask("pickup", LIBRARY_TASKS["pickup"], _3_DISTRACTORS, "0.1", 160, with_samples=True)
+PICKUP = StudyTask(
+    "pickup",
+    LIBRARY_TASKS["pickup"],
+    _3_DISTRACTORS,
+    "0.1",
+    160,
+    with_samples=True,
+    trainings=5,
+)
 MULTI_PICKUP = StudyTask(
     "multi-pickup",
     LIBRARY_TASKS["multi-pickup"],
@@ -257,6 +265,5 @@ FULL = Amounts(
     long_episodes=20,
     sample_sizes=(5, 10, 20, 40, 80, 160),
     sample_seeds=(0, 1, 2),
-    extras=False,
 )
-QUICK = Amounts((0,), 5, 10, 10, 2, (10, 40), (0,), False, ("--steps", "300"))
+QUICK = Amounts((0,), 5, 10, 10, 2, (10, 40), (0,), ("--steps", "300"))

@@ -103,12 +103,13 @@ planned, recorded = partial(condition_of, Source.planned), partial(condition_of,
 
 def measurements(tasks: Sequence[StudyTask], amounts: Amounts) -> list[Measurement]:
     """All of a study, seed by seed."""
-    return [one for seed in amounts.seeds for task in tasks for one in _of(task, seed, amounts)]
-
-
-def conditions_of(task: StudyTask, amounts: Amounts) -> list[TestCondition]:
-    """The test conditions that are measured."""
-    return [one for one in task.conditions if amounts.extras or not one.extra]
+    return [
+        one
+        for place, seed in enumerate(amounts.seeds)
+        for task in tasks
+        if place < task.trainings
+        for one in _of(task, seed, amounts)
+    ]
 
 
 def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
@@ -140,7 +141,7 @@ def _of_model(
     whole = model is family.gim_temp
     runs = task.augmented_runs if model.augmented else task.training_runs
     one = _TrainedModel(task, model, seed, runs, amounts)
-    for scenes in conditions_of(task, amounts):
+    for scenes in task.conditions:
         yield one.evaluate(Source.recorded, scenes, f"recorded-{scenes.slug}")
         options = (*episodes, *task.planned_options)
         # The page shows episodes of GIM-Temp.
