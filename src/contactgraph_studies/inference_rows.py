@@ -24,14 +24,13 @@ from contactgraph_studies.inference_jobs import (
     InferenceCondition,
 )
 from contactgraph_studies.job import Variant
-from contactgraph_studies.results import SUCCESS_PERCENT, Quantity, Results, SeedStatistic
+from contactgraph_studies.results import PLAN_MS, SUCCESS_PERCENT, Quantity, Results, SeedStatistic
 from contactgraph_studies.study import judged
 from contactgraph_studies.world_row import ERRORS, INFERRED, MEASURED
 
 TOLD_FREE = Quantity("told_free_belief")
 TOLD_FREE_LATER = Quantity("told_free_belief_later")
 TRAINING_S = Quantity("training_s", "s")
-_STEP_MS = Quantity("plan_ms_p50", "ms")
 FLOOR = ERRORS["frozen_contact_cm"]
 F1 = {INFERRED: Quantity("edge_f1_now_inferred"), MEASURED: Quantity("edge_f1_now")}
 CALIBRATION = {
@@ -208,7 +207,7 @@ def _closed(numbers: InferenceNumbers, slug: str, task: str) -> Iterator[Require
         where, target = (_where(slug, LOSING),), Target(95.0, 100.0)
         yield Requirement("success, half of the grasps lost", task, success, target, where, False)
     if slug == "pickup":
-        step = numbers.statistic(slug, _STEP_MS, TEN_DISTRACTORS)
+        step = numbers.statistic(slug, PLAN_MS, TEN_DISTRACTORS)
         where, target = (_where(slug, TEN_DISTRACTORS),), Target(3.0, 2.0)
         what = "control step corrected by motion, 11 objects"
         yield Requirement(what, task, step, target, where)

@@ -156,10 +156,7 @@ class JobRecords:
                 self.finish(job, cost["seconds"], cost["draws"])
 
     def costs(self, jobs: Iterable[Job]) -> dict[str, dict[str, float]]:
-        """By fingerprint, the wall time (s) of each job that was done, and the draws of its seed.
-
-        Its output may be gone.
-        """
+        """Wall time (s) and draws by fingerprint of each job done, whose output may be gone."""
         records = {job.fingerprint: self._read(job) for job in jobs if self._was_done(job)}
         return {
             name: {"seconds": record["seconds"], "draws": record.get("draws", 1)}

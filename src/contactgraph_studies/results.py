@@ -62,6 +62,7 @@ def _moving_cm(values: Values, key: str, of_all: Quantity) -> float:
 SUCCESS_PERCENT = Quantity("success_rate", "%", 100.0)
 CONTACT_SPEED = Quantity("contact_speed_m_s", "m/s")
 PLANNED_F1 = Quantity("edge_f1_planned")
+PLAN_MS = Quantity("plan_ms_p50", "ms")
 
 
 @dataclass(frozen=True)

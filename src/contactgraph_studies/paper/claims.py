@@ -17,7 +17,7 @@ from contactgraph_studies.paper.config import (
     families_of,
 )
 from contactgraph_studies.paper.jobs import Source, closed_error, number, open_error, success
-from contactgraph_studies.results import Quantity, Results, Values
+from contactgraph_studies.results import PLAN_MS, Quantity, Results, Values
 from contactgraph_studies.study import Claim
 
 _FALSE_ALARMS = Quantity("edge_false_alarm_rate", "%", 100.0)
@@ -194,6 +194,8 @@ def _free_matrices(of: _Evidence) -> Iterator[Verdict]:
         for source, ahead in ((Source.planned, "0.5 s"), (Source.long_plan, "a whole episode")):
             name = f"{model.kind} planned {ahead} ahead succeeds in"
             success[model, source] = of.add(name, [of.success(model, source)], finding=True)
+        time = of.number(model, scenes, PLAN_MS, Source.long_plan)
+        of.add(f"a plan of {model.kind} that far takes", [time], finding=True)
     full = of.family.full_ab
     yield grown[full].within(statements.UNBOUNDED, math.inf)
     yield success[full, Source.planned].below(statements.INFEASIBLE)
