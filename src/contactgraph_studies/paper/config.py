@@ -79,8 +79,6 @@ class StudyTask:
     """Those that models learn from; a quarter as many more choose the best step."""
     training_options: Options = ()
     """Options of ``train`` for every model."""
-    trainings: int = 3
-    """At most, of each model."""
     only: tuple[StudyModel, ...] = ()
     """Models that are compared on this task; empty: all."""
     planned_options: Options = ()
@@ -132,7 +130,7 @@ class Amounts:
     episodes: int
     """Closed-loop episodes for each condition, replanned every half second."""
     success_episodes: int
-    """Of GIM-Temp, replanned every step."""
+    """In distribution, of GIM-Temp, replanned every step."""
     long_episodes: int
     """Closed-loop episodes, planned over a whole one."""
     sample_sizes: tuple[int, ...]
@@ -218,7 +216,6 @@ PICKUP = StudyTask(
     "0.1",
     160,
     with_samples=True,
-    trainings=5,
 )
 MULTI_PICKUP = StudyTask(
     "multi-pickup",
@@ -226,7 +223,6 @@ MULTI_PICKUP = StudyTask(
     ("--objects", "3", "--mixed"),
     "0.2",
     120,
-    with_samples=True,
 )
 DOOR = StudyTask("door", LIBRARY_TASKS["door"], _3_DISTRACTORS, "0.085", 160)
 FRANKA = StudyTask(
@@ -258,9 +254,9 @@ FAULTS = (
 )
 
 FULL = Amounts(
-    seeds=(0, 1, 2, 3, 4),
-    test_runs=20,
-    episodes=50,
+    seeds=(0, 1, 2),
+    test_runs=10,
+    episodes=20,
     success_episodes=100,
     long_episodes=20,
     sample_sizes=(5, 10, 20, 40, 80, 160),

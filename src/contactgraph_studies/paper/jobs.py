@@ -103,13 +103,7 @@ planned, recorded = partial(condition_of, Source.planned), partial(condition_of,
 
 def measurements(tasks: Sequence[StudyTask], amounts: Amounts) -> list[Measurement]:
     """All of a study, seed by seed."""
-    return [
-        one
-        for place, seed in enumerate(amounts.seeds)
-        for task in tasks
-        if place < task.trainings
-        for one in _of(task, seed, amounts)
-    ]
+    return [one for seed in amounts.seeds for task in tasks for one in _of(task, seed, amounts)]
 
 
 def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
@@ -133,7 +127,6 @@ def _of_model(
 ) -> Iterator[Measurement]:
     trained_on, long = task.as_trained, str(task.run_steps)
     episodes = ("--episodes", str(amounts.episodes), "--replan-every", str(task.steps_ahead))
-    success_episodes = ("--episodes", str(amounts.success_episodes))
     long_plan = (
         *("--episodes", str(amounts.long_episodes), "--horizon", long),
         *("--replan-every", "50", "--iterations", "40"),
@@ -147,7 +140,8 @@ def _of_model(
         # The page shows episodes of GIM-Temp.
         yield one.control(Source.planned, scenes, "planned", options, save=whole)
         if whole:
-            yield one.control(Source.every_step, scenes, "every-step", success_episodes)
+            most = amounts.success_episodes if scenes is trained_on else amounts.episodes
+            yield one.control(Source.every_step, scenes, "every-step", ("--episodes", str(most)))
     for fault in FAULTS if whole and seed in amounts.sample_seeds else ():
         name, options = fault.slug, fault.options
         yield one.evaluate(Source.faults, trained_on, name, options, sensor=fault.name)

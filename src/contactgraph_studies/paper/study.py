@@ -56,15 +56,13 @@ class ModelStudy(Study):
     def result(self, folder: Path) -> StudyResult:
         """Claims, tables and figures."""
         amounts, results = self.amounts, Results.read(folder, self.measurements)
-        amount_of = [(task.name, min(task.trainings, len(amounts.seeds))) for task in self.tasks]
-        trainings = ", ".join(f"{count} on {name}" for name, count in amount_of)
         judged_claims = claims(results, self.tasks, amounts)
         scenes, parameters = scene_pictures(folder, self.tasks, self.measurements)
         return StudyResult(
             title="A contact graph, claim by claim",
             summary="The paper's claims, measured again with the paper's own models, with models "
             f"of the same form that are cared for, and with ours: {_count(judged_claims)}. "
-            f"Trainings of each model: {trainings}. {amounts.episodes} closed-loop "
+            f"{len(amounts.seeds)} training(s) of each model, {amounts.episodes} closed-loop "
             "episodes for each training and condition, in scenes that are in no training data.",
             claims=judged_claims,
             targets_heading="Targets of GIM-Temp",
@@ -203,7 +201,7 @@ def model_targets(
         one
         for task in tasks
         for model in [family.gim_temp for family in task.families]
-        for one in _task_targets(results, task, model, seeds[: task.trainings])
+        for one in _task_targets(results, task, model, seeds)
     )
 
 
