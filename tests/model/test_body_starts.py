@@ -52,10 +52,12 @@ def test_what_all_types_show_is_not_learned() -> None:
     met = ("ball", "puck"), ("ball", "cue")
     impacts = dict.fromkeys(met, Impacts(0.8, 0.3, None))
     slowing = ("deceleration_raw", "damper_raw")
-    assert told_numbers(slides, impacts, TYPES) == (*slowing, "bounce_raw", "friction_raw")
+    assert told_numbers(slides, impacts, TYPES, np.inf) == (*slowing, "bounce_raw", "friction_raw")
+    quick = slides | {"puck": (2.0, 50.0)}
+    assert told_numbers(quick, impacts, TYPES, 10.0) == ("bounce_raw", "friction_raw")
     impacts[met[0]] = Impacts(0.8, None, None)
-    assert told_numbers({"ball": (1.0, 0.0)}, impacts, TYPES) == ("bounce_raw",)
-    assert told_numbers({}, {met[0]: Impacts(0.8, 0.3, None)}, TYPES) == ()
+    assert told_numbers({"ball": (1.0, 0.0)}, impacts, TYPES, np.inf) == ("bounce_raw",)
+    assert told_numbers({}, {met[0]: Impacts(0.8, 0.3, None)}, TYPES, np.inf) == ()
 
     def laws(head: BodyHead) -> jax.Array:
         types = jnp.eye(3)

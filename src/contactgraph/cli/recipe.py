@@ -64,10 +64,7 @@ class Recipe:
         if self.name == "relations":
             rows = {"model": rows["model"], "unit of laws": f"{config.contact_distance:.4g} m"}
         if self.units is not None:
-            from contactgraph.model.body_starts import told_numbers
-
-            told = told_numbers(config.slowing, config.impacts, config.node_types)
-            known = ", ".join(name.removesuffix("_raw") for name in told)
+            known = ", ".join(name.removesuffix("_raw") for name in config.told)
             planes = ", ".join(f"{name} {far:.3g}" for name, far in config.plane_distance.items())
             rows |= {
                 "types": f"{', '.join(config.node_types)}; {config.actuated_nodes} actuated",

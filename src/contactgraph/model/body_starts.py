@@ -65,11 +65,15 @@ def with_impacts(
 
 
 def told_numbers(
-    slowing: Iterable[str], impacts: Mapping[tuple[str, str], Impacts], types: Sequence[str]
+    slowing: Mapping[str, tuple[float, float]],
+    impacts: Mapping[tuple[str, str], Impacts],
+    types: Sequence[str],
+    most_damped: float,
 ) -> tuple[str, ...]:
-    """`BodyHead.told`: of ``slowing`` seen of all ``types`` but the last, which is actuated, and of
-    ``impacts`` that all take part in."""
-    slides = set(slowing) >= set(types[:-1])
+    """`BodyHead.told`: of ``slowing`` seen of all ``types`` but the last, which is actuated, by
+    dampers below ``most_damped`` [1/s], and of ``impacts`` that all take part in."""
+    seen = {name for name, (_, damper) in slowing.items() if damper < most_damped}
+    slides = seen >= set(types[:-1])
     met = {name for pair in impacts for name in pair}
     rubbed = {name for pair, each in impacts.items() if each.friction is not None for name in pair}
     return (

@@ -5,6 +5,7 @@ fresh weights; any such function can be trained in the place of these.
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -118,6 +119,12 @@ class ModelConfig:
                 f"hold, or free and hold; found {self.edge_types}"
             )
 
+    @property
+    def told(self) -> tuple[str, ...]:
+        """See `BodyHead.told`; means over a step do not tell what stops a body within one."""
+        most_damped = 1.0 / self.dt if self.averaged else math.inf
+        return told_numbers(self.slowing, self.impacts, self.node_types, most_damped)
+
 
 class Preset(Protocol):
     """A function that makes a model with fresh weights."""
@@ -207,7 +214,7 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         turn_length=config.turn_length,
         varying_mass=config.varying_mass,
         identified=config.identified,
-        told=told_numbers(config.slowing, config.impacts, features.types),
+        told=config.told,
         key=jax.random.fold_in(model_key, 1),
     )
     head = with_shapes(head, config.plane_distance, config.inertia, features.types)
