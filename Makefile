@@ -71,7 +71,7 @@ PARALLEL = -n 2 --dist loadfile
 
 docs: $(DOCUMENTATION)
 	@$(BIN)/python docs/site_pages.py
-	@$(BIN)/zensical build --clean
+	@$(BIN)/zensical build
 	@$(BIN)/python docs/check_site.py
 
 bench: $(PACKAGE)

@@ -1,10 +1,19 @@
-"""Shows the fields of a class in the reference as its declaration has them."""
+"""Shows classes and functions in the reference as readers of their sources see them."""
+
+import re
 
 import griffe
 
+DOCTEST = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)
 
-class Fields(griffe.Extension):
+
+class Sources(griffe.Extension):
     """Extends mkdocstrings, as `mkdocs.yml` says."""
+
+    def on_object(self, *, obj: griffe.Object, **kwargs: object) -> None:
+        """Examples of docstrings are shown as code."""
+        if obj.docstring:
+            obj.docstring.value = DOCTEST.sub(r"```pycon\n\g<0>\n```", obj.docstring.value)
 
     def on_attribute_instance(self, *, attr: griffe.Attribute, **kwargs: object) -> None:
         """`x: int = eqx.field(static=True, default=1)` is shown as `x: int = 1`."""

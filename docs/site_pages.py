@@ -102,7 +102,8 @@ def write_reference() -> None:
 
 
 if __name__ == "__main__":
-    shutil.rmtree(PAGES, ignore_errors=True)
+    for each in (PAGES, PAGES.with_name("site")):
+        shutil.rmtree(each, ignore_errors=True)
     (PAGES / "examples").mkdir(parents=True)
     assets = filter(Path.is_file, ROOT.glob("docs/assets/**/*"))
     for each in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *assets):

@@ -76,7 +76,7 @@ def test_the_navigation_has_every_page() -> None:
 @pytest.mark.slow
 def test_the_site_is_built_whole() -> None:
     """Without a Chromium, formulas and requests are looked at in the files alone."""
-    for command in (["docs/site_pages.py"], ["-m", "zensical", "build", "--clean"]):
+    for command in (["docs/site_pages.py"], ["-m", "zensical", "build"]):
         subprocess.run([sys.executable, *command], cwd=ROOT, check=True)
     problems = list(check_site.problems(check_site.SITE, check_site.installed_browser()))
     assert not problems, "\n".join(problems)
