@@ -60,10 +60,14 @@ class Page(HTMLParser):
             self.left_over.append(" ".join(data.split()))
 
 
-def problems(site: Path, browser: str | None = None) -> Iterator[str]:
-    """One line for everything that a reader would find broken; nothing where all is well."""
-    # 404.html is for web servers: its links begin at their root.
-    pages = {path: Page(path) for path in site.rglob("*.html") if path.name != "404.html"}
+def read_pages(site: Path) -> dict[Path, Page]:
+    """All pages but 404.html, which is for web servers: its links begin at their root."""
+    return {path: Page(path) for path in site.rglob("*.html") if path.name != "404.html"}
+
+
+def problems(site: Path) -> Iterator[str]:
+    """One line for everything in the files that is broken; nothing where all is well."""
+    pages = read_pages(site)
     linked = {site / "index.html"}
     for path, page in pages.items():
         name = path.relative_to(site)
@@ -79,8 +83,6 @@ def problems(site: Path, browser: str | None = None) -> Iterator[str]:
                 yield f"{name} links to {url}, which has no such anchor"
         yield from (f"{name} {each}" for each in wrong_requests(path, page.requests))
         yield from (f"{name} shows {text[:200]}" for text in page.left_over)
-        if browser and (page.formulas or path == site / "index.html"):
-            yield from (f"{name} {each}" for each in wrong_in_browser(page, browser))
     yield from (f"nothing links to {path.relative_to(site)}" for path in set(pages) - linked)
     for style in site.rglob("*.css"):
         urls = IN_STYLE.findall(style.read_text("utf-8"))
@@ -97,8 +99,15 @@ def wrong_requests(path: Path, urls: list[str]) -> Iterator[str]:
             yield f"requests {url}, which does not exist"
 
 
-def wrong_in_browser(page: Page, browser: str) -> Iterator[str]:
+def problems_in_browser(site: Path, browser: str) -> Iterator[str]:
     """What a browser requests from other hosts, and formulas that it does not show."""
+    for path, page in read_pages(site).items():
+        if page.formulas or path == site / "index.html":
+            yield from (f"{path.relative_to(site)} {each}" for each in opened(page, browser))
+
+
+def opened(page: Page, browser: str) -> Iterator[str]:
+    """The problems of one page in a browser."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "requests.json"
         options = ["--headless", "--no-sandbox", f"--user-data-dir={folder}", "--dump-dom"]
@@ -129,8 +138,8 @@ def installed_browser() -> str | None:
 if __name__ == "__main__":
     site = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else SITE
     browser = installed_browser()
-    found = list(problems(site, browser))
+    found = [*problems(site), *(problems_in_browser(site, browser) if browser else ())]
     print("\n".join(found) if found else f"{site / 'index.html'}: no dead link, no request outside")
     if not browser:
-        print(f"formulas were not looked at in a browser: none of {', '.join(BROWSERS)} is here")
+        print(f"Formulas were not looked at in a browser: none of {', '.join(BROWSERS)} is here.")
     sys.exit(bool(found))

@@ -19,6 +19,7 @@ PAGES = ROOT / "build" / "pages"
 LIBRARY = ("data", "model", "train", "control", "envs", "evaluate", "viz", "parallel")
 ARM = ("safety", "loop", "perception", "sim")
 PACKAGES = (
+    "contactgraph",
     *(f"contactgraph.{each}" for each in LIBRARY),
     *(f"contactgraph_franka.{each}" for each in ARM),
 )
@@ -78,16 +79,21 @@ def write_examples() -> None:
     write_page("examples/index.md", "# Examples", "\n".join(listed))
 
 
-def exported(package: str) -> tuple[str, list[str]]:
-    """A package's text, and the full names of what it exports, or of what a module defines."""
+def exported(package: str) -> tuple[str, dict[str, str]]:
+    """A package's text, and its names, or those that a module defines, with where each is made."""
     file = ROOT / "src" / Path(*package.split("."))
     file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
     tree = ast.parse(file.read_text("utf-8"))
-    imports = [each for each in ast.walk(tree) if isinstance(each, ast.ImportFrom)]
-    own = [each for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
-    return ast.get_docstring(tree) or "", [
-        f"{each.module}.{name.asname}" for each in imports for name in each.names if name.asname
-    ] + [f"{package}.{each.name}" for each in own if not each.name.startswith("_")]
+    own = [each.name for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
+    names = {name: f"{package}.{name}" for name in own if not name.startswith("_")}
+    for each in ast.walk(tree):
+        if isinstance(each, ast.ImportFrom) and each.module:
+            inner = ROOT / "src" / Path(*each.module.split("."))
+            made = exported(each.module)[1] if inner.is_dir() and each.module != package else {}
+            for name in each.names:
+                if name.asname:
+                    names[name.asname] = made.get(name.name, f"{each.module}.{name.name}")
+    return ast.get_docstring(tree) or "", names
 
 
 def write_reference() -> None:
@@ -95,7 +101,11 @@ def write_reference() -> None:
     rows = ["| package | content |", "|---|---|"]
     for package in PACKAGES:
         text, names = exported(package)
-        write_page(f"reference/{package}.md", f"# {package}", text, *(f"::: {n}" for n in names))
+        entries = [
+            f"::: {made}\n    options:\n      heading: {name}\n      toc_label: {name}"
+            for name, made in names.items()
+        ]
+        write_page(f"reference/{package}.md", f"# {package}", text, *entries)
         content = text.partition("\n\n")[0].replace("\n", " ")
         rows.append(f"| [{package}]({package}.md) | {content} |")
     write_page("reference/index.md", "# Reference", "\n".join(rows))

@@ -73,14 +73,34 @@ def test_the_navigation_has_every_page() -> None:
     assert sorted(listed) == sorted(pages | {"examples/index.md", "reference/index.md"})
 
 
-@pytest.mark.slow
-def test_the_site_is_built_whole() -> None:
-    """Without a Chromium, formulas and requests are looked at in the files alone."""
+@pytest.fixture(scope="module")
+def built() -> Path:
+    """The site, as `make docs` builds it."""
     for command in (["docs/site_pages.py"], ["-m", "zensical", "build"]):
         subprocess.run([sys.executable, *command], cwd=ROOT, check=True)
-    problems = list(check_site.problems(check_site.SITE, check_site.installed_browser()))
-    assert not problems, "\n".join(problems)
+    return check_site.SITE
+
+
+@pytest.mark.slow
+def test_the_site_is_whole(built: Path) -> None:
+    assert list(check_site.problems(built)) == []
     for package in site_pages.PACKAGES:
-        page = check_site.Page(check_site.SITE / "reference" / f"{package}.html")
-        missing = set(site_pages.exported(package)[1]) - page.anchors
+        page = check_site.Page(built / "reference" / f"{package}.html")
+        missing = set(site_pages.exported(package)[1].values()) - page.anchors
         assert not missing, f"{package}: the reference lacks {missing}"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(check_site.installed_browser() is None, reason="no Chromium is installed")
+def test_a_browser_shows_the_formulas_and_requests_nothing_elsewhere(built: Path) -> None:
+    assert list(check_site.problems_in_browser(built, check_site.installed_browser())) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(check_site.installed_browser() is None, reason="no Chromium is installed")
+def test_what_only_a_browser_finds(tmp_path: Path) -> None:
+    script = '<script>fetch("https://a.invalid/b")</script>'
+    (tmp_path / "index.html").write_text(f'<span class="arithmatex">\\(x\\)</span>{script}')
+    requested, formulas = check_site.problems_in_browser(tmp_path, check_site.installed_browser())
+    assert requested == "index.html requests https://a.invalid/b in a browser"
+    assert formulas == "index.html shows 0 of 1 formulas in a browser"
