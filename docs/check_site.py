@@ -108,7 +108,7 @@ def problems_in_browser(site: Path, browser: str) -> Iterator[str]:
 
 def opened(page: Page, browser: str) -> Iterator[str]:
     """The problems of one page in a browser."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         log = Path(folder) / "requests.json"
         options = ["--headless", "--no-sandbox", f"--user-data-dir={folder}", "--dump-dom"]
         shown = subprocess.run(
