@@ -1,6 +1,7 @@
 # make demo    from nothing to a report: environment, data, training, tests, closed loop, page
 # make test    lint, format, types and the fast tests
 # make test-all   the slow tests too: trainings, studies, simulated robots
+# make docs    the documentation as a site that opens from disk: build/site/index.html
 # make bench   times on this machine, and one table of ours beside its peers, where `make peers` was
 # make bench-quick   a few minutes: that all of the table runs; its figures are worth nothing
 # make peers   what the table compares with (torch, crocoddyl, mpc), in an environment of its own
@@ -14,6 +15,7 @@ BIN := $(VENV)/bin
 PEERS := .venv-peers
 PACKAGE := $(VENV)/.installed
 DEVELOPMENT := $(VENV)/.installed-dev
+DOCUMENTATION := $(VENV)/.installed-docs
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet --quiet
 DEMO := demo
 DATA := $(DEMO)/release.h5
@@ -21,7 +23,7 @@ RUN := $(DEMO)/run
 TRAINED := $(DEMO)/.trained
 REPORT := report/index.html
 
-.PHONY: help demo test test-all bench bench-quick peers clean
+.PHONY: help demo test test-all docs bench bench-quick peers clean
 .DELETE_ON_ERROR:
 
 help:
@@ -67,6 +69,11 @@ test-all: test
 # The tests of a file share compiled programs, so one process runs them all.
 PARALLEL = -n 2 --dist loadfile
 
+docs: $(DOCUMENTATION)
+	@$(BIN)/python docs/site_pages.py
+	@$(BIN)/zensical build
+	@$(BIN)/python docs/check_site.py
+
 bench: $(PACKAGE)
 	$(BIN)/python benchmarks/training_time.py
 	$(BIN)/python benchmarks/training_throughput.py
@@ -96,6 +103,11 @@ clean:
 $(DEVELOPMENT): pyproject.toml | $(BIN)/python
 	@echo "== installing, with what development needs"
 	@$(PIP) install -e '.[dev]'
+	@touch $(PACKAGE) $(DOCUMENTATION) $@
+
+$(DOCUMENTATION): pyproject.toml | $(BIN)/python
+	@echo "== installing, with what the site needs"
+	@$(PIP) install -e '.[docs]'
 	@touch $(PACKAGE) $@
 
 $(PACKAGE): pyproject.toml | $(BIN)/python

@@ -15,10 +15,10 @@ import numpy as np
 def feedback_control(
     nominal: Any, gains: Any, deviation: Any, product: Callable[[Any, Any], Any] = operator.matmul
 ) -> Any:
-    r"""The control :math:`u = \bar u + K (x - \bar x)`, N, of arrays of any library.
+    r"""The control $u = \bar u + K (x - \bar x)$, N, of arrays of any library.
 
-    ``nominal`` is :math:`\bar u` [U] N, ``gains`` is K [U, n] N/m and N s/m, and ``deviation`` is
-    :math:`x - \bar x` [n] m and m/s; or what ``product`` multiplies, such as one of each a step.
+    ``nominal`` is $\bar u$ [U] N, ``gains`` is K [U, n] N/m and N s/m, and ``deviation`` is
+    $x - \bar x$ [n] m and m/s; or what ``product`` multiplies, such as one of each a step.
     """
     return nominal + product(gains, deviation)
 
@@ -27,10 +27,10 @@ def feedback_control(
 class PlanFeedback:
     r"""A plan's controls with its feedback on deviations from the planned states.
 
-    In step :math:`t`, of which the part :math:`s \in [0, 1)` has passed, with the plan's states
-    :math:`\bar x` and controls :math:`\bar u`,
+    In step $t$, of which the part $s \in [0, 1)$ has passed, with the plan's states
+    $\bar x$ and controls $\bar u$,
 
-    .. math:: u = \bar u_t + K_t \big( x - (1 - s)\, \bar x_t - s\, \bar x_{t+1} \big).
+    $$ u = \bar u_t + K_t \big( x - (1 - s)\, \bar x_t - s\, \bar x_{t+1} \big). $$
     """
 
     states: np.ndarray

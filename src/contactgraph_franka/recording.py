@@ -3,7 +3,7 @@ r"""Recording of what a control loop reads and sends, as a trajectory to train m
 A tracker inside a loop uses past frames only, and lags. A recorded trajectory is smoothed with the
 later frames too, by the Rauch-Tung-Striebel recursion over the tracker's own filter,
 
-.. math:: x_k \leftarrow x_k + P_k F^T \bar P_{k+1}^{-1} (x_{k+1} - F x_k),
+$$ x_k \leftarrow x_k + P_k F^T \bar P_{k+1}^{-1} (x_{k+1} - F x_k), $$
 
 backwards over the frames, with the tracker's explanation of each (smooth motion or an impulse).
 """

@@ -53,7 +53,7 @@ class FileSummary:
     steps: tuple[int, ...]
     """[R] T"""
     node_name: tuple[tuple[str, ...], ...]
-    """[R][N]"""
+    """`[R][N]`"""
     dt: tuple[float, ...]
     """[R] s"""
     dimension: tuple[int, ...]
@@ -61,7 +61,7 @@ class FileSummary:
     control_size: tuple[int, ...]
     """[R] U"""
     control_kind: tuple[tuple[str, ...] | None, ...]
-    """[R][U]; None where all components are forces."""
+    """`[R][U]`; None where all components are forces."""
     has_contact: tuple[bool, ...]
     """[R]"""
     has_holding: tuple[bool, ...]

@@ -130,11 +130,11 @@ class InformedPolicy(Protocol):
 class ChainCost:
     r"""A quadratic cost that ties nodes together, one after the other, and the last to the goal.
 
-    With :math:`s_n` the state (position, velocity) of node :math:`n` and :math:`s_g` the goal at
+    With $s_n$ the state (position, velocity) of node $n$ and $s_g$ the goal at
     rest, a step costs
 
-    .. math:: \sum_{(n, m)\,\text{along chain}} \|s_n - s_m\|^2_{pick}
-        + \|s_{last} - s_g\|^2_{goal} + w_u \|u\|^2.
+    $$ \sum_{(n, m)\,\text{along chain}} \|s_n - s_m\|^2_{pick}
+       + \|s_{last} - s_g\|^2_{goal} + w_u \|u\|^2. $$
 
     Raises `InvalidInputError` where shapes do not fit or a weight is negative.
     """

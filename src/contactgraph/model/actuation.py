@@ -153,17 +153,15 @@ class Actuation(eqx.Module):
 
     A free body of the type accelerates by
 
-    .. math::
-        \dot v = G u + b - k x - c v,
+    $$ \dot v = G u + b - k x - c v, $$
 
     with u those of the first `control_size` components of the control that act on it; further ones
     are commands. A force has k = c = b = 0. A position target has k > 0 and G = k I; a displacement
     or a velocity has k = 0, so that nothing depends on where the body is. The step of dt is
     implicit,
 
-    .. math::
-        w = (G u + b - k (x + \theta\,dt\,v) - c v) / n, \qquad
-        n = 1 + \theta c\,dt + \theta^2 k\,dt^2, \qquad v' = v + dt\,w .
+    $$ w = (G u + b - k (x + \theta\,dt\,v) - c v) / n, \qquad
+       n = 1 + \theta c\,dt + \theta^2 k\,dt^2, \qquad v' = v + dt\,w . $$
 
     What contacts hinder is this motion, of a body of n times its mass: however stiff the servo, the
     step is stable, and a stiff servo pushes and is hardly pushed.

@@ -229,7 +229,7 @@ class DistancePrior(eqx.Module):
     """
 
     threshold: float = eqx.field(static=True, default=0.1)
-    """d_th, m."""
+    """$d_{th}$, m."""
     inside: float = eqx.field(static=True, default=0.1)
     """Scale below the threshold, m."""
     outside: float = eqx.field(static=True, default=1.0)
@@ -254,11 +254,11 @@ class ClosestApproachPrior(eqx.Module):
     """
 
     margin: float = eqx.field(static=True, default=1.03)
-    """m; factor on the contact distance below which nodes count as touching."""
+    """$m$; factor on the contact distance below which nodes count as touching."""
     sharpness: float = eqx.field(static=True, default=0.02)
-    """s."""
+    """$s$."""
     min_probability: float = eqx.field(static=True, default=0.01)
-    """epsilon."""
+    r"""$\epsilon$."""
     parting: bool = eqx.field(static=True, default=False)
     """Whether bodies that part have no touch: see `spread_over_types`."""
 

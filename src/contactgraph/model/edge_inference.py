@@ -29,10 +29,9 @@ class TransitionEdges(eqx.Module):
 
     With the geometric prior q of the step, features f of the edge and the clock h,
 
-    .. math::
-        h' = \mathrm{GRU}(p, h), \quad
-        T_{ij} = \mathrm{softmax}_j(\log q_j + r_{ij}([f, h', a])), \quad p' = p\,T, \quad
-        a'_j = 1 + a_j\,p_j T_{jj} / p'_j,
+    $$ h' = \mathrm{GRU}(p, h), \quad
+       T_{ij} = \mathrm{softmax}_j(\log q_j + r_{ij}([f, h', a])), \quad p' = p\,T, \quad
+       a'_j = 1 + a_j\,p_j T_{jj} / p'_j, $$
 
     and every T is at least `min_transition`. The age a is the expected number of steps for which an
     edge has had each active type if it has it, so that contacts may last for characteristic times;

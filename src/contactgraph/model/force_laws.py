@@ -1,10 +1,10 @@
 r"""Local dynamics of relations without contact: bodies act on each other along their displacement.
 
-With r the displacement from body i to body j, :math:`\tau` their types and p the weight of each
+With r the displacement from body i to body j, $\tau$ their types and p the weight of each
 edge type a,
 
-.. math:: \dot v_i = w u - \gamma_{\tau_i} v_i
-    + \sum_{j, a} p_{ij,a}\, s_a(\tau_i, \tau_j)\, g_a(\lVert r_{ij} \rVert)\, r_{ij}.
+$$ \dot v_i = w u - \gamma_{\tau_i} v_i
+   + \sum_{j, a} p_{ij,a}\, s_a(\tau_i, \tau_j)\, g_a(\lVert r_{ij} \rVert)\, r_{ij}. $$
 
 The law g of each edge type is a small network of the distance. The share s of each end is free: the
 reaction to a force is the same with masses as shares, and none where the relation is one-way. Laws

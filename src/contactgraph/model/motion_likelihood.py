@@ -3,14 +3,14 @@ r"""Contact without a sensor: likelihood of the observed motion with and without
 For an edge e, the model predicts the last step twice, with the edge active and without it, all
 others as is most probable; the evidence is how much better one fits the observation,
 
-.. math:: \ell_e = \log p(x_{t+1} | x_t, u_t, e\ \text{active})
-    - \log p(x_{t+1} | x_t, u_t, e\ \text{inactive}),
+$$ \ell_e = \log p(x_{t+1} | x_t, u_t, e\ \text{active})
+   - \log p(x_{t+1} | x_t, u_t, e\ \text{inactive}), $$
 
-and the belief's log-odds become the predicted ones plus :math:`\ell_e`. Where both predictions are
-the same motion, :math:`\ell_e = 0`, and the belief stays as predicted.
+and the belief's log-odds become the predicted ones plus $\ell_e$. Where both predictions are
+the same motion, $\ell_e = 0$, and the belief stays as predicted.
 
 The prediction is the model's, from the belief before, with a memory: a contact that motion has
-supported persists, as in a hidden Markov model, with the probability :math:`e^{-dt/\tau}` a step,
+supported persists, as in a hidden Markov model, with the probability $e^{-dt/\tau}$ a step,
 however improbable its distance makes it. Otherwise a model whose contact distance is a few
 millimetres off would forget a contact as soon as nothing accelerates. Contacts without support by
 motion are remembered by the model alone.

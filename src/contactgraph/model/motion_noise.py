@@ -20,18 +20,17 @@ Motion = tuple[Float[Array, "N D"], Float[Array, "N D"]]
 class MotionNoise(eqx.Module):
     r"""Standard deviations of observations and of predictions.
 
-    For two predictions of one node, which differ by :math:`\delta_x` in position and
-    :math:`\delta_v` in velocity, the errors :math:`e_x, e_v` have the variances
+    For two predictions of one node, which differ by $\delta_x$ in position and
+    $\delta_v$ in velocity, the errors $e_x, e_v$ have the variances
 
-    .. math::
-        s_v^2 = 2 \sigma_v^2 + m_v^2 + r^2 \|\delta_v\|^2, \qquad
-        s_x^2 = 2 \sigma_x^2 + dt^2 \sigma_v^2 + m_x^2
-            + r^2 (\|\delta_x\|^2 + dt^2 \|\delta_v\|^2).
+    $$ s_v^2 = 2 \sigma_v^2 + m_v^2 + r^2 \|\delta_v\|^2, \qquad
+       s_x^2 = 2 \sigma_x^2 + dt^2 \sigma_v^2 + m_x^2
+       + r^2 (\|\delta_x\|^2 + dt^2 \|\delta_v\|^2). $$
 
     Both observations of a step are noisy, hence the 2. The effect of a contact is predicted up to a
     factor only: the time and size of an impact depend on distances known to a few per cent.
 
-    A node whose two predictions differ by no more than the noise, :math:`\|\delta\|^2 / s^2`
+    A node whose two predictions differ by no more than the noise, $\|\delta\|^2 / s^2$
     without r at most D, contributes nothing: the state from which the step is predicted is noisy
     itself, and a contact, which averages over two bodies, would always fit noise a little better.
 

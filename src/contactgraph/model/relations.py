@@ -3,12 +3,12 @@ r"""Inference of relations that never change: all that a trajectory shows, by Ba
 Relations couple bodies, so the motion of a step speaks about all edges of a body at once. But the
 velocity that it leads to is linear in the edge types z, one-hot:
 
-.. math:: v' = v'_0 + \Phi z + \epsilon, \qquad \epsilon \sim N(0, \sigma^2),
+$$ v' = v'_0 + \Phi z + \epsilon, \qquad \epsilon \sim N(0, \sigma^2), $$
 
-and the evidence of all steps is two sums, :math:`G = \sum \Phi^\top \Phi / \sigma^2` and
-:math:`b = \sum \Phi^\top (v' - v'_0) / \sigma^2`:
+and the evidence of all steps is two sums, $G = \sum \Phi^\top \Phi / \sigma^2$ and
+$b = \sum \Phi^\top (v' - v'_0) / \sigma^2$:
 
-.. math:: \log p(z \mid \text{motion}) = \log p(z) + b^\top z - \tfrac12 z^\top G z + \text{const}.
+$$ \log p(z \mid \text{motion}) = \log p(z) + b^\top z - \tfrac12 z^\top G z + \text{const}. $$
 
 Their factors are found by mean field, one edge at a time given the beliefs about all others, from
 the least-squares solution on. A belief carries the sums (`ContactBelief.memory`), so that nothing

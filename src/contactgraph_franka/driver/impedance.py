@@ -87,7 +87,7 @@ class ExternalTorqueObserver:
     $$ \tau_o = M \frac{\Delta \dot q}{\Delta t} + h - \tau, $$
 
     are low-passed. Dry friction is the part of them that friction can cause: $-f \tanh(\dot q / v)$
-    in a joint that slides with velocity $\dot q$, up to :math:`\pm f` in one that sticks. The rest
+    in a joint that slides with velocity $\dot q$, up to $\pm f$ in one that sticks. The rest
     is load, which the hand yields to; known friction is compensated.
     """
 

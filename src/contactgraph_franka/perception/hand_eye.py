@@ -1,10 +1,10 @@
 r"""Calibration of a fixed camera from pictures of a tagged object in the robot's hand.
 
-With the hand at :math:`H_k` in the base, the marker at :math:`X` in the hand and at :math:`C_k` in
-the camera, and the camera at :math:`Z` in the base, :math:`H_k X = Z C_k` for every pose. Two of
-them give :math:`A X = X B` with :math:`A = H_j^{-1} H_i, B = C_j^{-1} C_i`, solved linearly (Park
+With the hand at $H_k$ in the base, the marker at $X$ in the hand and at $C_k$ in
+the camera, and the camera at $Z$ in the base, $H_k X = Z C_k$ for every pose. Two of
+them give $A X = X B$ with $A = H_j^{-1} H_i, B = C_j^{-1} C_i$, solved linearly (Park
 and Martin, IEEE Transactions on Robotics and Automation, 1994). Then the reprojection error of the
-marker's corners is minimised over :math:`X` and :math:`Z`.
+marker's corners is minimised over $X$ and $Z$.
 """
 
 from collections.abc import Sequence

@@ -1,11 +1,11 @@
 r"""The pose of an object from all of its tags: from corners, then refined by edges.
 
-The rigid motion :math:`T` (object to camera) minimises, over points :math:`p_i` on the object
-observed at :math:`y_i` along the direction :math:`n_i` with standard deviation :math:`\sigma_i`,
+The rigid motion $T$ (object to camera) minimises, over points $p_i$ on the object
+observed at $y_i$ along the direction $n_i$ with standard deviation $\sigma_i$,
 
-.. math:: \min_T \sum_i \rho\left(n_i \cdot (y_i - \pi(T p_i)) / \sigma_i\right)
+$$ \min_T \sum_i \rho\left(n_i \cdot (y_i - \pi(T p_i)) / \sigma_i\right) $$
 
-by Gauss-Newton with Huber's :math:`\rho`.
+by Gauss-Newton with Huber's $\rho$.
 """
 
 from collections.abc import Sequence

@@ -1,16 +1,16 @@
 r"""Kalman filter of an object's position and velocity from delayed, noisy measurements.
 
-The state :math:`(p, v)` has white acceleration of density :math:`q` on each axis: over a time
-:math:`\tau`
+The state $(p, v)$ has white acceleration of density $q$ on each axis: over a time
+$\tau$
 
-.. math:: F = [1, \tau; 0, 1], \quad Q = q\,[\tau^3/3, \tau^2/2; \tau^2/2, \tau]
+$$ F = [1, \tau; 0, 1], \quad Q = q\,[\tau^3/3, \tau^2/2; \tau^2/2, \tau] $$
 
 The state refers to the exposure of the last accepted frame; only estimates are predicted to the
 present. A delay therefore costs certainty, and nothing has to be undone.
 
 An impact changes the velocity of an object at once, which white acceleration does not explain. So
 each measurement has three explanations, tried in this order: smooth motion; an impact since the
-last frame, which adds `Motion.impulse_noise` to :math:`v`; or an outlier. Outliers are left out
+last frame, which adds `Motion.impulse_noise` to $v$; or an outlier. Outliers are left out
 until several in a row agree with each other.
 """
 

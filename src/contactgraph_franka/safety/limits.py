@@ -83,8 +83,8 @@ def apply_virtual_walls(
 ) -> np.ndarray:
     r"""The nearest force that leads neither out of the workspace nor past the largest speed.
 
-    Along each axis the force towards a wall at :math:`x_w` is at most
-    :math:`k (x_w - x) - c\,\dot x`, and along the motion at most :math:`c\,(0.9\,v_{max} - v)`:
+    Along each axis the force towards a wall at $x_w$ is at most
+    $k (x_w - x) - c\,\dot x$, and along the motion at most $c\,(0.9\,v_{max} - v)$:
     free motion far from limits, and a smooth end before them.
 
     ``force`` [D] N, ``position`` [D] m and ``velocity`` [D] m/s of the hand. The length of the
