@@ -50,6 +50,10 @@ class QuadraticCost(eqx.Module):
     """m; unit of turns, where ``n = 2NG`` includes them: 1 for angles in rad and rates in rad/s.
     See `contactgraph.data.generalized_coordinates`."""
 
+    def __repr__(self) -> str:
+        shapes = (f"{name}{list(np.shape(getattr(self, name)))}" for name in ("Q", "R", "goal"))
+        return f"QuadraticCost({', '.join(shapes)})"
+
     @property
     def control_size(self) -> int:
         """U, the size of the control."""

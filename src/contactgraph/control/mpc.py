@@ -45,6 +45,9 @@ class MPCState:
     """[N] The scene's nodes that all of this is about, in their order; -1 for padding."""
     carry: MPCCarry
 
+    def __repr__(self) -> str:
+        return f"MPCState(N={len(self.node_ids)}, {self.plan!r})"
+
     @property
     def plan(self) -> Plan:
         """The last plan, as of the last observation."""
