@@ -1,5 +1,8 @@
 """Matplotlib figures of a trajectory, a model's view of it, an evaluation and a cost."""
 
+from dataclasses import dataclass, field
+from html import escape
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -7,7 +10,13 @@ from contactgraph.control import Cost, LearnedCost
 from contactgraph.data import InvalidInputError, Scene, Trajectory
 from contactgraph.evaluate import OpenLoopMetrics
 from contactgraph.model import ContactDynamics
-from contactgraph.viz import SceneTrajectory, cost_figure, recorded_scene, scene_trajectory
+from contactgraph.viz import (
+    ReportData,
+    SceneTrajectory,
+    cost_figure,
+    recorded_scene,
+    scene_trajectory,
+)
 from contactgraph.viz.cost_picture import scene_cost_figure
 from contactgraph.viz.figures import (
     ERROR_STYLES,
@@ -19,6 +28,7 @@ from contactgraph.viz.figures import (
     parameter_figure,
     reliability_panel,
 )
+from contactgraph.viz.report import page
 from contactgraph.viz.scene_picture import draw_scene
 
 _HORIZONS = {"": "one step ahead", "_ahead": "at the end of the window"}
@@ -37,20 +47,19 @@ def scene(trajectory: Trajectory, model: ContactDynamics | None = None, step: in
     An edge is as thick as the model believes in it; without a model it is where contact was
     recorded.
     """
-    drawn = recorded_scene("", trajectory) if model is None else _seen(trajectory, model)
     figure = new_figure(4.8, 4.8)
-    draw_scene(figure.subplots(), drawn, range(trajectory.steps + 1)[step])
+    draw_scene(figure.subplots(), _drawn(trajectory, model), range(trajectory.steps + 1)[step])
     return figure
 
 
 def beliefs(trajectory: Trajectory, model: ContactDynamics) -> Figure:
     """Beliefs about the edges that matter, over time; bands mark recorded contact."""
-    return belief_figure(_seen(trajectory, model))
+    return belief_figure(_drawn(trajectory, model))
 
 
 def parameters(trajectory: Trajectory, model: ContactDynamics) -> Figure:
     """Beliefs, speeds, and the learned inverse masses, stiffnesses and dampings over time."""
-    return parameter_figure(_seen(trajectory, model))
+    return parameter_figure(_drawn(trajectory, model))
 
 
 def errors(metrics: OpenLoopMetrics) -> Figure:
@@ -108,5 +117,29 @@ def cost(cost: Cost, scene: Scene | None = None) -> Figure:
     return scene_cost_figure(cost, scene)
 
 
-def _seen(trajectory: Trajectory, model: ContactDynamics) -> SceneTrajectory:
-    return scene_trajectory(model, "", trajectory)
+@dataclass(frozen=True)
+class Player:
+    """A page that a notebook shows; ``html`` is the whole of it, for a file."""
+
+    html: str = field(repr=False)
+
+    def _repr_html_(self) -> str:
+        frame = 'sandbox="allow-scripts" style="width: 100%; height: 900px; border: 0"'
+        return f'<iframe srcdoc="{escape(self.html)}" {frame}></iframe>'
+
+
+def episode(
+    trajectory: Trajectory, model: ContactDynamics | None = None, name: str = "An episode"
+) -> Player:
+    """The trajectory to be watched in a notebook, with the edges of `scene`; needs no network."""
+    drawn = _drawn(trajectory, model, name)
+    return Player(page(ReportData(name, "", scenes=(drawn,))))
+
+
+def _drawn(
+    trajectory: Trajectory, model: ContactDynamics | None, name: str = ""
+) -> SceneTrajectory:
+    """The trajectory with the model's view of it; without one with what was recorded."""
+    if model is None:
+        return recorded_scene(name, trajectory)
+    return scene_trajectory(model, name, trajectory)

@@ -1,5 +1,6 @@
 """Figures for Python users: they show the numbers that they are given."""
 
+from html.parser import HTMLParser
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -41,7 +42,7 @@ def test_a_scene_shows_bodies_where_they_are() -> None:
 
 
 def test_beliefs_and_parameters_are_those_of_the_model(seen: SceneTrajectory) -> None:
-    model: Any = None
+    model: Any = object()
     (axes,) = plot.beliefs(seen.trajectory, model).axes
     assert any(np.array_equal(line, seen.belief[:, 0]) for line in heights(axes))
     assert axes.get_legend_handles_labels()[1][0] == seen.edge_name(0)
@@ -91,3 +92,17 @@ def test_a_cost_names_the_nodes_that_it_weighs() -> None:
     assert {scene.node_name[1], scene.node_name[0]} <= {t.get_text() for t in figure.axes[0].texts}
     with pytest.raises(InvalidInputError, match="scene must be given"):
         plot.cost(cost)
+
+
+def test_a_notebook_shows_an_episode_in_a_frame() -> None:
+    trajectory = pickup("", 1, steps=20, horizon=2).trajectory
+    player = plot.episode(trajectory, name='"<both>"')
+    frames: list[dict[str, str | None]] = []
+    parser = HTMLParser()
+    parser.handle_starttag = lambda tag, given: frames.append(dict(given))  # type: ignore[method-assign]
+    parser.feed(player._repr_html_())
+    (frame,) = frames
+    assert frame["srcdoc"] == player.html
+    assert frame["sandbox"] == "allow-scripts"
+    assert "&lt;both&gt;" in player.html
+    assert repr(player) == "Player()"
