@@ -293,7 +293,7 @@ class ContactDynamics(eqx.Module):
         return rollout(self, first, controls, nodes, checkpoint=large)
 
     def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
-        """Those of the next step, each [N, D]; `TypeError` where the dynamics have none."""
+        """Parameters of the next step, each [N, D]; `TypeError` where the dynamics have none."""
         if not isinstance(self.local_dynamics, SpringMassDamperDynamics):
             raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
         local = self.stages(state, nodes).local
