@@ -5,6 +5,7 @@
 # make bench   times on this machine, and one table of ours beside its peers, where `make peers` was
 # make bench-quick   a few minutes: that all of the table runs; its figures are worth nothing
 # make peers   what the table compares with (torch, crocoddyl, mpc), in an environment of its own
+# make dist    wheel and source archive, dist/, ready for an index; needs no network
 # make clean   remove what was made here (the environment too)
 #
 # make demo PYTHON=python3.12   another interpreter, 3.11 or newer
@@ -23,7 +24,7 @@ RUN := $(DEMO)/run
 TRAINED := $(DEMO)/.trained
 REPORT := report/index.html
 
-.PHONY: help demo test test-all docs bench bench-quick peers clean
+.PHONY: help demo test test-all docs bench bench-quick peers dist clean
 .DELETE_ON_ERROR:
 
 help:
@@ -94,8 +95,13 @@ COMPARE = $(if $(wildcard $(PEERS)/.installed),$(PEERS),$(VENV))/bin/python benc
 
 peers: $(PEERS)/.installed
 
+# What an earlier build has left would get into the wheel.
+dist: $(DEVELOPMENT)
+	rm -rf dist build
+	$(BIN)/python -m build --no-isolation
+
 clean:
-	rm -rf $(VENV) $(PEERS) $(DEMO) report build src/contactgraph.egg-info
+	rm -rf $(VENV) $(PEERS) $(DEMO) report build dist src/contactgraph.egg-info
 	rm -rf .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -1,11 +1,15 @@
 """Every example runs as a user runs it and prints the expected result."""
 
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib
 import pytest
+
+from contactgraph.train import FitResult
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -78,3 +82,32 @@ def test_an_example_reads_like_a_page(name: str) -> None:
     assert len(lines) <= 75
     assert lines[0].startswith('"""')
     assert f"Usage: python examples/{name}" in "\n".join(lines[:6])
+
+
+def notebook_cells() -> list[str]:
+    """The code of the notebook's cells, without the commands to its own program."""
+    notebook = json.loads((EXAMPLES / "tour.ipynb").read_text(encoding="utf-8"))
+    assert notebook["nbformat"] == 4
+    cells = [each for each in notebook["cells"] if each["cell_type"] == "code"]
+    assert not any(each["outputs"] for each in cells), "a notebook is stored without outputs"
+    return ["".join(x for x in each["source"] if not x.startswith("%")) for each in cells]
+
+
+def test_the_notebook_is_python_of_names_that_exist() -> None:
+    first, *others = notebook_cells()
+    exec(first, {})
+    for cell in others:
+        compile(cell, "tour.ipynb", "exec")
+
+
+@pytest.mark.slow
+def test_the_notebook_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    matplotlib.use("agg")
+    names: dict[str, object] = {"__name__": "__main__"}
+    for number, cell in enumerate(notebook_cells(), start=1):
+        exec(compile(cell, f"tour.ipynb, code cell {number}", "exec"), names)
+    said = capsys.readouterr().out
+    assert "success: 100%" in said
+    assert "step 120: held-out error" in said
+    result = names["result"]
+    assert isinstance(result, FitResult) and result.is_better

@@ -13,7 +13,6 @@ ROOT = Path(__file__).parents[1]
 SRC = ROOT / "src"
 
 MAY_IMPORT = {
-    "contactgraph": set(),
     "contactgraph.data": set(),
     "contactgraph.feedback": set(),
     "contactgraph.parallel": {"contactgraph.data", "contactgraph.ray_cluster"},
@@ -25,7 +24,10 @@ MAY_IMPORT = {
 }
 """Packages that stand below others, and the packages that each of them may import."""
 
-LIBRARY_TOP = {"contactgraph.evaluate", "contactgraph.viz", "contactgraph.cli"}
+LIBRARY_TOP = [
+    *("contactgraph.evaluate", "contactgraph.viz", "contactgraph.plot", "contactgraph.cli"),
+    "contactgraph",
+]
 """These may import each other only in this order, and everything that stands below."""
 
 HEAVY = {
@@ -44,8 +46,8 @@ HEAVY = {
 }
 """Libraries that are slow to import or optional: one module knows each of them."""
 
-FILES = {"contactgraph": 188, "contactgraph_franka": 60, "contactgraph_studies": 33}
-LINES = {"contactgraph": 34_700, "contactgraph_franka": 9_000, "contactgraph_studies": 5_800}
+FILES = {"contactgraph": 191, "contactgraph_franka": 60, "contactgraph_studies": 33}
+LINES = {"contactgraph": 35_400, "contactgraph_franka": 9_000, "contactgraph_studies": 5_800}
 LONGEST_FILE = 300
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 34,  # a prediction step
@@ -105,7 +107,6 @@ def package_of(module: str) -> str:
 
 def wrong_directions(imports: Imports) -> list[str]:
     wrong = []
-    order = ["contactgraph.evaluate", "contactgraph.viz", "contactgraph.cli"]
     for module, found in imports.items():
         package = package_of(module)
         for target in sorted(found):
@@ -115,7 +116,7 @@ def wrong_directions(imports: Imports) -> list[str]:
             if package in MAY_IMPORT:
                 allowed = other in MAY_IMPORT[package]
             elif package in LIBRARY_TOP:
-                below = order[: order.index(package)]
+                below = LIBRARY_TOP[: LIBRARY_TOP.index(package)]
                 allowed = other in MAY_IMPORT or other in below
             elif package == "contactgraph_franka":
                 allowed = other != "contactgraph_studies"

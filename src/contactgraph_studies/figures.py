@@ -21,19 +21,12 @@ from contactgraph.model import ContactSensor, motion_noise
 from contactgraph.model.filter import filter_trajectory, trajectory_for
 from contactgraph.model.io import load_model
 from contactgraph.viz import SceneTrajectory, scene_trajectory, write_summary_figure
-from contactgraph.viz.scene_picture import CONTACT_COLOUR, INK, SOFT, body_colour
-from contactgraph.viz.selection import focus_nodes, involved_nodes, leading_edges, shown_directions
-from contactgraph.viz.summary_figure import mark_contact, style_axes
+from contactgraph.viz.figures import LEGEND, TEXT, new_figure
+from contactgraph.viz.scene_picture import CONTACT_COLOUR, INK
+from contactgraph.viz.summary_figure import style_axes
 from contactgraph_studies.study import Picture
 
-TEXT: dict[str, Any] = {"color": SOFT, "fontsize": 9}
-LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
 _FOLDER = "figures"
-
-
-def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, in inches."""
-    return Figure(figsize=(width, height), facecolor="white", layout="constrained")
 
 
 def panel_row(
@@ -126,43 +119,4 @@ def filter_figure(model: Path, data: Path) -> Figure | None:
     axes.set_xlabel("time, s", **TEXT)
     axes.set_ylabel("belief in a hold", **TEXT)
     figure.legend(loc="outside upper center", ncols=2, **LEGEND)
-    return figure
-
-
-def parameter_figure(scene: SceneTrajectory) -> Figure:
-    """Belief, speed, inverse mass, stiffness and damping over time; bands mark true contact.
-
-    In three dimensions parameters along the vertical are dashed.
-    """
-    speed = np.linalg.norm(scene.trajectory.velocity, axis=-1)[:-1]
-    parameters = [
-        ("1/m, 1/kg", scene.inverse_mass),
-        ("k/m, 1/s²", scene.stiffness),
-        ("c/m, 1/s", scene.damping),
-    ]
-    shown = [("speed, m/s", [speed])]
-    shown += [(name, shown_directions(each)) for name, each in parameters if each is not None]
-    figure = new_figure(7.0, 1.4 * (1 + len(shown)))
-    axes = figure.subplots(1 + len(shown), 1, sharex=True)
-    time = scene.time
-    for panel, name in zip(axes, ("belief", *(name for name, _ in shown)), strict=True):
-        mark_contact(panel, scene)
-        style_axes(panel)
-        panel.set_ylabel(name, **TEXT)
-    for edge in leading_edges(scene):
-        belief, name = scene.belief[:, edge], scene.edge_name(edge)
-        axes[0].stairs(belief, time, baseline=None, lw=1.6, label=name)
-    if axes[0].get_legend_handles_labels()[0]:
-        axes[0].legend(**LEGEND, loc="center right")
-    involved = involved_nodes(scene)
-    nodes = list(dict.fromkeys([*focus_nodes(scene), *involved]))[:6]
-    for panel, (_, directions) in zip(axes[1:], shown, strict=True):
-        for node in nodes:
-            colour, name = body_colour(node, involved), scene.node_name[node]
-            for values, style in zip(directions, ("-", "--"), strict=False):
-                label = name if style == "-" else None
-                line: dict[str, Any] = {"color": colour, "lw": 1.4, "ls": style, "label": label}
-                panel.stairs(values[:, node], time, baseline=None, **line)
-    axes[1].legend(**LEGEND, loc="upper right", ncols=len(nodes))
-    axes[-1].set_xlabel("time, s", **TEXT)
     return figure

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from contactgraph.viz.figures import LEGEND, TEXT, new_figure, reliability_panel
 from contactgraph.viz.metric_table import short
-from contactgraph.viz.scene_picture import INK, SOFT
-from contactgraph.viz.summary_figure import style_axes
-from contactgraph_studies.figures import LEGEND, TEXT, filter_figure, new_figure, write_figure
+from contactgraph_studies.figures import filter_figure, write_figure
 from contactgraph_studies.inference_jobs import (
     COMMANDED,
     EXACT,
@@ -251,8 +250,8 @@ _RELIABILITY_CAPTION = (
     "the diagonal."
 )
 _AHEAD = {
-    "reliability_inferred": ("one step ahead", "#1b66a8"),
-    "reliability_ahead_inferred": ("ten steps ahead", "#cb5f12"),
+    "reliability_inferred": "one step ahead",
+    "reliability_ahead_inferred": "ten steps ahead",
 }
 _LEAST_BELIEFS = 20
 
@@ -266,14 +265,12 @@ def reliability_figure(results: Results, tasks: Mapping[str, str]) -> Figure:
     for axes in panels.flat[len(tasks) :]:
         axes.set_visible(False)
     for axes, (slug, name) in zip(panels.flat, tasks.items(), strict=False):
-        style_axes(axes)
-        axes.set_title(name, fontsize=9, color=INK, loc="left")
-        axes.plot([0, 1], [0, 1], color=SOFT, lw=0.8)
-        condition = InferenceCondition(slug, FILTER.name, EXACT.name)
-        for key, (label, colour) in _AHEAD.items():
-            found = [one.values.get(key) for one in results.readings(condition)]
-            x, y = _bins([bins for bins in found if bins])
-            axes.plot(x, y, "o-", color=colour, ms=4, lw=1.2, label=label)
+        readings = list(results.readings(InferenceCondition(slug, FILTER.name, EXACT.name)))
+        found = {
+            label: [bins for one in readings if (bins := one.values.get(key))]
+            for key, label in _AHEAD.items()
+        }
+        reliability_panel(axes, name, {label: _bins(bins) for label, bins in found.items()})
     figure.supxlabel("belief", **TEXT)
     figure.supylabel("share of active edges", **TEXT)
     handles, labels = panels.flat[0].get_legend_handles_labels()

@@ -1,13 +1,12 @@
 """The study of all tasks beside baselines: one model for each task and seed."""
 
-import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from matplotlib.figure import Figure
 
@@ -15,9 +14,8 @@ from contactgraph.cli.options import choice
 from contactgraph.cli.task_types import Target
 from contactgraph.data import InvalidInputError
 from contactgraph.viz import ReportMetric
-from contactgraph.viz.scene_picture import INK, RULE, SOFT
-from contactgraph.viz.summary_figure import style_axes
-from contactgraph_studies.figures import LEGEND, TEXT, new_figure, write_figure
+from contactgraph.viz.figures import error_figure
+from contactgraph_studies.figures import write_figure
 from contactgraph_studies.job import JobRecords, Measurement
 from contactgraph_studies.results import SUCCESS_PERCENT, Results
 from contactgraph_studies.study import Study, StudyResult, judged
@@ -149,40 +147,19 @@ _CAPTION = (
     "Error over moving bodies, 0.5 s ahead, cm. A dot of ours for each training; baselines by "
     "their median. What is not known, or not finite, is not drawn."
 )
-_STYLES = {
-    MEASURED: ("ours, contacts measured", "o", "#1b66a8", "#1b66a8"),
-    INFERRED: ("ours, by motion alone", "o", "none", "#1b66a8"),
-    "least_squares_cm": ("least squares", "s", "none", "#7650a3"),
-    "gnn_cm": ("interaction network", "D", "none", "#cb5f12"),
-    "constant_velocity_cm": ("constant velocity", "|", SOFT, SOFT),
-    "standing_still_cm": ("standing still", "x", SOFT, SOFT),
-    "frozen_contact_cm": ("frozen contact (oracle)", "^", "none", "#0d8074"),
-}
-"""Label, marker, filling and edge by name of the column."""
+_COLUMNS = {MEASURED: "n_step", INFERRED: "n_step_inferred"}
 
 
 def world_figure(rows: Sequence[WorldRow]) -> Figure:
-    """Errors of every row on a logarithmic axis, ours above the baselines."""
-    figure = new_figure(8.5, 1.2 + 0.36 * len(rows))
-    axes = figure.subplots()
-    style_axes(axes)
-    axes.grid(axis="x", color=RULE, lw=0.6)
-    for name, (label, marker, filling, edge) in _STYLES.items():
-        ours = name in (MEASURED, INFERRED)
-        points = [
-            (value, place - 0.16 if ours else place + 0.16)
-            for place, row in enumerate(rows)
-            for value in (row.errors[name].values if ours else [row.errors[name].median])
-            if math.isfinite(value) and value > 0.0
-        ]
-        x, y = zip(*points, strict=True) if points else ((), ())
-        style: dict[str, Any] = {"marker": marker, "mfc": filling, "mec": edge, "ls": "", "ms": 6}
-        axes.plot(x, y, **style, label=label, zorder=3)
-        if points:
-            axes.set_xscale("log")
-            axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_yticks(range(len(rows)), [row.name for row in rows], color=INK)
-    axes.set_ylim(len(rows) - 0.5, -0.5)
-    axes.set_xlabel("error over moving bodies, cm", **TEXT)
-    figure.legend(loc="outside upper center", ncols=4, **LEGEND)
-    return figure
+    """Errors of every row: all trainings of ours, and the median of a baseline."""
+    return error_figure(
+        {
+            row.name: {
+                _COLUMNS.get(name, name.removesuffix("_cm")): each.values
+                if name in _COLUMNS
+                else [each.median]
+                for name, each in row.errors.items()
+            }
+            for row in rows
+        }
+    )

@@ -172,7 +172,7 @@ def test_written_data_is_read_unchanged(
     dataset: Dataset, compress: bool, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "round-trip.h5"
-    write_trajectories(path, dataset.trajectories, dataset.metadata, compress=compress)
+    write_trajectories(path, dataset, compress=compress)
     assert_same(read_trajectories(path), dataset)
 
 

@@ -87,14 +87,18 @@ def model_path(name: str) -> Path:
     )
 
 
-def stored_model(name: str) -> ContactDynamics:
+def stored_model(name: str | Path) -> ContactDynamics:
     """The model of a ``MODEL`` argument: a run folder, a model file, or a shipped model.
 
     ``module:factory@MODEL`` rebuilds one with parts that are not of this package by the preset
-    that made it. Raises `InvalidInputError` as `load_model` does.
+    that made it. Raises `InvalidInputError` as `load_model` does. `contactgraph.load` is this.
+
+    >>> import contactgraph
+    >>> contactgraph.load("pickup")
+    ContactDynamics(RecurrentEdges, D=2, U=2, dt=0.05 s)
     """
-    preset, _ = _split(name)
-    return load_model(model_path(name), model_preset(preset) if preset else None).model
+    preset, _ = _split(str(name))
+    return load_model(model_path(str(name)), model_preset(preset) if preset else None).model
 
 
 def motion_evidence(

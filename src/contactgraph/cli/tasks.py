@@ -103,6 +103,32 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
     return factory
 
 
+def make(
+    task: str,
+    *,
+    distractors: int = 0,
+    objects: int | None = None,
+    grasp: str | None = None,
+    fixed_seed: int | None = None,
+    radius: float | None = None,
+    passive: bool = False,
+    hidden_switch: bool = False,
+    lose_grasp: float = 0.0,
+) -> Task:
+    """A task by its name, or by that of its class, ``module:Class``; see `TaskOptions`.
+
+    Raises `InvalidInputError` as `task_factory`. `contactgraph.make` is this.
+
+    >>> import contactgraph
+    >>> task = contactgraph.make("pickup", distractors=2)
+    >>> observation, _ = task.reset(seed=0)
+    >>> task.scene
+    Scene(1 gripper, 3 object; N=4, D=2, dt=0.05 s)
+    """
+    scene = distractors, objects, grasp, fixed_seed, radius
+    return task_factory(task, TaskOptions(*scene, passive, hidden_switch, lose_grasp))()
+
+
 def mixed_factories(name: str, options: TaskOptions) -> list[TaskFactory]:
     """A task's environments with 0 to ``distractors`` distractors, and 1 to ``objects`` objects.
 

@@ -29,6 +29,12 @@ class QuadraticCost(eqx.Module):
     The paper's convention: no factor 1/2. ``x`` is `stack_state`'s vector, ``n = 2ND``. ``Q``
     must be symmetric and positive semi-definite, ``R`` symmetric and positive definite. Every
     leaf is an array, so another goal or weight does not recompile a function of it.
+
+    >>> cost = QuadraticCost(Q=jnp.eye(4), R=jnp.eye(2), goal=jnp.zeros(4))
+    >>> cost
+    QuadraticCost(Q[4, 4], R[2, 2], goal[4])
+    >>> float(cost(states=jnp.ones((2, 4)), controls=jnp.ones((1, 2))))  # 4 a state, 2 a control
+    10.0
     """
 
     Q: Float[Array, "n n"] | Float[Array, "H+1 n n"]
@@ -49,6 +55,10 @@ class QuadraticCost(eqx.Module):
     turn_length: float = eqx.field(static=True, default=1.0)
     """m; unit of turns, where ``n = 2NG`` includes them: 1 for angles in rad and rates in rad/s.
     See `contactgraph.data.generalized_coordinates`."""
+
+    def __repr__(self) -> str:
+        shapes = (f"{name}{list(np.shape(getattr(self, name)))}" for name in ("Q", "R", "goal"))
+        return f"QuadraticCost({', '.join(shapes)})"
 
     @property
     def control_size(self) -> int:

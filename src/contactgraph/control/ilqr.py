@@ -42,6 +42,10 @@ class ILQR(eqx.Module):
 
     With contacts that switch hard the model's A and B belong to the states rolled out, not to
     those planned; that is why nothing but a rollout decides.
+
+    >>> largest = jnp.array([10.0, 10.0])  # N
+    >>> ILQR(horizon=20, limits=ControlLimits(-largest, largest))
+    ILQR(horizon=20, limits=ControlLimits(lower=f32[2], upper=f32[2]))
     """
 
     horizon: int = eqx.field(static=True)

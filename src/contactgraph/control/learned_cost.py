@@ -112,6 +112,9 @@ class LearnedCost(eqx.Module):
     task_nodes: tuple[TaskNode, ...] = eqx.field(static=True, default=())
     """All nodes of the demonstrations, kept and dropped."""
 
+    def __repr__(self) -> str:
+        return f"LearnedCost({', '.join(self.kept_nodes)}; Q{list(np.shape(self.Q))})"
+
     def with_goal(self, goal: Sequence[float] | np.ndarray) -> "LearnedCost":
         """The same cost, with another goal [D] m."""
         point = np.asarray(goal, dtype=np.float64)

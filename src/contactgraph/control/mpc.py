@@ -45,6 +45,9 @@ class MPCState:
     """[N] The scene's nodes that all of this is about, in their order; -1 for padding."""
     carry: MPCCarry
 
+    def __repr__(self) -> str:
+        return f"MPCState(N={len(self.node_ids)}, {self.plan!r})"
+
     @property
     def plan(self) -> Plan:
         """The last plan, as of the last observation."""
@@ -64,13 +67,19 @@ class MPCState:
 class MPC:
     """Plans at every control step, from an observation and the contacts measured with it.
 
-    ```python
-    mpc = MPC(model, ILQR(horizon=20, limits=limits))
-    state = mpc.reset(observation, nodes, cost)
-    while True:
-        plan, state = mpc.step(observation, contacts, state)
-        apply(plan.controls[0])
-    ```
+    >>> import contactgraph
+    >>> from contactgraph.control import ILQR, chain_cost
+    >>> from contactgraph.model import scene_nodes
+    >>> model, task = contactgraph.load("pickup"), contactgraph.make("pickup")
+    >>> observation, _ = task.reset(seed=0)
+    >>> pick, goal = [3, 3, 0.2, 0.2], [50, 50, 1, 1]
+    >>> cost = chain_cost([0, 1], pick, goal, 0.01, task.scene.goal, node_count=2)
+    >>> mpc = MPC(model, ILQR(horizon=5))
+    >>> state = mpc.reset(observation, scene_nodes(task.scene), cost)
+    >>> plan, state = mpc.step(observation, observation["contact"], state)
+    >>> observation, *_ = task.step(plan.controls[0])
+    >>> plan.outcome.message
+    'Converged: no further decrease of the cost is expected.'
 
     A control step corrects the belief about the step just made by the contacts measured now (the
     paper's posterior), plans from there with the previous plan as the guess, and carries the belief

@@ -7,6 +7,7 @@ from typing import Protocol
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
@@ -73,6 +74,12 @@ class Plan(eqx.Module):
     """The scene's nodes that the plan is about, in their order; -1 for padding."""
     swept: SweptBounds | None = None
     """Bounds of all trial rollouts, where the planner records them."""
+
+    def __repr__(self) -> str:
+        sizes = f"states{list(np.shape(self.states))}, controls{list(np.shape(self.controls))}"
+        if isinstance(self.status, jax.core.Tracer) or np.size(self.status) != 1:
+            return f"Plan({sizes})"
+        return f"Plan({sizes}, {self.outcome.name}, cost {float(self.cost):.4g})"
 
     @property
     def outcome(self) -> PlanStatus:

@@ -42,6 +42,13 @@ class Dataset:
             if not np.isclose(each.scene.dt, self.dt, rtol=1e-6, atol=0.0):
                 _check_agreement("dt in s", index, each.scene.dt, self.dt)
 
+    def __repr__(self) -> str:
+        nodes = {each.scene.node_count for each in self}
+        steps = {each.steps for each in self}
+        ranges = [f"{min(each)}" + f" to {max(each)}" * (len(each) > 1) for each in (steps, nodes)]
+        sizes = f"T={ranges[0]}, N={ranges[1]}, D={self.dimension}, U={self.control_size}"
+        return f"Dataset({len(self)} trajectories, {sizes}, dt={self.dt:g} s)"
+
     def __len__(self) -> int:
         return len(self.trajectories)
 

@@ -1,6 +1,6 @@
 """Writes trajectories to HDF5 files in the layout of docs/file-format.md."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import cast
@@ -31,17 +31,29 @@ _OF_SCENE = {each.name for each in fields(Scene)}
 
 def write_trajectories(
     path: str | Path,
-    trajectories: Sequence[Trajectory],
+    trajectories: Iterable[Trajectory],
     metadata: Metadata | None = None,
     compress: bool = False,
 ) -> None:
     """Write trajectories to ``path`` atomically: a reader sees the old file or the whole new one.
 
-    Raises `InvalidInputError` where trajectories disagree (see `Dataset`), a name or a metadata
-    value cannot be stored, or the folder cannot be written to.
+    Without ``metadata`` those of a `Dataset` are kept. Raises `InvalidInputError` where
+    trajectories disagree (see `Dataset`), a name or a metadata value cannot be stored, or the
+    folder cannot be written to. `contactgraph.write` is this, `contactgraph.read` its inverse.
+
+    >>> import tempfile
+    >>> import contactgraph
+    >>> from contactgraph.data import Scene
+    >>> scene = Scene(("hand", "box"), ("hand", "object"), actuated=[True, False], dt=0.05)
+    >>> still = np.zeros((11, 2, 2))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     contactgraph.write(f"{folder}/mine.h5", [Trajectory(scene, still, still, still[1:, 0])])
+    ...     contactgraph.read(f"{folder}/mine.h5")
+    Dataset(1 trajectories, T=10, N=2, D=2, U=2, dt=0.05 s)
     """
     path = Path(path)
-    dataset = Dataset(tuple(trajectories), metadata or {})
+    kept = trajectories.metadata if isinstance(trajectories, Dataset) else {}
+    dataset = Dataset(tuple(trajectories), kept if metadata is None else metadata)
     with (
         atomic_write(path) as temporary,
         # From v110 on all structure has checksums, so that damage is detected.

@@ -76,6 +76,11 @@ class Scene:
     metadata: dict[str, str | int | float | bool] = field(default_factory=dict)
     """Free-form: task, seed, simulator version, substeps, …"""
 
+    def __repr__(self) -> str:
+        types = {name: self.node_type.count(name) for name in self.node_type}
+        nodes = ", ".join(f"{count} {name}" for name, count in types.items())
+        return f"Scene({nodes}; N={self.node_count}, D={self.dimension}, dt={self.dt:g} s)"
+
     def __post_init__(self) -> None:
         count, dimension = len(self.node_name), self.dimension
         _set(self, "actuated", np.asarray(self.actuated, dtype=bool))

@@ -89,6 +89,12 @@ class Trajectory:
         self._check_turning("orientation", (*state_shape[:2], turning[0]))
         self._check_turning("angular_velocity", (*state_shape[:2], turning[1]))
 
+    def __repr__(self) -> str:
+        optional = ("contact", "holding", "orientation", "angular_velocity", "link_positions")
+        given = [name for name in optional if getattr(self, name) is not None]
+        sizes = f"T={self.steps}, N={self.scene.node_count}, D={self.scene.dimension}"
+        return f"Trajectory({', '.join([sizes, f'U={self.control_size}', *given])})"
+
     def _check_link_positions(self, state_shape: tuple[int, ...]) -> None:
         link_positions = np.asarray(self.link_positions, dtype=np.float64)
         object.__setattr__(self, "link_positions", link_positions)

@@ -95,6 +95,10 @@ class TrajectoryBatch(NamedTuple, Generic[Array]):
     steps: Array
     """[...] int: number of real steps."""
 
+    def __repr__(self) -> str:
+        position, control = (np.shape(cast(Any, each)) for each in (self.position, self.control))
+        return f"TrajectoryBatch(position{list(position)}, control{list(control)})"
+
     @property
     def step_mask(self) -> np.ndarray:
         """[..., T] bool: whether the step from ``t`` to ``t + 1`` is real."""

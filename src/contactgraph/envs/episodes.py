@@ -9,7 +9,7 @@ from typing import cast
 import gymnasium
 import numpy as np
 
-from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.data import InvalidInputError, Scene, Trajectory
 from contactgraph.envs.contract import (
     FeedbackPolicy,
     FeedbackTask,
@@ -43,10 +43,7 @@ def run_episode(
     observation, _ = task.reset(seed=seed)
     # A separate stream: noise drawn from the scene's numbers would depend on the layout.
     policy.reset(task.scene, int(np.random.SeedSequence(seed).generate_state(1)[0]))
-    observations = [observation]
-    drawn = task if isinstance(task, Renderable) else None
-    # Copies: a simulator may return views of its own state.
-    link_positions = [] if drawn is None else [np.array(drawn.link_positions())]
+    states = EpisodeStates(task, observation)
     controls: list[np.ndarray] = []
     done = False
     while not done:
@@ -61,9 +58,7 @@ def run_episode(
         if on_step is not None:
             on_step(len(controls), observation, control)
         observation, done = following, terminated or truncated
-        observations.append(observation)
-        if drawn is not None:
-            link_positions.append(np.array(drawn.link_positions()))
+        states.add(observation)
         controls.append(control)
     metadata = {
         **task.scene.metadata,
@@ -73,21 +68,51 @@ def run_episode(
     best_score = task.best_score() if isinstance(task, ScoredTask) else None
     if best_score is not None:
         metadata["best_score"] = best_score
+    return states.trajectory(np.stack(controls), replace(task.scene, metadata=metadata))
 
-    def recorded(name: str) -> np.ndarray | None:
-        return np.stack([each[name] for each in observations]) if name in observation else None
 
-    return Trajectory(
-        scene=replace(task.scene, metadata=metadata),
-        position=np.stack([each["position"] for each in observations]),
-        velocity=np.stack([each["velocity"] for each in observations]),
-        control=np.stack(controls),
-        contact=np.stack([each["contact"] for each in observations]).astype(bool),
-        link_positions=np.stack(link_positions) if link_positions else None,
-        holding=recorded("holding"),
-        orientation=recorded("orientation"),
-        angular_velocity=recorded("angular_velocity"),
-    )
+class EpisodeStates:
+    """The states of a running episode, from its first observation on."""
+
+    def __init__(self, task: Task, first: Observation) -> None:
+        self._drawn = task if isinstance(task, Renderable) else None
+        self._observations: list[Observation] = []
+        self._link_positions: list[np.ndarray] = []
+        self.add(first)
+
+    def __len__(self) -> int:
+        return len(self._observations)
+
+    def add(self, observation: Observation) -> None:
+        """Keeps the present state."""
+        self._observations.append(observation)
+        if self._drawn is not None:
+            # A copy: a simulator may return views of its own state.
+            self._link_positions.append(np.array(self._drawn.link_positions()))
+
+    def trajectory(self, control: np.ndarray, scene: Scene) -> Trajectory:
+        """The states under ``control`` [T, U]; the last one is repeated where T + 1 are more."""
+        index = np.minimum(np.arange(len(control) + 1), len(self) - 1)
+
+        def recorded(name: str) -> np.ndarray | None:
+            if name not in self._observations[0]:
+                return None
+            return np.stack([each[name] for each in self._observations])[index]
+
+        position, velocity, contact = map(recorded, ("position", "velocity", "contact"))
+        assert position is not None and velocity is not None and contact is not None
+        links = np.stack(self._link_positions)[index] if self._link_positions else None
+        return Trajectory(
+            scene,
+            position,
+            velocity,
+            control,
+            contact=contact.astype(bool),
+            link_positions=links,
+            holding=recorded("holding"),
+            orientation=recorded("orientation"),
+            angular_velocity=recorded("angular_velocity"),
+        )
 
 
 _ALONE_S = 1.0

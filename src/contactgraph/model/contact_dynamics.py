@@ -2,8 +2,7 @@
 
 One step is ``encode`` (the graph, independent of the belief), ``predict_belief`` (which edges will
 be active), ``cut_edges`` (sample them and remove the others), ``linearize`` (local dynamics given
-the active edges), and the linear step itself. `ContactDynamics.stages` composes the first four;
-training calls the same functions, but encodes all states in parallel and scans only over beliefs.
+the active edges), and the linear step. Training encodes all states at once, then calls the others.
 """
 
 import dataclasses
@@ -93,6 +92,10 @@ class ContactDynamics(eqx.Module):
     """Equal parts of a step, in each of which bodies touch where they then are."""
     star: bool = eqx.field(static=True, default=False)
     """Whether only edges of actuated nodes exist."""
+
+    def __repr__(self) -> str:
+        sizes = f"D={self.dimension}, U={self.control_size}, dt={self.dt:g} s"
+        return f"ContactDynamics({type(self.inference).__name__}, {sizes})"
 
     @property
     def coordinates(self) -> int:
@@ -290,10 +293,7 @@ class ContactDynamics(eqx.Module):
         return rollout(self, first, controls, nodes, checkpoint=large)
 
     def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
-        """The spring-mass-damper parameters of the next step, each [N, D].
-
-        Raises `TypeError` where the local dynamics have no such parameters.
-        """
+        """Parameters of the next step, each [N, D]; `TypeError` where the dynamics have none."""
         if not isinstance(self.local_dynamics, SpringMassDamperDynamics):
             raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
         local = self.stages(state, nodes).local

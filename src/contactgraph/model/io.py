@@ -44,7 +44,7 @@ class StoredModel:
     """A model and its training record."""
 
     model: ContactDynamics
-    training: dict[str, Any] = field(default_factory=dict)
+    training: dict[str, Any] = field(default_factory=dict, repr=False)
     """Free-form JSON: command, seed, data, errors, versions, …"""
 
 

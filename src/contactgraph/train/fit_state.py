@@ -41,6 +41,9 @@ class FitState(eqx.Module):
     """m; held-out error of `best_model`, see `rollout_rmse`."""
     checks_without_gain: Int[Array, ""]
 
+    def __repr__(self) -> str:
+        return f"FitState(step {self.step}, best_error {self.best_error} m, {self.model!r})"
+
 
 def with_lists(state: FitState, lists: NeighborList | None) -> FitState:
     """The state with these lists in the models, and in the averages that mirror them."""
@@ -83,6 +86,11 @@ class FitResult:
     seconds: float
     """Of this call of `fit`, compilation included."""
     baselines: HeldOutBaselines
+
+    def __repr__(self) -> str:
+        baseline = f"constant velocity {self.baselines.constant_velocity_rmse_m:.4g} m"
+        error = f"held-out error {self.held_out_rmse_m:.4g} m, {baseline}"
+        return f"FitResult({self.status.value}, {error}, {self.seconds:.0f} s)"
 
     @property
     def is_better(self) -> bool:

@@ -4,7 +4,7 @@ import importlib
 import importlib.util
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -34,9 +34,9 @@ def write_animation(path: str | Path, scene: SceneTrajectory) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary:
         if program:
-            _write_mp4(temporary, _frames(scene, states), seconds, program)
+            _write_mp4(temporary, frames(scene, states), seconds, program)
         else:
-            _write_gif(temporary, _frames(scene, states), seconds)
+            _write_gif(temporary, frames(scene, states), seconds)
 
 
 def check_animation(path: Path) -> None:
@@ -53,7 +53,7 @@ def frame_states(scene: SceneTrajectory) -> range:
     return range(0, scene.steps + 1, max(1, round(_FRAME_SECONDS / scene.dt)))
 
 
-def _frames(scene: SceneTrajectory, states: range) -> Iterator[np.ndarray]:
+def frames(scene: SceneTrajectory, states: Iterable[int]) -> Iterator[np.ndarray]:
     """[height, width, 3] uint8, one a state."""
     height = _SIDE_INCHES + _HEAD_INCHES
     figure = Figure(figsize=(_SIDE_INCHES, height), dpi=_DOTS_PER_INCH, facecolor="white")

@@ -17,7 +17,7 @@ from matplotlib.transforms import blended_transform_factory
 
 from contactgraph.control import Cost, LearnedCost
 from contactgraph.control.learned_cost import relative_names, relative_terms
-from contactgraph.data import InvalidInputError, atomic_write
+from contactgraph.data import InvalidInputError, Scene, atomic_write
 from contactgraph.viz.scene_picture import BODY_COLOURS, INK, RULE, SOFT
 
 _DECADES = 2.5
@@ -47,7 +47,26 @@ def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:
     D, names = cost.goal.shape[0], cost.kept_nodes
     rows = [("as learned", *_scaled(np.asarray(cost.Q), np.asarray(cost.R)))]
     if expert is not None:
-        rows.append(("of the expert", *_of_expert(cost, expert)))
+        rows.append(("of the expert", *_of_nodes("expert", expert, cost.order, D, cost.R.shape)))
+    return _figure(rows, names, D)
+
+
+def scene_cost_figure(cost: Cost, scene: Scene) -> Figure:
+    """The same picture of any cost, of the nodes that it weighs in a scene.
+
+    Raises `InvalidInputError` where its shapes do not fit the scene, or vary over time.
+    """
+    quadratic, D = cost.quadratic(scene.node_count), scene.dimension
+    ids = quadratic.cost_node_ids
+    nodes = range(scene.node_count) if ids is None else [int(node) for node in ids]
+    Q, R = _of_nodes("cost", quadratic, nodes, D, quadratic.R.shape[-2:])
+    return _figure([("of the cost", Q, R)], [scene.node_name[node] for node in nodes], D)
+
+
+def _figure(
+    rows: Sequence[tuple[str, np.ndarray, np.ndarray]], names: Sequence[str], D: int
+) -> Figure:
+    """A row for each name, Q and R, of nodes ``names``."""
     terms = [relative_terms(Q, D) for _, Q, _ in rows]
     matrices = [each for (_, Q, R), W in zip(rows, terms, strict=True) for each in (Q, W, R)]
     largest = max(float(np.abs(matrix).max()) for matrix in matrices)
@@ -87,17 +106,19 @@ def _scaled(Q: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return factor * Q.astype(np.float64), factor * R.astype(np.float64)
 
 
-def _of_expert(cost: LearnedCost, expert: Cost) -> tuple[np.ndarray, np.ndarray]:
-    """The expert's Q and R of the learned cost's nodes."""
-    part, last = 2 * cost.goal.shape[0], max(cost.order)
-    own = expert.quadratic(last + 1)
+def _of_nodes(
+    what: str, cost: Cost, nodes: Sequence[int], D: int, control_shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """A cost's Q and R of these nodes, scaled."""
+    part, last = 2 * D, max(nodes)
+    own = cost.quadratic(last + 1)
     Q, R = np.asarray(own.Q), np.asarray(own.R)
-    if Q.ndim != 2 or len(Q) < part * (last + 1) or R.shape != cost.R.shape:
+    if Q.ndim != 2 or len(Q) < part * (last + 1) or len(Q) % part or R.shape != control_shape:
         raise InvalidInputError(
-            f"expert must have one Q for all steps, of at least {last + 1} nodes, and R of shape "
-            f"{cost.R.shape}; found shapes {Q.shape} and {R.shape}"
+            f"{what} must have one Q for all steps, of at least {last + 1} nodes, and R of shape "
+            f"{control_shape}; found shapes {Q.shape} and {R.shape}"
         )
-    kept = (part * np.asarray(cost.order)[:, None] + np.arange(part)).reshape(-1)
+    kept = (part * np.asarray(nodes)[:, None] + np.arange(part)).reshape(-1)
     return _scaled(Q[np.ix_(kept, kept)], R)
 
 

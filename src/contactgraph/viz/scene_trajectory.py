@@ -69,6 +69,9 @@ class SceneTrajectory:
                     f"scene {self.name!r}: {name} must have shape {valid}, found {value.shape}"
                 )
 
+    def __repr__(self) -> str:
+        return f"SceneTrajectory({self.name!r}, {self.trajectory!r}, E={self.edge_count})"
+
     @property
     def position(self) -> np.ndarray:
         """[T+1, N, D] m."""

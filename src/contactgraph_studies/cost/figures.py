@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from contactgraph.control import read_cost
 from contactgraph.model import shipped_model
 from contactgraph.viz import cost_figure
+from contactgraph.viz.figures import LEGEND, TEXT
 from contactgraph.viz.scene_picture import BODY_COLOURS, SOFT
 from contactgraph_studies.cost.config import (
     CostAmounts,
@@ -19,14 +20,7 @@ from contactgraph_studies.cost.config import (
 )
 from contactgraph_studies.cost.jobs import CostLabels, control, learning
 from contactgraph_studies.cost.known_answer import read_answers
-from contactgraph_studies.figures import (
-    LEGEND,
-    TEXT,
-    first_episode,
-    panel_row,
-    write_figure,
-    write_scene,
-)
+from contactgraph_studies.figures import first_episode, panel_row, write_figure, write_scene
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper.config import StudyTask
 from contactgraph_studies.results import SUCCESS_PERCENT, Results

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from contactgraph.cli.task_types import TestCondition
+from contactgraph.viz.figures import LEGEND, TEXT, new_figure, parameter_figure
 from contactgraph.viz.scene_picture import INK, SOFT
 from contactgraph.viz.summary_figure import style_axes
 from contactgraph_studies import figures
 from contactgraph_studies.bootstrap import Sample, estimate
-from contactgraph_studies.figures import LEGEND, TEXT
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper import jobs
 from contactgraph_studies.paper.config import (
@@ -121,7 +121,7 @@ def scene_pictures(
                 parameters.append(
                     figures.kept_picture(*given)
                     if scene is None
-                    else figures.write_figure(*given, figures.parameter_figure(scene))
+                    else figures.write_figure(*given, parameter_figure(scene))
                 )
     known = [[one for one in each if one is not None] for each in (scenes, parameters)]
     return known[0], known[1]
@@ -169,7 +169,7 @@ def _family_figure(
 ) -> Figure:
     """A row of panels for each family, a column for each task."""
     families = families_of(tasks)
-    figure = figures.new_figure(4.6 * len(tasks) + 0.6, 3.0 * len(families) + 0.8)
+    figure = new_figure(4.6 * len(tasks) + 0.6, 3.0 * len(families) + 0.8)
     grid = figure.subplots(len(families), len(tasks), squeeze=False, sharey=True)
     for row, family in zip(grid, families, strict=True):
         for axes, task in zip(row, tasks, strict=True):
