@@ -97,7 +97,7 @@ peers: $(PEERS)/.installed
 
 # What an earlier build has left would get into the wheel.
 dist: $(DEVELOPMENT)
-	rm -rf dist build
+	rm -rf dist build/lib build/bdist.*
 	$(BIN)/python -m build --no-isolation
 
 clean:
