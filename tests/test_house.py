@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "contactgraph.train": {"contactgraph.data", "contactgraph.model"},
     "contactgraph.control": {"contactgraph.data", "contactgraph.feedback", "contactgraph.model"},
     "contactgraph.envs": {"contactgraph.data", "contactgraph.parallel"},
+    "contactgraph.interchange": {"contactgraph.data"},
 }
 """Packages that stand below others, and the packages that each of them may import."""
 
@@ -39,8 +40,10 @@ HEAVY = {
     "mujoco",
     "pandas",
     "pyapriltags",
+    "pyarrow",
     "pyrealsense2",
     "ray",
+    "rosbags",
 }
 """Libraries that are slow to import or optional: one module knows each of them."""
 
