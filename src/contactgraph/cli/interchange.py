@@ -177,3 +177,5 @@ def _write_step(name: str, scene_file: Path | None, out: Path) -> None:
     arrays = ", ".join(str(each) for each in exported.in_avals)
     print(f"{out}: a step of {scene.dt:g} s of {', '.join(scene.node_name)}")
     print(f"  position, velocity, control, first, belief: {arrays}")
+    if (length := turn_length_of(model)) is not None:
+        print(f"  a turn of 1 rad is {length:g} m among the coordinates")
