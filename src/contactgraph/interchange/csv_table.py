@@ -44,7 +44,7 @@ def read_csv(source: Path) -> Recording:
         check_file(path, _LARGEST_FILE)
         try:
             with path.open(encoding="utf-8-sig", newline="") as file:
-                first = file.readline()
+                first = file.readline(2**20)
                 file.seek(0)
                 rows = csv.reader(file, delimiter=max(",;\t", key=first.count))
                 if first.lstrip('"').startswith("Format Version"):
