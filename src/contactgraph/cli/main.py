@@ -24,6 +24,7 @@ from contactgraph.cli.collect import Collect
 from contactgraph.cli.control import Control
 from contactgraph.cli.evaluate import Evaluate
 from contactgraph.cli.info import Info
+from contactgraph.cli.interchange import Export, Import
 from contactgraph.cli.learn_cost import LearnCost
 from contactgraph.cli.options import choice, load_entry_point
 from contactgraph.cli.report import Report
@@ -46,6 +47,8 @@ _CONFIG = (
 _GROUP = "contactgraph.commands"
 _COMMANDS: dict[str, type[Command]] = {
     "collect": Collect,
+    "import": Import,
+    "export": Export,
     "train": Train,
     "evaluate": Evaluate,
     "control": Control,

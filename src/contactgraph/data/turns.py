@@ -1,6 +1,11 @@
 """Turns of recorded bodies: angles in the plane, quaternions and rotation vectors in space."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 _SMALL = 1e-9
 
@@ -116,3 +121,21 @@ def turned_on(turn: np.ndarray, by: np.ndarray) -> np.ndarray:
     vector = first[..., :1] * second[..., 1:] + second[..., :1] * first[..., 1:]
     vector = vector + np.cross(first[..., 1:], second[..., 1:])
     return rotation_vectors(np.concatenate([scalar, vector], axis=-1)[None])[0]
+
+
+def angular_velocity(before: np.ndarray, after: np.ndarray, dt: float) -> np.ndarray:
+    """The constant angular velocity ``[N, 1 or 3]`` rad/s from one orientation to the next.
+
+    In space orientations are unit quaternions ``[N, 4]`` (w, x, y, z); it is in world axes, and the
+    shorter of the two ways.
+    """
+    if before.shape[1] != 4:
+        return (after - before) / dt
+    return np.asarray((rotations(after) * rotations(before).inv()).as_rotvec() / dt)
+
+
+def rotations(quaternion: np.ndarray) -> "Rotation":
+    """Of ``[..., 4]`` (w, x, y, z); SciPy's own order is (x, y, z, w)."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    return Rotation.from_quat(np.roll(quaternion, -1, axis=-1))

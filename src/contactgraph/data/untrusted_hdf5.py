@@ -64,6 +64,11 @@ class UntrustedGroup:
                 )
         return sorted(names, key=int)
 
+    def is_group(self, name: str) -> bool:
+        """Whether ``name`` is a group inside this one, and no array."""
+        with reading(self._at(name)):
+            return isinstance(self._open(name), h5py.Group)
+
     def child(self, name: str) -> "UntrustedGroup":
         """The group ``name`` inside this one."""
         where = self._at(name)
@@ -82,6 +87,14 @@ class UntrustedGroup:
         """The array ``name``, checked against ``field``."""
         with reading(self._at(name)):
             return self._array(name, field)[...]
+
+    def numbers(self, name: str) -> np.ndarray | str:
+        """The array ``name`` of numbers or bools of any shape; a text says what else is there."""
+        with reading(self._at(name)):
+            found = self._dataset(name)
+            if found.dtype.kind not in "biuf" or not found.ndim:
+                return f"{_kind(found.dtype)} in shape {found.shape}"
+            return found[...]
 
     def texts(self, name: str) -> tuple[str, ...]:
         """The one-dimensional array of UTF-8 strings ``name``."""

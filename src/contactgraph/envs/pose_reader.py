@@ -1,14 +1,12 @@
 """Poses and velocities of bodies, read from an environment's observations by its map."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from contactgraph.data.turns import angular_velocity, rotations
 from contactgraph.envs.environment_map import Entries, EnvironmentMap, MappedBody
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,16 +54,6 @@ def read_state(
     return BodyState(position, velocity, turning, angular)
 
 
-def angular_velocity(before: np.ndarray, after: np.ndarray, dt: float) -> np.ndarray:
-    """The constant angular velocity ``[N, 1 or 3]`` rad/s from one orientation to the next.
-
-    In space it is in world axes, and the shorter of the two ways.
-    """
-    if before.shape[1] != 4:
-        return (after - before) / dt
-    return (_rotation(after) * _rotation(before).inv()).as_rotvec() / dt
-
-
 def _read_length(environment_map: EnvironmentMap, entries: Entries, observation: Any) -> np.ndarray:
     return environment_map.scale * entries.read(observation)
 
@@ -99,13 +87,6 @@ def _pose(body: MappedBody, observation: Any) -> np.ndarray:
 def _turned(orientation: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """A vector ``[D]`` of the body's frame in world axes."""
     if orientation.size == 4:
-        return _rotation(orientation).apply(vector)
+        return rotations(orientation).apply(vector)
     cosine, sine = np.cos(orientation[0]), np.sin(orientation[0])
     return np.array([[cosine, -sine], [sine, cosine]]) @ vector
-
-
-def _rotation(quaternion: np.ndarray) -> "Rotation":
-    """Of ``[..., 4]`` (w, x, y, z); SciPy's own order is (x, y, z, w)."""
-    from scipy.spatial.transform import Rotation  # slow to import
-
-    return Rotation.from_quat(np.roll(quaternion, -1, axis=-1))

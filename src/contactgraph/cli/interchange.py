@@ -1,0 +1,181 @@
+"""``contactgraph import`` and ``contactgraph export``: datasets from and to other formats."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+FORMATS = ("minari", "lerobot", "csv", "rosbag")
+
+
+@dataclass(frozen=True)
+class Import:
+    """Make a dataset of a recording in another format, by a map of its columns."""
+
+    format: Positional[Annotated[str, arg(metavar="FORMAT")]]
+    """minari, lerobot (version 3), csv (also an export of Motive) or rosbag (MCAP)."""
+    source: Positional[Annotated[Path, arg(metavar="SOURCE")]]
+    """The file or folder to read."""
+    map: Annotated[
+        str | None, arg(metavar="MAP", help_behavior_hint="(required without --inspect)")
+    ] = None
+    """A map in TOML, or the name of one that ships: fetch-push, fetch-slide, fetch-pick-and-place,
+    pusht or pusht-state."""
+    out: Annotated[
+        Path | None, arg(metavar="FILE", help_behavior_hint="(required without --inspect)")
+    ] = None
+    """The dataset file to write (HDF5)."""
+    inspect: bool = False
+    """Print the columns, and a draft of a map below them."""
+
+    def run(self) -> None:
+        """Read, convert and write."""
+        import sys
+
+        from contactgraph.cli.options import choice
+        from contactgraph.cli.output import check_writable
+        from contactgraph.data import Dataset, InvalidInputError, velocity_warning
+        from contactgraph.data import write_trajectories as write
+        from contactgraph.interchange import read_map, shipped_maps, to_trajectories
+        from contactgraph.interchange.csv_table import read_csv
+        from contactgraph.interchange.draft import draft_map
+        from contactgraph.interchange.lerobot import read_lerobot
+        from contactgraph.interchange.minari import read_minari
+        from contactgraph.interchange.rosbag import read_rosbag
+
+        readers = dict(
+            zip(FORMATS, (read_minari, read_lerobot, read_csv, read_rosbag), strict=True)
+        )
+        read = choice("FORMAT", self.format, readers)
+        if not self.source.exists():
+            raise InvalidInputError(f"{self.source}: does not exist")
+        if self.inspect:
+            print(draft_map(read(self.source)), end="")
+            return
+        if self.map is None or self.out is None:
+            raise InvalidInputError(
+                "import needs --map and --out, or --inspect; maps that ship are "
+                f"{', '.join(shipped_maps())}"
+            )
+        check_writable(self.out)
+        import_map = read_map(self.map)
+        recording = read(self.source)
+        found = to_trajectories(recording, import_map)
+        dataset = Dataset(found.trajectories, {"source": self.format, "map": Path(self.map).name})
+        warning = velocity_warning(dataset)
+        if warning is not None:
+            hint = "leave velocity out of the map to derive them from positions"
+            print(f"warning: {warning}; {hint}", file=sys.stderr)
+        write(self.out, dataset.trajectories, dataset.metadata)
+        steps = sum(each.steps for each in dataset)
+        names = ", ".join(dataset.trajectories[0].scene.node_name)
+        print(f"{self.out}: {len(dataset)} trajectories of {names}")
+        print(f"  {steps} steps of {dataset.dt:g} s, of {len(recording.episodes)} episodes")
+        if found.left_bounds:
+            print(f"  {found.left_bounds} end, or are left out, where a body leaves its bounds")
+        if found.resampled:
+            print(
+                f"  {found.resampled} episodes with gaps or uneven stamps were resampled, and cut "
+                f"at gaps of more than {import_map.max_gap:g} s"
+            )
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a dataset in another format, or a step of a model as StableHLO."""
+
+    data: Positional[Annotated[str, arg(metavar="DATA")]]
+    """The dataset file; for stablehlo a model."""
+    to: Annotated[str, arg(metavar="FORMAT")]
+    """minari, lerobot (version 3), csv or stablehlo."""
+    out: Annotated[Path, arg(metavar="PATH")]
+    """The folder to write, with a map.toml by which import reads it back; for stablehlo a file."""
+    scene: Annotated[
+        Path | None, arg(metavar="DATA", help_behavior_hint="(stablehlo only: two bodies)")
+    ] = None
+    """For stablehlo: a dataset with the bodies of the step, those of its first trajectory."""
+
+    def run(self) -> None:
+        """Read and write."""
+        from contactgraph.cli.options import choice
+        from contactgraph.data import InvalidInputError, read_trajectories
+        from contactgraph.interchange.csv_table import write_csv
+        from contactgraph.interchange.export_layout import export_layout
+        from contactgraph.interchange.lerobot import write_lerobot
+        from contactgraph.interchange.minari import write_minari
+
+        writers = {"minari": write_minari, "lerobot": write_lerobot, "csv": write_csv}
+        write = choice("--to", self.to, {**writers, "stablehlo": None})
+        if write is None:
+            _write_step(self.data, self.scene, self.out)
+            return
+        if self.scene is not None:
+            raise InvalidInputError("--scene: only stablehlo takes it")
+        layout = export_layout(read_trajectories(Path(self.data)))
+        write(layout, self.out)
+        print(
+            f"{self.out}: {len(layout.dataset)} trajectories, {len(layout.names)} numbers a state"
+        )
+        if layout.left_out:
+            print(f"  not in this format, left out: {', '.join(layout.left_out)}")
+
+
+def _write_step(name: str, scene_file: Path | None, out: Path) -> None:
+    """Writes a model's step for the bodies of a scene, as `jax.export` serialises it.
+
+    Its arguments are ``position`` and ``velocity`` [N, G], ``control`` [U], ``first``, and the
+    arrays of the belief, which are not read where ``first`` is true; its results are all but
+    ``control`` and ``first`` after the step.
+    """
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from contactgraph.cli.models import stored_model
+    from contactgraph.cli.output import check_writable
+    from contactgraph.data import InvalidInputError, Scene, atomic_write, read_trajectories
+    from contactgraph.model import ModelState, scene_nodes, turn_length_of
+    from contactgraph.model.filter import check_controls
+
+    check_writable(out)
+    model = stored_model(name)
+    if scene_file is not None:
+        scene = read_trajectories(scene_file).trajectories[0].scene
+    elif turn_length_of(model) is not None:
+        raise InvalidInputError(f"{name}: bodies turn, so --scene DATA must give their outlines")
+    else:
+        names = ("gripper", "object")
+        scene = Scene(names, names, np.array([True, False]), model.dt, model.dimension)
+    check_controls(
+        model, scene, model.control_size, name if scene_file is None else str(scene_file)
+    )
+    nodes = scene_nodes(scene)
+
+    def step(position, velocity, control, first, *belief):  # type: ignore[no-untyped-def]
+        fresh = model.initial_belief(position, velocity, nodes)
+        leaves, structure = jax.tree.flatten(fresh)
+        chosen = [jnp.where(first, own, given) for own, given in zip(leaves, belief, strict=True)]
+        state = ModelState(position, velocity, jax.tree.unflatten(structure, chosen))
+        after = model.step(state, control, nodes)
+        return after.position, after.velocity, *jax.tree.leaves(after.belief)
+
+    state = jax.ShapeDtypeStruct((scene.node_count, model.coordinates), jnp.float32)
+    belief = jax.tree.leaves(jax.eval_shape(model.initial_belief, state, state, nodes))
+    control = jax.ShapeDtypeStruct((model.control_size,), jnp.float32)
+    exported = jax.export.export(jax.jit(step))(
+        state, state, control, jax.ShapeDtypeStruct((), jnp.bool_), *belief
+    )
+    try:
+        content = exported.serialize()
+    except ImportError as error:
+        raise InvalidInputError(
+            f"stablehlo needs flatbuffers ({error}): pip install 'contactgraph[stablehlo]'"
+        ) from error
+    with atomic_write(out) as temporary:
+        temporary.write_bytes(content)
+    arrays = ", ".join(str(each) for each in exported.in_avals)
+    print(f"{out}: a step of {scene.dt:g} s of {', '.join(scene.node_name)}")
+    print(f"  position, velocity, control, first, belief: {arrays}")
+    if (length := turn_length_of(model)) is not None:
+        print(f"  a turn of 1 rad is {length:g} m among the coordinates")

@@ -1,0 +1,245 @@
+"""Recordings to trajectories, by an import map."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.data.turns import angular_velocity, rotations
+from contactgraph.interchange import resampling
+from contactgraph.interchange.import_map import BodyMap, ImportMap, PairMap
+from contactgraph.interchange.map_scene import map_scene
+from contactgraph.interchange.measurements import (
+    STATE,
+    MappedEpisode,
+    Track,
+    finite_rows,
+    read_track,
+)
+from contactgraph.interchange.recording import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Conversion:
+    """The trajectories of a recording."""
+
+    trajectories: tuple[Trajectory, ...]
+    resampled: int
+    """Episodes that had gaps or uneven stamps."""
+    left_bounds: int
+    """Trajectories that end, or would begin, where a body is out of its bounds."""
+
+
+def to_trajectories(recording: Recording, import_map: ImportMap) -> Conversion:
+    """The trajectories of a recording, whose columns the map describes.
+
+    Raises `InvalidInputError`, which names the episode and the key of the map, where they do not
+    fit.
+    """
+    dt = import_map.dt or recording.dt
+    found: list[Trajectory] = []
+    resampled = left = 0
+    for episode in recording.episodes:
+        try:
+            if dt is None:
+                raise InvalidInputError(
+                    f"{import_map.where}: the time of a step must be given, [time] dt = s; "
+                    f"--inspect suggests one"
+                )
+            parts, even = _converted(MappedEpisode(episode, import_map, dt))
+            kept = [_within_bounds(each, import_map) for each in parts]
+        except InvalidInputError as error:
+            raise InvalidInputError(f"{recording.where}: {episode.name}: {error}") from error
+        found += [each for each in kept if each is not None]
+        resampled += not even
+        left += sum(each is not part for each, part in zip(kept, parts, strict=True))
+    if not found:
+        raise InvalidInputError(
+            f"{recording.where}: no step in which all bodies are known and in their bounds"
+        )
+    return Conversion(tuple(found), resampled, left)
+
+
+def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], bool]:
+    """The trajectories of an episode, and whether it had even stamps and no gaps."""
+    tracks = [read_track(mapped, body) for body in mapped.map.bodies]
+    controls = [finite_rows(mapped, each.entries) for each in mapped.map.controls]
+    pairs = {
+        name: [finite_rows(mapped, each.entries) for each in getattr(mapped.map, name)]
+        for name in ("contact", "holding")
+    }
+    moving = [each.times for each in tracks if not each.fixed]
+    if not moving:
+        raise InvalidInputError("the position of at least one body must be recorded")
+    states = max(map(len, moving))
+    times = next(each for each in moving if len(each) == states)
+    even = (
+        states > 1
+        and all(np.array_equal(each, times) for each in moving)
+        and all(
+            len(each) in (states, states - 1) and np.array_equal(each, times[: len(each)])
+            for each, _ in controls
+        )
+        and all(len(each) == states for flags in pairs.values() for each, _ in flags)
+        and resampling.is_even(times, mapped.dt)
+    )
+    if even:
+        return [_trajectory(mapped, tracks, controls, pairs, None)], True
+    parts = resampling.even_times(
+        moving, [each for each, _ in controls], mapped.dt, mapped.map.max_gap
+    )
+    return [_trajectory(mapped, tracks, controls, pairs, at) for at in parts], False
+
+
+def _within_bounds(trajectory: Trajectory, import_map: ImportMap) -> Trajectory | None:
+    """The steps before a body leaves its bounds; None where there is none."""
+    inside = np.ones(len(trajectory.position), dtype=bool)
+    for node, body in enumerate(import_map.bodies):
+        if body.bounds is None:
+            continue
+        if body.bounds.shape[1] != import_map.dimension:
+            raise InvalidInputError(
+                f"{body.name}: bounds must have shape (2, {import_map.dimension}), "
+                f"found {body.bounds.shape}"
+            )
+        low, high = body.bounds
+        position = trajectory.position[:, node]
+        inside &= np.all((low <= position) & (position <= high), axis=1)
+    states = len(inside) if inside.all() else int(np.argmin(inside))
+    if states == len(inside):
+        return trajectory
+    if states < 2:
+        return None
+    names = (*STATE, "contact", "holding", "tracked", "measured_at")
+    arrays = {name: getattr(trajectory, name) for name in names}
+    cut: dict[str, Any] = {
+        name: value if value is None else value[:states] for name, value in arrays.items()
+    }
+    return replace(trajectory, control=trajectory.control[: states - 1], **cut)
+
+
+def _trajectory(
+    mapped: MappedEpisode,
+    tracks: list[Track],
+    controls: list[tuple[np.ndarray, np.ndarray]],
+    pairs: dict[str, list[tuple[np.ndarray, np.ndarray]]],
+    at: np.ndarray | None,
+) -> Trajectory:
+    """The trajectory at these times; None: at all of the recording's, which are even."""
+    states = max(len(each.times) for each in tracks) if at is None else len(at)
+    given = [_at_times(track, at, states) for track in tracks]
+    state = _state(mapped, given)
+    measured: dict[str, Any] = {"tracked": None, "measured_at": None}
+    if at is not None:
+        moving = [at if each.fixed else each.times for each in tracks]
+        stamps = [resampling.measured_at(at, times) - at[0] for times in moving]
+        measured["measured_at"] = np.stack(stamps, axis=1)
+        tracked = [resampling.is_tracked(at, times) for times in moving]
+        measured["tracked"] = np.stack(tracked, axis=1)
+    else:
+        now = mapped.dt * np.arange(states)[:, None]
+        for name, default in (("tracked", np.ones_like(now)), ("measured_at", now)):
+            if any(name in each for each in given):
+                measured[name] = np.concatenate([each.get(name, default) for each in given], axis=1)
+    control = [
+        values[: states - 1] if at is None else resampling.held_means(at, times, values)
+        for times, values in controls
+    ]
+    control = [np.broadcast_to(each, (states - 1, each.shape[1])) for each in control]
+    flags = {name: _flags(mapped, name, pairs[name], at, states) for name in pairs}
+    return Trajectory(
+        map_scene(mapped, [each.shape[1] for each in control]),
+        control=np.concatenate([np.zeros((states - 1, 0)), *control], axis=1),
+        **{**state, **measured, **flags},
+    )
+
+
+def _at_times(track: Track, at: np.ndarray | None, states: int) -> dict[str, np.ndarray]:
+    """The values of a body at these times, [T+1, W] each."""
+    found = {}
+    for name, values in track.values.items():
+        if at is None or len(values) == 1:
+            found[name] = np.broadcast_to(values, (states, values.shape[1])).copy()
+        elif name == "orientation":
+            found[name] = resampling.interpolated_turns(at, track.times, values)
+        elif name in STATE:
+            found[name] = resampling.interpolated(at, track.times, values)
+    return found
+
+
+def _state(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> dict[str, Any]:
+    """Positions, velocities and turns [T+1, N, W] in the world, derived where not recorded."""
+    bodies, dt = mapped.map.bodies, mapped.dt
+    names = [body.name for body in bodies]
+    base = [None if b.relative_to is None else names.index(b.relative_to) for b in bodies]
+    turns = any("orientation" in each for each in given)
+    for each in given:
+        if turns:
+            unknown = np.full(
+                (len(each["position"]), 1 if mapped.map.dimension == 2 else 4), np.nan
+            )
+            each["orientation"] = resampling.continued(each.get("orientation", unknown))
+    for each, of in zip(given, base, strict=True):
+        if of is not None:
+            each["position"] = each["position"] + given[of]["position"]
+    for body, each in zip(bodies, given, strict=True):
+        if body.reference is not None:
+            each["position"] = each["position"] + _turned(body, each, mapped.map.dimension)
+    for body, each in zip(bodies, given, strict=True):
+        if body.velocity is None:
+            each["velocity"] = _difference(each["position"], dt)
+        if turns and "angular_velocity" not in each:
+            turn = each["orientation"]
+            each["angular_velocity"] = np.full((len(turn), 1 if turn.shape[1] == 1 else 3), np.nan)
+            known = np.isfinite(turn).all(axis=1)
+            both = np.flatnonzero(known & np.roll(known, 1))
+            each["angular_velocity"][known] = 0.0
+            both = both[both > 0]
+            if len(both):
+                each["angular_velocity"][both] = angular_velocity(turn[both - 1], turn[both], dt)
+    for body, each, of in zip(bodies, given, base, strict=True):
+        if body.velocity is not None and of is not None:
+            each["velocity"] = each["velocity"] + given[of]["velocity"]
+    kept = STATE if turns else STATE[:2]
+    return {name: np.stack([each[name] for each in given], axis=1) for name in kept}
+
+
+def _difference(position: np.ndarray, dt: float) -> np.ndarray:
+    """Backward differences, zero at the first step."""
+    return np.diff(position, axis=0, prepend=position[:1]) / dt
+
+
+def _turned(body: BodyMap, given: dict[str, np.ndarray], dimension: int) -> np.ndarray:
+    """[T+1, D] m: the body's ``reference`` in world axes."""
+    reference, turn = body.reference, given.get("orientation")
+    if reference is None or reference.shape != (dimension,):
+        raise InvalidInputError(f"{body.name}: reference must have {dimension} numbers")
+    if turn is None or not np.isfinite(turn).all():
+        raise InvalidInputError(f"{body.name}: reference needs an orientation at every step")
+    if dimension == 3:
+        return np.asarray(rotations(turn).apply(reference))
+    cosine, sine = np.cos(turn), np.sin(turn)
+    across = np.array([-reference[1], reference[0]])
+    return np.asarray(cosine * reference + sine * across)
+
+
+def _flags(
+    mapped: MappedEpisode,
+    name: str,
+    pairs: list[tuple[np.ndarray, np.ndarray]],
+    at: np.ndarray | None,
+    states: int,
+) -> np.ndarray | None:
+    """[T+1, N, N] bool: contact or holding of the map's pairs; None where it has none."""
+    maps: tuple[PairMap, ...] = getattr(mapped.map, name)
+    if not maps:
+        return None
+    names = [body.name for body in mapped.map.bodies]
+    found = np.zeros((states, len(names), len(names)), dtype=bool)
+    for pair, (times, values) in zip(maps, pairs, strict=True):
+        flags = values[:, 0] > 0.5
+        one, other = (names.index(each) for each in pair.bodies)
+        found[:, one, other] = flags if at is None else resampling.any_within(at, times, flags)
+        found[:, other, one] = found[:, one, other]
+    return found

@@ -1,0 +1,265 @@
+"""LeRobot datasets, version 3: parquet files with JSON beside them.
+
+The layout is that of https://huggingface.co/docs/lerobot/lerobot-dataset-v3: frames of all episodes
+one after the other in ``data/chunk-*/file-*.parquet``, described by ``meta/info.json``.
+"""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.data.json_fields import JsonFields
+from contactgraph.data.untrusted_hdf5 import reading
+from contactgraph.interchange.export_layout import MAP_FILE, ExportLayout, new_folder
+from contactgraph.interchange.recording import (
+    Column,
+    Episode,
+    Recording,
+    check_count,
+    check_file,
+    limited_memory,
+    read_json,
+)
+
+_INFO = "meta/info.json"
+_FIRST = "chunk-000/file-000.parquet"
+_INDEX = "__index_level_0__"
+_WHOLE = 1e-6
+"""Largest error of a whole number of frames a second, relative."""
+_LARGEST_FILE = 2**32
+_OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+"""Features of every dataset, which are no observations."""
+_NUMBERS = ("float16", "float32", "float64", "bool", "int8", "int16", "int32", "int64", "uint8")
+
+
+def read_lerobot(source: Path) -> Recording:
+    """The dataset in the folder ``source``, without its images and videos."""
+    if not (source / _INFO).exists():
+        raise InvalidInputError(f"{source}: must be a folder of LeRobot with {_INFO}")
+    info = read_json(source / _INFO)
+    version = info.text("codebase_version")
+    if not version.startswith("v3."):
+        raise InvalidInputError(
+            f"{source / _INFO}: codebase_version must be v3.0 or a later v3, found {version!r}; "
+            "lerobot itself converts older datasets"
+        )
+    fps = float(info.numbers("fps", ()))
+    if fps <= 0.0:
+        raise InvalidInputError(f"{source / _INFO}: fps must be above 0, found {fps}")
+    widths, others = _features(info)
+    paths = sorted((source / "data").glob("*/*.parquet"))
+    needed = {"episode_index": 1, "index": 1, **widths}
+    frames, total = sum(_rows(each, needed) for each in paths), info.count("total_frames", 0)
+    if frames != total or not paths:
+        raise InvalidInputError(
+            f"{source}: must have {total} frames, as {_INFO} says, found {frames} in "
+            f"{len(paths)} files of data"
+        )
+    check_count(str(source), frames * sum(needed.values()))
+    tables = [_table(each, list(needed)) for each in paths]
+    if sum(map(len, tables)) != frames:
+        raise InvalidInputError(f"{source}: must have {frames} frames, as the files' heads say")
+    columns = {
+        name: np.concatenate([_values(each, name, width) for each in tables])
+        for name, width in needed.items()
+    }
+    order = np.lexsort((columns["index"][:, 0], columns["episode_index"][:, 0]))
+    columns = {name: values[order] for name, values in columns.items()}
+    index = columns.pop("episode_index")[:, 0]
+    columns.pop("index")
+    starts = np.flatnonzero(np.diff(index, prepend=np.nan))
+    return Recording(
+        str(source),
+        tuple(
+            Episode(
+                f"episode {index[rows[0]]:g}",
+                {name: Column(values[rows]) for name, values in columns.items()},
+                others,
+            )
+            for rows in np.split(np.arange(frames), starts[1:])
+        ),
+        dt=1.0 / fps,
+    )
+
+
+def _features(info: JsonFields) -> tuple[dict[str, int], dict[str, str]]:
+    """Widths of the features that are numbers, and what the others are."""
+    features = info.inner("features")
+    widths, others = {}, {}
+    for name in features.content:
+        if name in _OWN:
+            continue
+        feature = features.inner(name)
+        kind, shape = feature.text("dtype"), feature.content.get("shape")
+        if kind in _NUMBERS and isinstance(shape, list) and len(shape) == 1:
+            widths[name] = int(feature.numbers("shape", (1,))[0])
+        else:
+            others[name] = f"{kind} of shape {shape}"
+    return widths, others
+
+
+def _pyarrow() -> Any:
+    """The library, with its module for parquet."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise InvalidInputError(
+            f"LeRobot datasets need pyarrow ({error}): pip install 'contactgraph[lerobot]'"
+        ) from error
+    return pyarrow
+
+
+def _rows(path: Path, names: Iterable[str]) -> int:
+    """Rows of a parquet file that has these columns, by its metadata."""
+    check_file(path, _LARGEST_FILE)
+    with reading(str(path)), _pyarrow().parquet.ParquetFile(path) as file:
+        missing = set(names) - set(file.schema_arrow.names)
+        if missing:
+            raise InvalidInputError(f"{path}: no column {', '.join(sorted(missing))}")
+        # Metadata of single columns would abort the process where they are damaged.
+        groups = map(file.metadata.row_group, range(file.metadata.num_row_groups))
+        if sum(group.total_byte_size for group in groups) > _LARGEST_FILE:
+            raise InvalidInputError(f"{path}: must have at most {_LARGEST_FILE} bytes, unpacked")
+        return int(file.metadata.num_rows)
+
+
+def _table(path: Path, names: list[str]) -> Any:
+    """These columns of a parquet file."""
+    with reading(str(path)), limited_memory(), _pyarrow().parquet.ParquetFile(path) as file:
+        return file.read(columns=names, use_threads=False)
+
+
+def _values(table: Any, name: str, width: int) -> np.ndarray:
+    """[S, width] of a column of numbers or of lists of them."""
+    with reading(f"column {name!r}"):
+        column = table.column(name).combine_chunks()
+        if hasattr(column.type, "value_type"):
+            lengths = column.value_lengths() if hasattr(column, "value_lengths") else None
+            if lengths is not None and not all(each == width for each in lengths.to_pylist()):
+                raise InvalidInputError(f"column {name!r}: must have {width} numbers in each row")
+            column = column.flatten()
+        values = column.to_numpy(zero_copy_only=False)
+        if (
+            values.dtype.kind not in "biuf"
+            or column.null_count
+            or values.size != len(table) * width
+        ):
+            raise InvalidInputError(
+                f"column {name!r}: must have {width} numbers in each of {len(table)} rows"
+            )
+        return values.reshape(len(table), width).astype(np.float64)
+
+
+def write_lerobot(layout: ExportLayout, folder: Path) -> None:
+    """Writes a dataset, whose ``observation.state`` is all states, to a new folder.
+
+    The last frame of an episode, which leads to no state, repeats the control before.
+    """
+    arrow, dataset = _pyarrow(), layout.dataset
+    fps = 1.0 / dataset.dt
+    if abs(fps - round(fps)) > _WHOLE * fps:
+        raise InvalidInputError(
+            f"LeRobot has whole frames a second, but steps of {dataset.dt:g} s are {fps:g}"
+        )
+    lengths = [each.steps + 1 for each in dataset]
+    ends = np.cumsum(lengths)
+    frame = np.concatenate([np.arange(length) for length in lengths])
+    numbers = {
+        "observation.state": np.concatenate([layout.states(each) for each in dataset]),
+        "action": np.concatenate(
+            [np.concatenate([each.control, each.control[-1:]]) for each in dataset]
+        ),
+        "timestamp": (frame * dataset.dt).astype(np.float32),
+        "frame_index": frame,
+        "episode_index": np.repeat(np.arange(len(lengths)), lengths),
+        "index": np.arange(ends[-1]),
+        "task_index": np.zeros(ends[-1], dtype=np.int64),
+    }
+    names = {"observation.state": layout.names, "action": layout.control_names}
+    numbers = {name: each for name, each in numbers.items() if each.ndim == 1 or each.shape[1]}
+    info = {
+        "codebase_version": "v3.0",
+        "robot_type": None,
+        "total_episodes": len(lengths),
+        "total_frames": int(ends[-1]),
+        "total_tasks": 1,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": round(fps),
+        "splits": {"train": f"0:{len(lengths)}"},
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": None,
+        "features": {
+            name: {
+                "dtype": str(each.dtype),
+                "shape": [*each.shape[1:]] or [1],
+                "names": names.get(name),
+            }
+            for name, each in numbers.items()
+        },
+    }
+    whole = np.zeros(len(lengths), dtype=np.int64)
+    task = str(dataset.metadata.get("task", "contactgraph"))
+    episodes = {
+        "episode_index": np.arange(len(lengths)),
+        "tasks": [[task]] * len(lengths),
+        "length": lengths,
+        "data/chunk_index": whole,
+        "data/file_index": whole,
+        "dataset_from_index": ends - lengths,
+        "dataset_to_index": ends,
+        "meta/episodes/chunk_index": whole,
+        "meta/episodes/file_index": whole,
+    }
+    # pandas reads the tasks, and takes the column that is described here for their index.
+    column = {"name": None, "field_name": _INDEX, "metadata": None}
+    column |= {"pandas_type": "unicode", "numpy_type": "object"}
+    index = {"index_columns": [_INDEX], "columns": [column], "column_indexes": []}
+    tasks = arrow.table({"task_index": [0], _INDEX: [task]})
+    tables = {
+        f"data/{_FIRST}": arrow.table({name: _arrow(each) for name, each in numbers.items()}),
+        f"meta/episodes/{_FIRST}": arrow.table(episodes),
+        "meta/tasks.parquet": tasks.replace_schema_metadata({"pandas": json.dumps(index)}),
+    }
+    texts = {
+        _INFO: json.dumps(info, indent=2),
+        "meta/stats.json": json.dumps({name: _statistics(each) for name, each in numbers.items()}),
+        MAP_FILE: layout.map_text(
+            lambda start, stop: f'"observation.state[{start}:{stop}]"',
+            lambda start, stop: f'"action[{start}:{stop}]"',
+        ),
+    }
+    with new_folder(folder) as temporary:
+        for name, table in tables.items():
+            (temporary / name).parent.mkdir(parents=True, exist_ok=True)
+            arrow.parquet.write_table(table, temporary / name)
+        for name, text in texts.items():
+            (temporary / name).write_text(text, encoding="utf-8")
+
+
+def _arrow(values: np.ndarray) -> Any:
+    """A column of numbers, or of lists of the same length."""
+    arrow = _pyarrow()
+    if values.ndim == 1:
+        return arrow.array(values)
+    return arrow.FixedSizeListArray.from_arrays(arrow.array(values.ravel()), values.shape[1])
+
+
+def _statistics(values: np.ndarray) -> dict[str, list[float]]:
+    """By which LeRobot's policies scale a feature."""
+    rows = values.reshape(len(values), -1).astype(np.float64)
+    rows = rows[np.isfinite(rows).all(axis=1)] if np.isfinite(rows).all(axis=1).any() else rows
+    found = {
+        "min": rows.min(axis=0),
+        "max": rows.max(axis=0),
+        "mean": rows.mean(axis=0),
+        "std": rows.std(axis=0),
+        **{f"q{share:02d}": np.percentile(rows, share, axis=0) for share in (1, 10, 50, 90, 99)},
+    }
+    return {**{name: each.tolist() for name, each in found.items()}, "count": [len(rows)]}

@@ -1,0 +1,119 @@
+"""Entries of import maps: columns of a recording with their scale and offset."""
+
+import reprlib
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.data.json_fields import JsonFields
+from contactgraph.interchange.recording import Column, Episode
+
+
+@dataclass(frozen=True, eq=False)
+class Entries:
+    """Numbers of a recording: ``scale * columns + offset``, or constant ones."""
+
+    where: str
+    columns: tuple[str, ...] = ()
+    scale: np.ndarray = field(default_factory=lambda: np.ones(1))
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(1))
+    constant: np.ndarray | None = None
+
+    def read(self, episode: Episode, *widths: int) -> Column:
+        """Of one of these widths, if any are given; constant ones have one row."""
+        if self.constant is not None:
+            found = Column(self.constant[None])
+        else:
+            try:
+                parts = [episode.column(each) for each in self.columns]
+            except InvalidInputError as error:
+                raise InvalidInputError(f"{self.where}: {error}") from error
+            first = parts[0]
+            if any(not _same_times(each, first) for each in parts[1:]):
+                raise InvalidInputError(f"{self.where}: columns must have the same times")
+            found = Column(np.concatenate([each.values for each in parts], axis=1), first.stamps)
+        width = found.values.shape[1]
+        if widths and width not in widths:
+            wanted = " or ".join(map(str, widths))
+            raise InvalidInputError(f"{self.where} must have {wanted} numbers, found {width}")
+        for name, each in (("scale", self.scale), ("offset", self.offset)):
+            if len(each) not in (1, width):
+                raise InvalidInputError(
+                    f"{self.where}: {name} must be 1 or {width} numbers, found {len(each)}"
+                )
+        return Column(found.values * self.scale + self.offset, found.stamps)
+
+
+def _same_times(one: Column, other: Column) -> bool:
+    if one.stamps is None or other.stamps is None:
+        return one.stamps is other.stamps and len(one.values) == len(other.values)
+    return one.stamps is other.stamps or np.array_equal(one.stamps, other.stamps)
+
+
+def entries_at(table: JsonFields, name: str, further: tuple[str, ...] = ()) -> Entries | None:
+    """The entries under a key: columns, a table with ``columns``, or numbers; None without it.
+
+    ``further`` are valid keys of the table beside its own.
+    """
+    value, where = table.content.get(name), f"{table.where}: {name}"
+    if value is None:
+        return None
+    if isinstance(value, dict):
+        inner = table.inner(name)
+        check_keys(inner, "columns", "scale", "offset", *further)
+        return entries_of(inner, where)
+    if isinstance(value, list) and value and not isinstance(value[0], str):
+        return Entries(where, constant=table.numbers(name, (None,)))
+    return Entries(where, _columns(where, value))
+
+
+def entries_of(table: JsonFields, where: str) -> Entries:
+    """The entries that a table with ``columns`` is."""
+    columns = _columns(where, table.content.get("columns"))
+    given = {
+        name: np.atleast_1d(array_at(table, name))
+        for name in ("scale", "offset")
+        if name in table.content
+    }
+    return Entries(where, columns, **given)
+
+
+def _columns(where: str, value: Any) -> tuple[str, ...]:
+    found = (value,) if isinstance(value, str) else value
+    if (
+        not isinstance(found, list | tuple)
+        or not found
+        or not all(isinstance(each, str) and each for each in found)
+    ):
+        raise InvalidInputError(
+            f"{where}: columns must be a text such as 'name[0:2]' or a list of them, "
+            f"found {reprlib.repr(value)}"
+        )
+    return tuple(found)
+
+
+def array_at(table: JsonFields, name: str) -> np.ndarray:
+    """Finite numbers of any shape, or whole ones."""
+    value, axes = table.content[name], 0
+    while isinstance(value, list) and value:
+        value, axes = value[0], axes + 1
+    return table.numbers(name, (None,) * axes)
+
+
+def positive_at(table: JsonFields, name: str) -> float:
+    """A number above 0."""
+    value = float(table.numbers(name, ()))
+    if value <= 0.0:
+        raise InvalidInputError(f"{table.where}: {name} must be above 0, found {value}")
+    return value
+
+
+def check_keys(table: JsonFields, *known: str) -> None:
+    """Refuses a key that is not known."""
+    for key in table.content:
+        if key not in known:
+            raise InvalidInputError(
+                f"{table.where}: no key {key!r}; valid keys are {', '.join(known)}"
+            )

@@ -1,0 +1,158 @@
+"""Measurements of bodies and controls, read from an episode's columns by an import map."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.interchange.import_map import BodyMap, ImportMap, Turn
+from contactgraph.interchange.map_entries import Entries
+from contactgraph.interchange.recording import Column, Episode
+
+STATE = ("position", "velocity", "orientation", "angular_velocity")
+_TINY = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class MappedEpisode:
+    """An episode with the map of its columns."""
+
+    episode: Episode
+    map: ImportMap
+    dt: float
+
+    def times(self, column: Column) -> np.ndarray:
+        """[S] s of a column's rows."""
+        if column.stamps is not None:
+            return column.stamps
+        if self.map.time is None:
+            return np.asarray(self.dt * np.arange(len(column.values)))
+        times = self.map.time.read(self.episode, 1).values[: len(column.values), 0]
+        if len(times) < len(column.values):
+            raise InvalidInputError(
+                f"{self.map.time.where}: must have a row for each of the others"
+            )
+        return times
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The measurements of a body."""
+
+    times: np.ndarray
+    """[S] s."""
+    values: dict[str, np.ndarray]
+    """By the names of `STATE`, [S, W] each, or [1, W] constant ones."""
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the position is a constant of the map."""
+        return len(self.times) == 0
+
+
+def finite_rows(mapped: MappedEpisode, entries: Entries) -> tuple[np.ndarray, np.ndarray]:
+    """Times [S] s and values [S, W] of the rows that have numbers."""
+    column = entries.read(mapped.episode)
+    known = np.isfinite(column.values).all(axis=1)
+    times = mapped.times(column)[known]
+    if not len(times):
+        raise InvalidInputError(f"{entries.where}: must have numbers, found none")
+    _check_times(entries.where, times)
+    return times, column.values[known]
+
+
+def _check_times(where: str, times: np.ndarray) -> None:
+    wrong = ~(np.diff(times) > 0.0) if np.isfinite(times).all() else ~np.isfinite(times)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InvalidInputError(
+            f"{where}: times must be finite and increase, found {times[row : row + 2].tolist()} s "
+            f"at row {row}"
+        )
+
+
+def read_track(mapped: MappedEpisode, body: BodyMap) -> Track:
+    """What the recording says of a body, in the map's units, where its position is known."""
+    episode, dimension = mapped.episode, mapped.map.dimension
+    turning = 1 if dimension == 2 else 3
+    size = dimension if body.keypoints is None else body.keypoints.size
+    position = body.position.read(episode, size)
+    known = np.isfinite(position.values).all(axis=1)
+    if not known.any():
+        raise InvalidInputError(f"{body.position.where}: must have numbers, found none")
+    values = {"position": position.values[known]}
+    if body.keypoints is not None:
+        values["position"], values["orientation"] = _fitted(body, values["position"], dimension)
+    others = {"velocity": body.velocity, "angular_velocity": body.angular_velocity}
+    for name, entries in others.items():
+        if entries is not None:
+            width = dimension if name == "velocity" else turning
+            values[name] = _rows(entries.read(episode, width), known, entries.where)
+    if body.orientation is not None:
+        entries = body.orientation.entries
+        widths = (3,) if body.orientation.euler else (1, 4) if dimension == 2 else (4,)
+        found = _rows(entries.read(episode, *widths), known, entries.where)
+        values["orientation"] = _orientation(body.orientation, found, dimension)
+    for name in ("tracked", "measured_at"):
+        entries = getattr(body, name)
+        if entries is not None:
+            values[name] = _rows(entries.read(episode, 1), known, entries.where)
+    if body.position.constant is not None:
+        return Track(np.zeros(0), values)
+    times = mapped.times(position)[known]
+    _check_times(body.position.where, times)
+    return Track(times, values)
+
+
+def _rows(column: Column, known: np.ndarray, where: str) -> np.ndarray:
+    """The rows of a column at which the position is known; constant ones have one row."""
+    if len(column.values) not in (1, len(known)):
+        raise InvalidInputError(
+            f"{where}: must have a row for each position, {len(known)}, found {len(column.values)}"
+        )
+    return column.values[known] if len(column.values) == len(known) else column.values
+
+
+def _fitted(body: BodyMap, points: np.ndarray, dimension: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [S, D] and orientations of the frame whose points lie at ``points`` [S, V * D].
+
+    The rotation is that of Kabsch (1976), by singular values.
+    """
+    keypoints = body.keypoints
+    if keypoints is None or keypoints.shape != (len(keypoints), dimension) or len(keypoints) < 2:
+        raise InvalidInputError(f"{body.position.where}: points must be a list of 2 or more points")
+    seen = points.reshape(len(points), *keypoints.shape)
+    centre, own = seen.mean(axis=1), keypoints - keypoints.mean(axis=0)
+    left, _, right = np.linalg.svd(own.T @ (seen - centre[:, None]))
+    mirror = np.ones((len(points), 1, dimension))
+    mirror[:, 0, -1] = np.sign(np.linalg.det(left) * np.linalg.det(right))
+    turn = np.swapaxes(left * mirror @ right, 1, 2)
+    position = centre - turn @ keypoints.mean(axis=0)
+    if dimension == 2:
+        return position, np.arctan2(turn[:, 1, :1], turn[:, 0, :1])
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    return position, np.roll(Rotation.from_matrix(turn).as_quat(), 1, axis=1)
+
+
+def _orientation(turn: Turn, read: np.ndarray, dimension: int) -> np.ndarray:
+    """[S, 1] rad or [S, 4] unit quaternions; NaN throughout where some of it is not known."""
+    known = np.isfinite(read).all(axis=1)
+    found = np.full((len(read), 4 if dimension == 3 or read.shape[1] != 1 else 1), np.nan)
+    if turn.euler:
+        from scipy.spatial.transform import Rotation  # slow to import
+
+        angles = Rotation.from_euler(turn.euler, read[known])
+        found[known] = np.roll(angles.as_quat(), 1, axis=1)
+    elif read.shape[1] == 4:
+        quaternion = np.roll(read[known], 1, axis=1) if turn.order == "xyzw" else read[known]
+        length = np.linalg.norm(quaternion, axis=1, keepdims=True)
+        if len(length) and not (length > _TINY).all():
+            raise InvalidInputError(f"{turn.entries.where}: quaternions must not be zero")
+        found[known] = quaternion / length
+    else:
+        found[known] = read[known]
+    if dimension == 2 and found.shape[1] == 4:
+        axis = 1 + "xyz".index(turn.axis)
+        return 2.0 * np.arctan2(found[:, axis : axis + 1], found[:, :1])
+    return found

@@ -1,0 +1,149 @@
+"""Minari datasets: HDF5 of the folder ``data`` with JSON beside it.
+
+The layout is that of Minari 0.4 and 0.5 (https://minari.farama.org): a group ``episode_N`` for each
+episode, with observations of T + 1 states, possibly in groups, and T actions.
+"""
+
+import json
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.data.untrusted_hdf5 import UntrustedGroup, reading
+from contactgraph.interchange.export_layout import MAP_FILE, ExportLayout, new_folder
+from contactgraph.interchange.recording import (
+    Column,
+    Episode,
+    Recording,
+    check_count,
+    check_file,
+    read_json,
+)
+
+_FILE, _METADATA = "main_data.hdf5", "metadata.json"
+_LARGEST_FILE = 2**34
+_PARTS = ("observations", "actions", "infos", "rewards")
+_DEEPEST = 8
+_WIDEST = 4096
+"""Numbers of a row, beyond which they are an image."""
+_PREFIX = "episode_"
+_VERSION = "0.5.0"
+"""Minari's own, of the layout that is written."""
+
+
+def read_minari(source: Path) -> Recording:
+    """The dataset in the folder ``source``, in its folder ``data`` or in that one's file."""
+    folder = source.parent if source.is_file() else source
+    if (folder / "data").is_dir():
+        folder = folder / "data"
+    path = source if source.is_file() else folder / _FILE
+    if not path.exists():
+        raise InvalidInputError(
+            f"{source}: must be a folder of Minari with data/{_FILE} (often below "
+            "~/.minari/datasets), or that file"
+        )
+    check_file(path, _LARGEST_FILE)
+    environment = _environment(folder / _METADATA)
+    with reading(str(path)):
+        if not h5py.is_hdf5(path):
+            raise InvalidInputError(f"{path}: must be HDF5, or is damaged")
+        with h5py.File(path, "r", locking="best-effort") as file:
+            root = UntrustedGroup(str(path), file)
+            names = [each for each in root.names() if each.startswith(_PREFIX)]
+            if not all(each.removeprefix(_PREFIX).isdigit() for each in names):
+                raise InvalidInputError(f"{path}: must hold groups episode_0, episode_1, …")
+            names.sort(key=lambda name: int(name.removeprefix(_PREFIX)))
+            count, episodes = 0, []
+            for name in names:
+                episode = _episode(name, root.child(name))
+                count += sum(each.values.size for each in episode.columns.values())
+                check_count(str(path), count)
+                episodes.append(episode)
+    return Recording(str(source), tuple(episodes), environment=environment)
+
+
+def _environment(path: Path) -> str:
+    """The environment's name by the metadata, or none."""
+    if not path.exists():
+        return ""
+    metadata = read_json(path)
+    kind = metadata.content.get("data_format", "hdf5")
+    if kind != "hdf5":
+        raise InvalidInputError(f"{path}: data_format must be hdf5, found {kind!r}")
+    try:
+        found = json.loads(metadata.content.get("env_spec", "{}")).get("id", "")
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return ""
+    return found if isinstance(found, str) else ""
+
+
+def _episode(name: str, group: UntrustedGroup) -> Episode:
+    columns: dict[str, Column] = {}
+    others: dict[str, str] = {}
+
+    def add(at: str, inside: UntrustedGroup, member: str, depth: int) -> None:
+        if inside.is_group(member):
+            if depth < _DEEPEST:
+                child = inside.child(member)
+                for each in child.names():
+                    add(f"{at}/{each}", child, each, depth + 1)
+            return
+        found = inside.numbers(member)
+        if isinstance(found, str):
+            others[at] = found
+        elif found[:1].size > _WIDEST:
+            others[at] = f"{found.shape[1:]} numbers at each step"
+        elif len(found):
+            width = int(np.prod(found.shape[1:]))
+            columns[at] = Column(found.reshape(len(found), width).astype(np.float64))
+
+    there = group.names()
+    for part in _PARTS:
+        if part in there:
+            add(part, group, part, 0)
+    return Episode(name, columns, others)
+
+
+def write_minari(layout: ExportLayout, folder: Path) -> None:
+    """Writes a dataset, whose observation is one array of all states, to a new folder."""
+    with new_folder(folder) as temporary:
+        data = temporary / "data"
+        data.mkdir()
+        steps = 0
+        with h5py.File(data / _FILE, "x", track_order=True) as file:
+            for index, each in enumerate(layout.dataset):
+                group = file.create_group(f"{_PREFIX}{index}")
+                group.attrs["id"] = index
+                group.attrs["total_steps"] = each.steps
+                group["observations"] = layout.states(each)
+                group["actions"] = each.control
+                group["rewards"] = np.zeros(each.steps)
+                ends = np.arange(each.steps) == each.steps - 1
+                group["terminations"], group["truncations"] = np.zeros_like(ends), ends
+                steps += each.steps
+        name = re.sub(r"[^\w-]+", "-", folder.name).strip("-") or "export"
+        metadata = {
+            "total_episodes": len(layout.dataset),
+            "total_steps": steps,
+            "data_format": "hdf5",
+            "observation_space": _box(len(layout.names)),
+            "action_space": _box(layout.dataset.control_size),
+            "dataset_id": name if re.search(r"-v\d+$", name) else f"contactgraph/{name}-v0",
+            "minari_version": _VERSION,
+            "observation_names": layout.names,
+        }
+        (data / _METADATA).write_text(json.dumps(metadata), encoding="utf-8")
+        text = layout.map_text(
+            lambda start, stop: f'"observations[{start}:{stop}]"',
+            lambda start, stop: f'"actions[{start}:{stop}]"',
+        )
+        (temporary / MAP_FILE).write_text(text, encoding="utf-8")
+
+
+def _box(size: int) -> str:
+    """A space of ``size`` numbers in Minari's JSON."""
+    bounds = {"low": [-np.inf] * size, "high": [np.inf] * size}
+    return json.dumps({"type": "Box", "dtype": "float64", "shape": [size], **bounds})

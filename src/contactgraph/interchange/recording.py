@@ -1,0 +1,159 @@
+"""Recordings of other formats: episodes of named columns of numbers, as every reader has them."""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.data.json_fields import JsonFields, parse_json
+
+LARGEST = 2**27
+"""Limit of the numbers of a recording, 1 GiB: more than anyone can train on."""
+MEMORY = 2**33
+"""Bytes that reading a file may take."""
+_LARGEST_JSON = 2**24
+"""Bytes."""
+_SLICE = re.compile(r"(?P<name>.+)\[(?P<start>\d{1,9})(?::(?P<stop>\d{1,9}))?\]")
+_SHOWN = 30
+"""Columns that an error lists."""
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """Numbers over time. Those of actions may have one row less than those of states."""
+
+    values: np.ndarray
+    """[S, W]; NaN where nothing was measured."""
+    stamps: np.ndarray | None = None
+    """[S] s. None: those of the episode, or its steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One recording without interruption."""
+
+    name: str
+    columns: dict[str, Column]
+    others: dict[str, str] = field(default_factory=dict)
+    """Columns that cannot be read as numbers, and what they hold."""
+
+    def column(self, reference: str) -> Column:
+        """The columns that ``name``, ``name[i]`` or ``name[start:stop]`` refers to.
+
+        Raises `InvalidInputError`, which lists what is there, for others.
+        """
+        if reference in self.columns:
+            return self.columns[reference]
+        sliced = _SLICE.fullmatch(reference)
+        name = sliced["name"] if sliced else reference
+        if name in self.others:
+            raise InvalidInputError(f"column {name!r} must be numbers, found {self.others[name]}")
+        if sliced is None or name not in self.columns:
+            there = [f"{each}[{c.values.shape[1]}]" for each, c in self.columns.items()]
+            more = f", … ({len(there)} in all)" if len(there) > _SHOWN else ""
+            raise InvalidInputError(
+                f"no column {reference!r}; there are {', '.join(there[:_SHOWN])}{more}"
+            )
+        column = self.columns[name]
+        start, width = int(sliced["start"]), column.values.shape[1]
+        stop = int(sliced["stop"]) if sliced["stop"] else start + 1
+        if not start < stop <= width:
+            raise InvalidInputError(f"{reference!r} must lie in {name}[0:{width}]")
+        return Column(column.values[:, start:stop], column.stamps)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """The content of a file or folder of another format."""
+
+    where: str
+    episodes: tuple[Episode, ...]
+    dt: float | None = None
+    """Time between two rows, s, where the format tells it."""
+    environment: str = ""
+    """The environment that was recorded, where the format tells it."""
+
+    def __post_init__(self) -> None:
+        if not self.episodes:
+            raise InvalidInputError(f"{self.where}: must hold at least one episode, found none")
+        for each in self.episodes:
+            if not each.columns:
+                there = [f"{name} ({what})" for name, what in each.others.items()][:_SHOWN]
+                raise InvalidInputError(
+                    f"{self.where}: {each.name}: must have columns of numbers, found "
+                    f"{', '.join(there) or 'none'}"
+                )
+
+
+class Reader(Protocol):
+    """Reads a file or folder; raises `InvalidInputError` of one line where anything is wrong."""
+
+    def __call__(self, source: Path) -> Recording:
+        """The recording in ``source``."""
+
+
+def check_count(where: str, count: int) -> None:
+    """Refuses more numbers than a recording may have."""
+    if not 0 <= count <= LARGEST:
+        raise InvalidInputError(f"{where}: must hold at most {LARGEST} numbers, found {count}")
+
+
+def check_file(path: Path, largest: int) -> None:
+    """Refuses what is no file, or has more bytes."""
+    if not path.exists():
+        raise InvalidInputError(f"{path}: does not exist")
+    if not path.is_file():
+        raise InvalidInputError(f"{path}: must be a file, found a folder or device")
+    if path.stat().st_size > largest:
+        raise InvalidInputError(f"{path}: must have at most {largest} bytes")
+
+
+def read_json(path: Path) -> JsonFields:
+    """The JSON object in a file; raises `InvalidInputError` where it holds something else."""
+    check_file(path, _LARGEST_JSON)
+    try:
+        content = parse_json(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError, OSError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise InvalidInputError(f"{path}: must be JSON, or is damaged ({reason})") from error
+    if not isinstance(content, dict):
+        raise InvalidInputError(f"{path}: must be a JSON object")
+    return JsonFields(str(path), content)
+
+
+def files_of(source: Path, suffixes: Sequence[str]) -> list[Path]:
+    """The file ``source``, or the files of these suffixes in that folder, by name."""
+    if not source.is_dir():
+        return [source]
+    found = sorted(each for each in source.iterdir() if each.suffix.lower() in suffixes)
+    if not found:
+        raise InvalidInputError(f"{source}: no file that ends in {' or '.join(suffixes)}")
+    return found
+
+
+@contextmanager
+def limited_memory() -> Iterator[None]:
+    """Refuses more than `MEMORY` bytes beside those in use, on Linux: `MemoryError`.
+
+    A few bytes of a file can stand for any number of repeated values, which a library unpacks
+    before anyone can count them.
+    """
+    statistics = Path("/proc/self/statm")
+    if not statistics.exists():
+        yield
+        return
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(statistics.read_text().split()[0]) * resource.getpagesize()
+    most = used + MEMORY if before[1] == resource.RLIM_INFINITY else min(used + MEMORY, before[1])
+    resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
