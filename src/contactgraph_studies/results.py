@@ -63,6 +63,7 @@ SUCCESS_PERCENT = Quantity("success_rate", "%", 100.0)
 CONTACT_SPEED = Quantity("contact_speed_m_s", "m/s")
 PLANNED_F1 = Quantity("edge_f1_planned")
 PLAN_MS = Quantity("plan_ms_p50", "ms")
+SLOWEST_MS = Quantity("plan_ms_p99", "ms")
 
 
 @dataclass(frozen=True)
@@ -241,14 +242,21 @@ class Results:
         return Success(successes, episodes, tuple(one.values.get("seed") for one in readings))
 
     def to_json(self, seed_key: str = "seed", omit: Sequence[str] = ()) -> list[dict[str, Any]]:
-        """Labels, seed, command and values of every reading, for ``results.json``."""
+        """Labels, seed, command and values of every reading, for ``results.json``.
+
+        Keys that contain one of ``omit`` are left out.
+        """
         return [
             {
                 **asdict(condition),
                 seed_key: one.seed,
                 "command": one.command,
                 "fingerprint": one.fingerprint,
-                "values": {key: one.values[key] for key in one.values if key not in omit},
+                "values": {
+                    key: value
+                    for key, value in one.values.items()
+                    if not any(part in key for part in omit)
+                },
             }
             for condition, readings in self._readings.items()
             for one in readings

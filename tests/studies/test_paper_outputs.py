@@ -4,6 +4,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,8 @@ from contactgraph_studies.paper.figures import (
     fault_figure,
     sample_figure,
 )
-from contactgraph_studies.paper.jobs import planned
-from contactgraph_studies.paper.study import model_table, model_targets
+from contactgraph_studies.paper.jobs import ModelCondition, planned
+from contactgraph_studies.paper.study import OMITTED, model_table, model_targets
 from contactgraph_studies.results import (
     Reading,
     Results,
@@ -199,6 +200,21 @@ def test_infinite_errors_are_triangles() -> None:
     figure = error_figure(results({BY_EPISODE: ["infinite"]}, OURS.full_ab), TASKS)
     marks = [line for axes in figure.axes for line in axes.lines if line.get_marker() == "^"]
     assert len(marks) == 2 * len(TASKS)
+
+
+def test_results_json_keeps_what_claims_and_tables_need() -> None:
+    measured, kept = results(), {}
+    for entry in measured.to_json("training_seed", OMITTED):
+        condition = ModelCondition(
+            **{each.name: entry[each.name] for each in fields(ModelCondition)}
+        )
+        reading = Reading(entry["training_seed"], entry["values"], entry["command"])
+        kept.setdefault(condition, []).append(reading)
+    shown = [
+        (table_of(each, TASKS).csv(), [one.to_json() for one in claims(each, TASKS, AMOUNTS)])
+        for each in (measured, Results(kept))
+    ]
+    assert shown[0] == shown[1]
 
 
 def test_both_files_of_a_figure_are_written(tmp_path: Path) -> None:
