@@ -51,7 +51,9 @@ def write_study(
     write_text(folder / "targets.md", markdown_metrics(result.targets))
     write_text(folder / "targets.csv", csv_metrics(result.targets))
     commands = [command, *(job.command for job in study.jobs)]
-    made = f"{date}; jobs of {short(hours)} hours, {cores} at a time"
+    made = (
+        f"{date}; {len(costs)} of {len(study.jobs)} jobs done, {short(hours)} h, {cores} at a time"
+    )
     page = study_page(result, failed, commands, origin["versions"], made)
     write_text(folder / "index.html", page)
     for claim in result.claims:
