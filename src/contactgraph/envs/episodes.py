@@ -29,28 +29,61 @@ StepCallback = Callable[[int, Observation, np.ndarray], None]
 def run_episode(
     task: Task, policy: Policy, seed: int, on_step: StepCallback | None = None
 ) -> Trajectory:
-    """Runs one episode and records it: ``T`` controls as applied, ``T + 1`` states and contacts.
+    """Runs one `Episode` to its end and records it: ``T`` controls, ``T + 1`` states and contacts.
+
+    Raises `InvalidInputError` where the seed is negative.
+    """
+    episode = Episode(task, policy, seed)
+    while not episode.over:
+        observation = episode.observation
+        control = episode.step()
+        if on_step is not None:
+            on_step(episode.steps - 1, observation, control)
+    return episode.trajectory()
+
+
+class Episode:
+    """One episode of a policy in a task, step by step.
 
     ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
     it. If both task and policy support it, feedback acts within the steps, and controls are
-    their means. The scene's metadata gains the policy's class name and the episode's success.
-    A task that is `Renderable` has its link positions recorded at every state, and what a task
-    observes of holding and of orientation is recorded.
+    their means. A task that is `Renderable` has its link positions recorded at every state, and
+    what a task observes of holding and of orientation is recorded.
     """
-    if seed < 0:
-        raise InvalidInputError(f"seed must be at least 0, found {seed}")
-    box = cast(gymnasium.spaces.Box, task.action_space)
-    observation, _ = task.reset(seed=seed)
-    # A separate stream: noise drawn from the scene's numbers would depend on the layout.
-    policy.reset(task.scene, int(np.random.SeedSequence(seed).generate_state(1)[0]))
-    observations = [observation]
-    drawn = task if isinstance(task, Renderable) else None
-    # Copies: a simulator may return views of its own state.
-    link_positions = [] if drawn is None else [np.array(drawn.link_positions())]
-    controls: list[np.ndarray] = []
-    done = False
-    while not done:
-        control = np.clip(policy(observation), box.low, box.high).astype(box.dtype)
+
+    def __init__(self, task: Task, policy: Policy, seed: int) -> None:
+        """Begins the episode; raises `InvalidInputError` where the seed is negative."""
+        if seed < 0:
+            raise InvalidInputError(f"seed must be at least 0, found {seed}")
+        self._task, self._policy = task, policy
+        self._box = cast(gymnasium.spaces.Box, task.action_space)
+        self.observation, _ = task.reset(seed=seed)
+        """The present one."""
+        self.over = False
+        """Whether the task has ended the episode."""
+        # A separate stream: noise drawn from the scene's numbers would depend on the layout.
+        policy.reset(task.scene, int(np.random.SeedSequence(seed).generate_state(1)[0]))
+        self._observations = [self.observation]
+        self._drawn = task if isinstance(task, Renderable) else None
+        # Copies: a simulator may return views of its own state.
+        drawn = self._drawn
+        self._link_positions = [] if drawn is None else [np.array(drawn.link_positions())]
+        self._controls: list[np.ndarray] = []
+
+    @property
+    def steps(self) -> int:
+        """The steps made."""
+        return len(self._controls)
+
+    @property
+    def link_positions(self) -> np.ndarray | None:
+        """[P, D] m: those of a `Renderable` task at present."""
+        return self._link_positions[-1] if self._link_positions else None
+
+    def step(self) -> np.ndarray:
+        """Makes one step; the control ``[U]`` N that was applied, on its mean."""
+        task, policy, box = self._task, self._policy, self._box
+        control = np.clip(policy(self.observation), box.low, box.high).astype(box.dtype)
         if isinstance(task, FeedbackTask) and isinstance(policy, FeedbackPolicy):
             following, _, terminated, truncated, info = task.step_under(policy.feedback())
             control = info["control"]
@@ -58,36 +91,44 @@ def run_episode(
             following, _, terminated, truncated, _ = task.step(control)
         if isinstance(policy, InformedPolicy):
             policy.applied(control)
-        if on_step is not None:
-            on_step(len(controls), observation, control)
-        observation, done = following, terminated or truncated
-        observations.append(observation)
-        if drawn is not None:
-            link_positions.append(np.array(drawn.link_positions()))
-        controls.append(control)
-    metadata = {
-        **task.scene.metadata,
-        "policy": type(policy).__name__,
-        "success": task.success(),
-    }
-    best_score = task.best_score() if isinstance(task, ScoredTask) else None
-    if best_score is not None:
-        metadata["best_score"] = best_score
+        self.observation, self.over = following, terminated or truncated
+        self._observations.append(following)
+        if self._drawn is not None:
+            self._link_positions.append(np.array(self._drawn.link_positions()))
+        self._controls.append(control)
+        return control
 
-    def recorded(name: str) -> np.ndarray | None:
-        return np.stack([each[name] for each in observations]) if name in observation else None
+    def trajectory(self) -> Trajectory:
+        """The states and controls so far, at least one.
 
-    return Trajectory(
-        scene=replace(task.scene, metadata=metadata),
-        position=np.stack([each["position"] for each in observations]),
-        velocity=np.stack([each["velocity"] for each in observations]),
-        control=np.stack(controls),
-        contact=np.stack([each["contact"] for each in observations]).astype(bool),
-        link_positions=np.stack(link_positions) if link_positions else None,
-        holding=recorded("holding"),
-        orientation=recorded("orientation"),
-        angular_velocity=recorded("angular_velocity"),
-    )
+        The scene's metadata gains the policy's class name and the episode's success.
+        """
+        task = self._task
+        metadata = {
+            **task.scene.metadata,
+            "policy": type(self._policy).__name__,
+            "success": task.success(),
+        }
+        best_score = task.best_score() if isinstance(task, ScoredTask) else None
+        if best_score is not None:
+            metadata["best_score"] = best_score
+
+        def recorded(name: str) -> np.ndarray | None:
+            if name not in self.observation:
+                return None
+            return np.stack([each[name] for each in self._observations])
+
+        return Trajectory(
+            scene=replace(task.scene, metadata=metadata),
+            position=np.stack([each["position"] for each in self._observations]),
+            velocity=np.stack([each["velocity"] for each in self._observations]),
+            control=np.stack(self._controls),
+            contact=np.stack([each["contact"] for each in self._observations]).astype(bool),
+            link_positions=np.stack(self._link_positions) if self._link_positions else None,
+            holding=recorded("holding"),
+            orientation=recorded("orientation"),
+            angular_velocity=recorded("angular_velocity"),
+        )
 
 
 _ALONE_S = 1.0
