@@ -25,7 +25,7 @@ MAY_IMPORT = {
 }
 """Packages that stand below others, and the packages that each of them may import."""
 
-LIBRARY_TOP = {"contactgraph.evaluate", "contactgraph.viz", "contactgraph.cli"}
+LIBRARY_TOP = {"contactgraph.evaluate", "contactgraph.viz", "contactgraph.play", "contactgraph.cli"}
 """These may import each other only in this order, and everything that stands below."""
 
 HEAVY = {
@@ -41,6 +41,7 @@ HEAVY = {
     "pyapriltags",
     "pyrealsense2",
     "ray",
+    "websockets",
 }
 """Libraries that are slow to import or optional: one module knows each of them."""
 
@@ -105,7 +106,7 @@ def package_of(module: str) -> str:
 
 def wrong_directions(imports: Imports) -> list[str]:
     wrong = []
-    order = ["contactgraph.evaluate", "contactgraph.viz", "contactgraph.cli"]
+    order = ["contactgraph.evaluate", "contactgraph.viz", "contactgraph.play", "contactgraph.cli"]
     for module, found in imports.items():
         package = package_of(module)
         for target in sorted(found):

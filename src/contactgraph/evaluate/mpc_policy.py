@@ -1,5 +1,6 @@
 """The model predictive controller as a policy in a task."""
 
+import copy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -82,6 +83,13 @@ class MPCPolicy:
         self._applied: np.ndarray | None = None
         self._holds = False
         """Whether the scene's contacts are the pairs that hold each other."""
+
+    def compiled_as(self, other: "MPCPolicy") -> "MPCPolicy":
+        """The same with the controller of another policy of equal model and task, which need not
+        be compiled again."""
+        same = copy.copy(self)
+        same._mpc = other._mpc
+        return same
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode in ``scene``; ``seed`` is that of sensor faults and noise.
