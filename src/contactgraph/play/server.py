@@ -24,6 +24,7 @@ try:
     from websockets.datastructures import Headers
     from websockets.exceptions import ConnectionClosed
     from websockets.http11 import Request, Response
+    from websockets.typing import Origin
 except ImportError as error:
     raise InvalidInputError(
         "play needs the package websockets: pip install 'contactgraph[play]'"
@@ -149,7 +150,7 @@ async def serve_session(
     async with serve(
         handle,
         sock=listening,
-        origins=[origin],
+        origins=[Origin(origin)],
         process_request=answer,
         max_size=LARGEST_MESSAGE,
         max_queue=16,

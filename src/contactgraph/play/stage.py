@@ -102,7 +102,7 @@ class Stage:
         )
         if grown and before is not None:
             made = made.compiled_as(before.policy.controller)
-        self.policy = HandPolicy(made)
+        self.policy: HandPolicy = HandPolicy(made)
         self._observation = observation
 
     @property

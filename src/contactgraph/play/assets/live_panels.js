@@ -1,6 +1,7 @@
 // The numbers beside the scene; they are written a few times a second.
 
 const SHOWN_EDGES = 3;
+const CALIBRATION = 250; // px, the width of the small chart
 const panel = (id) => document.getElementById(id);
 
 function writeTiles({ medianMs, distance, reached, episodes, successes, time }) {
@@ -24,12 +25,23 @@ function shownEdges(scene) {
   return order.filter((edge) => rank(edge) > 0.1).slice(0, SHOWN_EDGES);
 }
 
+// Steps in which an edge truly exists, as [first, last + 1].
+function touchedSpans(scene, edge) {
+  const spans = [];
+  for (let step = 0; step < HISTORY; step += 1) {
+    if (!scene.touched[step * scene.edges.length + edge]) continue;
+    if (spans.length && spans.at(-1)[1] === step) spans.at(-1)[1] += 1;
+    else spans.push([step, step + 1]);
+  }
+  return spans;
+}
+
 function drawBeliefs(scene) {
   const parent = panel("belief-plots");
   parent.replaceChildren();
   const width = parent.clientWidth;
   const count = scene.edges.length;
-  const [left, right, top, height] = [28, width - 2, 4, 52];
+  const [left, right, top, height] = [28, width - 2, 8, 48];
   const toX = linearScale([0, HISTORY - 1], [left, right]);
   const toY = linearScale([0, 1], [top + height, top]);
   for (const edge of shownEdges(scene)) {
@@ -41,10 +53,9 @@ function drawBeliefs(scene) {
     const label = `Belief in ${scene.edgeName[edge]}: ${now.toFixed(2)}`;
     const svg = element("svg", { class: "plot", viewBox: `0 0 ${width} ${top + height + 6}`, role: "img", "aria-label": label }, box);
     const steps = Array.from({ length: HISTORY }, (_, step) => step);
-    for (const step of steps) {
-      if (!scene.touched[step * count + edge]) continue;
-      const x = toX(step - 0.5);
-      element("rect", { class: "band", x: Math.max(left, x), y: top, width: toX(step + 0.5) - x, height }, svg);
+    for (const [from, until] of touchedSpans(scene, edge)) {
+      const x = Math.max(left, toX(from - 0.5));
+      element("rect", { class: "band", x, y: top, width: Math.min(right, toX(until - 0.5)) - x, height }, svg);
     }
     for (const tick of [0, 0.5, 1]) {
       element("line", { class: "grid", x1: left, x2: right, y1: toY(tick), y2: toY(tick) }, svg);
@@ -77,8 +88,8 @@ function drawMasses(scene, rows) {
 function drawReliability(curve) {
   const parent = panel("reliability");
   if (!curve || !parent.clientWidth) return;
-  drawReliabilityPanel(parent, `How well calibrated: error ${readable(curve.error, 2)}`, [curve], () => "--body-0", Math.min(330, parent.clientWidth));
-  parent.firstElementChild.nextElementSibling.style.maxWidth = "330px";
+  drawReliabilityPanel(parent, `How well calibrated: error ${curve.error.toFixed(3)}`, [curve], () => "--body-0", CALIBRATION);
+  parent.querySelector("svg").style.maxWidth = `${CALIBRATION}px`;
 }
 
 let panelsDrawn = 0;

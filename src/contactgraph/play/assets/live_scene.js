@@ -123,7 +123,19 @@ function drawLive(now) {
   const draw = view.canvas.getContext("2d");
   drawGhosts(draw, clock.scene);
   drawHand(draw, clock.scene);
+  noteFrame();
+}
+
+// What a test or a measurement reads of the picture: its number, places in it, and the last lag.
+function noteFrame() {
   const { dataset } = view.canvas;
+  const { scene } = clock;
+  const places = Object.fromEntries(scene.nodeName.map((_, node) => [node, toPixel(placeAt(scene, node, clock.step))]));
+  if (scene.goal) {
+    const [x, y] = toPixel(scene.goal);
+    Object.assign(places, { goal: [x, y], rim: [x + scene.goalRadius * view.scale, y] });
+  }
+  dataset.at = JSON.stringify({ ...places, middle: [view.width / 2, view.height / 2] });
   dataset.frames = Number(dataset.frames ?? 0) + 1;
   const sent = hand.sent.get(live.frame.acted);
   if (sent === undefined) return;
