@@ -102,7 +102,7 @@ def test_the_documents_use_every_command() -> None:
     """Without a match of the pattern, no command line would be tested."""
     used = {words[0] for page in PAGES for words in commands(page)}
     others = {"reproduce", "report", "robot", "info"}
-    assert used == {"collect", "train", "evaluate", "control", "learn-cost", *others}
+    assert used == {"collect", "train", "evaluate", "control", "learn-cost", "play", *others}
 
 
 @pytest.mark.parametrize("words", [["train"], ["collect", "pickup"], ["control", "--seed", "x"]])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src"
-LIBRARY = ("data", "model", "train", "control", "envs", "evaluate", "viz")
+LIBRARY = ("data", "model", "train", "control", "envs", "evaluate", "viz", "play")
 ARM = ("safety", "loop", "perception", "sim")
 PACKAGES = [
     *(f"contactgraph/{each}" for each in LIBRARY),

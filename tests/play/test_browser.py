@@ -76,7 +76,8 @@ def test_a_pushed_body_moves(page):
 def test_a_broken_sensor_is_seen_in_the_belief(page):
     begin(page)
     page.click("#sensor label:nth-of-type(2)")
-    page.until("[...document.querySelectorAll('.ink-belief')].some((e) => e.textContent > 0.5)")
+    belief = "Number(document.querySelector('#belief-plots .ink-belief').textContent)"
+    page.until(f"document.querySelector('#belief-plots .band') && {belief} < 0.5")
     page.click("#sensor label:nth-of-type(1)")
     page.until("document.querySelector('#sensor input').checked")
 

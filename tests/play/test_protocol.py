@@ -55,11 +55,21 @@ def test_a_pulled_body_moves_there(page):
 def test_a_broken_sensor_changes_beliefs(page):
     frame = page.next_scene()
     assert frame["contact"] == []
-    assert max(frame["belief"]) < 0.1
-    page.wish("sensor", sensor="alarms")
-    frame = page.until(lambda found: found.get("belief") and max(found["belief"]) > 0.5)
-    assert frame["sensor"] == "alarms"
-    assert frame["contact"] == [], "where nothing touches"
+    assert max(frame["belief"]) < 0.01
+    page.wish("sensor", sensor="broken")
+    frame = page.until(lambda found: found.get("belief") and max(found["belief"]) > 0.05)
+    assert frame["sensor"] == "broken"
+    page.until(lambda found: found.get("contact") == [0] and found["belief"][0] < 0.5)
+    page.wish("sensor", sensor="exact")
+    page.until(lambda found: found.get("contact") == [0] and found["belief"][0] > 0.9)
+
+
+def test_a_blind_controller_still_believes_by_motion(page):
+    page.wish("sensor", sensor="blind")
+    page.next_scene()
+    frame = page.until(lambda found: found.get("contact") == [0])
+    assert frame["sensor"] == "blind"
+    assert frame["belief"][0] > 0.5
 
 
 def test_time_can_be_stopped_and_told_step_by_step(page):
@@ -112,7 +122,7 @@ def test_garbage_gets_one_error_and_breaks_nothing(page, message):
 )
 def test_a_wish_that_cannot_be_is_told(page, wish, words):
     page.connection.send(json.dumps(wish))
-    page.until(lambda found: words in (found.get("notice") or {}).get("text", ""))
+    page.until(lambda found: words in ((found.get("notice") or {}).get("text") or ""))
 
 
 def test_a_message_that_is_too_large_ends_its_connection_alone(served, page):

@@ -70,9 +70,8 @@ class TaskCost:
     def seeing(self, observation: Observation) -> "TaskCost":
         """The cost where the nodes and the goal are as observed."""
         last, angle, goal = self.order[-1], self.angle, self.goal
-        observed = observation.get("goal", goal)
-        if not np.array_equal(observed, goal):
-            goal = np.asarray(observed)
+        if "goal" in observation and not np.array_equal(observation["goal"], np.asarray(goal)):
+            goal = np.asarray(observation["goal"])
         away = np.linalg.norm(observation["position"][last] - goal)
         placed = bool(away < self.terms.placed_radius)
         if self.turns and np.isfinite(observation["orientation"][last, 0]):

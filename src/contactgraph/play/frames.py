@@ -1,29 +1,127 @@
 """The messages to a page: a scene when it changes, and a frame for every step."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import replace
+import time
+from collections import deque
 from typing import Any
 
 import numpy as np
 
 from contactgraph.data import Scene, Trajectory, pair_indices
 from contactgraph.envs.contract import Observation
-from contactgraph.evaluate import Calibration, EpisodeRecord
+from contactgraph.evaluate import Calibration, Episode, EpisodeRecord, belief_calibration
+from contactgraph.evaluate.calibration import no_calibration
+from contactgraph.play.stage import Stage, switches
 from contactgraph.viz import SceneTrajectory
-from contactgraph.viz.scene_payload import scene_payload
+from contactgraph.viz.scene_payload import number, scene_payload
 from contactgraph.viz.selection import shown_directions
 
 _GHOSTS = 20
 """Approximate number of positions of a plan that are sent, at most twice as many."""
+_FRAMES_A_SECOND = 60.0
+_EARLY = 0.002
+"""s; a step is shown that comes so much earlier than a frame is due."""
+_RECENT = 100
+"""Steps over which the time of a control step is told."""
 _DIGITS = 5
 """Of lengths, m; and of probabilities."""
 
 
-def scene_of(
-    scene: Scene, name: str, observation: Observation, control_size: int, links: np.ndarray | None
-) -> SceneTrajectory:
-    """A scene at rest as ``observation`` shows it, for the renderer of reports."""
+class View:
+    """The newest messages of a session, and what is told over several steps."""
+
+    def __init__(self, before: "View | None" = None) -> None:
+        """``before``: the view of a session so far, whose numbers of messages go on."""
+        self.newest: tuple[str | None, str | None] = (None, None)
+        """The newest message about the scene, and that about the motion in it."""
+        self._scene: int = 0 if before is None else before._scene
+        self._notices: int = 0 if before is None else before._notices
+        self._notice: str | None = None
+        self._motion: dict[str, Any] = {}
+        self._plan_ms: deque[float] = deque(maxlen=_RECENT)
+        self._calibration = no_calibration()
+        self._goal_radius = 0.0
+        self._last = 0.0
+
+    def tell(self, text: str) -> None:
+        """One line to be shown with the next frames."""
+        self._notices, self._notice = self._notices + 1, text
+
+    def begin(self, stage: Stage, episode: Episode, about: dict[str, Any]) -> None:
+        """A new scene; ``about``: what else the page tells of it."""
+        scene, choice, task = stage.task.scene, stage.choice, stage.task
+        drawn = _scene_of(scene, choice.task, episode, np.shape(task.action_space.sample())[0])
+        chain = [int(node) for node in task.cost_terms().chain]
+        message = {
+            **about,
+            "type": "scene",
+            "number": self._scene + 1,
+            "scene": {**scene_payload(drawn), "involved": chain, "focus": chain[:2]},
+            "model": choice.model,
+            "task": choice.task,
+            "distractors": choice.distractors,
+            "disturbable": stage.disturbable,
+            "switches": bool(switches(scene)),
+        }
+        self._scene += 1
+        self._goal_radius, self._motion, self._notice = drawn.goal_radius, {}, None
+        self.newest = (_json(message), None)
+
+    def step(
+        self,
+        stage: Stage,
+        steps: int,
+        observation: Observation,
+        links: np.ndarray | None,
+        control: np.ndarray,
+        asked: int,
+    ) -> bool:
+        """After step number ``steps`` from this state; whether it is to be shown.
+
+        ``asked``: the number of the last goal that the step knew of.
+        """
+        record = stage.policy.controller.latest()
+        self._plan_ms.append(float(record.plan_ms[0]))
+        belief, labels = record.estimated[0], stage.labels(observation)
+        # A belief of 0 is about an edge beyond the model's cutoff, right by construction.
+        counted = (belief > 0.0) | labels
+        self._calibration += belief_calibration(belief[counted], labels[counted])
+        now, dt = time.perf_counter(), stage.task.scene.dt
+        if now - self._last < min(dt, 1.0 / _FRAMES_A_SECOND) - _EARLY:
+            return False
+        self._last = now
+        shown = _motion(observation, control, record, stage.inverse_mass(), links, labels)
+        self._motion = {**shown, "step": steps - 1, "time": (steps - 1) * dt, "acted": asked}
+        return True
+
+    def publish(
+        self, controls: dict[str, Any], stage: Stage | None, episode: Episode | None
+    ) -> None:
+        """Makes the newest message; ``controls`` are what pages can set, and the count."""
+        values = {
+            **self._motion,
+            **controls,
+            "type": "frame",
+            "scene": self._scene,
+            "notice": {"number": self._notices, "text": self._notice},
+            "reliability": _reliability(self._calibration),
+        }
+        if stage is not None and episode is not None:
+            goal, last = stage.task.scene.goal, stage.task.cost_terms().chain[-1]
+            position = episode.observation["position"][last]
+            distance = None if goal is None else number(float(np.linalg.norm(position - goal)))
+            values |= {
+                "goal": None if goal is None else goal.tolist(),
+                "distance": distance,
+                "reached": distance is not None and distance <= self._goal_radius,
+                "medianMs": float(np.median(self._plan_ms)) if self._plan_ms else None,
+            }
+        self.newest = (self.newest[0], _json(values))
+
+
+def _scene_of(scene: Scene, name: str, episode: Episode, control_size: int) -> SceneTrajectory:
+    """A scene at rest as it begins, for the renderer of reports."""
+    observation, links = episode.observation, episode.link_positions
 
     def twice(value: np.ndarray | None) -> np.ndarray | None:
         return None if value is None else np.stack([value, value])
@@ -41,16 +139,7 @@ def scene_of(
     return SceneTrajectory(name, trajectory, edges, np.zeros((1, len(edges))))
 
 
-def scene_message(
-    drawn: SceneTrajectory, number: int, chain: Sequence[int], about: dict[str, Any]
-) -> str:
-    """Of a new scene. ``chain``: the task's nodes; ``about``: what else the page tells."""
-    focus = [int(node) for node in chain]
-    shown = {**scene_payload(drawn), "involved": focus, "focus": focus[:2]}
-    return _json({"type": "scene", "number": number, "scene": shown, **about})
-
-
-def motion(
+def _motion(
     observation: Observation,
     control: np.ndarray,
     record: EpisodeRecord,
@@ -83,31 +172,13 @@ def motion(
     }
 
 
-def frame_message(values: dict[str, Any]) -> str:
-    """A frame; missing numbers become null."""
-    return _json({"type": "frame", **values})
-
-
-def reliability(calibration: Calibration) -> dict[str, Any] | None:
+def _reliability(calibration: Calibration) -> dict[str, Any] | None:
     """As a curve of the report's chart; None before any belief was counted."""
     rows = calibration.reliability
     if rows is None:
         return None
     bins = [row for row in rows if row[0]]
     return {"source": "this session", "bins": bins, "error": calibration.expected_error}
-
-
-def goal_distance(scene: Scene, observation: Observation, node: int) -> float | None:
-    """m; None without a goal."""
-    if scene.goal is None:
-        return None
-    return float(np.linalg.norm(observation["position"][node] - scene.goal))
-
-
-def with_notes(trajectory: Trajectory, notes: dict[str, int | str]) -> Trajectory:
-    """The trajectory with ``notes`` in its scene's metadata."""
-    scene = trajectory.scene
-    return replace(trajectory, scene=replace(scene, metadata={**scene.metadata, **notes}))
 
 
 def _rounded(values: np.ndarray) -> list[float | None]:

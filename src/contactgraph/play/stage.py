@@ -1,25 +1,27 @@
 """A stage: a task under a compiled controller, ready for episodes that a hand disturbs."""
 
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from contactgraph.data import Scene, pair_indices
+from contactgraph.data import InvalidInputError, Scene, pair_indices
 from contactgraph.envs.contract import DisturbableTask, Feedback, Observation, Task
-from contactgraph.evaluate import EpisodeRecord, MPCPolicy, SensorFaults, mpc_policy
+from contactgraph.evaluate import MPCPolicy, SensorFaults, mpc_policy
 from contactgraph.model import ContactDynamics, ModelState, MotionNoise, Nodes, with_masses
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.play.wishes import StageChoice
 
 EPISODE_S = 60.0
 """Least duration of an episode, s, where the task itself does not end it sooner."""
-FALSE_ALARMS = 0.3
-"""Share of free edges that a broken sensor reports as touching, at every step."""
+WRONG = 0.3
+"""Share of readings of a broken sensor that are false alarms, or misses, at every step."""
 _ROOM = 12
 """Nodes that a stage is compiled for, at least, once bodies are added or removed."""
-_FAULTS = {"alarms": SensorFaults(false_alarm_rate=FALSE_ALARMS)}
+_FAULTS = {"broken": SensorFaults(false_alarm_rate=WRONG, miss_rate=WRONG)}
 _STIFFNESS, _DAMPING = 64.0, 12.0
 """Of the spring from a pulled body to the hand, in units of its mass, 1/s^2 and 1/s."""
 _LARGEST_PULL = 30.0
@@ -151,6 +153,17 @@ class Stage:
         whole[ids[there]] = found[there, : scene.dimension]
         return whole
 
+    def check_place(self, place: np.ndarray, node: int = 0) -> DisturbableTask:
+        """The task, where ``place`` and ``node`` are in its scene; else `InvalidInputError`."""
+        if not isinstance(self.task, DisturbableTask):
+            raise InvalidInputError(f"{self.choice.task}: goal and bodies cannot be moved by hand")
+        scene = self.task.scene
+        if node >= scene.node_count or len(place) != scene.dimension:
+            raise InvalidInputError(
+                f"nodes are 0 to {scene.node_count - 1}, and places have {scene.dimension} numbers"
+            )
+        return self.task
+
     def pull(self, observation: Observation, node: int, to: np.ndarray) -> None:
         """Pulls a body to a place during the next step, as by a damped spring."""
         scene = self.task.scene
@@ -162,8 +175,7 @@ class Stage:
             wanted = wanted - scene.gravity
         force = np.zeros((scene.node_count, scene.dimension))
         force[node] = mass * wanted
-        assert isinstance(self.task, DisturbableTask)
-        self.task.disturb(force)
+        self.check_place(to, node).disturb(force)
 
     def labels(self, observation: Observation) -> np.ndarray:
         """[E] bool: the edges that exist in truth, as the model means them; see `MPCPolicy`."""
@@ -171,9 +183,29 @@ class Stage:
         contact = observation.get("holding", observation["contact"])
         return np.asarray(contact[first, second]).astype(bool)
 
-    def record(self) -> EpisodeRecord:
-        """Of the last step."""
-        return self.policy.controller.latest()
+
+@dataclass(frozen=True, eq=False)
+class BuiltStage:
+    """A stage that is compiled, or the reason why there is none."""
+
+    stage: Stage | None
+    reason: str = ""
+
+
+def build_stage(make: Callable[[], Stage], built: Callable[[BuiltStage], None]) -> None:
+    """Makes and compiles a stage in a thread of its own, which hands it over."""
+
+    def build() -> None:
+        try:
+            stage = make()
+            stage.warm_up()
+            found = BuiltStage(stage)
+        except Exception as error:  # told on the page: a model of the user's may raise any
+            reason = str(error) if isinstance(error, InvalidInputError) else repr(error)
+            found = BuiltStage(None, " ".join(reason.split()))
+        built(found)
+
+    threading.Thread(target=build, name="compile", daemon=True).start()
 
 
 def switches(scene: Scene) -> list[int]:

@@ -7,8 +7,8 @@ import numpy as np
 from contactgraph.data import InvalidInputError
 from contactgraph.data.json_fields import JsonFields, parse_json
 
-SENSORS = ("exact", "alarms", "blind")
-"""The contact sensor as it is, with false alarms, or without readings."""
+SENSORS = ("exact", "broken", "blind")
+"""The contact sensor as it is, with false alarms and misses, or without readings."""
 SWITCHES = ("auto", "on", "off")
 """A task's switch by the plan, or by hand."""
 SPEEDS = (0.1, 4.0)

@@ -49,7 +49,7 @@ function choose(name, value) {
   for (const input of document.querySelectorAll(`#${name} input`)) input.checked = input.value === value;
 }
 
-let noticed = 0;
+let noticed = "";
 function takeControls(frame) {
   const button = panel("play");
   button.classList.toggle("playing", !frame.paused);
@@ -57,9 +57,9 @@ function takeControls(frame) {
   choose("sensor", frame.sensor);
   choose("switch", frame.switch);
   panel("speed").value = String(frame.speed);
-  const number = frame.notice?.number ?? 0;
-  if (number !== noticed) tell(frame.notice?.text);
-  noticed = number;
+  const notice = JSON.stringify(frame.notice); // its number tells equal ones apart
+  if (notice !== noticed) tell(frame.notice.text);
+  noticed = notice;
 }
 
 function take(message) {
