@@ -45,8 +45,8 @@ HEAVY = {
 }
 """Libraries that are slow to import or optional: one module knows each of them."""
 
-FILES = {"contactgraph": 188, "contactgraph_franka": 60, "contactgraph_studies": 33}
-LINES = {"contactgraph": 34_700, "contactgraph_franka": 9_000, "contactgraph_studies": 5_800}
+FILES = {"contactgraph": 197, "contactgraph_franka": 60, "contactgraph_studies": 33}
+LINES = {"contactgraph": 36_100, "contactgraph_franka": 9_000, "contactgraph_studies": 5_800}
 LONGEST_FILE = 300
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 34,  # a prediction step
