@@ -149,3 +149,5 @@ def browser() -> Iterator[Browser]:
         finally:
             process.kill()
             process.wait()
+            if process.stderr is not None:
+                process.stderr.close()

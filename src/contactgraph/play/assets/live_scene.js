@@ -136,6 +136,7 @@ function noteFrame() {
     Object.assign(places, { goal: [x, y], rim: [x + scene.goalRadius * view.scale, y] });
   }
   dataset.at = JSON.stringify({ ...places, middle: [view.width / 2, view.height / 2] });
+  dataset.scene = live.number;
   dataset.frames = Number(dataset.frames ?? 0) + 1;
   const sent = hand.sent.get(live.frame.acted);
   if (sent === undefined) return;
