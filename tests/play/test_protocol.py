@@ -192,6 +192,20 @@ def test_finished_episodes_are_a_dataset(served, page):
     assert last.steps >= 1
 
 
+@pytest.mark.slow
+def test_another_task_is_compiled_while_this_one_goes_on(page):
+    number, step = page.scene["number"], 0
+    page.wish("stage", model="door", task="door", distractors=0)
+    while (found := page.message())["type"] != "scene":
+        step = max(step, found.get("step", 0))
+        assert found["scene"] >= number
+    assert found["task"] == "door"
+    assert step > 20, "the old one went on"
+    page.until(lambda found: found.get("scene") == page.scene["number"] and "step" in found)
+    page.wish("stage", model="pickup", task="pickup", distractors=0)
+    page.until(lambda found: found["type"] == "scene" and found["task"] == "pickup")
+
+
 def test_a_taken_port_is_told():
     with (
         listening_socket(0) as taken,

@@ -93,6 +93,8 @@ class Play:
             asyncio.run(serve_session(session, listening, ready))
         finally:
             session.stop()
+            if session.compiling:
+                print("waiting for a compilation to end", file=sys.stderr)
             if self.record is not None and session.trajectories:
                 count = len(session.trajectories)
                 print(f"{self.record}: {count} episodes", file=sys.stderr)

@@ -90,6 +90,11 @@ class Session:
         """Whether the session has ended."""
         return self._stopped.is_set()
 
+    @property
+    def compiling(self) -> bool:
+        """Whether a stage is being compiled, which a process that ends waits for."""
+        return self._building is not None
+
     def wish(self, wish: Wish) -> None:
         """Hands a wish to the session; raises `InvalidInputError` while too many wait."""
         try:

@@ -205,7 +205,8 @@ def build_stage(make: Callable[[], Stage], built: Callable[[BuiltStage], None]) 
             found = BuiltStage(None, " ".join(reason.split()))
         built(found)
 
-    threading.Thread(target=build, name="compile", daemon=True).start()
+    # No daemon, as the session is: a process that ends within XLA's compiler aborts.
+    threading.Thread(target=build, name="compile", daemon=False).start()
 
 
 def switches(scene: Scene) -> list[int]:

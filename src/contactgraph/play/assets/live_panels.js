@@ -87,7 +87,8 @@ function drawMasses(scene, rows) {
 
 function drawReliability(curve) {
   const parent = panel("reliability");
-  if (!curve || !parent.clientWidth) return;
+  parent.parentElement.hidden = !curve;
+  if (!curve) return;
   drawReliabilityPanel(parent, `How well calibrated: error ${curve.error.toFixed(3)}`, [curve], () => "--body-0", CALIBRATION);
   parent.querySelector("svg").style.maxWidth = `${CALIBRATION}px`;
 }
