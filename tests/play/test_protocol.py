@@ -76,9 +76,9 @@ def test_time_can_be_stopped_and_told_step_by_step(page):
     page.wish("pause", paused=True)
     stopped = page.until(lambda found: found.get("paused"))
     page.wish("step")
-    page.until(lambda found: found.get("step") == stopped["step"] + 1)
+    first = page.until(lambda found: found.get("step", 0) > stopped["step"])
     page.wish("step")
-    page.until(lambda found: found.get("step") == stopped["step"] + 2)
+    page.until(lambda found: found.get("step") == first["step"] + 1)
     page.wish("pause", paused=False)
     page.until(lambda found: found.get("step", 0) > stopped["step"] + 4)
 

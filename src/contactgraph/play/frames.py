@@ -75,10 +75,12 @@ class View:
         links: np.ndarray | None,
         control: np.ndarray,
         asked: int,
+        alone: bool,
     ) -> bool:
         """After step number ``steps`` from this state; whether it is to be shown.
 
-        ``asked``: the number of the last goal that the step knew of.
+        ``asked``: the number of the last goal that the step knew of. ``alone``: whether it is a
+        single step, which is always shown.
         """
         record = stage.policy.controller.latest()
         self._plan_ms.append(float(record.plan_ms[0]))
@@ -87,7 +89,7 @@ class View:
         counted = (belief > 0.0) | labels
         self._calibration += belief_calibration(belief[counted], labels[counted])
         now, dt = time.perf_counter(), stage.task.scene.dt
-        if now - self._last < min(dt, 1.0 / _FRAMES_A_SECOND) - _EARLY:
+        if not alone and now - self._last < min(dt, 1.0 / _FRAMES_A_SECOND) - _EARLY:
             return False
         self._last = now
         shown = _motion(observation, control, record, stage.inverse_mass(), links, labels)

@@ -274,7 +274,8 @@ class Session:
         self._single = False
         observation, links = episode.observation, episode.link_positions
         control = episode.step()
-        if self._view.step(stage, episode.steps, observation, links, control, self._asked):
+        made = episode.steps, observation, links, control
+        if self._view.step(stage, *made, self._asked, self._paused):
             self._publish()
         if episode.over:
             self._begin_next()
