@@ -101,7 +101,7 @@ def test_make_targets_and_files_exist(page: Path) -> None:
 def test_the_documents_use_every_command() -> None:
     """Without a match of the pattern, no command line would be tested."""
     used = {words[0] for page in PAGES for words in commands(page)}
-    others = {"reproduce", "report", "robot", "info", "import", "export"}
+    others = {"reproduce", "report", "robot", "info", "import", "export", "play"}
     assert used == {"collect", "train", "evaluate", "control", "learn-cost", *others}
 
 

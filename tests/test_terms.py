@@ -8,7 +8,7 @@ import contactgraph
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src"
-LIBRARY = ("data", "model", "train", "control", "envs", "interchange", "evaluate", "viz")
+LIBRARY = ("data", "model", "train", "control", "envs", "interchange", "evaluate", "viz", "play")
 ARM = ("safety", "loop", "perception", "sim")
 PACKAGES = [
     *(f"contactgraph/{each}" for each in LIBRARY),

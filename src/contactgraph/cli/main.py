@@ -27,6 +27,7 @@ from contactgraph.cli.info import Info
 from contactgraph.cli.interchange import Export, Import
 from contactgraph.cli.learn_cost import LearnCost
 from contactgraph.cli.options import choice, load_entry_point
+from contactgraph.cli.play import Play
 from contactgraph.cli.report import Report
 from contactgraph.cli.train import Train
 from contactgraph.data import InvalidInputError
@@ -52,6 +53,7 @@ _COMMANDS: dict[str, type[Command]] = {
     "train": Train,
     "evaluate": Evaluate,
     "control": Control,
+    "play": Play,
     "learn-cost": LearnCost,
     "report": Report,
     "info": Info,

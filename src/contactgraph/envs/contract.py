@@ -85,6 +85,17 @@ class ScoredTask(Protocol):
         """The best of all steps of the episode. None: it has no scores."""
 
 
+@runtime_checkable
+class DisturbableTask(Protocol):
+    """A task whose goal may be moved, and whose bodies may be pushed, within an episode."""
+
+    def move_goal(self, goal: np.ndarray) -> None:
+        """``goal`` ``[D]`` m is the scene's from now on."""
+
+    def disturb(self, force: np.ndarray) -> None:
+        """Adds ``force`` ``[N, D]`` N on the nodes to all that acts in the next step."""
+
+
 class Policy(Protocol):
     """A controller of a task."""
 

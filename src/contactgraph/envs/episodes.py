@@ -29,25 +29,57 @@ StepCallback = Callable[[int, Observation, np.ndarray], None]
 def run_episode(
     task: Task, policy: Policy, seed: int, on_step: StepCallback | None = None
 ) -> Trajectory:
-    """Runs one episode and records it: ``T`` controls as applied, ``T + 1`` states and contacts.
+    """Runs one `Episode` to its end and records it: ``T`` controls, ``T + 1`` states and contacts.
+
+    Raises `InvalidInputError` where the seed is negative.
+    """
+    episode = Episode(task, policy, seed)
+    while not episode.over:
+        observation = episode.observation
+        control = episode.step()
+        if on_step is not None:
+            on_step(episode.steps - 1, observation, control)
+    return episode.trajectory()
+
+
+class Episode:
+    """One episode of a policy in a task, step by step.
 
     ``seed`` samples the scene (``task.reset(seed=seed)``), and the policy's seed is derived from
     it. If both task and policy support it, feedback acts within the steps, and controls are
-    their means. The scene's metadata gains the policy's class name and the episode's success.
-    A task that is `Renderable` has its link positions recorded at every state, and what a task
-    observes of holding and of orientation is recorded.
+    their means. A task that is `Renderable` has its link positions recorded at every state, and
+    what a task observes of holding and of orientation is recorded.
     """
-    if seed < 0:
-        raise InvalidInputError(f"seed must be at least 0, found {seed}")
-    box = cast(gymnasium.spaces.Box, task.action_space)
-    observation, _ = task.reset(seed=seed)
-    # A separate stream: noise drawn from the scene's numbers would depend on the layout.
-    policy.reset(task.scene, int(np.random.SeedSequence(seed).generate_state(1)[0]))
-    states = EpisodeStates(task, observation)
-    controls: list[np.ndarray] = []
-    done = False
-    while not done:
-        control = np.clip(policy(observation), box.low, box.high).astype(box.dtype)
+
+    def __init__(self, task: Task, policy: Policy, seed: int) -> None:
+        """Begins the episode; raises `InvalidInputError` where the seed is negative."""
+        if seed < 0:
+            raise InvalidInputError(f"seed must be at least 0, found {seed}")
+        self._task, self._policy = task, policy
+        self._box = cast(gymnasium.spaces.Box, task.action_space)
+        self.observation, _ = task.reset(seed=seed)
+        """The present one."""
+        self.over = False
+        """Whether the task has ended the episode."""
+        # A separate stream: noise drawn from the scene's numbers would depend on the layout.
+        policy.reset(task.scene, int(np.random.SeedSequence(seed).generate_state(1)[0]))
+        self._states = EpisodeStates(task, self.observation)
+        self._controls: list[np.ndarray] = []
+
+    @property
+    def steps(self) -> int:
+        """The steps made."""
+        return len(self._controls)
+
+    @property
+    def link_positions(self) -> np.ndarray | None:
+        """[P, D] m: those of a `Renderable` task at present."""
+        return self._states.link_positions
+
+    def step(self) -> np.ndarray:
+        """Makes one step; the control ``[U]`` N that was applied, on its mean."""
+        task, policy, box = self._task, self._policy, self._box
+        control = np.clip(policy(self.observation), box.low, box.high).astype(box.dtype)
         if isinstance(task, FeedbackTask) and isinstance(policy, FeedbackPolicy):
             following, _, terminated, truncated, info = task.step_under(policy.feedback())
             control = info["control"]
@@ -55,20 +87,27 @@ def run_episode(
             following, _, terminated, truncated, _ = task.step(control)
         if isinstance(policy, InformedPolicy):
             policy.applied(control)
-        if on_step is not None:
-            on_step(len(controls), observation, control)
-        observation, done = following, terminated or truncated
-        states.add(observation)
-        controls.append(control)
-    metadata = {
-        **task.scene.metadata,
-        "policy": type(policy).__name__,
-        "success": task.success(),
-    }
-    best_score = task.best_score() if isinstance(task, ScoredTask) else None
-    if best_score is not None:
-        metadata["best_score"] = best_score
-    return states.trajectory(np.stack(controls), replace(task.scene, metadata=metadata))
+        self.observation, self.over = following, terminated or truncated
+        self._states.add(following)
+        self._controls.append(control)
+        return control
+
+    def trajectory(self) -> Trajectory:
+        """The states and controls so far, at least one.
+
+        The scene's metadata gains the policy's class name and the episode's success.
+        """
+        task = self._task
+        metadata = {
+            **task.scene.metadata,
+            "policy": type(self._policy).__name__,
+            "success": task.success(),
+        }
+        best_score = task.best_score() if isinstance(task, ScoredTask) else None
+        if best_score is not None:
+            metadata["best_score"] = best_score
+        scene = replace(task.scene, metadata=metadata)
+        return self._states.trajectory(np.stack(self._controls), scene)
 
 
 class EpisodeStates:
@@ -82,6 +121,11 @@ class EpisodeStates:
 
     def __len__(self) -> int:
         return len(self._observations)
+
+    @property
+    def link_positions(self) -> np.ndarray | None:
+        """[P, D] m: those of the last state of a `Renderable` task."""
+        return self._link_positions[-1] if self._link_positions else None
 
     def add(self, observation: Observation) -> None:
         """Keeps the present state."""

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Protocol, TypeVar, cast
 
 import gymnasium
@@ -73,6 +74,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         distance = extent + speed * max_steps * dt
         self.observation_space = _observation_space(count, dimension, extent, distance, speed)
         self._shape = count, dimension
+        self._pushed: np.ndarray = np.zeros(self._shape)
         self._steps = 0
         self._episode: tuple[Scene, World] | None = None
 
@@ -110,6 +112,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         # Every episode has a seed, also if none is given.
         scene_seed = int(self.np_random.integers(2**31)) if seed is None else seed
         self._steps, self._episode = 0, self.begin(scene_seed)
+        self._pushed = np.zeros(self._shape)
         return self.observed(), {}
 
     def observed(self) -> Observation:
@@ -125,12 +128,26 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advances by ``scene.dt`` under the force ``action`` ``[D]`` N, clipped to its bounds."""
-        force = np.zeros(self._shape)
+        force = self.disturbance()
         # A further component, such as a switch, moves nothing by itself.
         driving = self.bounded(action)[: self._shape[1]]
-        force[GRIPPER, : len(driving)] = driving
+        force[GRIPPER, : len(driving)] += driving
         self.running().step(force)
         return self.stepped({})
+
+    def move_goal(self, goal: np.ndarray) -> None:
+        """See `contactgraph.envs.contract.DisturbableTask`; raises `InvalidInputError`."""
+        scene, world = self.scene, self.world
+        self._episode = replace(scene, goal=_checked("goal", goal, self._shape[1:])), world
+
+    def disturb(self, force: np.ndarray) -> None:
+        """See `contactgraph.envs.contract.DisturbableTask`; raises `InvalidInputError`."""
+        self._pushed = self._pushed + _checked("force", force, self._shape)
+
+    def disturbance(self) -> np.ndarray:
+        """[N, D] N: the forces of `disturb` for the coming step, which takes them."""
+        force, self._pushed = self._pushed, np.zeros(self._shape)
+        return force
 
     def bounded(self, action: np.ndarray) -> np.ndarray:
         """The control ``[U]`` within its bounds; raises `InvalidInputError` for no number."""
@@ -164,6 +181,13 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
             return False
         scene, world = self._episode
         return self.solved(scene, world.position, world.contact)
+
+
+def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise InvalidInputError(f"{name} must be finite of shape {shape}, found {array.tolist()}")
+    return array.copy()
 
 
 def _observation_space(

@@ -1,5 +1,6 @@
 """Evaluation of models and controllers on recorded data and in tasks."""
 
+from contactgraph.envs.episodes import Episode as Episode
 from contactgraph.envs.episodes import collect as collect
 from contactgraph.envs.episodes import episode_seeds as episode_seeds
 from contactgraph.envs.episodes import run_episode as run_episode
@@ -10,6 +11,7 @@ from contactgraph.evaluate.closed_loop import ClosedLoopMetrics as ClosedLoopMet
 from contactgraph.evaluate.closed_loop import closed_loop_metrics as closed_loop_metrics
 from contactgraph.evaluate.control_task import control_by_policy as control_by_policy
 from contactgraph.evaluate.control_task import control_task as control_task
+from contactgraph.evaluate.control_task import mpc_policy as mpc_policy
 from contactgraph.evaluate.edge_scores import EstimatedContacts as EstimatedContacts
 from contactgraph.evaluate.edge_scores import estimated_contacts as estimated_contacts
 from contactgraph.evaluate.model_diagnostics import Forgetting as Forgetting
@@ -19,8 +21,6 @@ from contactgraph.evaluate.model_diagnostics import forgetting as forgetting
 from contactgraph.evaluate.model_diagnostics import model_diagnostics as model_diagnostics
 from contactgraph.evaluate.model_diagnostics import rollout_growth as rollout_growth
 from contactgraph.evaluate.mpc_policy import MPCPolicy as MPCPolicy
-from contactgraph.evaluate.mpc_policy import SceneCost as SceneCost
-from contactgraph.evaluate.mpc_policy import TaskCost as TaskCost
 from contactgraph.evaluate.open_loop import Metric as Metric
 from contactgraph.evaluate.open_loop import evaluate_open_loop as evaluate_open_loop
 from contactgraph.evaluate.open_loop import horizon_steps as horizon_steps
@@ -36,3 +36,5 @@ from contactgraph.evaluate.statistics import MedianInterval as MedianInterval
 from contactgraph.evaluate.statistics import median_interval as median_interval
 from contactgraph.evaluate.statistics import number_or_word as number_or_word
 from contactgraph.evaluate.statistics import wilson_interval as wilson_interval
+from contactgraph.evaluate.task_cost import SceneCost as SceneCost
+from contactgraph.evaluate.task_cost import TaskCost as TaskCost

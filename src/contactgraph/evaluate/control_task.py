@@ -15,13 +15,14 @@ from contactgraph.envs.contract import Observation, Policy, Task
 from contactgraph.envs.episodes import episode_seeds, run_episode
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
 from contactgraph.evaluate.edge_scores import EstimatedContacts, estimated_contacts
-from contactgraph.evaluate.mpc_policy import MPCPolicy, SceneCost, TaskCost
+from contactgraph.evaluate.mpc_policy import MPCPolicy
 from contactgraph.evaluate.plan_tracking import (
     EpisodeRecord,
     PlanTrackingError,
     plan_tracking_error,
 )
 from contactgraph.evaluate.sensor_faults import ObservationNoise, SensorFaults
+from contactgraph.evaluate.task_cost import SceneCost, TaskCost
 from contactgraph.model import (
     ContactSensor,
     MotionNoise,
@@ -79,7 +80,73 @@ def control_task(
     control, a number is out of range, or a search is asked for with switches.
     """
     seeds = episode_seeds(episodes, seed)
-    task, limits, observation = _first_scene(task_factory, seeds[0])
+    task, observation = _first_scene(task_factory, seeds[0])
+    policy = mpc_policy(
+        model,
+        task,
+        observation,
+        cost=cost,
+        horizon=horizon,
+        iterations=iterations,
+        starts=starts,
+        replan_every=replan_every,
+        deadline=deadline,
+        sensor=sensor,
+        faults=faults,
+        measured=measured,
+        noise=noise,
+        motion_noise=motion_noise,
+        told_masses=told_masses,
+        node_capacity=node_capacity,
+    )
+
+    trajectories: list[Trajectory] = []
+    succeeded: list[bool] = []
+    chains: list[tuple[int, ...]] = []
+    plan_ms: list[np.ndarray] = []
+    planned, estimated = PlanTrackingError(), EstimatedContacts()
+    for episode_seed in seeds:
+        trajectories.append(run_episode(task, policy, episode_seed))
+        succeeded.append(task.success())
+        chains.append(task.cost_terms().chain)
+        record = policy.record()
+        plan_ms.append(record.plan_ms)
+        labelled = _labelled(trajectories[-1])
+        planned += plan_tracking_error(labelled, record)
+        estimated += estimated_contacts(labelled, record.estimated)
+        if on_episode is not None:
+            on_episode(trajectories[-1], record)
+    times = np.concatenate(plan_ms)
+    metrics = closed_loop_metrics(
+        trajectories, succeeded, chains, seed, times, planned, estimated, seeds
+    )
+    return metrics, trajectories
+
+
+def mpc_policy(
+    model: StepModel,
+    task: Task,
+    observation: Observation,
+    *,
+    cost: SceneCost | None = None,
+    horizon: int = 20,
+    iterations: int = 5,
+    starts: int = 0,
+    replan_every: int = 1,
+    deadline: float | None = None,
+    sensor: ContactSensor | None = None,
+    faults: SensorFaults = _EXACT,
+    measured: bool = True,
+    noise: ObservationNoise = _NOISELESS,
+    motion_noise: MotionNoise | None = None,
+    told_masses: bool = False,
+    node_capacity: int = 0,
+) -> MPCPolicy:
+    """The controller of `control_task`, for a task whose reset gave ``observation``.
+
+    Arguments and errors are those of `control_task`.
+    """
+    limits = _limits(task)
     control_size = len(limits.lower)
     check_fit(model, task.scene, control_size, "the task")
     terms = task.cost_terms()
@@ -120,29 +187,7 @@ def control_task(
     scene_cost = own_cost if cost is None else cost
     _check_cost(scene_cost, task, control_size)
     nodes_of = partial(nodes_with_told_masses, model) if told_masses else scene_nodes
-    policy = MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise, nodes_of)
-
-    trajectories: list[Trajectory] = []
-    succeeded: list[bool] = []
-    chains: list[tuple[int, ...]] = []
-    plan_ms: list[np.ndarray] = []
-    planned, estimated = PlanTrackingError(), EstimatedContacts()
-    for episode_seed in seeds:
-        trajectories.append(run_episode(task, policy, episode_seed))
-        succeeded.append(task.success())
-        chains.append(task.cost_terms().chain)
-        record = policy.record()
-        plan_ms.append(record.plan_ms)
-        labelled = _labelled(trajectories[-1])
-        planned += plan_tracking_error(labelled, record)
-        estimated += estimated_contacts(labelled, record.estimated)
-        if on_episode is not None:
-            on_episode(trajectories[-1], record)
-    times = np.concatenate(plan_ms)
-    metrics = closed_loop_metrics(
-        trajectories, succeeded, chains, seed, times, planned, estimated, seeds
-    )
-    return metrics, trajectories
+    return MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise, nodes_of)
 
 
 def control_by_policy(
@@ -159,7 +204,7 @@ def control_by_policy(
     range.
     """
     seeds = episode_seeds(episodes, seed)
-    task, _, _ = _first_scene(task_factory, seeds[0])
+    task, _ = _first_scene(task_factory, seeds[0])
     trajectories: list[Trajectory] = []
     succeeded: list[bool] = []
     chains: list[tuple[int, ...]] = []
@@ -173,17 +218,20 @@ def control_by_policy(
     return metrics, trajectories
 
 
-def _first_scene(
-    task_factory: Callable[[], Task], seed: int
-) -> tuple[Task, ControlLimits, Observation]:
-    """The task after a reset, from which on it knows its scene and cost; its limits [U]."""
+def _first_scene(task_factory: Callable[[], Task], seed: int) -> tuple[Task, Observation]:
+    """The task after a reset, from which on it knows its scene and cost."""
     task = task_factory()
     observation, _ = task.reset(seed=seed)
+    _limits(task)
+    return task, observation
+
+
+def _limits(task: Task) -> ControlLimits:
+    """[U] each; raises `InvalidInputError` where the task takes no control."""
     box = cast(gymnasium.spaces.Box, task.action_space)
     if not np.size(box.low):
         raise InvalidInputError("the task takes no control (U = 0), so nothing can control it")
-    limits = ControlLimits(jnp.asarray(box.low.ravel()), jnp.asarray(box.high.ravel()))
-    return task, limits, observation
+    return ControlLimits(jnp.asarray(box.low.ravel()), jnp.asarray(box.high.ravel()))
 
 
 def _labelled(trajectory: Trajectory) -> Trajectory:

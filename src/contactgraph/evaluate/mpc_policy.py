@@ -1,16 +1,17 @@
-"""The model predictive controller as a policy in a task, with a cost for the task's scene."""
+"""The model predictive controller as a policy in a task."""
 
+import copy
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from contactgraph.control import MPC, ActiveSetMPC, Cost, MPCState, Plan, QuadraticCost, chain_cost
+from contactgraph.control import MPC, ActiveSetMPC, MPCState, Plan
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
-from contactgraph.envs.contract import ChainCost, Feedback, Observation
+from contactgraph.envs.contract import Feedback, Observation
 from contactgraph.evaluate.plan_tracking import (
     EpisodeRecord,
     edge_probabilities,
@@ -18,97 +19,8 @@ from contactgraph.evaluate.plan_tracking import (
     planned_positions,
 )
 from contactgraph.evaluate.sensor_faults import FaultySensor, ObservationNoise, SensorFaults
+from contactgraph.evaluate.task_cost import SceneCost, TaskCost
 from contactgraph.model import ContactBelief, Nodes, scene_nodes
-
-
-class SceneCost(Cost, Protocol):
-    """A cost that can be applied to a scene, such as `contactgraph.control.LearnedCost`."""
-
-    @property
-    def order(self) -> tuple[int, ...]:
-        """The nodes of the cost, from the actuated one to the one that is moved to the goal."""
-
-    def in_scene(self, scene: Scene) -> "SceneCost":
-        """The cost for this scene and its goal; raises `InvalidInputError` if it does not fit."""
-
-    def among(self, nodes: Sequence[int]) -> "SceneCost":
-        """The same with its nodes in another order."""
-
-
-@dataclass(frozen=True, eq=False)
-class TaskCost:
-    """A task's own cost."""
-
-    terms: ChainCost
-    control_size: int
-    """U"""
-    order: tuple[int, ...]
-    goal: np.ndarray | None = None
-    """[D] m"""
-    placed: bool = False
-    """Whether the chain's last node lies at the goal: see `ChainCost.placed_radius`."""
-    turns: bool = False
-    """Whether states include angles, so that the cost of the angle counts."""
-    angle: float = 0.0
-    """rad; the one that is equal to `ChainCost.goal_angle` and nearest to the node's own."""
-    current_terms: Callable[[], ChainCost] | None = None
-    """The terms in the scene that the task was reset to last; None: ``terms`` in every scene."""
-
-    @classmethod
-    def of(
-        cls,
-        terms: ChainCost,
-        control_size: int,
-        current_terms: Callable[[], ChainCost] | None = None,
-        turns: bool = False,
-    ) -> "TaskCost":
-        """The cost before its scene is known."""
-        turns = turns and terms.goal_angle is not None
-        return cls(terms, control_size, terms.chain, turns=turns, current_terms=current_terms)
-
-    def in_scene(self, scene: Scene) -> "TaskCost":
-        """The cost with the scene's goal."""
-        if scene.goal is None:
-            raise InvalidInputError("the scene has no goal; a plan needs one")
-        terms = self.terms if self.current_terms is None else self.current_terms()
-        return replace(self, terms=terms, order=terms.chain, goal=scene.goal)
-
-    def among(self, nodes: Sequence[int]) -> "TaskCost":
-        """The cost along the chain in another order."""
-        return replace(self, order=tuple(nodes))
-
-    def seeing(self, observation: Observation) -> "TaskCost":
-        """The cost where the nodes are as observed."""
-        last, angle = self.order[-1], self.angle
-        away = np.linalg.norm(observation["position"][last] - self.goal)
-        placed = bool(away < self.terms.placed_radius)
-        if self.turns and np.isfinite(observation["orientation"][last, 0]):
-            assert self.terms.goal_angle is not None
-            missing = self.terms.goal_angle - observation["orientation"][last, 0]
-            angle = float(self.terms.goal_angle - 2.0 * np.pi * np.round(missing / (2.0 * np.pi)))
-        if placed == self.placed and angle == self.angle:
-            return self
-        return replace(self, placed=placed, angle=angle)
-
-    def quadratic(self, node_count: int) -> QuadraticCost:
-        """The chain's cost; the goal must be known."""
-        if self.goal is None:
-            raise InvalidInputError("the task's cost has no goal yet; use in_scene first")
-        cost = chain_cost(
-            self.order,
-            self.terms.pick_weights * (not self.placed),
-            self.terms.goal_weights,
-            self.terms.control_weight,
-            self.goal,
-            node_count,
-            self.control_size,
-            self.terms.command_weight,
-            self.terms.terminal_weight,
-        )
-        if not self.turns:
-            return cost
-        return cost.with_angle(self.order[-1], self.angle, self.terms.angle_weight, node_count)
-
 
 _EXACT = SensorFaults()
 _NOISELESS = ObservationNoise()
@@ -172,6 +84,13 @@ class MPCPolicy:
         self._holds = False
         """Whether the scene's contacts are the pairs that hold each other."""
 
+    def compiled_as(self, other: "MPCPolicy") -> "MPCPolicy":
+        """The same with the controller of another policy of equal model and task, which need not
+        be compiled again."""
+        same = copy.copy(self)
+        same._mpc = other._mpc
+        return same
+
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode in ``scene``; ``seed`` is that of sensor faults and noise.
 
@@ -182,7 +101,7 @@ class MPCPolicy:
         self._capacity = max(self._capacity, scene.node_count)
         self._scene, self._state, self._steps = scene, None, []
         self._applied = None
-        self._sensor = self._faults.begin(scene, seed)
+        self._sensor = self._faults.begin(scene, seed) if self._measured else None
         self._noise_rng = self._noise.begin(seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -224,8 +143,33 @@ class MPCPolicy:
         )
         return partial(feedback.within, 0)
 
+    @property
+    def state(self) -> MPCState | None:
+        """The controller's, after its last step; None before the first one."""
+        return self._state
+
+    def sense(self, faults: SensorFaults, measured: bool = True) -> None:
+        """Gives the sensor other faults from now on, or takes it away, until `reset`.
+
+        Raises `InvalidInputError` before the first `reset`.
+        """
+        if self._scene is None:
+            raise InvalidInputError("call reset(scene, seed) first")
+        self._sensor = faults.begin(self._scene, len(self._steps)) if measured else None
+
     def record(self) -> EpisodeRecord:
         """Plans and beliefs since `reset`. Raises `InvalidInputError` before the first step."""
+        return self._record()
+
+    def latest(self) -> EpisodeRecord:
+        """The record of the last step alone; those before it are forgotten.
+
+        Raises `InvalidInputError` before the first step.
+        """
+        del self._steps[:-1]
+        return self._record()
+
+    def _record(self) -> EpisodeRecord:
         if self._scene is None or not self._steps:
             raise InvalidInputError("nothing to record: the policy has made no step since reset")
         count, dt = self._scene.node_count, self._scene.dt
@@ -251,7 +195,7 @@ class MPCPolicy:
         )
 
     def _contacts(self, observation: Observation) -> np.ndarray | None:
-        if not self._measured or self._sensor is None:
+        if self._sensor is None:
             return None
         return self._sensor(observation.get("holding", observation["contact"]))
 

@@ -4,7 +4,6 @@ import base64
 import hashlib
 import itertools
 import json
-import math
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -23,15 +22,7 @@ from contactgraph.viz.markup import (
     tiles,
 )
 from contactgraph.viz.report_data import ReportData
-from contactgraph.viz.scene_trajectory import SceneTrajectory
-from contactgraph.viz.selection import (
-    focus_nodes,
-    grasp_step,
-    ground_of,
-    involved_nodes,
-    leading_edges,
-    shown_directions,
-)
+from contactgraph.viz.scene_payload import floats, number, scene_payload
 
 _SCRIPTS = (
     "data.js",
@@ -71,17 +62,14 @@ def write_report(path: str | Path, data: ReportData) -> None:
 
 def page(data: ReportData) -> str:
     """The whole page as text."""
-    script = _script()
-    # The policy forbids every load and allows only this script, so that even a name which
-    # slipped through unescaped could not.
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    return Template(_asset("page.html")).substitute(
+    script = one_scope(*(asset(name) for name in _SCRIPTS))
+    return Template(asset("page.html")).substitute(
         title=escape(data.title),
         summary=escape(data.summary),
-        script_hash=f"sha256-{digest}",
-        style=_asset("page.css"),
+        script_hash=script_hash(script),
+        style=asset("page.css"),
         tiles=tiles(data.metrics),
-        scene=_asset("scene.html") if data.scenes else "",
+        scene=asset("scene.html") if data.scenes else "",
         beliefs=_section("beliefs.html", bool(data.beliefs), beliefs_table(data)),
         errors=_section("errors.html", bool(data.errors), errors_table(data.errors)),
         reliability=_section(
@@ -96,39 +84,44 @@ def page(data: ReportData) -> str:
 
 
 def _section(name: str, wanted: bool, content: str) -> str:
-    return Template(_asset(name)).substitute(content=content) if wanted else ""
+    return Template(asset(name)).substitute(content=content) if wanted else ""
 
 
-def _script() -> str:
+def one_scope(*scripts: str) -> str:
     """All scripts in one scope."""
-    body = "\n".join(_asset(name) for name in _SCRIPTS)
+    body = "\n".join(scripts)
     return f'"use strict";\n(() => {{\n{body}\n}})();\n'
 
 
-def _asset(name: str) -> str:
+def script_hash(script: str) -> str:
+    """The source by which a page's policy allows this script.
+
+    The policy forbids every load and allows only this script, so that even a name which slipped
+    through unescaped could not.
+    """
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    return f"sha256-{digest}"
+
+
+def asset(name: str) -> str:
+    """The text of a file of the page."""
     return (files("contactgraph.viz") / "assets" / name).read_text(encoding="utf-8")
-
-
-_PLAN_MOVES = 0.005
-"""m: plans of bodies that move less than this are not drawn."""
-_PLAN_POINTS = 20
-"""Approximate number of drawn points per plan, at most twice as many."""
 
 
 def embedded_json(data: ReportData) -> str:
     """The page's data. ``<``, ``>`` and ``&`` are escaped, so no text in it can end a script."""
     payload = {
-        "scenes": [_scene(scene) for scene in data.scenes],
+        "scenes": [scene_payload(scene) for scene in data.scenes],
         "beliefs": [_timeline(timeline) for timeline in data.beliefs],
-        "horizon": _number(data.horizon_s),
+        "horizon": number(data.horizon_s),
         "errors": [
             {
                 "condition": error.condition,
                 "windows": error.windows,
-                "model": _number(error.model_m),
-                "frozenContact": _number(error.frozen_contact_m),
-                "constantVelocity": _number(error.constant_velocity_m),
-                "standingStill": _number(error.standing_still_m),
+                "model": number(error.model_m),
+                "frozenContact": number(error.frozen_contact_m),
+                "constantVelocity": number(error.constant_velocity_m),
+                "standingStill": number(error.standing_still_m),
                 "interval": _pair(error.model_interval_m),
             }
             for error in data.errors
@@ -138,9 +131,9 @@ def embedded_json(data: ReportData) -> str:
                 "panel": curve.panel,
                 "source": curve.source,
                 "bins": [
-                    [count, _number(belief), _number(share)] for count, belief, share in curve.bins
+                    [count, number(belief), number(share)] for count, belief, share in curve.bins
                 ],
-                "error": _number(curve.error),
+                "error": number(curve.error),
             }
             for curve in data.reliability
         ],
@@ -148,54 +141,14 @@ def embedded_json(data: ReportData) -> str:
             {
                 "name": loss.name,
                 "heldOut": loss.held_out,
-                "step": _floats(loss.step),
-                "value": _floats(loss.value),
+                "step": floats(loss.step),
+                "value": floats(loss.value),
             }
             for loss in data.losses
         ],
     }
     text = json.dumps(payload, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _scene(scene: SceneTrajectory) -> dict[str, object]:
-    static = scene.trajectory.scene
-    return {
-        "name": scene.name,
-        "dt": scene.dt,
-        "steps": scene.steps,
-        "dimension": scene.dimension,
-        "axes": scene.projection.axes.tolist(),
-        "ground": _ground(scene),
-        "controlSize": scene.force_size,
-        "nodeName": list(scene.node_name),
-        "nodeType": list(static.node_type),
-        "actuated": scene.actuated.tolist(),
-        "radius": [_number(radius) for radius in scene.radius],
-        "anchor": None if static.anchor is None else _rows(static.anchor),
-        "planes": None if static.planes is None or scene.dimension != 2 else static.planes.tolist(),
-        "outlines": _outlines(scene),
-        "orientation": _floats(scene.trajectory.orientation) if _outlines(scene) else None,
-        "box": [None] * scene.node_count if static.size is None else _rows(static.size),
-        "goal": None if scene.goal is None else [_number(value) for value in scene.goal],
-        "goalRadius": _number(scene.goal_radius),
-        "edges": scene.edges.tolist(),
-        "position": _floats(scene.position),
-        "velocity": _floats(scene.trajectory.velocity),
-        "linkPoints": 0 if scene.link_positions is None else scene.link_positions.shape[1],
-        "linkPositions": _floats(scene.link_positions),
-        "control": _floats(scene.trajectory.control),
-        "belief": _floats(scene.belief),
-        "contact": None if scene.contact is None else [_spans(each) for each in scene.contact.T],
-        "inverseMass": _directions(scene.inverse_mass),
-        "stiffness": _directions(scene.stiffness),
-        "damping": _directions(scene.damping),
-        "plan": _plan(scene),
-        "leading": leading_edges(scene),
-        "focus": focus_nodes(scene),
-        "involved": involved_nodes(scene),
-        "grasp": grasp_step(scene),
-    }
 
 
 def _timeline(timeline: BeliefTimeline) -> dict[str, object]:
@@ -208,7 +161,7 @@ def _timeline(timeline: BeliefTimeline) -> dict[str, object]:
         "lines": [
             {
                 "source": source,
-                "belief": _floats(belief),
+                "belief": floats(belief),
                 "states": _state_runs(timeline.state[source]),
             }
             for source, belief in timeline.belief.items()
@@ -222,70 +175,5 @@ def _state_runs(states: np.ndarray) -> list[list[object]]:
     return [[EDGE_STATES[states[first]], first, end] for first, end in itertools.pairwise(bounds)]
 
 
-def _rows(values: np.ndarray) -> list[list[float] | None]:
-    """The rows of numbers; None for one of NaN."""
-    return [None if np.isnan(row).any() else row.tolist() for row in values]
-
-
-def _outlines(scene: SceneTrajectory) -> list[list[list[list[float]]]] | None:
-    """The polygons of each node in the plane; None where no node has one."""
-    static = scene.trajectory.scene
-    nodes = range(scene.node_count) if static.polygons and scene.dimension == 2 else ()
-    return [[each.tolist() for each in static.outlines_of(node)] for node in nodes] or None
-
-
-def _ground(scene: SceneTrajectory) -> dict[str, object] | None:
-    ground = ground_of(scene)
-    return (
-        None
-        if ground is None
-        else {
-            "low": ground.low.tolist(),
-            "high": ground.high.tolist(),
-            "level": ground.level,
-            "spacing": ground.spacing,
-        }
-    )
-
-
-def _directions(values: np.ndarray | None) -> list[str | None] | None:
-    return None if values is None else [_floats(each) for each in shown_directions(values)]
-
-
-def _plan(scene: SceneTrajectory) -> dict[str, object] | None:
-    """Plans of moving bodies; resting distractors would be most of the page."""
-    if scene.plan is None or scene.plan.shape[1] < 2:
-        return None
-    moved = np.nan_to_num(np.abs(scene.plan - scene.plan[:, :1])).max(axis=(0, 1, 3))
-    nodes = np.flatnonzero(moved > _PLAN_MOVES)
-    shown = scene.plan[:, :: max(1, (scene.plan.shape[1] - 1) // _PLAN_POINTS), nodes]
-    return {
-        "nodes": nodes.tolist(),
-        "horizon": shown.shape[1] - 1,
-        "position": _floats(shown),
-    }
-
-
-def _spans(active: np.ndarray) -> list[list[int]]:
-    """Intervals of states in which ``active`` [T+1] holds, as ``[first, last + 1]``."""
-    padded = np.concatenate([[False], active, [False]]).astype(np.int8)
-    change = np.diff(padded)
-    starts, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
-    return [[int(a), int(b)] for a, b in zip(starts, ends, strict=True)]
-
-
-def _floats(values: np.ndarray | None) -> str | None:
-    if values is None:
-        return None
-    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
-
-
-def _number(value: float | None) -> float | None:
-    """Seven digits; None for missing or non-finite values, which JSON lacks."""
-    if value is None or not math.isfinite(value):
-        return None
-    return float(f"{value:.7g}")
-
-
 def _pair(values: tuple[float, float] | None) -> list[float | None] | None:
-    return None if values is None else [_number(value) for value in values]
+    return None if values is None else [number(value) for value in values]

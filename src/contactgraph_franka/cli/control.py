@@ -268,7 +268,7 @@ def mpc_planner(name: str, max_force: float, horizon: int, infer_contacts: bool)
     Raises `InvalidInputError` as `stored_model` does, and for a model of another task.
     """
     from contactgraph.cli.models import stored_model
-    from contactgraph.evaluate.mpc_policy import TaskCost
+    from contactgraph.evaluate.task_cost import TaskCost
     from contactgraph.model import MotionNoise
     from contactgraph_franka.loop.mpc_planner import MPCPlanner
 

@@ -63,6 +63,7 @@ class ArmWorld:
         self._block_velocity = data.qvel[JOINTS + 2 :].reshape(-1, 6)[:, :3]
         links = [model.body(f"link{index}").id for index in range(8)]
         self._links = [*links, model.body("hand").id]
+        self._bodies = [self._links[-1], *range(model.nbody - len(blocks), model.nbody)]
 
     @property
     def position(self) -> np.ndarray:
@@ -85,15 +86,19 @@ class ArmWorld:
         return contact
 
     def step(self, force: np.ndarray) -> None:
-        """Advances by ``dt`` under ``force`` [N, 3] N, of which only the hand's acts."""
-        self.step_under(lambda part: force[0])
+        """Advances by ``dt`` under ``force`` [N, 3] N; the arm's controller adds to the hand's."""
+        self.step_under(lambda part: force[0], np.where(np.arange(len(force))[:, None], force, 0.0))
 
-    def step_under(self, force_at: Callable[[float], np.ndarray]) -> np.ndarray:
+    def step_under(
+        self, force_at: Callable[[float], np.ndarray], pushed: np.ndarray | None = None
+    ) -> np.ndarray:
         """Advances by ``dt``; ``force_at(part)`` is the force [3] N on the hand every millisecond.
 
-        ``part``, in [0, 1), is the elapsed share of the step. Returns the mean force.
+        ``part``, in [0, 1), is the elapsed share of the step. ``pushed`` [N, 3] N acts on hand and
+        blocks from outside. Returns the mean force.
         """
         model, data = self.model, self.data
+        data.xfrc_applied[self._bodies, :3] = 0.0 if pushed is None else pushed
         self._touched = set()
         self.brakes.check(self.impedance.turn)
         total = np.zeros(3)

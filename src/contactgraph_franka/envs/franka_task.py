@@ -137,7 +137,8 @@ class FrankaTask(GripperTask):
         self.running()
         world = self._arm_world()
         mean = world.step_under(
-            lambda part: self.bounded(feedback(part, world.position, world.velocity))
+            lambda part: self.bounded(feedback(part, world.position, world.velocity)),
+            self.disturbance(),
         )
         return self.stepped({"control": mean})
 

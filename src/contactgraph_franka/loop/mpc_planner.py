@@ -8,8 +8,8 @@ import numpy as np
 
 from contactgraph.control import ILQR, ActiveSetMPC, ActiveSetState, ControlLimits
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.evaluate.mpc_policy import SceneCost
 from contactgraph.evaluate.plan_tracking import plan_feedback
+from contactgraph.evaluate.task_cost import SceneCost
 from contactgraph.model import ContactDynamics, ContactSensor, MotionNoise, scene_nodes
 from contactgraph.model.filter import check_fit
 from contactgraph_franka.loop import EpisodeStart, PlanFeedback, TimedObservation

@@ -11,7 +11,7 @@ import pytest
 
 from contactgraph.control import PlanStatus
 from contactgraph.data import InvalidInputError
-from contactgraph.evaluate.mpc_policy import TaskCost
+from contactgraph.evaluate.task_cost import TaskCost
 from contactgraph.model import ContactDynamics, shipped_model
 from contactgraph.model.io import load_model
 from contactgraph_franka.envs.expert import FrankaExpert

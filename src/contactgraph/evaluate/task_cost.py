@@ -1,0 +1,102 @@
+"""Costs for the scene of an episode: the contract, and a task's own cost."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from contactgraph.control import Cost, QuadraticCost, chain_cost
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs.contract import ChainCost, Observation
+
+
+class SceneCost(Cost, Protocol):
+    """A cost that can be applied to a scene, such as `contactgraph.control.LearnedCost`."""
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """The nodes of the cost, from the actuated one to the one that is moved to the goal."""
+
+    def in_scene(self, scene: Scene) -> "SceneCost":
+        """The cost for this scene and its goal; raises `InvalidInputError` if it does not fit."""
+
+    def among(self, nodes: Sequence[int]) -> "SceneCost":
+        """The same with its nodes in another order."""
+
+
+@dataclass(frozen=True, eq=False)
+class TaskCost:
+    """A task's own cost."""
+
+    terms: ChainCost
+    control_size: int
+    """U"""
+    order: tuple[int, ...]
+    goal: np.ndarray | None = None
+    """[D] m"""
+    placed: bool = False
+    """Whether the chain's last node lies at the goal: see `ChainCost.placed_radius`."""
+    turns: bool = False
+    """Whether states include angles, so that the cost of the angle counts."""
+    angle: float = 0.0
+    """rad; the one that is equal to `ChainCost.goal_angle` and nearest to the node's own."""
+    current_terms: Callable[[], ChainCost] | None = None
+    """The terms in the scene that the task was reset to last; None: ``terms`` in every scene."""
+
+    @classmethod
+    def of(
+        cls,
+        terms: ChainCost,
+        control_size: int,
+        current_terms: Callable[[], ChainCost] | None = None,
+        turns: bool = False,
+    ) -> "TaskCost":
+        """The cost before its scene is known."""
+        turns = turns and terms.goal_angle is not None
+        return cls(terms, control_size, terms.chain, turns=turns, current_terms=current_terms)
+
+    def in_scene(self, scene: Scene) -> "TaskCost":
+        """The cost with the scene's goal."""
+        if scene.goal is None:
+            raise InvalidInputError("the scene has no goal; a plan needs one")
+        terms = self.terms if self.current_terms is None else self.current_terms()
+        return replace(self, terms=terms, order=terms.chain, goal=scene.goal)
+
+    def among(self, nodes: Sequence[int]) -> "TaskCost":
+        """The cost along the chain in another order."""
+        return replace(self, order=tuple(nodes))
+
+    def seeing(self, observation: Observation) -> "TaskCost":
+        """The cost where the nodes and the goal are as observed."""
+        last, angle, goal = self.order[-1], self.angle, self.goal
+        if "goal" in observation and not np.array_equal(observation["goal"], np.asarray(goal)):
+            goal = np.asarray(observation["goal"])
+        away = np.linalg.norm(observation["position"][last] - goal)
+        placed = bool(away < self.terms.placed_radius)
+        if self.turns and np.isfinite(observation["orientation"][last, 0]):
+            assert self.terms.goal_angle is not None
+            missing = self.terms.goal_angle - observation["orientation"][last, 0]
+            angle = float(self.terms.goal_angle - 2.0 * np.pi * np.round(missing / (2.0 * np.pi)))
+        if placed == self.placed and angle == self.angle and goal is self.goal:
+            return self
+        return replace(self, placed=placed, angle=angle, goal=goal)
+
+    def quadratic(self, node_count: int) -> QuadraticCost:
+        """The chain's cost; the goal must be known."""
+        if self.goal is None:
+            raise InvalidInputError("the task's cost has no goal yet; use in_scene first")
+        cost = chain_cost(
+            self.order,
+            self.terms.pick_weights * (not self.placed),
+            self.terms.goal_weights,
+            self.terms.control_weight,
+            self.goal,
+            node_count,
+            self.control_size,
+            self.terms.command_weight,
+            self.terms.terminal_weight,
+        )
+        if not self.turns:
+            return cost
+        return cost.with_angle(self.order[-1], self.angle, self.terms.angle_weight, node_count)
