@@ -16,7 +16,21 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "build" / "pages"
-LIBRARY = ("data", "model", "train", "control", "envs", "evaluate", "viz", "parallel")
+LIBRARY = (
+    *(
+        "data",
+        "model",
+        "train",
+        "control",
+        "envs",
+        "evaluate",
+        "viz",
+        "plot",
+        "play",
+        "interchange",
+    ),
+    "parallel",
+)
 ARM = ("safety", "loop", "perception", "sim")
 PACKAGES = (
     "contactgraph",
