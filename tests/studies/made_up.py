@@ -16,7 +16,7 @@ from contactgraph_studies.paper.config import (
 from contactgraph_studies.paper.jobs import ModelCondition, Source, measurements
 from contactgraph_studies.results import Reading, Results
 
-AMOUNTS = Amounts((0, 1, 2), 20, 20, 100, 5, (10, 40, 160), (0, 1, 2))
+AMOUNTS = Amounts((0, 1, 2), 20, 20, 100, 5, (10, 40, 160))
 
 
 def _names(kind: str) -> set[str]:

@@ -29,19 +29,19 @@ def test_outputs_are_each_made_by_one_cell() -> None:
 def test_all_measurements() -> None:
     found = measurements(TASKS, FULL)
     of = {source: [one for one in found if one.condition.source is source] for source in Source}
-    seeds, sampled = len(FULL.seeds), len(FULL.sample_seeds)
+    seeds = len(FULL.seeds)
     conditions = seeds * sum(len(task.conditions) for task in TASKS)
     models = [model for family in FAMILIES for model in family.models]
     for source in (Source.recorded, Source.planned):
         assert len(of[source]) == len(models) * conditions
     assert len(of[Source.every_step]) == len(FAMILIES) * conditions
-    assert len(of[Source.faults]) == sampled * len(FAMILIES) * len(TASKS) * len(FAULTS)
-    assert len(of[Source.samples]) == sampled * 2 * 2 * 2 * len(FULL.sample_sizes)
+    assert len(of[Source.faults]) == seeds * len(FAMILIES) * len(TASKS) * len(FAULTS)
+    assert len(of[Source.samples]) == seeds * 2 * 2 * 2 * len(FULL.sample_sizes)
     trainings = [
         job for job in in_dependency_order(one.job for one in found) if job.arguments[0] == "train"
     ]
     # Of the samples, 40 trajectories are GIM-Temp's own, 160 pickup's augmented ones.
-    assert len(trainings) == seeds * 3 * len(models) + sampled * (2 * 2 * 6 - 4)
+    assert len(trainings) == seeds * 3 * len(models) + seeds * (2 * 2 * 6 - 4)
     assert all(value(job, "--held-out") == "0.2" for job in trainings)
     data = {value(need, "--episodes") for job in trainings for need in job.needs}
     assert "50" in data, "40 to learn from, and 10 held out"

@@ -212,8 +212,12 @@ def episode_seeds(episodes: int, seed: int) -> list[int]:
         raise InvalidInputError(f"episodes must be at least 1, found {episodes}")
     if seed < 0:
         raise InvalidInputError(f"seed must be at least 0, found {seed}")
-    children = np.random.SeedSequence(seed).spawn(episodes)
-    return [int(child.generate_state(1)[0]) for child in children]
+    return [episode_seed(each, seed) for each in range(episodes)]
+
+
+def episode_seed(index: int, seed: int) -> int:
+    """That of one episode; see `episode_seeds`."""
+    return int(np.random.SeedSequence(seed, spawn_key=(index,)).generate_state(1)[0])
 
 
 def fixed_seed(seed: int) -> int:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits, SearchILQR, SwitchingILQR
-from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.data import InvalidInputError, Scene, Trajectory
 from contactgraph.envs.contract import Observation, Policy, Task
 from contactgraph.envs.episodes import episode_seeds, run_episode
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
@@ -123,6 +123,11 @@ def control_task(
     return metrics, trajectories
 
 
+def switches_of(scene: Scene) -> tuple[int, ...]:
+    """The components of the control that are switches."""
+    return tuple(each for each, kind in enumerate(scene.control_kind or ()) if kind == "switch")
+
+
 def mpc_policy(
     model: StepModel,
     task: Task,
@@ -152,9 +157,7 @@ def mpc_policy(
     terms = task.cost_terms()
     if sensor is None:
         sensor = default_sensor(model) if faults.exact else faults.sensor
-    switches = tuple(
-        each for each, kind in enumerate(task.scene.control_kind or ()) if kind == "switch"
-    )
+    switches = switches_of(task.scene)
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
     if starts and switches:
         raise InvalidInputError("starts must be 0 for a task with switches, which are searched for")

@@ -11,7 +11,8 @@ from contactgraph.data import Scene, Trajectory, pair_indices
 from contactgraph.envs.contract import Observation
 from contactgraph.evaluate import Calibration, Episode, EpisodeRecord, belief_calibration
 from contactgraph.evaluate.calibration import no_calibration
-from contactgraph.play.stage import Stage, switches
+from contactgraph.evaluate.control_task import switches_of
+from contactgraph.play.stage import Stage
 from contactgraph.viz import SceneTrajectory
 from contactgraph.viz.scene_payload import number, scene_payload
 from contactgraph.viz.selection import shown_directions
@@ -61,7 +62,7 @@ class View:
             "task": choice.task,
             "distractors": choice.distractors,
             "disturbable": stage.disturbable,
-            "switches": bool(switches(scene)),
+            "switches": bool(switches_of(scene)),
         }
         self._scene += 1
         self._goal_radius, self._motion, self._notice = drawn.goal_radius, {}, None

@@ -17,7 +17,7 @@ from string import Template
 from contactgraph.data import InvalidInputError
 from contactgraph.play.session import Session
 from contactgraph.play.wishes import read_wish
-from contactgraph.viz.report import asset, one_scope, script_hash
+from contactgraph.viz.report import SCENE_SCRIPTS, asset, one_scope, script_hash
 
 try:
     from websockets.asyncio.server import ServerConnection, serve
@@ -37,21 +37,8 @@ CONNECTIONS = 4
 """Pages that may be open at a time."""
 _PATH = "/session"
 """Of the WebSocket."""
-_SCRIPTS = (
-    "data.js",
-    "svg.js",
-    "clock.js",
-    "projection.js",
-    "canvas.js",
-    "scene_frame.js",
-    "scene_bodies.js",
-    "scene_paths.js",
-    "scene_edges.js",
-    "scene.js",
-    "scene_turn.js",
-    "reliability_chart.js",
-)
-"""Of the report's page, ordered by dependency."""
+_SCRIPTS = (*SCENE_SCRIPTS, "reliability_chart.js")
+"""Of the report's page."""
 _LIVE_SCRIPTS = ("live_scene.js", "live_hand.js", "live_panels.js", "live.js")
 
 

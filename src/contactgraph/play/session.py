@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from contactgraph.data import InvalidInputError, Trajectory, write_trajectories
+from contactgraph.envs.episodes import episode_seed
 from contactgraph.evaluate import Episode
+from contactgraph.evaluate.control_task import switches_of
 from contactgraph.play.frames import View
-from contactgraph.play.stage import BuiltStage, Stage, StageParts, build_stage, switches
+from contactgraph.play.stage import BuiltStage, Stage, StageParts, build_stage
 from contactgraph.play.wishes import (
     MoveGoal,
     Pause,
@@ -124,7 +124,7 @@ class Session:
             self._end_episode()
             if self._unwritten is not None:
                 raise self._unwritten
-        except BaseException as error:  # told to whoever waits for the session
+        except BaseException as error:  # told to the thread that waits for the session
             self.failure = error
         finally:
             self._stopped.set()
@@ -192,7 +192,7 @@ class Session:
 
     def _set_switch(self, switch: str) -> None:
         stage, _ = self._running()
-        if not switches(stage.task.scene):
+        if not switches_of(stage.task.scene):
             raise InvalidInputError("this task has no switch")
         self._switch = switch
         stage.policy.switch = _SWITCH[switch]
@@ -219,7 +219,7 @@ class Session:
             raise InvalidInputError(built.reason)
         if self._record is not None and self._stage is not None and not stage.agrees(self._stage):
             raise InvalidInputError(
-                "recorded episodes must agree in time step and control; record another task anew"
+                "recorded episodes must agree in time step and control; record others apart"
             )
         self._end_episode()
         if self._stage is None or not stage.same_program(self._stage):
@@ -233,9 +233,7 @@ class Session:
         self._begin()
 
     def _episode_seed(self) -> int:
-        """That of `contactgraph.evaluate.collect`."""
-        key = np.random.SeedSequence(self._seed, spawn_key=(self._episodes,))
-        return int(key.generate_state(1)[0])
+        return episode_seed(self._episodes, self._seed)
 
     def _begin(self) -> None:
         stage = self._stage

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from contactgraph.data import InvalidInputError, Scene, pair_indices
 from contactgraph.envs.contract import DisturbableTask, Feedback, Observation, Task
 from contactgraph.evaluate import MPCPolicy, SensorFaults, mpc_policy
+from contactgraph.evaluate.control_task import switches_of
 from contactgraph.model import ContactDynamics, ModelState, MotionNoise, Nodes, with_masses
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.play.wishes import StageChoice
@@ -52,7 +53,7 @@ class HandPolicy:
 
     def reset(self, scene: Scene, seed: int) -> None:
         """See `MPCPolicy.reset`."""
-        self._switches = switches(scene)
+        self._switches = list(switches_of(scene))
         self.controller.reset(scene, seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -207,11 +208,6 @@ def build_stage(make: Callable[[], Stage], built: Callable[[BuiltStage], None]) 
 
     # No daemon, as the session is: a process that ends within XLA's compiler aborts.
     threading.Thread(target=build, name="compile", daemon=False).start()
-
-
-def switches(scene: Scene) -> list[int]:
-    """The components of the control that are switches."""
-    return [each for each, kind in enumerate(scene.control_kind or ()) if kind == "switch"]
 
 
 @eqx.filter_jit

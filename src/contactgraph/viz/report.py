@@ -24,7 +24,7 @@ from contactgraph.viz.markup import (
 from contactgraph.viz.report_data import ReportData
 from contactgraph.viz.scene_payload import floats, number, scene_payload
 
-_SCRIPTS = (
+SCENE_SCRIPTS = (
     "data.js",
     "svg.js",
     "clock.js",
@@ -36,6 +36,10 @@ _SCRIPTS = (
     "scene_edges.js",
     "scene.js",
     "scene_turn.js",
+)
+"""Draw a scene; ordered by dependency, as those that follow."""
+_SCRIPTS = (
+    *SCENE_SCRIPTS,
     "time_plots.js",
     "time_panels.js",
     "belief_chart.js",
@@ -44,7 +48,6 @@ _SCRIPTS = (
     "loss_chart.js",
     "page.js",
 )
-"""Ordered by dependency."""
 
 
 def write_report(path: str | Path, data: ReportData) -> None:

@@ -135,8 +135,6 @@ class Amounts:
     """Closed-loop episodes, planned over a whole one."""
     sample_sizes: tuple[int, ...]
     """Numbers of training trajectories."""
-    sample_seeds: tuple[int, ...]
-    """Of `sample_sizes`, and of tests with a faulty sensor."""
     training_options: Options = ()
     """Options of ``train`` for every model of every task."""
 
@@ -260,6 +258,5 @@ FULL = Amounts(
     success_episodes=100,
     long_episodes=20,
     sample_sizes=(5, 10, 20, 40, 80, 160),
-    sample_seeds=(0, 1, 2),
 )
-QUICK = Amounts((0,), 5, 10, 10, 2, (10, 40), (0,), ("--steps", "300"))
+QUICK = Amounts((0,), 5, 10, 10, 2, (10, 40), ("--steps", "300"))

@@ -111,7 +111,7 @@ def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
         for model in family.models:
             if model in task.models:
                 yield from _of_model(task, family, model, seed, amounts)
-    for family in SAMPLED_FAMILIES if task.with_samples and seed in amounts.sample_seeds else ():
+    for family in SAMPLED_FAMILIES if task.with_samples else ():
         for runs, model in itertools.product(
             amounts.sample_sizes, (family.gim_temp, family.no_gim_aug)
         ):
@@ -142,7 +142,7 @@ def _of_model(
         if whole:
             most = amounts.success_episodes if scenes is trained_on else amounts.episodes
             yield one.control(Source.every_step, scenes, "every-step", ("--episodes", str(most)))
-    for fault in FAULTS if whole and seed in amounts.sample_seeds else ():
+    for fault in FAULTS if whole else ():
         name, options = fault.slug, fault.options
         yield one.evaluate(Source.faults, trained_on, name, options, sensor=fault.name)
     if model in (family.gim_temp, family.full_ab) and family.full_ab in task.models:
