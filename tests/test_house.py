@@ -33,6 +33,7 @@ LIBRARY_TOP = [
 
 HEAVY = {
     "Box2D",
+    "duckdb",
     "franky",
     "franky_sim",
     "gym_pusht",
@@ -42,7 +43,6 @@ HEAVY = {
     "mujoco",
     "pandas",
     "pyapriltags",
-    "pyarrow",
     "pyrealsense2",
     "ray",
     "rosbags",

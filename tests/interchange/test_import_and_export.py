@@ -69,7 +69,7 @@ def test_mistakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "make", "library", "extra"),
-    [("lerobot", lerobot_folder, "pyarrow", "lerobot"), ("rosbag", mcap_file, "rosbags", "rosbag")],
+    [("lerobot", lerobot_folder, "duckdb", "lerobot"), ("rosbag", mcap_file, "rosbags", "rosbag")],
 )
 def test_a_missing_extra_is_named(
     kind: str, make, library: str, extra: str, tmp_path: Path, capsys, monkeypatch

@@ -5,7 +5,8 @@ one after the other in ``data/chunk-*/file-*.parquet``, described by ``meta/info
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,6 @@ from contactgraph.interchange.recording import (
     Recording,
     check_count,
     check_file,
-    limited_memory,
     read_json,
 )
 
@@ -31,6 +31,12 @@ _INDEX = "__index_level_0__"
 _WHOLE = 1e-6
 """Largest error of a whole number of frames a second, relative."""
 _LARGEST_FILE = 2**32
+_SETTINGS: dict[str, str | bool | int | float | list[str]] = {
+    "threads": 1,
+    "memory_limit": "1GB",
+    "autoinstall_known_extensions": False,
+    "autoload_known_extensions": False,
+}
 _OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 """Features of every dataset, which are no observations."""
 _NUMBERS = ("float16", "float32", "float64", "bool", "int8", "int16", "int32", "int64", "uint8")
@@ -53,20 +59,16 @@ def read_lerobot(source: Path) -> Recording:
     widths, others = _features(info)
     paths = sorted((source / "data").glob("*/*.parquet"))
     needed = {"episode_index": 1, "index": 1, **widths}
-    frames, total = sum(_rows(each, needed) for each in paths), info.count("total_frames", 0)
+    rows = [_rows(each, needed) for each in paths]
+    frames, total = sum(rows), info.count("total_frames", 0)
     if frames != total or not paths:
         raise InvalidInputError(
             f"{source}: must have {total} frames, as {_INFO} says, found {frames} in "
             f"{len(paths)} files of data"
         )
     check_count(str(source), frames * sum(needed.values()))
-    tables = [_table(each, list(needed)) for each in paths]
-    if sum(map(len, tables)) != frames:
-        raise InvalidInputError(f"{source}: must have {frames} frames, as the files' heads say")
-    columns = {
-        name: np.concatenate([_values(each, name, width) for each in tables])
-        for name, width in needed.items()
-    }
+    files = [_columns(each, needed, count) for each, count in zip(paths, rows, strict=True)]
+    columns = {name: np.concatenate([each[name] for each in files]) for name in needed}
     order = np.lexsort((columns["index"][:, 0], columns["episode_index"][:, 0]))
     columns = {name: values[order] for name, values in columns.items()}
     index = columns.pop("episode_index")[:, 0]
@@ -102,57 +104,60 @@ def _features(info: JsonFields) -> tuple[dict[str, int], dict[str, str]]:
     return widths, others
 
 
-def _pyarrow() -> Any:
-    """The library, with its module for parquet."""
+@contextmanager
+def _database() -> Iterator[Any]:
+    """A database in memory, which reads and writes parquet and loads nothing."""
     try:
-        import pyarrow
-        import pyarrow.parquet
+        import duckdb
     except ImportError as error:
         raise InvalidInputError(
-            f"LeRobot datasets need pyarrow ({error}): pip install 'contactgraph[lerobot]'"
+            f"LeRobot datasets need duckdb ({error}): pip install 'contactgraph[lerobot]'"
         ) from error
-    return pyarrow
+    with duckdb.connect(config=_SETTINGS) as database:
+        yield database
 
 
 def _rows(path: Path, names: Iterable[str]) -> int:
-    """Rows of a parquet file that has these columns, by its metadata."""
+    """Rows of a parquet file that has these columns, by its head."""
     check_file(path, _LARGEST_FILE)
-    with reading(str(path)), _pyarrow().parquet.ParquetFile(path) as file:
-        missing = set(names) - set(file.schema_arrow.names)
+    with _database() as database, reading(str(path)):
+        count = "SELECT num_rows FROM parquet_file_metadata(?)"
+        ((rows,),) = database.execute(count, [str(path)]).fetchall()
+        columns = database.execute("DESCRIBE SELECT * FROM read_parquet(?)", [str(path)]).fetchall()
+        missing = set(names) - {name for name, *_ in columns}
         if missing:
             raise InvalidInputError(f"{path}: no column {', '.join(sorted(missing))}")
-        # Metadata of single columns would abort the process where they are damaged.
-        groups = map(file.metadata.row_group, range(file.metadata.num_row_groups))
-        if sum(group.total_byte_size for group in groups) > _LARGEST_FILE:
-            raise InvalidInputError(f"{path}: must have at most {_LARGEST_FILE} bytes, unpacked")
-        return int(file.metadata.num_rows)
+        return int(rows)
 
 
-def _table(path: Path, names: list[str]) -> Any:
-    """These columns of a parquet file."""
-    with reading(str(path)), limited_memory(), _pyarrow().parquet.ParquetFile(path) as file:
-        return file.read(columns=names, use_threads=False)
+def _columns(path: Path, widths: dict[str, int], rows: int) -> dict[str, np.ndarray]:
+    """[rows, width] of each column, of numbers or of lists of them."""
+    with _database() as database, reading(str(path)):
+
+        def ask(select: str) -> Any:
+            text = f"SELECT {select} FROM read_parquet(?) LIMIT {rows * max(widths.values()) + 1}"
+            return database.execute(text, [str(path)])
+
+        def values(name: str, width: int) -> np.ndarray:
+            column = _quoted(name)
+            ((lists,),) = ask(f"any_value(typeof({column})) LIKE '%[]'").fetchall()
+            if lists:
+                # Before they are unpacked: a few bytes can stand for any number of values.
+                ((others,),) = ask(f"count_if(len({column}) IS DISTINCT FROM {width})").fetchall()
+                column = "NULL" if others else f"unnest({column})"
+            found = ask(f"{column} AS found").fetchnumpy()["found"]
+            wrong = found.dtype.kind not in "biuf" or isinstance(found, np.ma.MaskedArray)
+            if wrong or found.size != rows * width:
+                raise InvalidInputError(
+                    f"{path}: column {name!r} must have {width} numbers in each of {rows} rows"
+                )
+            return found.reshape(rows, width).astype(np.float64)
+
+        return {name: values(name, width) for name, width in widths.items()}
 
 
-def _values(table: Any, name: str, width: int) -> np.ndarray:
-    """[S, width] of a column of numbers or of lists of them."""
-    with reading(f"column {name!r}"):
-        column = table.column(name).combine_chunks()
-        if hasattr(column.type, "value_type"):
-            lengths = column.value_lengths() if hasattr(column, "value_lengths") else None
-            if lengths is not None and not all(each == width for each in lengths.to_pylist()):
-                raise InvalidInputError(f"column {name!r}: must have {width} numbers in each row")
-            column = column.flatten()
-        values = column.to_numpy(zero_copy_only=False)
-        if (
-            values.dtype.kind not in "biuf"
-            or column.null_count
-            or values.size != len(table) * width
-        ):
-            raise InvalidInputError(
-                f"column {name!r}: must have {width} numbers in each of {len(table)} rows"
-            )
-        return values.reshape(len(table), width).astype(np.float64)
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'
 
 
 def write_lerobot(layout: ExportLayout, folder: Path) -> None:
@@ -160,13 +165,13 @@ def write_lerobot(layout: ExportLayout, folder: Path) -> None:
 
     The last frame of an episode, which leads to no state, repeats the control before.
     """
-    arrow, dataset = _pyarrow(), layout.dataset
+    dataset = layout.dataset
     fps = 1.0 / dataset.dt
     if abs(fps - round(fps)) > _WHOLE * fps:
         raise InvalidInputError(
             f"LeRobot has whole frames a second, but steps of {dataset.dt:g} s are {fps:g}"
         )
-    lengths = [each.steps + 1 for each in dataset]
+    lengths = np.array([each.steps + 1 for each in dataset])
     ends = np.cumsum(lengths)
     frame = np.concatenate([np.arange(length) for length in lengths])
     numbers = {
@@ -208,7 +213,7 @@ def write_lerobot(layout: ExportLayout, folder: Path) -> None:
     task = str(dataset.metadata.get("task", "contactgraph"))
     episodes = {
         "episode_index": np.arange(len(lengths)),
-        "tasks": [[task]] * len(lengths),
+        "tasks": np.full((len(lengths), 1), task, dtype=object),
         "length": lengths,
         "data/chunk_index": whole,
         "data/file_index": whole,
@@ -221,11 +226,11 @@ def write_lerobot(layout: ExportLayout, folder: Path) -> None:
     column = {"name": None, "field_name": _INDEX, "metadata": None}
     column |= {"pandas_type": "unicode", "numpy_type": "object"}
     index = {"index_columns": [_INDEX], "columns": [column], "column_indexes": []}
-    tasks = arrow.table({"task_index": [0], _INDEX: [task]})
-    tables = {
-        f"data/{_FIRST}": arrow.table({name: _arrow(each) for name, each in numbers.items()}),
-        f"meta/episodes/{_FIRST}": arrow.table(episodes),
-        "meta/tasks.parquet": tasks.replace_schema_metadata({"pandas": json.dumps(index)}),
+    tasks = {"task_index": np.zeros(1, dtype=np.int64), _INDEX: np.array([task], dtype=object)}
+    tables: dict[str, Mapping[str, np.ndarray]] = {
+        f"data/{_FIRST}": numbers,
+        f"meta/episodes/{_FIRST}": episodes,
+        "meta/tasks.parquet": tasks,
     }
     texts = {
         _INFO: json.dumps(info, indent=2),
@@ -238,17 +243,37 @@ def write_lerobot(layout: ExportLayout, folder: Path) -> None:
     with new_folder(folder) as temporary:
         for name, table in tables.items():
             (temporary / name).parent.mkdir(parents=True, exist_ok=True)
-            arrow.parquet.write_table(table, temporary / name)
+            _write(temporary / name, table, json.dumps(index) if table is tasks else None)
         for name, text in texts.items():
             (temporary / name).write_text(text, encoding="utf-8")
 
 
-def _arrow(values: np.ndarray) -> Any:
-    """A column of numbers, or of lists of the same length."""
-    arrow = _pyarrow()
-    if values.ndim == 1:
-        return arrow.array(values)
-    return arrow.FixedSizeListArray.from_arrays(arrow.array(values.ravel()), values.shape[1])
+def _write(path: Path, columns: Mapping[str, np.ndarray], pandas: str | None) -> None:
+    """Each a column of single values [S], or of lists [S, width]; with metadata for pandas."""
+    single: dict[str, np.ndarray] = {}
+
+    def single_column(values: np.ndarray) -> str:
+        name = f"c{len(single)}"
+        single[name] = np.ascontiguousarray(values)
+        return name
+
+    def selected(name: str, values: np.ndarray) -> str:
+        if values.ndim == 1:
+            return f"{single_column(values)} AS {_quoted(name)}"
+        parts = ", ".join(single_column(each) for each in values.T)
+        return f"[{parts}] AS {_quoted(name)}"
+
+    select = ", ".join(selected(name, values) for name, values in columns.items())
+    metadata = "" if pandas is None else f", KV_METADATA {{pandas: {_text(pandas)}}}"
+    with _database() as database:
+        database.register("single", single)
+        database.execute(
+            f"COPY (SELECT {select} FROM single) TO {_text(str(path))} (FORMAT parquet{metadata})"
+        )
+
+
+def _text(value: str) -> str:
+    return "'" + value.replace("'", "''") + "'"
 
 
 def _statistics(values: np.ndarray) -> dict[str, list[float]]:

@@ -1,8 +1,7 @@
 """Recordings of other formats: episodes of named columns of numbers, as every reader has them."""
 
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -14,8 +13,6 @@ from contactgraph.data.json_fields import JsonFields, parse_json
 
 LARGEST = 2**27
 """Limit of the numbers of a recording, 1 GiB: more than anyone can train on."""
-MEMORY = 2**33
-"""Bytes that reading a file may take."""
 _LARGEST_JSON = 2**24
 """Bytes."""
 _SLICE = re.compile(r"(?P<name>.+)\[(?P<start>\d{1,9})(?::(?P<stop>\d{1,9}))?\]")
@@ -134,26 +131,3 @@ def files_of(source: Path, suffixes: Sequence[str]) -> list[Path]:
     if not found:
         raise InvalidInputError(f"{source}: no file that ends in {' or '.join(suffixes)}")
     return found
-
-
-@contextmanager
-def limited_memory() -> Iterator[None]:
-    """Refuses more than `MEMORY` bytes beside those in use, on Linux: `MemoryError`.
-
-    A few bytes of a file can stand for any number of repeated values, which a library unpacks
-    before anyone can count them.
-    """
-    statistics = Path("/proc/self/statm")
-    if not statistics.exists():
-        yield
-        return
-    import resource
-
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    used = int(statistics.read_text().split()[0]) * resource.getpagesize()
-    most = used + MEMORY if before[1] == resource.RLIM_INFINITY else min(used + MEMORY, before[1])
-    resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, before)
