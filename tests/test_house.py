@@ -50,13 +50,13 @@ HEAVY = {
 }
 """Libraries that are slow to import or optional: one module knows each of them."""
 
-FILES = {"contactgraph": 215, "contactgraph_franka": 60, "contactgraph_studies": 33}
+FILES = {"contactgraph": 220, "contactgraph_franka": 60, "contactgraph_studies": 33}
 LINES = {"contactgraph": 39_200, "contactgraph_franka": 9_000, "contactgraph_studies": 5_800}
 LONGEST_FILE = 300
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 34,  # a prediction step
     "contactgraph.train.fit": 51,  # a training step, its held-out error and signs of a dead network
-    "contactgraph.control.active_set": 50,  # a control step
+    "contactgraph.control.active_set": 51,  # a control step
 }
 FRAMES = 15
 """Calls from the command `contactgraph control` to the first one in the model, in a plan."""

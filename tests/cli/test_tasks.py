@@ -159,6 +159,16 @@ def test_lost_grasps_are_of_suction() -> None:
     task_factory("suction", options)
 
 
+def test_distractors_in_the_way_are_of_pickup() -> None:
+    options = TaskOptions(distractors=4, in_the_way=True)
+    assert options.metadata["in_the_way"] is True
+    task = task_factory("pickup", options)()
+    task.reset(seed=3)
+    assert task.scene.metadata["in_the_way"] is True
+    with pytest.raises(InvalidInputError, match=r"^--in-the-way: only pickup has such scenes, f"):
+        task_factory("door", options)
+
+
 def test_the_hidden_switch_is_of_suction(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match=r"^--hidden-switch: only suction has a switch, f"):
         task_factory("release", TaskOptions(hidden_switch=True))

@@ -172,6 +172,18 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ),
         ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("control nobody pickup --horizon 0", "--horizon must be 1 to 1000, found 0"),
+        ("control nobody pickup --clearance -1", "--clearance must be 0 to 10, found -1"),
+        ("control nobody pickup --routes 1001", "--routes must be 0 to 1000, found 1001"),
+        ("control nobody pickup --segment 21", "--segment must be 0 to 20, found 21"),
+        (
+            "control pickup pickup --segment 20 --routes 3",
+            "a plan has one of starts, routes, a segment and a task's switches, found starts 0, "
+            "routes 3, segment 20 and switches []",
+        ),
+        (
+            "control franka franka --clearance 0.1 --routes 0",
+            "bodies to be avoided need a radius, which the scene has not",
+        ),
         ("control nobody pickup --seed -1", "--seed must be 0 to 4294967295, found -1"),
         ("control nobody pickup --video a.png", "video: a.png must end in .gif or .mp4"),
         ("control nobody pickup --video no/a.gif", "no/a.gif: folder no does not exist"),

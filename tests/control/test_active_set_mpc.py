@@ -1,6 +1,7 @@
 """MPC on the active set gives the plans of MPC on the whole scene."""
 
 import logging
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -9,7 +10,16 @@ import numpy as np
 import pytest
 from control_models import nodes_of
 
-from contactgraph.control import ILQR, MPC, ActiveSetMPC, ControlLimits, PlanStatus, chain_cost
+from contactgraph.control import (
+    ILQR,
+    MPC,
+    ActiveSetMPC,
+    ControlLimits,
+    PlanStatus,
+    RouteILQR,
+    avoid,
+    chain_cost,
+)
 from contactgraph.data import InvalidInputError, edge_id, pair_indices
 from contactgraph.model import MotionNoise, load_model, shipped_model
 
@@ -67,11 +77,20 @@ def crowd(count: int, seed: int) -> dict[str, np.ndarray]:
     return {"position": np.array(placed), "velocity": np.zeros((count, 2))}
 
 
-def both(local: ActiveSetMPC, whole: MPC, observed: dict, steps: int) -> list[np.ndarray]:
-    """Runs both along the whole scene's plan; the active nodes of each step."""
+def both(
+    local: ActiveSetMPC, whole: MPC, observed: dict, steps: int, clear: float = 0.0
+) -> list[np.ndarray]:
+    """Runs both along the whole scene's plan; the active nodes of each step.
+
+    ``clear``: m, distance to be kept from distractors.
+    """
     count = len(observed["position"])
     nodes = nodes_of(count, CAPACITY)
-    states = [mpc.reset(observed, nodes, cost()) for mpc in (local, whole)]
+    given = cost()
+    if clear:
+        pairs = [(one, other) for one in (0, 1) for other in range(2, count)]
+        given = replace(given, distances=avoid(pairs, clear, 1e4, 0.05))
+    states = [mpc.reset(observed, nodes, given) for mpc in (local, whole)]
     in_play = []
     for _ in range(steps):
         contacts = (
@@ -125,6 +144,20 @@ def test_a_distractor_on_the_path_is_active_and_matters(local, whole):
         plans.append(plan)
         assert 2 in plan.node_ids.tolist() or others[0][0] > 3.0
     assert np.max(np.abs(plans[0].controls - plans[1].controls)) > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("routes", [0, 3])
+def test_nodes_to_be_avoided_are_active_and_give_the_plan_of_the_whole_scene(model, routes):
+    """The distance to keep is more than that within which bodies touch."""
+    planner = ILQR(HORIZON, 5, LIMITS)
+    if routes:
+        planner = RouteILQR(HORIZON, 5, LIMITS, routes=routes)
+    local, whole = ActiveSetMPC(model, planner), MPC(model, planner)
+    between = 0.5 * (GRIPPER + TARGET) + np.array([-0.15, 0.26])
+    in_play = both(local, whole, scene(11, others=[between]), 8, clear=0.4)
+    assert any(2 in inside for inside in in_play)
+    assert all(len(inside) < 11 for inside in in_play)
 
 
 ALONG, ACROSS = TARGET - GRIPPER, np.array([-0.053, 0.085])

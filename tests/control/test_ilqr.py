@@ -149,7 +149,9 @@ def test_a_trial_is_accepted_only_where_it_lowers_the_cost_by_the_armijo_term():
     part = QuadraticCost(jnp.ones((2, 2, 2)), jnp.ones((1, 1, 1)), jnp.zeros((2, 2)))
     ilqr = ILQR(1)
     trial = jax.tree.map(lambda leaf: leaf + 1.0, small_search(1.0).reference)
-    judge = jax.jit(lambda search, total: ilqr._judge(search, trial, total, part))
+    judge = jax.jit(
+        lambda search, total: ilqr._judge(search, trial, total, (part, jnp.arange(1), None))
+    )
     # Of the expected decrease of 100, 1e-4 is asked for: 0.01 at the full step, 0.005 at the half.
     for attempt, total, accepted in (
         (0, 1.0, False),

@@ -11,10 +11,14 @@ from contactgraph.envs import MultiPickupTask, PickupExpert, PickupTask, check_t
 from contactgraph.envs.gripper_task import fixed_layout
 from contactgraph.envs.pickup import held
 from contactgraph.envs.pickup_layout import (
+    CLEARANCE,
     CORRIDOR,
+    IN_THE_WAY,
     OVERSHOOT,
     RADIUS,
+    STANDING_ROOM,
     TARGET_CORRIDOR,
+    distance_to_path,
     sample_layout,
 )
 from contactgraph.evaluate import collect
@@ -137,3 +141,20 @@ def test_objects_out_of_range(objects):
 def test_distractors_out_of_range():
     with pytest.raises(InvalidInputError, match="distractors must be 0 to 20, found 21"):
         MultiPickupTask(2, 21)
+
+
+def test_distractors_in_the_way_stand_on_the_straight_ways_but_at_no_stop() -> None:
+    for seed in SEEDS:
+        layout = sample_layout(np.random.default_rng(seed), 1, 10, in_the_way=True)
+        ways = list(zip(layout.stops, layout.stops[1:], strict=False))
+        touched = [
+            min(distance_to_path(each, *way, 0.0) for way in ways) < 2 * RADIUS
+            for each in layout.distractors
+        ]
+        assert len(touched) == 10 and sum(touched) >= IN_THE_WAY
+        gaps = np.linalg.norm(layout.distractors[:, None] - layout.stops, axis=-1)
+        assert gaps.min() >= STANDING_ROOM
+        apart = np.linalg.norm(layout.distractors[:, None] - layout.distractors, axis=-1)
+        assert (apart + np.eye(10)).min() >= 2 * RADIUS + CLEARANCE
+    with pytest.raises(InvalidInputError, match="distractors must be 2 or more to be in the way"):
+        PickupTask(1, in_the_way=True)

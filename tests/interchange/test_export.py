@@ -186,14 +186,14 @@ def test_what_lerobot_reads_of_an_exported_dataset(tmp_path: Path) -> None:
     import pyarrow.parquet as parquet
 
     one, data, out = everything(), tmp_path / "first.h5", tmp_path / "out"
-    write_trajectories(data, [one, one], {"task": "it's a \"task\""})
+    write_trajectories(data, [one, one], {"task": 'it\'s a "task"'})
     assert run(["export", str(data), "--to", "lerobot", "--out", str(out)]) == 0
     frames = parquet.read_table(out / "data/chunk-000/file-000.parquet")
     action = np.array(frames["action"].to_pylist())
     np.testing.assert_array_equal(action, np.tile([*one.control, one.control[-1]], (2, 1)))
     assert frames["index"].to_pylist() == list(range(len(frames)))
     tasks = pandas.read_parquet(out / "meta/tasks.parquet")
-    assert tasks.to_dict() == {"task_index": {"it's a \"task\"": 0}}
+    assert tasks.to_dict() == {"task_index": {'it\'s a "task"': 0}}
     episodes = pandas.read_parquet(out / "meta/episodes/chunk-000/file-000.parquet")
-    assert episodes["tasks"].map(list).tolist() == [["it's a \"task\""]] * 2
+    assert episodes["tasks"].map(list).tolist() == [['it\'s a "task"']] * 2
     assert episodes["dataset_to_index"].tolist() == [len(frames) // 2, len(frames)]

@@ -6,18 +6,24 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import Positional, arg
+from tyro.conf import arg
 
 from contactgraph.cli.options import (
+    Clearance,
+    ControllerArgument,
     Delay,
     Distractors,
     FalseAlarms,
     Grasp,
     HiddenSwitch,
+    Horizon,
     LoseGrasp,
     Misses,
     Objects,
     OutputFile,
+    Routes,
+    Segment,
+    Starts,
     TaskArgument,
 )
 
@@ -27,28 +33,18 @@ if TYPE_CHECKING:
     from contactgraph.evaluate import ClosedLoopMetrics, EpisodeRecord
     from contactgraph.viz import SceneTrajectory
 
-ControllerArgument = Positional[
-    Annotated[
-        str,
-        arg(
-            metavar="MODEL",
-            help="A run folder of train, a model file, a shipped model (door, franka, multi-pickup "
-            "or pickup), or module:factory@MODEL. In its place, expert is the task's scripted "
-            "demonstrator, and fixed-start its controller without model or search.",
-        ),
-    ]
-]
-
 _LEARNED_COST_HORIZON = 2
 """Factor of the default horizon with a learned cost. Such a cost does not demand the contacts that
 its demonstrations made: a plan that ends before their benefit would hover before the object."""
 
 _RECORDED = (
-    *("cost", "horizon", "iterations", "starts", "replan_every"),
+    *("cost", "horizon", "iterations", "starts", "routes", "segment", "clearance", "replan_every"),
     *("false_alarms", "misses", "delay", "unmeasured"),
     *("position_noise", "velocity_noise", "infer_contacts", "told_masses"),
 )
 """Options that only a model takes; the JSON file repeats them."""
+_ROUTES = 7
+"""With a clearance: with the running plan they fill a vector of eight."""
 _SCRIPTED = ("expert", "fixed-start")
 """Names in place of a MODEL; a file or folder of such a name is given as a path, ``./expert``."""
 _PREDICTED_S = 0.5
@@ -89,19 +85,17 @@ class Control:
     lose_grasp: LoseGrasp = 0.0
     radius: Annotated[float | None, arg(metavar="M", help_behavior_hint="(pickup: 0.04)")] = None
     """Radius of every body of pickup, m."""
+    in_the_way: bool = False
+    """pickup: a straight way to the target and the goal touches two distractors or more."""
+    clearance: Clearance = None
     cost: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(the task's cost)")] = None
     """Cost file by learn-cost, to plan with in place of the task's own cost."""
-    horizon: Annotated[
-        int | None,
-        arg(metavar="INT", help_behavior_hint="(20; pushing 30; franka 50; twice with --cost)"),
-    ] = None
-    """Planning horizon, steps."""
+    horizon: Horizon = None
     iterations: int = 5
     """Rollouts of iLQR a plan, at most."""
-    starts: Annotated[
-        int | None, arg(metavar="INT", help_behavior_hint="(64 for pushing, else 0)")
-    ] = None
-    """Ways round a body to push it that each plan compares, twice; 0: none."""
+    starts: Starts = None
+    routes: Routes = None
+    segment: Segment = 0
     replan_every: int = 1
     """Steps between plans; the plan's feedback acts in between."""
     deadline_ms: Annotated[float | None, arg(metavar="MS", help_behavior_hint="(optional)")] = None
@@ -157,6 +151,7 @@ class Control:
             radius=self.radius,
             hidden_switch=self.hidden_switch,
             lose_grasp=self.lose_grasp,
+            in_the_way=self.in_the_way,
         )
         if self.model in _SCRIPTED:
             return self._write(self._by_policy(options), options)
@@ -168,6 +163,11 @@ class Control:
         check_range("--iterations", self.iterations, 1, 1000)
         if self.starts is not None:
             check_range("--starts", self.starts, 0, 10_000)
+        routes = (0 if self.clearance is None else _ROUTES) if self.routes is None else self.routes
+        check_range("--routes", routes, 0, 1000)
+        check_range("--segment", self.segment, 0, horizon)
+        if self.clearance is not None:
+            check_range("--clearance", self.clearance, 0, 10)
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, self.seed)
         if self.unmeasured and not faults.exact:
             raise InvalidInputError(
@@ -180,7 +180,7 @@ class Control:
         model = stored_model(self.model)
         starts = self.starts
         if starts is None:
-            starts = known.starts if searches(model) else 0
+            starts = known.starts if searches(model) and not routes + self.segment else 0
         asked, ignored = self.infer_contacts, self.ignore_motion
         by_motion = motion_evidence(model, asked, ignored, noise.position, noise.velocity)
         first: list[EpisodeRecord] = []
@@ -200,6 +200,9 @@ class Control:
                 horizon=horizon,
                 iterations=self.iterations,
                 starts=starts,
+                routes=routes,
+                segment=self.segment,
+                clearance=self.clearance,
                 replan_every=self.replan_every,
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
                 faults=faults,
@@ -219,6 +222,7 @@ class Control:
             "cost": None if self.cost is None else str(self.cost),
             "horizon": horizon,
             "starts": starts,
+            "routes": routes,
             "infer_contacts": by_motion is not None,
         }
         controlled = _Controlled(

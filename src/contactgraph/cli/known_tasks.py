@@ -44,7 +44,12 @@ def _pickup(options: TaskOptions) -> TaskFactory:
     refuse_option("pickup", "--grasp", options.grasp, "has no fingers to close")
     if options.objects != 1:
         refuse_option("pickup", "--objects", options.objects, "has 1 object")
-    task = partial(PickupTask, options.distractors, fixed_seed=options.fixed_seed)
+    task = partial(
+        PickupTask,
+        options.distractors,
+        fixed_seed=options.fixed_seed,
+        in_the_way=options.in_the_way,
+    )
     return task if options.radius is None else partial(task, radius=options.radius)
 
 

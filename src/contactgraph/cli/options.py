@@ -33,6 +33,17 @@ ModelArgument = Positional[
         ),
     ]
 ]
+ControllerArgument = Positional[
+    Annotated[
+        str,
+        arg(
+            metavar="MODEL",
+            help="A run folder of train, a model file, a shipped model (door, franka, multi-pickup "
+            "or pickup), or module:factory@MODEL. In its place, expert is the task's scripted "
+            "demonstrator, and fixed-start its controller without model or search.",
+        ),
+    ]
+]
 TaskArgument = Positional[
     Annotated[
         str,
@@ -97,6 +108,45 @@ Misses = Annotated[
     arg(metavar="RATE", help="Share of touching edges that the contact sensor reports as free."),
 ]
 Delay = Annotated[int, arg(metavar="STEPS", help="Delay of the contact sensor, steps.")]
+Horizon = Annotated[
+    int | None,
+    arg(
+        metavar="INT",
+        help="Planning horizon, steps.",
+        help_behavior_hint="(20; pushing 30; franka 50; twice with --cost)",
+    ),
+]
+Starts = Annotated[
+    int | None,
+    arg(
+        metavar="INT",
+        help="Ways round a body to push it that each plan compares, twice; 0: none.",
+        help_behavior_hint="(64 for pushing, else 0)",
+    ),
+]
+Routes = Annotated[
+    int | None,
+    arg(
+        metavar="INT",
+        help="Routes to where the cost is least that each plan compares; 0: none.",
+        help_behavior_hint="(7 with --clearance, else 0)",
+    ),
+]
+Segment = Annotated[
+    int,
+    arg(
+        help="Steps of the short plans by which a long plan begins, such as 20 for a --horizon of "
+        "200; 0: none."
+    ),
+]
+Clearance = Annotated[
+    float | None,
+    arg(
+        metavar="M",
+        help="Gap to keep from bodies that the task does not name, m.",
+        help_behavior_hint="(may touch them)",
+    ),
+]
 OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")]
 
 _LARGEST_SEED = 2**32 - 1

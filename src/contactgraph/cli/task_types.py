@@ -26,6 +26,8 @@ class TaskOptions:
     """Whether a random process, which nothing records, operates the gripper's switch."""
     lose_grasp: float = 0.0
     """Share of the episodes in which a grasp is lost on the way."""
+    in_the_way: bool = False
+    """Whether a straight way touches two distractors or more."""
 
     @property
     def metadata(self) -> dict[str, str | int | float]:
@@ -40,6 +42,8 @@ class TaskOptions:
             given["hidden_switch"] = True
         if self.lose_grasp:
             given["lose_grasp"] = self.lose_grasp
+        if self.in_the_way:
+            given["in_the_way"] = True
         return {"distractors": self.distractors, **given}
 
 

@@ -71,6 +71,7 @@ def _factory_of_class(
         "passive": options.passive or None,
         "hidden_switch": options.hidden_switch or None,
         "lose_grasp": options.lose_grasp or None,
+        "in_the_way": options.in_the_way or None,
     }
     given = {key: value for key, value in given.items() if value is not None}
     for key, value in given.items():
@@ -98,6 +99,9 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
     if options.lose_grasp and name != "suction" and ":" not in name:
         known_task(name)
         raise InvalidInputError(f"--lose-grasp: only suction loses its grasp, found {name}")
+    if options.in_the_way and name != "pickup" and ":" not in name:
+        known_task(name)
+        raise InvalidInputError(f"--in-the-way: only pickup has such scenes, found {name}")
     factory = known_task(name).factory(options)
     factory()  # an invalid count is refused before any work is done
     return factory
@@ -114,6 +118,7 @@ def make(
     passive: bool = False,
     hidden_switch: bool = False,
     lose_grasp: float = 0.0,
+    in_the_way: bool = False,
 ) -> Task:
     """A task by its name, or by that of its class, ``module:Class``; see `TaskOptions`.
 
@@ -126,7 +131,7 @@ def make(
     Scene(1 gripper, 3 object; N=4, D=2, dt=0.05 s)
     """
     scene = distractors, objects, grasp, fixed_seed, radius
-    return task_factory(task, TaskOptions(*scene, passive, hidden_switch, lose_grasp))()
+    return task_factory(task, TaskOptions(*scene, passive, hidden_switch, lose_grasp, in_the_way))()
 
 
 def mixed_factories(name: str, options: TaskOptions) -> list[TaskFactory]:

@@ -11,6 +11,9 @@ from contactgraph.control.cost_io import describe_cost as describe_cost
 from contactgraph.control.cost_io import read_cost as read_cost
 from contactgraph.control.cost_io import write_cost as write_cost
 from contactgraph.control.cost_learner import learn_cost as learn_cost
+from contactgraph.control.distance_cost import DistanceCost as DistanceCost
+from contactgraph.control.distance_cost import avoid as avoid
+from contactgraph.control.distance_cost import touch as touch
 from contactgraph.control.host import pin_to_core as pin_to_core
 from contactgraph.control.ilqr import ILQR as ILQR
 from contactgraph.control.learned_cost import CostLearningConfig as CostLearningConfig
@@ -30,7 +33,9 @@ from contactgraph.control.plan import Plan as Plan
 from contactgraph.control.plan import Planner as Planner
 from contactgraph.control.plan import PlanStatus as PlanStatus
 from contactgraph.control.plan import shift_plan as shift_plan
+from contactgraph.control.receding import RecedingILQR as RecedingILQR
 from contactgraph.control.riccati import LQRProblem as LQRProblem
+from contactgraph.control.routes import RouteILQR as RouteILQR
 from contactgraph.control.search import SearchILQR as SearchILQR
 from contactgraph.control.search import searches as searches
 from contactgraph.control.subproblem import ActiveSetState as ActiveSetState

@@ -167,7 +167,11 @@ class ActiveSetMPC:
 
     def _bounds(self, state: ActiveSetState) -> ActiveBounds:
         assert self._cutoff is not None and state.plan.swept is not None
-        return ActiveBounds(state.plan.swept, state.node_ids, state.required, self._cutoff)
+        cutoff, distances = self._cutoff, state.scene[1].distances
+        if distances is not None:
+            farthest = np.max(np.asarray(distances.distance), initial=cutoff.distance)
+            cutoff = replace(cutoff, distance=float(farthest))
+        return ActiveBounds(state.plan.swept, state.node_ids, state.required, cutoff)
 
     def _with_observation(self, state: ActiveSetState) -> ActiveSetState:
         """Bounds of a reused plan also contain the observed positions."""

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from contactgraph.control.distance_cost import DistanceCost
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.features import turn_length_of
@@ -52,6 +53,8 @@ class QuadraticCost(eqx.Module):
     exactly zero: naming the ``M`` nodes that have one makes the backward pass cost what ``M``
     nodes cost and changes no answer. Rows of other nodes are ignored.
     """
+    distances: DistanceCost | None = None
+    """Added to it: what is to be touched, and what is not; see `avoid` and `touch`."""
     turn_length: float = eqx.field(static=True, default=1.0)
     """m; unit of turns, where ``n = 2NG`` includes them: 1 for angles in rad and rates in rad/s.
     See `contactgraph.data.generalized_coordinates`."""
@@ -66,7 +69,7 @@ class QuadraticCost(eqx.Module):
         return self.R.shape[-1]
 
     def __call__(self, states: Float[Array, "H+1 ..."], controls: Float[Array, "H U"]) -> Array:
-        """The cost of states [H+1, N, 2, D] or [H+1, n] and controls."""
+        """The cost of states [H+1, N, 2, D], or [H+1, n] without ``distances``, and controls."""
         return jnp.sum(self.by_step(states, controls))
 
     def by_step(
@@ -77,6 +80,8 @@ class QuadraticCost(eqx.Module):
         error = states.reshape(goal.shape) - goal
         of_state = jnp.sum(error * jnp.einsum("tij,tj->ti", Q, error), axis=-1)
         of_control = jnp.sum(controls * jnp.einsum("tij,tj->ti", R, controls), axis=-1)
+        if self.distances is not None:
+            of_state += self.distances.by_step(states)
         return of_state.at[:-1].add(of_control)
 
     def quadratic(self, node_count: int) -> "QuadraticCost":

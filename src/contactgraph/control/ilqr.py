@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import Cost, QuadraticCost
+from contactgraph.control.distance_cost import DistanceCost
 from contactgraph.control.lqr import (
     Improvement,
     block_cost,
@@ -21,6 +22,9 @@ from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.riccati import LQRProblem, block_operator
 from contactgraph.control.rollout import Rollout, SweptBounds, roll_out
 from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity
+
+PlannedCost = tuple[QuadraticCost, Int[Array, " M"], DistanceCost | None]
+"""The quadratic part of a cost, on the M nodes that have one; these nodes; and its distances."""
 
 _RUNNING = -1
 _ARMIJO = 1e-4
@@ -87,13 +91,9 @@ class ILQR(eqx.Module):
         quadratic = cost.quadratic(count).fitted(model, count)
         ids = quadratic.cost_node_ids
         ids = jnp.arange(count) if ids is None else ids
-        part = block_cost(quadratic, ids, dimension, self.horizon)
-        if guess is None:
-            idle = self._idle(quadratic.control_size, part.R.dtype)
-            gains = jnp.zeros((*idle.shape, part.goal.shape[-1]), part.R.dtype)
-            trial = AffinePolicy(gains, idle)
-        else:
-            trial = AffinePolicy(block_gains(guess.K, ids), guess.k)
+        part, distances = block_cost(quadratic, ids, dimension, self.horizon), quadratic.distances
+        guess = self.without_force(quadratic, state) if guess is None else guess
+        trial = AffinePolicy(block_gains(guess.K, ids), guess.k)
 
         # Within `jax.jit` it is traced once, not for its shape and then again.
         follow = eqx.filter_jit(roll_out)
@@ -118,12 +118,15 @@ class ILQR(eqx.Module):
             search, swept = carry
             rollout = follow(model, begin, nodes, search.trial, self.limits, ids)
             costs = part.by_step(rollout.x, rollout.controls)
+            if distances is not None:
+                costs += distances.by_step(rollout.states)
             if swept is not None and self.swept_dt is not None:
                 given_up = jnp.cumsum(costs[:-1]) > _SURELY * search.cost
                 swept = swept.with_rollout(
                     search.iteration, rollout, ~given_up, nodes, self.swept_dt
                 )
-            return self._judge(search, rollout, jnp.sum(costs), part), swept
+            about = part, ids, distances
+            return self._judge(search, rollout, jnp.sum(costs), about), swept
 
         def running(carry: Carry) -> Bool[Array, ""]:
             search, _ = carry
@@ -136,7 +139,7 @@ class ILQR(eqx.Module):
         return dataclasses.replace(self._plan(search, ids), swept=swept)
 
     def _judge(
-        self, search: "_Search", rollout: Rollout, total: Float[Array, ""], part: QuadraticCost
+        self, search: "_Search", rollout: Rollout, total: Float[Array, ""], about: PlannedCost
     ) -> "_Search":
         """Accept or reject the trial's rollout of this cost, and choose the next trial."""
         total = jnp.where(rollout.finite(), total, jnp.inf)
@@ -155,7 +158,7 @@ class ILQR(eqx.Module):
         attempt = jnp.where(exhausted, 0, attempt)
         damping = _adapted(search.damping, accepted, exhausted)
 
-        improvement = self._improve(reference, part, damping)
+        improvement = self._improve(reference, about, damping)
         enough = self.tolerance * jnp.abs(lowest) + self.absolute_tolerance
         # A damped step always predicts a small decrease, so only an undamped one can converge.
         converged = (damping == 0) & (improvement.expected_decrease <= enough)
@@ -182,10 +185,10 @@ class ILQR(eqx.Module):
         )
 
     def _improve(
-        self, reference: Rollout, part: QuadraticCost, damping: Float[Array, ""]
+        self, reference: Rollout, about: PlannedCost, damping: Float[Array, ""]
     ) -> Improvement:
-        problem = problem_along(reference, part)
-        kept = jnp.zeros(part.R.shape[-1]).at[jnp.array(self.fixed, int)].set(1.0)
+        problem = problem_along(reference, *about)
+        kept = jnp.zeros(problem.R.shape[-1]).at[jnp.array(self.fixed, int)].set(1.0)
         cheapest = -jnp.einsum("tij,tj->ti", problem.R, kept * reference.controls)
         problem = dataclasses.replace(problem, r=cheapest)  # where it is
         return improve_policy(
@@ -202,7 +205,7 @@ class ILQR(eqx.Module):
         K = node_gains(gains, node_ids, reference.position[0])
         out_of_time = search.status == _RUNNING
         return Plan(
-            states=jnp.stack([reference.position, reference.velocity], axis=2),
+            states=reference.states,
             controls=controls,
             policy=AffinePolicy(K, policy.k),
             beliefs=reference.beliefs,
@@ -212,15 +215,30 @@ class ILQR(eqx.Module):
             node_ids=jnp.arange(reference.position.shape[1], dtype=jnp.int32),
         )
 
+    def without_force(self, cost: QuadraticCost, state: ModelState) -> AffinePolicy:
+        """The guess where there is none: no force, or the nearest that the limits allow."""
+        idle = self._idle(cost.control_size, cost.R.dtype)
+        count, dimension = state.position.shape
+        return AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
+
     def _idle(self, control_size: int, dtype: jnp.dtype) -> Float[Array, "H U"]:
         """No force, or the nearest that the limits allow."""
         zero = jnp.zeros((self.horizon, control_size), dtype)
         return zero if self.limits is None else self.limits(zero).astype(dtype)
 
 
-def problem_along(reference: Rollout, part: QuadraticCost) -> LQRProblem:
+def problem_along(
+    reference: Rollout,
+    part: QuadraticCost,
+    node_ids: Int[Array, " M"],
+    distances: DistanceCost | None,
+) -> LQRProblem:
     """The problem with the dynamics along a rollout; ``part`` is the cost on its ``x``."""
     Q, R, goal = part.over(reference.controls.shape[0])
+    q = -jnp.einsum("tij,tj->ti", Q, goal)
+    if distances is not None:
+        more = distances.expanded(reference.states, node_ids)
+        Q, q = Q + more[0], q + more[1]
     A, B, offset = block_dynamics(reference.dynamics)
     return LQRProblem(
         A=A,
@@ -228,7 +246,7 @@ def problem_along(reference: Rollout, part: QuadraticCost) -> LQRProblem:
         offset=offset,
         Q=Q,
         R=R,
-        q=-jnp.einsum("tij,tj->ti", Q, goal),
+        q=q,
         r=jnp.zeros(R.shape[:-1], R.dtype),
     )
 

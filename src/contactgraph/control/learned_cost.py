@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.host import Observation
 from contactgraph.data import InvalidInputError, Scene
 
 ROUNDING = 1e-5
@@ -153,6 +154,10 @@ class LearnedCost(eqx.Module):
     def among(self, nodes: Sequence[int]) -> "LearnedCost":
         """The same cost about other nodes [M] in place of the kept ones, in this order."""
         return replace(self, nodes=jnp.asarray(nodes, jnp.int32))
+
+    def seeing(self, observation: Observation) -> "LearnedCost":
+        """Itself, whatever is observed."""
+        return self
 
     def quadratic(self, node_count: int) -> QuadraticCost:
         """The cost of a scene padded to ``node_count`` nodes."""

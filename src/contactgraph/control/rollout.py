@@ -36,6 +36,11 @@ class Rollout(eqx.Module):
     dynamics: LinearDynamics
     """[H, M, D, …]"""
 
+    @property
+    def states(self) -> Float[Array, "H+1 N 2 D"]:
+        """Position and velocity of each node."""
+        return jnp.stack([self.position, self.velocity], axis=2)
+
     def finite(self) -> Array:
         """Whether every predicted number is."""
         motion = jnp.all(jnp.isfinite(self.position)) & jnp.all(jnp.isfinite(self.velocity))

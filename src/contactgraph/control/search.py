@@ -22,11 +22,13 @@ from contactgraph.control.approaches import (
     spread_approaches,
     varied_approaches,
 )
-from contactgraph.control.box_qp import AffinePolicy, ControlLimits, solve_small
+from contactgraph.control.box_qp import AffinePolicy, ControlLimits
+from contactgraph.control.candidates import best_plan, side_by_side
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.lanes import in_lanes
 from contactgraph.control.plan import Plan
+from contactgraph.control.routes import FreeMotion
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import edge_id, pair_indices
 from contactgraph.model import (
@@ -58,8 +60,6 @@ _ELITES = 8
 _LEVEL, _ELASTIC = 0.1, 0.3
 """Of a wall off which a body may be played: how far its normal points up at most, and how much the
 body bounces off it at least."""
-_RIDGE = 1e-6
-"""Of the mean square response to the control; controls that move nothing stay 0."""
 
 
 class SearchILQR(ILQR):
@@ -105,11 +105,9 @@ class SearchILQR(ILQR):
                 "a search for starts needs a ContactDynamics with InvariantFeatures, found "
                 f"{type(model).__name__}"
             )
-        count, dimension = state.position.shape
+        count, _ = state.position.shape
         quadratic = cost.quadratic(count).fitted(model, count)
-        if guess is None:
-            idle = self._idle(quadratic.control_size, quadratic.R.dtype)
-            guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
+        guess = self.without_force(quadratic, state) if guess is None else guess
         commands = _commands(model)
         size = quadratic.control_size
         # iLQR makes grasps faster than fingers hold; with commands the approach is the plan.
@@ -123,17 +121,13 @@ class SearchILQR(ILQR):
         guess = AffinePolicy(guess.K, guess.k.at[-1, size - commands :].set(kept))
         before = guess.k[0, size - commands :]
         found = self._best_start(_Scene.of(model, state, nodes, quadratic), before)
-        begin = AffinePolicy(jnp.zeros_like(guess.K), found.astype(guess.k.dtype))
-        both = jax.tree.map(lambda one, other: jnp.stack([one, other], axis=-1), guess, begin)
-        plans = in_lanes(lambda each: ILQR.solve(planner, model, state, nodes, quadratic, each), 2)(
-            both
-        )
-        plans = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), plans)
-        costs = plans.cost + self._switching(before, plans.controls)
-        chosen = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
-        plan = jax.tree.map(lambda leaf: leaf[chosen], plans)
-        swept = None if plans.swept is None else plans.swept.united()
-        return dataclasses.replace(plan, iterations=jnp.sum(plans.iterations), swept=swept)
+        begin = AffinePolicy(jnp.zeros_like(guess.K), found)
+        guesses = side_by_side(guess, jax.tree.map(lambda leaf: leaf[..., None], begin))
+
+        def switching(plans: Plan) -> Float[Array, " S"]:
+            return self._switching(before, plans.controls)
+
+        return best_plan(planner, model, state, nodes, quadratic, guesses, switching)
 
     def _switching(
         self, before: Float[Array, " C"], controls: Float[Array, "*S H U"]
@@ -178,11 +172,8 @@ class SearchILQR(ILQR):
 
 
 class _Scene(eqx.Module):
-    """What the rollouts from a state have in common; controls of nodes that are driven alone.
-
-    A free node's velocity after a step is affine in the control, ``v' = A x + B u + offset``; the
-    control for a wanted one is the least squares solution, also while the node touches another.
-    """
+    """What the rollouts from a state have in common; a node's control is that of free motion, also
+    while it touches another."""
 
     model: ContactDynamics
     speed: float
@@ -191,38 +182,23 @@ class _Scene(eqx.Module):
     sensitivity: Float[Array, "N G W"]
     nodes: Nodes
     cost: QuadraticCost
-    inverse: Float[Array, "N U D"]
-    """The control for each m/s of the node."""
+    free: FreeMotion
     reach: Float[Array, " N"]
     """m; see `level_reach`."""
-    A: Float[Array, "N G 2"]
-    offset: Float[Array, "N G"]
 
     @classmethod
     def of(cls, model: StepModel, state: ModelState, nodes: Nodes, cost: QuadraticCost) -> "_Scene":
         assert isinstance(model, ContactDynamics) and isinstance(model.features, InvariantFeatures)
-        alone = nodes._replace(candidate=jnp.zeros_like(nodes.candidate), planes=None)
-        # Dry friction holds a body at rest, and hardly matters to one that is driven.
-        driven = jnp.where(nodes.actuated[:, None], model.features.speed * model.dt, 0.0)
-        driven = jnp.broadcast_to(driven, state.velocity.shape).astype(state.velocity.dtype)
-        moving = dataclasses.replace(state, control_displacement=driven)
-        free, _ = model.linear_step(moving, alone)
-        B = free.B[:, : model.dimension, 1, :]
-        square = jnp.einsum("ndu,ndv->uvn", B, B)
-        size = len(square)
-        ridge = _RIDGE * jnp.trace(square) / size + jnp.finfo(B.dtype).tiny
-        inverse = solve_small(square + ridge * jnp.eye(size)[..., None], B.transpose(2, 1, 0))
+        speed = model.features.speed
         return cls(
             model=model,
-            speed=model.features.speed,
+            speed=speed,
             state=state,
             sensitivity=control_sensitivity(model, state, nodes),
             nodes=nodes,
             cost=cost,
-            inverse=inverse.transpose(2, 0, 1),
+            free=FreeMotion.of(model, state, nodes, speed),
             reach=level_reach(nodes, state.position, model.features.turn_length),
-            A=free.A[..., 1, :],
-            offset=free.offset[..., 1],
         )
 
     @property
@@ -274,7 +250,7 @@ class _Scene(eqx.Module):
         distance = features.distances(self.nodes, edge, begin.dtype)
         distance = jnp.broadcast_to(jnp.asarray(distance), (1,))[0]
         distance += jnp.sum(jax.nn.relu(self.reach[edge] - 0.5 * features.length))
-        inverse, A, offset = self.inverse[hand], self.A[hand], self.offset[hand]
+        free = jax.tree.map(lambda leaf: leaf[hand], self.free)
 
         def step(carry: tuple[ModelState, Array], _: None) -> tuple[Any, tuple[Array, Array]]:
             state, sensitivity = carry
@@ -283,8 +259,8 @@ class _Scene(eqx.Module):
                 state.position, holding, begin, distance, self.model.dt
             )
             x = jnp.stack([state.position[hand], state.velocity[hand]], axis=-1)
-            drift = offset + jnp.sum(A * x, axis=-1)
-            control = inverse @ (wanted - drift[: len(wanted)])
+            drift = free.offset + jnp.sum(free.A * x, axis=-1)
+            control = free.inverse @ (wanted - drift[: len(wanted)])
             control = control.at[len(control) - len(command) :].set(command)
             control = control if planner.limits is None else planner.limits(control)
             made = take_step(self.model, state, sensitivity, control, self.nodes)

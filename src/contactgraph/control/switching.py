@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
-from contactgraph.control.cost import Cost, QuadraticCost
-from contactgraph.control.ilqr import ILQR, problem_along
+from contactgraph.control.cost import Cost
+from contactgraph.control.ilqr import ILQR, PlannedCost, problem_along
 from contactgraph.control.lqr import Improvement, improve_policy
 from contactgraph.control.plan import Plan
 from contactgraph.control.riccati import block_operator
@@ -74,11 +74,9 @@ class SwitchingILQR(ILQR):
 
         ``iterations`` counts the rollouts of all schedules.
         """
-        count, dimension = state.position.shape
+        count, _ = state.position.shape
         quadratic = cost.quadratic(count).fitted(model, count)
-        if guess is None:
-            idle = self._idle(quadratic.control_size, quadratic.R.dtype)
-            guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
+        guess = self.without_force(quadratic, state) if guess is None else guess
         running = self.rounded(guess.k[:, self._index])
         guess = dataclasses.replace(guess, K=guess.K.at[:, self._index].set(0.0))
 
@@ -158,13 +156,14 @@ class SwitchingILQR(ILQR):
         return self.limits.lower[self._index], self.limits.upper[self._index]
 
     def _improve(
-        self, reference: Rollout, part: QuadraticCost, damping: Float[Array, ""]
+        self, reference: Rollout, about: PlannedCost, damping: Float[Array, ""]
     ) -> Improvement:
         """As `ILQR`'s, about the other components; the switches stay as they are."""
         assert self.limits is not None
-        whole = problem_along(reference, part)
+        whole = problem_along(reference, *about)
         fixed = self._index
-        free = np.setdiff1d(np.arange(part.control_size), fixed)
+        size = whole.R.shape[-1]
+        free = np.setdiff1d(np.arange(size), fixed)
         given = reference.controls[:, fixed]
         problem = dataclasses.replace(
             whole,
@@ -183,7 +182,7 @@ class SwitchingILQR(ILQR):
         )
 
         def among_all(values: Array) -> Array:
-            shape = values.shape[0], part.control_size, *values.shape[2:]
+            shape = values.shape[0], size, *values.shape[2:]
             return jnp.zeros(shape, values.dtype).at[:, free].set(values)
 
         policy = AffinePolicy(among_all(found.policy.K), among_all(found.policy.k))

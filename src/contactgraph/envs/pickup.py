@@ -13,7 +13,14 @@ from contactgraph.envs.gripper_task import (
     fixed_layout,
     fixed_metadata,
 )
-from contactgraph.envs.pickup_layout import HALF_WIDTH, RADIUS, PickupLayout, extent, sample_layout
+from contactgraph.envs.pickup_layout import (
+    HALF_WIDTH,
+    IN_THE_WAY,
+    RADIUS,
+    PickupLayout,
+    extent,
+    sample_layout,
+)
 from contactgraph.envs.planar_body import PlanarBody
 from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
 
@@ -39,8 +46,9 @@ class PickupTask(GripperTask):
     ``fixed_seed`` is the seed of a scene whose target and goal every episode shares, so that only
     the start of gripper and distractors varies; None: each episode has its own.
 
-    ``radius`` m is every body's. Raises `InvalidInputError` where ``distractors`` is not in 0 to
-    20, or the radius not above 0 and at most 0.06 m.
+    ``radius`` m is every body's. ``in_the_way``: a straight way to the target and to the goal
+    touches two distractors or more. Raises `InvalidInputError` where ``distractors`` is not in 0 to
+    20, or 2 to 20 in the way, or the radius not above 0 and at most 0.06 m.
     """
 
     def __init__(
@@ -49,8 +57,13 @@ class PickupTask(GripperTask):
         substeps: int = 10,
         fixed_seed: int | None = None,
         radius: float = RADIUS,
+        in_the_way: bool = False,
     ) -> None:
         check_counts(distractors, substeps)
+        if in_the_way and distractors < IN_THE_WAY:
+            raise InvalidInputError(
+                f"distractors must be {IN_THE_WAY} or more to be in the way, found {distractors}"
+            )
         if not 0.0 < radius <= MAX_RADIUS:
             raise InvalidInputError(f"radius must be above 0, to {MAX_RADIUS} m, found {radius}")
         super().__init__(2 + distractors, MAX_STEPS, HALF_WIDTH)
@@ -58,12 +71,13 @@ class PickupTask(GripperTask):
         self._substeps = substeps
         self._fixed_seed = fixed_seed
         self._radius = radius
+        self._in_the_way = in_the_way
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, 1, MAX_DISTRACTORS))
 
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed, with everything at rest."""
         rng = np.random.default_rng(seed)
-        layout = sample_layout(rng, 1, self._distractors, self._fixed)
+        layout = sample_layout(rng, 1, self._distractors, self._fixed, self._in_the_way)
         metadata: dict[str, str | int | float | bool] = {
             "task": "pickup",
             "seed": seed,
@@ -72,6 +86,8 @@ class PickupTask(GripperTask):
             "substeps": self._substeps,
             **fixed_metadata(self._fixed_seed),
         }
+        if self._in_the_way:
+            metadata["in_the_way"] = True
         scene = disc_scene(layout, ("target",), metadata, self._radius)
         return scene, disc_world(layout, self._substeps, self._radius)
 

@@ -32,6 +32,10 @@ CORRIDOR = 0.35
 """The least distance of a distractor's centre from the paths, m."""
 TARGET_CORRIDOR = 0.2
 """The least distance of a target's centre from the paths before its turn, m."""
+STANDING_ROOM = 0.2
+"""The least distance of a distractor in the way from each stop, m."""
+IN_THE_WAY = 2
+"""Distractors that a straight way touches, at least, where distractors are in the way."""
 OVERSHOOT = 0.3
 """Length of a path past its end, m: no body stops at once."""
 
@@ -64,9 +68,16 @@ def extent(targets: int) -> float:
 
 
 def sample_layout(
-    rng: np.random.Generator, targets: int, distractors: int, fixed: PickupLayout | None = None
+    rng: np.random.Generator,
+    targets: int,
+    distractors: int,
+    fixed: PickupLayout | None = None,
+    in_the_way: bool = False,
 ) -> PickupLayout:
     """Samples start positions and a goal, uniformly over those that satisfy the distances above.
+
+    Distractors are clear of the paths; or, ``in_the_way``, they stand anywhere but at the stops,
+    and a body that goes straight from stop to stop touches two of them or more.
 
     With ``fixed``, the targets and the goal are those of this layout; all else is sampled. A
     layout without space for every distractor is rejected as a whole and sampled again, so that
@@ -78,7 +89,7 @@ def sample_layout(
             stops[1:] = fixed.stops[1:]
         if not _passable(stops):
             continue
-        others = _place_distractors(rng, stops, distractors)
+        others = _place_distractors(rng, stops, distractors, in_the_way)
         if others is not None:
             return PickupLayout(stops, others)
 
@@ -103,17 +114,31 @@ def _passable(stops: np.ndarray) -> bool:
 
 
 def _place_distractors(
-    rng: np.random.Generator, stops: np.ndarray, count: int
+    rng: np.random.Generator, stops: np.ndarray, count: int, in_the_way: bool
 ) -> np.ndarray | None:
-    """[count, 2] m, or None if no space was left."""
+    """[count, 2] m, or None if no space was left, or too few are in the way."""
     placed: list[np.ndarray] = []
     for point in _uniform(rng, _TRIES_PER_DISTRACTOR * count, extent(len(stops) - 2)):
         if len(placed) == count:
             break
         free = all(_distance(point, other) >= 2 * RADIUS + CLEARANCE for other in placed)
-        if free and distance_to_paths(point, stops) >= CORRIDOR:
+        if in_the_way:
+            free = free and all(_distance(point, stop) >= STANDING_ROOM for stop in stops)
+        else:
+            free = free and distance_to_paths(point, stops) >= CORRIDOR
+        if free:
             placed.append(point)
-    return np.reshape(placed, (count, 2)) if len(placed) == count else None
+    if len(placed) < count or (in_the_way and _crossed(np.array(placed), stops) < IN_THE_WAY):
+        return None
+    return np.reshape(placed, (count, 2))
+
+
+def _crossed(distractors: np.ndarray, stops: np.ndarray) -> int:
+    """Number of distractors that a body touches on its straight way from stop to stop."""
+    distances = [
+        min(distance_to_path(each, *path, 0.0) for path in _paths(stops)) for each in distractors
+    ]
+    return sum(each < 2 * RADIUS for each in distances)
 
 
 def _uniform(rng: np.random.Generator, count: int, half_width: float) -> np.ndarray:

@@ -4,6 +4,7 @@ from contactgraph.envs.episodes import Episode as Episode
 from contactgraph.envs.episodes import collect as collect
 from contactgraph.envs.episodes import episode_seeds as episode_seeds
 from contactgraph.envs.episodes import run_episode as run_episode
+from contactgraph.evaluate.avoiding_cost import AvoidingCost as AvoidingCost
 from contactgraph.evaluate.baselines import Baseline as Baseline
 from contactgraph.evaluate.calibration import Calibration as Calibration
 from contactgraph.evaluate.calibration import belief_calibration as belief_calibration

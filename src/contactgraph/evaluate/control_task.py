@@ -9,10 +9,19 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import ILQR, ActiveSetMPC, ControlLimits, SearchILQR, SwitchingILQR
+from contactgraph.control import (
+    ILQR,
+    ActiveSetMPC,
+    ControlLimits,
+    RecedingILQR,
+    RouteILQR,
+    SearchILQR,
+    SwitchingILQR,
+)
 from contactgraph.data import InvalidInputError, Scene, Trajectory
 from contactgraph.envs.contract import Observation, Policy, Task
 from contactgraph.envs.episodes import episode_seeds, run_episode
+from contactgraph.evaluate.avoiding_cost import AvoidingCost
 from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
 from contactgraph.evaluate.edge_scores import EstimatedContacts, estimated_contacts
 from contactgraph.evaluate.mpc_policy import MPCPolicy
@@ -50,6 +59,9 @@ def control_task(
     horizon: int = 20,
     iterations: int = 5,
     starts: int = 0,
+    routes: int = 0,
+    segment: int = 0,
+    clearance: float | None = None,
     replan_every: int = 1,
     deadline: float | None = None,
     sensor: ContactSensor | None = None,
@@ -66,9 +78,11 @@ def control_task(
     ``cost`` None is the task's own; the limits of each component of the control are those of the
     task's action space. Episode ``i`` has the seed `collect` would give it. An episode that the
     task ends early is a failure unless the task calls it a success. ``horizon``, ``iterations``
-    and ``replan_every`` are `ILQR`'s and `MPC`'s, ``starts`` is `SearchILQR`'s (0: no search),
-    ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s. ``on_episode`` is called after
-    each episode with the trajectory and the controller's record.
+    and ``replan_every`` are `ILQR`'s and `MPC`'s, ``starts`` is `SearchILQR`'s, ``routes``
+    `RouteILQR`'s and ``segment`` `RecedingILQR`'s (0: none). ``clearance`` [m] adds an
+    `AvoidingCost` with this gap to bodies that the task does not name. ``deadline`` is in seconds;
+    ``node_capacity`` is `MPCPolicy`'s. ``on_episode`` is called after each episode with the
+    trajectory and the controller's record.
 
     ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
     them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
@@ -77,7 +91,8 @@ def control_task(
     which ``noise`` is added. With ``told_masses`` bodies weigh for it what the scene tells.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
-    control, a number is out of range, or a search is asked for with switches.
+    control, a number is out of range, or there are more than one of switches, ``starts``,
+    ``routes`` and ``segment``.
     """
     seeds = episode_seeds(episodes, seed)
     task, observation = _first_scene(task_factory, seeds[0])
@@ -89,6 +104,9 @@ def control_task(
         horizon=horizon,
         iterations=iterations,
         starts=starts,
+        routes=routes,
+        segment=segment,
+        clearance=clearance,
         replan_every=replan_every,
         deadline=deadline,
         sensor=sensor,
@@ -137,6 +155,9 @@ def mpc_policy(
     horizon: int = 20,
     iterations: int = 5,
     starts: int = 0,
+    routes: int = 0,
+    segment: int = 0,
+    clearance: float | None = None,
     replan_every: int = 1,
     deadline: float | None = None,
     sensor: ContactSensor | None = None,
@@ -158,9 +179,12 @@ def mpc_policy(
     if sensor is None:
         sensor = default_sensor(model) if faults.exact else faults.sensor
     switches = switches_of(task.scene)
+    if sum(map(bool, (starts, routes, segment, switches))) > 1:
+        raise InvalidInputError(
+            "a plan has one of starts, routes, a segment and a task's switches, found "
+            f"starts {starts}, routes {routes}, segment {segment} and switches {list(switches)}"
+        )
     ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
-    if starts and switches:
-        raise InvalidInputError("starts must be 0 for a task with switches, which are searched for")
     if starts:
         ilqr = SearchILQR(
             horizon,
@@ -169,6 +193,12 @@ def mpc_policy(
             starts=starts,
             switching_cost=terms.switching_cost,
         )
+    elif routes:
+        speed = getattr(getattr(model, "features", None), "speed", 1.0)
+        ilqr = RouteILQR(horizon, iterations, limits, routes=routes, speed=speed)
+    elif segment:
+        stride = next(each for each in (5, 4, 3, 2, 1) if horizon % each == 0 and each <= segment)
+        ilqr = RecedingILQR(horizon, iterations, limits, segment=segment, stride=stride)
     elif switches:
         ilqr = SwitchingILQR(
             horizon,
@@ -188,6 +218,8 @@ def mpc_policy(
     turns = turn_length_of(model) is not None
     own_cost = TaskCost.of(terms, control_size, task.cost_terms, turns)
     scene_cost = own_cost if cost is None else cost
+    if clearance is not None:
+        scene_cost = AvoidingCost(scene_cost, clearance)
     _check_cost(scene_cost, task, control_size)
     nodes_of = partial(nodes_with_told_masses, model) if told_masses else scene_nodes
     return MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise, nodes_of)

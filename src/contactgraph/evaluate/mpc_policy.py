@@ -19,7 +19,7 @@ from contactgraph.evaluate.plan_tracking import (
     planned_positions,
 )
 from contactgraph.evaluate.sensor_faults import FaultySensor, ObservationNoise, SensorFaults
-from contactgraph.evaluate.task_cost import SceneCost, TaskCost
+from contactgraph.evaluate.task_cost import SceneCost
 from contactgraph.model import ContactBelief, Nodes, scene_nodes
 
 _EXACT = SensorFaults()
@@ -202,8 +202,7 @@ class MPCPolicy:
     def _changed_cost(self, observation: Observation) -> SceneCost | None:
         """The cost where the nodes are as observed; None: it is that of the last step."""
         before, order = self._scene_cost, self._order
-        if isinstance(before, TaskCost):
-            self._scene_cost = before.seeing(observation)
+        self._scene_cost = before.seeing(observation)
         self._order = self._grasped_first(self._state)
         if self._scene_cost is before and self._order == order:
             return None

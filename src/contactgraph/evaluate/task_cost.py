@@ -24,6 +24,9 @@ class SceneCost(Cost, Protocol):
     def among(self, nodes: Sequence[int]) -> "SceneCost":
         """The same with its nodes in another order."""
 
+    def seeing(self, observation: Observation) -> "SceneCost":
+        """The cost where the nodes are as observed; itself, if nothing changes."""
+
 
 @dataclass(frozen=True, eq=False)
 class TaskCost:
