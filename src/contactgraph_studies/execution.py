@@ -7,7 +7,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -54,6 +54,8 @@ class JobResult:
     """Printed output of a `RemoteJob`."""
     draws: int = 1
     """Of a training, its seeds that were tried."""
+    dead: bool = False
+    """Whether it is a training whose networks are all dead."""
 
 
 def prepare(job: Job, records: JobRecords, shares_files: bool) -> LocalJob | RemoteJob:
@@ -90,7 +92,7 @@ def execute(job: LocalJob | RemoteJob, run_command: RunCommand) -> JobResult:
             os.chdir(tempfile.gettempdir())  # some systems cannot remove the current folder
         files = bundle_files(folder, job.outputs) if result.exit_code == 0 else ()
         printed = log.read_text(errors="replace") if log.exists() else ""
-        return JobResult(result.exit_code, result.seconds, files, printed, result.draws)
+        return replace(result, files=files, log=printed)
 
 
 def bundle_files(folder: Path, paths: Iterable[str]) -> FileBundle:
@@ -122,7 +124,9 @@ def _timed(
         shutil.rmtree(_value(arguments, "--out"), ignore_errors=True)
         exit_code = run_command(_with_seed(arguments, draws), log)
         draws += 1
-    return JobResult(exit_code, time.perf_counter() - start, draws=draws)
+    seconds = time.perf_counter() - start
+    dead = exit_code != 0 and _is_dead(arguments, log)
+    return JobResult(exit_code, seconds, draws=draws, dead=dead)
 
 
 def _is_dead(arguments: tuple[str, ...], log: Path) -> bool:

@@ -132,6 +132,15 @@ class JobRecords:
         """Mark the job as done, after this many draws of its seed."""
         self._write(job, finished=True, seconds=seconds, draws=draws)
 
+    def refuse(self, job: Job, reason: str, seconds: float, draws: int) -> None:
+        """Mark a training as one that has only dead networks, so that it is not tried again."""
+        self._write(job, finished=False, seconds=seconds, draws=draws, refused=reason)
+
+    def refusal(self, job: Job) -> str | None:
+        """Why a job is not to be tried again; None if it may be."""
+        record = self._read(job)
+        return record.get("refused") if self._matches(job, record) else None
+
     def restore(self, jobs: Iterable[Job]) -> None:
         """Records and outputs that ``results.json`` holds of jobs whose own files are gone.
 
@@ -153,14 +162,20 @@ class JobRecords:
                     temporary.write_text(json.dumps(values[job.fingerprint]))
             if job.fingerprint in costs and not self._matches(job, self._read(job)):
                 cost = {"seconds": 0.0, "draws": 1} | costs[job.fingerprint]
-                self.finish(job, cost["seconds"], cost["draws"])
+                if "refused" in cost:
+                    self.refuse(job, cost["refused"], cost["seconds"], cost["draws"])
+                else:
+                    self.finish(job, cost["seconds"], cost["draws"])
 
-    def costs(self, jobs: Iterable[Job]) -> dict[str, dict[str, float]]:
-        """Wall time (s) and draws by fingerprint of each job done, whose output may be gone."""
-        records = {job.fingerprint: self._read(job) for job in jobs if self._was_done(job)}
+    def costs(self, jobs: Iterable[Job]) -> dict[str, dict[str, Any]]:
+        """Wall time (s) and draws by fingerprint of each job done, whose output may be gone, and
+        why it is refused, if so."""
+        tried = [job for job in jobs if self._was_done(job) or self.refusal(job)]
+        records = {job.fingerprint: {"draws": 1} | self._read(job) for job in tried}
+        names = ("seconds", "draws", "refused")
         return {
-            name: {"seconds": record["seconds"], "draws": record.get("draws", 1)}
-            for name, record in records.items()
+            of_job: {name: record[name] for name in names if name in record}
+            for of_job, record in records.items()
         }
 
     def redrawn(self, jobs: Iterable[Job]) -> dict[str, int]:
@@ -190,7 +205,7 @@ class JobRecords:
             return {}
         return record if isinstance(record, dict) else {}
 
-    def _write(self, job: Job, finished: bool, seconds: float, draws: int = 1) -> None:
+    def _write(self, job: Job, finished: bool, seconds: float, draws: int = 1, **more: str) -> None:
         record = {
             "command": job.command,
             "fingerprint": job.fingerprint,
@@ -198,6 +213,7 @@ class JobRecords:
             "finished": finished,
             "seconds": round(seconds, 3),
             "draws": draws,
+            **more,
             "date": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         }
         with atomic_write(self._path(job)) as temporary:

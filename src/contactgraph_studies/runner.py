@@ -55,12 +55,12 @@ def run_jobs(
 
     ``jobs`` are in dependency order. ``initializer`` is called once in each worker process and
     returns the function that executes a job there. A failed job stops only the jobs that need it.
-    After ``seconds`` none is started any more.
+    After ``seconds`` none is started any more. A training with dead networks alone is not repeated.
     Ctrl-C ends the workers; the next call continues the study.
     """
     schedule, until = _Schedule(jobs, records), time.monotonic() + seconds
     if not schedule.waiting:
-        return []
+        return schedule.failures
     running: dict[int, Job] = {}
     groups: dict[int, list[str]] = {}
     with executor.pool(initializer, len(schedule.waiting), _JOBS_PER_PROCESS) as pool:
@@ -124,8 +124,10 @@ def _store(job: Job, records: JobRecords, outcome: Outcome) -> tuple[float, Fail
     if result is not None and result.log:
         log.write_text(result.log)
     if result is None or result.exit_code != 0:
-        reason = outcome.lost or f"exit code {result.exit_code}"
-        return 0.0, Failure(job, f"{reason}; {last_line(log)}")
+        reason = f"{outcome.lost or f'exit code {result.exit_code}'}; {last_line(log)}"
+        if result is not None and result.dead:
+            records.refuse(job, reason, result.seconds, result.draws)
+        return 0.0, Failure(job, reason)
     write_bundle(result.files, records.folder)
     records.finish(job, result.seconds, result.draws)
     log.unlink(missing_ok=True)
@@ -170,6 +172,11 @@ class _Schedule:
                 self.waiting.insert(0, job)
             else:  # done, or needed by nothing that is left to do
                 self._succeed(job, seconds[job.output])
+        for job in list(self.waiting):
+            refusal = records.refusal(job)
+            if refusal is not None:
+                self.waiting.remove(job)
+                self.end(job, 0.0, Failure(job, refusal))
 
     @property
     def done(self) -> int:

@@ -62,9 +62,10 @@ class FakeWorker:
         output = arguments[arguments.index("--json" if "--json" in arguments else "--out") + 1]
         with (self.diary / "done.txt").open("a") as done:
             done.write(f"{output}\n")
-        fails = self.diary / "fails.txt"
-        if fails.exists() and output in fails.read_text().split():
-            log.write_text("first line\ncontactgraph: it cannot be\n")
-            return 2
+        for name, reason in (("fails", "it cannot be"), ("dead", "the network is dead")):
+            fails = self.diary / f"{name}.txt"
+            if fails.exists() and output in fails.read_text().split():
+                log.write_text(f"first line\ncontactgraph: {reason}\n")
+                return 2
         Path(output).write_text((self.diary / "values.json").read_text())
         return 0

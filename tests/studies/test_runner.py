@@ -192,6 +192,7 @@ def test_a_dead_network_is_drawn_again_and_counted(tmp_path: Path, alive: str, d
     given = LocalJob((*job.arguments, "--resume"), tmp_path, tmp_path / "log")
     result = execute(given, run_command)
     assert (result.draws, result.exit_code) == (draws, int(alive == "never"))
+    assert result.dead is (alive == "never")
     assert [each[-1] for each in tried] == ["--resume", *(f"{n}003" for n in range(1, draws))]
     records = JobRecords(tmp_path, "1")
     records.finish(job, 1.0, result.draws)
@@ -202,6 +203,28 @@ def test_a_dead_network_is_drawn_again_and_counted(tmp_path: Path, alive: str, d
 
 def failing(arguments: list[str], log: Path) -> int:
     return 1
+
+
+def test_a_training_that_has_dead_networks_alone_is_not_tried_again(tmp_path: Path) -> None:
+    arguments = ("train", "data", "--out", "bad", "--seed", "3")
+    bad, other = Job("bad", arguments, "train"), make("other")
+    after = make("after", needs=(bad,))
+    (tmp_path / "dead.txt").write_text("bad")
+    failures, _ = run(tmp_path, [bad, after, other])
+    assert sorted(done(tmp_path)) == [*["bad"] * 5, "make other"]
+    dead = "exit code 2; contactgraph: the network is dead"
+    assert failures == [Failure(bad, dead), Failure(after, "not started: it needs bad", False)]
+    assert run(tmp_path, [bad, after])[0] == failures
+    assert done(tmp_path) == [], "nothing is left to run"
+    costs = JobRecords(tmp_path, "1").costs([bad])
+    assert costs == {bad.fingerprint: {"seconds": 0.25, "draws": 5, "refused": dead}}
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    stored = {"versions": {"contactgraph": "1"}, "cells": [], "jobs": costs}
+    (elsewhere / "results.json").write_text(json.dumps(stored))
+    JobRecords(elsewhere, "1").restore([bad])
+    assert JobRecords(elsewhere, "1").refusal(bad) == dead
+    assert JobRecords(elsewhere, "2").refusal(bad) is None
 
 
 def test_several_at_a_time(tmp_path: Path) -> None:
