@@ -1,6 +1,7 @@
 """Costs of distances: bodies that a plan is to touch, or not to touch."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -23,7 +24,7 @@ class DistanceCost(eqx.Module):
 
     The first body of a pair is moved away from, or to, the second one, which is taken to move as it
     is predicted: its own share in the slope is left out. What is planned is still judged by the
-    whole cost. All arrays may change without compiling anew.
+    whole cost. Other arrays of the same shapes do not recompile.
     """
 
     pairs: Int[Array, "P 2"]
@@ -111,29 +112,6 @@ def avoid(
     [1/m^2]: one number, [P], or [H+1, P]. ``dt`` [s]: the length of a step, so that nothing is
     passed through between two states. Raises `InvalidInputError` where a number is out of range.
     """
-    return _distance_cost(pairs, distance, weight, 1.0, dt, dimension)
-
-
-def touch(
-    pairs: Sequence[tuple[int, int]] | np.ndarray,
-    distance: float | Sequence[float] | np.ndarray,
-    weight: float | np.ndarray,
-    dt: float = 0.0,
-    dimension: int = 2,
-) -> DistanceCost:
-    """A cost of staying farther than ``distance`` [m, centre to centre] from what is to be touched;
-    arguments as of `avoid`."""
-    return _distance_cost(pairs, distance, weight, -1.0, dt, dimension)
-
-
-def _distance_cost(
-    pairs: Sequence[tuple[int, int]] | np.ndarray,
-    distance: float | Sequence[float] | np.ndarray,
-    weight: float | np.ndarray,
-    side: float,
-    dt: float,
-    dimension: int,
-) -> DistanceCost:
     nodes = np.asarray(pairs, dtype=np.int32).reshape(-1, 2)
     if np.any(nodes < 0) or np.any(nodes[:, 0] == nodes[:, 1]):
         raise InvalidInputError(f"pairs must name two different nodes each, found {pairs}")
@@ -147,7 +125,20 @@ def _distance_cost(
         pairs=jnp.asarray(nodes),
         distance=jnp.asarray(gaps),
         weight=jnp.asarray(weights),
-        side=jnp.full(len(nodes), side),
+        side=jnp.ones(len(nodes)),
         dimension=dimension,
         dt=float(dt),
     )
+
+
+def touch(
+    pairs: Sequence[tuple[int, int]] | np.ndarray,
+    distance: float | Sequence[float] | np.ndarray,
+    weight: float | np.ndarray,
+    dt: float = 0.0,
+    dimension: int = 2,
+) -> DistanceCost:
+    """A cost of staying farther than ``distance`` [m, centre to centre] from what is to be touched;
+    arguments as of `avoid`."""
+    away = avoid(pairs, distance, weight, dt, dimension)
+    return replace(away, side=-away.side)

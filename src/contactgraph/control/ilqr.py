@@ -88,11 +88,10 @@ class ILQR(eqx.Module):
         control could be rolled out, and the controls are zero (or the nearest within limits).
         """
         count, dimension = state.position.shape
-        quadratic = cost.quadratic(count).fitted(model, count)
+        quadratic, guess = self.prepared(model, state, cost, guess)
         ids = quadratic.cost_node_ids
         ids = jnp.arange(count) if ids is None else ids
         part, distances = block_cost(quadratic, ids, dimension, self.horizon), quadratic.distances
-        guess = self.without_force(quadratic, state) if guess is None else guess
         trial = AffinePolicy(block_gains(guess.K, ids), guess.k)
 
         # Within `jax.jit` it is traced once, not for its shape and then again.
@@ -215,11 +214,16 @@ class ILQR(eqx.Module):
             node_ids=jnp.arange(reference.position.shape[1], dtype=jnp.int32),
         )
 
-    def without_force(self, cost: QuadraticCost, state: ModelState) -> AffinePolicy:
-        """The guess where there is none: no force, or the nearest that the limits allow."""
-        idle = self._idle(cost.control_size, cost.R.dtype)
+    def prepared(
+        self, model: StepModel, state: ModelState, cost: Cost, guess: AffinePolicy | None
+    ) -> tuple[QuadraticCost, AffinePolicy]:
+        """The cost in the model's coordinates, and the guess; None is no force."""
         count, dimension = state.position.shape
-        return AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
+        quadratic = cost.quadratic(count).fitted(model, count)
+        if guess is None:
+            idle = self._idle(quadratic.control_size, quadratic.R.dtype)
+            guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
+        return quadratic, guess
 
     def _idle(self, control_size: int, dtype: jnp.dtype) -> Float[Array, "H U"]:
         """No force, or the nearest that the limits allow."""

@@ -46,9 +46,7 @@ class RecedingILQR(ILQR):
         guess: AffinePolicy | None = None,
     ) -> Plan:
         """The cheaper plan; see `ILQR.solve`. ``iterations`` leaves out the short plans'."""
-        count, _ = state.position.shape
-        quadratic = cost.quadratic(count).fitted(model, count)
-        guess = self.without_force(quadratic, state) if guess is None else guess
+        quadratic, guess = self.prepared(model, state, cost, guess)
         begin, swept = self._receding(model, state, nodes, quadratic, guess)
         guesses = side_by_side(guess, jax.tree.map(lambda leaf: leaf[..., None], begin))
         plan = best_plan(self, model, state, nodes, quadratic, guesses)

@@ -89,9 +89,7 @@ class RouteILQR(ILQR):
         """
         if not isinstance(model, ContactDynamics):
             raise InvalidInputError(f"routes need a ContactDynamics, found {type(model).__name__}")
-        count, _ = state.position.shape
-        quadratic = cost.quadratic(count).fitted(model, count)
-        guess = self.without_force(quadratic, state) if guess is None else guess
+        quadratic, guess = self.prepared(model, state, cost, guess)
         guesses = side_by_side(guess, self._begun(model, state, nodes, quadratic))
         return best_plan(self, model, state, nodes, quadratic, guesses)
 
@@ -102,10 +100,8 @@ class RouteILQR(ILQR):
 
         It follows the route's velocities as if the driven bodies touched nothing.
         """
-        motion, dimension = (
-            FreeMotion.of(model, state, nodes, self.speed),
-            model.dimension,
-        )
+        dimension = model.dimension
+        motion = FreeMotion.of(model, state, nodes, self.speed)
         inverse = jnp.where((nodes.actuated & nodes.mask)[:, None, None], motion.inverse, 0.0)
         aim = _place_of_least_cost(state, cost)[:, :dimension]
         wanted = self._velocities(aim, model.dt) - motion.offset[:, :dimension, None]

@@ -105,9 +105,7 @@ class SearchILQR(ILQR):
                 "a search for starts needs a ContactDynamics with InvariantFeatures, found "
                 f"{type(model).__name__}"
             )
-        count, _ = state.position.shape
-        quadratic = cost.quadratic(count).fitted(model, count)
-        guess = self.without_force(quadratic, state) if guess is None else guess
+        quadratic, guess = self.prepared(model, state, cost, guess)
         commands = _commands(model)
         size = quadratic.control_size
         # iLQR makes grasps faster than fingers hold; with commands the approach is the plan.

@@ -74,9 +74,7 @@ class SwitchingILQR(ILQR):
 
         ``iterations`` counts the rollouts of all schedules.
         """
-        count, _ = state.position.shape
-        quadratic = cost.quadratic(count).fitted(model, count)
-        guess = self.without_force(quadratic, state) if guess is None else guess
+        quadratic, guess = self.prepared(model, state, cost, guess)
         running = self.rounded(guess.k[:, self._index])
         guess = dataclasses.replace(guess, K=guess.K.at[:, self._index].set(0.0))
 
