@@ -98,7 +98,7 @@ class Estimate:
     def __str__(self) -> str:
         """The value with its interval and unit."""
         if math.isnan(self.value):
-            return "nothing to measure" if self.trainings else "not measured"
+            return "unknown" if self.trainings else "not measured"
         if self.low == self.high:
             return with_unit(self.value, self.unit)
         return f"{with_unit(self.value, self.unit)} ({short(self.low)} to {short(self.high)})"

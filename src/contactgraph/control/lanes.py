@@ -215,7 +215,10 @@ def _own_slices(
 
 
 def _scan(params: dict[str, Any], values: list[Any], lanes: int) -> list[Any]:
-    constants, carried = params["num_consts"], params["num_carry"]
+    if "ft_in" in params:  # from JAX 0.11 on
+        constants, carried = (len(part) for part in params["ft_in"].unpack()[:2])
+    else:
+        constants, carried = params["num_consts"], params["num_carry"]
     fixed, start = values[:constants], values[constants : constants + carried]
     along = values[constants + carried :]
     mapped = [isinstance(each, _Lanes) for each in along]
@@ -224,15 +227,13 @@ def _scan(params: dict[str, Any], values: list[Any], lanes: int) -> list[Any]:
     def step(carry: list[Any], slices: list[Array]) -> list[Any]:
         return _evaluate(params["jaxpr"], [*fixed, *carry, *_marked(slices, mapped)], lanes)
 
-    one = [each[0] for each in arrays]
-    differs = _differing(lambda carry: step(carry, one)[:carried], start, lanes)
+    differs = _differing(lambda carry: step(carry, [x[0] for x in arrays])[:carried], start, lanes)
     of_result: list[bool] = []
 
     def body(carry: list[Array], slices: list[Array]) -> tuple[list[Array], list[Array]]:
         made = step(_marked(carry, differs), slices)
         of_result[:] = [isinstance(each, _Lanes) for each in made[carried:]]
-        results = _arrays(made[carried:], of_result, lanes)
-        return _arrays(made[:carried], differs, lanes), results
+        return _arrays(made[:carried], differs, lanes), _arrays(made[carried:], of_result, lanes)
 
     kinds = {key: params[key] for key in ("length", "reverse", "unroll")}
     last, made = jax.lax.scan(body, _arrays(start, differs, lanes), arrays, **kinds)

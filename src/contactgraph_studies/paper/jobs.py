@@ -3,10 +3,12 @@
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum, auto
 from functools import cached_property, partial
 from typing import Any
+
+import numpy as np
 
 from contactgraph.cli.task_types import TestCondition
 from contactgraph_studies.bootstrap import Sample, mean, root_mean_square
@@ -67,12 +69,22 @@ def _planned_cm(values: Values) -> float:
     return math.nan if still else math.inf
 
 
+def _root_mean_square_of(key: str) -> Quantity:
+    """Of a list of errors, m; null: unknown."""
+    each = Quantity(key, "cm", 100.0)
+
+    def read(values: Values) -> float:
+        return float(root_mean_square(np.array([each.number(one) for one in values[key] or []])))
+
+    return replace(each, derived=read)
+
+
 PLANNED_ERROR = Quantity("n_step_rmse_planned_m", "cm", derived=_planned_cm)
 """Planned against executed positions: the paper's metric."""
-PLANNED_BY_EPISODE = Quantity("n_step_rmse_planned_moving_by_episode_m", "cm", 100.0)
-"""The same over the bodies that move, of each episode."""
-RECORDED_BY_RUN = Quantity("n_step_rmse_moving_by_run_m", "cm", 100.0)
-"""Open loop, of each recorded trajectory."""
+PLANNED_BY_EPISODE = _root_mean_square_of("n_step_rmse_planned_moving_by_episode_m")
+"""The same over the bodies that move, of each episode; one number is that over the episodes."""
+RECORDED_BY_RUN = _root_mean_square_of("n_step_rmse_moving_by_run_m")
+"""Open loop, of each recorded trajectory; one number is that over them."""
 SUCCESS_BY_EPISODE = Quantity("success_by_episode", "%", 100.0)
 RECORDED_ERROR = Quantity("n_step_rmse_m", "cm", 100.0, null=math.inf)
 """Open loop."""
