@@ -206,7 +206,7 @@ def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
         axes.set_xlabel("edges predicted wrongly, %", **TEXT)
     panels[0].set_yticks(range(len(names)), names)
     panels[0].invert_yaxis()
-    panels[-1].legend(**LEGEND)
+    _legend_below(figure, panels[0])
     return figure
 
 
@@ -236,9 +236,15 @@ def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts
         axes.set_xticks(sizes, [str(size) for size in sizes])
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xlabel("training trajectories", **TEXT)
-        axes.legend(**LEGEND)
+    _legend_below(figure, panels[0])
     panels[0].set_ylabel("open-loop error of moving bodies, cm", **TEXT)
     return figure
+
+
+def _legend_below(figure: Figure, axes: Axes) -> None:
+    """That of one panel, for all."""
+    named = axes.get_legend_handles_labels()
+    figure.legend(*named, loc="outside lower center", ncols=4, **LEGEND)
 
 
 def _draw_points(
