@@ -36,12 +36,12 @@ def test_all_measurements() -> None:
         assert len(of[source]) == len(models) * conditions
     assert len(of[Source.every_step]) == len(FAMILIES) * conditions
     assert len(of[Source.faults]) == seeds * len(FAMILIES) * len(TASKS) * len(FAULTS)
-    assert len(of[Source.samples]) == seeds * 2 * 2 * 2 * len(FULL.sample_sizes)
+    assert len(of[Source.samples]) == seeds * 3 * 2 * 2 * len(FULL.sample_sizes)
     trainings = [
         job for job in in_dependency_order(one.job for one in found) if job.arguments[0] == "train"
     ]
     # Of the samples, 40 trajectories are GIM-Temp's own, 160 pickup's augmented ones.
-    assert len(trainings) == seeds * 3 * len(models) + seeds * (2 * 2 * 6 - 4)
+    assert len(trainings) == seeds * 3 * len(models) + seeds * (3 * 2 * 6 - 6)
     assert all(value(job, "--held-out") == "0.2" for job in trainings)
     data = {value(need, "--episodes") for job in trainings for need in job.needs}
     assert "50" in data, "40 to learn from, and 10 held out"

@@ -9,7 +9,6 @@ from contactgraph.cli.task_types import TestCondition
 from contactgraph_studies.bootstrap import Estimate, Sample, Verdict, all_hold, estimate
 from contactgraph_studies.paper import jobs, statements
 from contactgraph_studies.paper.config import (
-    SAMPLED_FAMILIES,
     Amounts,
     Family,
     StudyModel,
@@ -244,7 +243,7 @@ def _measured(task: StudyTask, family: Family) -> bool:
 
 
 def _sampled(task: StudyTask, family: Family) -> bool:
-    return _measured(task, family) and task.with_samples and family in SAMPLED_FAMILIES
+    return _measured(task, family) and task.with_samples
 
 
 def _whole(task: StudyTask, family: Family) -> bool:

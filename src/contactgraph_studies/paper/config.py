@@ -203,8 +203,6 @@ CARED_FOR = _paper_form(
 )
 OURS = _family("ours", "ours", ("gim-temp", "gim-non-temp", "no-gim", "full-ab"))
 FAMILIES = (LITERAL, CARED_FOR, OURS)
-SAMPLED_FAMILIES = (LITERAL, OURS)
-"""Those whose error is measured by number of training trajectories."""
 
 _3_DISTRACTORS = ("--distractors", "3", "--mixed")
 PICKUP = StudyTask(

@@ -22,7 +22,6 @@ from contactgraph_studies.paper import jobs
 from contactgraph_studies.paper.config import (
     FAULTS,
     OURS,
-    SAMPLED_FAMILIES,
     Amounts,
     Family,
     StudyModel,
@@ -43,6 +42,7 @@ from contactgraph_studies.study import Picture
 _LOWEST_CM, _HIGHEST_CM = 1e-3, 1e3
 _DOTTED = (0, (2, 3))
 _FAMILY_COLOURS = {"as written": "#6d7278", "cared for": "#eca86f", "ours": "#1b66a8"}
+_FAMILY_LINES = {"as written": "--", "cared for": ":", "ours": "-"}
 _BASELINES = {
     "baseline: constant velocity": (jobs.CONSTANT_VELOCITY, ":"),
     "baseline: fixed contact": (jobs.FIXED_CONTACT, "--"),
@@ -215,7 +215,7 @@ def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts
     figure, panels = figures.panel_row(tasks, 5.0, 0.6, 4.0)
     sizes = amounts.sample_sizes
     for axes, task in zip(panels, tasks, strict=True):
-        for family, style in zip(SAMPLED_FAMILIES, ("--", "-"), strict=True):
+        for family in task.families:
             for model in (family.gim_temp, family.no_gim_aug):
                 every = [
                     estimate([open_error(results, task, model, task.hardest, size)])
@@ -225,10 +225,8 @@ def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts
                 ranges = [[one.value - one.low for one in every]]
                 ranges += [[one.high - one.value for one in every]]
                 label = model.name if model.own_form else f"{model.name}, {family.name}"
-                line: dict[str, Any] = {"color": model.colour, "ls": style, "label": label}
-                axes.errorbar(
-                    sizes, drawn, ranges, marker="o", ms=4, lw=1.6, elinewidth=1.0, **line
-                )
+                line: dict[str, Any] = {"ls": _FAMILY_LINES[family.name], "lw": 1.6, "label": label}
+                axes.errorbar(sizes, drawn, ranges, c=model.colour, marker="o", ms=4, **line)
         if np.isfinite(axes.dataLim.intervaly).all():  # an empty log axis is an error
             axes.set_yscale("log")
         axes.set_xscale("log")

@@ -16,7 +16,6 @@ from contactgraph_studies.job import Job, Measurement, Options
 from contactgraph_studies.paper.config import (
     FAMILIES,
     FAULTS,
-    SAMPLED_FAMILIES,
     TEST_SEED,
     Amounts,
     Family,
@@ -123,7 +122,7 @@ def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
         for model in family.models:
             if model in task.models:
                 yield from _of_model(task, family, model, seed, amounts)
-    for family in SAMPLED_FAMILIES if task.with_samples else ():
+    for family in task.families if task.with_samples else ():
         for runs, model in itertools.product(
             amounts.sample_sizes, (family.gim_temp, family.no_gim_aug)
         ):
