@@ -112,20 +112,13 @@ def test_missing_measurements_are_empty_cells() -> None:
 
 
 def test_an_error_of_moving_bodies_is_not_known_if_nothing_moves() -> None:
-    moving = "n_step_rmse_planned_moving_m"
-
     def unstable(change: dict[str, Any]) -> dict[str, str]:
         return row_of(read_csv(table_of(results(change, OURS.full_ab))), OURS.full_ab)
 
-    still = unstable({moving: None, BY_EPISODE: [None] * 20})
+    unknown = {"n_step_rmse_planned_moving_m": None, BY_EPISODE: [None] * 20}
+    still = unstable(unknown)
     assert still["planned_moving_cm_median"] == still["planned_cm_median"] == ""
-    resting = {
-        moving: None,
-        BY_EPISODE: [None] * 20,
-        ERROR: None,
-        "planned_windows": 8,
-        "planned_moved_objects": 0,
-    }
+    resting = {**unknown, ERROR: None, "planned_windows": 8, "planned_moved_objects": 0}
     unmoved = unstable(resting)
     assert unmoved["planned_moving_cm_median"] == unmoved["planned_cm_median"] == ""
     diverged = unstable({BY_EPISODE: [*19 * [0.01], "infinite"]})
