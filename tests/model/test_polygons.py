@@ -116,7 +116,7 @@ def test_a_box_on_a_box_has_two_points_of_contact() -> None:
 
 
 def test_the_gap_changes_as_its_gradient_says() -> None:
-    position, angle = drawn(300, seed=1)
+    position, angle = drawn(3000, seed=1)
     shapes = outlines("t", "box")
 
     def total(position, angle):

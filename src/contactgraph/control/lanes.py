@@ -21,7 +21,8 @@ _Made = TypeVar("_Made")
 _ELEMENTWISE = """abs add add_any and ceil clamp convert_element_type copy div eq exp expm1 floor ge
 gt integer_pow is_finite le log log1p logistic lt max min mul ne neg not or pow rsqrt select_n sign
 sqrt square stop_gradient sub tanh"""
-_ALONG_AXES = "argmax argmin cumsum reduce_and reduce_max reduce_min reduce_or rev split squeeze"
+_ALONG_AXES = """argmax argmin cumsum reduce_and reduce_max reduce_min reduce_or rev split squeeze
+unstack"""
 """Operations that name the axes on which they act, and treat all others alike."""
 _CALLS = "jit pjit closed_call custom_jvp_call custom_vjp_call"
 _WRITTEN_OUT, _FEW_TERMS = 16, 7
@@ -75,10 +76,10 @@ def _apply(equation: Any, values: list[Any], lanes: int) -> list[Any]:
         return _evaluate(params["jaxpr" if "jaxpr" in params else "call_jaxpr"], values, lanes)
     if not any(isinstance(each, _Lanes) for each in values):
         return _bind(equation, values, params)
-    if name in _LOOPS:
-        return _LOOPS[name](params, values, lanes)
+    if name in ("scan", "while"):
+        return (_scan if name == "scan" else _while)(params, values, lanes)
     shapes = [atom.aval.shape for atom in equation.invars]
-    result = equation.outvars[0].aval.shape
+    result = equation.outvars[0].aval.shape if equation.outvars else ()  # nothing is unstacked
     others = any(isinstance(each, _Lanes) for each in values[1:])
     written_out, operands = None, values
     changed: dict[str, Any] | None = None
@@ -268,9 +269,6 @@ def _while(params: dict[str, Any], values: list[Any], lanes: int) -> list[Any]:
         _arrays(start, differs, lanes),
     )
     return _marked(last, differs)
-
-
-_LOOPS = {"scan": _scan, "while": _while}
 
 
 def _differing(
