@@ -41,6 +41,9 @@ class Reproduce:
     """After these hours start nothing more, and write what is known; the same command goes on."""
     resume: bool = False
     """Take what results.json holds for measured, where the commands' own files are gone."""
+    check: Annotated[int | None, arg(metavar="N", help_behavior_hint="(none)")] = None
+    """Measure N numbers that results.json holds again, drawn at random, and compare; nothing is
+    written. Of pickup, multi-pickup, door, franka and all."""
     cluster: Annotated[str, arg(metavar="WHERE")] = "local"
     """local: one job per core. ray or ray:HOST:PORT: on the machines of a Ray cluster."""
 
@@ -49,7 +52,7 @@ class Reproduce:
         from contactgraph.cli.options import check_range, choice
         from contactgraph.data import InvalidInputError
         from contactgraph_studies.page import write_study
-        from contactgraph_studies.runner import run_study
+        from contactgraph_studies.runner import run_reported
         from contactgraph_studies.world_study import StudyOfWorlds
 
         study = choice("study", self.study, _studies(self.quick))
@@ -62,13 +65,16 @@ class Reproduce:
         folder = self.out or Path("results") / ("study" if self.study == "all" else self.study)
         if folder.exists() and not folder.is_dir():
             raise InvalidInputError(f"--out: {folder} must be a folder, found a file")
+        if self.check is not None:
+            self._check(study, folder, self.check)
+            return
         for reason in study.left_out:
             print(f"left out: {reason}", file=sys.stderr)
         if self.hours is not None:
             check_range("--hours", self.hours, 0, 10_000)
         seconds = math.inf if self.hours is None else 3600.0 * self.hours
         with self._executor() as executor:
-            failures = run_study(study, folder, executor, seconds, self.resume)
+            failures = run_reported(study.jobs, folder, executor, seconds, self.resume)
             cores = executor.workers
         quick = " --quick" if self.quick else ""
         only = "" if self.only is None else f" --only {shlex.quote(self.only)}"
@@ -76,6 +82,21 @@ class Reproduce:
         write_study(study, folder, command, failures, cores)
         if failures:
             sys.exit(1)  # the page is written, but incomplete
+
+    def _check(self, study: "Study", folder: Path, count: int) -> None:
+        from contactgraph.data import InvalidInputError
+        from contactgraph_studies.paper.repeated import repeat
+        from contactgraph_studies.paper.study import ModelStudy
+
+        if not isinstance(study, ModelStudy):
+            raise InvalidInputError(f"--check: not of the study {self.study}")
+        with self._executor() as executor:
+            found = repeat(study, folder, count, executor)
+        print("\n".join(map(str, found)))
+        agree = sum(one.agrees for one in found)
+        print(f"{agree} of {len(found)} agree")
+        if agree < len(found):
+            sys.exit(1)
 
     def _executor(self) -> "AbstractContextManager[Executor]":
         from contactgraph.cli.options import open_executor

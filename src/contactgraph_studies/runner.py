@@ -14,7 +14,6 @@ from contactgraph.cli.output import progress
 from contactgraph.parallel import Executor, Outcome
 from contactgraph_studies.execution import JobResult, create_worker, prepare, write_bundle
 from contactgraph_studies.job import Job, JobRecords
-from contactgraph_studies.study import Study
 
 _JOBS_PER_PROCESS = 25
 """A process keeps every program that it has compiled: 2.7 GB after 60 jobs (measured)."""
@@ -81,14 +80,14 @@ def run_jobs(
     return schedule.failures
 
 
-def run_study(
-    study: Study,
+def run_reported(
+    jobs: Sequence[Job],
     folder: Path,
     executor: Executor,
     seconds: float = math.inf,
     resume: bool = False,
 ) -> list[Failure]:
-    """Run a study in a folder, with progress and failures on stderr; see `run_jobs`.
+    """Run jobs in a folder, with progress and failures on stderr; see `run_jobs`.
 
     To ``resume`` is not to measure again what a ``results.json`` of the folder holds.
     """
@@ -100,8 +99,8 @@ def run_study(
     folder.mkdir(parents=True, exist_ok=True)
     records = JobRecords(folder, version("contactgraph"))
     if resume:
-        records.restore(study.jobs)
-    with progress("jobs", len(study.jobs)) as bar:
+        records.restore(jobs)
+    with progress("jobs", len(jobs)) as bar:
 
         def on_progress(now: Progress) -> None:
             if now.failure is not None:
@@ -110,7 +109,7 @@ def run_study(
             estimate = "" if left is None else f"about {max(1, round(left / 60))} min left; "
             bar.advance(now.done, f"{estimate}{now.last.group}")
 
-        given = study.jobs, records, executor, create_worker, on_progress
+        given = jobs, records, executor, create_worker, on_progress
         failures = run_jobs(*given, seconds)
     for failure in failures:
         if not failure.started:
