@@ -242,7 +242,7 @@ def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts
 def _legend_below(figure: Figure, axes: Axes) -> None:
     """That of one panel, for all."""
     named = axes.get_legend_handles_labels()
-    figure.legend(*named, loc="outside lower center", ncols=4, **LEGEND)
+    figure.legend(*named, loc="outside lower center", ncols=3, **LEGEND)
 
 
 def _draw_points(
