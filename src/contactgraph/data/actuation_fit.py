@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.pins import pinned_group, pinned_motion

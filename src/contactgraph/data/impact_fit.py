@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from contactgraph.data.actuation_fit import ActuationFit, driving_components
 from contactgraph.data.trajectory import Trajectory

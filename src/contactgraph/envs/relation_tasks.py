@@ -6,7 +6,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from scipy.integrate import solve_ivp
+import scipy
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
@@ -73,7 +73,7 @@ class SmoothWorld:
 
         first = np.concatenate([self.position, self.velocity]).ravel()
         limits = {"rtol": _TOLERANCE, "atol": _TOLERANCE, "max_step": 0.25 * self._dt}
-        solved = solve_ivp(derivative, (0.0, self._dt), first, "DOP853", **limits)
+        solved = scipy.integrate.solve_ivp(derivative, (0.0, self._dt), first, "DOP853", **limits)
         self.position, self.velocity = solved.y[:, -1].reshape(2, *shape)
 
 
