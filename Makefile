@@ -132,6 +132,8 @@ $(PEERS)/.installed: pyproject.toml benchmarks/requirements-peers.txt
 		'crocoddyl>=3.2'
 	@$(PEERS)/bin/python -m pip --disable-pip-version-check --quiet install --no-deps \
 		-r benchmarks/requirements-peers.txt
+	@echo "== building the pendulum for crocoddyl, where there is a compiler of C++"
+	@-$(PEERS)/bin/python benchmarks/build_pendulum.py
 	@touch $@
 
 $(BIN)/python:

@@ -47,12 +47,12 @@ def rows(what: str, starts: np.ndarray, peers: list[Solver | Missing], quick: bo
 def main() -> None:
     """Measure and print."""
     options = arguments("Time of iLQR for a swing-up, beside mpc.pytorch and crocoddyl.")
-    mpc, (compiled, *interpreted) = with_mpc(), with_crocoddyl()
+    mpc, (written, *others) = with_mpc(), with_crocoddyl()
     one = np.zeros((1, 2))
     many = np.random.default_rng(0).uniform(-0.3, 0.3, (4 if options.quick else BATCH, 2))
-    found = rows("iLQR swing-up, T = 100", one, [mpc, compiled, *interpreted], options.quick)
+    found = rows("iLQR swing-up, T = 100", one, [mpc, written, *others], options.quick)
     what = f"iLQR swing-up, T = 100, {len(many)} starts"
-    report("ilqr_pendulum", found + rows(what, many, [mpc, compiled], options.quick), options)
+    report("ilqr_pendulum", found + rows(what, many, [mpc, written], options.quick), options)
 
 
 if __name__ == "__main__":

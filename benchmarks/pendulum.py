@@ -172,7 +172,8 @@ def with_mpc() -> Solver | Missing:
 
 
 def with_crocoddyl() -> list[Solver | Missing]:
-    """crocoddyl's DDP: with a model in Python, and with pinocchio's in C++; starts in turn."""
+    """crocoddyl's DDP, starts in turn: with the step and cost written by hand in C++
+    (`pendulum_action.cpp`), with pinocchio's general ones in C++, and with ones in Python."""
     try:
         import crocoddyl
         import pinocchio
@@ -244,9 +245,25 @@ def with_crocoddyl() -> list[Solver | Missing]:
             name, prepared, lambda answer: np.array([np.array(list(us))[:, 0] for us in answer])
         )
 
+    written: Solver | Missing
+    try:
+        from pendulum_action import PendulumAction
+    except ImportError as missing:
+        written = Missing(f"{name}, hand-written C++ model", str(missing))
+    else:
+
+        def by_hand(factor: float, control: float) -> Any:
+            return PendulumAction(*factor * STATE_WEIGHT, control, GOAL[0], DT, GRAVITY)
+
+        written = solver(
+            f"{name}, hand-written C++ model",
+            lambda: by_hand(1.0, CONTROL_WEIGHT),
+            by_hand(LAST, 0.0),
+        )
     return [
+        written,
         solver(
-            f"{name}, C++ model",
+            f"{name}, pinocchio's general C++ model",
             lambda: compiled(1.0, CONTROL_WEIGHT, DT),
             compiled(LAST, 0.0, 0.0),
         ),
