@@ -246,9 +246,11 @@ def test_an_approaching_node_becomes_active(local):
     coming["velocity"][2] = [0.0, -2.0]
     plan, state = local.step(coming, None, state)
     assert 2 in plan.node_ids
-    for _ in range(2):  # it leaves one step after it first may
+    sizes = []
+    for _ in range(5):  # it leaves four steps after it first may
         plan, state = local.step(scene(11), None, state)
-    assert state.node_ids.tolist() == [0, 1]
+        sizes.append(len(state.node_ids))
+    assert state.node_ids.tolist() == [0, 1] and min(sizes[:-1]) > 2
 
 
 def test_another_cost_activates_its_nodes(local, whole):

@@ -41,6 +41,11 @@ from contactgraph.model import (
 
 _READY = 18
 """Active nodes that `reset` compiles for, where no limit is given."""
+_SPARE, _SPARE_WITH_LIMIT = 10.0, 2.0
+"""Cutoffs within which nodes take slots that would stay empty: they cost nothing there, but with a
+limit they keep others out."""
+_PATIENCE = 3
+"""Control steps for which nodes stay without a limit: a step that adds them again runs twice."""
 _NONE = np.zeros(0, int)
 _log = logging.getLogger(__name__)
 
@@ -50,8 +55,8 @@ class ActiveSetMPC:
 
     It applies to models whose edges have a cutoff (`interaction_cutoff`); with others all nodes
     are active. If the trials of a control step come near inactive nodes, these become active and
-    the step is repeated from its start, so the answer is that of `MPC`. Nodes leave one step after
-    they may, since the present step may already have run twice.
+    the step is repeated from its start, so the answer is that of `MPC`. Nodes leave four steps
+    after they may, with a limit one: the present step may already have run twice.
 
     `reset` compiles for up to 18 active nodes. More of them recompile once for up to 54, 162, …
     nodes, which is logged. With ``max_active_nodes`` a step never compiles: one that would need
@@ -160,9 +165,10 @@ class ActiveSetMPC:
             if not len(missing[:free]):
                 return state, after, missing
             # Spare slots take the nodes that may matter next.
+            reach = _SPARE if self._max is None else _SPARE_WITH_LIMIT
             size = bucket_size(len(inside) + len(missing[:free]), len(motion[0]))
             free = min(size, self._max or size) - len(inside)
-            near = bounds.nodes_to_add(state.inactive, motion, cutoffs=2.0)
+            near = bounds.nodes_to_add(state.inactive, motion, cutoffs=reach)
             state = self._with_active(state, np.concatenate([inside, near[:free]]))
 
     def _bounds(self, state: ActiveSetState) -> ActiveBounds:
@@ -193,7 +199,11 @@ class ActiveSetMPC:
         if bucket_size(int(np.sum(state.required)), capacity) >= size:
             return state
         kept = self._bounds(state).nodes_to_keep(state.last_motion)
-        return state if bucket_size(len(kept), capacity) >= size else self._with_active(state, kept)
+        if bucket_size(len(kept), capacity) >= size:
+            return replace(state, roomy=0)
+        if self._max is None and state.roomy < _PATIENCE:
+            return replace(state, roomy=state.roomy + 1)
+        return self._with_active(state, kept)
 
     def _in_scene(self, state: ActiveSetState, nodes: Nodes, cost: Cost) -> ActiveSetState:
         """With other nodes or another cost, and the nodes active that these require."""

@@ -15,26 +15,33 @@ from contactgraph.control.plan import Plan
 from contactgraph.model import ModelState, Nodes, StepModel
 
 
-def best_plan(
+def all_plans(
     planner: ILQR,
     model: StepModel,
     state: ModelState,
     nodes: Nodes,
     cost: QuadraticCost,
     guesses: AffinePolicy,
-    added: Callable[[Plan], Float[Array, " S"]] = lambda plans: jnp.zeros(()),
 ) -> Plan:
-    """The plan of the lowest cost of those that `ILQR.solve` makes from each of ``S`` guesses.
+    """Those that `ILQR.solve` makes from each of ``S`` guesses, along the first axis.
 
-    ``guesses`` have them along the last axis; ``added``: further costs of the plans, along the
-    first. ``iterations`` and the swept bounds are those of all.
+    ``guesses`` have them along the last.
     """
 
     def planned(guess: AffinePolicy) -> Plan:
         return ILQR.solve(planner, model, state, nodes, cost, guess)
 
     plans = in_lanes(planned, guesses.k.shape[-1])(guesses)
-    plans = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), plans)
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), plans)
+
+
+def best_plan(
+    plans: Plan, added: Callable[[Plan], Float[Array, " S"]] = lambda plans: jnp.zeros(())
+) -> Plan:
+    """The one of the lowest cost of several along the first axis.
+
+    ``added``: further costs of each. ``iterations`` and the swept bounds are those of all.
+    """
     costs = plans.cost + added(plans)
     chosen = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
     plan = jax.tree.map(lambda leaf: leaf[chosen], plans)

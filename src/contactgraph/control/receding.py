@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from contactgraph.control.box_qp import AffinePolicy
-from contactgraph.control.candidates import best_plan, side_by_side
+from contactgraph.control.candidates import all_plans, best_plan, side_by_side
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.plan import Plan, shift_plan
@@ -49,7 +49,7 @@ class RecedingILQR(ILQR):
         quadratic, guess = self.prepared(model, state, cost, guess)
         begin, swept = self._receding(model, state, nodes, quadratic, guess)
         guesses = side_by_side(guess, jax.tree.map(lambda leaf: leaf[..., None], begin))
-        plan = best_plan(self, model, state, nodes, quadratic, guesses)
+        plan = best_plan(all_plans(self, model, state, nodes, quadratic, guesses))
         if plan.swept is None:
             return plan
         step = self.stride * jnp.arange(len(swept.lower))[:, None] + jnp.arange(self.segment)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.control.box_qp import AffinePolicy, solve_small
-from contactgraph.control.candidates import best_plan, side_by_side
+from contactgraph.control.candidates import all_plans, best_plan, side_by_side
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.plan import Plan
@@ -25,6 +25,8 @@ _GAIN = 0.5
 """Part of the distance that is left which a step covers, at most."""
 _RIDGE = 1e-6
 """Of the mean square response to the control; controls that move nothing stay 0."""
+_TRIED = 2
+"""Rollouts of each route, after which the best one is known well enough."""
 _TINY = 1e-9
 
 
@@ -91,7 +93,26 @@ class RouteILQR(ILQR):
             raise InvalidInputError(f"routes need a ContactDynamics, found {type(model).__name__}")
         quadratic, guess = self.prepared(model, state, cost, guess)
         guesses = side_by_side(guess, self._begun(model, state, nodes, quadratic))
-        return best_plan(self, model, state, nodes, quadratic, guesses)
+        tried = dataclasses.replace(self, iterations=min(_TRIED, self.iterations))
+        plans = all_plans(tried, model, state, nodes, quadratic, guesses)
+        if self.iterations <= _TRIED:
+            return best_plan(plans)
+        # The other rollouts improve the running plan and the best of the routes.
+        costs = plans.cost[1:]
+        route = 1 + jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
+        pair = jax.tree.map(lambda leaf: jnp.stack([leaf[0], leaf[route]], -1), plans.policy)
+        rest = dataclasses.replace(self, iterations=self.iterations - _TRIED + 1)
+        plan = best_plan(all_plans(rest, model, state, nodes, quadratic, pair))
+        count = jnp.sum(plans.iterations) + plan.iterations
+        if plans.swept is None:
+            return dataclasses.replace(plan, iterations=count)
+        # The first of its rollouts is known.
+        swept = jax.tree.map(
+            lambda first, more: jnp.concatenate([first, more[1:]]),
+            plans.swept.united(),
+            plan.swept,
+        )
+        return dataclasses.replace(plan, iterations=count, swept=swept)
 
     def _begun(
         self, model: ContactDynamics, state: ModelState, nodes: Nodes, cost: QuadraticCost

@@ -23,7 +23,7 @@ from contactgraph.control.approaches import (
     varied_approaches,
 )
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
-from contactgraph.control.candidates import best_plan, side_by_side
+from contactgraph.control.candidates import all_plans, best_plan, side_by_side
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.lanes import in_lanes
@@ -125,7 +125,7 @@ class SearchILQR(ILQR):
         def switching(plans: Plan) -> Float[Array, " S"]:
             return self._switching(before, plans.controls)
 
-        return best_plan(planner, model, state, nodes, quadratic, guesses, switching)
+        return best_plan(all_plans(planner, model, state, nodes, quadratic, guesses), switching)
 
     def _switching(
         self, before: Float[Array, " C"], controls: Float[Array, "*S H U"]

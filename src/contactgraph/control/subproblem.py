@@ -75,6 +75,8 @@ class ActiveSetState(MPCState):
     """[r] Nodes of the scene that are not active."""
     last_motion: Motion
     """Of all nodes: the last observation that was finite."""
+    roomy: int = 0
+    """Control steps for which fewer active nodes have been enough for a smaller size."""
 
 
 def active_part(
