@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.control.box_qp import AffinePolicy, solve_small
-from contactgraph.control.candidates import all_plans, best_plan, side_by_side
+from contactgraph.control.candidates import all_plans, best_plan, cheapest, side_by_side
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.ilqr import ILQR
 from contactgraph.control.plan import Plan
@@ -98,8 +98,7 @@ class RouteILQR(ILQR):
         if self.iterations <= _TRIED:
             return best_plan(plans)
         # The other rollouts improve the running plan and the best of the routes.
-        costs = plans.cost[1:]
-        route = 1 + jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
+        route = 1 + cheapest(plans.cost[1:])
         pair = jax.tree.map(lambda leaf: jnp.stack([leaf[0], leaf[route]], -1), plans.policy)
         rest = dataclasses.replace(self, iterations=self.iterations - _TRIED + 1)
         plan = best_plan(all_plans(rest, model, state, nodes, quadratic, pair))
