@@ -39,6 +39,12 @@ FILES = {
             "sensing, rehearsal, all; found 'juggling'",
         ),
         ("door --out taken", "--out: taken must be a folder, found a file"),
+        ("worlds --check 3", "--check: not of the study worlds"),
+        (
+            "door --check 3",
+            "--check: results/door/results.json holds 0 measurements of this study and version, "
+            "asked for 3",
+        ),
     ],
 )
 def test_mistakes(

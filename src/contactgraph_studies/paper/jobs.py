@@ -243,12 +243,23 @@ def _with_held_out(runs: int) -> int:
     return round(runs / 0.8)
 
 
+def main_number(results: Results, condition: ModelCondition) -> Sample:
+    """What a test is made for: an error of moving bodies, success, or the accuracy of edges."""
+    match condition.source:
+        case Source.planned:
+            return results.scene_sample(condition, PLANNED_BY_EPISODE, root_mean_square)
+        case Source.every_step | Source.long_plan:
+            return results.scene_sample(condition, SUCCESS_BY_EPISODE, mean)
+        case Source.faults:
+            return results.sample(condition, EDGE_ACCURACY)
+    return results.scene_sample(condition, RECORDED_BY_RUN, root_mean_square)
+
+
 def closed_error(
     results: Results, task: StudyTask, model: StudyModel, scenes: TestCondition
 ) -> Sample:
     """Planned against executed positions over the bodies that move, cm."""
-    condition = condition_of(Source.planned, task, model, scenes)
-    return results.scene_sample(condition, PLANNED_BY_EPISODE, root_mean_square)
+    return main_number(results, condition_of(Source.planned, task, model, scenes))
 
 
 def open_error(
@@ -260,8 +271,7 @@ def open_error(
 ) -> Sample:
     """Open-loop error over the bodies that move, cm; by number of training trajectories."""
     source = Source.recorded if runs is None else Source.samples
-    condition = condition_of(source, task, model, scenes, training_runs=runs)
-    return results.scene_sample(condition, RECORDED_BY_RUN, root_mean_square)
+    return main_number(results, condition_of(source, task, model, scenes, training_runs=runs))
 
 
 def success(

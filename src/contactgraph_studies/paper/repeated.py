@@ -5,22 +5,15 @@ import random
 import shutil
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
 from contactgraph.data import InvalidInputError
 from contactgraph.parallel import Executor
-from contactgraph_studies.bootstrap import Estimate, Sample, estimate, mean, root_mean_square
+from contactgraph_studies.bootstrap import Estimate, estimate
 from contactgraph_studies.job import JobRecords, Measurement, in_dependency_order
-from contactgraph_studies.paper.jobs import (
-    EDGE_ACCURACY,
-    PLANNED_BY_EPISODE,
-    RECORDED_BY_RUN,
-    SUCCESS_BY_EPISODE,
-    ModelCondition,
-    Source,
-)
+from contactgraph_studies.paper.jobs import main_number
 from contactgraph_studies.paper.study import ModelStudy
 from contactgraph_studies.results import Results
 from contactgraph_studies.runner import run_reported
@@ -37,7 +30,12 @@ class Repeated:
 
     @property
     def agrees(self) -> bool:
-        """Whether the new number lies within the stored one's interval, or both are unknown."""
+        """Whether the new number lies within the stored one's interval, or both are unknown.
+
+        One whose commands failed does not.
+        """
+        if not self.again.trainings:
+            return False
         if math.isnan(self.stored.value) or math.isnan(self.again.value):
             return math.isnan(self.stored.value) and math.isnan(self.again.value)
         return self.stored.low <= self.again.value <= self.stored.high
@@ -65,8 +63,8 @@ def repeat(study: ModelStudy, folder: Path, count: int, executor: Executor) -> l
         known = [one for one in study.measurements if (before / one.job.output).is_file()]
         if not 1 <= count <= len(known):
             raise InvalidInputError(
-                f"--check: must be 1 to {len(known)}, the measurements of this study and version "
-                f"in {folder / 'results.json'}, found {count}"
+                f"--check: {folder / 'results.json'} holds {len(known)} measurements of this study "
+                f"and version, asked for {count}"
             )
         drawn = random.sample(known, count)
         run_reported(in_dependency_order(one.job for one in drawn), after, executor)
@@ -76,24 +74,12 @@ def repeat(study: ModelStudy, folder: Path, count: int, executor: Executor) -> l
 def _compared(
     one: Measurement, before: Path, after: Path, known: Sequence[Measurement]
 ) -> Repeated:
-    stored, again = (estimate([_number(folder, [one])]) for folder in (before, after))
+    def measured(folder: Path, those: Sequence[Measurement]) -> Estimate:
+        return estimate([main_number(Results.read(folder, those), one.condition)])
+
+    stored, again = measured(before, [one]), measured(after, [one])
     if stored.low == stored.high:
         all_trainings = [each for each in known if each.condition == one.condition]
-        values = estimate([_number(before, all_trainings)]).each
-        low, high = min(values, default=math.nan), max(values, default=math.nan)
-        stored = Estimate(stored.value, low, high, stored.each, stored.unit, stored.command, 1)
+        values = measured(before, all_trainings).each
+        stored = replace(stored, low=min(values), high=max(values))
     return Repeated(one, stored, again)
-
-
-def _number(folder: Path, measurements: Sequence[Measurement]) -> Sample:
-    """What a measurement is made for: an error, success, or the accuracy of edges."""
-    results = Results.read(folder, measurements)
-    condition: ModelCondition = measurements[0].condition
-    match condition.source:
-        case Source.planned:
-            return results.scene_sample(condition, PLANNED_BY_EPISODE, root_mean_square)
-        case Source.every_step | Source.long_plan:
-            return results.scene_sample(condition, SUCCESS_BY_EPISODE, mean)
-        case Source.faults:
-            return results.sample(condition, EDGE_ACCURACY)
-    return results.scene_sample(condition, RECORDED_BY_RUN, root_mean_square)

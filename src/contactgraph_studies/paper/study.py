@@ -182,8 +182,8 @@ def model_table(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) 
         caption="N-step error: planned against executed positions, half a second ahead, over the "
         "bodies that move and over all (the paper's metric); the baselines are over all, on the "
         "same windows. Those of moving bodies are root mean squares over episodes, as in the "
-        "claims; an episode in which no object moves has none. Open loop: recorded expert runs."
-        " Medians, with the range over training seeds in brackets. Success: every "
+        "claims; an episode in which no object moves has none. Open loop: recorded expert runs. "
+        "Medians, with the range over training seeds in brackets. Success: every "
         "training seed, in the same scenes, with the 95 % Wilson interval of the median one over "
         "these scenes. A row's commands show when the pointer rests on it.",
         headings=_HEADINGS,
