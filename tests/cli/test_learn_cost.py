@@ -15,7 +15,13 @@ from contactgraph.cli.known_tasks import TASKS
 from contactgraph.cli.models import stored_model
 from contactgraph.cli.task_types import TaskOptions
 from contactgraph.cli.tasks import task_factory
-from contactgraph.control import LearnedCost, describe_cost, read_cost
+from contactgraph.control import (
+    LearnedContact,
+    LearnedCost,
+    describe_cost,
+    read_cost,
+    write_cost,
+)
 from contactgraph.data import InvalidInputError, Scene, Trajectory, write_trajectories
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
 from contactgraph.evaluate import collect
@@ -226,7 +232,12 @@ def test_control_searches_where_bodies_are_pushed_and_the_model_allows_it(
     assert asked.value.args[1]["starts"] == starts
 
 
-def test_control_plans_with_it(cost: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_control_plans_with_it(
+    cost: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     command = ["control", "pickup", "pickup"]
     monkeypatch.setattr("contactgraph.evaluate.control_task", asking)
     with pytest.raises(Asked) as asked:
@@ -234,6 +245,16 @@ def test_control_plans_with_it(cost: Path, monkeypatch: pytest.MonkeyPatch) -> N
     planned = asked.value.args[1]["cost"]
     assert asked.value.args[1]["horizon"] == 40, "twice as far as with the task's own"
     assert isinstance(planned, LearnedCost) and np.array_equal(planned.Q, read_cost(cost).Q)
+    demanding = tmp_path / "touch.json"
+    contact = LearnedContact("touch", ("gripper", "target"), 2.0)
+    write_cost(demanding, replace(read_cost(cost), contacts=(contact,)))
+    with pytest.raises(Asked) as asked:
+        cli.run([*command, "--cost", str(demanding)])
+    assert asked.value.args[1]["horizon"] == 20, "the contact is demanded"
+    cli.run(["info", str(demanding)])
+    assert "touch gripper - target  each step without costs as much as 1.41 N" in (
+        capsys.readouterr().out
+    )
     with pytest.raises(Asked) as asked:
         cli.run(command)
     assert asked.value.args[1]["cost"] is None and asked.value.args[1]["horizon"] == 20

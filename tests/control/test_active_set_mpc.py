@@ -19,6 +19,7 @@ from contactgraph.control import (
     RouteILQR,
     avoid,
     chain_cost,
+    keep_clear,
 )
 from contactgraph.data import InvalidInputError, edge_id, pair_indices
 from contactgraph.model import MotionNoise, load_model, shipped_model
@@ -89,7 +90,7 @@ def both(
     given = cost()
     if clear:
         pairs = [(one, other) for one in (0, 1) for other in range(2, count)]
-        given = replace(given, distances=avoid(pairs, clear, 1e4, 0.05))
+        given = replace(given, contacts=(keep_clear(pairs, clear, 1e4), avoid(pairs, 1.0)))
     states = [mpc.reset(observed, nodes, given) for mpc in (local, whole)]
     in_play = []
     for _ in range(steps):

@@ -11,6 +11,7 @@ import pytest
 
 from contactgraph.control import (
     CostTerm,
+    LearnedContact,
     LearnedCost,
     LearningHistory,
     TaskNode,
@@ -43,6 +44,10 @@ def a_cost() -> LearnedCost:
             TaskNode("Öl-Kanne", False, 3, 3, 0.85),
             TaskNode("lamp", False, 2, 0, None),
         ),
+        contacts=(
+            LearnedContact("touch", ("gripper", "Öl-Kanne"), 0.1),
+            LearnedContact("hold", ("Öl-Kanne", "gripper"), 3.0),
+        ),
     )
 
 
@@ -63,6 +68,7 @@ def test_a_written_cost_is_read_unchanged(path: Path) -> None:
         assert np.array_equal(getattr(wanted.history, name), getattr(found.history, name)), name
     assert found.kept_nodes == wanted.kept_nodes
     assert found.task_nodes == wanted.task_nodes
+    assert found.contacts == wanted.contacts
     assert describe_cost(path).made == MADE
 
 
@@ -82,6 +88,20 @@ def test_a_file_describes_its_content(path: Path, tmp_path: Path) -> None:
     write_cost(again, read_cost(path), MADE)
     assert again.read_bytes() == path.read_bytes()
     assert sorted(each.name for each in tmp_path.iterdir()) == ["again.json", "cost.json"]
+
+
+def test_its_contacts_are_about_its_nodes_of_a_scene(path: Path) -> None:
+    (found,) = read_cost(path).quadratic(4).contacts
+    assert found.pairs.tolist() == [[2, 0], [0, 2]] and found.kind.tolist() == [1, 2]
+    np.testing.assert_allclose(found.weight, [0.1, 3.0])
+
+
+def test_files_from_before_costs_had_contacts_are_read(path: Path) -> None:
+    content = json.loads(path.read_text())
+    del content["contacts"]
+    path.write_text(json.dumps(content))
+    found = read_cost(path)
+    assert found.contacts == () and found.quadratic(4).contacts == ()
 
 
 def test_unknown_fields_are_left_alone(path: Path) -> None:
@@ -158,6 +178,20 @@ ROW = [1.0] * 8
         (
             {"history": {"imitation": [1.0], "prior": [1.0, 2.0]}},
             "history: field 'prior' must be 1 n",
+        ),
+        ({"contacts": {}}, "field 'contacts' must be a list of objects, found {}"),
+        ({"contacts": [{}]}, "contacts[0]: field 'kind' is missing"),
+        (
+            {"contacts": [{"kind": "push", "nodes": ["gripper", "Öl-Kanne"], "weight": 1.0}]},
+            "contacts[0]: field 'kind' must be avoid, touch, hold, found 'push'",
+        ),
+        (
+            {"contacts": [{"kind": "avoid", "nodes": ["gripper", "lamp"], "weight": 1.0}]},
+            "contacts[0]: field 'nodes' must be two of gripper, Öl-Kanne, found gripper, lamp",
+        ),
+        (
+            {"contacts": [{"kind": "hold", "nodes": ["gripper", "Öl-Kanne"], "weight": -1}]},
+            "contacts[0]: field 'weight' must be at least 0, found -1",
         ),
         ({"made": "by hand"}, "field 'made' must be an object, found 'by hand'"),
     ],

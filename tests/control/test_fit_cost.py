@@ -1,15 +1,23 @@
 """The hidden cost of LQR experts is recovered up to its scale."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.control import CostLearningConfig, lqr_trajectory, tracking_problem
+from contactgraph.control import (
+    BeliefCost,
+    CostLearningConfig,
+    lqr_trajectory,
+    tracking_problem,
+)
 from contactgraph.control.cost_learner import fit_cost
 from contactgraph.control.demonstrations import Demonstrations
 from contactgraph.control.learned_cost import isotropic_axes
 from contactgraph.data import InvalidInputError
+from contactgraph.model import ContactBelief
 
 RUNS, HORIZON, N, U = 24, 12, 4, 2
 STARTS = np.array([(trajectory, 0) for trajectory in range(RUNS)])
@@ -20,6 +28,10 @@ def double_precision():
     jax.config.update("jax_enable_x64", True)
     yield
     jax.config.update("jax_enable_x64", False)
+
+
+def no_contacts() -> BeliefCost:
+    return BeliefCost(jnp.zeros((0, 2), int), jnp.zeros(0), 2, jnp.zeros(0, int))
 
 
 def hidden_expert(seed: int) -> tuple[Demonstrations, np.ndarray, np.ndarray]:
@@ -44,7 +56,9 @@ def hidden_expert(seed: int) -> tuple[Demonstrations, np.ndarray, np.ndarray]:
         return lqr_trajectory(problem, start)
 
     trajectories = optimal(A, B, offset, goal, start)
-    return Demonstrations(A, B, offset, trajectories.states, trajectories.controls, goal), Q, R
+    beliefs = ContactBelief(jnp.zeros((RUNS, HORIZON + 1, 0, 2)))
+    found = trajectories.states, trajectories.controls
+    return Demonstrations(A, B, offset, *found, goal, beliefs), Q, R
 
 
 @pytest.mark.parametrize(
@@ -61,7 +75,9 @@ def test_a_hidden_cost_is_recovered(double_precision, seed, steps):
         discount=1.0,
         prior_weight=0.0,
     )
-    found_Q, found_R, history = fit_cost(data, STARTS, isotropic_axes(None, 2), recipe)
+    found_Q, found_R, _, history = fit_cost(
+        data, STARTS, isotropic_axes(None, 2), no_contacts(), recipe
+    )
     assert history.imitation[-1] < 1e-9 * history.imitation[0]
     assert np.abs(found_Q - Q).max() < 1e-4 * np.abs(Q).max()
     assert np.abs(found_R - R).max() < 1e-4
@@ -78,11 +94,12 @@ def test_the_same_seed_gives_the_same_cost_and_progress_is_reported():
         data,
         STARTS,
         isotropic_axes(None, 2),
+        no_contacts(),
         recipe,
         3,
         on_step=lambda step, loss: steps.append(step),
     )
-    *other, _ = fit_cost(data, STARTS, isotropic_axes(None, 2), recipe, 3)
+    *other, _ = fit_cost(data, STARTS, isotropic_axes(None, 2), no_contacts(), recipe, 3)
     assert steps == [50, 100] and history.imitation.shape == (100,)
     assert all(map(np.array_equal, one, other))
     assert np.mean(history.imitation[-10:]) < np.mean(history.imitation[:10])
@@ -93,16 +110,20 @@ def test_lost_definiteness_stops_with_the_step_and_the_eigenvalue():
     recipe = CostLearningConfig(horizon=HORIZON, steps=50, batch=8, learning_rate=1e30)
     message = r"stopped at step \d+: [QR]'s smallest eigenvalue is .*; a smaller learning rate"
     with pytest.raises(InvalidInputError, match=message):
-        fit_cost(data, STARTS, isotropic_axes(None, 2), recipe)
+        fit_cost(data, STARTS, isotropic_axes(None, 2), no_contacts(), recipe)
 
 
 def test_demonstrations_without_a_control_are_refused():
     data, _, _ = hidden_expert(0)
-    still = Demonstrations(
-        data.A, data.B, data.offset, data.states, jnp.zeros_like(data.controls), data.goal
-    )
+    still = replace(data, controls=jnp.zeros_like(data.controls))
     with pytest.raises(InvalidInputError, match="control never changes from 0"):
-        fit_cost(still, STARTS, isotropic_axes(None, 2), CostLearningConfig(horizon=HORIZON))
+        fit_cost(
+            still,
+            STARTS,
+            isotropic_axes(None, 2),
+            no_contacts(),
+            CostLearningConfig(horizon=HORIZON),
+        )
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import partial
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,16 +16,18 @@ from contactgraph.control import (
     LearnedCost,
     learn_cost,
 )
+from contactgraph.control.cost_learner import cost_learner
 from contactgraph.control.demonstrations import (
     demonstrations_of,
     filter_demonstrations,
+    lasting_contacts,
     task_nodes,
 )
-from contactgraph.control.learned_cost import relative_terms
+from contactgraph.control.learned_cost import isotropic_axes, relative_terms
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
 from contactgraph.evaluate import collect, control_task
-from contactgraph.model import load_model, scene_nodes, shipped_model
+from contactgraph.model import ContactBelief, load_model, scene_nodes, shipped_model
 
 RECIPE = CostLearningConfig(steps=50, batch=64)
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
@@ -109,7 +112,9 @@ def test_planners_take_it_like_any_other_cost(model, runs, cost):
     assert np.abs(plans[0].controls[0]).max() > 0.1
 
     whole = cost.quadratic(4)
-    assert plan.cost == pytest.approx(float(whole(plan.states, plan.controls)), rel=1e-3)
+    assert plan.cost == pytest.approx(
+        float(whole(plan.states, plan.controls, plan.beliefs)), rel=1e-3
+    )
     assert np.array_equal(
         whole.goal.reshape(4, 4)[:2, :2], np.tile(run.scene.goal, (2, 1)).astype("f")
     )
@@ -137,6 +142,36 @@ def test_it_finds_its_nodes_by_name_and_takes_the_scene_s_goal(runs, cost):
         cost.in_scene(solid)
     with pytest.raises(InvalidInputError, match="goal must be 2 finite numbers"):
         cost.with_goal([0.0, np.nan])
+
+
+def test_the_contact_that_demonstrations_keep_is_learned_as_it_imitates_best(model, runs, cost):
+    (found,) = cost.contacts
+    assert (found.kind, found.nodes) == ("touch", ("gripper", "target"))
+    dataset = Dataset(tuple(runs))
+    filtered = filter_demonstrations(model, dataset)
+    data = demonstrations_of(dataset, filtered, cost.kept_nodes, limits=LIMITS)
+    wanted = lasting_contacts(dataset, filtered, cost.kept_nodes)
+    assert wanted.pairs.tolist() == [[0, 1]]
+    begin = np.argmax(runs[0].contact[:, 0, 1]) - RECIPE.horizon // 2
+    starts = np.array([(number, max(begin, 0)) for number in range(len(runs))])
+    learner = cost_learner(data, starts, RECIPE, isotropic_axes(None, 2), wanted)
+
+    @jax.jit
+    def loss(weight):
+        contacts = replace(wanted, weight=jnp.atleast_1d(weight))
+        return learner.imitation((cost.Q, cost.R, contacts), data, jnp.asarray(starts))
+
+    without, much = loss(0.0), loss(30.0 * found.weight)
+    assert loss(found.weight) < min(without, much)
+
+
+def test_a_contact_that_ends_is_not_wanted(model, runs):
+    filtered = filter_demonstrations(model, Dataset(tuple(runs)))
+    types = np.array(filtered.posterior.type_probability)
+    assert len(lasting_contacts(Dataset(tuple(runs)), filtered, ("gripper", "target")).pairs)
+    types[:, 60:, 0] = [1.0, 0.0]
+    ended = replace(filtered, posterior=ContactBelief(jnp.asarray(types)))
+    assert not len(lasting_contacts(Dataset(tuple(runs)), ended, ("gripper", "target")).pairs)
 
 
 def test_a_given_goal_replaces_that_of_the_trajectories(model, runs, cost):

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from control_models import StickyBodies, nodes_of, state_of
 
-from contactgraph.control import ILQR, AffinePolicy, ControlLimits, RouteILQR, avoid, chain_cost
+from contactgraph.control import (
+    ILQR,
+    AffinePolicy,
+    ControlLimits,
+    RouteILQR,
+    chain_cost,
+    keep_clear,
+)
 from contactgraph.control.routes import FreeMotion, _place_of_least_cost
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.model import (
@@ -28,7 +35,7 @@ NAMES = ("gripper", "target", "other")
 SCENE = Scene(NAMES, ("gripper", "object", "object"), np.arange(3) == 0, DT)
 GOAL = np.array([0.0, 0.9])
 COST = chain_cost((0, 1), [3.0, 3.0, 0.2, 0.2], [50.0, 50.0, 1.0, 1.0], 0.01, GOAL, 3)
-CLEAR = replace(COST, distances=avoid([(0, 2), (1, 2)], GAP, 1e4, DT))
+CLEAR = replace(COST, contacts=(keep_clear([(0, 2), (1, 2)], GAP, 1e4),))
 NODES = scene_nodes(SCENE)
 
 
@@ -68,7 +75,7 @@ def test_it_goes_round_a_body_that_stands_in_the_way() -> None:
     assert np.min(np.linalg.norm(hand - other, axis=1)) > GAP - 0.005
     assert np.linalg.norm(hand[-1] - target[-1]) < 0.1
     np.testing.assert_allclose(other, np.broadcast_to(other[0], other.shape), atol=1e-4)
-    at_no_cost = replace(CLEAR, distances=replace(CLEAR.distances, weight=jnp.zeros(2)))
+    at_no_cost = replace(CLEAR, contacts=(keep_clear([(0, 2), (1, 2)], GAP, 0.0),))
     free = solve(PLANNER, BEHIND, at_no_cost)
     assert np.min(np.linalg.norm(np.asarray(free.states)[:, 0, 0] - other, axis=1)) < 0.09
 

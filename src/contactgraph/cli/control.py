@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from contactgraph.evaluate import ClosedLoopMetrics, EpisodeRecord
     from contactgraph.viz import SceneTrajectory
 
-_LEARNED_COST_HORIZON = 2
-"""Factor of the default horizon with a learned cost. Such a cost does not demand the contacts that
-its demonstrations made: a plan that ends before their benefit would hover before the object."""
+_HORIZON_WITHOUT_CONTACTS = 2
+"""Factor of the default horizon with a learned cost that does not demand the contacts that its
+demonstrations made: a plan that ends before their benefit would hover before the object."""
 
 _RECORDED = (
     *("cost", "horizon", "iterations", "starts", "routes", "segment", "clearance", "replan_every"),
@@ -156,7 +156,9 @@ class Control:
         if self.model in _SCRIPTED:
             return self._write(self._by_policy(options), options)
         known = known_task(self.task)
-        horizon = known.horizon * (1 if self.cost is None else _LEARNED_COST_HORIZON)
+        cost = None if self.cost is None else read_cost(self.cost)
+        demands = cost is None or bool(cost.contacts)
+        horizon = known.horizon * (1 if demands else _HORIZON_WITHOUT_CONTACTS)
         if self.horizon is not None:
             check_range("--horizon", self.horizon, 1, 1000)
             horizon = self.horizon
@@ -176,7 +178,6 @@ class Control:
             )
         noise = ObservationNoise(self.position_noise, self.velocity_noise, self.seed)
         factory = task_factory(self.task, options)
-        cost = None if self.cost is None else read_cost(self.cost)
         model = stored_model(self.model)
         starts = self.starts
         if starts is None:

@@ -139,6 +139,14 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
         f"1 m/s as much as {term.velocity:.3g} N"
         for term in terms
     ]
+    lines += [
+        f"{each.kind} {' - '.join(each.nodes)}  each step without costs as much as "
+        f"{each.weight**0.5:.3g} N"
+        if each.kind != "avoid"
+        else f"avoid {' - '.join(each.nodes)}  each step of contact costs as much as "
+        f"{each.weight**0.5:.3g} N"
+        for each in cost.contacts
+    ]
     loss = cost.history.imitation
     first, last = float(loss[0]), float(loss[-_LAST_STEPS:].mean())
     return [*lines, f"imitation loss  {first:.4f} at the beginning, {last:.4f} in the end"]

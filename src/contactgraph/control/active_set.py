@@ -173,10 +173,8 @@ class ActiveSetMPC:
 
     def _bounds(self, state: ActiveSetState) -> ActiveBounds:
         assert self._cutoff is not None and state.plan.swept is not None
-        cutoff, distances = self._cutoff, state.scene[1].distances
-        if distances is not None:
-            farthest = np.max(np.asarray(distances.distance), initial=cutoff.distance)
-            cutoff = replace(cutoff, distance=float(farthest))
+        reaches = [each.reach for each in state.scene[1].contacts]
+        cutoff = replace(self._cutoff, distance=max([self._cutoff.distance, *reaches]))
         return ActiveBounds(state.plan.swept, state.node_ids, state.required, cutoff)
 
     def _with_observation(self, state: ActiveSetState) -> ActiveSetState:

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from contactgraph.control.distance_cost import DistanceCost
+from contactgraph.control.contact_cost import ContactCost
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.model import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.features import turn_length_of
 
@@ -53,8 +54,8 @@ class QuadraticCost(eqx.Module):
     exactly zero: naming the ``M`` nodes that have one makes the backward pass cost what ``M``
     nodes cost and changes no answer. Rows of other nodes are ignored.
     """
-    distances: DistanceCost | None = None
-    """Added to it: what is to be touched, and what is not; see `avoid` and `touch`."""
+    contacts: tuple[ContactCost, ...] = ()
+    """Added to it: what is to be touched, and what is not; see `touch`, `avoid`, `keep_clear`."""
     turn_length: float = eqx.field(static=True, default=1.0)
     """m; unit of turns, where ``n = 2NG`` includes them: 1 for angles in rad and rates in rad/s.
     See `contactgraph.data.generalized_coordinates`."""
@@ -68,20 +69,33 @@ class QuadraticCost(eqx.Module):
         """U, the size of the control."""
         return self.R.shape[-1]
 
-    def __call__(self, states: Float[Array, "H+1 ..."], controls: Float[Array, "H U"]) -> Array:
-        """The cost of states [H+1, N, 2, D], or [H+1, n] without ``distances``, and controls."""
-        return jnp.sum(self.by_step(states, controls))
+    def __call__(
+        self,
+        states: Float[Array, "H+1 ..."],
+        controls: Float[Array, "H U"],
+        beliefs: ContactBelief | None = None,
+    ) -> Array:
+        """The cost of states [H+1, N, 2, D], or [H+1, n] without ``contacts``, and controls."""
+        return jnp.sum(self.by_step(states, controls, beliefs))
 
     def by_step(
-        self, states: Float[Array, "H+1 ..."], controls: Float[Array, "H U"]
+        self,
+        states: Float[Array, "H+1 ..."],
+        controls: Float[Array, "H U"],
+        beliefs: ContactBelief | None = None,
     ) -> Float[Array, " H+1"]:
-        """The cost of each step, of the last its state alone; none is negative."""
+        """The cost of each step, of the last its state alone; none is negative.
+
+        ``beliefs`` [H, E, K] are needed with ``contacts``; `InvalidInputError` without.
+        """
         Q, R, goal = self.over(controls.shape[0])
         error = states.reshape(goal.shape) - goal
         of_state = jnp.sum(error * jnp.einsum("tij,tj->ti", Q, error), axis=-1)
         of_control = jnp.sum(controls * jnp.einsum("tij,tj->ti", R, controls), axis=-1)
-        if self.distances is not None:
-            of_state += self.distances.by_step(states)
+        for each in self.contacts:
+            if beliefs is None:
+                raise InvalidInputError("a cost of contacts needs the plan's beliefs")
+            of_state += each.by_step(states, beliefs)
         return of_state.at[:-1].add(of_control)
 
     def quadratic(self, node_count: int) -> "QuadraticCost":

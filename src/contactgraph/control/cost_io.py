@@ -13,8 +13,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from contactgraph.control.contact_cost import KINDS
 from contactgraph.control.learned_cost import (
     ROUNDING,
+    LearnedContact,
     LearnedCost,
     LearningHistory,
     TaskNode,
@@ -27,8 +29,10 @@ VERSION = 1
 _SIZE_LIMIT = 20_000_000
 """Bytes."""
 _WORDS = {
-    "cost": "sum over steps of (x - goal)^T Q (x - goal) + u^T R u",
+    "cost": "sum over steps of (x - goal)^T Q (x - goal) + u^T R u, and of contacts",
     "x": "for each kept node, in order: its D positions [m], then its D velocities [m/s]",
+    "contacts": "weight times the probability that it is not as its kind says, and where a contact "
+    "is wanted times 1 + (distance of the centres / 1 m)^2",
     "goal": "the same place [m] for all kept nodes, at rest",
     "units": "Q: 1/m^2, s/m^2 and s^2/m^2; R: 1/N^2; goal: m",
     "scale": "a cost is known up to a factor; here the mean of R's diagonal is 1/N^2",
@@ -73,6 +77,10 @@ def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | No
                 "joins_s": each.first_contact_time,
             }
             for each in cost.task_nodes
+        ],
+        "contacts": [
+            {"kind": each.kind, "nodes": list(each.nodes), "weight": each.weight}
+            for each in cost.contacts
         ],
         "made": dict(made or {}),
         "history": {
@@ -130,6 +138,7 @@ def _summary(fields: JsonFields) -> CostSummary:
                 smallest_r=jnp.asarray(history.numbers("smallest_r", steps)),
             ),
             task_nodes=tuple(_task_node(each) for each in fields.each("participants")),
+            contacts=tuple(_contact(each, names) for each in _contacts(fields)),
         ),
         made=fields.inner("made").content,
     )
@@ -145,6 +154,30 @@ def _task_node(fields: JsonFields) -> TaskNode:
         active_trajectories=active,
         first_contact_time=float(fields.numbers("joins_s", ())) if active else None,
     )
+
+
+def _contacts(fields: JsonFields) -> list[JsonFields]:
+    """None in files from before costs had any."""
+    return fields.each("contacts") if "contacts" in fields.content else []
+
+
+def _contact(fields: JsonFields, kept_nodes: tuple[str, ...]) -> LearnedContact:
+    kind, nodes = fields.text("kind"), fields.names("nodes")
+    if kind not in KINDS:
+        raise InvalidInputError(
+            f"{fields.where}: field 'kind' must be {', '.join(KINDS)}, found {kind!r}"
+        )
+    if len(nodes) != 2 or not set(nodes) <= set(kept_nodes):
+        raise InvalidInputError(
+            f"{fields.where}: field 'nodes' must be two of {', '.join(kept_nodes)}, "
+            f"found {', '.join(nodes)}"
+        )
+    weight = float(fields.numbers("weight", ()))
+    if weight < 0.0:
+        raise InvalidInputError(
+            f"{fields.where}: field 'weight' must be at least 0, found {weight:g}"
+        )
+    return LearnedContact(kind, (nodes[0], nodes[1]), weight)
 
 
 def _numbers(values: Any) -> Any:

@@ -24,6 +24,7 @@ Source: the paper's cost learning (its section of that name), which follows Amos
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -33,31 +34,34 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.contact_cost import KINDS, BeliefCost
 from contactgraph.control.demonstrations import (
     Demonstrations,
+    WindowCost,
     demonstrations_of,
     filter_demonstrations,
+    lasting_contacts,
     task_nodes,
     window_starts,
 )
 from contactgraph.control.learned_cost import (
     ROUNDING,
     CostLearningConfig,
+    LearnedContact,
     LearnedCost,
     LearningHistory,
     independent_part,
     isotropic_axes,
     relative_basis,
 )
-from contactgraph.control.lqr import tracking_problem
 from contactgraph.control.lqr_adjoint import lqr_trajectory
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.model import StepModel
 
 _CHUNK = 50
 """Steps in one compiled call."""
-_LEAST = 1e-5
-"""R's smallest eigenvalue; their mean is 1."""
+_FIRST_CONTACT = 0.1
+"""Weight of a contact at first, in units of the square of a typical control."""
 _DEFAULT = CostLearningConfig()
 
 
@@ -66,6 +70,8 @@ class FreeCost(eqx.Module):
 
     L: Float[Array, "m m"]
     Lu: Float[Array, "U U"]
+    log_contact: Float[Array, " P"]
+    """Logarithm of the weights of contacts, in units of the square of a typical control."""
 
 
 LearnerState = tuple[FreeCost, optax.OptState]
@@ -79,6 +85,8 @@ class CostLearner(eqx.Module):
     units: Float[Array, " m"]
     """S: with L = 1 a typical error gives a typical control."""
     isotropy: Float[Array, "D D"]
+    contacts: BeliefCost
+    """Those that are wanted; each weight is the square of a typical control."""
     state_weight: Float[Array, "H+1 m"]
     control_weight: Float[Array, "H U"]
     config: CostLearningConfig = eqx.field(static=True)
@@ -87,7 +95,8 @@ class CostLearner(eqx.Module):
         """The first state, in which a typical error gives a typical control."""
         m, U = self.basis.shape[0], self.control_weight.shape[1]
         dtype = self.basis.dtype
-        free = FreeCost(jnp.eye(m, dtype=dtype), jnp.eye(U, dtype=dtype))
+        begin = jnp.full(self.contacts.weight.shape, np.log(_FIRST_CONTACT), dtype)
+        free = FreeCost(jnp.eye(m, dtype=dtype), jnp.eye(U, dtype=dtype), begin)
         return free, self.optimiser().init(free)
 
     def optimiser(self) -> optax.GradientTransformation:
@@ -103,35 +112,47 @@ class CostLearner(eqx.Module):
         scaled = self.units[:, None] * W * self.units[None, :]
         return self.basis.T @ scaled @ self.basis, R * R.shape[0] / jnp.trace(R), W
 
+    def weighted(self, free: FreeCost) -> BeliefCost:
+        """The contacts with their learned weights."""
+        return replace(self.contacts, weight=self.contacts.weight * jnp.exp(free.log_contact))
+
     def loss(self, free: FreeCost, data: Demonstrations, windows: Int[Array, "b 2"]) -> tuple:
-        """The objective, and its parts: imitation loss and prior."""
+        """The objective, and its parts: imitation loss without contacts, and prior.
+
+        The weights of contacts are those that imitate best with Q and R as they are.
+        """
         Q, R, W = self.cost(free)
+        imitation = total = self.imitation((Q, R, None), data, windows)
+        if len(self.contacts.pairs):
+            fixed = jax.lax.stop_gradient((Q, R))
+            total += self.imitation((*fixed, self.weighted(free)), data, windows)
+        tied = jnp.sum((W - independent_part(W, self.isotropy)) ** 2) / jnp.sum(W**2)
+        even = jnp.sum((R - jnp.eye(R.shape[0])) ** 2) / R.shape[0]
+        prior = tied + even
+        return total + self.config.prior_weight * prior, (imitation, prior)
+
+    def imitation(
+        self, cost: WindowCost, data: Demonstrations, windows: Int[Array, "b 2"]
+    ) -> Array:
+        """The imitation loss, a mean over windows (demonstration, step)."""
 
         def one(window: Int[Array, " 2"]) -> Array:
-            demonstration, begin = window
-            steps = begin + jnp.arange(self.config.horizon + 1)
-            A, B, offset, controls = (
-                each[demonstration, steps[:-1]]
-                for each in (data.A, data.B, data.offset, data.controls)
-            )
-            states = data.states[demonstration, steps]
-            problem = tracking_problem(A, B, offset, Q, R, data.goal[demonstration])
+            problem, states, controls = data.window(window, self.config.horizon, cost)
             planned = lqr_trajectory(problem, states[0])
             of_states = jnp.sum(self.state_weight * (planned.states - states) ** 2)
             return of_states + jnp.sum(self.control_weight * (planned.controls - controls) ** 2)
 
-        imitation = jnp.mean(jax.vmap(one)(windows))
-        tied = jnp.sum((W - independent_part(W, self.isotropy)) ** 2) / jnp.sum(W**2)
-        even = jnp.sum((R - jnp.eye(R.shape[0])) ** 2) / R.shape[0]
-        prior = tied + even
-        return imitation + self.config.prior_weight * prior, (imitation, prior)
+        return jnp.mean(jax.vmap(one)(windows))
 
 
 def cost_learner(
-    data: Demonstrations, starts: np.ndarray, config: CostLearningConfig, isotropy: np.ndarray
+    data: Demonstrations,
+    starts: np.ndarray,
+    config: CostLearningConfig,
+    isotropy: np.ndarray,
+    contacts: BeliefCost,
 ) -> CostLearner:
-    """A learner whose units are those of the data; ``starts`` [W, 2], ``isotropy`` as in
-    `fit_cost`.
+    """A learner whose units are those of the data; arguments as of `fit_cost`.
 
     Raises `InvalidInputError` where no window moves or no control acts.
     """
@@ -152,6 +173,7 @@ def cost_learner(
         basis=jnp.asarray(relative_basis(m // (2 * D), D), dtype),
         units=jnp.asarray(force / scale, dtype),
         isotropy=jnp.asarray(isotropy, dtype),
+        contacts=replace(contacts, weight=jnp.full(len(contacts.pairs), force**2, dtype)),
         state_weight=jnp.asarray(np.append(0.0, weight)[:, None] / (m * scale**2), dtype),
         control_weight=jnp.asarray(np.tile(weight[:, None] / (U * force**2), (1, U)), dtype),
         config=config,
@@ -191,44 +213,33 @@ def fit_cost(
     data: Demonstrations,
     starts: np.ndarray,
     isotropy: np.ndarray,
+    contacts: BeliefCost,
     config: CostLearningConfig,
     seed: int = 0,
     on_step: Callable[[int, float], None] = lambda step, loss: None,
-) -> tuple[Array, Array, LearningHistory]:
-    """Q [m, m] and R [U, U] whose optimal plans from the states ``starts`` [W, 2] are the data.
+) -> tuple[Array, Array, Array, LearningHistory]:
+    """Q [m, m], R [U, U] and weights of contacts [P] whose optimal plans from the states ``starts``
+    [W, 2] are the data.
 
-    ``isotropy`` [D, D]: `isotropic_axes`. ``seed``: of the order of windows. ``on_step`` receives,
-    every 50 steps, the steps done and the imitation loss. Raises `InvalidInputError` where Q or R
-    loses its definiteness, with the step and the smallest eigenvalue.
+    ``isotropy`` [D, D]: `isotropic_axes`. ``contacts``: `lasting_contacts`. ``seed``: of the order
+    of windows. ``on_step`` receives, every 50 steps, the steps done and the imitation loss. Raises
+    `InvalidInputError` where Q or R loses its definiteness, with the step and the smallest
+    eigenvalue.
     """
-    learner = cost_learner(data, starts, config, isotropy)
+    learner = cost_learner(data, starts, config, isotropy, contacts)
     order = np.random.default_rng(seed).integers(len(starts), size=(config.steps, config.batch))
     state = learner.begin()
     parts: list[LearningHistory] = []
     for begin in range(0, config.steps, _CHUNK):
         windows = jnp.asarray(starts[order[begin : begin + _CHUNK]])
         state, history = advance_learner(learner, data, state, windows)
-        _check_definite(history, begin)
+        history.check_definite(begin)
         parts.append(history)
         on_step(begin + len(windows), float(np.mean(history.imitation)))
     Q, R, _ = learner.cost(state[0])
+    weights = learner.weighted(state[0]).weight
     history = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-    return 0.5 * (Q + Q.T), 0.5 * (R + R.T), history
-
-
-def _check_definite(history: LearningHistory, begin: int) -> None:
-    """Raises `InvalidInputError` where Q is not positive semi-definite or R not positive."""
-    for name, smallest, least in (
-        ("R", np.asarray(history.smallest_r), _LEAST),
-        ("Q", np.asarray(history.smallest_q), 0.0),
-    ):
-        lost = ~(smallest >= least)
-        if lost.any():
-            step = int(np.argmax(lost))
-            raise InvalidInputError(
-                f"learning the cost stopped at step {begin + step + 1}: {name}'s smallest "
-                f"eigenvalue is {smallest[step]:.3g}; a smaller learning rate may help"
-            )
+    return 0.5 * (Q + Q.T), 0.5 * (R + R.T), weights, history
 
 
 def learn_cost(
@@ -261,7 +272,8 @@ def learn_cost(
     kept = tuple(each.name for each in nodes if each.kept)
     data = demonstrations_of(demonstrations, filtered, kept, target, limits)
     isotropy = isotropic_axes(scene.gravity, scene.dimension)
-    Q, R, history = fit_cost(data, starts, isotropy, config, seed, on_step)
+    contacts = lasting_contacts(demonstrations, filtered, kept)
+    Q, R, weights, history = fit_cost(data, starts, isotropy, contacts, config, seed, on_step)
     return LearnedCost(
         Q=Q,
         R=R,
@@ -270,4 +282,10 @@ def learn_cost(
         kept_nodes=kept,
         history=history,
         task_nodes=nodes,
+        contacts=tuple(
+            LearnedContact(KINDS[kind], (kept[first], kept[second]), float(weight))
+            for kind, (first, second), weight in zip(
+                contacts.kind.tolist(), contacts.pairs.tolist(), weights, strict=True
+            )
+        ),
     )

@@ -1,24 +1,30 @@
 """Demonstrations for cost learning: states, controls, linear dynamics, and their task nodes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.contact_cost import KINDS, BeliefCost
 from contactgraph.control.learned_cost import TaskNode
+from contactgraph.control.lqr import tracking_problem
+from contactgraph.control.riccati import LQRProblem
 from contactgraph.data import (
     Dataset,
     InvalidInputError,
     TrajectoryBatch,
+    edge_id,
     pad_trajectories,
     pair_indices,
     with_edge_labels,
 )
-from contactgraph.model import LinearDynamics, StepModel, default_sensor
+from contactgraph.model import ContactBelief, LinearDynamics, StepModel, default_sensor
+from contactgraph.model.contact_belief import first_holding_type
 from contactgraph.model.features import turn_length_of
 from contactgraph.model.filter import (
     FilteredTrajectory,
@@ -28,8 +34,14 @@ from contactgraph.model.filter import (
     on_device,
 )
 
+_LASTS = 0.9
+"""Part of the steps since a contact began in which it must be active to count as kept."""
 _AT_LIMIT = 1e-4
 """Part of the range of a control within which it counts as at a limit."""
+
+
+WindowCost = tuple[Float[Array, "m m"], Float[Array, "U U"], BeliefCost | None]
+"""Q, R, and the cost of contacts, None: of none."""
 
 
 class Demonstrations(eqx.Module):
@@ -43,6 +55,40 @@ class Demonstrations(eqx.Module):
     """The free controls; 0 where a control was at a limit, whose effect is in ``offset``."""
     goal: Float[Array, "K m"]
     """Of every node, at rest."""
+    beliefs: ContactBelief
+    """[K, T+1, E, types] about the step that follows each state, of the pairs of kept nodes."""
+
+    def window(
+        self, start: Int[Array, " 2"], horizon: int, cost: WindowCost
+    ) -> tuple[LQRProblem, Float[Array, "H+1 m"], Float[Array, "H U"]]:
+        """The problem of ``horizon`` steps from a ``start`` (demonstration, step), and what was
+        demonstrated in them.
+
+        The contacts are expanded about the demonstration.
+        """
+        demonstration, begin = start
+        Q, R, contacts = cost
+        steps = begin + jnp.arange(horizon + 1)
+        A, B, offset, controls, types = (
+            each[demonstration, steps[:-1]]
+            for each in (
+                *(self.A, self.B, self.offset, self.controls),
+                self.beliefs.type_probability,
+            )
+        )
+        states = self.states[demonstration, steps]
+        problem = tracking_problem(A, B, offset, Q, R, self.goal[demonstration])
+        if contacts is None:
+            return problem, states, controls
+        of_nodes = states.reshape(horizon + 1, -1, 2, contacts.dimension)
+        count = of_nodes.shape[1]
+        more, q = contacts.expanded(of_nodes, ContactBelief(types), jnp.arange(count))
+        # From `block_state`'s order to `stack_state`'s.
+        order = np.arange(states.shape[1]).reshape(2, count, -1).swapaxes(0, 1).reshape(-1)
+        problem = replace(
+            problem, Q=problem.Q + more[:, order[:, None], order], q=problem.q + q[:, order]
+        )
+        return problem, states, controls
 
 
 def demonstrations_of(
@@ -88,6 +134,47 @@ def demonstrations_of(
         states=jnp.asarray(states, dtype),
         controls=jnp.asarray(controls * free, dtype),
         goal=jnp.asarray(goals.reshape(count, -1), dtype),
+        beliefs=ContactBelief(_among(filtered.prior, nodes)),
+    )
+
+
+def _among(beliefs: ContactBelief, nodes: np.ndarray) -> Float[Array, "K T+1 E types"]:
+    """The probabilities of the pairs of these ``nodes`` [K, M], in `pair_indices`' order."""
+    pairs = np.sort(nodes[:, pair_indices(nodes.shape[1])], axis=-1)
+    edges = edge_id(pairs[..., 0], pairs[..., 1])
+    return jnp.take_along_axis(beliefs.type_probability, edges[:, None, :, None], axis=2)
+
+
+def lasting_contacts(
+    demonstrations: Dataset, filtered: FilteredTrajectory, names: Sequence[str]
+) -> BeliefCost:
+    """A cost, of weight 1, of the contacts of named nodes that demonstrations make to keep.
+
+    In at least half of them the pair becomes active and hardly ever inactive again. ``pairs`` are
+    of the names' indices.
+    """
+    nodes = np.array(
+        [[each.scene.node_name.index(name) for name in names] for each in demonstrations]
+    )
+    probability = np.asarray(_among(filtered.posterior, nodes))
+    pairs, kinds = [], []
+    for edge, pair in enumerate(pair_indices(len(names)).tolist()):
+        lasting, holding = 0, 0
+        for number, trajectory in enumerate(demonstrations):
+            types = probability[number, : trajectory.steps + 1, edge]
+            active = types[:, 0] < 0.5
+            since = types[int(np.argmax(active)) :]
+            lasting += bool(active.any() and np.mean(since[:, 0] < 0.5) >= _LASTS)
+            holding += bool(np.mean(since[:, first_holding_type(types.shape[-1]) :].sum(1)) > 0.5)
+        if 2 * lasting >= len(demonstrations):
+            held = probability.shape[-1] > 2 and 2 * holding >= len(demonstrations)
+            pairs.append(pair)
+            kinds.append(KINDS.index("hold" if held else "touch"))
+    return BeliefCost(
+        pairs=jnp.array(pairs, jnp.int32).reshape(-1, 2),
+        weight=jnp.ones(len(pairs)),
+        dimension=demonstrations.dimension,
+        kind=jnp.array(kinds, jnp.int32),
     )
 
 

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
+from contactgraph.control.contact_cost import ContactCost
 from contactgraph.control.cost import Cost, QuadraticCost
-from contactgraph.control.distance_cost import DistanceCost
 from contactgraph.control.lqr import (
     Improvement,
     block_cost,
@@ -23,8 +23,8 @@ from contactgraph.control.riccati import LQRProblem, block_operator
 from contactgraph.control.rollout import Rollout, SweptBounds, roll_out
 from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity
 
-PlannedCost = tuple[QuadraticCost, Int[Array, " M"], DistanceCost | None]
-"""The quadratic part of a cost, on the M nodes that have one; these nodes; and its distances."""
+PlannedCost = tuple[QuadraticCost, Int[Array, " M"], tuple[ContactCost, ...]]
+"""The quadratic part of a cost, on the M nodes that have one; these nodes; and its contacts."""
 
 _RUNNING = -1
 _ARMIJO = 1e-4
@@ -91,7 +91,7 @@ class ILQR(eqx.Module):
         quadratic, guess = self.prepared(model, state, cost, guess)
         ids = quadratic.cost_node_ids
         ids = jnp.arange(count) if ids is None else ids
-        part, distances = block_cost(quadratic, ids, dimension, self.horizon), quadratic.distances
+        part, contacts = block_cost(quadratic, ids, dimension, self.horizon), quadratic.contacts
         trial = AffinePolicy(block_gains(guess.K, ids), guess.k)
 
         # Within `jax.jit` it is traced once, not for its shape and then again.
@@ -117,14 +117,14 @@ class ILQR(eqx.Module):
             search, swept = carry
             rollout = follow(model, begin, nodes, search.trial, self.limits, ids)
             costs = part.by_step(rollout.x, rollout.controls)
-            if distances is not None:
-                costs += distances.by_step(rollout.states)
+            for each in contacts:
+                costs += each.by_step(rollout.states, rollout.beliefs)
             if swept is not None and self.swept_dt is not None:
                 given_up = jnp.cumsum(costs[:-1]) > _SURELY * search.cost
                 swept = swept.with_rollout(
                     search.iteration, rollout, ~given_up, nodes, self.swept_dt
                 )
-            about = part, ids, distances
+            about = part, ids, contacts
             return self._judge(search, rollout, jnp.sum(costs), about), swept
 
         def running(carry: Carry) -> Bool[Array, ""]:
@@ -235,13 +235,13 @@ def problem_along(
     reference: Rollout,
     part: QuadraticCost,
     node_ids: Int[Array, " M"],
-    distances: DistanceCost | None,
+    contacts: tuple[ContactCost, ...],
 ) -> LQRProblem:
     """The problem with the dynamics along a rollout; ``part`` is the cost on its ``x``."""
     Q, R, goal = part.over(reference.controls.shape[0])
     q = -jnp.einsum("tij,tj->ti", Q, goal)
-    if distances is not None:
-        more = distances.expanded(reference.states, node_ids)
+    for each in contacts:
+        more = each.expanded(reference.states, reference.beliefs, node_ids)
         Q, q = Q + more[0], q + more[1]
     A, B, offset = block_dynamics(reference.dynamics)
     return LQRProblem(

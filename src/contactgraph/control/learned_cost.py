@@ -8,10 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from contactgraph.control.contact_cost import KINDS, BeliefCost
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.host import Observation
 from contactgraph.data import InvalidInputError, Scene
 
+_LEAST = 1e-5
+"""R's smallest eigenvalue; their mean is 1."""
 ROUNDING = 1e-5
 """Part of the largest eigenvalue, or entry, by which rounding may change a symmetric matrix."""
 
@@ -75,6 +78,18 @@ class TaskNode:
         return "actuated" if self.actuated else unused
 
 
+@dataclass(frozen=True)
+class LearnedContact:
+    """A contact that the demonstrations make and keep; see `BeliefCost`."""
+
+    kind: str
+    """``"touch"``, ``"hold"``, or ``"avoid"``, which is never learned but may stand in a file."""
+    nodes: tuple[str, str]
+    """Names of kept nodes; the first one is moved."""
+    weight: float
+    """In the units of Q and R."""
+
+
 class LearningHistory(eqx.Module):
     """The loss and the smallest eigenvalues at each step of learning."""
 
@@ -87,9 +102,27 @@ class LearningHistory(eqx.Module):
     smallest_r: Float[Array, " S"]
     """Smallest eigenvalue of R, 1/N^2."""
 
+    def check_definite(self, begin: int) -> None:
+        """Raises `InvalidInputError` where Q is not positive semi-definite or R not positive.
+
+        ``begin``: steps before those of this history.
+        """
+        for name, smallest, least in (
+            ("R", np.asarray(self.smallest_r), _LEAST),
+            ("Q", np.asarray(self.smallest_q), 0.0),
+        ):
+            lost = ~(smallest >= least)
+            if lost.any():
+                step = int(np.argmax(lost))
+                raise InvalidInputError(
+                    f"learning the cost stopped at step {begin + step + 1}: {name}'s smallest "
+                    f"eigenvalue is {smallest[step]:.3g}; a smaller learning rate may help"
+                )
+
 
 class LearnedCost(eqx.Module):
-    """``sum (x - goal)^T Q (x - goal) + sum u^T R u`` over the nodes that take part in a task.
+    """``sum (x - goal)^T Q (x - goal) + sum u^T R u`` over the nodes that take part in a task, and
+    what their contacts cost.
 
     ``x`` is `stack_state`'s vector of the kept nodes, in their order; the goal is the same point
     for all of them, at rest (the paper's ``x_f``). A cost is known up to a factor: here the mean of
@@ -112,6 +145,7 @@ class LearnedCost(eqx.Module):
     history: LearningHistory
     task_nodes: tuple[TaskNode, ...] = eqx.field(static=True, default=())
     """All nodes of the demonstrations, kept and dropped."""
+    contacts: tuple[LearnedContact, ...] = eqx.field(static=True, default=())
 
     def __repr__(self) -> str:
         return f"LearnedCost({', '.join(self.kept_nodes)}; Q{list(np.shape(self.Q))})"
@@ -171,6 +205,20 @@ class LearnedCost(eqx.Module):
             R=self.R,
             goal=goal.reshape(-1),
             cost_node_ids=self.nodes,
+            contacts=self._contacts(),
+        )
+
+    def _contacts(self) -> tuple[BeliefCost, ...]:
+        if not self.contacts:
+            return ()
+        pairs = [[self.kept_nodes.index(name) for name in each.nodes] for each in self.contacts]
+        return (
+            BeliefCost(
+                pairs=self.nodes[jnp.array(pairs)],
+                weight=jnp.array([each.weight for each in self.contacts], self.Q.dtype),
+                dimension=self.goal.shape[0],
+                kind=jnp.array([KINDS.index(each.kind) for each in self.contacts]),
+            ),
         )
 
 

@@ -15,7 +15,6 @@ import jax
 import numpy as np
 
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.distance_cost import DistanceCost
 from contactgraph.control.host import Motion
 from contactgraph.control.mpc import MPCState
 from contactgraph.control.mpc_step import LastObservation
@@ -54,7 +53,8 @@ def required_nodes(nodes: Nodes, cost: QuadraticCost) -> np.ndarray:
     required = np.array(nodes.actuated)
     if nodes.anchor is not None:
         required |= np.isfinite(np.asarray(nodes.anchor)[:, 0])
-    required[np.asarray(cost.cost_node_ids)] = True
+    for wanted in (cost.cost_node_ids, *(each.wanted_nodes for each in cost.contacts)):
+        required[np.asarray(wanted)] = True
     return np.flatnonzero(required & mask)
 
 
@@ -204,17 +204,8 @@ def _cost_of(cost: QuadraticCost, ids: np.ndarray, size: int) -> QuadraticCost:
     part[..., columns[:, None], columns] = Q[..., rows[:, None], rows]
     target: Any = np.zeros((*goal.shape[:-1], len(ids) * size), goal.dtype)
     target[..., columns] = goal[..., rows]
-    distances = None if cost.distances is None else _distances_of(cost.distances, ids)
-    return replace(cost, Q=part, goal=target, cost_node_ids=after, distances=distances)
-
-
-def _distances_of(distances: DistanceCost, ids: np.ndarray) -> DistanceCost:
-    """Pairs with a node outside the part weigh nothing."""
-    pairs = np.asarray(distances.pairs)
-    inside = np.isin(pairs, ids[ids >= 0])
-    after: Any = np.where(inside, np.searchsorted(ids[ids >= 0], pairs), 0).astype(np.int32)
-    weight: Any = np.where(inside.all(axis=1), np.asarray(distances.weight), 0)
-    return replace(distances, pairs=after, weight=weight)
+    contacts = tuple(each.among(ids) for each in cost.contacts)
+    return replace(cost, Q=part, goal=target, cost_node_ids=after, contacts=contacts)
 
 
 def _rows(nodes: np.ndarray, size: int) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contactgraph.control import DistanceCost, QuadraticCost, avoid
+from contactgraph.control import ContactCost, QuadraticCost, avoid, keep_clear
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
 from contactgraph.evaluate.task_cost import SceneCost
@@ -14,6 +14,8 @@ CLEARANCE = 0.03
 """m; least gap between surfaces."""
 WEIGHT = 1e4
 """1/m^2; of what is missing of the gap."""
+TOUCH_WEIGHT = 10.0
+"""Of a step in which a body that is to be avoided is believed to be touched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +27,8 @@ class AvoidingCost:
     """m"""
     weight: float = WEIGHT
     """1/m^2"""
-    distances: DistanceCost | None = None
+    touch_weight: float = TOUCH_WEIGHT
+    contacts: tuple[ContactCost, ...] = ()
 
     @property
     def order(self) -> tuple[int, ...]:
@@ -33,17 +36,24 @@ class AvoidingCost:
         return self.cost.order
 
     def in_scene(self, scene: Scene) -> "AvoidingCost":
-        """For this scene, whose bodies must be round; see `SceneCost`."""
+        """For this scene; where there is a clearance, its bodies must be round: see `SceneCost`."""
         cost = self.cost.in_scene(scene)
-        if scene.radius is None or not np.all(np.isfinite(scene.radius)):
-            raise InvalidInputError("bodies to be avoided need a radius, which the scene has not")
         others = [node for node in range(scene.node_count) if node not in cost.order]
         pairs = np.array([(one, other) for one in cost.order for other in others], int)
         pairs = pairs.reshape(-1, 2)
-        gap = scene.radius[pairs].sum(axis=1) + self.clearance
-        dimension = len(scene.goal) if scene.goal is not None else 2
-        distances = avoid(pairs, gap, self.weight, scene.dt, dimension)
-        return replace(self, cost=cost, distances=distances if len(pairs) else None)
+        if not len(pairs):
+            return replace(self, cost=cost, contacts=())
+        dimension = scene.dimension
+        contacts: tuple[ContactCost, ...] = (avoid(pairs, self.touch_weight, dimension),)
+        if self.clearance > 0.0:
+            if scene.radius is None or not np.all(np.isfinite(scene.radius)):
+                raise InvalidInputError(
+                    "a clearance from bodies needs their radius, which the scene has not; with a "
+                    "clearance of 0 they are not touched as far as the model believes"
+                )
+            gap = scene.radius[pairs].sum(axis=1) + self.clearance
+            contacts += (keep_clear(pairs, gap, self.weight, dimension),)
+        return replace(self, cost=cost, contacts=contacts)
 
     def among(self, nodes: Sequence[int]) -> "AvoidingCost":
         """See `SceneCost`."""
@@ -55,5 +65,5 @@ class AvoidingCost:
         return self if cost is self.cost else replace(self, cost=cost)
 
     def quadratic(self, node_count: int) -> QuadraticCost:
-        """The other cost, with the distances."""
-        return replace(self.cost.quadratic(node_count), distances=self.distances)
+        """The other cost, with what is to be avoided."""
+        return replace(self.cost.quadratic(node_count), contacts=self.contacts)
