@@ -25,9 +25,13 @@ def test_all_measurements() -> None:
         for source in ("learning", "control")
     }
     # Four numbers of demonstrations, two tests among distractors, two known answers of which one is
-    # tested; and on pickup without the prior.
-    assert len(of["learning"]) == 3 * (3 * 7 + 1)
-    assert len(of["control"]) == 3 * (3 * 7 + 1)
+    # tested; without contacts; and on pickup without the prior.
+    assert len(of["learning"]) == 3 * (3 * 8 + 1)
+    assert len(of["control"]) == 3 * (3 * 8 + 1)
+    as_far = {one.job for one in of["control"] if "--horizon" in one.job.arguments}
+    assert {value(job, "--horizon") for job in as_far} == {"20"}
+    assert all("--without-contacts" in job.needs[0].arguments for job in as_far)
+    assert len(as_far) == 3 * 3
     assert len(found) - sum(map(len, of.values())) == 3 * 3, "with the task's own cost"
     learned = {(one.condition.demonstrations, value(one.job, "--runs")) for one in of["learning"]}
     assert learned == {(5, "5"), (10, "10"), (20, "20"), (40, "40")}

@@ -109,7 +109,7 @@ def test_markdown_and_csv_agree() -> None:
     measured = cost_results(lambda seed: {"success_rate": 1.0 - seed / 100}, "pickup")
     table = cost_table(measured, COST_TASKS, FULL_COST)
     texts = table.page_cells().to_numpy().tolist()
-    assert len(texts) == 3 * 8 + 1
+    assert len(texts) == 3 * 9 + 1
     assert texts[3] == [
         *("pickup", "expert", "40", "0"),
         "99 % of 300 (97.1 to 99.7)",
@@ -120,10 +120,11 @@ def test_markdown_and_csv_agree() -> None:
     ]
     assert texts[5][:4] == ["pickup", "expert among 5 distractors", "40", "5"]
     assert texts[5][7] == "2, 2, 2"
-    assert texts[7][1] == "expert, without the prior"
-    assert texts[8][:4] == ["pickup", "not learned: the task's own cost", "", "0"]
+    assert texts[7][1] == "expert, without contacts"
+    assert texts[8][1] == "expert, without the prior"
+    assert texts[9][:4] == ["pickup", "not learned: the task's own cost", "", "0"]
     read = list(csv.DictReader(io.StringIO(table.csv())))
-    own = read[8]["command_control"]
+    own = read[9]["command_control"]
     assert own.startswith("contactgraph control pickup pickup --episodes 40 ")
     assert len(read) == len(texts)
     first = read[3]
@@ -131,7 +132,7 @@ def test_markdown_and_csv_agree() -> None:
     assert float(first["interval_low"]) == pytest.approx(0.971, abs=5e-4)
     ends = [first[f"success_percent_{end}"] for end in ("median", "low", "high")]
     assert (*ends, first["learning_s_median"]) == ("99.0", "98.0", "100.0", "30.0")
-    assert first["demonstrations"] == "40" and read[8]["demonstrations"] == ""
+    assert first["demonstrations"] == "40" and read[9]["demonstrations"] == ""
     empty = cost_table(Results({}), COST_TASKS, FULL_COST).csv()
     assert next(csv.DictReader(io.StringIO(empty)))["successes"] == ""
 

@@ -44,6 +44,8 @@ class LearnCost:
     """Bound of the control on each axis, N."""
     prior_weight: float = 3.0
     """Weight of the prior towards independent cost terms and equal axes; 0: no prior."""
+    without_contacts: bool = False
+    """Learn Q and R alone, not what contacts that the demonstrations keep are worth."""
     picture: OutputFile = None
     """Write a picture of the cost to this file (.png)."""
 
@@ -84,6 +86,7 @@ class LearnCost:
             horizon=default if self.horizon is None else self.horizon,
             steps=self.steps,
             prior_weight=self.prior_weight,
+            contacts=not self.without_contacts,
         )
         max_force, limits = self.max_force, None
         if max_force is None and task is not None:

@@ -154,7 +154,7 @@ def lasting_contacts(
     of the names' indices.
     """
     nodes = np.array(
-        [[each.scene.node_name.index(name) for name in names] for each in demonstrations]
+        [[each.scene.node_name.index(name) for name in names] for each in demonstrations], int
     )
     probability = np.asarray(_among(filtered.posterior, nodes))
     pairs, kinds = [], []

@@ -34,6 +34,8 @@ class CostLearningConfig:
     """Weight of each step of a window against the one before."""
     prior_weight: float = 3.0
     """0: the demonstrations alone."""
+    contacts: bool = True
+    """Whether what contacts are worth is learned, too."""
 
     def __post_init__(self) -> None:
         for name in ("horizon", "steps", "batch"):

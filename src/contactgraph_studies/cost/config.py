@@ -41,6 +41,8 @@ class CostTest:
 
     learned: CostCondition
     distractors: int = 0
+    options: Options = ()
+    """Options of ``control``."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +108,18 @@ def without_prior(amounts: CostAmounts) -> CostTest:
     return CostTest(CostCondition(slug, name, EXPERT, amounts.most, ("--prior-weight", "0")))
 
 
+def without_contacts(amounts: CostAmounts) -> CostTest:
+    """Learned from the expert without what contacts are worth; planned as far as with it."""
+    slug, name = f"{EXPERT.slug}-{amounts.most}-no-contacts", f"{EXPERT.name}, without contacts"
+    learned = CostCondition(slug, name, EXPERT, amounts.most, ("--without-contacts",))
+    return CostTest(learned, options=("--horizon", str(LOOK_AHEAD)))
+
+
 def tests_of(task: StudyTask, amounts: CostAmounts) -> list[CostTest]:
     """All tests of a task, in the order of the table."""
     own = CostTest(known_answers(amounts)[0])
     every = [*by_demonstrations(amounts), *among_distractors(amounts), own]
+    every.append(without_contacts(amounts))
     return [*every, without_prior(amounts)] if task is PICKUP else every
 
 

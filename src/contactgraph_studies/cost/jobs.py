@@ -97,7 +97,7 @@ def _test_job(task: StudyTask, test: CostTest, seed: int, amounts: CostAmounts) 
     arguments = (
         *("control", task.name, task.name, "--cost", learned.output),
         *("--episodes", str(amounts.episodes), "--seed", str(config.SCENE_SEED + seed)),
-        *(*scenes, "--json", f"{path}.json", *(("--save", *saved) if saved else ())),
+        *(*scenes, *test.options, "--json", f"{path}.json", *(("--save", *saved) if saved else ())),
     )
     group = " ".join(("control", task.name, *scenes))
     return Job(f"{path}.json", arguments, group, (learned,), saved)
