@@ -139,6 +139,21 @@ def test_what_has_no_name_is_not_kept(folder: Path, static: Any, carry: Any, lik
         assert jax.tree.structure(made) == expected
 
 
+@pytest.mark.parametrize("call", [jnp.linalg.cholesky, jax.debug.callback])
+def test_what_calls_outside_of_the_program_is_not_kept(folder: Path, call: Any) -> None:
+    """A process that reads a program does not register the targets of its calls."""
+    seen: list[np.ndarray] = []
+
+    def step(x: jax.Array) -> jax.Array:
+        made = call(seen.append, x) if call is jax.debug.callback else call(x)
+        return x if made is None else made
+
+    for _ in range(2):
+        np.testing.assert_array_equal(jax.jit(stored(step, 1, 0))(jnp.eye(2)), np.eye(2))
+    jax.effects_barrier()
+    assert not files(folder) and len(seen) == (2 if call is jax.debug.callback else 0)
+
+
 def test_without_a_likeness_the_first_result_is_traced(folder: Path) -> None:
     for traced in (2, 1):
         step, traces = program(like=None)

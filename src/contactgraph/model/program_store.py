@@ -184,7 +184,7 @@ def _export(path: Path, call: Callable, inputs: Any, made: Any) -> export.Export
     try:
         program = export.export(jax.jit(flat))(*shapes)
         # Targets of custom calls are registered by tracing alone; effects would be lost.
-        simple = "custom_call" not in program.mlir_module()
+        simple = b"custom_call" not in program.mlir_module_serialized
         if not simple or program.ordered_effects or program.unordered_effects or found != [made]:
             return None
         written = bytes(program.serialize())
