@@ -4,8 +4,8 @@ Usage: python benchmarks/first_tick.py [--quick] [--json FILE]
 
 A process imports the package, loads the shipped pickup model, resets the controller on a scene of
 11 objects and makes one control step with horizon 20. The time is that of the whole process, with
-interpreter and imports. JAX stores compiled programs in a folder, which is empty for the first
-process (the peer here) and complete for the next one. The forces are compared.
+interpreter and imports. Traced and compiled programs are kept in a folder, which is empty for the
+first process (the peer here) and complete for the next one. The forces are compared.
 """
 
 import subprocess

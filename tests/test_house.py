@@ -50,15 +50,15 @@ HEAVY = {
 }
 """Libraries that are slow to import or optional: one module knows each of them."""
 
-FILES = {"contactgraph": 220, "contactgraph_franka": 60, "contactgraph_studies": 34}
-LINES = {"contactgraph": 40_300, "contactgraph_franka": 9_000, "contactgraph_studies": 5_900}
+FILES = {"contactgraph": 221, "contactgraph_franka": 60, "contactgraph_studies": 34}
+LINES = {"contactgraph": 40_600, "contactgraph_franka": 9_000, "contactgraph_studies": 5_900}
 LONGEST_FILE = 300
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 34,  # a prediction step
     "contactgraph.train.fit": 51,  # a training step, its held-out error and signs of a dead network
-    "contactgraph.control.active_set": 51,  # a control step
+    "contactgraph.control.active_set": 53,  # a control step
 }
-FRAMES = 15
+FRAMES = 16
 """Calls from the command `contactgraph control` to the first one in the model, in a plan."""
 
 QUESTION = re.compile(r"(What|How|Where|Which|Who)\b")

@@ -45,3 +45,6 @@ from contactgraph.control.search import SearchILQR as SearchILQR
 from contactgraph.control.search import searches as searches
 from contactgraph.control.subproblem import ActiveSetState as ActiveSetState
 from contactgraph.control.switching import SwitchingILQR as SwitchingILQR
+from contactgraph.model.program_store import note_bindings
+
+note_bindings("contactgraph.control")

@@ -25,12 +25,12 @@ Source: the paper's cost learning (its section of that name), which follows Amos
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import ControlLimits
@@ -58,6 +58,9 @@ from contactgraph.control.lqr_adjoint import lqr_trajectory
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.model import StepModel
 
+if TYPE_CHECKING:
+    import optax
+
 _CHUNK = 50
 """Steps in one compiled call."""
 _FIRST_CONTACT = 0.1
@@ -74,7 +77,7 @@ class FreeCost(eqx.Module):
     """Logarithm of the weights of contacts, in units of the square of a typical control."""
 
 
-LearnerState = tuple[FreeCost, optax.OptState]
+LearnerState = tuple[FreeCost, "optax.OptState"]
 
 
 class CostLearner(eqx.Module):
@@ -99,8 +102,10 @@ class CostLearner(eqx.Module):
         free = FreeCost(jnp.eye(m, dtype=dtype), jnp.eye(U, dtype=dtype), begin)
         return free, self.optimiser().init(free)
 
-    def optimiser(self) -> optax.GradientTransformation:
+    def optimiser(self) -> "optax.GradientTransformation":
         """Adam, with a rate that falls to zero."""
+        import optax  # slow to import
+
         config = self.config
         return optax.adam(optax.cosine_decay_schedule(config.learning_rate, config.steps))
 
@@ -193,6 +198,8 @@ def advance_learner(
     learner: CostLearner, data: Demonstrations, state: LearnerState, windows: Int[Array, "S b 2"]
 ) -> tuple[LearnerState, LearningHistory]:
     """As many steps of Adam as there are batches of windows."""
+    import optax  # slow to import
+
     optimiser = learner.optimiser()
 
     def step(state: LearnerState, batch: Array) -> tuple[LearnerState, LearningHistory]:

@@ -132,7 +132,7 @@ class MPC:
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
         self.deadline, self.clock = deadline, clock
         self._first = jit_step(MPCConfig.first_carry, self.config)
-        self._step = jit_step(MPCConfig.step, self.config)
+        self._step = jit_step(MPCConfig.step, self.config, like=2)
         self._previous = jit_step(MPCConfig.previous_plan, self.config)
 
     def reset(self, observation: Observation, nodes: Nodes, cost: Cost) -> MPCState:

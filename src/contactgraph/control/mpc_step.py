@@ -31,6 +31,7 @@ from contactgraph.model import (
     with_control_displacement,
     with_masses,
 )
+from contactgraph.model.program_store import stored
 
 
 class LastObservation(eqx.Module):
@@ -204,8 +205,8 @@ def _where(condition: Bool[Array, ""], plan: Plan, otherwise: Plan) -> Plan:
     return jax.tree.map(lambda one, other: jnp.where(condition, one, other), plan, otherwise)
 
 
-def jit_step(method: Callable, config: MPCConfig) -> Callable:
-    """A method of `MPCConfig`, compiled.
+def jit_step(method: Callable, config: MPCConfig, like: int | None = None) -> Callable:
+    """A method of `MPCConfig`, compiled; ``like``: the argument that its result is like, if any.
 
     The config's arrays are arguments of the compiled function: as constants they would be folded.
     In a flat tuple they are dispatched faster than in their tree.
@@ -217,4 +218,5 @@ def jit_step(method: Callable, config: MPCConfig) -> Callable:
         rebuilt = eqx.combine(jax.tree.unflatten(treedef, leaves), static)
         return method(rebuilt, *inputs)
 
-    return partial(jax.jit(call), tuple(leaves))
+    after_leaves = None if like is None else like + 1
+    return partial(jax.jit(stored(call, (method, static), after_leaves)), tuple(leaves))

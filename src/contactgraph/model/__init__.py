@@ -67,6 +67,7 @@ from contactgraph.model.presets import gim_non_temp as gim_non_temp
 from contactgraph.model.presets import gim_temp as gim_temp
 from contactgraph.model.presets import hidden_markov_filter as hidden_markov_filter
 from contactgraph.model.presets import no_gim as no_gim
+from contactgraph.model.program_store import note_bindings
 from contactgraph.model.relation_model import relations as relations
 from contactgraph.model.rollout import control_sensitivity as control_sensitivity
 from contactgraph.model.rollout import rollout as rollout
@@ -87,3 +88,6 @@ from contactgraph.model.types import from_physical as from_physical
 from contactgraph.model.types import scene_nodes as scene_nodes
 from contactgraph.model.types import stack_state as stack_state
 from contactgraph.model.types import unstack_state as unstack_state
+
+note_bindings("contactgraph.data")
+note_bindings("contactgraph.model")

@@ -20,6 +20,7 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.json_fields import parse_json
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.presets import ModelConfig, Preset
+from contactgraph.model.program_store import once
 from contactgraph.model.serialization import (
     Description,
     build,
@@ -121,7 +122,7 @@ def load_model(path: str | Path, preset: Preset | None = None) -> StoredModel:
         raise InvalidInputError(f"{path}: checksum does not fit the content: the file is damaged")
     dtype = next(iter(arrays.values())).dtype if arrays else np.dtype("float32")
     model: ContactDynamics = with_arrays(_of_dtype(shapes, dtype), arrays, str(path))
-    _check_fit(model, str(path))
+    once(_check_fit, model, str(path))
     return StoredModel(model, header["training"])
 
 
@@ -256,9 +257,8 @@ def _of_dtype(shapes: ContactDynamics, dtype: np.dtype) -> ContactDynamics:
     """The same shapes in the file's precision, independent of this session's default."""
 
     def change(leaf: Any) -> Any:
-        if isinstance(leaf, jax.ShapeDtypeStruct):
-            return jax.ShapeDtypeStruct(leaf.shape, dtype)
-        return leaf
+        abstract = isinstance(leaf, jax.ShapeDtypeStruct)
+        return jax.ShapeDtypeStruct(leaf.shape, dtype) if abstract else leaf
 
     return jax.tree.map(change, shapes)
 
