@@ -16,6 +16,7 @@ from contactgraph.control import (
     LearnedCost,
     learn_cost,
 )
+from contactgraph.control.contact_cost import KINDS
 from contactgraph.control.cost_learner import cost_learner
 from contactgraph.control.demonstrations import (
     demonstrations_of,
@@ -165,13 +166,26 @@ def test_the_contact_that_demonstrations_keep_is_learned_as_it_imitates_best(mod
     assert loss(found.weight) < min(without, much)
 
 
-def test_a_contact_that_ends_is_not_wanted(model, runs):
-    filtered = filter_demonstrations(model, Dataset(tuple(runs)))
+def test_contacts_that_last_are_wanted_of_the_kind_that_is_inferred(model, runs):
+    dataset, names = Dataset(tuple(runs)), ("gripper", "target")
+    filtered = filter_demonstrations(model, dataset)
     types = np.array(filtered.posterior.type_probability)
-    assert len(lasting_contacts(Dataset(tuple(runs)), filtered, ("gripper", "target")).pairs)
-    types[:, 60:, 0] = [1.0, 0.0]
-    ended = replace(filtered, posterior=ContactBelief(jnp.asarray(types)))
-    assert not len(lasting_contacts(Dataset(tuple(runs)), ended, ("gripper", "target")).pairs)
+
+    def found(types) -> list[int]:
+        changed = replace(filtered, posterior=ContactBelief(jnp.asarray(types)))
+        contacts = lasting_contacts(dataset, changed, names)
+        assert len(contacts.pairs) == len(contacts.weight)
+        return contacts.kind.tolist()
+
+    touched = np.concatenate([types, np.zeros_like(types[..., :1])], axis=-1)
+    assert found(types) == found(touched) == [KINDS.index("touch")]
+    assert found(touched[..., [0, 2, 1]]) == [KINDS.index("hold")]
+    ended = types.copy()
+    ended[:, 60:, 0] = [1.0, 0.0]
+    assert found(ended) == []
+    rare = types.copy()
+    rare[: len(runs) // 2 + 1, :, 0] = [1.0, 0.0]
+    assert found(rare) == []
 
 
 def test_a_given_goal_replaces_that_of_the_trajectories(model, runs, cost):
