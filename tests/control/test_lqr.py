@@ -170,10 +170,15 @@ def test_no_step_is_left_at_the_optimum():
 
 @pytest.mark.parametrize(
     ("N", "U"),
-    [(3, 2), (7, 3), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((5, 2), (6, 1)))],
+    [
+        (3, 2),
+        (7, 3),
+        (66, 2),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((5, 2), (6, 1))),
+    ],
 )
 def test_block_diagonal_form_equals_the_dense_one(N, U):
-    """Up to 16 states in sums, above in quadrants."""
+    """Up to 16 states in sums, above in quadrants, from 256 on in bands."""
     rng = np.random.default_rng(8)
     horizon, D = 10, 2
     shape = (horizon, N, D)
@@ -203,6 +208,20 @@ def test_block_diagonal_form_equals_the_dense_one(N, U):
     np.testing.assert_allclose(block_value.constant, value.constant, rtol=1e-9, atol=1e-9)
     matrix = value.P[:, index[:, None], index]
     np.testing.assert_allclose(block_value.P, matrix, rtol=1e-9, atol=1e-9)
+
+
+def test_bands_keep_a_symmetric_matrix_and_lose_what_is_antisymmetric():
+    size = 270
+    operator = block_operator(size)
+    matrix = np.random.default_rng(10).normal(size=(size, size))
+    stored = jax.jit(operator.store)(matrix + matrix.T)
+    assert sum(band.size for band in stored) < 0.7 * size**2
+    np.testing.assert_array_equal(jax.jit(operator.restore)(stored), matrix + matrix.T)
+    skew = jax.jit(operator.store)(matrix)
+    one = jax.jit(lambda bands: operator.restore(operator.symmetric(bands)))(skew)
+    np.testing.assert_array_equal(one, one.T)
+    kept = jax.jit(lambda: operator.symmetric(stored))()
+    jax.tree.map(np.testing.assert_array_equal, kept, stored)
 
 
 @pytest.mark.parametrize("operator", [dense_operator, block_operator])

@@ -10,7 +10,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from contactgraph.control.box_qp import (
     AffinePolicy,
@@ -32,8 +32,8 @@ from contactgraph.model import LinearDynamics
 _Made = TypeVar("_Made")
 _Stage = TypeVar("_Stage")
 _Value = TypeVar("_Value")
-Value = tuple[Array, Array]
-"""P [n, n] and p [n]."""
+Value = tuple[PyTree[Array], Array]
+"""P [n, n], or as a `DynamicsOperator` stores it, and p [n]."""
 
 
 class QuadraticValue(eqx.Module):
@@ -158,29 +158,33 @@ def riccati_pass(
 ) -> tuple[Value, _Made]:
     """The values under the policy that ``choose`` gives each step, [H+1, …], and its other result.
 
-    P is made symmetric after every few steps: in a loop of its own, since a conditional around P
-    would copy it in every step. Steps are read out of the problem's own arrays, of which a slice
-    without the last state's cost would be a copy.
+    P is carried as the operator stores it, and made symmetric after every few steps: in a loop of
+    its own, since a conditional around P would copy it in every step. Steps are read out of the
+    problem's own arrays, of which a slice without the last state's cost would be a copy.
     """
     horizon = problem.B.shape[len(which)]
     sizes = [n for n in range(1, horizon + 1) if horizon % n == 0 and n <= operator.symmetric_every]
+
+    def restored(P: PyTree[Array], p: Array) -> Value:
+        return operator.restore(P), p
 
     def back(after: Value, stage: LQRProblem, step: Array) -> tuple[Value, tuple]:
         now = operator.products(*after, stage)
         policy, made = choose(now, step)
         P = operator.update(now, stage, policy.K, step)
         p = stage.q + now.slope + jnp.sum(now.G * policy.k[:, None], axis=0)
-        return (P, p), (after, made)
+        return (P, p), (restored(*after), made)
 
     def few(after: Value, steps: Array) -> tuple[Value, tuple]:
         read = functools.partial(read_stage, problem, which)
         (P, p), made = scan_stages(back, after, read, steps, True, operator.reads_ahead)
-        return (0.5 * (P + P.swapaxes(0, 1)), p), made
+        return (operator.symmetric(P), p), made
 
     steps = jnp.arange(horizon).reshape(-1, max(sizes))
-    first, made = jax.lax.scan(few, final, steps, reverse=True)
+    P, p = final
+    first, made = jax.lax.scan(few, (operator.store(P), p), steps, reverse=True)
     after, made = jax.tree.map(lambda leaf: leaf.reshape(horizon, *leaf.shape[2:]), made)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after), made
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), restored(*first), after), made
 
 
 def scan_stages(

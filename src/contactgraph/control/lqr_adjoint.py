@@ -51,7 +51,7 @@ from jaxtyping import Array, Float
 
 from contactgraph.control.box_qp import AffinePolicy, solve_small
 from contactgraph.control.lqr import read_stage, riccati_pass, scan_stages
-from contactgraph.control.riccati import LQRProblem, Products
+from contactgraph.control.riccati import DynamicsOperator, LQRProblem, Products
 
 
 class KKTFactors(eqx.Module):
@@ -97,8 +97,8 @@ def factor_kkt(A: Array, B: Array, Q: Array, R: Array) -> KKTFactors:
     return KKTFactors(B, P[1:], S, K, jax.vmap(_closed_loop)(A, B, K))
 
 
-class _BatchLastOperator(eqx.Module):
-    """A `DynamicsOperator`; every array has the batch as its last axis."""
+class _BatchLastOperator(DynamicsOperator):
+    """Every array has the batch as its last axis."""
 
     symmetric_every: ClassVar[float] = math.inf
     reads_ahead: ClassVar[bool] = True
