@@ -51,7 +51,7 @@ HEAVY = {
 """Libraries that are slow to import or optional: one module knows each of them."""
 
 FILES = {"contactgraph": 221, "contactgraph_franka": 60, "contactgraph_studies": 34}
-LINES = {"contactgraph": 40_600, "contactgraph_franka": 9_000, "contactgraph_studies": 5_900}
+LINES = {"contactgraph": 40_800, "contactgraph_franka": 9_000, "contactgraph_studies": 5_900}
 LONGEST_FILE = 300
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 34,  # a prediction step
