@@ -299,6 +299,15 @@ def test_a_shifted_plan_ends_at_rest():
     assert eqx.tree_equal(*kept)
 
 
+def test_a_plan_tells_how_much_it_doubts_a_contact():
+    mpc = MPC(StickyBodies(), ILQR(HORIZON, 4, LIMITS))
+    plan, _ = mpc.step(scene(), None, mpc.reset(scene(), nodes_of(3, CAPACITY), cost_to()))
+    for probability, doubt in (([[0.02, 1.0], [0.7, 0.9]], 0.3), ([[0.0, 1.0]] * 2, 0.0)):
+        believed = two_type_belief(jnp.array(probability))
+        assert dataclasses.replace(plan, beliefs=believed).doubt == pytest.approx(doubt, abs=1e-6)
+    assert plan.doubt == pytest.approx(0.02, abs=1e-3)
+
+
 def test_a_broken_model_never_comes_out_as_a_control():
     mpc = MPC(Broken(), ILQR(HORIZON, 4, LIMITS))
     state = mpc.reset(scene(), nodes_of(3, CAPACITY), cost_to())
