@@ -150,7 +150,7 @@ def test_a_trial_is_accepted_only_where_it_lowers_the_cost_by_the_armijo_term():
     ilqr = ILQR(1)
     trial = jax.tree.map(lambda leaf: leaf + 1.0, small_search(1.0).reference)
     judge = jax.jit(
-        lambda search, total: ilqr._judge(search, trial, total, (part, jnp.arange(1), None))
+        lambda search, total: ilqr._judge(search, trial, total, (part, jnp.arange(1), ()))
     )
     # Of the expected decrease of 100, 1e-4 is asked for: 0.01 at the full step, 0.005 at the half.
     for attempt, total, accepted in (

@@ -1,6 +1,7 @@
 """Iterative LQR with a model that gives its own linearisation."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,13 +14,12 @@ from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.lqr import (
     Improvement,
     block_cost,
-    block_dynamics,
     block_gains,
     improve_policy,
     node_gains,
 )
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.riccati import LQRProblem, block_operator
+from contactgraph.control.riccati import block_operator
 from contactgraph.control.rollout import Rollout, SweptBounds, roll_out
 from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity
 
@@ -87,35 +87,31 @@ class ILQR(eqx.Module):
         ITERATION_LIMIT, NO_DESCENT or NOT_FINITE; with NOT_FINITE neither the guess nor zero
         control could be rolled out, and the controls are zero (or the nearest within limits).
         """
-        count, dimension = state.position.shape
         quadratic, guess = self.prepared(model, state, cost, guess)
-        ids = quadratic.cost_node_ids
-        ids = jnp.arange(count) if ids is None else ids
-        part, contacts = block_cost(quadratic, ids, dimension, self.horizon), quadratic.contacts
-        trial = AffinePolicy(block_gains(guess.K, ids), guess.k)
+        found = self.search(model, state, nodes, quadratic, guess, self.iterations)
+        return self.plan_of(found, quadratic)
 
+    def search(
+        self,
+        model: StepModel,
+        state: ModelState,
+        nodes: Nodes,
+        cost: QuadraticCost,
+        begin: "AffinePolicy | Progress",
+        iterations: int,
+    ) -> "Progress":
+        """What ``iterations`` rollouts in all find from a `prepared` guess, or from a search that
+        has made some of them."""
+        count, dimension = state.position.shape
+        ids = jnp.arange(count) if cost.cost_node_ids is None else cost.cost_node_ids
+        part, contacts = block_cost(cost, ids, dimension, self.horizon), cost.contacts
         # Within `jax.jit` it is traced once, not for its shape and then again.
         follow = eqx.filter_jit(roll_out)
-        begin = state, control_sensitivity(model, state, nodes)
-        shape = jax.eval_shape(
-            lambda: follow(model, begin, nodes, trial, self.limits, ids),
-        )
-        zero = jnp.zeros((), part.R.dtype)
-        search = _Search(
-            reference=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape),
-            cost=zero + jnp.inf,
-            improvement=Improvement(trial, trial.k, zero),
-            trial=trial,
-            damping=zero,
-            attempt=jnp.zeros((), jnp.int32),
-            iteration=jnp.zeros((), jnp.int32),
-            status=jnp.full((), _RUNNING, jnp.int32),
-        )
-        Carry = tuple[_Search, SweptBounds | None]
+        start = state, control_sensitivity(model, state, nodes)
 
-        def advance(carry: Carry) -> Carry:
-            search, swept = carry
-            rollout = follow(model, begin, nodes, search.trial, self.limits, ids)
+        def advance(progress: Progress) -> Progress:
+            search, swept = progress
+            rollout = follow(model, start, nodes, search.trial, self.limits, ids)
             costs = part.by_step(rollout.x, rollout.controls)
             for each in contacts:
                 costs += each.by_step(rollout.states, rollout.beliefs)
@@ -127,15 +123,18 @@ class ILQR(eqx.Module):
             about = part, ids, contacts
             return self._judge(search, rollout, jnp.sum(costs), about), swept
 
-        def running(carry: Carry) -> Bool[Array, ""]:
-            search, _ = carry
-            return (search.status == _RUNNING) & (search.iteration < self.iterations)
+        def running(progress: Progress) -> Bool[Array, ""]:
+            search, _ = progress
+            return (search.status == _RUNNING) & (search.iteration < iterations)
 
-        swept = None
-        if self.swept_dt is not None:
-            swept = SweptBounds.empty(self.iterations, self.horizon, state.position)
-        search, swept = jax.lax.while_loop(running, advance, (search, swept))
-        return dataclasses.replace(self._plan(search, ids), swept=swept)
+        if isinstance(begin, AffinePolicy):
+            trial = AffinePolicy(block_gains(begin.K, ids), begin.k)
+            shape = jax.eval_shape(lambda: follow(model, start, nodes, trial, self.limits, ids))
+            begin = _Search.of(trial, shape, part.R.dtype), None
+            if self.swept_dt is not None:
+                empty = SweptBounds.empty(self.iterations, self.horizon, state.position)
+                begin = begin[0], empty
+        return jax.lax.while_loop(running, advance, begin)
 
     def _judge(
         self, search: "_Search", rollout: Rollout, total: Float[Array, ""], about: PlannedCost
@@ -186,7 +185,7 @@ class ILQR(eqx.Module):
     def _improve(
         self, reference: Rollout, about: PlannedCost, damping: Float[Array, ""]
     ) -> Improvement:
-        problem = problem_along(reference, *about)
+        problem = reference.problem(*about)
         kept = jnp.zeros(problem.R.shape[-1]).at[jnp.array(self.fixed, int)].set(1.0)
         cheapest = -jnp.einsum("tij,tj->ti", problem.R, kept * reference.controls)
         problem = dataclasses.replace(problem, r=cheapest)  # where it is
@@ -194,14 +193,18 @@ class ILQR(eqx.Module):
             problem, reference.x[:-1], reference.controls, damping, self.limits, block_operator
         )
 
-    def _plan(self, search: "_Search", node_ids: Int[Array, " M"]) -> Plan:
+    def plan_of(self, progress: "Progress", cost: QuadraticCost) -> Plan:
+        """The best plan of a search."""
+        search, swept = progress
         reference = search.reference
+        node_ids = jnp.arange(reference.position.shape[1], dtype=jnp.int32)
         known = jnp.isfinite(search.cost)
         gains = search.improvement.policy.K
         gains = jnp.where(known & jnp.all(jnp.isfinite(gains)), gains, 0.0)
         controls = jnp.where(known, reference.controls, self._idle(gains.shape[1], gains.dtype))
         policy = AffinePolicy.around(gains, reference.x[:-1], controls)
-        K = node_gains(gains, node_ids, reference.position[0])
+        ids = node_ids if cost.cost_node_ids is None else cost.cost_node_ids
+        K = node_gains(gains, ids, reference.position[0])
         out_of_time = search.status == _RUNNING
         return Plan(
             states=reference.states,
@@ -211,7 +214,8 @@ class ILQR(eqx.Module):
             cost=search.cost,
             status=jnp.where(out_of_time, PlanStatus.ITERATION_LIMIT, search.status),
             iterations=search.iteration,
-            node_ids=jnp.arange(reference.position.shape[1], dtype=jnp.int32),
+            node_ids=node_ids,
+            swept=swept,
         )
 
     def prepared(
@@ -231,30 +235,6 @@ class ILQR(eqx.Module):
         return zero if self.limits is None else self.limits(zero).astype(dtype)
 
 
-def problem_along(
-    reference: Rollout,
-    part: QuadraticCost,
-    node_ids: Int[Array, " M"],
-    contacts: tuple[ContactCost, ...],
-) -> LQRProblem:
-    """The problem with the dynamics along a rollout; ``part`` is the cost on its ``x``."""
-    Q, R, goal = part.over(reference.controls.shape[0])
-    q = -jnp.einsum("tij,tj->ti", Q, goal)
-    for each in contacts:
-        more = each.expanded(reference.states, reference.beliefs, node_ids)
-        Q, q = Q + more[0], q + more[1]
-    A, B, offset = block_dynamics(reference.dynamics)
-    return LQRProblem(
-        A=A,
-        B=B,
-        offset=offset,
-        Q=Q,
-        R=R,
-        q=q,
-        r=jnp.zeros(R.shape[:-1], R.dtype),
-    )
-
-
 class _Search(eqx.Module):
     """State of the search: the best rollout so far and the next trial."""
 
@@ -269,6 +249,25 @@ class _Search(eqx.Module):
     """Index of the trial's step size."""
     iteration: Int[Array, ""]
     status: Int[Array, ""]
+
+    @classmethod
+    def of(cls, trial: AffinePolicy, reference: Any, dtype: Any) -> "_Search":
+        """Before any rollout; ``reference`` has its shapes."""
+        zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
+        return cls(
+            reference=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), reference),
+            cost=zero + jnp.inf,
+            improvement=Improvement(trial, trial.k, zero),
+            trial=trial,
+            damping=zero,
+            attempt=none,
+            iteration=none,
+            status=none + _RUNNING,
+        )
+
+
+Progress = tuple[_Search, SweptBounds | None]
+"""Of a search for a plan, and the bounds of its rollouts where they are recorded."""
 
 
 def _adapted(

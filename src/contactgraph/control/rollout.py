@@ -9,7 +9,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
-from contactgraph.control.lqr import block_state
+from contactgraph.control.contact_cost import ContactCost
+from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.lqr import block_dynamics, block_state
+from contactgraph.control.riccati import LQRProblem
 from contactgraph.model import (
     ContactBelief,
     LinearDynamics,
@@ -45,6 +48,19 @@ class Rollout(eqx.Module):
         """Whether every predicted number is."""
         motion = jnp.all(jnp.isfinite(self.position)) & jnp.all(jnp.isfinite(self.velocity))
         return motion & jnp.all(jnp.isfinite(self.controls))
+
+    def problem(
+        self, part: QuadraticCost, node_ids: Int[Array, " M"], contacts: tuple[ContactCost, ...]
+    ) -> LQRProblem:
+        """The problem with the dynamics along it; ``part`` is the cost on its ``x``."""
+        Q, R, goal = part.over(self.controls.shape[0])
+        q = -jnp.einsum("tij,tj->ti", Q, goal)
+        for each in contacts:
+            more = each.expanded(self.states, self.beliefs, node_ids)
+            Q, q = Q + more[0], q + more[1]
+        A, B, offset = block_dynamics(self.dynamics)
+        r = jnp.zeros(R.shape[:-1], R.dtype)
+        return LQRProblem(A=A, B=B, offset=offset, Q=Q, R=R, q=q, r=r)
 
 
 def roll_out(

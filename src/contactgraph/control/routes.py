@@ -9,10 +9,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.control.box_qp import AffinePolicy, solve_small
-from contactgraph.control.candidates import all_plans, best_plan, cheapest, side_by_side
+from contactgraph.control.candidates import best_plan, cheapest, side_by_side
 from contactgraph.control.cost import Cost, QuadraticCost
-from contactgraph.control.ilqr import ILQR
+from contactgraph.control.ilqr import ILQR, Progress
+from contactgraph.control.lanes import in_lanes
 from contactgraph.control.plan import Plan
+from contactgraph.control.rollout import SweptBounds
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import ContactBelief, ContactDynamics, ModelState, Nodes, StepModel
@@ -93,25 +95,29 @@ class RouteILQR(ILQR):
             raise InvalidInputError(f"routes need a ContactDynamics, found {type(model).__name__}")
         quadratic, guess = self.prepared(model, state, cost, guess)
         guesses = side_by_side(guess, self._begun(model, state, nodes, quadratic))
-        tried = dataclasses.replace(self, iterations=min(_TRIED, self.iterations))
-        plans = all_plans(tried, model, state, nodes, quadratic, guesses)
-        if self.iterations <= _TRIED:
-            return best_plan(plans)
+
+        def tried(guess: AffinePolicy) -> Progress:
+            rollouts = min(_TRIED, self.iterations)
+            return self.search(model, state, nodes, quadratic, guess, rollouts)
+
+        def finished(progress: Progress) -> Plan:
+            more = self.search(model, state, nodes, quadratic, progress, self.iterations)
+            return self.plan_of(more, quadratic)
+
+        every = in_lanes(tried, self.routes + 1)(guesses)
         # The other rollouts improve the running plan and the best of the routes.
-        route = 1 + cheapest(plans.cost[1:])
-        pair = jax.tree.map(lambda leaf: jnp.stack([leaf[0], leaf[route]], -1), plans.policy)
-        rest = dataclasses.replace(self, iterations=self.iterations - _TRIED + 1)
-        plan = best_plan(all_plans(rest, model, state, nodes, quadratic, pair))
-        count = jnp.sum(plans.iterations) + plan.iterations
-        if plans.swept is None:
-            return dataclasses.replace(plan, iterations=count)
-        # The first of its rollouts is known.
-        swept = jax.tree.map(
-            lambda first, more: jnp.concatenate([first, more[1:]]),
-            plans.swept.united(),
-            plan.swept,
-        )
-        return dataclasses.replace(plan, iterations=count, swept=swept)
+        route = 1 + cheapest(every[0].cost[1:])
+        pair = jax.tree.map(lambda leaf: jnp.stack([leaf[..., 0], leaf[..., route]], -1), every)
+        plans = in_lanes(finished, 2)(pair)
+        plan = best_plan(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), plans))
+        others = jnp.sum(every[0].iteration) - jnp.sum(pair[0].iteration)
+        swept = plan.swept
+        if every[1] is not None and swept is not None:
+            swept = SweptBounds(
+                jnp.minimum(swept.lower, jnp.min(every[1].lower, axis=-1)),
+                jnp.maximum(swept.upper, jnp.max(every[1].upper, axis=-1)),
+            )
+        return dataclasses.replace(plan, iterations=plan.iterations + others, swept=swept)
 
     def _begun(
         self, model: ContactDynamics, state: ModelState, nodes: Nodes, cost: QuadraticCost

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import Cost
-from contactgraph.control.ilqr import ILQR, PlannedCost, problem_along
+from contactgraph.control.ilqr import ILQR, PlannedCost
 from contactgraph.control.lqr import Improvement, improve_policy
 from contactgraph.control.plan import Plan
 from contactgraph.control.riccati import block_operator
@@ -158,7 +158,7 @@ class SwitchingILQR(ILQR):
     ) -> Improvement:
         """As `ILQR`'s, about the other components; the switches stay as they are."""
         assert self.limits is not None
-        whole = problem_along(reference, *about)
+        whole = reference.problem(*about)
         fixed = self._index
         size = whole.R.shape[-1]
         free = np.setdiff1d(np.arange(size), fixed)
