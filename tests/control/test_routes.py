@@ -80,6 +80,17 @@ def test_it_goes_round_a_body_that_stands_in_the_way() -> None:
     assert np.min(np.linalg.norm(np.asarray(free.states)[:, 0, 0] - other, axis=1)) < 0.09
 
 
+def test_of_many_routes_the_best_after_one_rollout_go_on() -> None:
+    many = RouteILQR(H, 6, LIMITS, routes=11)
+    found, few = solve(many, BEHIND), solve(PLANNER, BEHIND)
+    hand, _, other = np.moveaxis(np.asarray(found.states)[:, :, 0], 1, 0)
+    assert np.min(np.linalg.norm(hand - other, axis=1)) > GAP - 0.005
+    assert found.cost < 1.1 * few.cost
+    # All make one rollout, eight a second one, and two the other four at most.
+    assert 12 + 8 + 2 <= int(found.iterations) <= 12 + 8 + 2 * 4
+    assert 4 * 2 + 2 <= int(few.iterations) <= 4 * 2 + 2 * 4
+
+
 def test_the_running_plan_is_always_among_the_routes() -> None:
     best = solve(PLANNER, BEHIND)
     going_on = AffinePolicy(jnp.zeros_like(best.policy.K), best.controls)

@@ -1,6 +1,7 @@
 """iLQR from several routes at once to where the cost is least: straight, and round either side."""
 
 import dataclasses
+import itertools
 
 import equinox as eqx
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.control.box_qp import AffinePolicy, solve_small
-from contactgraph.control.candidates import best_plan, cheapest, side_by_side
+from contactgraph.control.candidates import best_plan, side_by_side
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.ilqr import ILQR, Progress
 from contactgraph.control.lanes import in_lanes
@@ -29,6 +30,8 @@ _RIDGE = 1e-6
 """Of the mean square response to the control; controls that move nothing stay 0."""
 _TRIED = 2
 """Rollouts of each route, after which the best one is known well enough."""
+_LANES = 8
+"""Of a vector; of more candidates the best after their first rollouts go on."""
 _TINY = 1e-9
 
 
@@ -96,28 +99,21 @@ class RouteILQR(ILQR):
         quadratic, guess = self.prepared(model, state, cost, guess)
         guesses = side_by_side(guess, self._begun(model, state, nodes, quadratic))
 
-        def tried(guess: AffinePolicy) -> Progress:
-            rollouts = min(_TRIED, self.iterations)
-            return self.search(model, state, nodes, quadratic, guess, rollouts)
+        def searched(begin: AffinePolicy | Progress, rollouts: int, lanes: int) -> Progress:
+            return in_lanes(
+                lambda each: self.search(model, state, nodes, quadratic, each, rollouts), lanes
+            )(begin)
 
-        def finished(progress: Progress) -> Plan:
-            more = self.search(model, state, nodes, quadratic, progress, self.iterations)
-            return self.plan_of(more, quadratic)
-
-        every = in_lanes(tried, self.routes + 1)(guesses)
-        # The other rollouts improve the running plan and the best of the routes.
-        route = 1 + cheapest(every[0].cost[1:])
-        pair = jax.tree.map(lambda leaf: jnp.stack([leaf[..., 0], leaf[..., route]], -1), every)
-        plans = in_lanes(finished, 2)(pair)
-        plan = best_plan(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), plans))
-        others = jnp.sum(every[0].iteration) - jnp.sum(pair[0].iteration)
-        swept = plan.swept
-        if every[1] is not None and swept is not None:
-            swept = SweptBounds(
-                jnp.minimum(swept.lower, jnp.min(every[1].lower, axis=-1)),
-                jnp.maximum(swept.upper, jnp.max(every[1].upper, axis=-1)),
-            )
-        return dataclasses.replace(plan, iterations=plan.iterations + others, swept=swept)
+        count = self.routes + 1
+        tried = min(_TRIED, self.iterations)
+        rounds = [searched(guesses, tried if count <= _LANES else 1, count)]
+        if count > _LANES:
+            rounds.append(searched(_best(rounds[0], _LANES), tried, _LANES))
+        rounds.append(searched(_best(rounds[-1], 2), self.iterations, 2))
+        plans = in_lanes(lambda each: self.plan_of(each, quadratic), 2)(rounds[-1])
+        return _with_dropped(
+            best_plan(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), plans)), rounds
+        )
 
     def _begun(
         self, model: ContactDynamics, state: ModelState, nodes: Nodes, cost: QuadraticCost
@@ -153,6 +149,29 @@ class RouteILQR(ILQR):
         turns = jnp.arange(self.horizon) < _ASIDE * self.horizon
         begin = jnp.zeros((*aim.shape, self.routes), aim.dtype)
         return jax.lax.scan(step, begin, turns)[1]
+
+
+def _best(progress: Progress, count: int) -> Progress:
+    """The first lane and those of the others with the lowest costs, ``count`` in all."""
+    cost = progress[0].cost[1:]
+    others = jnp.argsort(jnp.where(jnp.isfinite(cost), cost, jnp.inf))[: count - 1]
+    lanes = jnp.concatenate([jnp.zeros(1, others.dtype), 1 + others])
+    return jax.tree.map(lambda leaf: leaf[..., lanes], progress)
+
+
+def _with_dropped(plan: Plan, rounds: list[Progress]) -> Plan:
+    """The plan with the rollouts and bounds of lanes that were dropped after each round, too."""
+    count = plan.iterations
+    swept = plan.swept
+    for before, after in itertools.pairwise(rounds):
+        went_on = _best(before, after[0].cost.size)[0].iteration
+        count += jnp.sum(before[0].iteration) - jnp.sum(went_on)
+        if swept is not None and before[1] is not None:
+            swept = SweptBounds(
+                jnp.minimum(swept.lower, jnp.min(before[1].lower, axis=-1)),
+                jnp.maximum(swept.upper, jnp.max(before[1].upper, axis=-1)),
+            )
+    return dataclasses.replace(plan, iterations=count, swept=swept)
 
 
 def _place_of_least_cost(state: ModelState, cost: QuadraticCost) -> Float[Array, "N G"]:
