@@ -58,7 +58,7 @@ MODULES_BEHIND = {
     "contactgraph.train.fit": 51,  # a training step, its held-out error and signs of a dead network
     "contactgraph.control.active_set": 53,  # a control step
 }
-FRAMES = 16
+FRAMES = 17
 """Calls from the command `contactgraph control` to the first one in the model, in a plan."""
 
 QUESTION = re.compile(r"(What|How|Where|Which|Who)\b")
