@@ -182,7 +182,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ),
         (
             "control franka franka --clearance 0.1 --routes 0",
-            "bodies to be avoided need a radius, which the scene has not",
+            "a clearance from bodies needs their radius, which the scene has not; with a ",
         ),
         ("control nobody pickup --seed -1", "--seed must be 0 to 4294967295, found -1"),
         ("control nobody pickup --video a.png", "video: a.png must end in .gif or .mp4"),

@@ -37,6 +37,12 @@ class AvoidingCost:
 
     def in_scene(self, scene: Scene) -> "AvoidingCost":
         """For this scene; where there is a clearance, its bodies must be round: see `SceneCost`."""
+        known = scene.radius is not None and bool(np.all(np.isfinite(scene.radius)))
+        if self.clearance > 0.0 and not known:
+            raise InvalidInputError(
+                "a clearance from bodies needs their radius, which the scene has not; with a "
+                "clearance of 0 they are not touched as far as the model believes"
+            )
         cost = self.cost.in_scene(scene)
         others = [node for node in range(scene.node_count) if node not in cost.order]
         pairs = np.array([(one, other) for one in cost.order for other in others], int)
@@ -46,11 +52,7 @@ class AvoidingCost:
         dimension = scene.dimension
         contacts: tuple[ContactCost, ...] = (avoid(pairs, self.touch_weight, dimension),)
         if self.clearance > 0.0:
-            if scene.radius is None or not np.all(np.isfinite(scene.radius)):
-                raise InvalidInputError(
-                    "a clearance from bodies needs their radius, which the scene has not; with a "
-                    "clearance of 0 they are not touched as far as the model believes"
-                )
+            assert scene.radius is not None
             gap = scene.radius[pairs].sum(axis=1) + self.clearance
             contacts += (keep_clear(pairs, gap, self.weight, dimension),)
         return replace(self, cost=cost, contacts=contacts)
