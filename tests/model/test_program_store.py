@@ -209,6 +209,17 @@ def test_a_folder_that_cannot_be_written_to_is_no_fault(folder: Path) -> None:
     np.testing.assert_array_equal(program()[0](LIMITS, jnp.ones(3)).upper, [4.0, 4.0])
 
 
+def test_without_the_writer_of_programs_nothing_is_kept(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(*_: Any) -> None:
+        raise ImportError("Please install 'flatbuffers'")
+
+    monkeypatch.setattr(jax.export.Exported, "serialize", missing)
+    np.testing.assert_array_equal(program()[0](LIMITS, jnp.ones(3)).upper, [4.0, 4.0])
+    assert not files(folder)
+
+
 def test_a_check_that_passed_is_not_made_again(folder: Path) -> None:
     """The check has a name, and is about values, so that it shows whether it is made."""
     ones: Any = np.ones(2)

@@ -190,7 +190,7 @@ def _export(path: Path, call: Callable, inputs: Any, made: Any) -> export.Export
         if not simple or program.ordered_effects or program.unordered_effects or found != [made]:
             return None
         written = bytes(program.serialize())
-    except (ValueError, NotImplementedError) as fault:
+    except (ImportError, ValueError, NotImplementedError) as fault:
         _log.debug("a program is not kept: %s", fault)
         return None
     _write(path, hashlib.sha256(written).digest() + written)
