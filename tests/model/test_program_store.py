@@ -170,7 +170,9 @@ def test_without_a_likeness_the_first_result_is_traced(folder: Path) -> None:
         assert len(traces) == traced and len(files(folder)) == 1
 
 
-def test_a_function_bound_anew_is_traced(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_function_that_is_rebound_is_traced(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     program()[0](LIMITS, jnp.ones(3))
     monkeypatch.setattr(collision, "geometry", lambda *_: None)
     step, traces = program()

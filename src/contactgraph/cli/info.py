@@ -140,10 +140,8 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
         for term in terms
     ]
     lines += [
-        f"{each.kind} {' - '.join(each.nodes)}  each step without costs as much as "
-        f"{each.weight**0.5:.3g} N"
-        if each.kind != "avoid"
-        else f"avoid {' - '.join(each.nodes)}  each step of contact costs as much as "
+        f"{each.kind} {' - '.join(each.nodes)}  each step "
+        f"{'of contact' if each.kind == 'avoid' else 'without'} costs as much as "
         f"{each.weight**0.5:.3g} N"
         for each in cost.contacts
     ]

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from contactgraph.control.box_qp import AffinePolicy
 from contactgraph.control.cost import QuadraticCost
@@ -43,15 +43,10 @@ def best_plan(
     ``added``: further costs of each. ``iterations`` and the swept bounds are those of all.
     """
     costs = plans.cost + added(plans)
-    chosen = cheapest(costs)
+    chosen = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
     plan = jax.tree.map(lambda leaf: leaf[chosen], plans)
     swept = None if plans.swept is None else plans.swept.united()
     return dataclasses.replace(plan, iterations=jnp.sum(plans.iterations), swept=swept)
-
-
-def cheapest(costs: Float[Array, " S"]) -> Int[Array, ""]:
-    """The index of the lowest cost that is finite; 0 without any."""
-    return jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))
 
 
 def side_by_side(guess: AffinePolicy, others: AffinePolicy) -> AffinePolicy:

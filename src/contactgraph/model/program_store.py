@@ -56,7 +56,7 @@ def stored(call: Callable, static: Any, like: int | None = None) -> Callable:
     the argument at index ``like``; None: that of an earlier result, so the first is always traced.
 
     Nothing is kept where JAX keeps no programs, nor a program with classes or functions of other
-    packages, nor any in a process in which names of this package were bound anew.
+    packages, nor any in a process in which names of this package were rebound.
     """
     structures: dict[Any, Any] = {}
 
