@@ -14,8 +14,8 @@ from contactgraph.data import Scene
 from contactgraph.envs import ChainCost, PickupExpert, check_task
 from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import DT, GRIPPER, GripperTask
-from contactgraph.envs.planar_body import PlanarBody
-from contactgraph.envs.planar_world import PlanarWorld
+from contactgraph.envs.planar.body import PlanarBody
+from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.evaluate import run_episode
 
 TARGET, RADIUS = 1, 0.04  # m

@@ -6,6 +6,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -149,3 +150,15 @@ def server_turn() -> Iterator[None]:
     with (Path(tempfile.gettempdir()) / "contactgraph-server-turn.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
+
+
+@pytest.fixture(scope="module", params=["box2d", "pymunk"])
+def engine(request: pytest.FixtureRequest) -> Iterator[str]:
+    """The engine that planar worlds take by default, one after the other."""
+    from contactgraph.envs.planar import world
+
+    if find_spec(world.ENGINES[request.param]) is None:
+        pytest.skip(f"{request.param} is not installed")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(world, "ENGINES", {request.param: world.ENGINES[request.param]})
+        yield request.param

@@ -21,7 +21,6 @@ PRINTS = {
     "05_own_task.py": "Fetch keeps the contract\nsuccess: 100%",
     "06_compose_a_model.py": "frozen_contact: ",
     "07_learn_cost.py": "new goals: 100 %",
-    "08_two_kinds_of_bonds.py": "type 2 is the rigid bond, 3 the soft one: right in 9",
     "extend_edge_feature.py": "approach at +1 m/s: feature +0.50",
     "extend_edge_friction.py": "friction slows the sliding",
     "extend_environment.py": "the fixed start succeeds in 5 of 5 scenes",

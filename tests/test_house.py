@@ -43,6 +43,7 @@ HEAVY = {
     "mujoco",
     "pandas",
     "pyapriltags",
+    "pymunk",
     "pyrealsense2",
     "ray",
     "rosbags",
@@ -51,8 +52,11 @@ HEAVY = {
 """Libraries that are slow to import or optional: one module knows each of them."""
 
 FILES = {"contactgraph": 221, "contactgraph_franka": 60, "contactgraph_studies": 34}
-LINES = {"contactgraph": 40_800, "contactgraph_franka": 9_000, "contactgraph_studies": 5_900}
-LONGEST_FILE = 300
+LINES = {"contactgraph": 40_661, "contactgraph_franka": 8_971, "contactgraph_studies": 5_896}
+ROOMS = {"contactgraph/envs": 6_042}
+"""Lines of folders. All budgets only fall: who needs lines takes them from the same room."""
+LONGEST_FILE = 400
+"""100 to 250 lines are usual."""
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 34,  # a prediction step
     "contactgraph.train.fit": 51,  # a training step, its held-out error and signs of a dead network
@@ -198,6 +202,11 @@ def test_a_package_keeps_its_size(package: str) -> None:
     files = list((SRC / package).rglob("*.py"))
     assert len(files) <= FILES[package]
     assert sum(map(line_count, files)) <= LINES[package]
+
+
+@pytest.mark.parametrize("room", sorted(ROOMS))
+def test_a_room_keeps_its_size(room: str) -> None:
+    assert sum(map(line_count, (SRC / room).rglob("*.py"))) <= ROOMS[room]
 
 
 def test_no_file_is_long() -> None:

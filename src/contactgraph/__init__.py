@@ -37,10 +37,9 @@ _NAMES = {
     "write": ("contactgraph.data", "write_trajectories"),
 }
 _TASKS = (
-    *("pickup", "multi-pickup", "door", "billiards", "blocked-shot", "toss", "dominoes", "stack"),
-    *("chain", "unknown-mass", "springs", "attraction", "suction", "release", "delay", "sticky"),
-    *("bonds", "pusht", "pusht-pose", "fetch-push", "fetch-slide", "fetch-pick-and-place"),
-    "franka",
+    *("pickup", "multi-pickup", "door", "billiards", "toss", "dominoes", "stack", "chain"),
+    *("unknown-mass", "springs", "suction", "release", "delay", "sticky", "pusht", "pusht-pose"),
+    *("fetch-push", "fetch-slide", "fetch-pick-and-place", "franka"),
 )
 """Names of tasks, known without importing them."""
 

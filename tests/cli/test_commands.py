@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ import safetensors
 
 from contactgraph.cli import main as cli
 from contactgraph.cli.models import model_preset
-from contactgraph.cli.tasks import known_task
+from contactgraph.cli.tasks import known_task, make
 from contactgraph.data import (
     Scene,
     Trajectory,
@@ -24,6 +25,7 @@ from contactgraph.data import (
     write_trajectories,
 )
 from contactgraph.envs import PickupExpert
+from contactgraph.envs.planar.world import ENGINES
 from contactgraph.evaluate import closed_loop_metrics, collect, forgetting
 from contactgraph.model import ContactSensor, ModelConfig, gim_temp, shipped_model
 from contactgraph.model.io import describe_model, load_model, save_model
@@ -114,18 +116,26 @@ def test_help_of_each(capsys: pytest.CaptureFixture[str], command: str, words: s
         assert word in captured.out
 
 
+def simulator(task: str = "pickup") -> str:
+    """Name and version of what a task is simulated by."""
+    made = make(task)
+    made.reset(seed=0)
+    return str(made.scene.metadata["simulator"])
+
+
 def test_collect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, again = tmp_path / "data.h5", tmp_path / "again.h5"
     options = ["--episodes", 3, "--seed", 7, "--distractors", 2, "--objects", 1, "--resting", 0.34]
     done("collect", "pickup", *options, "--out", path)
     captured = capsys.readouterr()
     assert captured.out.splitlines() == [
-        f"{path}: 3 episodes of pickup, seed 7",
+        f"{path}: 3 episodes of pickup, seed 7, on {simulator()}",
         "the expert succeeded in 2 of 2 episodes",
     ]
     assert captured.err.splitlines()[-1] == "collecting: 3 of 3"
     dataset = read_trajectories(path)
-    assert dataset.metadata == {"task": "pickup", "seed": 7, "distractors": 2, "objects": 1}
+    given = {"distractors": 2, "objects": 1, "simulator": simulator()}
+    assert dataset.metadata == {"task": "pickup", "seed": 7, **given}
     assert [run.scene.node_count for run in dataset] == [4, 4, 4]
     assert [bool(np.any(run.control)) for run in dataset] == [True, True, False]
     done("collect", "pickup", *options, "--out", again)
@@ -146,6 +156,7 @@ def test_collect_mixed_numbers_of_objects_in_one_file(tmp_path: Path) -> None:
         "distractors": 1,
         "objects": 2,
         "mixed": True,
+        "simulator": simulator(),
     }
     counts = [(run.scene.metadata["objects"], run.scene.metadata["distractors"]) for run in dataset]
     assert counts == [(1, 0), (1, 1), (2, 0), (2, 1), (1, 0)]
@@ -176,7 +187,8 @@ def test_collect_with_another_grasp(tmp_path: Path) -> None:
     path = tmp_path / "data.h5"
     done("collect", "franka", "--episodes", 1, "--distractors", 1, "--grasp", "weld", "--out", path)
     dataset = read_trajectories(path)
-    assert dataset.metadata == {"task": "franka", "seed": 0, "distractors": 1, "grasp": "weld"}
+    options = {"distractors": 1, "grasp": "weld", "simulator": simulator("franka")}
+    assert dataset.metadata == {"task": "franka", "seed": 0, **options}
     (run,) = dataset
     assert run.scene.metadata["grasp"] == "weld"
 
@@ -375,6 +387,18 @@ def test_report(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("engine", ["box2d", "pymunk"])
+def test_control_says_that_the_data_came_from_another_engine(
+    engine: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
+    if find_spec(ENGINES[engine]) is None:
+        pytest.skip(f"{engine} is not installed")
+    done("control", "pickup", "pickup", "--episodes", 1, "--engine", engine)
+    said = f"pickup was trained on box2d 2.3.10; these episodes are on {engine} "
+    assert (said in capsys.readouterr().out) == (engine == "pymunk")
+
+
 def test_control_in_space(tmp_path: Path) -> None:
     """Three degrees of freedom and another time step: the same command, files and numbers."""
     model, result, episodes = (tmp_path / name for name in ("m.safetensors", "out.json", "out.h5"))

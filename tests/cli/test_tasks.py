@@ -31,19 +31,16 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
         "multi-pickup",
         "door",
         "billiards",
-        "blocked-shot",
         "toss",
         "dominoes",
         "stack",
         "chain",
         "unknown-mass",
         "springs",
-        "attraction",
         "suction",
         "release",
         "delay",
         "sticky",
-        "bonds",
         "pusht",
         "pusht-pose",
         "fetch-push",
@@ -131,7 +128,7 @@ def test_what_always_moves_by_itself_needs_no_option(tmp_path: Path) -> None:
 
 
 def test_what_can_be_passive() -> None:
-    names = "billiards, toss, dominoes, stack, springs, attraction"
+    names = "billiards, toss, dominoes, stack, springs"
     message = f"^--passive: only {names} move without a control, found door"
     with pytest.raises(InvalidInputError, match=message):
         task_factory("door", TaskOptions(passive=True))

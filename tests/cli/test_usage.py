@@ -76,10 +76,18 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a --out b --resume yes", "train does not take yes (see"),
         (
             "collect juggling --out a.h5",
-            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, toss, "
-            "dominoes, stack, chain, unknown-mass, springs, attraction, suction, release, delay, "
-            "sticky, bonds, pusht, pusht-pose, fetch-push, fetch-slide, fetch-pick-and-place, "
+            "task must be one of pickup, multi-pickup, door, billiards, toss, "
+            "dominoes, stack, chain, unknown-mass, springs, suction, release, delay, "
+            "sticky, pusht, pusht-pose, fetch-push, fetch-slide, fetch-pick-and-place, "
             "franka, module:Class; found 'jugg",
+        ),
+        (
+            "collect pickup --out a.h5 --engine bullet",
+            "engine must be one of box2d, pymunk, found 'bullet'",
+        ),
+        (
+            "control pickup toss --engine pymunk",
+            "--engine: only planar tasks have a choice, found toss",
         ),
         ("collect pickup --out a.h5 --episodes 0", "--episodes must be 1 to 100000, found 0"),
         ("collect pickup --out a.h5 --episodes -3", "--episodes must be 1 to 100000, found -3"),
@@ -165,9 +173,9 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("control nobody pickup", "nobody: no such run folder or model file; models that ship are"),
         (
             "control nobody juggling",
-            "task must be one of pickup, multi-pickup, door, billiards, blocked-shot, toss, "
-            "dominoes, stack, chain, unknown-mass, springs, attraction, suction, release, delay, "
-            "sticky, bonds, pusht, pusht-pose, fetch-push, fetch-slide, fetch-pick-and-place, "
+            "task must be one of pickup, multi-pickup, door, billiards, toss, "
+            "dominoes, stack, chain, unknown-mass, springs, suction, release, delay, "
+            "sticky, pusht, pusht-pose, fetch-push, fetch-slide, fetch-pick-and-place, "
             "franka, module:Class; found 'jugg",
         ),
         ("control nobody pickup --episodes 0", "--episodes must be 1 to 100000, found 0"),

@@ -1,4 +1,4 @@
-"""Bounce, friction and ratios of masses, from the motion of discs in Box2D alone."""
+"""Bounce, friction and ratios of masses, from the motion of discs alone."""
 
 from functools import partial
 
@@ -12,7 +12,8 @@ from contactgraph.envs import BilliardsTask, RestPolicy, StrikingPolicy
 from contactgraph.evaluate import collect
 
 
-def test_discs_in_box2d_tell_the_laws_they_follow() -> None:
+@pytest.mark.usefixtures("engine")
+def test_simulated_discs_tell_the_laws_they_follow() -> None:
     dataset = collect([partial(BilliardsTask, 5, passive=True)], [RestPolicy()], 30, 0)
     found = fit_impacts(dataset, {})
     assert {("ball", "puck"), ("ball", PLANE), ("puck", PLANE)} <= set(found)

@@ -19,6 +19,8 @@ from contactgraph.envs import (
 from contactgraph.envs.billiards import CORRIDOR, GAP, SHOT, TABLE
 from contactgraph.evaluate import collect
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 DT = 0.05
 SLOWDOWN = 0.05 * 9.81
 """By friction with the table, m/s^2."""
@@ -26,7 +28,7 @@ PASSIVE = partial(BilliardsTask, 6, passive=True)
 
 
 @pytest.fixture(scope="module")
-def passive_runs():
+def passive_runs(engine):
     return collect([PASSIVE], [RestPolicy()], 30, 0)
 
 

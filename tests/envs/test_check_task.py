@@ -9,6 +9,8 @@ import pytest
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import ChainCost, PickupTask, check_task
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 
 class Altered(PickupTask):
     """A pickup whose observations pass through `alter`."""

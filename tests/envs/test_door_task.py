@@ -19,12 +19,14 @@ from contactgraph.envs.door import CORRIDOR, DISTRACTOR_HALF_WIDTH, sample_layou
 from contactgraph.envs.gripper_task import fixed_layout
 from contactgraph.evaluate import collect
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 SEEDS = range(30)
 FLOAT32 = 2e-6
 
 
 @pytest.fixture(scope="module")
-def expert_runs():
+def expert_runs(engine):
     return collect([DoorTask], [DoorExpert()], 30, 0)
 
 
@@ -95,7 +97,7 @@ def test_the_target_door_of_a_seed_does_not_depend_on_the_distractors():
         assert np.array_equal(with_none["goal"], with_ten["goal"])
 
 
-def test_the_scene_describes_its_nodes():
+def test_the_scene_describes_its_nodes(engine):
     task = DoorTask(2)
     observation, _ = task.reset(seed=5)
     scene = task.scene
@@ -115,7 +117,7 @@ def test_the_scene_describes_its_nodes():
     assert data["angle"] == pytest.approx(np.arctan2(arms[0, 1], arms[0, 0]), abs=1e-6)
     aim = scene.anchor[1] + 0.5 * np.array([np.cos(data["goal_angle"]), np.sin(data["goal_angle"])])
     np.testing.assert_allclose(scene.goal, aim)
-    assert data["simulator"].startswith("box2d 2.")
+    assert data["simulator"].startswith(f"{engine} ")
 
 
 def test_an_episode_takes_120_steps_and_rest_is_no_success():
@@ -195,8 +197,3 @@ def test_distractors_out_of_range(distractors):
     message = f"distractors must be 0 to 10, found {distractors}"
     with pytest.raises(InvalidInputError, match=message):
         DoorTask(distractors)
-
-
-def test_substeps_out_of_range():
-    with pytest.raises(InvalidInputError, match="substeps must be at least 1, found 0"):
-        DoorTask(substeps=0)

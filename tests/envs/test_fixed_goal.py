@@ -20,6 +20,8 @@ from contactgraph.envs.episodes import collect, episode_seeds, fixed_seed, run_e
 from contactgraph.parallel import LocalExecutor
 from contactgraph_franka.envs.franka_task import FrankaTask
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 SEEDS = range(20)
 TARGETS = {PickupTask: 1, partial(MultiPickupTask, 3): 3, DoorTask: 1, FrankaTask: 1}
 """Number of targets, the nodes after the gripper."""
@@ -96,15 +98,16 @@ def test_shared_and_free_parts_use_separate_streams():
         assert not {shared[seed], seed} & set(episode_seeds(100, seed))
 
 
-def test_several_processes_record_as_one_and_episodes_reproduce(monkeypatch):
+def test_several_processes_record_as_one_and_episodes_reproduce(monkeypatch, engine):
     monkeypatch.setattr(collecting, "_ALONE_S", 0.0)
     monkeypatch.setattr(collecting, "_START_S", 0.0)
-    task, demonstrator = partial(PickupTask, 2, fixed_seed=7), PickupExpert(noise=0.0)
+    task = partial(PickupTask, 2, fixed_seed=7, engine=engine)
+    demonstrator = PickupExpert(noise=0.0)
     alone = collect([task], [demonstrator], 5, 3)
     shared = collect([task], [demonstrator], 4, 3, executor=LocalExecutor(2))
     assert all(same(one, other) for one, other in zip(alone, shared, strict=False))
     metadata = alone[4].scene.metadata
-    again = PickupTask(metadata["distractors"], metadata["substeps"], metadata["fixed_seed"])
+    again = PickupTask(metadata["distractors"], metadata["fixed_seed"])
     assert same(alone[4], run_episode(again, PickupExpert(noise=0.0), metadata["seed"]))
 
 

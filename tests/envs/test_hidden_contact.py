@@ -9,7 +9,6 @@ from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import (
-    BondsTask,
     CarryExpert,
     DelayTask,
     HandlingPolicy,
@@ -24,6 +23,8 @@ from contactgraph.envs import (
 from contactgraph.envs.episodes import collect, run_episode
 from contactgraph.envs.gripper_task import GRIPPER
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 TARGET = 1
 HIDDEN = partial(SuctionTask, hidden_switch=True)
 TASKS = {
@@ -32,14 +33,12 @@ TASKS = {
     "release": (ReleaseTask, CarryExpert),
     "delay": (DelayTask, CarryExpert),
     "sticky": (StickyTask, StickyExpert),
-    "bonds": (BondsTask, CarryExpert),
 }
 EVERY = pytest.mark.parametrize("name", list(TASKS))
-BUT_BONDS = pytest.mark.parametrize("name", [name for name in TASKS if name != "bonds"])
 
 
 @pytest.fixture(scope="module")
-def recorded():
+def recorded(engine):
     """Of each task, 10 episodes of the training expert and 10 of handling."""
     return {
         name: collect([task], [expert()] * 10 + [HandlingPolicy()] * 10, 20, 0)
@@ -95,7 +94,7 @@ def test_both_labels_are_recorded_and_holding_is_contact(name, recorded):
         assert not run.holding[:, 1:, 1:].any()
 
 
-@BUT_BONDS
+@pytest.mark.parametrize("name", TASKS)
 def test_touching_without_holding_is_common(name, recorded):
     touching, holding = pairs_of(recorded[name], "contact"), pairs_of(recorded[name], "holding")
     free = np.sum(touching & ~holding) / np.sum(touching)
@@ -246,22 +245,6 @@ def test_only_the_drawn_bodies_hold_and_they_are_drawn_anew(recorded):
     assert max(touched) >= 2
 
 
-def test_rigid_bonds_keep_the_distance_and_soft_ones_do_not(recorded):
-    drawn, moves = set(), {True: [], False: []}
-    for run in recorded["bonds"]:
-        soft = {int(node) for node in run.scene.metadata["soft"].split()}
-        assert len(soft) == 1, "of two look-alikes"
-        assert len(set(run.scene.node_type[1:])) == 1
-        drawn.add(frozenset(soft))
-        for node in (1, 2):
-            held = run.holding[1:, GRIPPER, node] & run.holding[:-1, GRIPPER, node]
-            apart = np.linalg.norm(run.position[:, node] - run.position[:, GRIPPER], axis=-1)
-            moves[node in soft] += np.abs(np.diff(apart)[held]).tolist()
-    assert len(drawn) == 2
-    assert max(moves[False]) < 2e-4
-    assert np.quantile(moves[True], 0.9) > 2e-3
-
-
 def test_holds_of_release_last_for_half_a_second_to_two(recorded):
     lengths = []
     for run in recorded["release"]:
@@ -308,7 +291,6 @@ def test_a_fixed_goal_is_shared_but_the_holders_are_not():
     ("make", "message"),
     [
         (lambda: SuctionTask(21), "distractors must be 0 to 20, found 21"),
-        (lambda: DelayTask(substeps=0), "substeps must be at least 1, found 0"),
         (lambda: StickyTask(1), "objects must be 2 to 5, found 1"),
         (lambda: StickyTask(6), "objects must be 2 to 5, found 6"),
         (lambda: HandlingPolicy(press=1.1), "press must be 0 to 1"),

@@ -23,6 +23,8 @@ from contactgraph.envs.pickup_layout import (
 )
 from contactgraph.evaluate import collect
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 SEEDS = range(30)
 
 

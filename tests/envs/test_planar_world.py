@@ -1,11 +1,15 @@
+import copy
+
 import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs.grip import HoldAtTouch
-from contactgraph.envs.planar_body import PlanarBody
-from contactgraph.envs.planar_joints import Pad
-from contactgraph.envs.planar_world import GRAVITY, PlanarWorld
+from contactgraph.envs.planar import world as engines
+from contactgraph.envs.planar.body import GRAVITY, PlanarBody
+from contactgraph.envs.planar.world import PlanarWorld
+
+pytestmark = pytest.mark.usefixtures("engine")
 
 RADIUS = 0.04
 DT = 0.05
@@ -81,9 +85,9 @@ def test_an_impact_conserves_momentum_and_separates_with_the_restitution(
     assert not world.velocity[:, 1].any() and not world.angle.any()
 
 
-def test_bodies_that_approach_slowly_do_not_bounce():
-    """Box2D's threshold, 1 m/s in its own units, is 3.125 cm/s here."""
-    for speed, bounces in [(0.0305, False), (0.032, True)]:
+def test_bodies_that_approach_slowly_do_not_bounce_on_box2d(engine):
+    """Box2D's threshold, 1 m/s in its own units, is 3.125 cm/s here; Chipmunk has none."""
+    for speed, bounces in [(0.0305, engine == "pymunk"), (0.032, True)]:
         bodies = [disc([0.0, 0.0], [speed, 0.0], restitution=1.0), disc([0.082, 0.0])]
         world = PlanarWorld(bodies, DT)
         coast(world, 4)
@@ -265,50 +269,18 @@ def test_a_joint_carries_the_force_that_its_other_body_needs(angle):
     direction = np.array([np.cos(angle), np.sin(angle)])
     world = PlanarWorld([disc([0.0, 0.0]), disc(2 * RADIUS * direction, mass=3.0)], DT)
     world.join(1, 0)
-    assert world.holding[0, 1] and world.joint_force(0, 1) == 0.0
+    assert world.holding[0, 1] and not world.joint_force(0, 1).any()
     for force in (8.0 * direction, -8.0 * direction):
         for _ in range(2):
             push(world, force)
-        assert world.joint_force(0, 1) == world.joint_force(1, 0) == pytest.approx(6.0, rel=1e-3)
+        np.testing.assert_allclose(world.joint_force(0, 1), 0.75 * force, rtol=1e-3)
+        assert np.array_equal(world.joint_force(0, 1), world.joint_force(1, 0))
     world.part(0, 1)
-    assert not world.holding.any() and world.joint_force(0, 1) == 0.0
+    assert not world.holding.any() and not world.joint_force(0, 1).any()
     before = world.velocity
     push(world, -8.0 * direction)
     np.testing.assert_allclose(world.velocity[0] - before[0], -0.4 * direction, atol=FLOAT32)
     assert np.array_equal(world.velocity[1], before[1])
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_a_pad_is_a_spring_and_a_damper_along_and_across(axis):
-    pad = Pad(stiffness=20.0, damping=4.0)
-    start = np.array([0.0, 0.08])
-    world = PlanarWorld([disc((0.0, 0.0), mass=2.0), disc(start)], 0.05, 50)
-    world.join(0, 1, pad)
-    force = np.zeros((2, 2))
-    force[0, axis] = 1.0
-    # Of the relative motion, under the force on the first body alone.
-    stretch, rate, mass, substeps = 0.0, 0.0, 2.0 / 3.0, 5000
-    for _ in range(10):
-        world.step(force)
-        for _ in range(substeps):
-            pull = (pad.stiffness * stretch + pad.damping * rate) / mass
-            rate += 0.05 / substeps * (-force[0, axis] / 2.0 - pull)
-            stretch += 0.05 / substeps * rate
-        found = world.position[1] - world.position[0] - start
-        assert found[axis] == pytest.approx(stretch, abs=4e-4)
-        assert abs(found[1 - axis]) < 4e-4
-    assert abs(stretch) > 0.015
-    total = pad.stiffness * stretch + pad.damping * rate
-    assert world.joint_force(0, 1) == pytest.approx(abs(total), rel=0.05)
-    world.part(0, 1)
-    assert world.joint_force(0, 1) == 0.0 and not world.holding.any()
-
-
-@pytest.mark.parametrize("name", ["stiffness", "damping"])
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
-def test_a_pad_refuses_numbers_out_of_range(name, value):
-    with pytest.raises(InvalidInputError, match=f"{name} must be above 0"):
-        Pad(**{name: value})
 
 
 def test_parted_bodies_touch_again():
@@ -318,10 +290,10 @@ def test_parted_bodies_touch_again():
     world.part(0, 1)
     world.part(0, 1)
     push(world, [0.1, 0.0])
-    assert world.touching[0, 1], "before either has moved by a millimetre"
+    assert (0, 1) in world.touching_pairs, "before either has moved by a millimetre"
     for _ in range(19):
         push(world, [10.0, 0.0])
-    assert world.touching[0, 1] and world.contact[0, 1] and not world.holding[0, 1]
+    assert (0, 1) in world.touching_pairs and world.contact[0, 1] and not world.holding[0, 1]
     assert np.linalg.norm(world.position[1] - world.position[0]) > 2 * RADIUS - 2e-3
     np.testing.assert_allclose(world.velocity[:, 0], 19 * DT * 10.0 / 4.0, rtol=2e-3)
 
@@ -332,7 +304,7 @@ def test_a_bounce_within_a_step_is_a_contact_of_that_step_only():
     assert not world.contact.any()
     push(world)  # the touch is after 0.04 s, the next substep begins at 0.045 s
     assert world.contact[0, 1] and world.contact[1, 0] and not world.contact.diagonal().any()
-    assert not world.touching.any()
+    assert not world.touching_pairs
     push(world)
     assert not world.contact.any()
 
@@ -415,25 +387,71 @@ def test_substeps_out_of_range():
         PlanarWorld([disc([0.0, 0.0])], DT, substeps=0)
 
 
-def test_a_disc_stops_at_the_bounds_of_its_reach_and_others_pass():
-    reach = np.array([[-0.3, np.nan], [0.2, 0.1]])
+@pytest.mark.parametrize("start", [-0.9, -0.913, -0.931])
+@pytest.mark.parametrize("offset", [0.0, 0.03, 0.06, 0.075])
+def test_nothing_passes_through_a_disc_a_box_or_a_wall_at_12_metres_a_second(start, offset):
+    """At a closing speed of 12 m/s, a disc moves by its diameter in 7 ms, a part of a substep."""
+    fast = disc([start, offset], [12.0, 0.0])
+    struck = disc([0.0, 0.0])
+    world = PlanarWorld([fast, struck], DT)
+    coast(world, 3)
+    assert world.contact.any() or world.velocity[1].any(), "they have met"
+    # The normal is that of the moment of touch: what goes along it is shared by equal masses.
+    normal = np.array([np.sqrt((2 * RADIUS) ** 2 - offset**2), -offset]) / (2 * RADIUS)
+    expected = 6.0 * normal[0] * normal
+    np.testing.assert_allclose(world.velocity[1], expected, atol=0.02 * 12.0)
+    bar = PlanarBody(np.zeros(2), 1.0, half_size=np.array([0.01, 0.2]), static=True)
+    wall = np.array([[-2.0, -2.0], [0.01, 2.0]])
+    for stopped in (PlanarWorld([fast, bar], DT), PlanarWorld([fast], DT, walls=wall)):
+        coast(stopped, 3)
+        assert stopped.position[0, 0] < 0.0 and abs(stopped.velocity[0, 0]) < 1e-3
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("speed", [0.5, 2.0, 6.0, 12.0])
+def test_an_impact_at_any_speed_is_where_and_as_the_closed_form_says(engine, restitution, speed):
+    """Head-on, equal masses: v1 = (1 - e) v / 2 and v2 = (1 + e) v / 2 from the touch on."""
+    gap = 0.6 * speed * DT + 0.0007
     bodies = [
-        disc([0.0, 0.0], restitution=0.9, reach=reach),
-        disc([-0.5, 0.4], [1.0, 0.0], restitution=0.9),
+        disc([0.0, 0.0], [speed, 0.0], restitution=restitution),
+        disc([2 * RADIUS + gap, 0.0], restitution=restitution),
     ]
-    world, found = PlanarWorld(bodies, 0.05), []
-    for step, push in enumerate([10.0] * 15 + [-10.0] * 15):
-        world.step(np.array([[push, push], [0.0, 0.0]]))
-        found.append(world.position[0])
-        if step == 14:
-            np.testing.assert_allclose(world.velocity[0], 0.0, atol=1e-6)
-    np.testing.assert_allclose(found[14], [0.2, 0.1], atol=1e-3)
-    np.testing.assert_allclose(found[29][0], -0.3, atol=1e-3)
-    assert found[29][1] < -1.0
-    np.testing.assert_allclose(world.position[1], [1.0, 0.4], atol=1e-4)
-    assert not world.contact.any(), "a bound is no body"
+    world = PlanarWorld(bodies, DT)
+    coast(world, 2)
+    after = speed * np.array([1.0 - restitution, 1.0 + restitution]) / 2.0
+    exact = engine == "pymunk"  # whose state is float64
+    np.testing.assert_allclose(
+        world.velocity[:, 0], after, atol=1e-12 if exact else FLOAT32 * speed
+    )
+    expected = [gap, 2 * RADIUS + gap] + (2 * DT - gap / speed) * after
+    # Both see a touch at an overlap: pymunk at 0.3 mm, Box2D at up to 0.5 mm.
+    np.testing.assert_allclose(world.position[:, 0], expected, atol=4e-4 if exact else 7e-4)
 
 
-def test_a_reach_is_for_discs_that_move():
-    with pytest.raises(InvalidInputError, match="reach is for discs that move, in no group"):
-        disc([0.0, 0.0], static=True, reach=np.zeros((2, 2)))
+def test_a_copy_of_a_world_goes_on_to_the_last_bit_and_leaves_the_first_alone():
+    rng = np.random.default_rng(3)
+    bodies = [disc([0.09 * i, 0.1 * (i % 2)], ground_friction=0.05 * i) for i in range(5)]
+    world = PlanarWorld(bodies, DT, hold=HoldAtTouch())
+    forces = rng.normal([4.0, 1.0], 4.0, (40, 2))
+    for force in forces[:15]:
+        push(world, force)
+    before = world.position
+    other = copy.deepcopy(world)
+    for force in forces[15:]:
+        push(other, force)
+    assert np.array_equal(world.position, before) and world.holding.any()
+    for force in forces[15:]:
+        push(world, force)
+    assert np.array_equal(world.position, other.position)
+    assert np.array_equal(world.velocity, other.velocity)
+    assert np.array_equal(world.holding, other.holding)
+
+
+def test_an_engine_that_is_unknown_or_not_installed_is_refused(monkeypatch):
+    with pytest.raises(InvalidInputError, match=r"engine must be one of \w+, found 'bullet'"):
+        PlanarWorld([disc([0.0, 0.0])], DT, engine="bullet")
+    monkeypatch.setattr(engines, "ENGINES", {"box2d": "no_such_module"})
+    with pytest.raises(InvalidInputError, match="engine box2d is not installed: pip install box2d"):
+        PlanarWorld([disc([0.0, 0.0])], DT, engine="box2d")
+    with pytest.raises(InvalidInputError, match="planar tasks need box2d or pymunk: pip install"):
+        PlanarWorld([disc([0.0, 0.0])], DT)

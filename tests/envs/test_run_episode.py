@@ -5,6 +5,8 @@ from contactgraph.data import InvalidInputError
 from contactgraph.envs import ExplorationPolicy, PickupExpert, PickupTask, RestPolicy
 from contactgraph.evaluate import collect, run_episode
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 
 class Pusher:
     """Asks for more force than there is."""

@@ -18,7 +18,7 @@ from contactgraph.envs import (
 )
 from contactgraph.envs.episodes import run_episode
 from contactgraph.envs.mujoco_world import VerticalWorld
-from contactgraph.envs.planar_body import PlanarBody
+from contactgraph.envs.planar.body import PlanarBody
 
 G = 9.81
 BOX = np.array([0.05, 0.03])
@@ -138,7 +138,7 @@ def test_a_sliding_box_is_decelerated_by_coulomb_friction():
     box = PlanarBody(
         np.array([0.0, 0.03]), 0.5, half_size=BOX, velocity=np.array([1.0, 0.0]), friction=0.4
     )
-    world = VerticalWorld([box], np.zeros(1), 0.02)
+    world = VerticalWorld([box], 0.02)
     speed = [world.velocity[0, 0]]
     for _ in range(15):
         world.step(np.zeros((1, 2)))
@@ -150,7 +150,7 @@ def test_a_sliding_box_is_decelerated_by_coulomb_friction():
 
 def test_a_disc_is_refused():
     with pytest.raises(InvalidInputError, match="must be a box, found a disc"):
-        VerticalWorld([PlanarBody(np.zeros(2), 1.0, radius=0.1)], np.zeros(1), 0.02)
+        VerticalWorld([PlanarBody(np.zeros(2), 1.0, radius=0.1)], 0.02)
 
 
 def test_a_row_falls_from_the_left_as_far_as_it_does(rows):
@@ -199,7 +199,7 @@ def test_a_stack_stands(stacks):
 
 
 @pytest.fixture(scope="module")
-def dragged():
+def dragged(engine):
     return [run_episode(ChainTask(), PickupExpert(), seed) for seed in range(5)] + [
         run_episode(ChainTask(), ExplorationPolicy(), seed) for seed in range(5)
     ]

@@ -7,11 +7,13 @@ from contactgraph.data import InvalidInputError
 from contactgraph.envs import DoorTask, ForcedPush, UnknownMassTask, check_task
 from contactgraph.envs.episodes import run_episode
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 DT, SLOWDOWN = 0.05, 0.1 * 9.81
 
 
 @pytest.fixture(scope="module")
-def pushes():
+def pushes(engine):
     return [
         run_episode(UnknownMassTask(), ForcedPush(noise=0.0, variety=0.0), seed)
         for seed in range(20)
@@ -19,7 +21,7 @@ def pushes():
 
 
 @pytest.fixture(scope="module")
-def explored():
+def explored(engine):
     return [run_episode(UnknownMassTask(2), ForcedPush(random=True), seed) for seed in range(10)]
 
 

@@ -1,4 +1,4 @@
-"""Contacts with a direction: each law in closed form and against Box2D, and bounds on energy."""
+"""Contacts with a direction: each law in closed form and in simulators, and bounds on energy."""
 
 import dataclasses
 from functools import partial
@@ -10,8 +10,8 @@ import pytest
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.envs.planar_body import PlanarBody
-from contactgraph.envs.planar_world import PlanarWorld
+from contactgraph.envs.planar.body import PlanarBody
+from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.model.collision import geometry
 from contactgraph.model.contact_solver import FreeBodies
 from contactgraph.model.contacts import Contacts
@@ -209,7 +209,8 @@ def test_momentum_is_kept_without_the_ground() -> None:
 
 
 @pytest.mark.parametrize(("bounce", "friction"), [(0.0, 0.0), (0.9, 0.0), (0.5, 0.2)])
-def test_a_collision_is_that_of_box2d(bounce: float, friction: float) -> None:
+@pytest.mark.usefixtures("engine")
+def test_a_collision_is_that_of_a_simulator(bounce: float, friction: float) -> None:
     position = np.array([[0.0, 0.0], [0.15, 0.04]])
     bodies = [
         PlanarBody(
@@ -226,7 +227,7 @@ def test_a_collision_is_that_of_box2d(bounce: float, friction: float) -> None:
     for _ in range(2):
         velocity, position = step(position, velocity, MASS, bounce, friction)
         world.step(np.zeros((2, 2)))
-    # Box2D finds the overlap up to a substep of 5 ms late, which turns the normal.
+    # Box2D finds the overlap up to a substep of 5 ms late, which turns the normal; pymunk does not.
     np.testing.assert_allclose(velocity, world.velocity, atol=0.12)
     assert np.linalg.norm(velocity[1]) > 0.3
 

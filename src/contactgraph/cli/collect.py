@@ -16,6 +16,7 @@ from tyro.conf import arg
 
 from contactgraph.cli.options import (
     Distractors,
+    Engine,
     Grasp,
     HiddenSwitch,
     LoseGrasp,
@@ -46,6 +47,7 @@ class Collect:
     passive: Passive = False
     hidden_switch: HiddenSwitch = False
     lose_grasp: LoseGrasp = 0.0
+    engine: Engine = None
     mixed: bool = False
     """Alternate scenes with 0 to DISTRACTORS distractors, and with 1 to OBJECTS objects."""
     goal: Annotated[str, arg(metavar="NAME")] = "sampled"
@@ -85,6 +87,7 @@ class Collect:
             passive=self.passive,
             hidden_switch=self.hidden_switch,
             lose_grasp=self.lose_grasp,
+            engine=self.engine,
         )
         if self.mixed:
             factories = mixed_factories(self.task, options)
@@ -137,9 +140,13 @@ class Collect:
             metadata["mixed"] = True
         if demonstrates:
             metadata["expert"] = self.expert
+        simulator = trajectories[0].scene.metadata.get("simulator")
+        if simulator is not None:
+            metadata["simulator"] = simulator
         write_trajectories(self.out, trajectories, metadata)
         unfinished.remove()
-        print(f"{self.out}: {len(trajectories)} episodes of {self.task}, seed {self.seed}")
+        on = "" if simulator is None else f", on {simulator}"
+        print(f"{self.out}: {len(trajectories)} episodes of {self.task}, seed {self.seed}{on}")
         if experts:
             successes = sum(bool(each.scene.metadata["success"]) for each in trajectories[:experts])
             print(f"the expert succeeded in {successes} of {experts} episodes")

@@ -13,6 +13,7 @@ from contactgraph.cli.options import (
     ControllerArgument,
     Delay,
     Distractors,
+    Engine,
     FalseAlarms,
     Grasp,
     HiddenSwitch,
@@ -83,6 +84,7 @@ class Control:
     grasp: Grasp = None
     hidden_switch: HiddenSwitch = False
     lose_grasp: LoseGrasp = 0.0
+    engine: Engine = None
     radius: Annotated[float | None, arg(metavar="M", help_behavior_hint="(pickup: 0.04)")] = None
     """Radius of every body of pickup, m."""
     in_the_way: bool = False
@@ -128,7 +130,7 @@ class Control:
         Returns a function that gives the first episode, with its plans, a name to draw it under.
         """
         from contactgraph.cli.control_output import not_predicted
-        from contactgraph.cli.models import motion_evidence, stored_model
+        from contactgraph.cli.models import data_simulator, motion_evidence, stored_model
         from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
         from contactgraph.cli.output import check_writable, progress
         from contactgraph.cli.task_types import TaskOptions
@@ -152,6 +154,7 @@ class Control:
             hidden_switch=self.hidden_switch,
             lose_grasp=self.lose_grasp,
             in_the_way=self.in_the_way,
+            engine=self.engine,
         )
         if self.model in _SCRIPTED:
             return self._write(self._by_policy(options), options)
@@ -226,6 +229,10 @@ class Control:
             "routes": routes,
             "infer_contacts": by_motion is not None,
         }
+        recorded = data_simulator(self.model)
+        simulator = str(trajectories[0].scene.metadata.get("simulator", recorded))
+        if recorded is not None and recorded.split()[0] != simulator.split()[0]:
+            print(f"{self.model} was trained on {recorded}; these episodes are on {simulator}")
         controlled = _Controlled(
             trajectories,
             metrics,

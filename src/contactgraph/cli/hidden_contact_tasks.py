@@ -10,7 +10,6 @@ from contactgraph.cli.task_types import (
     refuse_option,
 )
 from contactgraph.envs import (
-    BondsTask,
     CarryExpert,
     DelayTask,
     HandlingPolicy,
@@ -40,14 +39,9 @@ def _one_target(
     return partial(task, options.distractors, fixed_seed=options.fixed_seed)
 
 
-def _several_targets(
-    name: str, task: type[StickyTask] | type[BondsTask], options: TaskOptions
-) -> TaskFactory:
-    refuse_option(name, "--grasp", options.grasp, "has no fingers to close")
-    if options.objects is not None:
-        return partial(
-            task, options.objects, distractors=options.distractors, fixed_seed=options.fixed_seed
-        )
+def _sticky(options: TaskOptions) -> TaskFactory:
+    refuse_option("sticky", "--grasp", options.grasp, "has no fingers to close")
+    task = StickyTask if options.objects is None else partial(StickyTask, options.objects)
     return partial(task, distractors=options.distractors, fixed_seed=options.fixed_seed)
 
 
@@ -87,21 +81,12 @@ HIDDEN_CONTACT_TASKS = {
         conditions=_CONDITIONS,
     ),
     "sticky": KnownTask(
-        partial(_several_targets, "sticky", StickyTask),
+        _sticky,
         StickyExpert,
         partial(StickyExpert, noise=0.0),
         explorer=HandlingPolicy,
         summary="a gripper finds an object that holds among look-alikes, and takes it to a goal",
         title="A contact graph that finds out which objects hold",
-        conditions=_CONDITIONS,
-    ),
-    "bonds": KnownTask(
-        partial(_several_targets, "bonds", BondsTask),
-        CarryExpert,
-        partial(CarryExpert, noise=0.0),
-        explorer=partial(HandlingPolicy, press=0.3),
-        summary="a gripper to which objects stick rigidly or softly takes one to a goal",
-        title="A contact graph that tells rigid bonds from soft ones",
         conditions=_CONDITIONS,
     ),
 }

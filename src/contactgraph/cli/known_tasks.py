@@ -17,11 +17,8 @@ from contactgraph.cli.task_types import (
     without_options,
 )
 from contactgraph.envs import (
-    AttractionTask,
-    BankShotPolicy,
     BilliardsExpert,
     BilliardsTask,
-    BlockedShotTask,
     ChainTask,
     DominoesTask,
     DoorExpert,
@@ -73,10 +70,10 @@ def _billiards(options: TaskOptions) -> TaskFactory:
     return partial(task, passive=options.passive, fixed_seed=options.fixed_seed)
 
 
-def _relations(task: type[SpringsTask] | type[AttractionTask], options: TaskOptions) -> TaskFactory:
-    make = task if options.objects is None else partial(task, options.objects)
+def _springs(options: TaskOptions) -> TaskFactory:
+    make = SpringsTask if options.objects is None else partial(SpringsTask, options.objects)
     others = replace(options, objects=None)
-    return without_options(task.name, make, "takes no option but --objects", others)
+    return without_options("springs", make, "takes no option but --objects", others)
 
 
 def _unknown_mass(options: TaskOptions) -> TaskFactory:
@@ -166,22 +163,6 @@ TASKS = {
             TestCondition("6-objects", "6 objects", False, objects=6),
         ),
     ),
-    "blocked-shot": KnownTask(
-        partial(
-            without_options,
-            "blocked-shot",
-            BlockedShotTask,
-            "has one ball and takes no options",
-        ),
-        BankShotPolicy,
-        partial(BankShotPolicy, noise=0.0),
-        partial(BankShotPolicy, noise=0.0),
-        StrikingPolicy,
-        horizon=100,
-        starts=64,
-        summary="a cue brings a ball to a goal that only a bank off a wall reaches",
-        title="A contact graph that plays off walls",
-    ),
     "toss": _passive(partial(_alone, TossTask), "a box is tossed onto the floor (MuJoCo)"),
     "dominoes": _passive(
         partial(_alone, DominoesTask), "a row of ten dominoes falls, as far as it does (MuJoCo)"
@@ -209,13 +190,7 @@ TASKS = {
             TestCondition("3-distractors", "3 distractors", False, distractors=3),
         ),
     ),
-    "springs": _passive(
-        partial(_relations, SpringsTask), "bodies on springs that nothing shows; nothing is driven"
-    ),
-    "attraction": _passive(
-        partial(_relations, AttractionTask),
-        "bodies of one type attract those of another within a radius; nothing is driven",
-    ),
+    "springs": _passive(_springs, "bodies on springs that nothing shows; nothing is driven"),
     **HIDDEN_CONTACT_TASKS,
     **ADAPTED_TASKS,
 }

@@ -18,6 +18,7 @@ from contactgraph.model import (
     PriorEdges,
     bodies,
     check_motion_model,
+    describe_model,
     full_ab,
     gim_non_temp,
     gim_temp,
@@ -99,6 +100,13 @@ def stored_model(name: str | Path) -> ContactDynamics:
     """
     preset, _ = _split(str(name))
     return load_model(model_path(str(name)), model_preset(preset) if preset else None).model
+
+
+def data_simulator(name: str) -> str | None:
+    """The simulator that recorded the data of a ``MODEL`` argument; None where no file tells."""
+    data = describe_model(model_path(name)).training.get("data")
+    simulator = data.get("simulator") if isinstance(data, dict) else None
+    return simulator if isinstance(simulator, str) else None
 
 
 def motion_evidence(

@@ -74,6 +74,14 @@ HiddenSwitch = Annotated[
     bool,
     arg(help="suction: a random process that nothing records operates the switch."),
 ]
+Engine = Annotated[
+    str | None,
+    arg(
+        metavar="NAME",
+        help="Physics of planar tasks: box2d or pymunk.",
+        help_behavior_hint="(the first that is installed)",
+    ),
+]
 LoseGrasp = Annotated[
     float,
     arg(

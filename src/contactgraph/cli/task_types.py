@@ -28,6 +28,8 @@ class TaskOptions:
     """Share of the episodes in which a grasp is lost on the way."""
     in_the_way: bool = False
     """Whether a straight way touches two distractors or more."""
+    engine: str | None = None
+    """Physics engine of a planar task."""
 
     @property
     def metadata(self) -> dict[str, str | int | float]:

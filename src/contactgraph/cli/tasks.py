@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, cast
 
 from contactgraph.cli.known_tasks import TASKS
 from contactgraph.cli.options import choice, load_entry_point, load_object
@@ -17,6 +17,7 @@ from contactgraph.cli.task_types import KnownTask, TaskFactory, TaskOptions, ref
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import ExplorationPolicy
 from contactgraph.envs.contract import Task
+from contactgraph.envs.planar.world import engine_name
 
 _GROUP = "contactgraph.tasks"
 
@@ -72,6 +73,7 @@ def _factory_of_class(
         "hidden_switch": options.hidden_switch or None,
         "lose_grasp": options.lose_grasp or None,
         "in_the_way": options.in_the_way or None,
+        "engine": options.engine,
     }
     given = {key: value for key, value in given.items() if value is not None}
     for key, value in given.items():
@@ -103,6 +105,11 @@ def task_factory(name: str, options: TaskOptions) -> TaskFactory:
         known_task(name)
         raise InvalidInputError(f"--in-the-way: only pickup has such scenes, found {name}")
     factory = known_task(name).factory(options)
+    if ":" not in name:
+        if "engine" in inspect.signature(factory).parameters:
+            factory = partial(cast(Any, factory), engine=engine_name(options.engine))
+        elif options.engine is not None:
+            raise InvalidInputError(f"--engine: only planar tasks have a choice, found {name}")
     factory()  # an invalid count is refused before any work is done
     return factory
 
@@ -119,6 +126,7 @@ def make(
     hidden_switch: bool = False,
     lose_grasp: float = 0.0,
     in_the_way: bool = False,
+    engine: str | None = None,
 ) -> Task:
     """A task by its name, or by that of its class, ``module:Class``; see `TaskOptions`.
 
@@ -131,7 +139,8 @@ def make(
     Scene(1 gripper, 3 object; N=4, D=2, dt=0.05 s)
     """
     scene = distractors, objects, grasp, fixed_seed, radius
-    return task_factory(task, TaskOptions(*scene, passive, hidden_switch, lose_grasp, in_the_way))()
+    other = passive, hidden_switch, lose_grasp, in_the_way, engine
+    return task_factory(task, TaskOptions(*scene, *other))()
 
 
 def mixed_factories(name: str, options: TaskOptions) -> list[TaskFactory]:

@@ -17,6 +17,18 @@ _LARGEST = 1e6
 _START_TRIES = 1000
 
 
+class WatchedContact(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """An environment of two bodies, which knows whether they touched at any time in a step."""
+
+    touched = False
+
+
+def watched_contact(environment: gymnasium.Env[Any, Any]) -> np.ndarray:
+    """[2, 2] bool: whether the bodies of a `WatchedContact` touched in the last step."""
+    assert isinstance(environment, WatchedContact)
+    return environment.touched * ~np.eye(2, dtype=bool)
+
+
 class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
     """A Gymnasium environment as a `contactgraph.envs.Task`.
 

@@ -7,8 +7,8 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.gripper_task import DT, GripperTask, fixed_layout, fixed_metadata
-from contactgraph.envs.planar_body import PlanarBody
-from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
+from contactgraph.envs.planar.body import PlanarBody
+from contactgraph.envs.planar.world import PlanarWorld
 
 CUE, TARGET = 0, 1
 TABLE = np.array([1.0, 0.6])
@@ -56,8 +56,6 @@ class BilliardsLayout:
     """[2] m."""
     others: np.ndarray
     """[O + P, 2] m: further objects, then pillars."""
-    reach: np.ndarray | None = None
-    """[2, 2] m: bounds of the cue's position, see `Scene.reach`. None: the whole table."""
 
 
 def sample_layout(
@@ -83,7 +81,7 @@ def sample_layout(
         places, radii = [target], [DISCS["ball"][1]]
         for kind in ["cue", *types]:
             radius = DISCS[kind][1]
-            place = free_place(rng, np.array(places), np.array(radii), radius, line, kind)
+            place = _free_place(rng, np.array(places), np.array(radii), radius, line, kind)
             if place is None:
                 break
             places.append(place)
@@ -92,7 +90,7 @@ def sample_layout(
             return BilliardsLayout(places[1], target, goal, np.reshape(places[2:], (-1, 2)))
 
 
-def free_place(
+def _free_place(
     rng: np.random.Generator,
     places: np.ndarray,
     radii: np.ndarray,
@@ -128,8 +126,8 @@ class BilliardsTask(GripperTask):
     start at 0.3 to 1.5 m/s in all directions, and an episode runs for 80 steps.
 
     ``objects`` counts the target; ``restitution`` is that of every touch. ``fixed_seed`` is the
-    seed of a scene whose target and goal every episode shares. Raises `InvalidInputError` where
-    ``objects`` is not in 1 to 8, or ``restitution`` not in 0 to 1.
+    seed of a scene whose target and goal every episode shares. ``engine``: see `PlanarWorld`.
+    Raises `InvalidInputError` where ``objects`` is not in 1 to 8, or ``restitution`` not in 0 to 1.
     """
 
     name = "billiards"
@@ -140,6 +138,7 @@ class BilliardsTask(GripperTask):
         passive: bool = False,
         fixed_seed: int | None = None,
         restitution: float = RESTITUTION,
+        engine: str | None = None,
     ) -> None:
         if not 1 <= objects <= MAX_OBJECTS:
             raise InvalidInputError(f"objects must be 1 to {MAX_OBJECTS}, found {objects}")
@@ -156,18 +155,15 @@ class BilliardsTask(GripperTask):
         )
         self._objects = objects
         self._passive = passive
+        self._engine = engine
         self._restitution = restitution
         self._fixed_seed = fixed_seed
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_OBJECTS))
 
-    def layout(self, rng: np.random.Generator) -> BilliardsLayout:
-        """Start and goal of an episode."""
-        return sample_layout(rng, self._objects, self._fixed)
-
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed; at rest, unless it is passive."""
         rng = np.random.default_rng(seed)
-        layout = self.layout(rng)
+        layout = sample_layout(rng, self._objects, self._fixed)
         position = np.vstack([layout.cue, layout.target, layout.others])[int(self._passive) :]
         count = len(position)
         velocity = np.zeros((count, 2))
@@ -187,14 +183,11 @@ class BilliardsTask(GripperTask):
                 restitution=self._restitution,
                 friction=FRICTION,
                 ground_friction=0.0 if static[index] else GROUND_FRICTION,
-                reach=layout.reach if self._types[index] == "cue" else None,
             )
             for index in range(count)
         ]
-        reach = None
-        if layout.reach is not None:
-            reach = np.full((count, 2, 2), np.nan)
-            reach[CUE] = layout.reach
+        walls = np.array([-TABLE, TABLE])
+        world = PlanarWorld(bodies, DT, walls=walls, engine=self._engine)
         scene = Scene(
             node_name=(
                 *["cue"] * (not self._passive),
@@ -211,7 +204,6 @@ class BilliardsTask(GripperTask):
             static=static,
             control_kind=() if self._passive else ("force", "force"),
             planes=np.hstack([np.vstack([np.eye(2), -np.eye(2)]), np.tile(-TABLE, 2)[:, None]]),
-            reach=reach,
             metadata={
                 "task": self.name,
                 "seed": seed,
@@ -220,12 +212,11 @@ class BilliardsTask(GripperTask):
                 "restitution": self._restitution,
                 "friction": FRICTION,
                 "ground_friction": GROUND_FRICTION,
-                "simulator": SIMULATOR,
-                "substeps": 10,
+                **world.metadata,
                 **fixed_metadata(self._fixed_seed),
             },
         )
-        return scene, PlanarWorld(bodies, DT, walls=np.array([-TABLE, TABLE]))
+        return scene, world
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the target is within 0.1 m of the goal."""

@@ -6,7 +6,7 @@ from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.billiards import CUE, DT, TABLE
 from contactgraph.envs.contract import Observation
 from contactgraph.envs.experts import CorrelatedNoise
-from contactgraph.envs.planar_world import GRAVITY
+from contactgraph.envs.planar.body import GRAVITY
 
 STAND_OFF = 0.18
 """Distance of the two surfaces before the run-up, m."""
@@ -69,18 +69,13 @@ class BilliardsExpert:
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[2]`` N."""
         position, velocity = observation["position"], observation["velocity"]
-        shot = self.aim(position, observation["goal"])
-        missing = observation["goal"] - position[self._target]
+        shot = np.asarray(observation["goal"] - position[self._target])
         resting = np.linalg.norm(velocity[self._target]) <= AT_REST
         wanted = np.zeros(2)
-        if resting and np.linalg.norm(missing) > NEAR_GOAL:
+        if resting and np.linalg.norm(shot) > NEAR_GOAL:
             wanted = self._velocity(position, velocity[CUE], self._feasible(position, shot))
         force = self._mass[CUE] * (wanted - velocity[CUE]) / TIME_CONSTANT
         return force + self._noise()
-
-    def aim(self, position: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """[2] m: the shot that leads the target to the goal."""
-        return np.asarray(goal - position[self._target])
 
     def _feasible(self, position: np.ndarray, shot: np.ndarray) -> np.ndarray:
         """[2] m: the shot, turned as little as gives the cue a free position behind the target."""

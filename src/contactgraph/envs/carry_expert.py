@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from contactgraph.data import InvalidInputError, Scene
+from contactgraph.data import Scene
 from contactgraph.envs.contract import Observation
-from contactgraph.envs.experts import CorrelatedNoise
+from contactgraph.envs.experts import CorrelatedNoise, carried_targets
 from contactgraph.envs.gripper_motion import GripperForces
-from contactgraph.envs.gripper_task import GRIPPER
 
 _CALM = 0.15
 """Distance from the goal within which the noise on the force fades, m."""
@@ -28,13 +27,7 @@ class _Expert:
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where nothing is to be carried."""
-        targets = [i for i, name in enumerate(scene.node_name) if name.startswith("target")]
-        if scene.goal is None or not targets or not scene.actuated[GRIPPER]:
-            raise InvalidInputError(
-                "a carrying expert needs a goal, an actuated node 0 and nodes named target..., "
-                f"found nodes {list(scene.node_name)}"
-            )
-        self.targets, self.dt = targets, scene.dt
+        self.targets, self.dt = carried_targets(scene), scene.dt
         self.rng = np.random.default_rng(seed)
         self._noise.reset(scene.dimension, int(self.rng.integers(2**31)))
 

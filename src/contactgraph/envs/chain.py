@@ -10,8 +10,8 @@ from contactgraph.data import Scene
 from contactgraph.envs.contract import Observation
 from contactgraph.envs.gripper_task import DT, MASS
 from contactgraph.envs.pickup import at_goal
-from contactgraph.envs.planar_body import PlanarBody
-from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
+from contactgraph.envs.planar.body import PlanarBody
+from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.envs.shaped_tasks import ShapedTask, box_outline
 
 LINK = np.array([0.1, 0.015])
@@ -28,20 +28,21 @@ GRASP_RADIUS = 0.03
 
 
 class ChainTask(ShapedTask):
-    """A gripper drags a chain of two links over a table; a `contactgraph.envs.Task`, on Box2D.
+    """A gripper drags a chain of two links over a table; a `contactgraph.envs.Task`.
 
     Nodes are the gripper (0), a disc of 1 kg and radius 3 cm that does not rotate, and two bars of
     20 by 3 cm and 0.3 kg, the link and the target. The gripper holds an end of the link by a pin,
     and a pin joins the link to the target, which starts in line with it; an observation has the key
     ``holding``, and what is held is in contact. The table damps the links by 3 1/s. The control
     ``[2]`` N is a force on the gripper. An episode runs for 160 steps of 0.05 s, and succeeds if
-    the target's middle is within 0.1 m of the goal at its end.
+    the target's middle is within 0.1 m of the goal at its end. ``engine``: see `PlanarWorld`.
     """
 
     name = "chain"
 
-    def __init__(self) -> None:
+    def __init__(self, engine: str | None = None) -> None:
         super().__init__(3, CHAIN_STEPS, 1.5, DT)
+        self._engine = engine
         spaces = cast(gymnasium.spaces.Dict, self.observation_space).spaces
         spaces["holding"] = gymnasium.spaces.MultiBinary((3, 3))
 
@@ -55,7 +56,8 @@ class ChainTask(ShapedTask):
             gripper, LINK_MASS, half_size=LINK, angle=angle, rotates=True, damping=LINK_DAMPING
         )
         links = [replace(bar, position=gripper + share * along) for share in (0.5, 1.5)]
-        world = PlanarWorld([PlanarBody(gripper, MASS, radius=GRASP_RADIUS), *links], DT, SUBSTEPS)
+        bodies = [PlanarBody(gripper, MASS, radius=GRASP_RADIUS), *links]
+        world = PlanarWorld(bodies, DT, SUBSTEPS, engine=self._engine)
         world.join(0, 1)
         world.join(1, 2)
         end = LINK * [1.0, 0.0]
@@ -75,8 +77,7 @@ class ChainTask(ShapedTask):
                 "task": self.name,
                 "seed": seed,
                 "damping": LINK_DAMPING,
-                "simulator": SIMULATOR,
-                "substeps": SUBSTEPS,
+                **world.metadata,
             },
         )
         return scene, world

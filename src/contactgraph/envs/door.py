@@ -15,8 +15,8 @@ from contactgraph.envs.gripper_task import (
     fixed_layout,
     fixed_metadata,
 )
-from contactgraph.envs.planar_body import PlanarBody
-from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
+from contactgraph.envs.planar.body import PlanarBody
+from contactgraph.envs.planar.world import PlanarWorld
 
 LENGTH = 1.0
 """Of every door, m."""
@@ -140,19 +140,8 @@ GOAL_RADIUS = 0.05
 """The door's middle must end within this distance of the goal, m: 0.1 rad."""
 
 
-def _door(hinge: np.ndarray, angle: float) -> PlanarBody:
-    return PlanarBody(
-        middle(hinge, angle),
-        DOOR_MASS,
-        half_size=np.array([LENGTH, THICKNESS]) / 2.0,
-        angle=angle,
-        anchor=hinge,
-        group=-1,
-    )
-
-
 class DoorTask(GripperTask):
-    """The paper's third Box2D task; a `contactgraph.envs.Task`.
+    """The paper's third planar task; a `contactgraph.envs.Task`.
 
     Nodes are the gripper (0), the target door (1) and ``distractors`` further doors. A door is a
     bar, 4 kg, 0.05 x 1.0 m, that turns freely about a hinge at one end (``scene.anchor``); its
@@ -164,30 +153,38 @@ class DoorTask(GripperTask):
     ``fixed_seed`` is the seed of a scene whose target door (hinge, angle) and goal every episode
     shares, so that only the start of the gripper and the other doors vary; None: each has its own.
 
-    Raises `InvalidInputError` where ``distractors`` is not in 0 to 10.
+    ``engine``: see `PlanarWorld`. Raises `InvalidInputError` where ``distractors`` is not in 0 to
+    10.
     """
 
     def __init__(
-        self, distractors: int = 0, substeps: int = 10, fixed_seed: int | None = None
+        self,
+        distractors: int = 0,
+        fixed_seed: int | None = None,
+        engine: str | None = None,
     ) -> None:
         if not 0 <= distractors <= MAX_DISTRACTORS:
             raise InvalidInputError(
                 f"distractors must be 0 to {MAX_DISTRACTORS}, found {distractors}"
             )
-        if substeps < 1:
-            raise InvalidInputError(f"substeps must be at least 1, found {substeps}")
         super().__init__(2 + distractors, MAX_STEPS, DISTRACTOR_HALF_WIDTH + LENGTH)
         self._distractors = distractors
-        self._substeps = substeps
         self._fixed_seed = fixed_seed
+        self._engine = engine
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_DISTRACTORS))
 
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed, with everything at rest."""
         layout = sample_layout(np.random.default_rng(seed), self._distractors, self._fixed)
         gripper = PlanarBody(layout.gripper, MASS, radius=GRIPPER_RADIUS)
-        bars = [_door(*each) for each in zip(layout.hinge, layout.angle, strict=True)]
-        world = PlanarWorld([gripper, *bars], DT, self._substeps, HoldAtTouch())
+        half = np.array([LENGTH, THICKNESS]) / 2.0
+        bars = [
+            PlanarBody(
+                middle(hinge, angle), DOOR_MASS, half_size=half, angle=angle, anchor=hinge, group=-1
+            )
+            for hinge, angle in zip(layout.hinge, layout.angle, strict=True)
+        ]
+        world = PlanarWorld([gripper, *bars], DT, hold=HoldAtTouch(), engine=self._engine)
         doors = 1 + self._distractors
         scene = Scene(
             node_name=("gripper", "door", *(f"distractor-{i}" for i in range(self._distractors))),
@@ -203,8 +200,7 @@ class DoorTask(GripperTask):
                 "task": "door",
                 "seed": seed,
                 "distractors": self._distractors,
-                "simulator": SIMULATOR,
-                "substeps": self._substeps,
+                **world.metadata,
                 "angle": float(layout.angle[0]),
                 "goal_angle": layout.goal_angle,
                 **fixed_metadata(self._fixed_seed),

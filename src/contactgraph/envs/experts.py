@@ -111,6 +111,17 @@ GOAL_DAMPING = 4.0 * np.sqrt(STIFFNESS)
 """Towards the goal with one target, and across the direction to a target, N s/m."""
 
 
+def carried_targets(scene: Scene) -> list[int]:
+    """The nodes named target...; raises `InvalidInputError` where nothing is to be carried."""
+    targets = [i for i, name in enumerate(scene.node_name) if name.startswith("target")]
+    if scene.goal is None or not targets or not scene.actuated[GRIPPER]:
+        raise InvalidInputError(
+            "this expert needs a goal, an actuated node 0 and nodes named target..., found "
+            f"nodes {list(scene.node_name)}"
+        )
+    return targets
+
+
 class PickupExpert:
     """Picks up the targets without stopping: a PD controller with the paper's gains.
 
@@ -133,13 +144,7 @@ class PickupExpert:
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where ``scene`` is no pickup."""
-        targets = [i for i, name in enumerate(scene.node_name) if name.startswith("target")]
-        if scene.goal is None or not targets or not scene.actuated[GRIPPER]:
-            raise InvalidInputError(
-                "a pickup expert needs a goal, an actuated node 0 and nodes named target..., found "
-                f"nodes {list(scene.node_name)}"
-            )
-        self._targets = targets
+        self._targets = carried_targets(scene)
         self._noise.reset(scene.dimension, seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:

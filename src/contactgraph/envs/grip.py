@@ -1,14 +1,13 @@
 """Rules that tie bodies of a `PlanarWorld` together: at touch, by a switch, for or after a time."""
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs.gripper_task import GRIPPER
-from contactgraph.envs.planar_joints import Pad
-from contactgraph.envs.planar_world import PlanarWorld
+from contactgraph.envs.planar.world import PlanarWorld
 
 SWITCH_ON = 0.5
 """A switch above this is on."""
@@ -18,8 +17,6 @@ HOLD_TIME = (0.5, 2.0)
 """Shortest and longest duration of a hold that ends by itself, s."""
 HOLD_TENSION = 4.0
 """Force that ends a hold by pulling the pair apart, N."""
-PAD_DEFORMATION = 0.05
-"""Deformation that ends a soft hold, m."""
 HIDDEN_ON = (0.4, 1.4)
 """Shortest and longest time for which a hidden switch stays on, s."""
 HIDDEN_OFF = (0.3, 1.2)
@@ -36,12 +33,13 @@ _ROUNDING = 1e-9
 
 def touched(world: PlanarWorld) -> set[int]:
     """The nodes that the gripper touches or holds now, not only earlier in the step."""
-    return {int(node) for node in np.flatnonzero(world.touching[GRIPPER])} | held_by_gripper(world)
+    pairs = world.touching_pairs | world.joined_pairs
+    return {other for first, other in pairs if first == GRIPPER}
 
 
 def held_by_gripper(world: PlanarWorld) -> set[int]:
     """The nodes that the gripper holds now."""
-    return {int(node) for node in np.flatnonzero(world.holding[GRIPPER])}
+    return {other for first, other in world.joined_pairs if first == GRIPPER}
 
 
 class HoldAtTouch:
@@ -120,28 +118,24 @@ class HiddenSwitchHold:
         _check_times("on", on)
         _check_times("off", off)
         self._seed, self._times = seed, {True: on, False: off}
-        self._changes = self._draw()
-        self._on, self._left = next(self._changes)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._rng = np.random.default_rng(self._seed)
+        self._on = bool(self._rng.random() < 0.5)
+        self._left = float(self._rng.uniform(*self._times[self._on]))
 
     def reset(self, world: PlanarWorld) -> None:
         """Begins an episode: the same times again."""
-        self._changes = self._draw()
-        self._on, self._left = next(self._changes)
+        self._begin()
 
     def update(self, world: PlanarWorld, dt: float) -> None:
         """Joins or parts the gripper's pairs after a substep of ``dt`` s."""
         self._left -= dt
         if self._left <= _ROUNDING:
-            self._on, self._left = next(self._changes)
+            self._on = not self._on
+            self._left = float(self._rng.uniform(*self._times[self._on]))
         switch(world, self._on)
-
-    def _draw(self) -> Iterator[tuple[bool, float]]:
-        """Whether the switch is on, and for how long, s, in turn."""
-        rng = np.random.default_rng(self._seed)
-        on = bool(rng.random() < 0.5)
-        while True:
-            yield on, float(rng.uniform(*self._times[on]))
-            on = not on
 
 
 class BreakingHold:
@@ -150,8 +144,7 @@ class BreakingHold:
     ``tension`` N is the limit of the force that pulls the pair apart. The duration of each hold is
     uniform in ``times`` s, drawn from ``seed``; None: no hold ends by itself. A pair whose hold has
     ended can be held again only once it has parted: after 0.05 s without a touch. ``nodes`` are the
-    bodies that can be held; None: all. ``soft`` are those held by a soft `Pad`, which ends once it
-    is deformed by more than 0.05 m, whatever the force.
+    bodies that can be held; None: all.
     """
 
     def __init__(
@@ -160,7 +153,6 @@ class BreakingHold:
         times: tuple[float, float] | None = None,
         tension: float = HOLD_TENSION,
         nodes: Collection[int] | None = None,
-        soft: Collection[int] = (),
     ) -> None:
         if times is not None:
             _check_times("times", times)
@@ -168,11 +160,9 @@ class BreakingHold:
             raise InvalidInputError(f"tension must be above 0 N, found {tension}")
         self._seed, self._times, self._tension = seed, times, tension
         self._nodes = None if nodes is None else frozenset(nodes)
-        self._soft = frozenset(soft)
         self._rng = np.random.default_rng(seed)
         self._left: dict[int, float] = {}
         self._apart: dict[int, float] = {}
-        self._offset: dict[int, np.ndarray] = {}
 
     def reset(self, world: PlanarWorld) -> None:
         """Begins an episode: the same times again."""
@@ -186,26 +176,16 @@ class BreakingHold:
         self._wait_for_parting(touching, dt)
         can_hold = touching if self._nodes is None else touching & self._nodes
         for node in sorted(can_hold - set(self._left) - set(self._apart)):
-            if node in self._soft:
-                world.join(GRIPPER, node, Pad())
-                self._offset[node] = _offset(world, node)
-            else:
-                world.join(GRIPPER, node)
+            world.join(GRIPPER, node)
             self._left[node] = math.inf if self._times is None else self._rng.uniform(*self._times)
 
     def _part(self, world: PlanarWorld, dt: float) -> None:
         for node in sorted(self._left):
             self._left[node] -= dt
-            if self._left[node] <= _ROUNDING or self._torn(world, node):
+            if self._left[node] <= _ROUNDING or world.joint_tension(GRIPPER, node) > self._tension:
                 world.part(GRIPPER, node)
                 del self._left[node]
                 self._apart[node] = 0.0
-
-    def _torn(self, world: PlanarWorld, node: int) -> bool:
-        if node not in self._soft:
-            return world.joint_tension(GRIPPER, node) > self._tension
-        deformation = np.linalg.norm(_offset(world, node) - self._offset[node])
-        return bool(deformation > PAD_DEFORMATION)
 
     def _wait_for_parting(self, touching: set[int], dt: float) -> None:
         """Counts the time for which pairs whose hold has ended have not touched."""
@@ -241,12 +221,6 @@ class DelayedHold:
             if self._since[node] >= self._delay - _ROUNDING:
                 world.join(GRIPPER, node)
                 del self._since[node]
-
-
-def _offset(world: PlanarWorld, node: int) -> np.ndarray:
-    """[2] m, from the gripper to a node."""
-    position = world.position
-    return np.asarray(position[node] - position[GRIPPER])
 
 
 def _check_times(name: str, times: tuple[float, float]) -> None:

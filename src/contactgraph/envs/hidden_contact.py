@@ -1,13 +1,12 @@
-"""Tasks in which geometry does not tell holding: suction, release, delay, sticky and bonds."""
+"""Tasks in which geometry does not tell holding: suction, release, delay and sticky."""
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.carry_task import CarryTask, Metadata
 from contactgraph.envs.contract import ChainCost, Observation
 from contactgraph.envs.grip import (
     HOLD_TIME,
@@ -18,8 +17,8 @@ from contactgraph.envs.grip import (
     SwitchedHold,
 )
 from contactgraph.envs.gripper_task import GRIPPER, MAX_FORCE
-from contactgraph.envs.pickup import MAX_OBJECTS, TARGET, at_goal
-from contactgraph.envs.planar_world import HoldRule, PlanarWorld
+from contactgraph.envs.pickup import MAX_OBJECTS, TARGET, CarryTask, Metadata, at_goal
+from contactgraph.envs.planar.world import HoldRule, PlanarWorld
 
 PUT_DOWN_RADIUS = 0.02
 """The target must lie within this distance of the goal, m."""
@@ -27,8 +26,6 @@ LOST_AFTER = (0.05, 0.25)
 """Shortest and longest way to where a grasp is lost, m: before the goal, 0.3 m away or more."""
 HOLD_SHARE = 0.25
 """Probability that a body of `StickyTask` holds."""
-SOFT_SHARE = 0.5
-"""Probability that a body of `BondsTask` is held by a soft bond."""
 _SUCTION_STEPS = 240
 """Steps of an episode that ends with putting down."""
 _STICKY_STEPS = 300
@@ -67,16 +64,16 @@ class SuctionTask(CarryTask):
     def __init__(
         self,
         distractors: int = 0,
-        substeps: int = 10,
         fixed_seed: int | None = None,
         hidden_switch: bool = False,
         lose_grasp: float = 0.0,
+        engine: str | None = None,
     ) -> None:
         if not 0.0 <= lose_grasp <= 1.0:
             raise InvalidInputError(f"lose_grasp must be a share, 0 to 1, found {lose_grasp}")
         if hidden_switch and lose_grasp:
             raise InvalidInputError("lose_grasp: a hidden switch ends every grasp by itself")
-        super().__init__(distractors, substeps, fixed_seed, max_steps=_SUCTION_STEPS)
+        super().__init__(distractors, fixed_seed, 1, _SUCTION_STEPS, engine)
         self._hidden_switch, self._lose_grasp = hidden_switch, lose_grasp
         if not hidden_switch:
             high = np.array([MAX_FORCE, MAX_FORCE, 1.0])
@@ -106,7 +103,7 @@ class SuctionTask(CarryTask):
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advances by ``scene.dt`` under force and switch, each clipped to its bounds."""
         if not self._hidden_switch:
-            self.carrying().switch = float(self.bounded(action)[-1])
+            cast(PlanarWorld, self.world).switch = float(self.bounded(action)[-1])
         return super().step(action)
 
     def cost_terms(self) -> ChainCost:
@@ -131,7 +128,7 @@ class SuctionTask(CarryTask):
         """Whether the episode is over and has ended as the task demands."""
         if not super().success() or self._hidden_switch:
             return super().success()
-        world = self.carrying()
+        world = cast(PlanarWorld, self.world)
         released = not world.holding[GRIPPER, TARGET] and world.switch <= SWITCH_ON
         return bool(released and np.linalg.norm(world.velocity[TARGET]) <= REST_SPEED)
 
@@ -183,17 +180,22 @@ class StickyTask(CarryTask):
         self,
         objects: int = 3,
         distractors: int = 0,
-        substeps: int = 10,
         fixed_seed: int | None = None,
+        engine: str | None = None,
     ) -> None:
         if not 2 <= objects <= MAX_OBJECTS:
             raise InvalidInputError(f"objects must be 2 to {MAX_OBJECTS}, found {objects}")
-        super().__init__(distractors, substeps, fixed_seed, objects, _STICKY_STEPS)
+        super().__init__(distractors, fixed_seed, objects, _STICKY_STEPS, engine)
         self._holders = frozenset({TARGET})
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
         """Holds of drawn bodies; their nodes, as text, are metadata."""
-        self._holders = _drawn(seed, HOLD_SHARE, self.targets, self.distractors)
+        rng = np.random.default_rng(seed)
+        drawn = np.zeros(self.targets, dtype=bool)
+        while drawn.all() or not drawn.any():
+            drawn = rng.random(self.targets) < HOLD_SHARE
+        drawn = np.concatenate([drawn, rng.random(self.distractors) < HOLD_SHARE])
+        self._holders = frozenset(int(node) for node in 1 + np.flatnonzero(drawn))
         return BreakingHold(nodes=self._holders), {
             "holders": " ".join(map(str, sorted(self._holders)))
         }
@@ -205,43 +207,3 @@ class StickyTask(CarryTask):
     def cost_terms(self) -> ChainCost:
         """The weights of pickup, along the first target that holds in this episode."""
         return replace(super().cost_terms(), chain=(GRIPPER, min(self._holders)))
-
-
-class BondsTask(CarryTask):
-    """Look-alike bodies, some held rigidly and some by a soft bond; a `contactgraph.envs.Task`.
-
-    Of ``objects`` targets and of the distractors, each is held by a soft `Pad` with probability
-    1/2, drawn for each episode, but at least one target is and one is not. A hold lasts from touch
-    until more than 4 N pull the pair apart, or a soft one is deformed by more than 0.05 m. The
-    control ``[2]`` N is a force on the gripper. The first target must end within 0.1 m of the goal.
-
-    Raises `InvalidInputError` where ``objects`` is not in 2 to 5 or ``distractors`` in 0 to 20.
-    """
-
-    name = "bonds"
-
-    def __init__(
-        self,
-        objects: int = 2,
-        distractors: int = 0,
-        substeps: int = 10,
-        fixed_seed: int | None = None,
-    ) -> None:
-        if not 2 <= objects <= MAX_OBJECTS:
-            raise InvalidInputError(f"objects must be 2 to {MAX_OBJECTS}, found {objects}")
-        super().__init__(distractors, substeps, fixed_seed, objects, _STICKY_STEPS)
-
-    def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
-        """Soft holds of drawn bodies; their nodes, as text, are metadata."""
-        soft = _drawn(seed, SOFT_SHARE, self.targets, self.distractors)
-        return BreakingHold(soft=soft), {"soft": " ".join(map(str, sorted(soft)))}
-
-
-def _drawn(seed: int, share: float, targets: int, distractors: int) -> frozenset[int]:
-    """Nodes, each drawn with a probability: at least one target, not all, and any distractors."""
-    rng = np.random.default_rng(seed)
-    drawn = np.zeros(targets, dtype=bool)
-    while drawn.all() or not drawn.any():
-        drawn = rng.random(targets) < share
-    drawn = np.concatenate([drawn, rng.random(distractors) < share])
-    return frozenset(int(node) for node in 1 + np.flatnonzero(drawn))

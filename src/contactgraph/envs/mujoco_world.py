@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.envs.planar_body import PlanarBody
+from contactgraph.envs.planar.body import PlanarBody
 
 try:
     import mujoco as mujoco
@@ -45,14 +45,11 @@ class VerticalWorld:
     """``N`` boxes above a floor, under gravity.
 
     ``dt`` s is the time that a call of `step` takes, ``contact_time`` s the time constant of
-    contacts. ``spin`` ``[N]`` rad/s is the boxes' angular velocity at the start. Each needs a
-    ``half_size``; its ``friction`` counts, of two the larger one, and the floor has none of its
-    own. Raises `InvalidInputError` for a body that is no box.
+    contacts. Each box needs a ``half_size``; its ``friction`` counts, of two the larger one, and
+    the floor has none of its own. Raises `InvalidInputError` for a body that is no box.
     """
 
-    def __init__(
-        self, boxes: Sequence[PlanarBody], spin: np.ndarray, dt: float, contact_time: float = 7e-4
-    ) -> None:
+    def __init__(self, boxes: Sequence[PlanarBody], dt: float, contact_time: float = 7e-4) -> None:
         self._looks = math.ceil(dt / contact_time * _FINENESS / _LOOK_EVERY)
         self.substeps = self._looks * _LOOK_EVERY
         """Equal parts of a step."""
@@ -61,7 +58,7 @@ class VerticalWorld:
         self._count = len(boxes)
         self._touched = np.zeros((self._count, self._count), dtype=bool)
         self._data.qpos[:] = np.ravel([[*box.position, box.angle] for box in boxes])
-        self._data.qvel[:] = np.ravel(np.column_stack([[box.velocity for box in boxes], spin]))
+        self._data.qvel[:] = np.ravel([[*box.velocity, box.spin] for box in boxes])
         mujoco.mj_forward(self._model, self._data)
         self._look()
 
@@ -89,11 +86,6 @@ class VerticalWorld:
     def contact(self) -> np.ndarray:
         """``[N, N]`` bool, symmetric: pairs that touched at any time during the last step."""
         return self._touched.copy()
-
-    @property
-    def depth(self) -> float:
-        """The deepest overlap of two surfaces now, m."""
-        return float(max(-self._data.contact.dist.min(initial=0.0), 0.0))
 
     def step(self, force: np.ndarray) -> None:
         """Advances by ``dt`` under a constant ``force`` ``[N, 2]`` N on the boxes' middles."""

@@ -8,11 +8,11 @@ import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs.adapter import AdaptedTask
+from contactgraph.envs.adapter import AdaptedTask, WatchedContact, watched_contact
 from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.environment_map import Entries, EnvironmentMap, MappedBody, MappedControl
 from contactgraph.envs.pickup import GOAL_WEIGHTS
-from contactgraph.envs.push_policy import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
+from contactgraph.envs.push_and_pick import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
 
 SCALE = 0.001
 """m per pixel: PushT names no unit of length; so its table is half a metre wide."""
@@ -84,10 +84,8 @@ def _make_environment() -> gymnasium.Env[Any, Any]:
     return _WatchedContact(gymnasium.make("gym_pusht/PushT-v0", disable_env_checker=True))
 
 
-class _WatchedContact(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Knows whether agent and block touched at any time in the last step, of ten substeps."""
-
-    touched = False
+class _WatchedContact(WatchedContact):
+    """Watches agent and block in ten substeps a step."""
 
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         """Starts an episode, in a new space; `touched` tells whether they touch."""
@@ -151,15 +149,9 @@ def _pusht_map() -> EnvironmentMap:
         max_steps=MAX_STEPS,
         tolerance=TOLERANCE,
         scale=SCALE,
-        contact=_touched,
+        contact=watched_contact,
         planes=np.array([[1.0, 0.0, low], [-1.0, 0.0, -high], [0.0, 1.0, low], [0.0, -1.0, -high]]),
     )
-
-
-def _touched(environment: gymnasium.Env[Any, Any]) -> np.ndarray:
-    """[2, 2] bool: whether agent and block touched in the last step."""
-    assert isinstance(environment, _WatchedContact)
-    return environment.touched * ~np.eye(2, dtype=bool)
 
 
 STYLE = PushStyle(clearance=0.105, speed=0.2, lead=0.2, near_enough=0.015)

@@ -2,16 +2,16 @@
 
 from abc import abstractmethod
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium
 import numpy as np
 
 from contactgraph.data import Scene
 from contactgraph.envs.contract import ChainCost, Observation
-from contactgraph.envs.gripper_task import GripperTask, World
+from contactgraph.envs.gripper_task import GripperTask
 from contactgraph.envs.pickup import CONTROL_WEIGHT, GOAL_WEIGHTS, PICK_WEIGHTS
-from contactgraph.envs.planar_body import PlanarBody
+from contactgraph.envs.planar.body import PlanarBody
 
 if TYPE_CHECKING:
     from contactgraph.envs.mujoco_world import VerticalWorld
@@ -32,18 +32,6 @@ _MOST_ANGLE, _MOST_RATE = 1e3, 1e3
 """rad, rad/s: bounds of what is observed."""
 
 
-class TurningWorld(World, Protocol):
-    """Bodies in the plane that turn."""
-
-    @property
-    def angle(self) -> np.ndarray:
-        """``[N]`` rad, counter-clockwise, not wrapped."""
-
-    @property
-    def angular_velocity(self) -> np.ndarray:
-        """``[N]`` rad/s."""
-
-
 class ShapedTask(GripperTask):
     """A task in the plane that observes orientation and angular velocity; arguments as there."""
 
@@ -57,7 +45,7 @@ class ShapedTask(GripperTask):
 
     def observed(self) -> Observation:
         """The observation of the present state, with orientation and angular velocity."""
-        world = cast(TurningWorld, self.world)
+        world: Any = self.world
         turning = {
             "orientation": world.angle[:, None],
             "angular_velocity": world.angular_velocity[:, None],
@@ -96,15 +84,15 @@ class VerticalTask(ShapedTask):
         self._count = count
 
     @abstractmethod
-    def boxes(self, rng: np.random.Generator) -> tuple[list[PlanarBody], np.ndarray]:
-        """The boxes of an episode, and their angular velocities ``[N]`` rad/s."""
+    def boxes(self, rng: np.random.Generator) -> list[PlanarBody]:
+        """The boxes of an episode."""
 
     def begin(self, seed: int) -> "tuple[Scene, VerticalWorld]":
         """Samples the scene of a seed."""
         from contactgraph.envs import mujoco_world
 
-        boxes, spin = self.boxes(np.random.default_rng(seed))
-        world, count = mujoco_world.VerticalWorld(boxes, spin, DT, self.contact_time), self._count
+        boxes, count = self.boxes(np.random.default_rng(seed)), self._count
+        world = mujoco_world.VerticalWorld(boxes, DT, self.contact_time)
         scene = Scene(
             node_name=(self.kind,)
             if count == 1
@@ -147,16 +135,17 @@ class TossTask(VerticalTask):
     def __init__(self) -> None:
         super().__init__(1, 75, 1.0)
 
-    def boxes(self, rng: np.random.Generator) -> tuple[list[PlanarBody], np.ndarray]:
+    def boxes(self, rng: np.random.Generator) -> list[PlanarBody]:
         """One box in flight."""
         height, angle = rng.uniform([0.2, -np.pi], [0.5, np.pi])
         velocity = rng.uniform([-1.5, -1.0], [1.5, 1.0])
         box = _box(BOX, BOX_MASS, BOX_FRICTION, 0.0, height)
-        return [replace(box, velocity=velocity, angle=angle)], rng.uniform(-12.0, 12.0, 1)
+        spin = rng.uniform(-12.0, 12.0)
+        return [replace(box, velocity=velocity, angle=angle, angular_velocity=spin)]
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the box is at rest."""
-        world = cast(TurningWorld, self.world)
+        world: Any = self.world
         return bool(
             max(np.abs(world.velocity).max(), np.abs(world.angular_velocity).max()) <= AT_REST
         )
@@ -193,7 +182,7 @@ class DominoesTask(VerticalTask):
     def __init__(self) -> None:
         super().__init__(DOMINOES, 100, 1.0)
 
-    def boxes(self, rng: np.random.Generator) -> tuple[list[PlanarBody], np.ndarray]:
+    def boxes(self, rng: np.random.Generator) -> list[PlanarBody]:
         """The row, from left to right."""
         gaps = rng.uniform(0.025, 0.07, DOMINOES - 1)
         wide, width = int(rng.integers(1, DOMINOES - 1)), rng.uniform(0.08, 0.16)
@@ -202,8 +191,8 @@ class DominoesTask(VerticalTask):
         places = np.concatenate([[0.0], np.cumsum(gaps + 2.0 * DOMINO[0])])
         row = [_box(DOMINO, DOMINO_MASS, DOMINO_FRICTION, x, DOMINO[1]) for x in places]
         rate = rng.uniform(3.0, 6.0)
-        row[0] = replace(row[0], velocity=rate * DOMINO[::-1])
-        return row, np.concatenate([[-rate], np.zeros(DOMINOES - 1)])
+        row[0] = replace(row[0], velocity=rate * DOMINO[::-1], angular_velocity=-rate)
+        return row
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether all dominoes have fallen."""
@@ -223,18 +212,17 @@ class StackTask(VerticalTask):
     def __init__(self) -> None:
         super().__init__(3, 100, 1.0)
 
-    def boxes(self, rng: np.random.Generator) -> tuple[list[PlanarBody], np.ndarray]:
+    def boxes(self, rng: np.random.Generator) -> list[PlanarBody]:
         """The stack, from below."""
         places = rng.uniform(-0.02, 0.02, 3)
         heights = BOX[1] * (1.0 + 2.0 * np.arange(3))
-        stack = [
+        return [
             _box(BOX, BOX_MASS, BOX_FRICTION, x, y) for x, y in zip(places, heights, strict=True)
         ]
-        return stack, np.zeros(3)
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the boxes are where they were."""
-        start = self.boxes(np.random.default_rng(int(scene.metadata["seed"])))[0]
+        start = self.boxes(np.random.default_rng(int(scene.metadata["seed"])))
         moved = np.linalg.norm(position - [box.position for box in start], axis=-1)
         turned = np.abs(self.observed()["orientation"])
         return bool(max(moved.max(), turned.max()) <= STANDING_STILL)

@@ -7,27 +7,12 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
 from contactgraph.envs.experts import CorrelatedNoise
-from contactgraph.envs.gripper_task import (
-    DT,
-    GRIPPER,
-    MASS,
-    MAX_FORCE,
-    GripperTask,
-    fixed_layout,
-    fixed_metadata,
-)
-from contactgraph.envs.pickup import (
-    GOAL_WEIGHTS,
-    MAX_DISTRACTORS,
-    MAX_STEPS,
-    TARGET,
-    check_counts,
-    disc_scene,
-)
-from contactgraph.envs.pickup_layout import HALF_WIDTH, RADIUS, sample_layout
-from contactgraph.envs.planar_body import PlanarBody
-from contactgraph.envs.planar_world import SIMULATOR, PlanarWorld
-from contactgraph.envs.push_policy import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
+from contactgraph.envs.gripper_task import DT, GRIPPER, MASS, MAX_FORCE
+from contactgraph.envs.pickup import GOAL_WEIGHTS, TARGET, CarryTask, Metadata
+from contactgraph.envs.pickup_layout import HALF_WIDTH, RADIUS
+from contactgraph.envs.planar.body import PlanarBody
+from contactgraph.envs.planar.world import PlanarWorld
+from contactgraph.envs.push_and_pick import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
 
 MASSES = (0.5, 2.0)
 """Of the lightest and the heaviest block, kg."""
@@ -41,7 +26,7 @@ GOAL_RADIUS = 0.02
 """The target must end within this distance of the goal, m."""
 
 
-class UnknownMassTask(GripperTask):
+class UnknownMassTask(CarryTask):
     """A pusher moves a block of unknown mass to a goal; a `contactgraph.envs.Task`.
 
     Nodes are the pusher (0), the target (1) and ``distractors`` further blocks. All are discs of
@@ -52,55 +37,45 @@ class UnknownMassTask(GripperTask):
     impacts do not bounce. An episode runs for 200 steps, and succeeds if the target is within 2 cm
     of the goal at its end.
 
-    ``fixed_seed`` is the seed of a scene whose target and goal every episode shares. Raises
-    `InvalidInputError` where ``distractors`` is not in 0 to 20.
+    ``fixed_seed`` is the seed of a scene whose target and goal every episode shares. ``engine``:
+    see `PlanarWorld`. Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
     """
 
     name = "unknown-mass"
 
-    def __init__(self, distractors: int = 0, fixed_seed: int | None = None) -> None:
-        check_counts(distractors, 1)
-        super().__init__(2 + distractors, MAX_STEPS, HALF_WIDTH)
-        self._distractors, self._fixed_seed = distractors, fixed_seed
-        self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, 1, MAX_DISTRACTORS))
+    def __init__(
+        self, distractors: int = 0, fixed_seed: int | None = None, engine: str | None = None
+    ) -> None:
+        super().__init__(distractors, fixed_seed, engine=engine, holding=False)
 
-    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
-        """Samples the scene of a seed, with everything at rest."""
-        layout = sample_layout(np.random.default_rng(seed), 1, self._distractors, self._fixed)
-        # A stream of its own: the draws of the layout depend on the number of distractors.
-        low, high = np.log(MASSES)
-        drawn = np.random.default_rng([seed, 1]).uniform(low, high, 1 + self._distractors)
-        mass = np.concatenate([[MASS], np.exp(drawn)])
-        metadata: dict[str, str | int | float | bool] = {
-            "task": self.name,
-            "seed": seed,
-            "distractors": self._distractors,
+    def hold_rule(self, seed: int) -> tuple[None, Metadata]:
+        """Nothing is held."""
+        return None, {
             "friction": FRICTION,
             "ground_friction": GROUND_FRICTION,
             "goal_radius": GOAL_RADIUS,
-            "simulator": SIMULATOR,
-            "substeps": 10,
-            **fixed_metadata(self._fixed_seed),
         }
-        scene = disc_scene(layout, ("target",), metadata)
+
+    def body(self, place: np.ndarray, node: int, seed: int) -> PlanarBody:
+        """The pusher, or a block of drawn mass."""
+        body = PlanarBody(place, MASS, radius=RADIUS, friction=FRICTION)
+        if node == GRIPPER:
+            return body
+        # A stream of its own: the draws of the layout depend on the number of distractors.
+        low, high = np.log(MASSES)
+        drawn = np.random.default_rng([seed, 1]).uniform(low, high, node)
+        return replace(body, mass=float(np.exp(drawn[-1])), ground_friction=GROUND_FRICTION)
+
+    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
+        """Samples the scene of a seed, with everything at rest."""
+        scene, world = super().begin(seed)
         scene = replace(
             scene,
             node_name=("pusher", *scene.node_name[1:]),
-            node_type=("pusher", *["block"] * (1 + self._distractors)),
-            mass=mass,
+            node_type=("pusher", *["block"] * (scene.node_count - 1)),
             control_kind=("force", "force"),
         )
-        bodies = [
-            PlanarBody(
-                place,
-                mass[node],
-                radius=RADIUS,
-                friction=FRICTION,
-                ground_friction=0.0 if node == GRIPPER else GROUND_FRICTION,
-            )
-            for node, place in enumerate(layout.position)
-        ]
-        return scene, PlanarWorld(bodies, DT)
+        return scene, world
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the target is within 2 cm of the goal."""

@@ -6,6 +6,9 @@ import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 
+GRAVITY = 9.81
+"""m/s^2, of the friction with the ground."""
+
 
 @dataclass(frozen=True, eq=False)
 class PlanarBody:
@@ -27,6 +30,8 @@ class PlanarBody:
     """[2] m/s at the start, of its middle."""
     angle: float = 0.0
     """rad at the start, counter-clockwise."""
+    angular_velocity: float = 0.0
+    """rad/s at the start, of a body that rotates; a hinged one turns as ``velocity`` says."""
     static: bool = False
     """Whether it never moves."""
     anchor: np.ndarray | None = None
@@ -34,7 +39,7 @@ class PlanarBody:
     rotates: bool = False
     """Whether a body without a hinge may turn."""
     restitution: float = 0.0
-    """In [0, 1]; of two bodies the larger counts (Box2D's rule), and of a wall the body's."""
+    """In [0, 1]; of two bodies the larger counts, and of a wall the body's."""
     friction: float = 0.0
     """Coulomb's coefficient between bodies; of two bodies the geometric mean counts."""
     ground_friction: float = 0.0
@@ -43,8 +48,6 @@ class PlanarBody:
     """1/s, of the velocity and the angular velocity: v' = -damping v."""
     group: int = 0
     """Bodies of the same negative group pass through one another."""
-    reach: np.ndarray | None = None
-    """[2, 2] m: lower and upper bounds of a disc's middle, NaN for none, at which it stops."""
 
     def __post_init__(self) -> None:
         if (self.radius is None) == (self.half_size is None):
@@ -61,8 +64,6 @@ class PlanarBody:
             if not good:
                 found = size.tolist() if name == "size" else getattr(self, name)
                 raise InvalidInputError(f"{name} of a body must be {valid}, found {found}")
-        if self.reach is not None and (self.radius is None or self.static or self.group):
-            raise InvalidInputError("reach is for discs that move, in no group")
         if self.ground_friction and (self.static or self.rotates or self.anchor is not None):
             raise InvalidInputError("ground_friction is for bodies that move and cannot rotate")
 
@@ -87,6 +88,8 @@ class PlanarBody:
 
     @property
     def spin(self) -> float:
-        """rad/s about the hinge, of the start velocity."""
+        """rad/s at the start; of a hinged body by the velocity of its middle."""
+        if self.anchor is None:
+            return self.angular_velocity if self.rotates else 0.0
         arm = np.asarray(self.position) - self.anchor
         return float(arm[0] * self.velocity[1] - arm[1] * self.velocity[0]) / float(arm @ arm)

@@ -1,0 +1,1 @@
+"""Worlds of bodies in the plane, on Box2D or on pymunk."""
