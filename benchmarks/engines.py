@@ -1,10 +1,10 @@
 """Box2D and pymunk side by side: models of one on the other, experts, and control steps a second.
 
-Usage: python benchmarks/engines.py [--out results/engines] [--work build/engines] [--part P ...]
+Usage: python benchmarks/engines.py [--out FOLDER] [--work FOLDER] [--part P ...] [--task T ...]
 
-models    one model of each task and engine (60 trajectories, seed 0, as `train` chooses) on 40 fresh
-          trajectories and in closed loop on fresh scenes of both engines; and the shipped models,
-          which were trained on Box2D
+models    one model of each task and engine (60 trajectories, seed 0, as `train` chooses), on 40
+          fresh trajectories and in closed loop on fresh scenes of both engines; and the shipped
+          models, which were trained on Box2D
 experts   successes of the scripted experts in 100 scenes
 rates     control steps a second of a task under random forces, the median of five runs
 
@@ -28,9 +28,9 @@ TRAINED = {
     "pickup": ((), 100),
     "multi-pickup": (("--objects", "5"), 100),
     "door": ((), 100),
-    "billiards": ((), 10),
-    "sticky": ((), 40),
-    "suction": ((), 40),
+    "billiards": ((), 5),
+    "sticky": ((), 30),
+    "suction": ((), 30),
 }
 """By task: options of its tests, and episodes of control."""
 SHIPPED = ("pickup", "multi-pickup", "door")
@@ -106,17 +106,17 @@ def measured(work: Path, task: str, model: str, learned: str, tested: str) -> Ro
     }
 
 
-def models(work: Path) -> Iterator[Row]:
+def models(work: Path, tasks: list[str]) -> Iterator[Row]:
     for task in SHIPPED:
-        for tested in ENGINES:
+        for tested in ENGINES if task in tasks else ():
             yield measured(work, task, task, "box2d (shipped)", tested)
-    for task in TRAINED:
+    for task in tasks:
         for learned in ENGINES:
             for tested in ENGINES:
                 yield measured(work, task, str(trained(work, task, learned)), learned, tested)
 
 
-def experts(work: Path) -> Iterator[Row]:
+def experts(work: Path, tasks: list[str]) -> Iterator[Row]:
     for task in EXPERTS:
         row: Row = {"task": task}
         for engine in ENGINES:
@@ -147,7 +147,7 @@ def steps_a_second(make: Callable[[], object], steps: int = 200) -> float:
     return 1.0 / float(np.median(took))
 
 
-def rates(work: Path) -> Iterator[Row]:
+def rates(work: Path, tasks: list[str]) -> Iterator[Row]:
     from contactgraph import make
 
     for task, scenes in RATES.items():
@@ -170,12 +170,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/engines"))
     parser.add_argument("--work", type=Path, default=Path("build/engines"))
     parser.add_argument("--part", nargs="*", choices=list(PARTS), default=list(PARTS))
+    parser.add_argument("--task", nargs="*", choices=list(TRAINED), default=list(TRAINED))
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
     options.out.mkdir(parents=True, exist_ok=True)
     for part in options.part:
         rows: list[Row] = []
-        for row in PARTS[part](options.work):
+        for row in PARTS[part](options.work, options.task):
             print(row, flush=True)
             rows.append(row)
         with (options.out / f"{part}.csv").open("w", newline="") as file:

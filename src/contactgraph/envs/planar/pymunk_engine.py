@@ -152,11 +152,10 @@ class PymunkEngine:
         if walls is not None:
             for side, axis in np.ndindex(2, 2):
                 self._wall(axis, side, float(walls[side, axis]))
-        contacts = self._contacts
-        _on_collision(self._space, BODY, begin=contacts.begin, separate=contacts.end)
-        _on_collision(self._space, WALL, begin=contacts.begin)
+        _on_collision(self._space, BODY, begin=self._contacts.begin, separate=self._contacts.end)
+        _on_collision(self._space, WALL, begin=self._contacts.begin)
         if any(body.restitution for body in bodies):
-            _on_collision(self._space, BODY, pre_solve=contacts.restitute)
+            _on_collision(self._space, BODY, pre_solve=self._contacts.restitute)
 
     @property
     def touching(self) -> set[Pair]:

@@ -240,4 +240,5 @@ def engine_name(name: str | None = None) -> str:
             return engine
     if name is None:
         raise InvalidInputError("planar tasks need box2d or pymunk: pip install pymunk")
-    raise InvalidInputError(f"engine {name} is not installed: pip install {name}")
+    where = " (Python 3.13 at most, not Linux on ARM)" if name == "box2d" else ""
+    raise InvalidInputError(f"engine {name} is not installed: pip install {name}{where}")
