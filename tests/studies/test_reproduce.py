@@ -25,8 +25,6 @@ FILES = {
     "results.json",
     "table.csv",
     "table.md",
-    "targets.csv",
-    "targets.md",
 }
 
 
