@@ -57,9 +57,10 @@ def few_at_a_time(given: Problems) -> Method:
         return jax.lax.scan(step, start, stages)[1]
 
     solve = jax.jit(jax.vmap(one))
+    leaves, structure = jax.tree.flatten(given)
+    split = [np.split(leaf.astype(np.float32), BATCH // FEW) for leaf in leaves]
     parts = [
-        jax.tree.map(lambda leaf: jnp.asarray(leaf[first : first + FEW], jnp.float32), given)
-        for first in range(0, BATCH, FEW)
+        jax.tree.unflatten(structure, map(jnp.asarray, part)) for part in zip(*split, strict=True)
     ]
     return Method(
         "ours",
