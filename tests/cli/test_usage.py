@@ -55,7 +55,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
             "robot calibrate, robot rehearse, robot rehearse-record, robot rehearse-control; did "
             "you mean robot check?",
         ),
-        ("robot", "robot needs one of check, run, record, calibrate, rehearse, rehearse-record, r"),
+        ("robot", "robot: Expected one of {check, run, record, calibrate, rehearse, rehearse-reco"),
         ("collect nothing:Task --out a.h5", "task nothing:Task: No module named 'nothing'"),
         ("collect json:Task --out a.h5", "task json:Task: module 'json' has no attribute 'Task'"),
         ("collect json:dumps --out a.h5", "task json:dumps: must be a class, found <function d"),
@@ -72,7 +72,10 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a --out b --learning-rate x", "--learning-rate must be a number, found 'x'"),
         ("control a b --deadline-ms x", "--deadline-ms must be a number, found 'x'"),
         ("control a b --objects x", "--objects must be an integer, found 'x'"),
-        ("collect pickup --out", "--out needs a value (see"),
+        (
+            "collect pickup --out",
+            "collect: Missing value for argument '--out'. Expected 1 values. (see contactgraph c",
+        ),
         ("train a --out b --resume yes", "train does not take yes (see"),
         (
             "collect juggling --out a.h5",
@@ -101,7 +104,10 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("collect door --out a.h5 --objects 1", "--objects: door has no objects to count, found 1"),
         ("collect door --out a.h5 --grasp weld", "--grasp: door has no fingers to close, found 'w"),
         ("control nobody pickup --grasp weld", "--grasp: pickup has no fingers to close, found"),
-        ("collect multi-pickup --out a.h5 --grasp", "--grasp needs a value (see"),
+        (
+            "collect multi-pickup --out a.h5 --grasp",
+            "collect: Missing value for argument '--grasp'. Expected 1 values. (see",
+        ),
         ("collect multi-pickup --out a.h5 --grasp x", "--grasp: multi-pickup has no fingers to cl"),
         ("collect franka --out a.h5 --grasp glue", "--grasp must be one of friction, weld; found"),
         ("collect franka --out a.h5 --objects 2", "--objects: franka has 1 object, found 2"),
