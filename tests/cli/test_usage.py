@@ -1,5 +1,6 @@
 """User errors: exit code 2, one helpful line, and no file left."""
 
+import importlib.util
 import json
 import re
 import shutil
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from contactgraph.cli import main as cli
+from contactgraph.cli.tasks import task_names
 from contactgraph.data import (
     InvalidInputError,
     Scene,
@@ -20,6 +22,7 @@ from contactgraph.data import (
     read_trajectories,
     write_trajectories,
 )
+from contactgraph.model import shipped_models
 
 
 @pytest.fixture
@@ -324,6 +327,30 @@ def test_mujoco_missing(task: str, tmp_path: Path) -> None:
     said = "contactgraph: MuJoCo is not installed: pip install 'contactgraph[mujoco]'\n"
     assert (finished.returncode, finished.stdout, finished.stderr) == (2, "", said)
     assert not any(tmp_path.iterdir())
+
+
+def test_info_names_the_missing_library_beside_the_task() -> None:
+    """Also where a package is there, but a library that it needs is not."""
+    hidden = "import sys; sys.modules['mujoco'] = sys.modules['pymunk'] = None; "
+    main = "from contactgraph.cli.main import main; main(['info'])"
+    finished = subprocess.run(
+        [sys.executable, "-c", hidden + main], capture_output=True, text=True, check=True
+    )
+    rows = [re.split(r" {2,}", line.strip()) for line in finished.stdout.splitlines()]
+    told = {row[0]: row[1] for row in rows if len(row) == 2}
+    names = task_names()
+    assert set(told) == {*shipped_models(), *names, "module:Class"}
+    for package, library, extra, tasks in (
+        ("gymnasium_robotics", "mujoco", "fetch", [each for each in names if "fetch" in each]),
+        ("gym_pusht", "pymunk", "pusht", ["pusht", "pusht-pose"]),
+    ):
+        missing = library if importlib.util.find_spec(package) else package
+        for task in tasks:
+            assert re.fullmatch(
+                rf"not available: \S+ cannot start \(.*\b{missing}\b.*\): "
+                rf"pip install 'contactgraph\[{extra}\]'",
+                told[task],
+            )
 
 
 def test_a_closed_pipe_is_no_mistake() -> None:
