@@ -2,11 +2,12 @@
 
 Usage: python benchmarks/matrix_share.py [--quick] [--json FILE]
 
-The training steps of `eager_comparison`, on one core in float32: with the shipped model, whose
-networks are 32 wide, and with fresh ones four and eight times as wide, where
-products are more of the work. Only products of the dense layers count: one pass for the control
-sensitivity, one forward pass, and a backward pass with two products for each (the gradients of
-input and weights). The core's rate is that of one product of two large square matrices.
+Loss, gradients and update on recorded pickups, with 2 bodies (64 runs of 200 steps) and 12 (8
+runs), on one core in float32: with the shipped model, whose networks are 32 wide, and with fresh
+ones four and eight times as wide, where products are more of the work. Only products of the dense
+layers count: one pass for the control sensitivity, one forward pass, and a backward pass with two
+products for each (the gradients of input and weights). The core's rate is that of one product of
+two large square matrices.
 """
 
 import one_core  # noqa: F401, I001  before JAX
@@ -17,15 +18,68 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from eager_comparison import Sample, sample, training
+import numpy as np
+import optax
 
 from measuring import arguments, medians, report
-from contactgraph.model import ModelConfig, ContactDynamics, gim_temp
+from contactgraph.data import Dataset, Trajectory
+from contactgraph.envs import PickupExpert, PickupTask
+from contactgraph.evaluate import collect
+from contactgraph.model import (
+    ContactDynamics,
+    ModelConfig,
+    Nodes,
+    ReallocatingModel,
+    gim_temp,
+    load_model,
+    scene_nodes,
+    shipped_model,
+)
 from contactgraph.model.neighbor_list import edge_count
+from contactgraph.train import LossTerms
+from contactgraph.train.batch import Window
+from contactgraph.train.loss import window_loss
 
 PASSES = 4
 SIZE = 2048
 SHIPPED = 32
+Sample = tuple[ContactDynamics, list[Trajectory], Nodes]
+
+
+def sample(bodies: int, runs: int) -> Sample:
+    """The model, and trajectories of 200 steps with ``bodies`` bodies."""
+    recorded = collect([lambda: PickupTask(bodies - 2)], [PickupExpert()], runs, seed=0)
+    # Neighbour lists are used as in training and evaluation.
+    model = load_model(shipped_model("pickup")).model
+    model = ReallocatingModel(model, Dataset(tuple(recorded))).model
+    return model, recorded, scene_nodes(recorded[0].scene)
+
+
+def training_step(given: Sample) -> Callable[[], object]:
+    """A call that computes loss, gradients and updated weights."""
+    model, runs, nodes = given
+    recorded = (
+        jnp.asarray(np.stack([getattr(run, name) for run in runs]), jnp.float32)
+        for name in ("position", "velocity", "control")
+    )
+    each = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(runs), *leaf.shape)), nodes)
+    window = Window(*recorded, each)
+    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(3e-3))
+    params, static = eqx.partition(model, eqx.is_inexact_array)
+    key = jax.random.key(0)
+
+    def loss(params: ContactDynamics, window: Window) -> jax.Array:
+        terms = window_loss(eqx.combine(params, static), window, key, with_rollout=False)
+        return terms.total(LossTerms())
+
+    @jax.jit
+    def step(params: ContactDynamics, state: optax.OptState, window: Window) -> tuple:
+        value, slope = jax.value_and_grad(loss)(params, window)
+        updates, state = optimiser.update(slope, state, params)
+        return value, slope, optax.apply_updates(params, updates), state
+
+    state = optimiser.init(params)
+    return lambda: step(params, state, window)
 
 
 def widened(given: Sample, width: int) -> Sample:
@@ -75,11 +129,10 @@ def main() -> None:
     recorded = [(size, sample(*size)) for size in sizes]
     for ((bodies, runs), shipped), width in itertools.product(recorded, (SHIPPED, 128, 256)):
         given = widened(shipped, width)
-        ours, _ = training(given)
         steps = sum(run.steps for run in given[1])
         edges = edge_count(given[0].neighbor_list, bodies)
         count = operations(given[0], steps * edges, steps * bodies)
-        rate, seconds = core_rate(rounds), median_seconds(ours.run, rounds)
+        rate, seconds = core_rate(rounds), median_seconds(training_step(given), rounds)
         rows.append(
             {
                 "training step": f"{bodies} bodies, {runs} x {steps // runs}",

@@ -21,7 +21,6 @@ COMPARISONS = (
     "lqr_batch",
     "differentiable_lqr",
     "ilqr_pendulum",
-    "eager_comparison",
     "collection",
     "first_tick",
 )

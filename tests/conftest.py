@@ -1,5 +1,7 @@
 """Shared by all tests: the folder of compiled programs, and one small trained run."""
 
+import ctypes
+import gc
 import os
 import subprocess
 import sys
@@ -46,7 +48,8 @@ if "XLA_FLAGS" not in os.environ:
 
 import jax  # noqa: E402  after the variables that it reads
 
-_MOST_MAPS = 20_000
+_TRIM = getattr(ctypes.CDLL(None), "malloc_trim", None)
+"""Of glibc: gives memory that is free back to the system."""
 
 SHORT = (
     *("--model", "gim-temp", "--steps", "12", "--batch-size", "4"),
@@ -64,12 +67,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    # Every compiled program maps some memory, of which Linux lets a process have 65,530 pieces; one
-    # that has used them up dies at the next.
+    # Compiled programs take most of a worker's memory: files share few of them, and those are read
+    # from the folder again.
     if nextitem is None or nextitem.path != item.path:
-        maps = Path("/proc/self/maps")
-        if maps.exists() and maps.read_bytes().count(b"\n") > _MOST_MAPS:
-            jax.clear_caches()
+        jax.clear_caches()
+        gc.collect()
+        if _TRIM is not None:
+            _TRIM(0)
 
 
 def _done(arguments: list[str]) -> None:

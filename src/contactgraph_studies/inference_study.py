@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from contactgraph.viz.figures import LEGEND, TEXT, new_figure, reliability_panel
-from contactgraph.viz.metric_table import short
 from contactgraph_studies.figures import filter_figure, write_figure
 from contactgraph_studies.inference_jobs import (
     COMMANDED,
@@ -30,8 +29,8 @@ from contactgraph_studies.inference_rows import (
     TOLD_FREE_LATER,
     TRAINING_S,
     InferenceNumbers,
-    Requirement,
-    requirements,
+    InferenceRow,
+    inference_rows,
 )
 from contactgraph_studies.job import JobRecords, Measurement
 from contactgraph_studies.results import Quantity, Results, SeedStatistic, with_range
@@ -44,18 +43,18 @@ from contactgraph_studies.worlds import World, WorldTraining
 
 
 class InferenceStudy(StudyOfWorlds):
-    """Three trainings of each task, judged with their inference and without it."""
+    """Three trainings of each task, measured with their inference and without it."""
 
     def measured(self, worlds: Sequence[World]) -> list[Measurement]:
         """Predictions with every sensor and inference, and control."""
         return inference_measurements(worlds, self.amounts)
 
     def result(self, folder: Path) -> StudyResult:
-        """Targets, tables and figures."""
+        """Tables and figures."""
         amounts = self.amounts
         results, records = self.finished(folder)
         tasks = {one.slug: one.row_name(one.scenes[0]).split(",")[0] for one in self.worlds}
-        rows = requirements(results, tasks)
+        rows = inference_rows(results, tasks)
         trained = {slug: name for slug, name in tasks.items() if slug in _TRAINED}
         warning = " Quick: trainings are cut short, so these numbers are worth nothing."
         figure = reliability_figure(results, trained)
@@ -65,10 +64,8 @@ class InferenceStudy(StudyOfWorlds):
             f"{len(amounts.seeds)} training seed(s), {amounts.training_runs} trajectories each, "
             f"{amounts.test_runs} to test on, {amounts.fast_episodes} controlled scenes. Two jobs "
             "ran at a time, each on one core." + (warning if amounts.quick else ""),
-            targets_heading="What inference must reach",
-            targets=[row.metric(amounts.seeds) for row in rows],
             tables=[
-                self._required(rows, records),
+                self._numbers_table(rows, records),
                 error_table(results, trained),
                 belief_table(results, trained),
             ],
@@ -98,39 +95,29 @@ class InferenceStudy(StudyOfWorlds):
                     title = f"One trajectory of {_SHOWN}"
                     yield write_figure(folder, "belief", title, _BELIEF_CAPTION, figure)
 
-    def _required(self, rows: Sequence[Requirement], records: JobRecords) -> StudyTable:
-        """What is asked for beside what was measured."""
-        metrics = [row.metric(self.amounts.seeds) for row in rows]
+    def _numbers_table(self, rows: Sequence[InferenceRow], records: JobRecords) -> StudyTable:
+        """Every number, and reasons for those that are not known."""
         return StudyTable(
             slug="table",
-            title="Every number asked for",
-            caption="Median, with the lowest and the highest value in brackets. Sensor faults, "
-            "being told free and the time of training are judged by the worst value, everything "
-            "else by the median. The floor is the error of the true masses with the true contact "
-            "of the first step, on the same windows.",
-            headings={
-                **{"what": "what", "task": "task", "at_least": "at least", "aim": "aim"},
-                **{"measured": "measured", "_reached": "reached"},
-            },
+            title="Every number",
+            caption="Median, with the lowest and the highest value in brackets. The floor is the "
+            "error of the true masses with the true contact of the first step, on the same "
+            "windows.",
+            headings={name: name for name in ("what", "task", "measured")},
             texts={"measured": _with_unit},
             rows=[
                 {
                     "what": row.what,
                     "task": row.task,
-                    "at_least": short(row.target.at_least),
-                    "aim": DASH if row.target.aim is None else short(row.target.aim),
                     "measured": row.statistic,
-                    "_reached": {None: DASH, True: "yes", False: "no"}[metric.reached],
-                    "reached": metric.reached,
-                    "_bold": ("_reached",) if metric.reached is False else (),
                     "command": row.statistic.command,
                 }
-                for row, metric in zip(rows, metrics, strict=True)
+                for row in rows
             ],
             notes=list(dict.fromkeys(self._missing(rows, records))),
         )
 
-    def _missing(self, rows: Sequence[Requirement], records: JobRecords) -> Iterator[str]:
+    def _missing(self, rows: Sequence[InferenceRow], records: JobRecords) -> Iterator[str]:
         """A reason for every number that is not known."""
         every = self.measured(self.worlds)
         packages = {world.slug: world.missing for world in self.worlds}

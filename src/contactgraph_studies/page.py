@@ -11,8 +11,7 @@ from pathlib import Path
 from string import Template
 
 from contactgraph.cli.output import provenance, write_json, write_text
-from contactgraph.viz.markup import metrics_table
-from contactgraph.viz.metric_table import csv_metrics, markdown_metrics, short
+from contactgraph.viz.metric_table import short
 from contactgraph_studies.bootstrap import Verdict
 from contactgraph_studies.job import JobRecords
 from contactgraph_studies.results import with_range
@@ -25,7 +24,10 @@ _CLASSES = {Verdict.HOLDS: "met", Verdict.FAILS: "missed"}
 def write_study(
     study: Study, folder: Path, command: str, failures: Sequence[Failure], cores: int
 ) -> None:
-    """Write claims, tables, figures and the page from the outputs in the folder; print claims."""
+    """Write claims, tables, figures and the page from the outputs in the folder.
+
+    Prints the claims and the first table.
+    """
     result, origin = study.result(folder), provenance()
     costs = JobRecords(folder, version("contactgraph")).costs(study.jobs)
     hours = sum(one["seconds"] for one in costs.values()) / 3600.0
@@ -48,8 +50,6 @@ def write_study(
     )
     write_text(folder / "table.md", "\n".join(table.markdown() for table in result.tables))
     write_text(folder / "table.csv", result.tables[0].csv())
-    write_text(folder / "targets.md", markdown_metrics(result.targets))
-    write_text(folder / "targets.csv", csv_metrics(result.targets))
     commands = [command, *(job.command for job in study.jobs)]
     made = (
         f"{date}; {len(costs)} of {len(study.jobs)} jobs done, {short(hours)} h, {cores} at a time"
@@ -60,7 +60,7 @@ def write_study(
         about = f"{claim.family}, " if claim.family else ""
         print(f"{claim.number}. {about}{claim.verdict}: {claim.title}")
         print(f"   {claim.sentence}")
-    print(markdown_metrics(result.targets))
+    print(result.tables[0].markdown())
     print(f"the page: {folder / 'index.html'}")
 
 
@@ -81,8 +81,6 @@ def study_page(
         claims=_section("claims", "What the paper claims", _claims(result.claims)),
         failures=_failures(failures),
         figures=_section("figures", "Figures", map(_picture, result.figures)),
-        asked=escape(result.targets_heading),
-        targets=metrics_table(tuple(result.targets)),
         tables="".join(table.html() for table in result.tables),
         scenes=_section("scenes", "Scenes", map(_picture, result.scenes)),
         commands="\n".join(escape(command) for command in commands),

@@ -1,17 +1,14 @@
 """The study of the paper's real experiment on a simulated robot: record, train, control."""
 
-import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from contactgraph.cli.task_types import Target
-from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.job import Job, Measurement, Options, Variant
-from contactgraph_studies.results import SUCCESS_PERCENT, Quantity, Results
-from contactgraph_studies.study import Study, StudyResult, judged
+from contactgraph_studies.results import Results
+from contactgraph_studies.study import Study, StudyResult
 from contactgraph_studies.tables import StudyTable
 
 
@@ -136,7 +133,7 @@ class SimulatedRobotStudy(Study):
         ]
 
     def result(self, folder: Path) -> StudyResult:
-        """Targets and table; the paper's claims about its arm are not judged."""
+        """The table; the paper's claims about its arm are not judged."""
         results = Results.read(folder, self.measurements)
         amounts = self.amounts
         return StudyResult(
@@ -146,8 +143,6 @@ class SimulatedRobotStudy(Study):
             f"{amounts.training_runs} runs of {amounts.seconds:g} s to learn from, "
             f"{amounts.validation_runs} to test on, and {amounts.episodes} pickups by MPC with "
             "the learned model. No real arm was used.",
-            targets_heading="Targets of the simulated robot",
-            targets=sim_targets(results, amounts),
             tables=[sim_table(results)],
             amounts={
                 "training_runs": amounts.training_runs,
@@ -213,54 +208,4 @@ def sim_table(results: Results) -> StudyTable:
             for key, (unit, scale) in quantities.items()
             if isinstance(reading.values.get(key), int | float)
         ],
-    )
-
-
-def sim_targets(results: Results, amounts: SimAmounts) -> tuple[ReportMetric, ...]:
-    """The targets of the simulated robot; its prediction error is to be the paper's on an arm."""
-    error = Quantity("n_step_rmse_inferred_m", "cm", 100.0, null=math.inf)
-    delay = Quantity("switch_time_error_inferred_s", "ms", 1000.0)
-    median, worst = (
-        Quantity(key, "mm", 1000.0) for key in ("position_error_m", "position_error_worst_m")
-    )
-    edge_f1, rate = Quantity("edge_f1_inferred"), Quantity("rate_hz", "Hz")
-    success = f"dynamic pickups that succeed, of {amounts.episodes}; contacts"
-    rows: list[tuple[str, Condition, Quantity, Target]] = [
-        (
-            "N-step error over 0.5 s, tracked states, no contact sensor",
-            SMOOTHED,
-            error,
-            Target(2.5, 1.0),
-        ),
-        *(
-            (f"{success} {source.name}", controlled(source), SUCCESS_PERCENT, Target(75.0, 100.0))
-            for source in _CONTACT_SOURCES
-        ),
-        (
-            "contacts inferred without a sensor, from earlier observations: edge F1",
-            *(LIVE, edge_f1, Target(0.85, 0.95)),
-        ),
-        (
-            "the same: mean time from a contact's onset to its belief",
-            *(LIVE, delay, Target(50.0, 20.0)),
-        ),
-        (
-            "feedback loop, the slowest run, on the arm's clock",
-            *(VALIDATION, rate, Target(500.0, 1000.0)),
-        ),
-        (
-            "block's position in recorded runs, median error",
-            *(VALIDATION, median, Target(2.0, 0.5)),
-        ),
-        ("block's position in recorded runs, worst error", VALIDATION, worst, Target(10.0, 3.0)),
-    ]
-    return tuple(
-        judged(
-            name,
-            results.statistic(condition, quantity),
-            target,
-            (0,),
-            lower=target.aim is not None and target.aim < target.at_least,
-        )
-        for name, condition, quantity, target in rows
     )

@@ -7,9 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from contactgraph.cli.task_types import Target
 from contactgraph.evaluate import number_or_word
-from contactgraph.viz import ReportMetric
 from contactgraph_studies.bootstrap import Estimate, Verdict, all_hold
 from contactgraph_studies.job import Job, Measurement, in_dependency_order
 from contactgraph_studies.results import Quantity, Results, SeedStatistic
@@ -132,8 +130,6 @@ class StudyResult:
 
     title: str
     summary: str
-    targets_heading: str
-    targets: Sequence[ReportMetric]
     tables: Sequence[StudyTable]
     """The first is written to ``table.csv``, all of them to ``table.md`` and the page."""
     amounts: Mapping[str, Any]
@@ -166,29 +162,3 @@ class Study(ABC):
     @abstractmethod
     def result(self, folder: Path) -> StudyResult:
         """From the outputs in the folder; figures are written to it."""
-
-
-def judged(
-    name: str,
-    statistic: SeedStatistic,
-    target: Target | None,
-    seeds: Sequence[int],
-    lower: bool = False,
-    every: bool = False,
-) -> ReportMetric:
-    """The median over seeds with its range, beside the target; ``lower``: lower is better.
-
-    With ``every`` the worst value in place of the median.
-    """
-    value = (statistic.high if lower else statistic.low) if every else statistic.median
-    return ReportMetric(
-        name=name,
-        value=value if statistic.known else None,
-        unit=statistic.unit,
-        interval=(statistic.low, statistic.high) if len(statistic.values) > 1 else None,
-        at_least=None if target is None else target.at_least,
-        aim=None if target is None else target.aim,
-        lower_is_better=lower,
-        command=statistic.command,
-        seed=tuple(seeds),
-    )

@@ -11,21 +11,15 @@ from typing import Self
 from matplotlib.figure import Figure
 
 from contactgraph.cli.options import choice
-from contactgraph.cli.task_types import Target
 from contactgraph.data import InvalidInputError
-from contactgraph.viz import ReportMetric
 from contactgraph.viz.figures import error_figure
 from contactgraph_studies.figures import write_figure
 from contactgraph_studies.job import JobRecords, Measurement
-from contactgraph_studies.results import SUCCESS_PERCENT, Results
-from contactgraph_studies.study import Study, StudyResult, judged
+from contactgraph_studies.results import Results
+from contactgraph_studies.study import Study, StudyResult
 from contactgraph_studies.world_row import INFERRED, MEASURED, WorldRow
 from contactgraph_studies.world_table import world_table
-from contactgraph_studies.worlds import WORLDS, Source, World, WorldAmounts, world_measurements
-
-_ERROR_TARGETS = {True: Target(0.5, 0.2), False: Target(0.6, 0.25)}
-_SUCCESS_TARGETS = {True: Target(98.0, 100.0), False: Target(95.0, 99.0)}
-"""Of the tasks that the paper has, by whether the scenes are like those of training."""
+from contactgraph_studies.worlds import WORLDS, World, WorldAmounts, world_measurements
 
 
 @dataclass(frozen=True)
@@ -83,7 +77,7 @@ class WorldStudy(StudyOfWorlds):
         return world_measurements(worlds, self.amounts)
 
     def result(self, folder: Path) -> StudyResult:
-        """Table, figure and targets."""
+        """Table and figure."""
         amounts, rows = self.amounts, self.rows(folder)
         summary = (
             "Every task, predicted and controlled with models of one method and one set of "
@@ -97,8 +91,6 @@ class WorldStudy(StudyOfWorlds):
         return StudyResult(
             title="Every task beside its baselines",
             summary=summary + (warning if amounts.quick else ""),
-            targets_heading="Targets of the paper's tasks",
-            targets=world_targets(rows, amounts),
             tables=[world_table(rows)],
             figures=[write_figure(folder, "errors", "Errors of every task", _CAPTION, figure)],
             amounts={
@@ -121,26 +113,6 @@ class WorldStudy(StudyOfWorlds):
             for world in self.worlds
             for scenes in world.scenes
         ]
-
-
-def world_targets(rows: Sequence[WorldRow], amounts: WorldAmounts) -> tuple[ReportMetric, ...]:
-    """Error and success on the paper's tasks; medians over trainings on the same scenes."""
-    targets = []
-    for row in rows:
-        if row.world.fast_control:
-            inside, where = row.scenes.in_distribution, row.condition(Source.mpc)
-            success = row.results.statistic(where, SUCCESS_PERCENT)
-            targets += [
-                judged(
-                    f"{row.name}: error over moving bodies",
-                    row.errors[MEASURED],
-                    _ERROR_TARGETS[inside],
-                    amounts.seeds,
-                    lower=True,
-                ),
-                judged(f"{row.name}: success", success, _SUCCESS_TARGETS[inside], amounts.seeds),
-            ]
-    return tuple(targets)
 
 
 _CAPTION = (

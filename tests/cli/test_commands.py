@@ -381,6 +381,7 @@ def test_report(
     for value in f1:
         assert page.read_text(encoding="utf-8").count(f'"figure">{short(value)}</td>') >= 2
     table = (page.parent / "table.csv").read_text().splitlines()
+    assert table[0] == "what,unit,value,low,high,command"
     assert len(table) == 1 + len(numbers)
     assert "pickup" in page.read_text(encoding="utf-8")
     assert (page.parent / "pickup.png").read_bytes().startswith(b"\x89PNG")

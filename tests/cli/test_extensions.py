@@ -74,9 +74,9 @@ def test_other_commands_and_tasks_remain(
     assert error == ""
     for line in (
         "  stale       (not available: stale: entry point no_such_module:Stale cannot be loaded",
-        "  stale-task    not available: stale-task: entry point no_such_module:TASK cannot be l",
+        "  stale-task            not available: stale-task: entry point no_such_module:TASK",
         "  evaluate    ",
-        "  pickup        a gripper ",
+        "  pickup                a gripper ",
     ):
         assert f"\n{line}" in output
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from contactgraph.cli import main as cli
-from contactgraph.cli.known_tasks import TASKS
 from contactgraph.cli.task_types import TaskOptions
 from contactgraph.cli.tasks import known_task, task_factory, task_names
 from contactgraph.data import InvalidInputError, read_trajectories
@@ -53,13 +52,6 @@ def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_task_of_another_package_comes_by_its_entry_point() -> None:
     franka = known_task("franka")
     assert (franka.horizon, franka.max_force, len(franka.conditions)) == (50, 20.0, 2)
-    assert franka.error_target_cm(franka.conditions[0]) is not None
-
-
-def test_targets_are_those_of_the_first_and_the_last_condition() -> None:
-    pickup = TASKS["pickup"]
-    targets = [pickup.error_target_cm(condition) for condition in pickup.conditions]
-    assert [target and target.at_least for target in targets] == [0.5, None, 0.6]
 
 
 def test_collect_and_control_take_a_class(
@@ -144,7 +136,7 @@ def test_a_class_without_an_expert_is_explored(
     monkeypatch.syspath_prepend(tmp_path)
     task = known_task("plain_task:Plain")
     assert type(task.expert()).__name__ == "ExplorationPolicy"
-    assert task.max_force is None and task.error_target_cm(task.conditions[0]) is None
+    assert task.max_force is None
     sys.modules.pop("plain_task")
 
 

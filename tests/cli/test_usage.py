@@ -1,5 +1,6 @@
 """User errors: exit code 2, one helpful line, and no file left."""
 
+import importlib.util
 import json
 import re
 import shutil
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from contactgraph.cli import main as cli
+from contactgraph.cli.tasks import task_names
 from contactgraph.data import (
     InvalidInputError,
     Scene,
@@ -20,6 +22,7 @@ from contactgraph.data import (
     read_trajectories,
     write_trajectories,
 )
+from contactgraph.model import shipped_models
 
 
 @pytest.fixture
@@ -55,7 +58,7 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
             "robot calibrate, robot rehearse, robot rehearse-record, robot rehearse-control; did "
             "you mean robot check?",
         ),
-        ("robot", "robot needs one of check, run, record, calibrate, rehearse, rehearse-record, r"),
+        ("robot", "robot: Expected one of {check, run, record, calibrate, rehearse, rehearse-reco"),
         ("collect nothing:Task --out a.h5", "task nothing:Task: No module named 'nothing'"),
         ("collect json:Task --out a.h5", "task json:Task: module 'json' has no attribute 'Task'"),
         ("collect json:dumps --out a.h5", "task json:dumps: must be a class, found <function d"),
@@ -72,7 +75,10 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("train a --out b --learning-rate x", "--learning-rate must be a number, found 'x'"),
         ("control a b --deadline-ms x", "--deadline-ms must be a number, found 'x'"),
         ("control a b --objects x", "--objects must be an integer, found 'x'"),
-        ("collect pickup --out", "--out needs a value (see"),
+        (
+            "collect pickup --out",
+            "collect: Missing value for argument '--out'. Expected 1 values. (see contactgraph c",
+        ),
         ("train a --out b --resume yes", "train does not take yes (see"),
         (
             "collect juggling --out a.h5",
@@ -101,7 +107,10 @@ def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
         ("collect door --out a.h5 --objects 1", "--objects: door has no objects to count, found 1"),
         ("collect door --out a.h5 --grasp weld", "--grasp: door has no fingers to close, found 'w"),
         ("control nobody pickup --grasp weld", "--grasp: pickup has no fingers to close, found"),
-        ("collect multi-pickup --out a.h5 --grasp", "--grasp needs a value (see"),
+        (
+            "collect multi-pickup --out a.h5 --grasp",
+            "collect: Missing value for argument '--grasp'. Expected 1 values. (see",
+        ),
         ("collect multi-pickup --out a.h5 --grasp x", "--grasp: multi-pickup has no fingers to cl"),
         ("collect franka --out a.h5 --grasp glue", "--grasp must be one of friction, weld; found"),
         ("collect franka --out a.h5 --objects 2", "--objects: franka has 1 object, found 2"),
@@ -318,6 +327,30 @@ def test_mujoco_missing(task: str, tmp_path: Path) -> None:
     said = "contactgraph: MuJoCo is not installed: pip install 'contactgraph[mujoco]'\n"
     assert (finished.returncode, finished.stdout, finished.stderr) == (2, "", said)
     assert not any(tmp_path.iterdir())
+
+
+def test_info_names_the_missing_library_beside_the_task() -> None:
+    """Also where a package is there, but a library that it needs is not."""
+    hidden = "import sys; sys.modules['mujoco'] = sys.modules['pymunk'] = None; "
+    main = "from contactgraph.cli.main import main; main(['info'])"
+    finished = subprocess.run(
+        [sys.executable, "-c", hidden + main], capture_output=True, text=True, check=True
+    )
+    rows = [re.split(r" {2,}", line.strip()) for line in finished.stdout.splitlines()]
+    told = {row[0]: row[1] for row in rows if len(row) == 2}
+    names = task_names()
+    assert set(told) == {*shipped_models(), *names, "module:Class"}
+    for package, library, extra, tasks in (
+        ("gymnasium_robotics", "mujoco", "fetch", [each for each in names if "fetch" in each]),
+        ("gym_pusht", "pymunk", "pusht", ["pusht", "pusht-pose"]),
+    ):
+        missing = library if importlib.util.find_spec(package) else package
+        for task in tasks:
+            assert re.fullmatch(
+                rf"not available: \S+ cannot start \(.*\b{missing}\b.*\): "
+                rf"pip install 'contactgraph\[{extra}\]'",
+                told[task],
+            )
 
 
 def test_a_closed_pipe_is_no_mistake() -> None:

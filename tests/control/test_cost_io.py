@@ -74,9 +74,9 @@ def test_a_written_cost_is_read_unchanged(path: Path) -> None:
 
 def test_a_file_describes_its_content(path: Path, tmp_path: Path) -> None:
     content = json.loads(path.read_text(encoding="utf-8"))
-    assert (content["format"], content["format_version"]) == ("contactgraph-cost", 1)
+    assert (content["format"], content["format_version"]) == ("contactgraph-cost", 2)
     assert "mean of R's diagonal is 1/N^2" in content["in_words"]["scale"]
-    assert [each["reason"] for each in content["participants"]] == [
+    assert [each["reason"] for each in content["task_nodes"]] == [
         "actuated; in contact in 2 of 3 trajectories, from 0.8 s",
         "in contact in 3 of 3 trajectories, from 0.85 s",
         "no active edge in any of 2 trajectories",
@@ -94,14 +94,6 @@ def test_its_contacts_are_about_its_nodes_of_a_scene(path: Path) -> None:
     (found,) = read_cost(path).quadratic(4).contacts
     assert found.pairs.tolist() == [[2, 0], [0, 2]] and found.kind.tolist() == [1, 2]
     np.testing.assert_allclose(found.weight, [0.1, 3.0])
-
-
-def test_files_from_before_costs_had_contacts_are_read(path: Path) -> None:
-    content = json.loads(path.read_text())
-    del content["contacts"]
-    path.write_text(json.dumps(content))
-    found = read_cost(path)
-    assert found.contacts == () and found.quadratic(4).contacts == ()
 
 
 def test_unknown_fields_are_left_alone(path: Path) -> None:
@@ -123,8 +115,9 @@ ROW = [1.0] * 8
     ("change", "said"),
     [
         ({"format": "contactgraph-model"}, "must be a cost file, whose 'format' is 'contactgr"),
-        ({"format_version": 2}, "field 'format_version' must be 1, found 2"),
-        ({"format_version": True}, "field 'format_version' must be 1, found True"),
+        ({"format_version": 1}, "field 'format_version' must be 2, found 1"),
+        ({"format_version": 3}, "field 'format_version' must be 2, found 3"),
+        ({"format_version": True}, "field 'format_version' must be 2, found True"),
         ({"dimension": 3}, "field 'goal' must be 3 numbers, found 2"),
         ({"dimension": 0}, "field 'dimension' must be a whole number of at least 1, found 0"),
         ({"dimension": 2.0}, "field 'dimension' must be a whole number of at least 1, found 2.0"),
@@ -167,8 +160,8 @@ ROW = [1.0] * 8
         ({"kept_nodes": []}, "field 'kept_nodes' must be different names, at least one, found []"),
         ({"kept_nodes": [{}, 1]}, "field 'kept_nodes' must be different names, at least one, foun"),
         ({"kept_nodes": ["a"]}, "field 'Q' must be 4 x 4 numbers, found 8 x 8"),
-        ({"participants": {}}, "field 'participants' must be a list of objects, found {}"),
-        ({"participants": [{}]}, "participants[0]: field 'runs' is missing"),
+        ({"task_nodes": {}}, "field 'task_nodes' must be a list of objects, found {}"),
+        ({"task_nodes": [{}]}, "task_nodes[0]: field 'trajectories' is missing"),
         ({"history": []}, "field 'history' must be an object, found []"),
         ({"history": {}}, "history: field 'imitation' is missing"),
         (
@@ -211,7 +204,7 @@ def test_wrong_fields_are_named(path: Path, change: dict[str, Any], said: str) -
     "name",
     [
         *("format", "format_version", "dimension", "kept_nodes", "nodes"),
-        *("goal", "Q", "R", "participants", "made", "history"),
+        *("goal", "Q", "R", "task_nodes", "contacts", "made", "history"),
     ],
 )
 def test_missing_fields_are_named(path: Path, name: str) -> None:
@@ -227,21 +220,21 @@ def test_missing_fields_are_named(path: Path, name: str) -> None:
     [
         ("name", "", "field 'name' must be a text, found ''"),
         ("actuated", 1, "field 'actuated' must be true or false, found 1"),
-        ("runs", -1, "field 'runs' must be a whole number of at least 0, found -1"),
+        ("trajectories", -1, "field 'trajectories' must be a whole number of at least 0, found -1"),
         (
-            "joins_s",
+            "first_contact_time_s",
             None,
-            "field 'joins_s' must be a finite number, found None",
+            "field 'first_contact_time_s' must be a finite number, found None",
         ),
     ],
 )
 def test_wrong_task_nodes_are_named(path: Path, place: str, value: Any, said: str) -> None:
     content = json.loads(path.read_text())
-    content["participants"][1][place] = value
+    content["task_nodes"][1][place] = value
     path.write_text(json.dumps(content))
     with pytest.raises(InvalidInputError) as error:
         read_cost(path)
-    assert f"participants[1]: {said}" in str(error.value)
+    assert f"task_nodes[1]: {said}" in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -255,7 +248,7 @@ def test_wrong_task_nodes_are_named(path: Path, place: str, value: Any, said: st
         b'{"Q": NaN}',
         b"[" * 100_000,
         b"1" * 5000,
-        b'{"format": "contactgraph-cost", "format_version": 1, "kept_nodes": '
+        b'{"format": "contactgraph-cost", "format_version": 2, "kept_nodes": '
         + b"[" * 900
         + b"]" * 900
         + b"}",

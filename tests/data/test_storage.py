@@ -229,47 +229,6 @@ def test_trajectories_written_by_hand_keep_the_order_of_their_numbers(tmp_path: 
     assert values == list(range(11))
 
 
-def test_a_file_of_version_1_is_read_and_its_other_arrays_are_ignored(tmp_path: Path) -> None:
-    path = tmp_path / "version-1.h5"
-    state = np.arange(12.0).reshape(3, 2, 2)
-    with h5py.File(path, "w", libver=("v110", "v110")) as file:
-        file.attrs["format"] = np.bytes_("contactgraph-dataset")
-        file.attrs["format_version"] = 1
-        file.create_group("metadata").attrs["task"] = np.bytes_("pickup")
-        group = file.create_group("trajectories/000000")
-        group.attrs["dt"] = 0.05
-        group["position"] = state
-        group["position"].attrs["unit"] = np.bytes_("m")
-        group["velocity"] = -state
-        group["control"] = np.ones((2, 2))
-        group["control"].attrs["unit"] = np.bytes_("N")
-        group["node_name"] = np.array([b"gripper", b"object-0"])
-        group["node_type"] = np.array([b"gripper", b"object"])
-        group["actuated"] = np.array([1, 0], np.uint8)
-        group["contact"] = np.ones((3, 2, 2), np.uint8)
-        group["goal"] = np.array([1.0, 2.0])
-        for name in ("holding", "static", "polygons", "control_kind"):
-            group[name] = np.zeros(7)
-    found = read_trajectories(path)
-    run = found.trajectories[0]
-    np.testing.assert_array_equal(run.position, state)
-    np.testing.assert_array_equal(run.velocity, -state)
-    assert run.contact is not None and run.contact.all()
-    assert run.holding is None and run.orientation is None and run.angular_velocity is None
-    assert run.scene.goal is not None and run.scene.goal.tolist() == [1.0, 2.0]
-    assert run.scene.static is None and run.scene.polygons is None
-    assert run.scene.control_kind is None
-    summary = describe_file(path)
-    assert (summary.format_version, summary.has_holding, summary.static_count) == (
-        1,
-        (False,),
-        (0,),
-    )
-    write_trajectories(tmp_path / "version-2.h5", found.trajectories, found.metadata)
-    assert describe_file(tmp_path / "version-2.h5").format_version == 2
-    assert_same(read_trajectories(tmp_path / "version-2.h5"), found)
-
-
 def test_the_unit_of_a_control_is_stored_where_all_of_it_is_force(tmp_path: Path) -> None:
     for kinds, unit in (
         (None, b"N"),

@@ -1,4 +1,4 @@
-"""Fields of scenes and trajectories that files of version 1 lack: each rule, and its message."""
+"""Optional fields of scenes and trajectories: each rule, and its message."""
 
 import re
 from typing import Any

@@ -3,16 +3,10 @@
 import sys
 from pathlib import Path
 
-import equinox as eqx
-import jax
-import numpy as np
 import pytest
 from recordings import lerobot_folder, mcap_file
 
 from contactgraph.cli.main import run
-from contactgraph.cli.models import stored_model
-from contactgraph.data import Scene, Trajectory, write_trajectories
-from contactgraph.model import ModelState, scene_nodes
 
 MAP = """
 dimension = 2
@@ -80,41 +74,3 @@ def test_a_missing_extra_is_named(
     monkeypatch.setitem(sys.modules, library, None)
     said = refused(["import", kind, str(source), "--inspect"], capsys)
     assert f"pip install 'contactgraph[{extra}]'" in said
-
-
-def test_an_exported_step_is_the_models_own(tmp_path: Path, capsys) -> None:
-    out, data = tmp_path / "step.bin", tmp_path / "scene.h5"
-    model = stored_model("pickup")
-    types = ("gripper", "object", "object")
-    scene = Scene(("hand", "a", "b"), types, np.array([True, False, False]), model.dt)
-    write_trajectories(
-        data, [Trajectory(scene, np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), np.zeros((1, 2)))]
-    )
-    export = ["export", "pickup", "--to", "stablehlo", "--out", str(out)]
-    assert run([*export, "--scene", str(data)]) == 0
-    assert "a step of 0.05 s of hand, a, b" in capsys.readouterr().out
-    step = jax.export.deserialize(bytearray(out.read_bytes()))
-    assert "stablehlo" in step.mlir_module()
-    nodes = scene_nodes(scene)
-    position = np.array([[0.0, 0.0], [0.13, 0.0], [0.5, 0.5]], np.float32)
-    velocity = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -0.2]], np.float32)
-    state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
-    beliefs = [np.zeros(each.shape, each.dtype) for each in step.in_avals[4:]]
-    own_step = eqx.filter_jit(model.step)
-    for index in range(6):
-        control = np.array([2.0, 0.3 * index], np.float32)
-        position, velocity, *beliefs = step.call(position, velocity, control, index == 0, *beliefs)
-        state = own_step(state, control, nodes)
-        np.testing.assert_allclose(position, state.position, atol=1e-6)
-        np.testing.assert_allclose(velocity, state.velocity, atol=1e-5)
-        for ours, theirs in zip(beliefs, jax.tree.leaves(state.belief), strict=True):
-            np.testing.assert_allclose(ours, theirs, atol=1e-5)
-    assert np.abs(np.asarray(velocity)[1]).max() > 0.1, "the bodies must have touched"
-
-
-def test_a_step_of_bodies_that_turn_needs_their_outlines(capsys, monkeypatch) -> None:
-    from contactgraph import model as models
-
-    monkeypatch.setattr(models, "turn_length_of", lambda model: 0.1)
-    said = refused(["export", "pickup", "--to", "stablehlo", "--out", "step.bin"], capsys)
-    assert "pickup: bodies turn, so --scene DATA must give their outlines" in said

@@ -99,7 +99,7 @@ Change = dict[str, Any] | Callable[[int], dict[str, Any]]
 def cost_results(
     change: Change | None = None, task: str = "", test: CostTest | None = None
 ) -> Results:
-    """Every target is met, but for ``change`` in the tests of the given task and cost."""
+    """99 % of success, but for ``change`` in the tests of the given task and cost."""
     readings: dict[Any, list[Reading]] = {}
     for one in cost_measurements(COST_TASKS, FULL_COST):
         condition = one.condition

@@ -1,4 +1,4 @@
-"""Claim, targets, tables, charts and the page of the study of costs, from made-up numbers."""
+"""Claim, tables, charts and the page of the study of costs, from made-up numbers."""
 
 import csv
 import io
@@ -13,11 +13,9 @@ from made_up import Change, cost_results
 
 from contactgraph.control import LearningHistory, write_cost
 from contactgraph.data import Scene, Trajectory, write_trajectories
-from contactgraph.viz import ReportMetric
 from contactgraph_studies.cost.config import (
     COST_TASKS,
     FULL_COST,
-    among_distractors,
     by_demonstrations,
     known_answers,
 )
@@ -29,7 +27,7 @@ from contactgraph_studies.cost.known_answer import (
     own_cost,
     read_answers,
 )
-from contactgraph_studies.cost.study import CostStudy, cost_table, cost_targets, transfers
+from contactgraph_studies.cost.study import CostStudy, cost_table, transfers
 from contactgraph_studies.figures import svg
 from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP
 from contactgraph_studies.results import Results, with_range
@@ -70,39 +68,6 @@ def test_sentence_and_numbers_of_the_claim() -> None:
     assert [number.statistic.median for number in found.metrics[:4]] == [50.0, 99.0, 99.0, 99.0]
     nothing = transfers(Results({}), COST_TASKS, FULL_COST)
     assert (nothing.holds, nothing.sentence) == (None, "Not measured.")
-
-
-def targets(results: Results) -> dict[str, ReportMetric]:
-    return {number.name: number for number in cost_targets(results, [PICKUP], FULL_COST)}
-
-
-def test_targets_are_compared_with_all_episodes_together() -> None:
-    found = targets(cost_results())
-    counted = "(297 of 300 episodes; each seed: 99, 99, 99 %)"
-    unseen = found[f"pickup: success, unseen goals and objects, 40 demonstrations {counted}"]
-    assert (unseen.at_least, unseen.aim, unseen.reached) == (98.0, 100.0, True)
-    assert unseen.value == pytest.approx(99.0)
-    assert unseen.interval == pytest.approx((97.1, 99.7), abs=0.05)
-    assert unseen.command.startswith("contactgraph control pickup pickup --cost ")
-    seconds = found["pickup: learning from 40 demonstrations, on one core"]
-    assert (seconds.value, seconds.at_least, seconds.aim) == (30.0, 300.0, 60.0)
-    bad = targets(cost_results({"success_rate": 0.94}, "pickup", among_distractors(FULL_COST)[1]))
-    missed = [number for number in bad.values() if number.reached is False]
-    assert [number.at_least for number in missed] == [95.0]
-    assert "40 demonstrations by the expert among 5 distractors, 5 dis" in missed[0].name
-
-
-@pytest.mark.parametrize(
-    ("changed", "needed", "also"),
-    [(None, 5, ""), (5, 10, ""), (10, 20, ""), (40, None, ": not enough")],
-)
-def test_demonstrations_needed(changed: int | None, needed: int | None, also: str) -> None:
-    """More must not be worse: the fewest from which on all are enough."""
-    bad = [test for test in by_demonstrations(FULL_COST) if test.learned.demonstrations == changed]
-    change = {"success_rate": 0.9} if bad else None
-    found = targets(cost_results(change, "pickup", bad[0] if bad else None))
-    number = found[f"pickup: demonstrations needed for 95 % (of 5, 10, 20, 40{also})"]
-    assert (number.value, number.aim, number.reached) == (needed, 5.0, None)
 
 
 def test_markdown_and_csv_agree() -> None:
@@ -221,6 +186,5 @@ def test_the_figure_is_reproducible_and_needs_no_measurement() -> None:
 def test_a_study_without_measurements(tmp_path: Path) -> None:
     found = CostStudy(COST_TASKS, FULL_COST).result(tmp_path)
     assert [claim.holds for claim in found.claims] == [None]
-    assert all(number.value is None for number in found.targets)
     assert found.readings == [] and list(found.scenes) == []
     assert "| pickup | expert | 40 | 0 | not known |" in found.tables[0].markdown()

@@ -1,4 +1,4 @@
-"""Table, targets, figures and page of the study of models, from made-up numbers."""
+"""Table, figures and page of the study of models, from made-up numbers."""
 
 import csv
 import io
@@ -13,14 +13,12 @@ from made_up import AMOUNTS, by_the_paper, results
 from matplotlib.figure import Figure
 
 from contactgraph.evaluate import wilson_interval
-from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
 from contactgraph_studies.figures import kept_picture, new_figure, svg, write_figure
 from contactgraph_studies.page import study_page
 from contactgraph_studies.paper.claims import claims
 from contactgraph_studies.paper.config import (
     DOOR,
     FAMILIES,
-    FRANKA,
     LITERAL,
     OURS,
     PICKUP,
@@ -35,7 +33,7 @@ from contactgraph_studies.paper.figures import (
     sample_figure,
 )
 from contactgraph_studies.paper.jobs import ModelCondition, planned
-from contactgraph_studies.paper.study import OMITTED, model_table, model_targets
+from contactgraph_studies.paper.study import OMITTED, model_table
 from contactgraph_studies.results import (
     Reading,
     Results,
@@ -125,31 +123,19 @@ def test_an_error_of_moving_bodies_is_not_known_if_nothing_moves() -> None:
     assert diverged["planned_moving_cm_median"] == "inf"
 
 
-def test_targets_are_compared_with_the_median_over_seeds() -> None:
+def test_a_cell_is_the_median_over_seeds_with_their_range() -> None:
     condition = planned(DOOR, OURS.gim_temp, DOOR.hardest)
     readings = [
         Reading(seed, {**by_the_paper(condition), ERROR: error}, "contactgraph control")
         for seed, error in enumerate((0.001, 0.0055, 0.05))
     ]
-    measured = Results({condition: readings})
-    numbers = {number.name: number for number in model_targets(measured, [DOOR], (0, 1, 2))}
-    error = numbers["door, 10 more doors, GIM-Temp: N-step error, planned against executed"]
-    assert error.value == pytest.approx(0.55)
-    assert error.interval == pytest.approx((0.1, 5.0))
-    assert (error.at_least, error.aim, error.reached) == (0.6, 0.25, True)
-    assert numbers["door, 10 more doors, GIM-Temp: edge F1, the same"].reached is True
-    assert numbers["door, 10 more doors, GIM-Temp: success"].reached is None, "not measured"
-    text = markdown_metrics(list(numbers.values()))
-    assert "planned against executed | 0.55 cm (0.1 to 5) | 0.6 | 0.25 | yes |" in text
-    assert "10 more doors, GIM-Temp: success | not known | 95 | 99 |  |" in text
-    arm = {number.name: number for number in model_targets(results(), [FRANKA], (0, 1, 2))}
-    assert arm["franka, 5 distractors, GIM-Temp: success"].at_least == 90.0
-    assert len(arm) == 2 * 6, "speed at contact and control time are judged for the arm alone"
-    missed = model_targets(results({ERROR: 0.02}, LITERAL.gim_temp), TASKS, (0,))
-    assert "| **no** |" in markdown_metrics(missed)
-    read = list(csv.DictReader(io.StringIO(csv_metrics(missed))))
-    assert len(read) == len(missed) == 3 * 3 * 2 * 4
-    assert (read[0]["value"], read[0]["reached"]) == ("2.0", "False")
+    table = table_of(Results({condition: readings}), [DOOR])
+    line = next(one for one in table.markdown().splitlines() if "| 0.55 (0.1 to 5) |" in one)
+    assert line.startswith("| door | 10 more doors | GIM-Temp |")
+    assert line.endswith("|  |"), "success at every step is not measured"
+    row = next(row for row in read_csv(table) if row["planned_cm_median"])
+    values = [float(row[f"planned_cm_{end}"]) for end in ("median", "low", "high")]
+    assert values == pytest.approx([0.55, 0.1, 5.0])
 
 
 def test_the_page_begins_with_verdicts_and_loads_nothing() -> None:
@@ -157,8 +143,6 @@ def test_the_page_begins_with_verdicts_and_loads_nothing() -> None:
         title="Study <1>",
         summary="in short",
         claims=claims(results({BY_EPISODE: [0.02]}, LITERAL.no_gim), TASKS, AMOUNTS),
-        targets_heading="Targets",
-        targets=model_targets(results(), TASKS, (0, 1, 2)),
         tables=[table_of(results())],
         figures=[Picture("Errors", "cm", b"<svg/>", "svg+xml")],
         amounts={},

@@ -22,6 +22,7 @@ def numbers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, object
         "n_step_rmse_moving_by_run_m": [0.01, 0.02, 0.03],
         **{"success_by_episode": [True, False, True], "edge_accuracy": 0.9},
         **{"success_rate": 2 / 3, "episodes": 3, "n_step_rmse_planned_m": 0.01},
+        "n_step_rmse_planned_moving_m": 0.01,
     }
 
     def run_jobs(jobs: Sequence[Job], records: JobRecords, *_: object) -> list[Failure]:

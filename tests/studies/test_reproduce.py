@@ -25,8 +25,6 @@ FILES = {
     "results.json",
     "table.csv",
     "table.md",
-    "targets.csv",
-    "targets.md",
 }
 
 
@@ -77,6 +75,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Job]]:
         asked.append(list(jobs))
         values = {
             **{"success_rate": 1.0, "episodes": 5, "n_step_rmse_planned_m": 0.001},
+            "n_step_rmse_planned_moving_m": 0.001,
             "n_step_rmse_planned_moving_by_episode_m": [0.001] * 5,
         }
         for job in jobs:

@@ -1,4 +1,4 @@
-"""The study on a simulated robot: its jobs, and tables and targets from made-up numbers."""
+"""The study on a simulated robot: its jobs, and its table from made-up numbers."""
 
 import json
 from dataclasses import replace
@@ -9,10 +9,13 @@ import pytest
 from contactgraph.cli.main import parse
 from contactgraph_studies.simulated_robot import (
     BY_FINGERS,
+    BY_MOTION,
     FULL_SIM,
     LIVE,
     QUICK_SIM,
+    SMOOTHED,
     TRAINING,
+    VALIDATION,
     SimulatedRobotStudy,
     controlled,
 )
@@ -60,20 +63,19 @@ def test_the_amounts_are_the_papers() -> None:
     assert counts == (25, 5, 10.0) and FULL_SIM.episodes == 20
 
 
-def test_targets_are_compared_with_the_measured_numbers(folder: Path) -> None:
-    found = SimulatedRobotStudy(FULL_SIM).result(folder)
-    values = {number.name: number.value for number in found.targets}
-    by_unit = [round(value, 6) for value in values.values() if value is not None]
-    assert by_unit == [0.9, 90.0, 0.9, 30.0, 998.0, 0.4, 12.0]
-    assert [name for name, value in values.items() if value is None] == [
-        "dynamic pickups that succeed, of 20; contacts by the fingers' width, and by motion"
-    ]
-
-
 def test_the_table_has_every_number_that_is_known(folder: Path) -> None:
     found = SimulatedRobotStudy(FULL_SIM).result(folder)
     assert "validation runs,position_error_worst_m,mm,12.0" in found.tables[0].csv()
     assert "edge_f1," not in found.tables[0].csv()
+    rows = {(row["What"], row["number"]): row["value"] for row in found.tables[0].rows}
+    smoothed, fingers = SMOOTHED.source, controlled(BY_FINGERS).source
+    assert rows[smoothed, "n_step_rmse_inferred_m"] == pytest.approx(0.9)
+    assert rows[LIVE.source, "edge_f1_inferred"] == 0.9
+    assert rows[LIVE.source, "switch_time_error_inferred_s"] == pytest.approx(30.0)
+    assert rows[VALIDATION.source, "rate_hz"] == 998.0
+    assert rows[VALIDATION.source, "position_error_m"] == pytest.approx(0.4)
+    assert (rows[fingers, "successes"], rows[fingers, "episodes"]) == (18, 20)
+    assert not any(what == controlled(BY_MOTION).source for what, _ in rows)
     assert "| training runs" in found.tables[0].markdown()
     sources = [reading["source"] for reading in found.readings]
     assert len(sources) == len(NUMBERS)

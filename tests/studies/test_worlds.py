@@ -168,9 +168,6 @@ def test_cells_by_hand(tmp_path: Path) -> None:
     assert (row["percent_of_each_seed_mpc"], row["successes_scripted"]) == ("100 97 50", "19")
     assert row["command_open_loop"].startswith("contactgraph evaluate cells/pickup/seed-0/run ")
     assert row["command_mpc"].startswith("contactgraph control cells/pickup/seed-0/run pickup ")
-    errors, success = result.targets
-    assert (errors.value, errors.at_least, errors.aim, errors.reached) == (0.2, 0.5, 0.2, True)
-    assert (success.value, success.interval, success.reached) == (97.0, (50.0, 100.0), False)
 
 
 @pytest.mark.parametrize(

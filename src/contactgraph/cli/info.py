@@ -54,9 +54,11 @@ def _print_names() -> None:
     from contactgraph.model.io import describe_model
 
     print("models that ship with the package:")
+    own_task = "module:Class"
+    width = 2 + max(map(len, (*shipped_models(), *task_names(), own_task)))
     for name in shipped_models():
         summary = describe_model(shipped_model(name))
-        print(f"  {name:<14}{summary.parameter_count} parameters, steps of {summary.dt:g} s")
+        print(f"  {name:<{width}}{summary.parameter_count} parameters, steps of {summary.dt:g} s")
     print("tasks:")
     for name in task_names():
         try:
@@ -64,8 +66,8 @@ def _print_names() -> None:
             text = known_task(name).summary
         except (InvalidInputError, ImportError) as error:  # a missing extra
             text = f"not available: {error}"
-        print(f"  {name:<14}{text}")
-    print(f"  {'module:Class':<14}a class of your own")
+        print(f"  {name:<{width}}{text}")
+    print(f"  {own_task:<{width}}a class of your own")
 
 
 def _print_run_folder(path: Path) -> None:

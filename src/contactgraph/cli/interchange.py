@@ -83,99 +83,30 @@ class Import:
 
 @dataclass(frozen=True)
 class Export:
-    """Write a dataset in another format, or a step of a model as StableHLO."""
+    """Write a dataset in another format."""
 
-    data: Positional[Annotated[str, arg(metavar="DATA")]]
-    """The dataset file; for stablehlo a model."""
+    data: Positional[Annotated[Path, arg(metavar="DATA")]]
+    """The dataset file."""
     to: Annotated[str, arg(metavar="FORMAT")]
-    """minari, lerobot (version 3), csv or stablehlo."""
-    out: Annotated[Path, arg(metavar="PATH")]
-    """The folder to write, with a map.toml by which import reads it back; for stablehlo a file."""
-    scene: Annotated[
-        Path | None, arg(metavar="DATA", help_behavior_hint="(stablehlo only: two bodies)")
-    ] = None
-    """For stablehlo: a dataset with the bodies of the step, those of its first trajectory."""
+    """minari, lerobot (version 3) or csv."""
+    out: Annotated[Path, arg(metavar="FOLDER")]
+    """The folder to write, with a map.toml by which import reads it back."""
 
     def run(self) -> None:
         """Read and write."""
         from contactgraph.cli.options import choice
-        from contactgraph.data import InvalidInputError, read_trajectories
+        from contactgraph.data import read_trajectories
         from contactgraph.interchange.csv_table import write_csv
         from contactgraph.interchange.export_layout import export_layout
         from contactgraph.interchange.lerobot import write_lerobot
         from contactgraph.interchange.minari import write_minari
 
         writers = {"minari": write_minari, "lerobot": write_lerobot, "csv": write_csv}
-        write = choice("--to", self.to, {**writers, "stablehlo": None})
-        if write is None:
-            _write_step(self.data, self.scene, self.out)
-            return
-        if self.scene is not None:
-            raise InvalidInputError("--scene: only stablehlo takes it")
-        layout = export_layout(read_trajectories(Path(self.data)))
+        write = choice("--to", self.to, writers)
+        layout = export_layout(read_trajectories(self.data))
         write(layout, self.out)
         print(
             f"{self.out}: {len(layout.dataset)} trajectories, {len(layout.names)} numbers a state"
         )
         if layout.left_out:
             print(f"  not in this format, left out: {', '.join(layout.left_out)}")
-
-
-def _write_step(name: str, scene_file: Path | None, out: Path) -> None:
-    """Writes a model's step for the bodies of a scene, as `jax.export` serialises it.
-
-    Its arguments are ``position`` and ``velocity`` [N, G], ``control`` [U], ``first``, and the
-    arrays of the belief, which are not read where ``first`` is true; its results are all but
-    ``control`` and ``first`` after the step.
-    """
-    import jax
-    import jax.numpy as jnp
-    import numpy as np
-
-    from contactgraph.cli.models import stored_model
-    from contactgraph.cli.output import check_writable
-    from contactgraph.data import InvalidInputError, Scene, atomic_write, read_trajectories
-    from contactgraph.model import ModelState, scene_nodes, turn_length_of
-    from contactgraph.model.filter import check_controls
-
-    check_writable(out)
-    model = stored_model(name)
-    if scene_file is not None:
-        scene = read_trajectories(scene_file).trajectories[0].scene
-    elif turn_length_of(model) is not None:
-        raise InvalidInputError(f"{name}: bodies turn, so --scene DATA must give their outlines")
-    else:
-        names = ("gripper", "object")
-        scene = Scene(names, names, np.array([True, False]), model.dt, model.dimension)
-    check_controls(
-        model, scene, model.control_size, name if scene_file is None else str(scene_file)
-    )
-    nodes = scene_nodes(scene)
-
-    def step(position, velocity, control, first, *belief):  # type: ignore[no-untyped-def]
-        fresh = model.initial_belief(position, velocity, nodes)
-        leaves, structure = jax.tree.flatten(fresh)
-        chosen = [jnp.where(first, own, given) for own, given in zip(leaves, belief, strict=True)]
-        state = ModelState(position, velocity, jax.tree.unflatten(structure, chosen))
-        after = model.step(state, control, nodes)
-        return after.position, after.velocity, *jax.tree.leaves(after.belief)
-
-    state = jax.ShapeDtypeStruct((scene.node_count, model.coordinates), jnp.float32)
-    belief = jax.tree.leaves(jax.eval_shape(model.initial_belief, state, state, nodes))
-    control = jax.ShapeDtypeStruct((model.control_size,), jnp.float32)
-    exported = jax.export.export(jax.jit(step))(
-        state, state, control, jax.ShapeDtypeStruct((), jnp.bool_), *belief
-    )
-    try:
-        content = exported.serialize()
-    except ImportError as error:
-        raise InvalidInputError(
-            f"stablehlo needs flatbuffers ({error}): pip install 'contactgraph[stablehlo]'"
-        ) from error
-    with atomic_write(out) as temporary:
-        temporary.write_bytes(content)
-    arrays = ", ".join(str(each) for each in exported.in_avals)
-    print(f"{out}: a step of {scene.dt:g} s of {', '.join(scene.node_name)}")
-    print(f"  position, velocity, control, first, belief: {arrays}")
-    if (length := turn_length_of(model)) is not None:
-        print(f"  a turn of 1 rad is {length:g} m among the coordinates")

@@ -8,10 +8,8 @@ from contactgraph.cli.adapted_tasks import ADAPTED_TASKS
 from contactgraph.cli.hidden_contact_tasks import HIDDEN_CONTACT_TASKS
 from contactgraph.cli.task_types import (
     KnownTask,
-    Target,
     TaskFactory,
     TaskOptions,
-    TaskTargets,
     TestCondition,
     refuse_option,
     without_options,
@@ -99,16 +97,6 @@ def _passive(factory: Callable[[TaskOptions], TaskFactory], summary: str) -> Kno
     )
 
 
-_PLANAR_TARGETS = TaskTargets(
-    error_cm={True: Target(0.5, 0.2), False: Target(0.6, 0.25)},
-    edge_f1={True: Target(0.97, 0.995), False: Target(0.95, 0.995)},
-    success_percent={True: Target(98.0, 100.0), False: Target(95.0, 99.0)},
-    contact_speed=Target(0.3),
-    training_s=Target(120.0, 30.0),
-    tick_ms=Target(10.0, 3.0),
-)
-
-
 TASKS = {
     "pickup": KnownTask(
         _pickup,
@@ -121,7 +109,6 @@ TASKS = {
             TestCondition("3-distractors", "3 distractors", False, distractors=3, extra=True),
             TestCondition("10-distractors", "10 distractors", False, distractors=10),
         ),
-        targets=_PLANAR_TARGETS,
     ),
     "multi-pickup": KnownTask(
         _multi_pickup,
@@ -133,7 +120,6 @@ TASKS = {
             TestCondition("as-trained", "as trained, 2 picks", True),
             TestCondition("5-picks", "5 picks", False, objects=5),
         ),
-        targets=_PLANAR_TARGETS,
     ),
     "door": KnownTask(
         _door,
@@ -145,7 +131,6 @@ TASKS = {
             TestCondition("as-trained", "as trained", True),
             TestCondition("10-doors", "10 more doors", False, distractors=10),
         ),
-        targets=_PLANAR_TARGETS,
     ),
     "billiards": KnownTask(
         _billiards,

@@ -191,10 +191,8 @@ _POINTER = re.compile(r" ?For full helptext, (?:run|see):? contactgraph (?P<comm
 _SUBCOMMAND = re.compile(
     r"Unrecognized options: (?P<found>[^-\s][^,\s]*).* Available subcommands: (?P<valid>.*)"
 )
-_NO_SUBCOMMAND = re.compile(r"Expected one of \{(?P<valid>.*)\}")
 _UNKNOWN = re.compile(r"Unrecognized options: (?P<found>.*?)(?: Perhaps you meant: (?P<near>.*))?$")
 _MISSING = re.compile(r"Missing from [^:]*: (?P<pieces>.*)")
-_NO_VALUE = re.compile(r"Missing value for argument '(?P<option>[^']+)'")
 _BAD_VALUE = re.compile(r"Error parsing (?P<option>\S+?): (?P<reason>.*?) Argument helptext: ")
 _BAD_NUMBER = re.compile(r".*(?P<type>int\(\)|float).*: (?P<found>'.*')")
 _BAD_NUMBERS = re.compile(r".*tuple\[float, \.\.\.\].* arguments: \[(?P<found>.*)\]")
@@ -202,8 +200,9 @@ _TYPES = {"int()": "an integer", "float": "a number"}
 
 
 def _one_line(message: str, name: str) -> str:
-    """The parser's message, drawn as a box, as one line with the valid values."""
-    text = " ".join(_BOX.sub(" ", _STYLE.sub("", message)).split())
+    """The parser's message, drawn as a box under a title, as one line with the valid values."""
+    _, *lines = _BOX.sub(" ", _STYLE.sub("", message)).strip().splitlines()
+    text = " ".join(" ".join(lines).split())
     pointer = _POINTER.search(text)
     command = pointer["command"] if pointer else name
     text = _POINTER.sub("", text)
@@ -214,8 +213,6 @@ def _one_line(message: str, name: str) -> str:
 
 
 def _mistake(text: str, command: str) -> str:
-    if match := _NO_SUBCOMMAND.search(text):
-        return f"{command} needs one of {match['valid']}"
     if match := _UNKNOWN.search(text):
         # "--stps, 3 Perhaps you meant: --steps INT Optimiser steps."
         near = re.search(r"--\S+", match["near"] or "")
@@ -225,12 +222,10 @@ def _mistake(text: str, command: str) -> str:
         # "DATA The dataset file. (required) --out FOLDER The folder. (required)"
         pieces = [piece.split() for piece in match["pieces"].split("(required)")]
         return f"{command} needs {' and '.join(piece[0] for piece in pieces if piece)}"
-    if match := _NO_VALUE.search(text):
-        return f"{match['option']} needs a value"
     if match := _BAD_VALUE.search(text):
         if number := _BAD_NUMBER.fullmatch(match["reason"]):
             return f"{match['option']} must be {_TYPES[number['type']]}, found {number['found']}"
         if numbers := _BAD_NUMBERS.fullmatch(match["reason"]):
             return f"{match['option']} must be numbers, found {numbers['found']}"
         return f"{match['option']}: {match['reason']}"
-    return text
+    return f"{command}: {text}"

@@ -1,4 +1,4 @@
-"""The report of one model: measured numbers beside their targets, and the page that shows them."""
+"""The report of one model: measured numbers, and the page that shows them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.cli.models import in_steps_of, motion_evidence, stored_model
-from contactgraph.cli.task_types import KnownTask, Target, TestCondition
+from contactgraph.cli.task_types import TestCondition
 from contactgraph.data import read_trajectories
 from contactgraph.model.io import ModelSummary
 from contactgraph.viz import (
@@ -35,67 +35,53 @@ class ConditionResult:
 
 
 _BASELINES = (
-    ("constant_velocity", "constant velocity's", None),
-    ("standing_still", "standing still's", None),
-    ("frozen_contact", "the fixed-contact oracle's", Target(0.25)),
+    ("constant_velocity", "constant velocity's"),
+    ("standing_still", "standing still's"),
+    ("frozen_contact", "the fixed-contact oracle's"),
 )
 _HORIZONS = {"": "one step ahead", "_ahead": "at the end of the window"}
-_CALIBRATION = {"": Target(0.02, 0.01), "_ahead": Target(0.08, 0.03)}
 _SOURCES = {"": "contacts and motion", "_inferred": "motion alone", "_unmeasured": "nothing"}
 """Corrections of beliefs, by the ending of their JSON keys."""
 
 
 def report_metrics(
-    task: KnownTask, results: Sequence[ConditionResult], model: ModelSummary
+    results: Sequence[ConditionResult], model: ModelSummary
 ) -> tuple[ReportMetric, ...]:
     """Every number of the report, in the order of its table; the hardest condition comes last."""
-    targets, seed = task.targets, int(model.training.get("seed", 0))
+    seed = int(model.training.get("seed", 0))
     first, last = results[0], results[-1]
     metrics: list[ReportMetric] = []
 
-    def add(
-        name: str,
-        unit: str,
-        value: float | None,
-        command: str,
-        target: Target | None,
-        **options: Any,
-    ) -> None:
-        limits = {} if target is None else {"at_least": target.at_least, "aim": target.aim}
-        fields = {"command": command, "seed": seed, **limits, **options}
-        metrics.append(ReportMetric(name, value, unit, **fields))
+    def add(name: str, unit: str, value: float | None, command: str, **options: Any) -> None:
+        metrics.append(ReportMetric(name, value, unit, command=command, seed=seed, **options))
 
     def add_error(name: str, one: ConditionResult, tile: bool = False) -> None:
         error = one.open_loop["n_step_rmse_moving_m"]
         error_cm = None if error is None else 100.0 * error
-        target = task.error_target_cm(one.condition)
-        add(name, "cm", error_cm, one.open_loop_command, target, lower_is_better=True, tile=tile)
+        add(name, "cm", error_cm, one.open_loop_command, tile=tile)
 
     add_error("N-step error of bodies that move", first, tile=True)
-    for baseline, text, target in _BASELINES:
+    for baseline, text in _BASELINES:
         ratio = _ratio(
             first.open_loop["n_step_rmse_moving_m"], first.open_loop[f"{baseline}_rmse_moving_m"]
         )
         name = f"the same, share of {text}"
-        add(name, "", ratio, first.open_loop_command, target, lower_is_better=True)
+        add(name, "", ratio, first.open_loop_command)
     for one in results[1:]:
         growth = _ratio(
             one.open_loop["n_step_rmse_moving_m"], first.open_loop["n_step_rmse_moving_m"]
         )
         name = f"that error, {one.condition.name} against {first.condition.name}"
-        # Distractors should not change the error; further objects to handle may.
-        target = Target(1.2, 1.0) if one.condition.distractors else None
-        add(name, "times", growth, one.open_loop_command, target, lower_is_better=True)
+        add(name, "times", growth, one.open_loop_command)
     if last is not first:
         add_error(f"N-step error of bodies that move, {last.condition.name}", last)
     for one in (first, last):
-        target = targets.edge_f1.get(one.condition.in_distribution)
         name, f1 = f"edge F1, {one.condition.name}", one.open_loop["edge_f1"]
-        add(name, "", f1, one.open_loop_command, target, tile=one is last)
+        add(name, "", f1, one.open_loop_command, tile=one is last)
     for ahead, text in _HORIZONS.items():
         error, command = last.open_loop[f"calibration_error{ahead}"], last.open_loop_command
         name = f"calibration error, {text}, {last.condition.name}"
-        add(name, "", error, command, _CALIBRATION[ahead], lower_is_better=True)
+        add(name, "", error, command)
     for one in results:
         low, high = one.closed_loop["success_interval"]
         add(
@@ -103,23 +89,20 @@ def report_metrics(
             "%",
             100.0 * one.closed_loop["success_rate"],
             one.closed_loop_command,
-            targets.success_percent.get(one.condition.in_distribution),
             tile=True,
             interval=(100.0 * low, 100.0 * high),
         )
     loop, command = first.closed_loop, first.closed_loop_command
     speed, slowest = loop["contact_speed_m_s"], loop["slowest_before_contact_min_m_s"]
-    target = targets.contact_speed
-    add("speed at contact, median", "m/s", speed, command, target, tile=True)
-    add("slowest on the way there, any episode", "m/s", slowest, command, None)
+    add("speed at contact, median", "m/s", speed, command, tile=True)
+    add("slowest on the way there, any episode", "m/s", slowest, command)
     training_s = float(model.training.get("training_s", "nan"))
     trained_by = str(model.training.get("command", ""))
-    add("training", "s", training_s, trained_by, targets.training_s, lower_is_better=True)
+    add("training", "s", training_s, trained_by)
     name = f"control step, horizon {last.closed_loop['horizon']}, {last.condition.name}, 99 %"
     milliseconds, command = last.closed_loop["plan_ms_p99"], last.closed_loop_command
-    target = targets.tick_ms
-    add(name, "ms", milliseconds, command, target, lower_is_better=True, tile=True)
-    add("model file", "MB", model.size / 1e6, trained_by, Target(1.0), lower_is_better=True)
+    add(name, "ms", milliseconds, command, tile=True)
+    add("model file", "MB", model.size / 1e6, trained_by)
     return tuple(metrics)
 
 

@@ -152,7 +152,7 @@ class Report:
         if self.quick:
             command += " --quick"
         training = run_folder(self.model)
-        metrics = report_metrics(task, results, summary)
+        metrics = report_metrics(results, summary)
         data = ReportData(
             title=task.title,
             summary="A model learned from recorded trajectories of a gripper when bodies touch and "
@@ -191,7 +191,7 @@ class Report:
 
 _HORIZON_S = 0.5
 """Of the N-step errors."""
-_JSON_KEYS = ("unit", "value", "interval", "at_least", "aim", "reached", "command")
+_JSON_KEYS = ("unit", "value", "interval", "command")
 
 
 def _files(folder: Path, slug: str) -> tuple[Path, Path]:

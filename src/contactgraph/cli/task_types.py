@@ -1,7 +1,7 @@
-"""The entry of a task: options of its scenes, factory, policies, test conditions and targets."""
+"""The entry of a task: options of its scenes, factory, policies and test conditions."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import ExplorationPolicy
@@ -74,33 +74,6 @@ class TestCondition:
         return (*distractors, *objects)
 
 
-@dataclass(frozen=True)
-class Target:
-    """Required and desired value of one measured number."""
-
-    at_least: float
-    aim: float | None = None
-
-
-TargetByScene = dict[bool, Target]
-"""The target of a number by whether the scenes are like those of training."""
-
-
-@dataclass(frozen=True)
-class TaskTargets:
-    """Targets of the numbers that are measured on one task."""
-
-    error_cm: TargetByScene = field(default_factory=dict)
-    """Of the N-step error over bodies that move."""
-    edge_f1: TargetByScene = field(default_factory=dict)
-    success_percent: TargetByScene = field(default_factory=dict)
-    contact_speed: Target | None = None
-    """Median, m/s."""
-    training_s: Target | None = None
-    tick_ms: Target | None = None
-    """99 % of the control steps, in the hardest scenes."""
-
-
 TaskFactory = Callable[[], Task]
 
 
@@ -131,13 +104,6 @@ class KnownTask:
     """Title of the report page."""
     conditions: tuple[TestCondition, ...] = (TestCondition("as-trained", "as trained", True),)
     """Test conditions: the one in distribution first, the hardest last."""
-    targets: TaskTargets = TaskTargets()
-
-    def error_target_cm(self, condition: TestCondition) -> Target | None:
-        """Target of the N-step error; None for conditions without one."""
-        if condition not in (self.conditions[0], self.conditions[-1]):
-            return None
-        return self.targets.error_cm.get(condition.in_distribution)
 
 
 def refuse_option(task: str, flag: str, value: object, reason: str) -> None:

@@ -25,7 +25,7 @@ from contactgraph.data import InvalidInputError, atomic_write
 from contactgraph.data.json_fields import JsonFields, read_json_fields
 
 FORMAT = "contactgraph-cost"
-VERSION = 1
+VERSION = 2
 _SIZE_LIMIT = 20_000_000
 """Bytes."""
 _WORDS = {
@@ -66,15 +66,15 @@ def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | No
         "goal": _numbers(cost.goal),
         "Q": _numbers(cost.Q),
         "R": _numbers(cost.R),
-        "participants": [
+        "task_nodes": [
             {
                 "name": each.name,
                 "kept": each.kept,
                 "reason": each.reason,
                 "actuated": each.actuated,
-                "runs": each.trajectories,
-                "active_runs": each.active_trajectories,
-                "joins_s": each.first_contact_time,
+                "trajectories": each.trajectories,
+                "active_trajectories": each.active_trajectories,
+                "first_contact_time_s": each.first_contact_time,
             }
             for each in cost.task_nodes
         ],
@@ -137,28 +137,23 @@ def _summary(fields: JsonFields) -> CostSummary:
                 smallest_q=jnp.asarray(history.numbers("smallest_q", steps)),
                 smallest_r=jnp.asarray(history.numbers("smallest_r", steps)),
             ),
-            task_nodes=tuple(_task_node(each) for each in fields.each("participants")),
-            contacts=tuple(_contact(each, names) for each in _contacts(fields)),
+            task_nodes=tuple(_task_node(each) for each in fields.each("task_nodes")),
+            contacts=tuple(_contact(each, names) for each in fields.each("contacts")),
         ),
         made=fields.inner("made").content,
     )
 
 
 def _task_node(fields: JsonFields) -> TaskNode:
-    trajectories = fields.count("runs", 0)
-    active = fields.count("active_runs", 0)
+    trajectories = fields.count("trajectories", 0)
+    active = fields.count("active_trajectories", 0)
     return TaskNode(
         name=fields.text("name"),
         actuated=fields.truth("actuated"),
         trajectories=trajectories,
         active_trajectories=active,
-        first_contact_time=float(fields.numbers("joins_s", ())) if active else None,
+        first_contact_time=float(fields.numbers("first_contact_time_s", ())) if active else None,
     )
-
-
-def _contacts(fields: JsonFields) -> list[JsonFields]:
-    """None in files from before costs had any."""
-    return fields.each("contacts") if "contacts" in fields.content else []
 
 
 def _contact(fields: JsonFields, kept_nodes: tuple[str, ...]) -> LearnedContact:

@@ -10,7 +10,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import (
     AffinePolicy,
@@ -32,8 +32,8 @@ from contactgraph.model import LinearDynamics
 _Made = TypeVar("_Made")
 _Stage = TypeVar("_Stage")
 _Value = TypeVar("_Value")
-Value = tuple[PyTree[Array], Array]
-"""P [n, n], or as a `DynamicsOperator` stores it, and p [n]."""
+Value = tuple[Array, Array]
+"""P [n, n] and p [n]."""
 
 
 class QuadraticValue(eqx.Module):
@@ -85,21 +85,16 @@ class Improvement(eqx.Module):
 
 
 def solve_lqr(
-    problem: LQRProblem, operator: Operator = dense_operator, which: tuple[Int[Array, ""], ...] = ()
+    problem: LQRProblem, operator: Operator = dense_operator
 ) -> tuple[AffinePolicy, QuadraticValue]:
-    """The optimal policy, and the value of every state at every step ``0 … H``.
-
-    ``which`` of many, where every array has leading axes for these indices. In `jax.lax.map` over
-    an index each problem is read where it is, while a map over problems would copy it first.
-    """
-    horizon, size = problem.B.shape[len(which) : len(which) + 2]
+    """The optimal policy, and the value of every state at every step ``0 … H``."""
 
     def choose(now: Products, step: Array) -> tuple[AffinePolicy, tuple]:
         policy = AffinePolicy(*_minimum(now.S, now.G, now.g))
         return policy, (policy, now.constant + now.g @ policy.k)
 
-    final = read_stage((problem.Q, problem.q), which, horizon)
-    (P, p), (policy, added) = riccati_pass(choose, final, problem, operator(size), which)
+    final = problem.Q[-1], problem.q[-1]
+    (P, p), (policy, added) = riccati_pass(choose, final, problem, operator(problem.B.shape[1]))
     constant = jnp.append(jax.lax.cumsum(added, reverse=True), 0)
     return policy, QuadraticValue(P, p, constant)
 
@@ -120,7 +115,7 @@ def improve_policy(
     """
 
     def choose(now: Products, step: Array) -> tuple[AffinePolicy, tuple]:
-        x, u = read_stage((states, controls), (), step)
+        x, u = read_stage((states, controls), step)
         weight = damping * jnp.trace(now.S) / u.shape[0]
         S = now.S + weight * jnp.eye(u.shape[0], dtype=u.dtype)
         slope = now.G @ x + now.g - weight * u
@@ -154,37 +149,32 @@ def riccati_pass(
     final: Value,
     problem: LQRProblem,
     operator: DynamicsOperator,
-    which: tuple[Array, ...] = (),
 ) -> tuple[Value, _Made]:
     """The values under the policy that ``choose`` gives each step, [H+1, …], and its other result.
 
-    P is carried as the operator stores it, and made symmetric after every few steps: in a loop of
-    its own, since a conditional around P would copy it in every step. Steps are read out of the
-    problem's own arrays, of which a slice without the last state's cost would be a copy.
+    P is made symmetric after every few steps: in a loop of its own, since a conditional around P
+    would copy it in every step. Steps are read out of the problem's own arrays, of which a slice
+    without the last state's cost would be a copy.
     """
-    horizon = problem.B.shape[len(which)]
+    horizon = problem.B.shape[0]
     sizes = [n for n in range(1, horizon + 1) if horizon % n == 0 and n <= operator.symmetric_every]
-
-    def restored(P: PyTree[Array], p: Array) -> Value:
-        return operator.restore(P), p
 
     def back(after: Value, stage: LQRProblem, step: Array) -> tuple[Value, tuple]:
         now = operator.products(*after, stage)
         policy, made = choose(now, step)
         P = operator.update(now, stage, policy.K, step)
         p = stage.q + now.slope + jnp.sum(now.G * policy.k[:, None], axis=0)
-        return (P, p), (restored(*after), made)
+        return (P, p), (after, made)
 
     def few(after: Value, steps: Array) -> tuple[Value, tuple]:
-        read = functools.partial(read_stage, problem, which)
+        read = functools.partial(read_stage, problem)
         (P, p), made = scan_stages(back, after, read, steps, True, operator.reads_ahead)
-        return (operator.symmetric(P), p), made
+        return (0.5 * (P + P.swapaxes(0, 1)), p), made
 
     steps = jnp.arange(horizon).reshape(-1, max(sizes))
-    P, p = final
-    first, made = jax.lax.scan(few, (operator.store(P), p), steps, reverse=True)
+    first, made = jax.lax.scan(few, final, steps, reverse=True)
     after, made = jax.tree.map(lambda leaf: leaf.reshape(horizon, *leaf.shape[2:]), made)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), restored(*first), after), made
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after), made
 
 
 def scan_stages(
@@ -213,13 +203,12 @@ def scan_stages(
     return value, made
 
 
-def read_stage(arrays: _Stage, which: tuple[Array, ...], index: Array | int) -> _Stage:
-    """The part of every array at these indices of its first axes."""
+def read_stage(arrays: _Stage, index: Array | int) -> _Stage:
+    """The part of every array at this index of its first axis."""
 
     def part(leaf: Array) -> Array:
-        rest = leaf.shape[len(which) + 1 :]
-        begin = (*which, index, *[0] * len(rest))
-        return jax.lax.dynamic_slice(leaf, begin, (*[1] * (len(which) + 1), *rest)).reshape(rest)
+        rest = leaf.shape[1:]
+        return jax.lax.dynamic_slice(leaf, (index, *[0] * len(rest)), (1, *rest)).reshape(rest)
 
     return jax.tree.map(part, arrays)
 

@@ -161,7 +161,7 @@ def _recursion(
     def step(y: Array, stage: tuple[Array, Array], index: Array) -> tuple[Array, Array]:
         return times(stage[0], y) + stage[1], y
 
-    read = functools.partial(read_stage, (M, added), ())
+    read = functools.partial(read_stage, (M, added))
     last, entering = scan_stages(step, first, read, jnp.arange(len(M)), reverse, reads_ahead=True)
     return entering, last
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 FORMAT = "contactgraph-dataset"
 VERSION = 2
-"""The version that is written; all versions from 1 on are read."""
+"""The version that is written and read."""
 TRAJECTORIES = "trajectories"
 METADATA = "metadata"
 
@@ -18,8 +18,6 @@ class Field:
     kinds: str
     """numpy's letters for the types that are read: b bool, i and u integer, f float."""
     unit: str | None = None
-    since: int = 1
-    """The first version of the format that has it; in files of earlier versions it is ignored."""
 
     @property
     def meaning(self) -> str:
@@ -45,22 +43,22 @@ ARRAYS = {
     "radius": Field(("N",), "fiu", "m"),
     "size": Field(("N", "D"), "fiu", "m"),
     "candidate_edges": Field(("E", "2"), "iu"),
-    "holding": Field(("T+1", "N", "N"), "biu", since=2),
-    "orientation": Field(("T+1", "N", "1 or 4"), "fiu", since=2),
-    "angular_velocity": Field(("T+1", "N", "1 or 3"), "fiu", "rad/s", since=2),
-    "static": Field(("N",), "biu", since=2),
-    "control_of": Field(("N", "U"), "biu", since=2),
-    "planes": Field(("P", "D+1"), "fiu", since=2),
-    "reach": Field(("N", "2", "D"), "fiu", "m", since=2),
-    "polygons": Field(("W", "D"), "fiu", "m", since=2),
-    "polygon_size": Field(("P",), "iu", since=2),
-    "polygon_of": Field(("P",), "iu", since=2),
-    "pins": Field(("P", "2"), "iu", since=2),
-    "pin_points": Field(("P", "2", "D"), "fiu", "m", since=2),
+    "holding": Field(("T+1", "N", "N"), "biu"),
+    "orientation": Field(("T+1", "N", "1 or 4"), "fiu"),
+    "angular_velocity": Field(("T+1", "N", "1 or 3"), "fiu", "rad/s"),
+    "static": Field(("N",), "biu"),
+    "control_of": Field(("N", "U"), "biu"),
+    "planes": Field(("P", "D+1"), "fiu"),
+    "reach": Field(("N", "2", "D"), "fiu", "m"),
+    "polygons": Field(("W", "D"), "fiu", "m"),
+    "polygon_size": Field(("P",), "iu"),
+    "polygon_of": Field(("P",), "iu"),
+    "pins": Field(("P", "2"), "iu"),
+    "pin_points": Field(("P", "2", "D"), "fiu", "m"),
 }
 OPTIONAL = set(ARRAYS) - {"position", "velocity", "control", "actuated"}
 NAMES = ("node_name", "node_type")
 CONTROL_KIND = "control_kind"
-"""An optional array of names, from version 2 on."""
+"""An optional array of names."""
 FIELD_OF = {"skeleton": "link_positions"}
 """Arrays whose field of `Trajectory` has another name."""

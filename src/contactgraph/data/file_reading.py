@@ -36,8 +36,8 @@ def read_trajectories(path: str | Path) -> Dataset:
     Nothing in the file is executed and no link to another file is followed. Raises
     `InvalidInputError` naming file, trajectory and field where anything is wrong.
     """
-    with _opened(Path(path)) as (root, version):
-        trajectories = tuple(_read_trajectory(each, version) for each in _groups(root))
+    with _opened(Path(path)) as root:
+        trajectories = tuple(_read_trajectory(each) for each in _groups(root))
         metadata = _read_metadata(root)
         with _naming(root.where):
             return Dataset(trajectories, metadata)
@@ -81,19 +81,19 @@ def describe_file(path: str | Path) -> FileSummary:
     Raises `InvalidInputError` as `read_trajectories` does; numbers in arrays are not checked.
     """
     path = Path(path)
-    with _opened(path) as (root, version):
+    with _opened(path) as root:
         groups = _groups(root)
-        names = [_arrays_in(each, version) for each in groups]
+        names = [_arrays_in(each) for each in groups]
         positions = [each.shape("position", ARRAYS["position"]) for each in groups]
         return FileSummary(
-            format_version=version,
+            format_version=VERSION,
             trajectory_name=tuple(root.child(TRAJECTORIES).names_by_number()),
             steps=tuple(shape[0] - 1 for shape in positions),
             node_name=tuple(each.texts("node_name") for each in groups),
             dt=tuple(_read_dt(each) for each in groups),
             dimension=tuple(shape[2] for shape in positions),
             control_size=tuple(each.shape("control", ARRAYS["control"])[1] for each in groups),
-            control_kind=tuple(_read_control_kind(each, version) for each in groups),
+            control_kind=tuple(_read_control_kind(each) for each in groups),
             has_contact=tuple("contact" in each for each in names),
             has_holding=tuple("holding" in each for each in names),
             has_orientation=tuple("orientation" in each for each in names),
@@ -107,8 +107,8 @@ def describe_file(path: str | Path) -> FileSummary:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[UntrustedGroup, int]]:
-    """The root of a file of this format, and its version."""
+def _opened(path: Path) -> Iterator[UntrustedGroup]:
+    """The root of a file of this format and version."""
     if not path.exists():
         raise InvalidInputError(f"{path}: does not exist")
     if not path.is_file():
@@ -129,11 +129,11 @@ def _opened(path: Path) -> Iterator[tuple[UntrustedGroup, int]]:
                     "this HDF5 file holds something else"
                 )
             version = root.attribute("format_version")
-            if version not in range(1, VERSION + 1) or isinstance(version, (str, bool)):
+            if version != VERSION:
                 raise InvalidInputError(
-                    f"{path}: attribute 'format_version' must be 1 to {VERSION}, found {version!r}"
+                    f"{path}: attribute 'format_version' must be {VERSION}, found {version!r}"
                 )
-            yield root, int(version)
+            yield root
 
 
 def _groups(root: UntrustedGroup) -> list[UntrustedGroup]:
@@ -141,13 +141,13 @@ def _groups(root: UntrustedGroup) -> list[UntrustedGroup]:
     return [parent.child(name) for name in parent.names_by_number()]
 
 
-def _read_trajectory(group: UntrustedGroup, version: int) -> Trajectory:
+def _read_trajectory(group: UntrustedGroup) -> Trajectory:
     """The trajectory in ``group``; raises `InvalidInputError` naming it and the field."""
     arrays: dict[str, Any] = {
-        FIELD_OF.get(name, name): _read_array(group, name) for name in _arrays_in(group, version)
+        FIELD_OF.get(name, name): _read_array(group, name) for name in _arrays_in(group)
     }
     names: dict[str, Any] = {name: group.texts(name) for name in NAMES}
-    names[CONTROL_KIND] = _read_control_kind(group, version)
+    names[CONTROL_KIND] = _read_control_kind(group)
     dt, metadata = _read_dt(group), _read_metadata(group)
     with _naming(group.where):
         if "polygons" in arrays or "polygon_size" in arrays:
@@ -158,16 +158,14 @@ def _read_trajectory(group: UntrustedGroup, version: int) -> Trajectory:
         return Trajectory(scene, **arrays)
 
 
-def _arrays_in(group: UntrustedGroup, version: int) -> list[str]:
-    """The arrays to read: those that must be there, and those that are, of this version."""
+def _arrays_in(group: UntrustedGroup) -> list[str]:
+    """The arrays to read: those that must be there, and those that are."""
     there = group.names()
-    known = [name for name, field in ARRAYS.items() if field.since <= version]
-    return [name for name in known if name not in OPTIONAL or name in there]
+    return [name for name in ARRAYS if name not in OPTIONAL or name in there]
 
 
-def _read_control_kind(group: UntrustedGroup, version: int) -> tuple[str, ...] | None:
-    there = version >= 2 and CONTROL_KIND in group.names()
-    return group.texts(CONTROL_KIND) if there else None
+def _read_control_kind(group: UntrustedGroup) -> tuple[str, ...] | None:
+    return group.texts(CONTROL_KIND) if CONTROL_KIND in group.names() else None
 
 
 def _cut(corners: np.ndarray | None, sizes: np.ndarray | None) -> tuple[np.ndarray, ...]:

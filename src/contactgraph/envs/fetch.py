@@ -96,9 +96,9 @@ def _make_environment(task: str, identifier: str) -> gymnasium.Env[Any, Any]:
     try:
         with redirect_stderr(StringIO()):  # its import prints a note on other environments
             import gymnasium_robotics
-    except ImportError as error:
+    except (ImportError, gymnasium.error.DependencyNotInstalled) as error:
         raise InvalidInputError(
-            f"{task} needs gymnasium-robotics ({error}): pip install 'contactgraph[fetch]'"
+            f"{task} cannot start ({error.__cause__ or error}): pip install 'contactgraph[fetch]'"
         ) from error
     found = version("mujoco")
     if tuple(map(int, found.split(".")[:2])) > NEWEST_MUJOCO:

@@ -76,12 +76,12 @@ def pusht_task() -> AdaptedTask:
 
 def _make_environment() -> gymnasium.Env[Any, Any]:
     try:
-        import gym_pusht  # noqa: F401 (its import registers the environment)
+        made = gymnasium.make("gym_pusht:gym_pusht/PushT-v0", disable_env_checker=True)
     except ImportError as error:
         raise InvalidInputError(
-            f"pusht needs gym-pusht ({error}): pip install 'contactgraph[pusht]'"
+            f"PushT cannot start ({error.__cause__ or error}): pip install 'contactgraph[pusht]'"
         ) from error
-    return _WatchedContact(gymnasium.make("gym_pusht/PushT-v0", disable_env_checker=True))
+    return _WatchedContact(made)
 
 
 class _WatchedContact(WatchedContact):

@@ -27,13 +27,11 @@ from contactgraph.model.serialization import (
     describe,
     module_arrays,
     with_arrays,
-    with_current_names,
 )
 from contactgraph.model.types import ModelState, Nodes
 
 FORMAT = "contactgraph-model"
 VERSION = 2
-"""Version 1 had other names of parts: see `contactgraph.model.serialization.OLD_NAMES`."""
 # A single entry, because safetensors writes several in an order that changes between processes.
 _ENTRY = "contactgraph"
 _HEADER_LIMIT = 2_000_000
@@ -139,7 +137,7 @@ def describe_model(path: str | Path) -> ModelSummary:
         sizes = [int(np.prod(file.get_slice(name).get_shape())) for name in file.keys()]  # noqa: SIM118
     return ModelSummary(
         format_version=header["format_version"],
-        model=model if own else with_current_names(model),
+        model=model,
         training=header["training"],
         dimension=shapes.dimension,
         control_size=shapes.control_size,
@@ -209,9 +207,9 @@ def _header(path: Path, metadata: dict[str, str]) -> dict[str, Any]:
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise InvalidInputError(f"{path}: header field 'format' must be {FORMAT!r}")
     version = header.get("format_version")
-    if version not in (1, VERSION) or isinstance(version, bool):
+    if version != VERSION:
         raise InvalidInputError(
-            f"{path}: header field 'format_version' must be 1 or {VERSION}, found {version!r}"
+            f"{path}: header field 'format_version' must be {VERSION}, found {version!r}"
         )
     for name, kind in {"model": dict, "training": dict, "checksum": str}.items():
         if not isinstance(header.get(name), kind):

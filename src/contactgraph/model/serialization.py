@@ -41,21 +41,6 @@ from contactgraph.model.relations import StaticEdges
 Tree = TypeVar("Tree")
 Description = dict[str, Any]
 
-OLD_NAMES = {
-    "Everywhere": "NoCutoff",
-    "Reach": "SmoothCutoff",
-    "Support": "GroundSupport",
-    "TouchPrior": "ClosestApproachPrior",
-    "discretisation": "discretization",
-    "doubt": "min_probability",
-    "far": "outer",
-    "kinds": "node_types",
-    "near": "inner",
-    "reach": "cutoff",
-    "touch_distance": "contact_distance",
-}
-"""Names of classes, arguments and weights in files of version 1, and their present names."""
-
 
 def module_arrays(tree: Any) -> dict[str, np.ndarray]:
     """Every array of a tree (modules, optimiser states, lists, …) by its path, dtypes kept.
@@ -79,15 +64,12 @@ def module_arrays(tree: Any) -> dict[str, np.ndarray]:
 
 
 def with_arrays(tree: Tree, arrays: Mapping[str, np.ndarray], where: str) -> Tree:
-    """The tree with its arrays replaced by those of `module_arrays`, also under old names.
+    """The tree with its arrays replaced by those of `module_arrays`.
 
     The tree's own arrays, or `jax.ShapeDtypeStruct`, determine shapes and dtypes. Raises
     `InvalidInputError`, starting with `where`, for an array that is missing, unknown or unfit.
     """
-    left = {
-        ".".join(OLD_NAMES.get(part, part) for part in name.split(".")): array
-        for name, array in arrays.items()
-    }
+    left = dict(arrays)
 
     def replace(path: tuple[Any, ...], leaf: Any) -> Any:
         if not (_is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)):
@@ -107,19 +89,6 @@ def with_arrays(tree: Tree, arrays: Mapping[str, np.ndarray], where: str) -> Tre
     if left:
         raise InvalidInputError(f"{where}: array {min(left)!r} is not part of it")
     return filled
-
-
-def with_current_names(description: Any) -> Any:
-    """A description, possibly of version 1, with the present names of classes and arguments."""
-    if isinstance(description, list):
-        return [with_current_names(part) for part in description]
-    if not isinstance(description, dict):
-        return description
-    name = description.get("type")
-    renamed = {
-        OLD_NAMES.get(key, key): with_current_names(value) for key, value in description.items()
-    }
-    return {**renamed, "type": OLD_NAMES.get(name, name)} if isinstance(name, str) else renamed
 
 
 def _is_array(leaf: Any) -> bool:
@@ -183,10 +152,9 @@ def build(description: object, where: str) -> ContactDynamics:
     Raises `InvalidInputError`, starting with `where`, for anything that no model has.
     """
     try:
-        description = with_current_names(description)
+        return eqx.filter_eval_shape(lambda: _build(description, _MODELS, where))
     except RecursionError as error:
         raise InvalidInputError(f"{where}: must not be nested this deeply") from error
-    return eqx.filter_eval_shape(lambda: _build(description, _MODELS, where))
 
 
 def _describe(module: object, allowed: tuple[type, ...], where: str) -> Description:
@@ -281,9 +249,9 @@ def _allowed(annotation: Any) -> tuple[Any, ...]:
 
 
 def _needed(known: Any) -> set[str]:
-    """The arguments without a default, which also the oldest files have."""
+    """The arguments that are not None by default: `describe` leaves out those that are None."""
     given = inspect.signature(known.__init__).parameters
-    return {name for name in _arguments(known) if given[name].default is inspect.Parameter.empty}
+    return {name for name in _arguments(known) if given[name].default is not None}
 
 
 def _part_types(kind: Any) -> tuple[Any, ...]:

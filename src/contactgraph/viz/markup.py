@@ -28,46 +28,25 @@ def tiles(metrics: tuple[ReportMetric, ...]) -> str:
 
 
 def metrics_table(metrics: tuple[ReportMetric, ...]) -> str:
-    """Every number with its target, its command and its seed."""
+    """Every number with its command and its seed."""
     if not metrics:
         return ""
-    heads = ("What", "Value", "95 % interval or range", "At least", "Aim", "Command", "Seed")
+    heads = ("What", "Value", "95 % interval", "Command", "Seed")
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     rows = "".join(_row(metric) for metric in metrics)
     return f'<table class="numbers"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
 
 
 def _row(metric: ReportMetric) -> str:
-    limit = "at most" if metric.lower_is_better else "at least"
     command = f"<code>{escape(metric.command)}</code>" if metric.command else _MISSING
     cells = (
-        ("Value", f"{_with_unit(metric.value, metric.unit)}{_mark(metric.reached)}", "figure"),
-        ("95 % interval or range", escape(_interval(metric)) or _MISSING, "figure"),
-        (limit.capitalize(), _asked(metric.at_least, metric, limit), "figure"),
-        ("Aim", _asked(metric.aim, metric, ""), "figure"),
+        ("Value", f"{figure(metric.value)} {escape(metric.unit)}".strip(), "figure"),
+        ("95 % interval", escape(_interval(metric)) or _MISSING, "figure"),
         ("Command", command, "command"),
-        ("Seed", _seed(metric.seed), "figure"),
+        ("Seed", _MISSING if metric.seed is None else str(metric.seed), "figure"),
     )
     body = "".join(f'<td class="{kind}" data-label="{name}">{v}</td>' for name, v, kind in cells)
     return f'<tr><th scope="row">{escape(metric.name)}</th>{body}</tr>'
-
-
-def _mark(reached: bool | None) -> str:
-    if reached is None:
-        return ""
-    word, kind = ("reached", "met") if reached else ("not reached", "missed")
-    return f' <span class="mark {kind}" title="{word}" aria-label="{word}"></span>'
-
-
-def _asked(value: float | None, metric: ReportMetric, limit: str) -> str:
-    if value is None:
-        return _MISSING
-    sign = {"at most": "≤ ", "at least": "≥ "}.get(limit, "")
-    return sign + _with_unit(value, metric.unit)
-
-
-def _with_unit(value: float | None, unit: str) -> str:
-    return f"{figure(value)} {escape(unit)}".strip()
 
 
 def _interval(metric: ReportMetric) -> str:
@@ -75,12 +54,6 @@ def _interval(metric: ReportMetric) -> str:
         return ""
     low, high = metric.interval
     return f"{figure(low)} to {figure(high)} {metric.unit}".strip()
-
-
-def _seed(seed: int | tuple[int, ...] | None) -> str:
-    if seed is None:
-        return _MISSING
-    return ", ".join(str(one) for one in seed) if isinstance(seed, tuple) else str(seed)
 
 
 def figure(value: float | None) -> str:

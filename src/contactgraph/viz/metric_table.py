@@ -9,10 +9,10 @@ from contactgraph.viz.report_data import ReportMetric
 
 
 def markdown_metrics(metrics: Sequence[ReportMetric]) -> str:
-    """One row per metric: value, interval and target."""
+    """One row per metric: value and interval."""
     lines = [
-        "| what | measured (interval or range over seeds) | at least | aim | reached |",
-        "|---|---|---|---|---|",
+        "| what | measured (interval) |",
+        "|---|---|",
     ]
     for metric in metrics:
         value = math.nan if metric.value is None else metric.value
@@ -20,24 +20,18 @@ def markdown_metrics(metrics: Sequence[ReportMetric]) -> str:
         if metric.interval is not None:
             low, high = metric.interval
             measured += f" ({short(low)} to {short(high)})"
-        reached = {None: "", True: "yes", False: "**no**"}[metric.reached]
-        asked = "" if metric.at_least is None else short(metric.at_least)
-        aim = "" if metric.aim is None else short(metric.aim)
-        lines.append(f"| {metric.name} | {measured} | {asked} | {aim} | {reached} |")
+        lines.append(f"| {metric.name} | {measured} |")
     return "\n".join(lines) + "\n"
 
 
 def csv_metrics(metrics: Sequence[ReportMetric]) -> str:
-    """One row per metric: name, unit, value, interval, target, whether reached, command."""
+    """One row per metric: name, unit, value, interval, command."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ["what", "unit", "value", "low", "high", "at_least", "aim", "reached", "command"]
-    )
+    writer.writerow(["what", "unit", "value", "low", "high", "command"])
     for metric in metrics:
         low, high = metric.interval or (None, None)
-        row = [metric.name, metric.unit, metric.value, low, high, metric.at_least, metric.aim]
-        writer.writerow([*row, metric.reached, metric.command])
+        writer.writerow([metric.name, metric.unit, metric.value, low, high, metric.command])
     return text.getvalue()
 
 

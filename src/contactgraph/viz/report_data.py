@@ -22,25 +22,11 @@ class ReportMetric:
     """e.g. ``"%"``, ``"cm"``, ``"ms"``; empty for a pure number."""
     interval: tuple[float, float] | None = None
     """95 % interval."""
-    at_least: float | None = None
-    """The required value."""
-    aim: float | None = None
-    """The desired value."""
-    lower_is_better: bool = False
     command: str = ""
     """The command that made it."""
-    seed: int | tuple[int, ...] | None = None
+    seed: int | None = None
     tile: bool = False
     """Whether it is shown large at the top of the page."""
-
-    @property
-    def reached(self) -> bool | None:
-        """Whether `at_least` is met; None without a target or a measurement."""
-        if self.at_least is None or self.value is None or not np.isfinite(self.value):
-            return None
-        if self.lower_is_better:
-            return bool(self.value <= self.at_least)
-        return bool(self.value >= self.at_least)
 
 
 @dataclass(frozen=True)

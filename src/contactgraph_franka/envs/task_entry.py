@@ -5,10 +5,8 @@ from functools import partial
 from contactgraph.cli.options import choice
 from contactgraph.cli.task_types import (
     KnownTask,
-    Target,
     TaskFactory,
     TaskOptions,
-    TaskTargets,
     TestCondition,
 )
 from contactgraph.data import InvalidInputError
@@ -47,13 +45,5 @@ FRANKA = KnownTask(
     conditions=(
         TestCondition("as-trained", "as trained", True),
         TestCondition("5-distractors", "5 distractors", False, distractors=5),
-    ),
-    targets=TaskTargets(
-        error_cm={True: Target(1.0, 0.5), False: Target(1.5, 0.5)},
-        edge_f1={True: Target(0.95, 0.99), False: Target(0.95, 0.99)},
-        success_percent={True: Target(95.0, 99.0), False: Target(90.0, 99.0)},
-        contact_speed=Target(0.1, 0.3),
-        training_s=Target(900.0, 300.0),
-        tick_ms=Target(10.0, 2.0),
     ),
 )

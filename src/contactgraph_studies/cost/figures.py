@@ -26,9 +26,6 @@ from contactgraph_studies.paper.config import StudyTask
 from contactgraph_studies.results import SUCCESS_PERCENT, Results
 from contactgraph_studies.study import Picture
 
-ENOUGH = 0.95
-"""The success for which the number of demonstrations is a target."""
-
 
 def success_figure(results: Results, tasks: Sequence[StudyTask], amounts: CostAmounts) -> Figure:
     """Success by number of demonstrations: all seeds with their interval, and each as a dot."""
@@ -49,7 +46,6 @@ def success_figure(results: Results, tasks: Sequence[StudyTask], amounts: CostAm
         axes.errorbar(x, rate, ends, fmt="o-", label="all seeds, 95 % interval", **line)
         dots = np.reshape(seeds, (-1, 2)).T
         axes.plot(*dots, "o", color=SOFT, ms=3, alpha=0.7, label="each seed")
-        axes.axhline(100.0 * ENOUGH, color=SOFT, lw=0.7, ls=(0, (2, 3)))
         axes.set_xticks(range(len(counts)), [str(count) for count in counts])
         axes.set_xlim(-0.5, len(counts) - 0.5)
         axes.set_xlabel("demonstrations", **TEXT)
@@ -67,10 +63,7 @@ def cost_pictures(
 ) -> list[Picture]:
     """The figures, written to ``figures/NAME.png`` and ``.svg`` in the folder."""
     title = "Success with unseen goals and objects"
-    caption = (
-        "By the number of demonstrations that the cost was learned from. The dotted line is at "
-        f"{100 * ENOUGH:.0f} %."
-    )
+    caption = "By the number of demonstrations that the cost was learned from."
     figure = success_figure(results, tasks, amounts)
     pictures = [write_figure(folder, "success", title, caption, figure)]
     for task in tasks:

@@ -1,24 +1,21 @@
-"""The study of learned costs: its claim, its targets, its table and its result."""
+"""The study of learned costs: its claim, its table and its result."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from contactgraph.cli.task_types import Target
-from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.bootstrap import Verdict
 from contactgraph_studies.cost.config import (
     SCENE_SEED,
     CostAmounts,
     CostTest,
-    among_distractors,
     by_demonstrations,
     tests_of,
 )
-from contactgraph_studies.cost.figures import ENOUGH, cost_pictures, cost_scenes
+from contactgraph_studies.cost.figures import cost_pictures, cost_scenes
 from contactgraph_studies.cost.jobs import control, cost_measurements, demonstrated, learning
 from contactgraph_studies.cost.known_answer import known_answer_table
 from contactgraph_studies.job import Measurement
@@ -30,16 +27,10 @@ from contactgraph_studies.results import (
     Results,
     SeedStatistic,
 )
-from contactgraph_studies.study import Claim, Study, StudyResult, judged
+from contactgraph_studies.study import Claim, Study, StudyResult
 from contactgraph_studies.tables import StudyTable, counts, known_text
 
 _PAPER = 0.98
-_UNSEEN = Target(98.0, 100.0)
-"""% of the episodes of all seeds."""
-_AMONG_DISTRACTORS = Target(95.0, 100.0)
-_LEARNING_S = Target(300.0, 60.0)
-_FEW = 5.0
-"""Demonstrations for a success of `ENOUGH`."""
 _TOUCHED = Quantity("touched_bystanders")
 _SECONDS = Quantity("made", "s", derived=lambda values: float(values["made"]["seconds"]))
 _OMITTED = ("history", "in_words")
@@ -75,8 +66,6 @@ class CostStudy(Study):
             f"demonstrations, each with one goal; {amounts.episodes} closed-loop episodes a seed, "
             "with goals and objects that no demonstration had.",
             claims=[claim],
-            targets_heading="Targets of learned costs",
-            targets=cost_targets(results, self.tasks, amounts),
             tables=[cost_table(results, self.tasks, amounts), known_answer_table(*shared)],
             figures=cost_pictures(results, *shared),
             scenes=cost_scenes(*shared),
@@ -179,56 +168,3 @@ def cost_table(results: Results, tasks: Sequence[StudyTask], amounts: CostAmount
 
 def _each_seed(statistic: SeedStatistic) -> str:
     return ", ".join(short(value) for value in statistic.values)
-
-
-def cost_targets(
-    results: Results, tasks: Sequence[StudyTask], amounts: CostAmounts
-) -> tuple[ReportMetric, ...]:
-    """The targets of every task."""
-    numbers = []
-    for task in tasks:
-        most, among = by_demonstrations(amounts)[-1], among_distractors(amounts)
-        numbers.append(_success_target(results, task, most, _UNSEEN, amounts))
-        numbers += [_success_target(results, task, t, _AMONG_DISTRACTORS, amounts) for t in among]
-        numbers.append(_demonstrations_target(results, task, amounts))
-        seconds = results.statistic(learning(task, most.learned), _SECONDS)
-        name = f"{task.name}: learning from {amounts.most} demonstrations, on one core"
-        numbers.append(judged(name, seconds, _LEARNING_S, amounts.seeds, lower=True))
-    return tuple(numbers)
-
-
-def _success_target(
-    results: Results, task: StudyTask, test: CostTest, target: Target, amounts: CostAmounts
-) -> ReportMetric:
-    """Success of the episodes of all seeds together, with their Wilson interval."""
-    labels = control(task, test)
-    success, each = results.success(labels), results.statistic(labels, SUCCESS_PERCENT)
-    name = f"{task.name}: success, unseen goals and objects, "
-    name += f"{test.learned.demonstrations} demonstrations"
-    if test.distractors:
-        name += f" by the {test.learned.name}, {test.distractors} distractors in view"
-    if success is None:
-        return judged(name, each, target, amounts.seeds)
-    successes, episodes = success.trials
-    name += f" ({successes} of {episodes} episodes; each seed: {_each_seed(each)} %)"
-    low, high = success.interval
-    number = judged(name, each, target, amounts.seeds)
-    return replace(number, value=100.0 * success.rate, interval=(100.0 * low, 100.0 * high))
-
-
-def _demonstrations_target(results: Results, task: StudyTask, amounts: CostAmounts) -> ReportMetric:
-    """The fewest demonstrations from which on success is at least `ENOUGH`."""
-    needed, missed = SeedStatistic(), False
-    for test in reversed(by_demonstrations(amounts)):
-        labels = control(task, test)
-        success = results.success(labels)
-        missed = success is not None and success.rate < ENOUGH
-        if success is None or missed:
-            break
-        command = results.readings(labels)[0].command
-        needed = SeedStatistic((test.learned.demonstrations,), command)
-    tried = ", ".join(str(count) for count in amounts.demonstrations)
-    if missed and not needed.known:
-        tried += ": not enough"
-    name = f"{task.name}: demonstrations needed for {100 * ENOUGH:.0f} % (of {tried})"
-    return replace(judged(name, needed, None, amounts.seeds, lower=True), aim=_FEW)

@@ -61,8 +61,7 @@ def _planned_cm(values: Values) -> float:
     """NaN where the controller moves no object, infinite where a plan diverged."""
     error = values["n_step_rmse_planned_m"]
     if error is not None:
-        # Files of before have an error where nothing moves at all.
-        moves = values.get("n_step_rmse_planned_moving_m", error) is not None
+        moves = values["n_step_rmse_planned_moving_m"] is not None
         return 100.0 * error if moves else math.nan
     still = values.get("planned_windows") and values.get("planned_moved_objects") == 0
     return math.nan if still else math.inf

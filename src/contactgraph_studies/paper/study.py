@@ -1,7 +1,7 @@
-"""The study of models: its table, its targets and its result."""
+"""The study of models: its tables and its result."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from contactgraph.cli.task_types import TestCondition
-from contactgraph.viz import ReportMetric
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.bootstrap import Verdict
 from contactgraph_studies.job import JobRecords, Measurement
 from contactgraph_studies.paper.claims import claims
-from contactgraph_studies.paper.config import FRANKA, Amounts, StudyModel, StudyTask
+from contactgraph_studies.paper.config import Amounts, StudyModel, StudyTask
 from contactgraph_studies.paper.figures import figure_pictures, scene_pictures
 from contactgraph_studies.paper.jobs import (
     CONSTANT_VELOCITY,
@@ -29,14 +28,8 @@ from contactgraph_studies.paper.jobs import (
     measurements,
 )
 from contactgraph_studies.paper.statements import CHANGES
-from contactgraph_studies.results import (
-    CONTACT_SPEED,
-    PLANNED_F1,
-    SLOWEST_MS,
-    SUCCESS_PERCENT,
-    Results,
-)
-from contactgraph_studies.study import Claim, Study, StudyResult, judged
+from contactgraph_studies.results import PLANNED_F1, SLOWEST_MS, Results
+from contactgraph_studies.study import Claim, Study, StudyResult
 from contactgraph_studies.tables import StudyTable, counts
 
 OMITTED = (
@@ -70,8 +63,6 @@ class ModelStudy(Study):
             f"{len(amounts.seeds)} training(s) of each model, {amounts.episodes} closed-loop "
             "episodes for each training and condition, in scenes that are in no training data.",
             claims=judged_claims,
-            targets_heading="Targets of GIM-Temp",
-            targets=model_targets(results, self.tasks, amounts.seeds),
             tables=[
                 model_table(results, self.tasks, amounts),
                 verdict_table(judged_claims),
@@ -195,39 +186,3 @@ def model_table(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) 
             for model in task.models
         ],
     )
-
-
-def model_targets(
-    results: Results, tasks: Sequence[StudyTask], seeds: Sequence[int]
-) -> tuple[ReportMetric, ...]:
-    """The targets of GIM-Temp; each is judged by the median over seeds."""
-    return tuple(
-        one
-        for task in tasks
-        for model in [family.gim_temp for family in task.families]
-        for one in _task_targets(results, task, model, seeds)
-    )
-
-
-def _task_targets(
-    results: Results, task: StudyTask, model: StudyModel, seeds: Sequence[int]
-) -> Iterator[ReportMetric]:
-    targets = task.known.targets
-    for scenes in (task.as_trained, task.hardest):
-        sources = (Source.planned, Source.recorded, Source.every_step)
-        closed, opened, every_step = (condition_of(one, task, model, scenes) for one in sources)
-        inside, get = scenes.in_distribution, results.statistic
-        error_target, f1_target = task.known.error_target_cm(scenes), targets.edge_f1[inside]
-        error, f1 = get(closed, PLANNED_ERROR), get(closed, PLANNED_F1)
-        f1_recorded, success = get(opened, EDGE_F1), get(every_step, SUCCESS_PERCENT)
-        speed, time = get(every_step, CONTACT_SPEED), get(every_step, SLOWEST_MS)
-        label = f"{task.name}, {scenes.name}, {model.name}: "
-        name = f"{label}N-step error, planned against executed"
-        yield judged(name, error, error_target, seeds, lower=True)
-        yield judged(f"{label}edge F1, the same", f1, f1_target, seeds)
-        yield judged(f"{label}edge F1, recorded", f1_recorded, f1_target, seeds)
-        yield judged(f"{label}success", success, targets.success_percent[inside], seeds)
-        if task is FRANKA:  # the other tasks' reports judge these
-            name = f"{label}control tick, 99 %, both cores busy"
-            yield judged(f"{label}speed at contact", speed, targets.contact_speed, seeds)
-            yield judged(name, time, targets.tick_ms, seeds, lower=True)
