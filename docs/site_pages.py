@@ -39,7 +39,7 @@ PACKAGES = (
 )
 PICTURES = {
     "04_contact_graph": ("contact_graph.png", "The picture that this example writes"),
-    "07_learn_cost": ("../results/cost/figures/cost-pickup.png", "Q and R learned in the study"),
+    "07_learn_cost": ("../results/figures/cost-pickup.png", "Q and R learned in the study"),
 }
 LINK = re.compile(r"\]\(([^)\s#]+)")
 EXAMPLE = re.compile(r"(\]\((?:\.\./)?examples)(?:/(\w+)\.py)?\)")

@@ -2,6 +2,7 @@
 
 import base64
 import itertools
+import json
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
@@ -62,6 +63,19 @@ def write_study(
         print(f"   {claim.sentence}")
     print(result.tables[0].markdown())
     print(f"the page: {folder / 'index.html'}")
+
+
+def publish(study: Study, folder: Path, tables: Path, name: str) -> None:
+    """Copy the tables of a study, its claims and, where they are few, its numbers."""
+    kept = {"table.csv": f"{name}.csv", "table.md": f"{name}.md"}
+    if json.loads((folder / "claims.json").read_text())["claims"]:
+        kept["claims.json"] = f"{name}.claims.json"
+    if study.keeps_readings:
+        kept["results.json"] = f"{name}.json"
+    tables.mkdir(parents=True, exist_ok=True)
+    for source, target in kept.items():
+        write_text(tables / target, (folder / source).read_text(encoding="utf-8"))
+    print(f"the tables: {tables / name}.csv and .md")
 
 
 def study_page(

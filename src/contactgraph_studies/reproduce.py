@@ -2,11 +2,12 @@
 
 import math
 import shlex
+import shutil
 import sys
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -14,29 +15,36 @@ if TYPE_CHECKING:
     from contactgraph.parallel import Executor
     from contactgraph_studies.study import Study
 
+_PUBLISHED = Path("results") / "tables"
+
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Record, train and test every model of the paper, and judge the paper's claims.
+    """Record, train, test and control: a study, from nothing to a table.
 
-    With worlds: train on every task, and compare with baselines. With inference: judge the filter
-    of contacts, and what is lost without it. With cost: learn costs from
-    demonstrations, and control in scenes without demonstrations. With sensing: control without a
-    contact sensor. With rehearsal: record, train and control through an arm's protocol and a
-    camera. The same command continues an interrupted study; finished jobs are kept.
+    The studies: results, every data set beside its baselines; pickup, multi-pickup, door, franka
+    and all (the first three), the paper's claims; cost, learned costs in scenes without
+    demonstrations; rehearsal, an arm's protocol and a camera. The same command continues an
+    interrupted study; finished jobs are kept. Tables are copied to results/tables.
     """
 
     study: Positional[Annotated[str, arg(metavar="STUDY")]] = "all"
-    """The study: pickup, multi-pickup, door, all of these (all), franka (an arm), worlds,
-    inference, cost, sensing, or rehearsal."""
+    """The study: results, all, pickup, multi-pickup, door, franka, cost or rehearsal."""
     quick: bool = False
     """One seed, short trainings and few test scenes, which only show that everything runs; in the
     place of all tasks pickup alone."""
     only: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(all)")] = None
-    """Tasks of worlds or inference to measure, separated by commas; the others are shown as they
-    are."""
+    """Data sets of results to measure, separated by commas; the others are shown as they are."""
+    seeds: Annotated[int | None, arg(metavar="N", help_behavior_hint="(3)")] = None
+    """Trainings of each data set of results."""
+    gate: bool = False
+    """Of results, one training, without baselines, in few scenes: the numbers of this state of
+    the code in one file, gate.json, within an hour on two cores."""
+    against: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(none)")] = None
+    """With --gate: a gate.json of another state; what is worse now than the noise between
+    trainings is printed, and the exit code is 1."""
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """The folder to write; results/study for all, results/STUDY for another, if not given."""
+    """The folder of all outputs: build/STUDY, if not given."""
     hours: Annotated[float | None, arg(metavar="H", help_behavior_hint="(until done)")] = None
     """After these hours start nothing more, and write what is known; the same command goes on."""
     resume: bool = False
@@ -49,20 +57,13 @@ class Reproduce:
 
     def run(self) -> None:
         """Run the study."""
-        from contactgraph.cli.options import check_range, choice
+        from contactgraph.cli.options import check_range
         from contactgraph.data import InvalidInputError
-        from contactgraph_studies.page import write_study
+        from contactgraph_studies.page import publish, write_study
         from contactgraph_studies.runner import run_reported
-        from contactgraph_studies.world_study import StudyOfWorlds
 
-        study = choice("study", self.study, _studies(self.quick))
-        if self.only is not None:
-            if not isinstance(study, StudyOfWorlds):
-                raise InvalidInputError(
-                    f"--only: the study must be worlds or inference, found {self.study}"
-                )
-            study = study.restricted(self.only)
-        folder = self.out or Path("results") / ("study" if self.study == "all" else self.study)
+        study, before = self._study(), self._before()
+        folder = self.out or self._folder()
         if folder.exists() and not folder.is_dir():
             raise InvalidInputError(f"--out: {folder} must be a folder, found a file")
         if self.check is not None:
@@ -73,15 +74,87 @@ class Reproduce:
         if self.hours is not None:
             check_range("--hours", self.hours, 0, 10_000)
         seconds = math.inf if self.hours is None else 3600.0 * self.hours
+        if self.resume:
+            self._unpublish(folder)
         with self._executor() as executor:
             failures = run_reported(study.jobs, folder, executor, seconds, self.resume)
             cores = executor.workers
-        quick = " --quick" if self.quick else ""
-        only = "" if self.only is None else f" --only {shlex.quote(self.only)}"
-        command = f"contactgraph reproduce {self.study}{quick}{only}"
-        write_study(study, folder, command, failures, cores)
+        if self.gate:
+            self._judge(study, folder, before)
+        else:
+            write_study(study, folder, self._command(), failures, cores)
+            if self.out is None and not self.quick:
+                publish(study, folder, _PUBLISHED, self.study)
         if failures:
             sys.exit(1)  # the page is written, but incomplete
+
+    def _study(self) -> "Study":
+        from contactgraph.cli.options import check_range, choice
+        from contactgraph.data import InvalidInputError
+        from contactgraph_studies.results_study import ResultsStudy
+
+        study = choice("study", self.study, _studies(self.quick, self.gate))
+        if not isinstance(study, ResultsStudy):
+            given = {"--only": self.only, "--seeds": self.seeds, "--gate": self.gate or None}
+            for flag, value in given.items():
+                if value is not None:
+                    raise InvalidInputError(
+                        f"{flag}: the study must be results, found {self.study}"
+                    )
+            return study
+        if self.seeds is not None:
+            check_range("--seeds", self.seeds, 1, 100)
+            study = replace(study, amounts=replace(study.amounts, seeds=tuple(range(self.seeds))))
+        return study if self.only is None else study.restricted(self.only)
+
+    def _before(self) -> "dict[str, Any] | None":
+        from contactgraph.data import InvalidInputError
+        from contactgraph_studies.gate import read_gate
+
+        if self.against is None:
+            return None
+        if not self.gate:
+            raise InvalidInputError("--against: only with --gate")
+        return read_gate(self.against)
+
+    def _folder(self) -> Path:
+        if self.gate:
+            from contactgraph_studies.gate import sources_digest
+
+            return Path("build") / "gate" / sources_digest()
+        return Path("build") / ("quick" if self.quick else "") / self.study
+
+    def _unpublish(self, folder: Path) -> None:
+        """Give an empty folder the readings that are kept beside the tables."""
+        kept = _PUBLISHED / f"{self.study}.json"
+        if kept.is_file() and not (folder / "results.json").exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(kept, folder / "results.json")
+
+    def _command(self) -> str:
+        quick = " --quick" if self.quick else ""
+        seeds = "" if self.seeds is None else f" --seeds {self.seeds}"
+        only = "" if self.only is None else f" --only {shlex.quote(self.only)}"
+        return f"contactgraph reproduce {self.study}{quick}{seeds}{only}"
+
+    def _judge(self, study: "Study", folder: Path, before: "dict[str, Any] | None") -> None:
+        """Write the gate's file, and compare it with an earlier one."""
+        from contactgraph_studies.gate import compare, read_gate, spreads, write_gate
+        from contactgraph_studies.results_study import ResultsStudy
+
+        assert isinstance(study, ResultsStudy)
+        path = folder / "gate.json"
+        write_gate(path, study.rows(folder))
+        print(f"the numbers of this state: {path}")
+        if before is None:
+            return
+        table = _PUBLISHED / "results.csv"
+        if not table.is_file():
+            print(f"{table} is not here: the noise between trainings is taken for 10 %")
+        worse = list(compare(before, read_gate(path), spreads(table)))
+        print("\n".join(map(str, worse)) if worse else "nothing is worse than noise explains")
+        if worse:
+            sys.exit(1)
 
     def _check(self, study: "Study", folder: Path, count: int) -> None:
         from contactgraph.data import InvalidInputError
@@ -113,26 +186,21 @@ class Reproduce:
         return nullcontext(LocalExecutor(whole_machine=True))
 
 
-def _studies(quick: bool) -> "dict[str, Study]":
+def _studies(quick: bool, gate: bool) -> "dict[str, Study]":
     from contactgraph_studies.cost.config import COST_TASKS, FULL_COST, QUICK_COST
     from contactgraph_studies.cost.study import CostStudy
-    from contactgraph_studies.inference_jobs import INFERENCE_WORLDS
-    from contactgraph_studies.inference_study import InferenceStudy
-    from contactgraph_studies.paper.config import EVERY_TASK, FULL, PICKUP, QUICK, TASKS
+    from contactgraph_studies.data_sets import FULL, GATE, QUICK
+    from contactgraph_studies.paper import config
     from contactgraph_studies.paper.study import ModelStudy
-    from contactgraph_studies.sensing import FULL_SENSING, QUICK_SENSING, SensingStudy
+    from contactgraph_studies.results_study import ResultsStudy
     from contactgraph_studies.simulated_robot import FULL_SIM, QUICK_SIM, SimulatedRobotStudy
-    from contactgraph_studies.world_study import WorldStudy
-    from contactgraph_studies.worlds import FULL_WORLDS, QUICK_WORLDS
 
-    amounts = QUICK if quick else FULL
-    world_amounts = QUICK_WORLDS if quick else FULL_WORLDS
+    amounts = config.QUICK if quick else config.FULL
+    tasks = (config.PICKUP,) if quick else config.TASKS
     return {
-        **{task.name: ModelStudy((task,), amounts) for task in EVERY_TASK},
-        "worlds": WorldStudy(world_amounts),
-        "inference": InferenceStudy(world_amounts, INFERENCE_WORLDS),
+        "results": ResultsStudy(QUICK if quick else GATE if gate else FULL),
+        **{task.name: ModelStudy((task,), amounts) for task in config.EVERY_TASK},
+        "all": ModelStudy(tasks, amounts),
         "cost": CostStudy(COST_TASKS, QUICK_COST if quick else FULL_COST),
-        "sensing": SensingStudy(QUICK_SENSING if quick else FULL_SENSING),
         "rehearsal": SimulatedRobotStudy(QUICK_SIM if quick else FULL_SIM),
-        "all": ModelStudy((PICKUP,) if quick else TASKS, amounts),
     }

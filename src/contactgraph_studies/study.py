@@ -144,6 +144,9 @@ class StudyResult:
 class Study(ABC):
     """A set of measurements and their evaluation."""
 
+    keeps_readings = False
+    """Whether its numbers are kept beside its tables, so that a study can go on from them."""
+
     @property
     @abstractmethod
     def measurements(self) -> Sequence[Measurement]:

@@ -33,14 +33,14 @@ FILES = {
     [
         (
             "juggling",
-            "study must be one of pickup, multi-pickup, door, franka, worlds, inference, cost, "
-            "sensing, rehearsal, all; found 'juggling'",
+            "study must be one of results, pickup, multi-pickup, door, franka, all, cost, "
+            "rehearsal; found 'juggling'",
         ),
         ("door --out taken", "--out: taken must be a folder, found a file"),
-        ("worlds --check 3", "--check: not of the study worlds"),
+        ("results --check 3", "--check: not of the study results"),
         (
             "door --check 3",
-            "--check: results/door/results.json holds 0 measurements of this study and version, "
+            "--check: build/door/results.json holds 0 measurements of this study and version, "
             "asked for 3",
         ),
     ],
@@ -103,13 +103,13 @@ def test_files_of_a_study(
     with pytest.raises(SystemExit) as left:
         cli.run(["reproduce", "door", "--quick"])
     assert left.value.code == 1, "a study that lacks something is no success"
-    folder = tmp_path / "results" / "door"
+    folder = tmp_path / "build" / "quick" / "door"
     assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
     captured = capsys.readouterr()
     assert (
         "1. ours, holds: In distribution, every model's N-step error is under 1 cm" in captured.out
     )
-    assert "the page: results/door/index.html" in captured.out
+    assert "the page: build/quick/door/index.html" in captured.out
     assert "failed: contactgraph train " in captured.err
     assert "(exit code 2; contactgraph: no such model)" in captured.err
     claims = json.loads((folder / "claims.json").read_text())["claims"]
@@ -131,12 +131,13 @@ def test_all_tasks_go_into_one_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_up: list[list[Job]]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(page, "write_study", lambda *arguments: None)
+    for name in ("write_study", "publish"):
+        monkeypatch.setattr(page, name, lambda *arguments: None)
     with pytest.raises(SystemExit):
         cli.run(["reproduce"])
     with pytest.raises(SystemExit):
         cli.run(["reproduce", "all", "--quick", "--out", "other"])
-    assert {path.name for path in tmp_path.iterdir()} == {"results", "other"}
+    assert {path.name for path in tmp_path.iterdir()} == {"build", "other"}
     full, quick = ({job.output for job in jobs} for jobs in made_up)
     assert len(quick) < len(full) / 2
     for task in ("pickup", "multi-pickup", "door"):
@@ -173,11 +174,11 @@ def test_files_of_the_study_of_costs(
     monkeypatch.setattr("contactgraph_studies.runner.run_jobs", run_jobs)
     monkeypatch.setattr(config, "COST_TASKS", [PICKUP])
     assert cli.run(["reproduce", "cost", "--quick"]) == 0
-    folder = tmp_path / "results" / "cost"
+    folder = tmp_path / "build" / "quick" / "cost"
     assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
     said = capsys.readouterr().out
     assert "8. does not hold: A cost learned from demonstrations of one goal" in said
-    assert "the page: results/cost/index.html" in said
+    assert "the page: build/quick/cost/index.html" in said
     results = json.loads((folder / "results.json").read_text())
     assert results["command"] == "contactgraph reproduce cost --quick"
     assert (results["demonstrations"], results["test_scene_seeds"]) == ([5, 40], [1100])
