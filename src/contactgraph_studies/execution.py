@@ -1,5 +1,7 @@
 """Execution of one job in a worker process, on this machine or on another one."""
 
+import ctypes
+import gc
 import os
 import shutil
 import sys
@@ -15,6 +17,8 @@ from contactgraph_studies.job import Job, JobRecords
 
 _MOST_DRAWS = 5
 """Of the seed of a training whose network is dead."""
+_MUCH_MEMORY = 3e9
+"""Of a worker, bytes."""
 _REDRAWN = 1000
 """Is added to a seed with every draw."""
 FileBundle = tuple[tuple[str, bytes], ...]
@@ -156,5 +160,19 @@ def _run_logged(run: Callable[[list[str]], int], arguments: list[str], log: Path
         traceback.print_exc()  # the worker goes on with the next job
         return 1
     finally:
+        _release_programs()
         sys.stdout.flush()
         sys.stderr.flush()
+
+
+def _release_programs() -> None:
+    """Forget compiled programs where they take much memory: each data set has others."""
+    statistics = Path("/proc/self/statm")
+    if "jax" not in sys.modules or not statistics.exists():
+        return
+    if int(statistics.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > _MUCH_MEMORY:
+        sys.modules["jax"].clear_caches()
+        gc.collect()
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)  # of glibc: gives free memory back to the system

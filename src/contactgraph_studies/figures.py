@@ -5,24 +5,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import matplotlib
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from contactgraph.data import (
     atomic_write,
-    pair_indices,
     read_trajectories,
-    with_edge_labels,
 )
-from contactgraph.model import ContactSensor, motion_noise
-from contactgraph.model.filter import filter_trajectory, trajectory_for
 from contactgraph.model.io import load_model
 from contactgraph.viz import SceneTrajectory, scene_trajectory, write_summary_figure
-from contactgraph.viz.figures import LEGEND, TEXT, new_figure
-from contactgraph.viz.scene_picture import CONTACT_COLOUR, INK
+from contactgraph.viz.figures import new_figure
+from contactgraph.viz.scene_picture import INK
 from contactgraph.viz.summary_figure import style_axes
 from contactgraph_studies.study import Picture
 
@@ -85,38 +79,3 @@ def first_episode(numbers: Path, model: Path, title: str) -> SceneTrajectory | N
     return scene_trajectory(
         load_model(model).model, title, read_trajectories(trajectories).trajectories[0]
     )
-
-
-def filter_figure(model: Path, data: Path) -> Figure | None:
-    """Beliefs of one edge along a trajectory, with and without correction by motion.
-
-    The edge is the one whose label changes most often in any of the trajectories, which must have
-    recorded contacts. None if a file is missing.
-    """
-    if not (model.is_file() and data.is_file()):
-        return None
-    trained = load_model(model).model
-    recorded = with_edge_labels(read_trajectories(data))
-    pairs = pair_indices(recorded.trajectories[0].scene.node_count)
-    labels = [np.asarray(each.contact)[:, pairs[:, 0], pairs[:, 1]] for each in recorded]
-    changes = [np.abs(np.diff(each.astype(int), axis=0)).sum(axis=0) for each in labels]
-    chosen = int(np.argmax([each.max() for each in changes]))
-    edge, label = int(np.argmax(changes[chosen])), labels[chosen]
-    one = trajectory_for(trained, recorded.trajectories[chosen], contacts=False)
-    time = np.arange(len(label)) * recorded.dt
-    figure = new_figure(8.0, 2.6)
-    axes = figure.subplots()
-    style_axes(axes)
-    axes.fill_between(time, label[:, edge], step="pre", color=CONTACT_COLOUR, alpha=0.55, lw=0)
-    lines = {
-        "corrected by motion": (motion_noise(trained), "#1b66a8", "-"),
-        "never corrected": (None, "#cb5f12", "--"),
-    }
-    for name, (noise, colour, style) in lines.items():
-        found = eqx.filter_jit(filter_trajectory)(trained, one, ContactSensor(), noise)
-        belief = np.asarray(found.posterior.holding)[:, edge]
-        axes.step(time, belief, where="pre", color=colour, ls=style, lw=1.5, label=name)
-    axes.set_xlabel("time, s", **TEXT)
-    axes.set_ylabel("belief in a hold", **TEXT)
-    figure.legend(loc="outside upper center", ncols=2, **LEGEND)
-    return figure

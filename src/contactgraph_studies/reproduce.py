@@ -49,9 +49,6 @@ class Reproduce:
     """After these hours start nothing more, and write what is known; the same command goes on."""
     resume: bool = False
     """Take what results.json holds for measured, where the commands' own files are gone."""
-    check: Annotated[int | None, arg(metavar="N", help_behavior_hint="(none)")] = None
-    """Measure N numbers that results.json holds again, drawn at random, and compare; nothing is
-    written. Of pickup, multi-pickup, door, franka and all."""
     cluster: Annotated[str, arg(metavar="WHERE")] = "local"
     """local: one job per core. ray or ray:HOST:PORT: on the machines of a Ray cluster."""
 
@@ -66,9 +63,6 @@ class Reproduce:
         folder = self.out or self._folder()
         if folder.exists() and not folder.is_dir():
             raise InvalidInputError(f"--out: {folder} must be a folder, found a file")
-        if self.check is not None:
-            self._check(study, folder, self.check)
-            return
         for reason in study.left_out:
             print(f"left out: {reason}", file=sys.stderr)
         if self.hours is not None:
@@ -154,21 +148,6 @@ class Reproduce:
         worse = list(compare(before, read_gate(path), spreads(table)))
         print("\n".join(map(str, worse)) if worse else "nothing is worse than noise explains")
         if worse:
-            sys.exit(1)
-
-    def _check(self, study: "Study", folder: Path, count: int) -> None:
-        from contactgraph.data import InvalidInputError
-        from contactgraph_studies.paper.repeated import repeat
-        from contactgraph_studies.paper.study import ModelStudy
-
-        if not isinstance(study, ModelStudy):
-            raise InvalidInputError(f"--check: not of the study {self.study}")
-        with self._executor() as executor:
-            found = repeat(study, folder, count, executor)
-        print("\n".join(map(str, found)))
-        agree = sum(one.agrees for one in found)
-        print(f"{agree} of {len(found)} agree")
-        if agree < len(found):
             sys.exit(1)
 
     def _executor(self) -> "AbstractContextManager[Executor]":

@@ -191,10 +191,6 @@ class Results:
         """One for each seed, in order of seeds."""
         return self._readings.get(condition, [])
 
-    def by_seed(self, condition: Any, quantity: Quantity) -> dict[int, float]:
-        """The known numbers of a condition that has one reading for each seed."""
-        return {one.seed: value for one, value in self._known(condition, quantity)}
-
     def statistic(self, condition: Any, quantity: Quantity) -> SeedStatistic:
         """Of the readings that have the quantity's key."""
         values = tuple(value for _, value in self._known(condition, quantity))

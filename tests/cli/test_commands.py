@@ -26,8 +26,8 @@ from contactgraph.data import (
 )
 from contactgraph.envs import PickupExpert
 from contactgraph.envs.planar.world import ENGINES
-from contactgraph.evaluate import closed_loop_metrics, collect, forgetting
-from contactgraph.model import ContactSensor, ModelConfig, gim_temp, shipped_model
+from contactgraph.evaluate import closed_loop_metrics, collect
+from contactgraph.model import ModelConfig, gim_temp, shipped_model
 from contactgraph.model.io import describe_model, load_model, save_model
 from contactgraph.viz.metric_table import short
 
@@ -273,11 +273,6 @@ def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     distance = values["contact_distance_m"]
     assert distance == float(load_model(shipped_model("pickup")).model.features.contact_distance)
     assert f"contact distance: {distance:.4g} m, learned" in captured.out
-    told = forgetting(load_model(shipped_model("pickup")).model, ContactSensor())
-    assert (values["told_free_belief"], values["told_free_belief_later"]) == (
-        told.coming,
-        told.later,
-    )
     assert values["training_s"] > 0
     assert (values["run"], values["data"]) == ("pickup", str(fresh))
     assert (values["n_steps"], values["episodes"], values["seed"]) == (10, 2, 1)

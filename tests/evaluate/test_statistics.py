@@ -1,11 +1,10 @@
-import itertools
 import math
 
 import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.evaluate import median_interval, wilson_interval
+from contactgraph.evaluate import wilson_interval
 
 
 @pytest.mark.parametrize(
@@ -41,42 +40,3 @@ def test_wilson_arguments():
         wilson_interval(4, 3)
     with pytest.raises(InvalidInputError, match=r"confidence must lie between 0 and 1, found 95"):
         wilson_interval(1, 3, 95)
-
-
-@pytest.mark.parametrize(
-    # The ranks in tables of the sign test's interval (e.g. Conover, table A3).
-    ("count", "rank"),
-    [(6, 1), (8, 1), (9, 2), (10, 2), (20, 6), (100, 40)],
-)
-def test_the_median_lies_between_the_tabulated_order_statistics(count, rank):
-    values = np.random.default_rng(0).permutation(np.arange(1.0, count + 1))
-    found = median_interval(values)
-    assert (found.low, found.high) == (rank, count + 1 - rank)
-    assert found.median == (count + 1) / 2 and found.coverage >= 0.95
-
-
-@pytest.mark.parametrize("count", [1, 2, 5, 6, 9])
-def test_coverage_counted_over_all_coin_throws(count):
-    found = median_interval(np.arange(1.0, count + 1))
-    above = [sum(coins) for coins in itertools.product((0, 1), repeat=count)]
-    # The interval of ranks [low, high] holds the median if neither too few nor too many are above.
-    holds = [found.low <= heads <= found.high - 1 for heads in above]
-    assert found.coverage == pytest.approx(np.mean(holds))
-
-
-def test_few_values_give_their_range_and_its_name():
-    found = median_interval([3.0, 1.0, 2.0])
-    assert (found.low, found.median, found.high) == (1.0, 2.0, 3.0)
-    assert found.coverage == pytest.approx(0.75)
-
-
-def test_many_values_do_not_underflow():
-    found = median_interval(np.arange(2001.0))
-    assert found.median == 1000 and 950 < found.low < 960 and 0.95 <= found.coverage < 0.96
-
-
-def test_median_arguments():
-    with pytest.raises(InvalidInputError, match="values must be at least one finite number"):
-        median_interval([])
-    with pytest.raises(InvalidInputError, match="values must be at least one finite number"):
-        median_interval([1.0, np.nan])

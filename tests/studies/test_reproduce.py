@@ -37,12 +37,6 @@ FILES = {
             "rehearsal; found 'juggling'",
         ),
         ("door --out taken", "--out: taken must be a folder, found a file"),
-        ("results --check 3", "--check: not of the study results"),
-        (
-            "door --check 3",
-            "--check: build/door/results.json holds 0 measurements of this study and version, "
-            "asked for 3",
-        ),
     ],
 )
 def test_mistakes(

@@ -8,7 +8,6 @@ from pathlib import Path
 import jax
 import pytest
 
-from contactgraph.cli import main as cli
 from contactgraph.data import InvalidInputError
 from contactgraph.train.batch import batch_split
 
@@ -45,17 +44,3 @@ def test_one_device_splits_nothing() -> None:
 def test_a_batch_that_does_not_come_out_even() -> None:
     with pytest.raises(InvalidInputError, match="a batch of 32 windows cannot be split evenly ove"):
         batch_split(jax.local_devices()[:1] * 3, 32)
-
-
-def test_more_devices_than_there_are(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    there = len(jax.local_devices())
-    for count in (0, there + 1):
-        run = tmp_path / "run"
-        options = ["--out", str(run), "--model", "gim-temp", "--devices", str(count)]
-        assert cli.run(["train", str(recorded), *options]) == 2
-        (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith("contactgraph: --devices must be one of 1")
-        assert line.endswith(f"found {count}") and f"there are {there}" in line
-        assert not run.exists()

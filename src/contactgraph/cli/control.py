@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from contactgraph.cli.options import (
+    AUTO,
     Clearance,
     ControllerArgument,
     Delay,
+    Device,
     Distractors,
     Engine,
     FalseAlarms,
@@ -123,6 +125,7 @@ class Control:
     """Write the first episode as an animation to this file (.gif, or .mp4 with ffmpeg)."""
     save: OutputFile = None
     """Write the episodes to this dataset file (HDF5)."""
+    device: Device = AUTO
 
     def run(self) -> "Callable[[str], SceneTrajectory]":
         """Run the episodes, write the files that are asked for, and print a summary.

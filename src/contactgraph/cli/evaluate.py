@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import Delay, FalseAlarms, Misses, ModelArgument, OutputFile
+from contactgraph.cli.options import (
+    AUTO,
+    Delay,
+    Device,
+    FalseAlarms,
+    Misses,
+    ModelArgument,
+    OutputFile,
+)
 
 if TYPE_CHECKING:
     from contactgraph.data import Dataset
@@ -48,6 +56,7 @@ class Evaluate:
         None
     )
     """Also roll the model out over this many steps from every start, and measure its growth."""
+    device: Device = AUTO
 
     def run(self) -> None:
         """Evaluate, and print a summary."""
@@ -102,7 +111,6 @@ class Evaluate:
             "infer_contacts": noise is not None,
             "inference": self.inference,
             "contact_distance_m": contact_distance(model),
-            **_told_free(model),
             "training_s": describe_model(model_path(self.model)).training.get("training_s"),
             **metrics.to_json(),
             **({} if fitted is None else fitted.to_json()),
@@ -144,22 +152,6 @@ class Evaluate:
             f"at least the model's {steps} in {seconds:.0f} s"
         )
         return fitted
-
-
-def _told_free(model: "ContactDynamics") -> dict[str, float | None]:
-    """Beliefs about bodies that touch at rest, after ten reports of none and 0.5 s later.
-
-    None where the model has no contact distance, or beliefs about listed pairs only.
-    """
-    from contactgraph.evaluate import forgetting
-    from contactgraph.model import default_sensor
-
-    keys = "told_free_belief", "told_free_belief_later"
-    distance = getattr(model.features, "contact_distance", None)
-    if distance is None or model.neighbor_list is not None:
-        return dict.fromkeys(keys)
-    found = forgetting(model, default_sensor(model))
-    return dict(zip(keys, (found.coming, found.later), strict=True))
 
 
 _TRAINING_S = 60.0

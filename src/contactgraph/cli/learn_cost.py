@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import ModelArgument, OutputFile
+from contactgraph.cli.options import AUTO, Device, ModelArgument, OutputFile
 
 if TYPE_CHECKING:
     from contactgraph.cli.task_types import KnownTask
@@ -48,6 +48,7 @@ class LearnCost:
     """Learn Q and R alone, not what contacts that the demonstrations keep are worth."""
     picture: OutputFile = None
     """Write a picture of the cost to this file (.png)."""
+    device: Device = AUTO
 
     def run(self) -> None:
         """Learn the cost, write it, and print its terms."""

@@ -11,13 +11,12 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import entry_points, version
 from pathlib import Path
 from typing import Protocol
 
 import tyro
-from tyro.extras import subcommand_cli_from_dict
 
 from contactgraph.cli import CommandError
 from contactgraph.cli.collect import Collect
@@ -26,7 +25,7 @@ from contactgraph.cli.evaluate import Evaluate
 from contactgraph.cli.info import Info
 from contactgraph.cli.interchange import Export, Import
 from contactgraph.cli.learn_cost import LearnCost
-from contactgraph.cli.options import choice, load_entry_point
+from contactgraph.cli.options import load_entry_point, use_device
 from contactgraph.cli.play import Play
 from contactgraph.cli.report import Report
 from contactgraph.cli.train import Train
@@ -74,6 +73,9 @@ def run(arguments: list[str]) -> int:
         if isinstance(command, int):
             return command
         _keep_compiled_programs()
+        device = getattr(command, "device", None)
+        if device is not None:
+            use_device(device)
         command.run()
     except (InvalidInputError, CommandError) as error:
         print(f"contactgraph: {error}", file=sys.stderr)
@@ -98,8 +100,6 @@ def parse(arguments: Sequence[str]) -> Command | int:
         print(f"contactgraph {version('contactgraph')}", flush=True)
         return 0
     name, *rest = arguments
-    if name == "--completion":
-        return _print_completion(" ".join(rest))
     messages = io.StringIO()
     try:
         with contextlib.redirect_stderr(messages):
@@ -115,24 +115,6 @@ def parse(arguments: Sequence[str]) -> Command | int:
             return 0
         print(f"contactgraph: {_one_line(messages.getvalue(), name)}", file=sys.stderr)
         return 2
-
-
-def _print_completion(shell: str) -> int:
-    """Print the completion script of a shell for all commands that can be imported."""
-    choice("--completion", shell, dict.fromkeys(("bash", "zsh", "fish")))
-    commands: dict[str, Callable[..., object]] = {}
-    for name in _names():
-        with contextlib.suppress(InvalidInputError):
-            commands[name] = _command(name)
-    script = io.StringIO()
-    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(script):
-        asked = ["--tyro-print-completion", shell]
-        subcommand_cli_from_dict(commands, prog="contactgraph", args=asked, config=_CONFIG)
-    for line in script.getvalue().splitlines():
-        if line.startswith("COMPLETION_SPEC"):
-            line = re.sub(r"\\+n", " ", line)  # a second line of a text would be an option
-        print(line.replace("complete -F", "complete -o default -F"))  # bash: files, where they fit
-    return 0
 
 
 def _names() -> list[str]:
@@ -171,8 +153,7 @@ def _overview() -> str:
             "",
             "contactgraph COMMAND --help describes the options of a command;",
             "contactgraph info lists the shipped models and the tasks;",
-            "contactgraph --version prints the version;",
-            "contactgraph --completion SHELL prints completions for bash, zsh or fish.",
+            "contactgraph --version prints the version.",
         ]
     )
 

@@ -2,6 +2,7 @@
 
 import importlib
 import math
+import os
 import sys
 from contextlib import AbstractContextManager, nullcontext
 from importlib.metadata import entry_points
@@ -244,19 +245,43 @@ def sensor_faults(false_alarms: float, misses: float, delay: int, seed: int) -> 
     return SensorFaults(false_alarms, misses, delay, seed)
 
 
-def device_count(asked: int | None, batch_size: int) -> int:
-    """The devices of this machine that share a batch; by default the most that divide it."""
+def device_count(batch_size: int) -> int:
+    """The devices of this machine that share a batch: the most that divide it."""
     import jax
 
     there = jax.local_device_count()
-    even = [count for count in range(1, there + 1) if batch_size % count == 0]
-    if asked is not None and asked not in even:
-        counts = ", ".join(map(str, even))
+    return max(count for count in range(1, there + 1) if batch_size % count == 0)
+
+
+Device = Annotated[
+    str,
+    arg(
+        metavar="NAME",
+        help="auto or cpu: the CPU, which is faster for all that this command does; gpu: the first "
+        "accelerator that JAX finds. JAX_PLATFORMS, where it is set, decides for auto.",
+    ),
+]
+
+
+def use_device(name: str) -> None:
+    """Let JAX compute on the device of ``--device``, and say which where there is a choice.
+
+    Must run before JAX has looked for devices. Measured on an H200 with 16 cores, training on
+    pickup takes 305 s on the GPU and 109 s on the CPU, a control step 4.8 and 1.3 ms.
+    """
+    wanted = choice("--device", name, {AUTO: "cpu", "cpu": "cpu", "gpu": "gpu"})
+    import jax
+
+    if name == AUTO and os.environ.get("JAX_PLATFORMS"):
+        return
+    if wanted == "cpu":
+        jax.config.update("jax_platforms", "cpu")
+    elif jax.default_backend() == "cpu":
         raise InvalidInputError(
-            f"--devices must be one of {counts} (there are {there}, and each takes a like part "
-            f"of {batch_size} windows), found {asked}"
+            "--device gpu: JAX finds no accelerator (pip install 'jax[cuda13]')"
         )
-    return even[-1] if asked is None else asked
+    if name != AUTO or entry_points(group="jax_plugins"):
+        print(f"device: {jax.devices()[0]}", file=sys.stderr)
 
 
 def open_executor(cluster: str) -> AbstractContextManager[Executor]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import OutputFile
+from contactgraph.cli.options import AUTO, Device, OutputFile
 
 if TYPE_CHECKING:
     from contactgraph.cli.task_types import KnownTask
@@ -50,6 +50,7 @@ class Play:
     """Open the page in the system's browser."""
     record: OutputFile = None
     """Write the episodes to this dataset file (HDF5), at the end of each and at Ctrl-C."""
+    device: Device = AUTO
 
     def run(self) -> None:
         """Serve the page until Ctrl-C or until the session fails."""

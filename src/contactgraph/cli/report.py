@@ -10,7 +10,7 @@ from tyro.conf import arg
 from contactgraph.cli.collect import Collect
 from contactgraph.cli.control import Control
 from contactgraph.cli.evaluate import Evaluate
-from contactgraph.cli.options import ModelArgument
+from contactgraph.cli.options import AUTO, Device, ModelArgument
 
 if TYPE_CHECKING:
     from contactgraph.cli.model_report import ConditionResult
@@ -46,6 +46,7 @@ class Report:
     """Another model and its task, whose inference is shown beside."""
     quick: bool = False
     """Leave out the test conditions that quick studies leave out."""
+    device: Device = AUTO
 
     def run(self) -> None:
         """Test, and write the page."""

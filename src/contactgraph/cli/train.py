@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import AUTO, TEMPERATURE
+from contactgraph.cli.options import AUTO, TEMPERATURE, Device
 from contactgraph.cli.recipe import recipe
 
 if TYPE_CHECKING:
@@ -85,10 +85,7 @@ class Train:
     sensor: Annotated[str, arg(metavar="NAME")] = "exact"
     """Contact sensor that is stored in the model: exact, or estimate, by the trained filter from
     the recorded contacts."""
-    devices: Annotated[
-        int | None, arg(metavar="INT", help_behavior_hint="(default: the most that divide a batch)")
-    ] = None
-    """Number of devices of this machine that share every batch."""
+    device: Device = AUTO
 
     def run(self) -> None:
         """Train, saving checkpoints on the way."""
@@ -168,7 +165,7 @@ class Train:
         train, held_out = split_by_trajectory(dataset, options.held_out, options.seed)
         for part in (train, held_out):  # checked before a folder is created
             check_window_length(config.window_length, max(each.steps for each in part))
-        devices = jax.local_devices()[: device_count(self.devices, options.batch_size)]
+        devices = jax.local_devices()[: device_count(options.batch_size)]
         model = chosen.model()
         for each in dataset:
             check_controls(model, each.scene, each.control_size, str(self.data))
@@ -275,7 +272,7 @@ class Train:
 
         options: dict[str, Any] = {}
         for option in fields(self):
-            if option.name in ("data", "out", "resume", "devices"):
+            if option.name in ("data", "out", "resume", "device"):
                 continue
             # An option may be younger than the run. One without a default is a number or null.
             value, default = config.get(option.name, option.default), option.default

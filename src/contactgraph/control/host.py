@@ -1,6 +1,6 @@
 """The host's part of a control step: measurements in the planner's shapes, and one core to run on.
 
-Everything here is NumPy: a call of JAX for each array would take as long as a control step.
+Measurements stay in NumPy: a call of JAX for each array would take as long as a control step.
 """
 
 import functools
@@ -8,7 +8,9 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any, TypeVar
 
+import jax
 import numpy as np
 
 from contactgraph.data import InvalidInputError, generalized_coordinates, pair_indices
@@ -18,6 +20,8 @@ Observation = Mapping[str, np.ndarray]
 turn also ``orientation`` [n, 1] rad (in space quaternions [n, 4]) and ``angular_velocity`` [n, 1 or
 3] rad/s, NaN for those that do not; other keys are ignored, so that a task's observation can be
 handed over as it is."""
+
+T = TypeVar("T")
 
 Motion = tuple[np.ndarray, np.ndarray]
 """Position m and velocity m/s of all nodes, each [N, G]."""
@@ -86,6 +90,18 @@ def applied_control(applied: np.ndarray | None, control_size: int, dtype: np.dty
             f"applied must have shape ({control_size},), the control's, found {control.shape}"
         )
     return control
+
+
+def placed(arrays: T) -> T:
+    """On the device to plan on: the CPU, unless the caller has chosen one in JAX's settings.
+
+    A control step of one scene is a chain of small operations, of which a GPU makes several times
+    as much time. Whatever else the step computes with follows the arrays of its model.
+    """
+    settings: Any = jax.config
+    chosen = settings.jax_platforms or settings.jax_default_device
+    on_cpu = bool(chosen) or jax.default_backend() == "cpu"
+    return jax.device_put(arrays, None if on_cpu else jax.devices("cpu")[0])
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from contactgraph.control.host import (
     applied_control,
     edge_contacts,
     padded_motion,
+    placed,
 )
 from contactgraph.control.mpc_step import LastObservation, MPCCarry, MPCConfig, jit_step
 from contactgraph.control.plan import Plan, Planner, PlanStatus
@@ -206,7 +207,8 @@ class MPC:
 
         # Made by NumPy and moved: each `jax.numpy` call would compile a program of its own.
         nodes, quadratic = jax.tree.map(typed, (nodes, cost.quadratic(capacity)))
-        return jax.device_put((nodes, quadratic.fitted(self.config.model, capacity, np)))
+        fitted = quadratic.fitted(self.config.model, capacity, np)
+        return placed((nodes, fitted))
 
     def motion(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> Motion:
         """Of all nodes [N, G]; zero for padding, whatever was observed there."""
@@ -282,5 +284,5 @@ class MPC:
         if status is None:
             return after.plan, after
         plan = self._previous(state.carry, np.asarray(status, np.int32))
-        last = replace(after.last, control=jax.device_put(np.asarray(plan.controls)[0]))
+        last = replace(after.last, control=placed(np.asarray(plan.controls)[0]))
         return plan, replace(after, carry=replace(after.carry, last=last))

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy
 from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.host import placed
 from contactgraph.control.plan import Plan, Planner, PlanStatus, shift_plan
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.model import (
@@ -213,6 +214,7 @@ def jit_step(method: Callable, config: MPCConfig, like: int | None = None) -> Ca
     """
     dynamic, static = eqx.partition(config, eqx.is_array)
     leaves, treedef = jax.tree.flatten(dynamic)
+    leaves = placed(leaves)
 
     def call(leaves: tuple, *inputs: Any) -> Any:
         rebuilt = eqx.combine(jax.tree.unflatten(treedef, leaves), static)

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.host import Motion
+from contactgraph.control.host import Motion, placed
 from contactgraph.control.mpc import MPCState
 from contactgraph.control.mpc_step import LastObservation
 from contactgraph.control.rollout import SweptBounds
@@ -97,7 +97,7 @@ def active_part(
     if not np.array_equal(node_ids, np.arange(len(mask))):
         # All at once: a call for each array takes as long as a control step.
         size = 2 * motion[0].shape[1]
-        own = jax.device_put((_nodes_of(nodes, node_ids), _cost_of(cost, node_ids, size)))
+        own = placed((_nodes_of(nodes, node_ids), _cost_of(cost, node_ids, size)))
     return ActiveSetState(
         nodes=own[0],
         cost=own[1],

@@ -33,8 +33,6 @@ from contactgraph.evaluate.plan_tracking import PlanTrackingError as PlanTrackin
 from contactgraph.evaluate.plan_tracking import plan_tracking_error as plan_tracking_error
 from contactgraph.evaluate.sensor_faults import ObservationNoise as ObservationNoise
 from contactgraph.evaluate.sensor_faults import SensorFaults as SensorFaults
-from contactgraph.evaluate.statistics import MedianInterval as MedianInterval
-from contactgraph.evaluate.statistics import median_interval as median_interval
 from contactgraph.evaluate.statistics import number_or_word as number_or_word
 from contactgraph.evaluate.statistics import wilson_interval as wilson_interval
 from contactgraph.evaluate.task_cost import SceneCost as SceneCost

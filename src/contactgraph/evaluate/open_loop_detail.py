@@ -104,21 +104,6 @@ class OpenLoopDetail:
         total = np.sum(squared_error.sum(axis=1, dtype=np.float64), where=chosen)
         return float(np.sqrt(total / count))
 
-    def rmse_by_step(
-        self, squared_error: np.ndarray, windows: np.ndarray | None = None
-    ) -> np.ndarray:
-        """[H] m: the same for each step ahead; NaN where nothing is chosen. See `horizon`."""
-        chosen = self._chosen(windows)
-        if not chosen.any():
-            return np.full(squared_error.shape[1], np.nan)
-        total = np.sum(squared_error, axis=(0, 2), where=chosen[:, None], dtype=np.float64)
-        return np.sqrt(total / int(chosen.sum()))
-
-    def rmse_by_window(self, squared_error: np.ndarray) -> np.ndarray:
-        """[W] m: over the nodes and steps of each window."""
-        count = self.exists.sum(axis=1) * squared_error.shape[1]
-        return np.sqrt(squared_error.sum(axis=(1, 2), dtype=np.float64) / count)
-
     def _chosen(self, windows: np.ndarray | None) -> np.ndarray:
         if windows is None:
             return self.exists
