@@ -64,9 +64,7 @@ def test_commands_compute_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _device_of(["evaluate", "pickup", "no.h5"]).startswith(f"2 cpu {missing}")
     plugin = "import importlib.metadata as m, contactgraph.cli.options as o\n"
     plugin += "o.entry_points = lambda group: ['a GPU'] if group == 'jax_plugins' else ()"
-    assert _device_of(["evaluate", "pickup", "no.h5"], plugin).startswith(
-        "2 cpu device: cpu:0"
-    )
+    assert _device_of(["evaluate", "pickup", "no.h5"], plugin).startswith("2 cpu device: cpu:0")
     monkeypatch.setenv("JAX_PLATFORMS", "cpu")
     assert "device" not in _device_of(["evaluate", "pickup", "no.h5"], plugin)
 
