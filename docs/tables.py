@@ -9,13 +9,13 @@ named after "bold" is bold.
 """
 
 import csv
-import math
 import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from contactgraph.viz.metric_table import short
+from contactgraph_studies.results import SeedStatistic, smallest
+from contactgraph_studies.tables import DASH, number_text
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "docs/results.md")
@@ -23,7 +23,6 @@ TABLE = re.compile(
     r"<!-- table (?P<file>\S+)\nrows: (?P<rows>.+)\ncolumns: (?P<columns>.+)\n"
     r"(?:bold: (?P<bold>.+)\n)?-->\n(?P<body>(?:\|.*\n)*)<!-- end of table -->"
 )
-UNKNOWN = "-"
 
 
 def cells_of(path: Path, key: str) -> Mapping[str, str]:
@@ -43,22 +42,12 @@ def text_of(cells: Mapping[str, str], column: str) -> str:
         if column == "row":
             return f"`{text}`"
         if column.startswith("percent_of_each_seed"):
-            return ", ".join(text.split()) or UNKNOWN
-        return text or UNKNOWN
+            return ", ".join(text.split()) or DASH
+        return text or DASH
     median, low, high = (cells[f"{column}_{end}"] for end in ("median", "low", "high"))
     if not median:
-        return UNKNOWN
-    shown, ends = short(float(median)), (short(float(low)), short(float(high)))
-    return shown if ends[0] == ends[1] else f"{shown} ({ends[0]} to {ends[1]})"
-
-
-def smallest(cells: Mapping[str, str], columns: list[str]) -> set[str]:
-    """The columns with the smallest median, as displayed."""
-    medians = {name: cells[f"{name}_median"] for name in columns}
-    known = {name: float(text) for name, text in medians.items() if text}
-    shown = {name: short(value) for name, value in known.items() if math.isfinite(value)}
-    least = min(shown.values(), key=float, default=None)
-    return {name for name, text in shown.items() if text == least}
+        return DASH
+    return number_text(SeedStatistic((float(low), float(median), float(high))))
 
 
 def table(found: re.Match[str]) -> str:
@@ -68,7 +57,8 @@ def table(found: re.Match[str]) -> str:
     lines = [[heading for heading, _ in columns]]
     for key in found["rows"].split("; "):
         cells = cells_of(path, key)
-        bold = smallest(cells, found["bold"].split()) if found["bold"] else set()
+        medians = {name: cells[f"{name}_median"] for name in (found["bold"] or "").split()}
+        bold = smallest({name: float(text) for name, text in medians.items() if text})
         texts = ((name.strip(), text_of(cells, name.strip())) for _, name in columns)
         lines.append([f"**{text}**" if name in bold else text for name, text in texts])
     head, *body = (f"| {' | '.join(line)} |\n" for line in lines)

@@ -1,7 +1,5 @@
 """Shared by all tests: the folder of compiled programs, and one small trained run."""
 
-import ctypes
-import gc
 import os
 import subprocess
 import sys
@@ -48,8 +46,7 @@ if "XLA_FLAGS" not in os.environ:
 
 import jax  # noqa: E402  after the variables that it reads
 
-_TRIM = getattr(ctypes.CDLL(None), "malloc_trim", None)
-"""Of glibc: gives memory that is free back to the system."""
+from contactgraph_studies.execution import release_programs  # noqa: E402
 
 SHORT = (
     *("--model", "gim-temp", "--steps", "12", "--batch-size", "4"),
@@ -70,10 +67,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
     # Compiled programs take most of a worker's memory: files share few of them, and those are read
     # from the folder again.
     if nextitem is None or nextitem.path != item.path:
-        jax.clear_caches()
-        gc.collect()
-        if _TRIM is not None:
-            _TRIM(0)
+        release_programs()
 
 
 def _done(arguments: list[str]) -> None:

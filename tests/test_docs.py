@@ -1,16 +1,15 @@
 """The documents are true: code runs, links lead somewhere, commands parse, files exist."""
 
-import importlib.util
 import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import matplotlib
 import pytest
 
 from contactgraph.cli.main import parse
+from docs_script import script
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted(
@@ -112,32 +111,23 @@ def test_a_wrong_command_line_does_not_parse(words: list[str]) -> None:
     assert parse(words) == 2
 
 
-def tables() -> ModuleType:
-    """The script that writes the tables of results."""
-    spec = importlib.util.spec_from_file_location("tables", ROOT / "docs" / "tables.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 MEASURED = [ROOT / "README.md", ROOT / "docs" / "results.md"]
 
 
 @pytest.mark.parametrize("page", MEASURED, ids=name)
 def test_every_figure_of_a_table_is_a_cell_of_a_measured_table(page: Path) -> None:
-    script, text = tables(), page.read_text(encoding="utf-8")
-    assert script.with_tables(text) == text, "python docs/tables.py writes the tables"
-    others = [line for line in script.TABLE.sub("", text).splitlines() if line.startswith("|")]
+    tables, text = script("tables"), page.read_text(encoding="utf-8")
+    assert tables.with_tables(text) == text, "python docs/tables.py writes the tables"
+    others = [line for line in tables.TABLE.sub("", text).splitlines() if line.startswith("|")]
     assert not [line for line in others if re.search(r"\d", line)]
 
 
 def test_a_figure_that_no_measured_table_holds_is_noticed() -> None:
-    script, text = tables(), MEASURED[1].read_text(encoding="utf-8")
+    tables, text = script("tables"), MEASURED[1].read_text(encoding="utf-8")
     changed = re.sub(r"(\| `pickup` \| \**)[\d.]+", r"\g<1>0.0099", text, count=1)
-    assert changed != text and script.with_tables(changed) == text
+    assert changed != text and tables.with_tables(changed) == text
     with pytest.raises(SystemExit, match=r"results\.csv has no row juggling"):
-        script.with_tables(text.replace("rows: pickup;", "rows: juggling;", 1))
+        tables.with_tables(text.replace("rows: pickup;", "rows: juggling;", 1))
 
 
 def test_a_newcomer_reads_the_first_page_and_the_changes_in_minutes() -> None:

@@ -1,25 +1,16 @@
 """The documentation site is whole: every link leads somewhere, and nothing comes from elsewhere."""
 
-import importlib.util
 import re
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
+from docs_script import script
+
 ROOT = Path(__file__).parents[1]
 WHOLE = '<p id="a"><a href="index.html#a">up</a> <code>$x$</code></p>'
-
-
-def script(name: str) -> ModuleType:
-    """A script of `docs`, as a module."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 check_site, site_pages = script("check_site"), script("site_pages")

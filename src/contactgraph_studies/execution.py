@@ -160,19 +160,25 @@ def _run_logged(run: Callable[[list[str]], int], arguments: list[str], log: Path
         traceback.print_exc()  # the worker goes on with the next job
         return 1
     finally:
-        _release_programs()
+        if _takes_much_memory():
+            release_programs()  # each data set has others
         sys.stdout.flush()
         sys.stderr.flush()
 
 
-def _release_programs() -> None:
-    """Forget compiled programs where they take much memory: each data set has others."""
-    statistics = Path("/proc/self/statm")
-    if "jax" not in sys.modules or not statistics.exists():
-        return
-    if int(statistics.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > _MUCH_MEMORY:
-        sys.modules["jax"].clear_caches()
-        gc.collect()
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:
-            trim(0)  # of glibc: gives free memory back to the system
+def release_programs() -> None:
+    """Forget all compiled programs, and give their memory back to the system."""
+    import jax
+
+    jax.clear_caches()
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc
+    if trim is not None:
+        trim(0)
+
+
+def _takes_much_memory() -> bool:
+    statistics = Path("/proc/self/statm")  # of Linux
+    if not statistics.exists():
+        return False
+    return int(statistics.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > _MUCH_MEMORY

@@ -6,7 +6,6 @@ import json
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import contactgraph
 from contactgraph.cli.output import provenance, write_json
 from contactgraph.data import InvalidInputError
+from contactgraph.evaluate import number_or_word
 from contactgraph_studies.data_sets import Source
 from contactgraph_studies.results_study import QUANTITIES, ResultRow
 
@@ -33,22 +33,6 @@ Numbers = Mapping[str, Mapping[str, float]]
 """By row and column; unknown numbers are left out."""
 
 
-@dataclass(frozen=True)
-class Worse:
-    """A number that is worse than noise explains."""
-
-    row: str
-    column: str
-    before: float
-    after: float
-    noise: float
-
-    def __str__(self) -> str:
-        """One line."""
-        change = f"{self.before:.3g} before, {self.after:.3g} now"
-        return f"{self.row}: {self.column}: {change} (noise {self.noise:.2g})"
-
-
 def sources_digest() -> str:
     """Hash of the library's Python files, which tells one state from another."""
     root = Path(str(files(contactgraph)))
@@ -58,20 +42,13 @@ def sources_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-def gate_numbers(rows: Sequence[ResultRow]) -> dict[str, dict[str, float]]:
-    """The medians of every row's known numbers."""
-    return {
-        row.name: {name: one.median for name, one in row.numbers.items() if one.known}
-        for row in rows
-    }
-
-
 def write_gate(path: Path, rows: Sequence[ResultRow]) -> None:
-    """One JSON file: format, state, versions, and the numbers by row and column."""
-    numbers = gate_numbers(rows)
-    found = {
-        row: {name: value if math.isfinite(value) else "infinite" for name, value in each.items()}
-        for row, each in numbers.items()
+    """One JSON file: format, state, versions, and the known medians by row and column."""
+    numbers = {
+        row.name: {
+            name: number_or_word(one.median) for name, one in row.numbers.items() if one.known
+        }
+        for row in rows
     }
     successes = {row.name: row.results.success(row.condition(Source.mpc)) for row in rows}
     write_json(
@@ -82,7 +59,7 @@ def write_gate(path: Path, rows: Sequence[ResultRow]) -> None:
             "sources": sources_digest(),
             **provenance(),
             "episodes": {name: one.trials[1] for name, one in successes.items() if one is not None},
-            "numbers": found,
+            "numbers": numbers,
         },
     )
 
@@ -96,17 +73,21 @@ def read_gate(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise InvalidInputError(f"--against: {path} is no JSON file") from error
     found = content.get("gate") if isinstance(content, dict) else None
-    if found is None or not isinstance(content.get("numbers"), dict):
-        raise InvalidInputError(f"--against: {path} must be a file of reproduce results --gate")
+    foreign = f"--against: {path} must be a file of reproduce results --gate"
+    if found is None:
+        raise InvalidInputError(foreign)
     if found != VERSION:
         raise InvalidInputError(
             f"--against: {path} has version {found} of the gate's file, this program compares "
             f"version {VERSION}: measure that state again"
         )
-    content["numbers"] = {
-        row: {name: math.inf if one == "infinite" else float(one) for name, one in each.items()}
-        for row, each in content["numbers"].items()
-    }
+    try:
+        content["numbers"] = {
+            row: {name: math.inf if one == "infinite" else float(one) for name, one in each.items()}
+            for row, each in content["numbers"].items()
+        }
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InvalidInputError(foreign) from error
     return content
 
 
@@ -126,10 +107,8 @@ def spreads(path: Path) -> dict[str, dict[str, float]]:
     return found
 
 
-def compare(
-    before: Mapping[str, Any], after: Mapping[str, Any], spread: Numbers
-) -> Iterator[Worse | str]:
-    """What got worse by more than the noise between trainings, and what is no longer measured."""
+def compare(before: Mapping[str, Any], after: Mapping[str, Any], spread: Numbers) -> Iterator[str]:
+    """A line for what is worse by more than the noise between trainings, or not measured now."""
     for row, numbers in before["numbers"].items():
         now = after["numbers"].get(row, {})
         for name, old in numbers.items():
@@ -141,10 +120,9 @@ def compare(
             episodes = [each.get("episodes", {}).get(row) for each in (before, after)]
             noise = _noise(name, old, spread.get(row, {}).get(name, 0.0), episodes)
             gain = now[name] - old if name.startswith(_BETTER_IF_HIGH) else old - now[name]
-            if math.isnan(gain):  # both are infinite
-                continue
-            if gain < -noise:
-                yield Worse(row, name, old, now[name], noise)
+            if gain < -noise:  # never where both are infinite
+                change = f"{old:.3g} before, {now[name]:.3g} now"
+                yield f"{row}: {name}: {change} (noise {noise:.2g})"
 
 
 def _noise(name: str, old: float, spread: float, episodes: Sequence[int | None]) -> float:

@@ -267,6 +267,13 @@ def with_range(statistic: SeedStatistic, unit: str = "") -> str:
     return f"{median} ({short(statistic.low)} to {short(statistic.high)})"
 
 
+def smallest(medians: Mapping[str, float]) -> frozenset[str]:
+    """The names of the smallest finite number, as displayed."""
+    shown = {name: short(value) for name, value in medians.items() if math.isfinite(value)}
+    least = min(shown.values(), key=float, default="")
+    return frozenset(name for name, text in shown.items() if text == least)
+
+
 def joined(parts: Sequence[str]) -> str:
     """``a, b and c``."""
     if len(parts) < 2:

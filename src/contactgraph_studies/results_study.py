@@ -10,7 +10,6 @@ from typing import Any, Self
 
 from contactgraph.cli.options import choice
 from contactgraph.data import InvalidInputError
-from contactgraph.viz.metric_table import short
 from contactgraph_studies.data_sets import (
     DATA_SETS,
     PRIORS,
@@ -31,6 +30,7 @@ from contactgraph_studies.results import (
     SeedStatistic,
     joined,
     moving_error,
+    smallest,
 )
 from contactgraph_studies.runner import reason_missing
 from contactgraph_studies.study import Study, StudyResult
@@ -84,7 +84,7 @@ _KEPT = {quantity.key for _, quantity in QUANTITIES.values()} | {
     *("n_step_rmse_m", "n_step_rmse_inferred_m", "least_squares_missing"),
     *("episodes", "success_rate", "seed"),
 }
-_ERRORS = ("measured_cm", "motion_cm", "least_squares_cm", "network_cm")
+_LEARNED = ("measured_cm", "motion_cm", "least_squares_cm", "network_cm", "_prior")
 _HEADINGS = {
     "row": "data",
     "measured_cm": "ours, contacts measured",
@@ -142,8 +142,11 @@ class ResultsStudy(Study):
     @cached_property
     def measurements(self) -> list[Measurement]:
         """Of the chosen data sets whose packages are installed."""
-        chosen = [data for data in self.sets if not self.only or data.slug in self.only]
-        return self._measured(chosen)
+        return self._measured([data for data in self.sets if self.measures(data)])
+
+    def measures(self, data: DataSet) -> bool:
+        """Whether the data set is among those to measure."""
+        return not self.only or data.slug in self.only
 
     @property
     def left_out(self) -> Sequence[str]:
@@ -217,21 +220,11 @@ class ResultRow:
         }
 
     @property
-    def smallest(self) -> frozenset[str]:
-        """Columns of the smallest learned error, as displayed."""
-        medians = {name: self.numbers[name].median for name in _ERRORS}
-        priors = [self.numbers[f"prior_{name}_cm"].median for name in ("touch", "hold")]
-        medians["_prior"] = min((one for one in priors if math.isfinite(one)), default=math.nan)
-        shown = {name: short(one) for name, one in medians.items() if math.isfinite(one)}
-        least = min(shown.values(), key=float, default="")
-        return frozenset(name for name, text in shown.items() if text == least)
-
-    @property
-    def prior(self) -> str:
-        """The better of the two priors; a dash where none is measured."""
-        found = [self.numbers[f"prior_{name}_cm"] for name in ("touch", "hold")]
-        known = [one for one in found if one.known]
-        return number_text(min(known, key=lambda one: one.median)) if known else DASH
+    def prior(self) -> SeedStatistic:
+        """The better of the two priors; without a value where none is measured."""
+        both = [self.numbers[name] for name in ("prior_touch_cm", "prior_hold_cm")]
+        known = (one for one in both if one.known)
+        return min(known, key=lambda one: one.median, default=SeedStatistic())
 
     def notes(self) -> Iterator[tuple[str, str]]:
         """What has nothing to show, and the reason."""
@@ -255,24 +248,17 @@ class ResultRow:
 
     @property
     def commands(self) -> dict[str, str]:
-        """The commands that record, train and measure the first training."""
-        conditions = {
-            "command_evaluate": Source.model,
-            "command_baselines": Source.baselines,
-            "command_control": Source.mpc,
-        }
-        found = {}
-        for name, source in conditions.items():
-            jobs = [one.job for one in self.measurements if one.condition == self.condition(source)]
-            if jobs:
-                found[name] = jobs[0].command
-                for need in jobs[0].needs:
-                    kind = need.arguments[0]
-                    if kind == "train":
-                        found["command_collect"] = need.needs[0].command
-                        found["command_train"] = need.command
-        names = ("collect", "train", "evaluate", "baselines", "control")
-        return {f"command_{name}": found.get(f"command_{name}", "") for name in names}
+        """The commands that record, train and measure the first training; "" for none."""
+        sources = {"evaluate": Source.model, "baselines": Source.baselines, "control": Source.mpc}
+        found = dict.fromkeys(("collect", "train", *sources), "")
+        for name, source in sources.items():
+            condition = self.condition(source)
+            job = next((one.job for one in self.measurements if one.condition == condition), None)
+            if job is not None:
+                training = job.needs[0]
+                found["collect"] = training.needs[0].command
+                found |= {"train": training.command, name: job.command}
+        return {f"command_{name}": command for name, command in found.items()}
 
 
 def _cells(row: ResultRow) -> dict[str, Any]:
@@ -281,14 +267,14 @@ def _cells(row: ResultRow) -> dict[str, Any]:
     successes = {
         name: row.results.success(row.condition(source)) for name, source in sources.items()
     }
+    shown = {**row.numbers, "_prior": row.prior}
     return {
         "row": row.name,
         "data": row.data.slug,
         "scenes": row.scenes.slug,
         "trainings": len(row.results.readings(row.condition(Source.model))),
-        **row.numbers,
-        "_prior": row.prior,
-        "_bold": row.smallest,
+        **shown,
+        "_bold": smallest({name: shown[name].median for name in _LEARNED}),
         "_success": successes["mpc"] or DASH,
         "_expert": successes["expert"] or DASH,
         "_fixed_start": successes["fixed_start"] or DASH,
@@ -312,7 +298,7 @@ def results_table(rows: Sequence[ResultRow]) -> StudyTable:
         title="Every data set",
         caption=CAPTION,
         headings=_HEADINGS,
-        texts=dict.fromkeys(QUANTITIES, number_text),
+        texts=dict.fromkeys((*QUANTITIES, "_prior"), number_text),
         rows=[_cells(row) for row in rows],
         notes=[f"{row}: {joined(what)}: {reason}" for (row, reason), what in reasons.items()],
     )

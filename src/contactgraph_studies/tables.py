@@ -32,10 +32,11 @@ DASH = "-"
 
 
 def number_text(value: SeedStatistic) -> str:
-    """The median, with a range if trainings differ; a dash if it is not known."""
+    """The median, with a range if trainings differ as displayed; a dash if it is not known."""
     if not value.known:
         return DASH
-    return short(value.median) if value.low == value.high else with_range(value)
+    alike = short(value.low) == short(value.high)
+    return short(value.median) if alike else with_range(value)
 
 
 @dataclass(frozen=True)

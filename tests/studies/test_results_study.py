@@ -319,6 +319,24 @@ def test_the_gate_names_what_is_worse(fake: Path, capsys: pytest.CaptureFixture[
     assert cli.run([*command, "--against", "before.json"]) == 0
 
 
+def test_a_gate_measures_its_own_state_and_only_what_it_is_asked_for(
+    fake: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run(["reproduce", "results", "--seeds", "1"]) == 0
+    done(fake)
+    only = ["reproduce", "results", "--gate", "--only", "pickup"]
+    assert cli.run([*only, "--resume"]) == 0
+    made = done(fake)
+    assert "pickup/seed-0/run" in made, "kept numbers are of another state"
+    assert not [output for output in made if "billiards" in output]
+    found = json.loads(next((fake / "build" / "gate").glob("*/gate.json")).read_text())
+    assert found["numbers"].keys() == {"pickup"}
+    found["numbers"]["billiards --passive"] = {"measured_cm": 0.2}
+    (fake / "before.json").write_text(json.dumps(found))
+    assert cli.run([*only, "--against", "before.json"]) == 0
+    assert "nothing is worse" in capsys.readouterr().out
+
+
 def test_noise_of_successes_is_that_of_their_numbers_of_scenes() -> None:
     def found(before: float, after: float, episodes: int) -> list[str]:
         states = [
@@ -344,6 +362,10 @@ def test_noise_of_successes_is_that_of_their_numbers_of_scenes() -> None:
         ),
         ("door --only pickup", "--only: the study must be results, found door"),
         ("door --gate", "--gate: the study must be results, found door"),
+        (
+            "results --gate --quick",
+            "--gate: not with --quick, whose numbers are worth nothing",
+        ),
         ("results --seeds 0", "--seeds must be 1 to 100, found 0"),
         ("results --against old.json", "--against: only with --gate"),
         ("results --gate --against no.json", "--against: no.json: No such file or directory"),
@@ -351,6 +373,10 @@ def test_noise_of_successes_is_that_of_their_numbers_of_scenes() -> None:
         (
             "results --gate --against other.json",
             "--against: other.json must be a file of reproduce results --gate",
+        ),
+        (
+            "results --gate --against broken.json",
+            "--against: broken.json must be a file of reproduce results --gate",
         ),
         (
             "results --gate --against old.json",
@@ -364,6 +390,7 @@ def test_mistakes(
 ) -> None:
     (fake / "text.json").write_text("gate")
     (fake / "other.json").write_text("[]")
+    (fake / "broken.json").write_text('{"gate": 1, "numbers": {"pickup": 3}}')
     (fake / "old.json").write_text('{"gate": 0, "numbers": {}}')
     assert cli.run(["reproduce", *arguments.split()]) == 2
     assert capsys.readouterr().err == f"contactgraph: {said}\n"
