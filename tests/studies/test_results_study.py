@@ -327,7 +327,7 @@ def test_a_gate_measures_its_own_state_and_only_what_it_is_asked_for(
     only = ["reproduce", "results", "--gate", "--only", "pickup"]
     assert cli.run([*only, "--resume"]) == 0
     made = done(fake)
-    assert "pickup/seed-0/run" in made, "kept numbers are of another state"
+    assert "pickup/seed-0/evaluate-as-trained.json" in made, "kept numbers are of another state"
     assert not [output for output in made if "billiards" in output]
     found = json.loads(next((fake / "build" / "gate").glob("*/gate.json")).read_text())
     assert found["numbers"].keys() == {"pickup"}
