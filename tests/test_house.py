@@ -41,7 +41,6 @@ HEAVY = {
     "imageio_ffmpeg",
     "libusb_package",
     "mujoco",
-    "pandas",
     "pyapriltags",
     "pymunk",
     "pyrealsense2",

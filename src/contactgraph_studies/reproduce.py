@@ -1,4 +1,4 @@
-"""The command ``contactgraph reproduce``: a study, from nothing to a page of verdicts."""
+"""The command ``contactgraph reproduce``: a study, from nothing to tables and verdicts."""
 
 import math
 import shlex
@@ -56,7 +56,7 @@ class Reproduce:
         """Run the study."""
         from contactgraph.cli.options import check_range
         from contactgraph.data import InvalidInputError
-        from contactgraph_studies.page import publish, write_study
+        from contactgraph_studies.outputs import publish, write_study
         from contactgraph_studies.runner import run_reported
 
         study, before = self._study(), self._before()
@@ -80,7 +80,7 @@ class Reproduce:
             if self._publishes:
                 publish(study, folder, _PUBLISHED, self.study)
         if failures:
-            sys.exit(1)  # the page is written, but incomplete
+            sys.exit(1)  # the report is written, but incomplete
 
     @property
     def _publishes(self) -> bool:

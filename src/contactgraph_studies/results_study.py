@@ -294,7 +294,6 @@ def results_table(rows: Sequence[ResultRow]) -> StudyTable:
         for what, reason in row.notes():
             reasons.setdefault((row.name, reason), []).append(what)
     return StudyTable(
-        slug="table",
         title="Every data set",
         caption=CAPTION,
         headings=_HEADINGS,

@@ -184,7 +184,6 @@ def _evaluation(model: Job, validation: Job, data: str, name: str) -> Job:
 def sim_table(results: Results) -> StudyTable:
     """Every number that is known."""
     return StudyTable(
-        slug="table",
         title="All numbers",
         caption="Recorded runs are those of a scripted expert, some with a grasp and some without, "
         "through the arm's protocol and a rendered camera. The block's position is that of the "

@@ -16,13 +16,12 @@ from contactgraph_studies.tables import StudyTable
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page."""
+    """A figure of the report."""
 
     title: str
     caption: str
-    image: bytes
-    media_type: str
-    """``svg+xml`` or ``png``."""
+    path: str
+    """Of a PNG file, relative to the study's folder."""
 
 
 class ClaimMetric(NamedTuple):
@@ -131,14 +130,13 @@ class StudyResult:
     title: str
     summary: str
     tables: Sequence[StudyTable]
-    """The first is written to ``table.csv``, all of them to ``table.md`` and the page."""
+    """The first is written to ``table.csv``, all of them to ``table.md`` and ``report.md``."""
     amounts: Mapping[str, Any]
     """Seeds, episodes and so on; JSON."""
     readings: Sequence[Mapping[str, Any]]
     """Every number of every job, so that the jobs' own files need not be kept; JSON."""
     claims: Sequence[Claim] = ()
     figures: Sequence[Picture] = ()
-    scenes: Sequence[Picture] = ()
 
 
 class Study(ABC):

@@ -3,6 +3,10 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
 from contactgraph_studies.cost.config import COST_TASKS, FULL_COST, SCENE_SEED, CostTest
 from contactgraph_studies.cost.jobs import cost_measurements
 from contactgraph_studies.paper.config import (
@@ -129,3 +133,10 @@ def _tested(condition: Any) -> tuple[str, tuple[int, int]]:
 
 def _counts(test: CostTest) -> tuple[int, int]:
     return test.learned.demonstrations, test.distractors
+
+
+def pixels(figure: Figure) -> np.ndarray:
+    """[H, W, 4] of a drawn figure."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba()).copy()

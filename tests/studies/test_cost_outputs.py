@@ -1,4 +1,4 @@
-"""Claim, tables, charts and the page of the study of costs, from made-up numbers."""
+"""Claim, tables, charts of the study of costs, from made-up numbers."""
 
 import csv
 import io
@@ -9,7 +9,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from made_up import Change, cost_results
+from made_up import Change, cost_results, pixels
 
 from contactgraph.control import LearningHistory, write_cost
 from contactgraph.data import Scene, Trajectory, write_trajectories
@@ -28,7 +28,6 @@ from contactgraph_studies.cost.known_answer import (
     read_answers,
 )
 from contactgraph_studies.cost.study import CostStudy, cost_table, transfers
-from contactgraph_studies.figures import svg
 from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP
 from contactgraph_studies.results import Results, with_range
 
@@ -73,7 +72,7 @@ def test_sentence_and_numbers_of_the_claim() -> None:
 def test_markdown_and_csv_agree() -> None:
     measured = cost_results(lambda seed: {"success_rate": 1.0 - seed / 100}, "pickup")
     table = cost_table(measured, COST_TASKS, FULL_COST)
-    texts = table.page_cells().to_numpy().tolist()
+    texts = [table.texts_of(row) for row in table.rows]
     assert len(texts) == 3 * 9 + 1
     assert texts[3] == [
         *("pickup", "expert", "40", "0"),
@@ -178,13 +177,14 @@ def test_known_answers_are_those_whose_files_are_there(tmp_path: Path) -> None:
 
 
 def test_the_figure_is_reproducible_and_needs_no_measurement() -> None:
-    whole = svg(success_figure(cost_results(), COST_TASKS, FULL_COST))
-    assert whole == svg(success_figure(cost_results(), COST_TASKS, FULL_COST))
-    assert svg(success_figure(Results({}), COST_TASKS, FULL_COST)) != whole
+    whole = pixels(success_figure(cost_results(), COST_TASKS, FULL_COST))
+    again = pixels(success_figure(cost_results(), COST_TASKS, FULL_COST))
+    assert np.array_equal(whole, again)
+    assert not np.array_equal(pixels(success_figure(Results({}), COST_TASKS, FULL_COST)), whole)
 
 
 def test_a_study_without_measurements(tmp_path: Path) -> None:
     found = CostStudy(COST_TASKS, FULL_COST).result(tmp_path)
     assert [claim.holds for claim in found.claims] == [None]
-    assert found.readings == [] and list(found.scenes) == []
+    assert found.readings == []
     assert "| pickup | expert | 40 | 0 | not known |" in found.tables[0].markdown()

@@ -1,4 +1,4 @@
-"""Table, figures and page of the study of models, from made-up numbers."""
+"""Table, figures and report of the study of models, from made-up numbers."""
 
 import csv
 import io
@@ -8,13 +8,15 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from made_up import AMOUNTS, by_the_paper, results
+from made_up import AMOUNTS, by_the_paper, pixels, results
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 from contactgraph.evaluate import wilson_interval
-from contactgraph_studies.figures import kept_picture, new_figure, svg, write_figure
-from contactgraph_studies.page import study_page
+from contactgraph_studies.figures import new_figure, write_figure
+from contactgraph_studies.outputs import study_report
 from contactgraph_studies.paper.claims import claims
 from contactgraph_studies.paper.config import (
     DOOR,
@@ -27,7 +29,6 @@ from contactgraph_studies.paper.config import (
     StudyTask,
 )
 from contactgraph_studies.paper.figures import (
-    edge_figure,
     error_figure,
     fault_figure,
     sample_figure,
@@ -138,33 +139,30 @@ def test_a_cell_is_the_median_over_seeds_with_their_range() -> None:
     assert values == pytest.approx([0.55, 0.1, 5.0])
 
 
-def test_the_page_begins_with_verdicts_and_loads_nothing() -> None:
+def test_the_report_begins_with_verdicts() -> None:
     result = StudyResult(
-        title="Study <1>",
+        title="Study 1",
         summary="in short",
         claims=claims(results({BY_EPISODE: [0.02]}, LITERAL.no_gim), TASKS, AMOUNTS),
         tables=[table_of(results())],
-        figures=[Picture("Errors", "cm", b"<svg/>", "svg+xml")],
+        figures=[Picture("Errors", "in cm", "figures/errors.png")],
         amounts={},
         readings=[],
     )
-    failures = [("contactgraph x", "exit code 2; <b>")]
-    page = study_page(result, failures, ["contactgraph reproduce all"], {"jax": "1"}, "today")
-    assert page.count("<td>pickup</td><td>as trained</td><td>GIM-Temp</td>") == 1
-    assert page.count("<blockquote>") == 7, "each claim once, for all families"
-    assert 'title="contactgraph control cells/pickup/seed-0/gim-temp-40/run ' in page
-    assert "Study &lt;1&gt;" in page and "exit code 2; &lt;b&gt;" in page
-    assert page.index('class="verdict missed">does not hold') < page.index('id="figures"')
-    assert page.index('class="verdict met">holds') < page.index('id="figures"')
-    assert "data:image/svg+xml;base64,PHN2Zy8+" in page
-    assert "default-src 'none'" in page
-    assert "http://" not in page and "https://" not in page
-    assert "$" not in page, "every field of the template is filled"
+    failures = [("contactgraph x", "exit code 2")]
+    report = study_report(result, failures, ["contactgraph reproduce all"], "today")
+    assert report.startswith("# Study 1\n\nin short\n\n## What the paper claims\n")
+    assert report.count("\n> ") == 7, "each claim once, for all families"
+    assert report.index("- as written: **does not hold**. ") < report.index("## Errors")
+    assert report.index("- ours: **holds**. ") < report.index("## Errors")
+    assert "\n- `contactgraph x`: exit code 2\n" in report
+    assert "\n![Errors](figures/errors.png)\n\nin cm\n" in report
+    assert table_of(results()).markdown() in report
+    assert report.endswith("\ntoday\n\n```sh\ncontactgraph reproduce all\n```\n")
 
 
 FIGURES: list[Callable[[Results], Figure]] = [
     lambda measured: error_figure(measured, [DOOR]),
-    lambda measured: edge_figure(measured, [DOOR]),
     lambda measured: fault_figure(measured, [DOOR]),
     lambda measured: sample_figure(measured, [PICKUP], AMOUNTS),
 ]
@@ -174,9 +172,9 @@ FIGURES: list[Callable[[Results], Figure]] = [
 def test_figures_are_reproducible_and_need_no_measurement(
     draw: Callable[[Results], Figure],
 ) -> None:
-    whole = svg(draw(results()))
-    assert whole == svg(draw(results()))
-    assert svg(draw(Results({}))) != whole
+    whole = pixels(draw(results()))
+    assert np.array_equal(whole, pixels(draw(results())))
+    assert not np.array_equal(pixels(draw(Results({}))), whole)
 
 
 def test_infinite_errors_are_triangles() -> None:
@@ -200,16 +198,10 @@ def test_results_json_keeps_what_claims_and_tables_need() -> None:
     assert shown[0] == shown[1]
 
 
-def test_both_files_of_a_figure_are_written(tmp_path: Path) -> None:
+def test_a_figure_is_written_as_a_picture(tmp_path: Path) -> None:
     picture = write_figure(tmp_path, "edges", "Edges", "caption", new_figure(1.0, 1.0))
-    files = sorted((tmp_path / "figures").iterdir())
-    assert [path.name for path in files] == ["edges.png", "edges.svg"]
-    assert picture.image == files[1].read_bytes()
-    assert kept_picture(tmp_path, "edges", "Edges", "caption") == picture
-    files[1].unlink()
-    kept = kept_picture(tmp_path, "edges", "Edges", "caption")
-    assert kept == Picture("Edges", "caption", files[0].read_bytes(), "png")
-    assert kept_picture(tmp_path, "nodes", "Nodes", "caption") is None
+    assert picture == Picture("Edges", "caption", "figures/edges.png")
+    assert imread(tmp_path / picture.path).shape[:2] == (130, 130)
 
 
 def test_trainings_in_the_same_scenes_are_not_pooled() -> None:

@@ -1,7 +1,6 @@
 """``contactgraph reproduce``: its studies, files and exit codes."""
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.control import LearningHistory, write_cost
-from contactgraph_studies import page
+from contactgraph_studies import outputs
 from contactgraph_studies.cost import config
 from contactgraph_studies.cost.known_answer import own_cost
 from contactgraph_studies.job import Job, JobRecords
@@ -21,7 +20,7 @@ from contactgraph_studies.runner import Failure, Progress
 FILES = {
     "claims.json",
     "figures",
-    "index.html",
+    "report.md",
     "results.json",
     "table.csv",
     "table.md",
@@ -103,7 +102,7 @@ def test_files_of_a_study(
     assert (
         "1. ours, holds: In distribution, every model's N-step error is under 1 cm" in captured.out
     )
-    assert "the page: build/quick/door/index.html" in captured.out
+    assert "the report: build/quick/door/report.md" in captured.out
     assert "failed: contactgraph train " in captured.err
     assert "(exit code 2; contactgraph: no such model)" in captured.err
     claims = json.loads((folder / "claims.json").read_text())["claims"]
@@ -117,8 +116,8 @@ def test_files_of_a_study(
     assert results["training_seeds"] == [0] and results["date"]
     assert results["failures"][0]["reason"] == "exit code 2; contactgraph: no such model"
     assert {job["task"] for job in results["cells"]} == {"door"}
-    assert {path.suffix for path in (folder / "figures").iterdir()} == {".png", ".svg"}
-    assert "Failed measurements" in (folder / "index.html").read_text()
+    assert {path.suffix for path in (folder / "figures").iterdir()} == {".png"}
+    assert "Failed measurements" in (folder / "report.md").read_text()
 
 
 def test_all_tasks_go_into_one_folder(
@@ -126,7 +125,7 @@ def test_all_tasks_go_into_one_folder(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("write_study", "publish"):
-        monkeypatch.setattr(page, name, lambda *arguments: None)
+        monkeypatch.setattr(outputs, name, lambda *arguments: None)
     with pytest.raises(SystemExit):
         cli.run(["reproduce"])
     with pytest.raises(SystemExit):
@@ -172,7 +171,7 @@ def test_files_of_the_study_of_costs(
     assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
     said = capsys.readouterr().out
     assert "8. does not hold: A cost learned from demonstrations of one goal" in said
-    assert "the page: build/quick/cost/index.html" in said
+    assert "the report: build/quick/cost/report.md" in said
     results = json.loads((folder / "results.json").read_text())
     assert results["command"] == "contactgraph reproduce cost --quick"
     assert (results["demonstrations"], results["test_scene_seeds"]) == ([5, 40], [1100])
@@ -181,29 +180,11 @@ def test_files_of_the_study_of_costs(
     assert all("history" not in job["values"] and job["values"]["Q"] for job in made)
     figures = {path.name for path in (folder / "figures").iterdir()}
     assert figures == {
-        f"{name}.{kind}"
-        for name in ("success", "cost-pickup", "known-own-cost-pickup", "known-learned-cost-pickup")
-        for kind in ("png", "svg")
+        *("success.png", "cost-pickup.png"),
+        *("known-own-cost-pickup.png", "known-learned-cost-pickup.png"),
     }
-    html = (folder / "index.html").read_text()
-    assert 'id="known-answer"' in html and html.count("data:image/svg+xml") == 4
+    report = (folder / "report.md").read_text()
+    assert "## A known answer" in report
+    assert all(f"](figures/{name})" in report for name in figures)
     known = "| pickup | MPC with the task's own cost | target - goal | 1 m | 70.7 | 70.7 | 1 |"
     assert known in (folder / "table.md").read_text()
-
-
-def test_without_pandas(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    for name in [name for name in sys.modules if name.startswith("contactgraph_studies.")]:
-        # Its package's attribute is put back in the end, too: the command imports the module again.
-        package, _, child = name.rpartition(".")
-        monkeypatch.setattr(sys.modules[package], child, sys.modules[name], raising=False)
-    for name in [name for name in sys.modules if name.startswith("contactgraph_studies.")]:
-        monkeypatch.delitem(sys.modules, name)
-    assert cli.run(["reproduce", "door", "--quick"]) == 2
-    assert capsys.readouterr().err == (
-        "contactgraph: reproduce needs pandas: pip install 'contactgraph[studies]'\n"
-    )
-    assert list(tmp_path.iterdir()) == []

@@ -255,7 +255,7 @@ def test_rows_are_made_one_after_the_other_and_only_once(
     assert "| pickup | **0.2** |" in table and "| billiards --passive | **0.2** |" in table
     assert cli.run([*command, "pickup, billiards"]) == 0
     assert done(fake) == [], "a second run runs nothing"
-    assert "worth nothing" in (folder / "index.html").read_text()
+    assert "worth nothing" in (folder / "report.md").read_text()
     results = json.loads((folder / "results.json").read_text())
     assert results["command"] == (
         "contactgraph reproduce results --quick --only 'pickup, billiards'"

@@ -8,19 +8,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from contactgraph.control import read_cost
-from contactgraph.model import shipped_model
 from contactgraph.viz import cost_figure
 from contactgraph.viz.figures import LEGEND, TEXT
 from contactgraph.viz.scene_picture import BODY_COLOURS, SOFT
 from contactgraph_studies.cost.config import (
     CostAmounts,
-    among_distractors,
     by_demonstrations,
     known_answers,
 )
 from contactgraph_studies.cost.jobs import CostLabels, control, learning
 from contactgraph_studies.cost.known_answer import read_answers
-from contactgraph_studies.figures import first_episode, panel_row, write_figure, write_scene
+from contactgraph_studies.figures import panel_row, write_figure
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper.config import StudyTask
 from contactgraph_studies.results import SUCCESS_PERCENT, Results
@@ -61,7 +59,7 @@ def cost_pictures(
     tasks: Sequence[StudyTask],
     amounts: CostAmounts,
 ) -> list[Picture]:
-    """The figures, written to ``figures/NAME.png`` and ``.svg`` in the folder."""
+    """The figures, written to ``figures/NAME.png`` in the folder."""
     title = "Success with unseen goals and objects"
     caption = "By the number of demonstrations that the cost was learned from."
     figure = success_figure(results, tasks, amounts)
@@ -84,24 +82,6 @@ def cost_pictures(
                 )
                 title = f"A known answer, {task.name}"
                 pictures.append(write_figure(folder, name, title, caption, figure))
-    return pictures
-
-
-def cost_scenes(
-    folder: Path,
-    measurements: Sequence[Measurement],
-    tasks: Sequence[StudyTask],
-    amounts: CostAmounts,
-) -> list[Picture]:
-    """The first episode of the first seed of every task, among distractors."""
-    test, pictures = among_distractors(amounts)[0], []
-    caption = "A closed-loop episode with the learned cost, replanned every step."
-    for task in tasks:
-        path = _output(folder, measurements, control(task, test))
-        title = f"{task.name}, {test.distractors} distractors in view"
-        scene = None if path is None else first_episode(path, shipped_model(task.name), title)
-        if scene is not None:
-            pictures.append(write_scene(folder, f"scene-{task.name}", caption, scene))
     return pictures
 
 

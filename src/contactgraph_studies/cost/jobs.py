@@ -91,16 +91,13 @@ def _test_job(task: StudyTask, test: CostTest, seed: int, amounts: CostAmounts) 
     learned = _learning_job(task, test.learned, seed, amounts)
     path = learned.output.replace("cost.json", f"control-{test.distractors}-distractors")
     scenes = _distractors(test.distractors)
-    # The page shows these scenes.
-    shown = test.distractors == config.DISTRACTORS and seed == amounts.seeds[0]
-    saved = (f"{path}.h5",) if shown else ()
     arguments = (
         *("control", task.name, task.name, "--cost", learned.output),
         *("--episodes", str(amounts.episodes), "--seed", str(config.SCENE_SEED + seed)),
-        *(*scenes, *test.options, "--json", f"{path}.json", *(("--save", *saved) if saved else ())),
+        *(*scenes, *test.options, "--json", f"{path}.json"),
     )
     group = " ".join(("control", task.name, *scenes))
-    return Job(f"{path}.json", arguments, group, (learned,), saved)
+    return Job(f"{path}.json", arguments, group, (learned,))
 
 
 def _distractors(count: int) -> Options:

@@ -112,7 +112,6 @@ def known_answer_table(
         *("learned over hidden", "steps with a saturated force, %"),
     )
     return StudyTable(
-        slug="known-answer",
         title="A known answer",
         caption="Costs learned from runs of MPC with a known cost, beside that cost. Each term "
         "is given as the force that costs as much as being off by one unit for one step; a factor "

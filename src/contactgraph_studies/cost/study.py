@@ -15,7 +15,7 @@ from contactgraph_studies.cost.config import (
     by_demonstrations,
     tests_of,
 )
-from contactgraph_studies.cost.figures import cost_pictures, cost_scenes
+from contactgraph_studies.cost.figures import cost_pictures
 from contactgraph_studies.cost.jobs import control, cost_measurements, demonstrated, learning
 from contactgraph_studies.cost.known_answer import known_answer_table
 from contactgraph_studies.job import Measurement
@@ -68,7 +68,6 @@ class CostStudy(Study):
             claims=[claim],
             tables=[cost_table(results, self.tasks, amounts), known_answer_table(*shared)],
             figures=cost_pictures(results, *shared),
-            scenes=cost_scenes(*shared),
             amounts={
                 "demonstration_seeds": list(amounts.seeds),
                 "demonstrations": list(amounts.demonstrations),
@@ -152,7 +151,6 @@ def cost_table(results: Results, tasks: Sequence[StudyTask], amounts: CostAmount
         }
 
     return StudyTable(
-        slug="table",
         title="Every cost",
         caption="Success in scenes whose goal and objects were in no demonstration: the episodes "
         "of all seeds together, with the 95 % Wilson interval, and each seed by itself. Each seed "

@@ -1,7 +1,7 @@
 """Figures of the study of models."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,17 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from contactgraph.cli.task_types import TestCondition
 from contactgraph.viz.figures import LEGEND, TEXT, new_figure, parameter_figure
 from contactgraph.viz.scene_picture import INK, SOFT
 from contactgraph.viz.summary_figure import style_axes
 from contactgraph_studies import figures
-from contactgraph_studies.bootstrap import Sample, estimate
+from contactgraph_studies.bootstrap import estimate
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper import jobs
 from contactgraph_studies.paper.config import (
     FAULTS,
-    OURS,
     Amounts,
     Family,
     StudyModel,
@@ -31,7 +29,6 @@ from contactgraph_studies.paper.config import (
 from contactgraph_studies.paper.jobs import (
     Source,
     closed_error,
-    number,
     open_error,
     planned,
     recorded,
@@ -52,7 +49,7 @@ _BASELINES = {
 def figure_pictures(
     folder: Path, results: Results, tasks: Sequence[StudyTask], amounts: Amounts
 ) -> list[Picture]:
-    """The paper's figures, written to ``figures/NAME.png`` and ``.svg`` in the folder."""
+    """The paper's figures, written to ``figures/NAME.png`` in the folder."""
     drawn = [
         (
             "n-step-error",
@@ -63,12 +60,6 @@ def figure_pictures(
             "bound in distribution. A controller that moves no object has no error. The baselines "
             "are over all bodies.",
             error_figure(results, tasks),
-        ),
-        (
-            "edge-accuracy",
-            "Edges predicted wrongly in closed loop",
-            "100 % less the N-step edge accuracy: lower is better.",
-            edge_figure(results, tasks),
         ),
         (
             "sensor-faults",
@@ -87,104 +78,62 @@ def figure_pictures(
     return [figures.write_figure(folder, *one) for one in drawn]
 
 
-def scene_pictures(
+def parameter_pictures(
     folder: Path, tasks: Sequence[StudyTask], measurements: Sequence[Measurement]
-) -> tuple[list[Picture], list[Picture]]:
-    """Episodes of GIM-Temp (first seed), ours under every condition; inferred parameters of ours
-    and of the paper's form."""
+) -> list[Picture]:
+    """Belief and parameters that GIM-Temp (first seed) infers in an episode, for each family."""
     first_jobs = {one.condition: one.job for one in reversed(measurements)}
-    scenes: list[Picture | None] = []
-    parameters: list[Picture | None] = []
+    caption = "Predictions before every step; bands mark contact of the first edge named."
+    pictures = []
     for task, family in [(one, each) for one in tasks for each in one.families]:
-        for condition in task.conditions if family is OURS else (task.as_trained,):
-            job = first_jobs.get(planned(task, family.gim_temp, condition))
-            if job is None:
-                continue
-            title = f"{task.name}, {condition.name}"
-            stored = folder / job.needs[0].output / "model.safetensors"
-            scene = figures.first_episode(folder / job.output, stored, title)
-            if family is OURS:
-                name = f"scene-{task.name}-{condition.slug}"
-                caption = "A closed-loop episode of GIM-Temp, replanned every half second."
-                scenes.append(
-                    figures.kept_picture(folder, name, title, caption)
-                    if scene is None
-                    else figures.write_scene(folder, name, caption, scene)
-                )
-            if condition is task.as_trained:
-                name = f"parameters-{task.name}-{family.slug}"
-                title = f"Belief and learned parameters, {task.name}, {family.name}"
-                caption = (
-                    "Predictions before every step; bands mark contact of the first edge named."
-                )
-                given = folder, name, title, caption
-                parameters.append(
-                    figures.kept_picture(*given)
-                    if scene is None
-                    else figures.write_figure(*given, parameter_figure(scene))
-                )
-    known = [[one for one in each if one is not None] for each in (scenes, parameters)]
-    return known[0], known[1]
+        job = first_jobs.get(planned(task, family.gim_temp, task.as_trained))
+        if job is None:
+            continue
+        title = f"Belief and learned parameters, {task.name}, {family.name}"
+        model = folder / job.needs[0].output / "model.safetensors"
+        scene = figures.first_episode(folder / job.output, model, task.name)
+        if scene is not None:
+            name = f"parameters-{task.name}-{family.slug}"
+            drawn = parameter_figure(scene)
+            pictures.append(figures.write_figure(folder, name, title, caption, drawn))
+    return pictures
 
 
 def error_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
-    """N-step error of every model of each family, in and out of distribution; log axis."""
+    """N-step error of every model in and out of distribution; log axis.
 
-    def draw(axes: Axes, task: StudyTask, family: Family) -> None:
-        models = [model for model in family.models if model in task.models]
-        _draw_points(axes, results, task, models, closed_error)
-        for group, condition in enumerate((task.as_trained, task.hardest)):
-            for name, (quantity, style) in _BASELINES.items():
-                baseline = results.statistic(planned(task, family.gim_temp, condition), quantity)
-                if baseline.known:
-                    ends, height = [group - 0.46, group + 0.46], [baseline.median] * 2
-                    axes.plot(ends, height, color=SOFT, lw=1.2, ls=style, label=name)
-        axes.axhline(1.0, color=INK, lw=0.7, ls=_DOTTED)
-        axes.set_yscale("log")
-        # A model that diverges is off by kilometres: it may not set the range of the axis.
-        axes.set_ylim(_LOWEST_CM, _HIGHEST_CM)
-
-    return _family_figure(tasks, "N-step error of moving bodies, cm", draw)
-
-
-def edge_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
-    """Edges predicted wrongly in closed loop: 100 % less the accuracy."""
-    wrong = _wrong(jobs.PLANNED_ACCURACY)
-
-    def sample(results: Results, task: StudyTask, model: StudyModel, at: TestCondition) -> Sample:
-        return number(results, task, model, at, wrong, Source.planned)
-
-    def draw(axes: Axes, task: StudyTask, family: Family) -> None:
-        models = (family.gim_temp, family.gim_non_temp)
-        _draw_points(axes, results, task, models, sample)
-        axes.set_ylim(bottom=0.0)
-
-    return _family_figure(tasks, "edges predicted wrongly, %", draw)
-
-
-def _family_figure(
-    tasks: Sequence[StudyTask],
-    label: str,
-    draw: Callable[[Axes, StudyTask, Family], None],
-) -> Figure:
-    """A row of panels for each family, a column for each task."""
+    A row of panels for each family, a column for each task.
+    """
     families = families_of(tasks)
     figure = new_figure(4.6 * len(tasks) + 0.6, 3.0 * len(families) + 0.8)
     grid = figure.subplots(len(families), len(tasks), squeeze=False, sharey=True)
+    named: dict[str, Any] = {}
     for row, family in zip(grid, families, strict=True):
         for axes, task in zip(row, tasks, strict=True):
             axes.set_title(f"{task.name}, {family.name}", fontsize=11, color=INK, loc="left")
             style_axes(axes)
             if family in task.families:
-                draw(axes, task, family)
-        row[0].set_ylabel(label, **TEXT)
-    named: dict[str, Any] = {}
-    for axes in grid.flat:
-        for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
-            named.setdefault(name.split(", ")[0], handle)
+                _draw_errors(axes, results, task, family)
+            for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
+                named.setdefault(name.split(", ")[0], handle)
+        row[0].set_ylabel("N-step error of moving bodies, cm", **TEXT)
     columns = max(1, len(named) // 2)
     figure.legend(named.values(), named, loc="outside lower center", ncols=columns, **LEGEND)
     return figure
+
+
+def _draw_errors(axes: Axes, results: Results, task: StudyTask, family: Family) -> None:
+    _draw_points(axes, results, task, [each for each in family.models if each in task.models])
+    for group, condition in enumerate((task.as_trained, task.hardest)):
+        for name, (quantity, style) in _BASELINES.items():
+            baseline = results.statistic(planned(task, family.gim_temp, condition), quantity)
+            if baseline.known:
+                ends, height = [group - 0.46, group + 0.46], [baseline.median] * 2
+                axes.plot(ends, height, color=SOFT, lw=1.2, ls=style, label=name)
+    axes.axhline(1.0, color=INK, lw=0.7, ls=_DOTTED)
+    axes.set_yscale("log")
+    # A model that diverges is off by kilometres: it may not set the range of the axis.
+    axes.set_ylim(_LOWEST_CM, _HIGHEST_CM)
 
 
 def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
@@ -250,7 +199,6 @@ def _draw_points(
     results: Results,
     task: StudyTask,
     models: Sequence[StudyModel],
-    sample: Callable[[Results, StudyTask, StudyModel, TestCondition], Sample],
 ) -> None:
     """Side by side: each training a point, their median a line, its interval of 95 % a whisker.
 
@@ -261,7 +209,8 @@ def _draw_points(
     for column, model in enumerate(models):
         for group, condition in enumerate(conditions):
             x = group + (column - (len(models) - 1) / 2.0) * width
-            found, colour = estimate([sample(results, task, model, condition)]), model.colour
+            found = estimate([closed_error(results, task, model, condition)])
+            colour = model.colour
             finite = [value for value in found.each if math.isfinite(value)]
             points: dict[str, Any] = {"ms": 4, "mew": 0, "alpha": 0.6, "label": model.name}
             axes.plot([x] * len(finite), finite, "o", color=colour, **points)

@@ -14,7 +14,7 @@ from contactgraph_studies.bootstrap import Verdict
 from contactgraph_studies.job import JobRecords, Measurement
 from contactgraph_studies.paper.claims import claims
 from contactgraph_studies.paper.config import Amounts, StudyModel, StudyTask
-from contactgraph_studies.paper.figures import figure_pictures, scene_pictures
+from contactgraph_studies.paper.figures import figure_pictures, parameter_pictures
 from contactgraph_studies.paper.jobs import (
     CONSTANT_VELOCITY,
     EDGE_F1,
@@ -55,7 +55,6 @@ class ModelStudy(Study):
         """Claims, tables and figures."""
         amounts, results = self.amounts, Results.read(folder, self.measurements)
         judged_claims = claims(results, self.tasks, amounts)
-        scenes, parameters = scene_pictures(folder, self.tasks, self.measurements)
         return StudyResult(
             title="A contact graph, claim by claim",
             summary="The paper's claims, measured again with the paper's own models, with models "
@@ -68,8 +67,10 @@ class ModelStudy(Study):
                 verdict_table(judged_claims),
                 _changes_table(),
             ],
-            figures=[*figure_pictures(folder, results, self.tasks, amounts), *parameters],
-            scenes=scenes,
+            figures=[
+                *figure_pictures(folder, results, self.tasks, amounts),
+                *parameter_pictures(folder, self.tasks, self.measurements),
+            ],
             amounts={
                 "training_seeds": list(amounts.seeds),
                 "test_runs": amounts.test_runs,
@@ -96,7 +97,6 @@ def verdict_table(judged_claims: Sequence[Claim]) -> StudyTable:
         row[claim.family] = claim.verdict.value
     headings = {name: name for name in ("claim", *families)}
     return StudyTable(
-        slug="verdicts",
         title="Verdicts",
         caption="Of each family of models. A claim holds if the 95 % intervals, over trainings and "
         "scenes, of all that it asks lie within its bounds on every task; it does not hold if one "
@@ -109,7 +109,6 @@ def verdict_table(judged_claims: Sequence[Claim]) -> StudyTable:
 def _changes_table() -> StudyTable:
     names = ("models", "difference", "reason")
     return StudyTable(
-        slug="changes",
         title="Differences from the paper",
         caption="Of each family of models.",
         headings=dict(zip(names, names, strict=True)),
@@ -168,7 +167,6 @@ def model_table(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) 
 
     baselines = ("frozen_contact_cm", "constant_velocity_cm")
     return StudyTable(
-        slug="table",
         title="Every model",
         caption="N-step error: planned against executed positions, half a second ahead, over the "
         "bodies that move and over all (the paper's metric); the baselines are over all, on the "
