@@ -18,7 +18,7 @@ from functools import cache
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from contactgraph.data import InvalidInputError
 
@@ -68,14 +68,11 @@ class Executor(Protocol):
     def shares_files(self) -> bool:
         """Whether workers see the same files as this process."""
 
-    def pool(
-        self, initializer: Initializer, items: int, items_per_worker: int = 0
-    ) -> AbstractContextManager[Pool]:
+    def pool(self, initializer: Initializer, items: int) -> AbstractContextManager[Pool]:
         """Workers for at most ``items`` items; all end with the context.
 
         ``initializer``, items and results are pickled, so functions and classes must be at the
-        top level of a module. A worker is replaced after ``items_per_worker`` items (0: never),
-        which frees the memory of its compiled programs.
+        top level of a module.
         """
 
 
@@ -98,30 +95,6 @@ def map_in_order(
                         raise RuntimeError(f"{outcome.item}: {outcome.lost}")
                     results[outcome.item] = outcome.result
             yield results.pop(item)
-
-
-class _Error(NamedTuple):
-    """An exception of the work, as it is sent between processes."""
-
-    type: type[Exception]
-    text: str
-
-
-def attempt(initializer: Initializer, item: Any) -> Any:
-    """The result of the work, or its exception as a value that can be sent; see `result_of`."""
-    try:
-        return initializer()(item)
-    except InvalidInputError as error:
-        return _Error(InvalidInputError, str(error))
-    except Exception:
-        return _Error(RuntimeError, traceback.format_exc())
-
-
-def result_of(value: Any) -> Any:
-    """The result in a value of `attempt`; raises the exception in its place."""
-    if isinstance(value, _Error):
-        raise value.type(value.text)
-    return value
 
 
 def usable_cores() -> list[int]:
@@ -155,14 +128,10 @@ class LocalExecutor:
         self.workers = 1 if whole_machine else processes or len(usable_cores())
 
     @contextmanager
-    def pool(
-        self, initializer: Initializer, items: int, items_per_worker: int = 0
-    ) -> Iterator[Pool]:
+    def pool(self, initializer: Initializer, items: int) -> Iterator[Pool]:
         """See `Executor`."""
-        cores: itertools.cycle[int | None] = itertools.cycle(usable_cores())
-        if self._whole_machine:
-            cores, items_per_worker = itertools.cycle([None]), 1
-        pool = _LocalPool(initializer, items_per_worker)
+        cores = itertools.cycle([None] if self._whole_machine else usable_cores())
+        pool = _LocalPool(initializer)
         try:
             pool.start(list(itertools.islice(cores, min(self.workers, items))))
             yield pool
@@ -171,8 +140,8 @@ class LocalExecutor:
 
 
 class _LocalPool:
-    def __init__(self, initializer: Initializer, items_per_worker: int) -> None:
-        self._initializer, self._items_per_worker = initializer, items_per_worker
+    def __init__(self, initializer: Initializer) -> None:
+        self._initializer = initializer
         self._numbers = itertools.count()
         self._workers: dict[int, _Worker] = {}
         self._items: dict[int, Any] = {}
@@ -193,7 +162,6 @@ class _LocalPool:
         if process.connection is None:
             process.start()
             process.send(self._initializer)
-        process.items += 1
         process.send(item)
         self._items[worker] = item
 
@@ -209,11 +177,13 @@ class _LocalPool:
         item, worker = self._items.pop(number), self._workers[number]
         assert worker.connection is not None
         try:
-            outcome = Outcome(number, item, result_of(worker.connection.recv()))
+            outcome = Outcome(number, item, worker.connection.recv())
         except (EOFError, ConnectionError):
             died = f"its process died, exit code {worker.exit_code()}"
             outcome = Outcome(number, item, lost=died)
-        if outcome.lost is not None or worker.items == self._items_per_worker:
+        if isinstance(outcome.result, Exception):
+            raise outcome.result
+        if outcome.lost is not None or worker.core is None:
             self._workers.pop(number).end()
             self._add(worker.core)
         return outcome
@@ -227,7 +197,7 @@ class _Worker:
     """A process that can be started, with a connection to it. Core None: all cores."""
 
     def __init__(self, core: int | None) -> None:
-        self.core, self.items = core, 0
+        self.core = core
         self.connection: Connection | None = None
         self._process: BaseProcess | None = None
 
@@ -273,7 +243,13 @@ def _serve(connection: Connection, pinned: bool) -> None:
         initializer = cache(connection.recv())
         while True:
             item = connection.recv()
-            connection.send(attempt(initializer, item))
+            try:
+                result = initializer()(item)
+            except InvalidInputError as error:
+                result = error
+            except Exception:
+                result = RuntimeError(traceback.format_exc())
+            connection.send(result)
 
 
 def _end_with_owner() -> None:

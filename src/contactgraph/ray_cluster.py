@@ -6,12 +6,12 @@ import socket
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache, partial
+from functools import lru_cache
 from importlib.metadata import version
 from typing import Any
 
 from contactgraph.data import InvalidInputError
-from contactgraph.parallel import Initializer, Outcome, Pool, Work, attempt, result_of
+from contactgraph.parallel import Initializer, Outcome, Pool, Work
 
 try:
     import ray
@@ -48,11 +48,9 @@ class RayExecutor:
         return max(1, int(ray.cluster_resources().get("CPU", 0)))
 
     @contextmanager
-    def pool(
-        self, initializer: Initializer, items: int, items_per_worker: int = 0
-    ) -> Iterator[Pool]:
+    def pool(self, initializer: Initializer, items: int) -> Iterator[Pool]:
         """See `Executor`; machines may join and leave the cluster meanwhile."""
-        pool = _RayPool(self, initializer, items_per_worker)
+        pool = _RayPool(self, initializer)
         try:
             yield pool
         finally:
@@ -104,14 +102,10 @@ def _check_answers(address: str) -> None:
 class _RayPool:
     """Items submitted to the cluster. Ray chooses workers, so numbers stand for items in work."""
 
-    def __init__(
-        self, cluster: RayExecutor, initializer: Initializer, items_per_worker: int
-    ) -> None:
+    def __init__(self, cluster: RayExecutor, initializer: Initializer) -> None:
         self._cluster = cluster
         self._initializer = ray.put(initializer)
-        self._process = ray.remote(num_cpus=1, max_retries=_TRIES - 1, max_calls=items_per_worker)(
-            _process
-        )
+        self._process = ray.remote(num_cpus=1, max_retries=_TRIES - 1)(_process)
         self._submitted: dict[Any, tuple[int, Any]] = {}
         self._size, self._updated_s = 0, -_CORES_KNOWN_S
 
@@ -139,13 +133,11 @@ class _RayPool:
     def _outcome(self, reference: Any) -> Outcome:
         worker, item = self._submitted.pop(reference)
         try:
-            return Outcome(worker, item, result_of(ray.get(reference)))
+            return Outcome(worker, item, ray.get(reference))
         except ray.exceptions.RayTaskError as error:
-            # Errors of the work are results: this machine could not even call it.
-            raise InvalidInputError(
-                f"a machine of the cluster cannot do the work: {_last_line(error)}; it needs what "
-                "is installed here"
-            ) from error
+            if isinstance(error.cause, InvalidInputError):
+                raise error.cause from None
+            raise RuntimeError(str(error)) from None
         except ray.exceptions.RayError as error:
             return Outcome(worker, item, lost=f"begun {_TRIES} times: {_first_line(error)}")
 
@@ -153,7 +145,7 @@ class _RayPool:
 def _process(initializer: list[Any], required: str, item: Any) -> Any:
     """Runs on a machine of the cluster."""
     os.environ["NPROC"] = "1"  # XLA follows it, too
-    return attempt(partial(_work, initializer[0], required), item)
+    return _work(initializer[0], required)(item)
 
 
 @lru_cache(maxsize=1)
@@ -165,18 +157,9 @@ def _work(initializer: Any, required: str) -> Work:
             f"{host} has contactgraph {installed}, not {required} as here: all machines "
             "of a cluster need the same"
         )
-    try:
-        return ray.get(initializer)()
-    except ray.exceptions.RaySystemError as error:
-        raise InvalidInputError(
-            f"{host} cannot read the work it was sent ({_first_line(error)}); it needs what is "
-            "installed here"
-        ) from error
+    work: Work = ray.get(initializer)()
+    return work
 
 
 def _first_line(error: BaseException) -> str:
     return str(error).strip().split("\n")[0] or type(error).__name__
-
-
-def _last_line(error: BaseException) -> str:
-    return str(error).strip().split("\n")[-1]

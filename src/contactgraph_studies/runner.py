@@ -15,9 +15,6 @@ from contactgraph.parallel import Executor, Outcome
 from contactgraph_studies.execution import JobResult, create_worker, prepare, write_bundle
 from contactgraph_studies.job import Job, JobRecords
 
-_JOBS_PER_PROCESS = 25
-"""A process keeps every program that it has compiled: 2.7 GB after 60 jobs (measured)."""
-
 
 @dataclass(frozen=True)
 class Failure:
@@ -62,7 +59,7 @@ def run_jobs(
         return schedule.failures
     running: dict[int, Job] = {}
     groups: dict[int, list[str]] = {}
-    with executor.pool(initializer, len(schedule.waiting), _JOBS_PER_PROCESS) as pool:
+    with executor.pool(initializer, len(schedule.waiting)) as pool:
         while (schedule.waiting and time.monotonic() < until) or running:
             for worker in pool.idle() if time.monotonic() < until else ():
                 job = schedule.next(groups.setdefault(worker, []))

@@ -202,9 +202,7 @@ class UnfinishedRecording:
     def _read(self) -> list[Trajectory]:
         """The saved trajectories up to the first gap or damaged file."""
         trajectories: list[Trajectory] = []
-        for path in sorted(self.folder.glob("*.h5")):
-            if path.stem != f"{len(trajectories):06d}":
-                break
+        while (path := self.folder / f"{len(trajectories):06d}.h5").is_file():
             try:
                 trajectories.extend(read_trajectories(path))
             except InvalidInputError:
