@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -156,11 +155,12 @@ def filter_trajectory(
 ) -> FilteredTrajectory:
     """Predicts every step of a trajectory, then corrects the belief by the measured contacts.
 
-    ``trajectory`` has no batch axis; contacts that are NaN, or left out, correct nothing. A report
-    that is late by ``sensor.delay`` steps corrects the belief about the step that it reports, from
-    which the belief is predicted again. With a ``motion_noise`` the motion corrects it, too: see
-    `check_motion_model` for what that raises.
+    ``trajectory`` has no batch axis; contacts that are NaN, or left out, correct nothing. Late
+    reports count as current ones, as in MPC: see `ContactSensor.as_current`. With a
+    ``motion_noise`` the motion corrects the belief, too: see `check_motion_model` for what that
+    raises.
     """
+    sensor = sensor.as_current
 
     def follow(
         carry: _Carry, step: tuple[Array, Array, Array, Array]
@@ -199,44 +199,5 @@ def filter_trajectory(
         sensitivity=control_sensitivity(model, first, trajectory.nodes),
         masses=first_masses(model, trajectory.nodes),
     )
-    observed = trajectory.position, trajectory.velocity, control
-    if sensor.delay == 0 or trajectory.contact is None:
-        position, velocity, control = observed
-        return jax.lax.scan(follow, carry, (position, velocity, contact, control))[1]
-    return _with_late_reports(follow, carry, observed, contact, sensor.delay)
-
-
-def _with_late_reports(
-    follow: Callable[
-        [_Carry, tuple[Array, Array, Array, Array]], tuple[_Carry, FilteredTrajectory]
-    ],
-    first: _Carry,
-    observed: tuple[Array, Array, Array],
-    report: Float[Array, "T+1 E"],
-    delay: int,
-) -> FilteredTrajectory:
-    """The trajectory by ``follow`` when every report is about ``delay`` steps before.
-
-    First every belief is corrected by the report about it, which comes later; the belief of each
-    state follows from that of ``delay`` steps before, which knew no later report.
-    """
-    position, velocity, control = observed
-    about = jnp.concatenate([report[delay:], jnp.full_like(report[:delay], jnp.nan)])
-    none = jnp.full_like(report, jnp.nan)
-
-    def both(carry: _Carry, step: tuple) -> tuple[_Carry, tuple[_Carry, FilteredTrajectory]]:
-        after, found = follow(carry, step)
-        return after, (after, found)
-
-    synchronous = jax.lax.scan(both, first, (position, velocity, about, control))[1]
-    steps = position, velocity, none, control
-
-    def advance(
-        carried: tuple[_Carry, FilteredTrajectory], _: None
-    ) -> tuple[tuple[_Carry, FilteredTrajectory], None]:
-        before = jax.tree.map(
-            lambda one, every: jnp.concatenate([one[None], every[:-1]]), first, carried[0]
-        )
-        return jax.lax.map(lambda inputs: follow(*inputs), (before, steps)), None
-
-    return jax.lax.scan(advance, synchronous, length=min(delay, len(position)))[0][1]
+    observed = trajectory.position, trajectory.velocity, contact, control
+    return jax.lax.scan(follow, carry, observed)[1]
